@@ -1,0 +1,60 @@
+# Two commands for a fresh machine with Python >= 3.11, a Rust toolchain and make:
+#   make demo   a scene, a clipping camera, three estimators, a picture report
+#   make test   every check this project has
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+CORE := $(shell find crates -name '*.rs' -o -name Cargo.toml) Cargo.toml pyproject.toml
+
+.PHONY: help install demo test test-install lint types rust-test py-test format bench scenes system-deps clean
+
+help:
+	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 16
+
+$(BIN)/python:
+	$(PYTHON) -c 'import sys; sys.exit("lightmatrix needs Python 3.11 or newer, this is " + sys.version.split()[0] if sys.version_info < (3, 11) else 0)'
+	$(PYTHON) -m venv $(VENV)
+
+$(VENV)/.installed: $(BIN)/python $(CORE)
+	@command -v cargo >/dev/null || { echo 'lightmatrix needs a Rust toolchain: see https://rustup.rs'; exit 1; }
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
+	@touch $@
+
+$(VENV)/.test-installed: $(VENV)/.installed
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev,render]'
+	@touch $@
+
+install: $(VENV)/.installed ## build the core and install lightmatrix into .venv
+
+demo: install ## simulate, estimate and evaluate a bundled scene; pictures in report/
+	$(BIN)/lightmatrix demo -o report --overwrite
+
+test-install: $(VENV)/.test-installed
+
+test: test-install lint types rust-test py-test ## every check: formats, types, Rust, Python, README
+
+lint:
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	cargo fmt --all --check
+	cargo clippy --workspace --all-targets --quiet -- -D warnings
+
+types:
+	$(BIN)/mypy
+
+rust-test:
+	cargo test --quiet --package lightmatrix-core --release
+
+py-test:
+	$(BIN)/python -m pytest
+
+format: test-install ## rewrite the sources in the house format
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+	cargo fmt --all
+
+system-deps: ## optional system packages (the renderer's LLVM)
+	bash tools/system-deps.sh
+
+clean: ## remove what make made
+	rm -rf $(VENV) target report bench-out src/lightmatrix/_core*.so

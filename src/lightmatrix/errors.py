@@ -1,0 +1,36 @@
+"""Errors that a user can act on: what was wrong, where, and what would work."""
+
+from __future__ import annotations
+
+
+class LightMatrixError(Exception):
+    """Base of every error that lightmatrix raises on purpose.
+
+    Parameters
+    ----------
+    message : str
+        What was wrong and where (file, frame, row).
+    hint : str, optional
+        What would work. Shown on its own line by the command line.
+    """
+
+    def __init__(self, message: str, *, hint: str | None = None) -> None:
+        super().__init__(message if hint is None else f"{message}\n  {hint}")
+        self.message = message
+        self.hint = hint
+
+
+class InputError(LightMatrixError):
+    """The input is unusable: wrong shape, wrong range, unreadable or contradictory."""
+
+
+class OutputError(LightMatrixError):
+    """The output cannot be written: it exists, is not writable, or the disk is full."""
+
+
+class MissingExtraError(LightMatrixError):
+    """An optional part is not installed; the hint names the extra that brings it."""
+
+
+class SolverError(LightMatrixError):
+    """A solver cannot treat this problem, or left the finite numbers."""

@@ -1,0 +1,180 @@
+"""What a solver is given and what it returns, batched over camera samples."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from lightmatrix.errors import InputError
+from lightmatrix.patterns import PatternSet
+
+
+class Fidelity(StrEnum):
+    """How a sample y is compared with the prediction u (Y is the clip level).
+
+    ========== ===================================== ============================ =======
+    name       unclipped samples                     clipped samples              convex
+    ========== ===================================== ============================ =======
+    linear     (y - u)^2 / 2                         (y - u)^2 / 2                yes
+    one-sided  (y - u)^2 / 2                         max(0, y - u)^2 / 2          yes
+    clipped    (y - min(u, Y))^2 / 2                 the same; convex at y = Y    no
+    rejection  (y - u)^2 / 2                         nothing                      yes
+    ========== ===================================== ============================ =======
+
+    ``clipped`` is the paper's Eq. 6, ``one-sided`` is Rencker et al. 2018 (declipping),
+    ``rejection`` is Laska et al. 2009.
+    """
+
+    LINEAR = "linear"
+    ONE_SIDED = "one-sided"
+    CLIPPED = "clipped"
+    REJECTION = "rejection"
+
+    @property
+    def convex(self) -> bool:
+        """Whether the data term is convex in the prediction."""
+        return self is not Fidelity.CLIPPED
+
+
+class Status(StrEnum):
+    """Why a row stopped; each is its own remedy."""
+
+    CONVERGED = "converged"
+    ITERATION_LIMIT = "iteration limit reached: raise the limit or the tolerance"
+    NOT_FINITE = "left the finite numbers: check the samples, raise the regularization"
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Estimate M rows of the light transport matrix from K samples each.
+
+    For each row: min_{x, b} regularization * ||x||_1 + sum_k w_k f_k(a_k . x + b m_k), with a_k
+    pattern k, m_k its mean and f_k the solver's fidelity. This is the paper's Eq. 2 and 6 times
+    lambda. With ``nonnegative``, x >= 0 and b >= 0; without ``background``, b = 0.
+
+    Parameters
+    ----------
+    patterns : PatternSet
+        K patterns over N projector pixels.
+    samples : (M, K) float32 or float64
+        Camera samples, linear, black subtracted; where clipped, a lower bound.
+    clipped : (M, K) bool
+        Which samples clipped.
+    clip_level : (K,) or (M, K), same dtype as samples
+        The level Y at which the camera clips (needed by the ``clipped`` fidelity, where the
+        prediction of an unclipped sample is clipped too).
+    regularization : float
+        The paper's lambda, in units of camera sample; > 0.
+    weights : (M, K) or (K,), optional
+        Weight of each sample in the data term, >= 0; 0 masks it. None means 1.
+    nonnegative : bool
+        Light is not negative; off only where the paper is reproduced.
+    background : bool
+        Whether the row has an unpenalised coefficient b of the pattern means (diffuse light).
+
+    Raises
+    ------
+    InputError
+        On mismatched shapes, samples that are not finite, or values out of range.
+    """
+
+    patterns: PatternSet
+    samples: NDArray[Any]
+    clipped: NDArray[np.bool_]
+    clip_level: NDArray[Any]
+    regularization: float
+    weights: NDArray[Any] | None = None
+    nonnegative: bool = True
+    background: bool = True
+
+    def __post_init__(self) -> None:
+        samples = self.samples
+        if samples.ndim != 2 or samples.shape[1] != self.patterns.count:
+            raise InputError(
+                f"samples have shape {samples.shape}, but there are {self.patterns.count} patterns",
+                hint="give samples as (camera samples, patterns)",
+            )
+        if samples.dtype not in (np.float32, np.float64):
+            raise InputError(f"samples are {samples.dtype}", hint="convert them to float32")
+        if self.clipped.shape != samples.shape or self.clipped.dtype != np.bool_:
+            raise InputError(
+                f"the clipped mask is {self.clipped.dtype} {self.clipped.shape}, "
+                f"the samples are {samples.shape}",
+                hint="give one boolean for each sample",
+            )
+        for name, value in (("clip_level", self.clip_level), ("weights", self.weights)):
+            if value is not None and value.shape not in (samples.shape, samples.shape[1:]):
+                raise InputError(
+                    f"{name} has shape {value.shape}, the samples {samples.shape}",
+                    hint=f"use {samples.shape[1:]} (one a pattern) or {samples.shape}",
+                )
+        if not np.isfinite(samples).all():
+            row, frame = np.argwhere(~np.isfinite(samples))[0]
+            raise InputError(
+                f"the sample of camera row {row}, pattern {frame} is {samples[row, frame]}",
+                hint="mask it with weight 0 and set its value to 0",
+            )
+        if not (np.isfinite(self.regularization) and self.regularization > 0):
+            raise InputError(
+                f"regularization is {self.regularization}",
+                hint="use a positive number in units of camera sample, such as 0.3",
+            )
+        if self.weights is not None and not (
+            np.isfinite(self.weights).all() and (self.weights >= 0).all()
+        ):
+            raise InputError("a weight is negative or not finite", hint="use 0 to mask a sample")
+
+    @property
+    def rows(self) -> int:
+        """Number of camera samples M."""
+        return int(self.samples.shape[0])
+
+    def sample_weights(self) -> NDArray[Any]:
+        """Weights broadcast to (M, K), in the dtype of the samples."""
+        if self.weights is None:
+            return np.ones(self.samples.shape, self.samples.dtype)
+        return np.broadcast_to(self.weights, self.samples.shape).astype(self.samples.dtype)
+
+    def clip_levels(self) -> NDArray[Any]:
+        """Clip levels broadcast to (M, K), in the dtype of the samples."""
+        return np.broadcast_to(self.clip_level, self.samples.shape).astype(self.samples.dtype)
+
+
+@dataclass(frozen=True)
+class Result:
+    """What a solver found, row by row.
+
+    Parameters
+    ----------
+    coefficients : (M, N) csr_array
+        The sparse rows x, in units of camera sample per unit of projector pixel.
+    background : (M,) float32 or float64
+        The coefficient b of the pattern means; 0 where the problem has none.
+    iterations : (M,) int32
+        Iterations (ADMM), rounds (ROMP) or passes (active set) spent on each row.
+    converged : (M,) bool
+        Whether the row met its stopping rule.
+    objective : (M,) float64
+        The problem's objective in the solver's fidelity, recomputed from the definition.
+    gap : (M,) float64
+        Relative duality gap (P - D) / max(P, 1e-6 ||y||^2 / 2); NaN where none is computed or
+        the fidelity is not convex.
+    status : Status
+        The worst over the rows.
+    history : dict of str to list of float
+        Per-iteration residuals or counts, for plots; empty if the solver keeps none.
+    """
+
+    coefficients: sparse.csr_array
+    background: NDArray[Any]
+    iterations: NDArray[np.int32]
+    converged: NDArray[np.bool_]
+    objective: NDArray[np.float64]
+    gap: NDArray[np.float64]
+    status: Status
+    history: dict[str, list[float]] = field(default_factory=dict)
