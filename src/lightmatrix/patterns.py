@@ -120,7 +120,9 @@ class PatternSet(ABC):
             Patterns of ceil(rows / block rows) x ceil(cols / block cols) pixels.
         """
         if min(block) < 1:
-            raise InputError(f"a block of {block[0]} x {block[1]} pixels", hint="use at least 1 x 1")
+            raise InputError(
+                f"a block of {block[0]} x {block[1]} pixels", hint="use at least 1 x 1"
+            )
         parts = [
             block_mean(part.reshape(-1, *self.shape), block).astype(np.float32)
             for _, part in self.blocks()
@@ -446,9 +448,9 @@ class BlockPatterns(PatternSet):
     selected: NDArray[np.int64] | None = None
 
     def __post_init__(self) -> None:
-        _check_geometry(self.shape, self.count)
         if min(self.block) < 1:
             raise InputError(f"a block of {self.block} pixels", hint="use at least 1 x 1")
+        _check_geometry(self.shape, self.count)
         index = self.index
         total = self.grid[0] * self.grid[1]
         if len(index) and (index.min() < 0 or index.max() >= total):
@@ -516,9 +518,7 @@ def one_pixel_patterns(
     return BlockPatterns(shape, (1, 1), index)
 
 
-def sampled_pixels(
-    shape: tuple[int, int], step: int = 8, offset: int = 4
-) -> NDArray[np.int64]:
+def sampled_pixels(shape: tuple[int, int], step: int = 8, offset: int = 4) -> NDArray[np.int64]:
     """Projector pixels on a regular grid: 256 of a 128 x 128 projector, as in the paper's Fig. 6.
 
     Returns

@@ -1,0 +1,228 @@
+//! Products with 0/1 patterns stored as bits, least significant bit first along the pixels.
+//!
+//! Both products go through tables of partial sums ('four Russians'): a byte of pattern picks one
+//! of 256 sums, so a table costs 256 additions and saves eight per use.
+
+use crate::float::Float;
+use rayon::prelude::*;
+
+/// K patterns over N pixels, each pattern in `stride = ceil(N / 8)` bytes.
+#[derive(Clone, Copy)]
+pub struct Bits<'a> {
+    bytes: &'a [u8],
+    patterns: usize,
+    pixels: usize,
+}
+
+impl<'a> Bits<'a> {
+    /// # Panics
+    /// If `bytes` does not hold `patterns * ceil(pixels / 8)` bytes.
+    pub fn new(bytes: &'a [u8], patterns: usize, pixels: usize) -> Self {
+        assert_eq!(bytes.len(), patterns * pixels.div_ceil(8));
+        Bits {
+            bytes,
+            patterns,
+            pixels,
+        }
+    }
+
+    pub fn patterns(&self) -> usize {
+        self.patterns
+    }
+
+    pub fn pixels(&self) -> usize {
+        self.pixels
+    }
+
+    pub fn stride(&self) -> usize {
+        self.pixels.div_ceil(8)
+    }
+
+    /// The bytes of one pattern.
+    pub fn pattern(&self, k: usize) -> &'a [u8] {
+        &self.bytes[k * self.stride()..(k + 1) * self.stride()]
+    }
+
+    /// Whether a pattern lights a pixel.
+    pub fn lit(&self, k: usize, pixel: usize) -> bool {
+        self.pattern(k)[pixel / 8] >> (pixel % 8) & 1 == 1
+    }
+}
+
+/// Sums over all subsets of up to eight values: entry `b` is the sum of the values whose bit is set.
+fn subset_sums<T: Float>(values: &[T], table: &mut [T; 256]) {
+    table[0] = T::default();
+    for (bit, &value) in values.iter().enumerate() {
+        let half = 1 << bit;
+        for low in 0..half {
+            table[half + low] = table[low] + value;
+        }
+    }
+}
+
+/// `out = x P'`: rows of `x` hold N coefficients, rows of `out` K samples.
+///
+/// # Panics
+/// If the lengths do not match `rows`.
+pub fn forward<T: Float>(bits: Bits, rows: usize, x: &[T], out: &mut [T]) {
+    assert_eq!(x.len(), rows * bits.pixels());
+    assert_eq!(out.len(), rows * bits.patterns());
+    if x.is_empty() || out.is_empty() {
+        return;
+    }
+    x.par_chunks(bits.pixels())
+        .zip(out.par_chunks_mut(bits.patterns()))
+        .for_each(|(x, out)| forward_row(bits, x, out));
+}
+
+fn forward_row<T: Float>(bits: Bits, x: &[T], out: &mut [T]) {
+    // Eight tables at a time, so that a pass over the patterns reads a whole 64-bit word of each.
+    const GROUP: usize = 8;
+    let mut tables = [[T::default(); 256]; GROUP];
+    out.fill(T::default());
+    for (word, values) in x.chunks(8 * GROUP).enumerate() {
+        // Rows of T are mostly zero: a stretch without light adds nothing.
+        if values.iter().all(|v| is_zero(*v)) {
+            continue;
+        }
+        let used = values.len().div_ceil(8);
+        for (values, table) in values.chunks(8).zip(tables.iter_mut()) {
+            subset_sums(values, table);
+        }
+        for (k, sum) in out.iter_mut().enumerate() {
+            let start = word * GROUP;
+            let bytes = &bits.pattern(k)[start..start + used];
+            for (byte, table) in bytes.iter().zip(&tables) {
+                *sum += table[*byte as usize & mask(values.len(), byte, bytes)];
+            }
+        }
+    }
+}
+
+/// Bits beyond the last pixel are padding that a table of fewer than eight values does not hold.
+fn mask(values: usize, byte: &u8, bytes: &[u8]) -> usize {
+    let last = std::ptr::eq(byte, &bytes[bytes.len() - 1]);
+    match values % 8 {
+        rest if last && rest != 0 => (1 << rest) - 1,
+        _ => 0xff,
+    }
+}
+
+fn is_zero<T: Float>(value: T) -> bool {
+    value == T::default()
+}
+
+/// `out = e P`: rows of `e` hold K values, rows of `out` N correlations.
+///
+/// # Panics
+/// If the lengths do not match `rows`.
+pub fn adjoint<T: Float>(bits: Bits, rows: usize, e: &[T], out: &mut [T]) {
+    assert_eq!(e.len(), rows * bits.patterns());
+    assert_eq!(out.len(), rows * bits.pixels());
+    if out.is_empty() {
+        return;
+    }
+    if bits.patterns() == 0 {
+        out.fill(T::default());
+        return;
+    }
+    let codes = column_codes(bits);
+    e.par_chunks(bits.patterns())
+        .zip(out.par_chunks_mut(bits.pixels()))
+        .for_each(|(e, out)| adjoint_row(&codes, e, out));
+}
+
+fn adjoint_row<T: Float>(codes: &[u8], e: &[T], out: &mut [T]) {
+    let mut table = [T::default(); 256];
+    out.fill(T::default());
+    for (values, codes) in e.chunks(8).zip(codes.chunks(out.len())) {
+        subset_sums(values, &mut table);
+        for (sum, code) in out.iter_mut().zip(codes) {
+            *sum += table[*code as usize];
+        }
+    }
+}
+
+/// The transposed patterns: for each group of eight patterns one byte a pixel, pattern `8 g + i` in
+/// bit `i`. Laid out (group, pixel).
+pub fn column_codes(bits: Bits) -> Vec<u8> {
+    let pixels = bits.pixels();
+    let mut codes = vec![0u8; bits.patterns().div_ceil(8) * pixels];
+    codes
+        .par_chunks_mut(pixels.max(1))
+        .enumerate()
+        .for_each(|(group, codes)| {
+            for k in 8 * group..(8 * group + 8).min(bits.patterns()) {
+                for (codes, byte) in codes.chunks_mut(8).zip(bits.pattern(k)) {
+                    for (i, code) in codes.iter_mut().enumerate() {
+                        *code |= (byte >> i & 1) << (k % 8);
+                    }
+                }
+            }
+        });
+    codes
+}
+
+/// Chosen columns of P as (K, index.len()).
+///
+/// # Panics
+/// If an index is beyond the pixels, or `out` has the wrong length.
+pub fn columns(bits: Bits, index: &[usize], out: &mut [f32]) {
+    assert_eq!(out.len(), bits.patterns() * index.len());
+    if index.is_empty() {
+        return;
+    }
+    for (k, row) in out.chunks_mut(index.len()).enumerate() {
+        for (value, &pixel) in row.iter_mut().zip(index) {
+            *value = f32::from(u8::from(bits.lit(k, pixel)));
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn example(patterns: usize, pixels: usize) -> (Vec<u8>, Vec<f64>, Vec<f64>) {
+        let mut state = 7u64;
+        let mut next = move || {
+            state = state
+                .wrapping_mul(6364136223846793005)
+                .wrapping_add(1442695040888963407);
+            (state >> 33) as u32
+        };
+        let bytes = (0..patterns * pixels.div_ceil(8))
+            .map(|_| next() as u8)
+            .collect();
+        let mut values = |n: usize| (0..n).map(|_| f64::from(next()) / 1e9 - 1.0).collect();
+        (bytes, values(3 * pixels), values(3 * patterns))
+    }
+
+    #[test]
+    fn products_match_their_definition() {
+        for (patterns, pixels) in [(1, 1), (3, 7), (8, 8), (9, 65), (17, 130), (40, 200)] {
+            let (bytes, x, e) = example(patterns, pixels);
+            let bits = Bits::new(&bytes, patterns, pixels);
+            let mut samples = vec![0.0; 3 * patterns];
+            let mut correlations = vec![0.0; 3 * pixels];
+            forward(bits, 3, &x, &mut samples);
+            adjoint(bits, 3, &e, &mut correlations);
+            for row in 0..3 {
+                for k in 0..patterns {
+                    let direct: f64 = (0..pixels)
+                        .filter(|&n| bits.lit(k, n))
+                        .map(|n| x[row * pixels + n])
+                        .sum();
+                    assert!((samples[row * patterns + k] - direct).abs() < 1e-9);
+                }
+                for n in 0..pixels {
+                    let direct: f64 = (0..patterns)
+                        .filter(|&k| bits.lit(k, n))
+                        .map(|k| e[row * patterns + k])
+                        .sum();
+                    assert!((correlations[row * pixels + n] - direct).abs() < 1e-9);
+                }
+            }
+        }
+    }
+}

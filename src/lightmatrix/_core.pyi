@@ -1,0 +1,13 @@
+"""The compiled core: pattern products on packed bits and the fast Walsh-Hadamard transform."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+def bits_forward(packed: NDArray[np.uint8], pixels: int, x: NDArray[Any]) -> NDArray[Any]: ...
+def bits_adjoint(packed: NDArray[np.uint8], pixels: int, e: NDArray[Any]) -> NDArray[Any]: ...
+def bits_columns(
+    packed: NDArray[np.uint8], pixels: int, index: NDArray[np.int64]
+) -> NDArray[np.float32]: ...
+def hadamard(x: NDArray[Any]) -> NDArray[Any]: ...
