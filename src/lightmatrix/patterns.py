@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
+from scipy.sparse import csr_array
 
 from lightmatrix import _core
 from lightmatrix.errors import InputError
@@ -487,10 +487,10 @@ class BlockPatterns(PatternSet):
         np.add.at(per_block.T, self.index, e.T)
         return per_block[:, self._block_of_pixel]
 
-    def _membership(self, dtype: np.dtype[Any]) -> sparse.csr_array:
+    def _membership(self, dtype: np.dtype[Any]) -> csr_array:
         pixels = np.arange(self.pixels)
         entries = (np.ones(self.pixels, dtype), (self._block_of_pixel, pixels))
-        return sparse.csr_array(entries, shape=(self.grid[0] * self.grid[1], self.pixels))
+        return csr_array(entries, shape=(self.grid[0] * self.grid[1], self.pixels))
 
     def columns(self, index: NDArray[np.integer]) -> NDArray[np.float32]:
         return (self.index[:, None] == self._block_of_pixel[index][None, :]).astype(np.float32)

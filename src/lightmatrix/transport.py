@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
+from scipy.sparse import csr_array
 
 from lightmatrix.errors import InputError
 
@@ -44,7 +44,7 @@ class LightTransport:
         On shapes that do not match.
     """
 
-    sparse: sparse.csr_array
+    sparse: csr_array
     background: NDArray[np.float32]
     camera_shape: tuple[int, ...]
     projector_shape: tuple[int, int]
@@ -75,7 +75,7 @@ class LightTransport:
     @classmethod
     def from_matrix(
         cls,
-        matrix: sparse.csr_array,
+        matrix: csr_array,
         camera_shape: tuple[int, ...],
         projector_shape: tuple[int, int],
         **more: Any,
@@ -83,7 +83,7 @@ class LightTransport:
         """A transport without background, such as a rendered truth."""
         background = np.zeros((matrix.shape[0], 1), np.float32)
         return cls(
-            sparse.csr_array(matrix, dtype=np.float32),
+            csr_array(matrix, dtype=np.float32),
             background,
             camera_shape,
             projector_shape,
@@ -96,7 +96,7 @@ class LightTransport:
         return int(self.sparse.shape[0]), int(self.sparse.shape[1])
 
     @cached_property
-    def _pooling(self) -> sparse.csr_array:
+    def _pooling(self) -> csr_array:
         """The operator m: mean over each block of the background grid, (B, N)."""
         rows, cols = self.projector_shape
         grid_rows, grid_cols = self.background_grid
@@ -105,7 +105,7 @@ class LightTransport:
         block = (row_block[:, None] * grid_cols + col_block[None, :]).ravel()
         sizes = np.bincount(block, minlength=grid_rows * grid_cols)
         entries = ((1 / sizes[block]).astype(np.float32), (block, np.arange(rows * cols)))
-        return sparse.csr_array(entries, shape=(grid_rows * grid_cols, rows * cols))
+        return csr_array(entries, shape=(grid_rows * grid_cols, rows * cols))
 
     def relight(self, patterns: NDArray[Any]) -> NDArray[np.float32]:
         """Camera images under patterns: c = T p, linear, not clipped.
@@ -191,7 +191,7 @@ class LightTransport:
         pooled = self._pooling[:, index].toarray()
         return np.asarray(self.sparse[:, index].toarray() + self.background @ pooled, np.float32)
 
-    def to_matrix(self, *, dense_background: bool = False) -> sparse.csr_array:
+    def to_matrix(self, *, dense_background: bool = False) -> csr_array:
         """T as one sparse matrix.
 
         Parameters
@@ -202,4 +202,4 @@ class LightTransport:
         """
         if not dense_background:
             return self.sparse
-        return sparse.csr_array(self.sparse + sparse.csr_array(self.background) @ self._pooling)
+        return csr_array(self.sparse + csr_array(self.background) @ self._pooling)

@@ -41,9 +41,9 @@ fn product<'py, T: Float + Element>(
         compute(count, input, &mut output);
         output
     });
-    Ok(output
+    output
         .into_pyarray(py)
-        .call_method1("reshape", (count, widths.1))?)
+        .call_method1("reshape", (count, widths.1))
 }
 
 /// Calls `$body` with `$rows` as float32 or float64, whichever it is.

@@ -1,0 +1,1 @@
+"""Estimators of rows of the light transport matrix, one problem and one result for all."""

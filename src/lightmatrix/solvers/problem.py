@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
+from scipy.sparse import csr_array
 
 from lightmatrix.errors import InputError
 from lightmatrix.patterns import PatternSet
@@ -170,7 +170,7 @@ class Result:
         Per-iteration residuals or counts, for plots; empty if the solver keeps none.
     """
 
-    coefficients: sparse.csr_array
+    coefficients: csr_array
     background: NDArray[Any]
     iterations: NDArray[np.int32]
     converged: NDArray[np.bool_]
