@@ -1,0 +1,1 @@
+"""The simulated rig: rendered scenes whose light transport matrix is known exactly."""
