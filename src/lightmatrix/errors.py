@@ -34,3 +34,7 @@ class MissingExtraError(LightMatrixError):
 
 class SolverError(LightMatrixError):
     """A solver cannot treat this problem, or left the finite numbers."""
+
+
+class LightMatrixWarning(UserWarning):
+    """The input is usable but probably not what was meant; the message says what to check."""

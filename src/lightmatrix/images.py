@@ -1,0 +1,380 @@
+"""Image files: 8/16-bit PNG, TIFF and npy, grey or colour, one image a file.
+
+Pixels come back as they were stored (uint8, uint16 or float32); what they mean is the business of
+`lightmatrix.sensor`. Stacks are folders of images in natural order, read one image at a time.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import imageio.v3 as imageio
+import numpy as np
+import tifffile
+from numpy.typing import NDArray
+
+from lightmatrix import png16
+from lightmatrix.atomic import atomic_file, check_output
+from lightmatrix.errors import InputError
+
+READABLE = (".png", ".tif", ".tiff", ".npy", ".jpg", ".jpeg", ".bmp")
+WRITABLE = (".png", ".tif", ".tiff", ".npy")
+_FORMATS = "PNG, TIFF, npy, JPEG or BMP"
+
+
+def read_image(path: str | Path) -> NDArray[Any]:
+    """Read one image as it is stored.
+
+    Parameters
+    ----------
+    path : str or Path
+        A PNG, TIFF, npy, JPEG or BMP file. Black-and-white images become 0/255, an alpha channel
+        that is opaque everywhere is dropped.
+
+    Returns
+    -------
+    (rows, cols) or (rows, cols, 3) uint8, uint16 or float32
+        Float values are finite.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, a folder, empty, truncated, not an image, not 2-D, or not finite.
+    """
+    file = Path(path)
+    _check_file(file)
+    try:
+        image = _READERS.get(file.suffix.lower(), _read_common)(file)
+    except InputError:
+        raise
+    # Image libraries raise nearly anything on damaged files, among them SyntaxError.
+    except Exception as error:
+        reason = " ".join(str(error).split())[:120] or type(error).__name__
+        raise InputError(
+            f"{file}: cannot be read as an image, damaged or truncated ({reason})",
+            hint="copy or export the file again",
+        ) from error
+    return _as_stored(file, image)
+
+
+def read_grey(path: str | Path) -> NDArray[np.float32]:
+    """Read one pattern: grey values in [0, 1].
+
+    Returns
+    -------
+    (rows, cols) float32
+        Integer images over their full range; colour images only if their channels agree.
+
+    Raises
+    ------
+    InputError
+        As for `read_image`, and for coloured images or float values outside [0, 1].
+    """
+    image = read_image(path)
+    if image.ndim == 3:
+        if (image != image[..., :1]).any():
+            raise InputError(
+                f"{path}: a coloured pattern",
+                hint="save patterns in grey; a colour projector is three projectors",
+            )
+        image = image[..., 0]
+    if image.dtype == np.float32:
+        if image.min() < 0 or image.max() > 1:
+            raise InputError(
+                f"{path}: pattern values from {image.min():g} to {image.max():g}",
+                hint="scale the pattern to [0, 1]",
+            )
+        return image
+    return (image / np.float32(np.iinfo(image.dtype).max)).astype(np.float32)
+
+
+def write_image(
+    path: str | Path, image: NDArray[Any], *, bits: int = 8, overwrite: bool = False
+) -> None:
+    """Write one image, whole or not at all.
+
+    Parameters
+    ----------
+    path : str or Path
+        Ends in .png, .tif, .tiff or .npy.
+    image : (rows, cols) or (rows, cols, 1 or 3)
+        uint8 and uint16 are written as they are. Float values are written as float32, except to
+        PNG: there [0, 1] becomes the full range and what lies outside is cut off.
+    bits : {8, 16}
+        Bits of a float image written as PNG.
+    overwrite : bool
+        Whether an existing file may be replaced.
+
+    Raises
+    ------
+    InputError
+        If the image is not an image or not finite.
+    OutputError
+        If the file exists, has another ending or cannot be written.
+    """
+    pixels = np.asarray(image)
+    if pixels.ndim == 3 and pixels.shape[-1] == 1:
+        pixels = pixels[..., 0]
+    if pixels.ndim not in (2, 3) or pixels.size == 0 or (pixels.ndim == 3 and len(pixels.T) != 3):
+        raise InputError(
+            f"an image of shape {pixels.shape}", hint="give (rows, cols) or (rows, cols, 3)"
+        )
+    if pixels.dtype not in (np.uint8, np.uint16):
+        pixels = pixels.astype(np.float32)
+        if not np.isfinite(pixels).all():
+            raise InputError(f"{path}: the image has values that are not finite")
+    check_output(path, overwrite=overwrite, suffixes=WRITABLE)
+    with atomic_file(path, overwrite=overwrite) as part:
+        suffix = part.suffix.lower()
+        if suffix == ".npy":
+            np.save(part, pixels)
+        elif suffix in (".tif", ".tiff"):
+            photometric = "rgb" if pixels.ndim == 3 else "minisblack"
+            tifffile.imwrite(part, pixels, photometric=photometric)
+        else:
+            levels = _to_levels(pixels, bits)
+            if levels.ndim == 3 and levels.dtype == np.uint16:
+                png16.write(part, levels)
+            else:
+                imageio.imwrite(part, levels, plugin="pillow")
+
+
+def list_images(folder: str | Path) -> list[Path]:
+    """The image files of a folder in natural order (frame 2 before frame 10).
+
+    Hidden files and files that are no images are passed over.
+
+    Raises
+    ------
+    InputError
+        If the folder is missing, is a file, or holds no images or images of several formats.
+    """
+    place = Path(folder)
+    if not place.exists():
+        raise InputError(f"{place}: no such folder", hint="check the name")
+    if not place.is_dir():
+        raise InputError(
+            f"{place}: is a file, not a folder of images", hint="give the folder that holds it"
+        )
+    files = [entry for entry in place.iterdir() if entry.is_file() and entry.name[0] != "."]
+    images = sorted((file for file in files if file.suffix.lower() in READABLE), key=_natural)
+    if not images:
+        other = sorted({file.suffix for file in files if file.suffix})
+        found = f", only {', '.join(other)} files" if other else ""
+        raise InputError(f"{place}: holds no images{found}", hint=f"convert them to {_FORMATS}")
+    suffixes = sorted({file.suffix.lower() for file in images})
+    if len(suffixes) > 1:
+        raise InputError(
+            f"{place}: holds images of several formats ({', '.join(suffixes)})",
+            hint="keep one image a frame, all in one format",
+        )
+    return images
+
+
+def nonlinear_tag(path: str | Path) -> str | None:
+    """Why an image file is probably not linear: "JPEG", "tagged sRGB", ...; None if it may be.
+
+    A PNG file is tagged by its sRGB, iCCP, cICP or gAMA chunk (a gamma of 1 is linear).
+    """
+    file = Path(path)
+    if file.suffix.lower() in (".jpg", ".jpeg"):
+        return "JPEG"
+    if file.suffix.lower() != ".png":
+        return None
+    try:
+        found = png16.chunks(file.read_bytes())
+    except (ValueError, OSError):
+        return None
+    for name, words in ((b"sRGB", "tagged sRGB"), (b"iCCP", "tagged with a colour profile")):
+        if name in found:
+            return words
+    if b"cICP" in found:
+        return "tagged with a video colour space"
+    gamma = found.get(b"gAMA", b"")
+    if len(gamma) == 4 and (value := struct.unpack(">I", gamma)[0]) not in (0, 100000):
+        return f"tagged with gamma {100000 / value:.2g}"
+    return None
+
+
+@dataclass(frozen=True)
+class ImageStack:
+    """Images of one shape and type, read one at a time.
+
+    Parameters
+    ----------
+    paths : tuple of Path
+        The files, in the order of the frames.
+    shape : (rows, cols) or (rows, cols, 3)
+        Of every image.
+    dtype : numpy.dtype
+        uint8, uint16 or float32.
+    """
+
+    paths: tuple[Path, ...]
+    shape: tuple[int, ...]
+    dtype: np.dtype[Any]
+
+    @classmethod
+    def open(cls, source: str | Path | Sequence[Path]) -> ImageStack:
+        """The images of a folder (natural order) or of a list of files (its order).
+
+        Raises
+        ------
+        InputError
+            If there are none or the first one cannot be read; later ones are checked when read.
+        """
+        paths = list_images(source) if isinstance(source, (str, Path)) else list(source)
+        if not paths:
+            raise InputError("an empty list of images", hint="give at least one file")
+        first = read_image(paths[0])
+        return cls(tuple(paths), first.shape, first.dtype)
+
+    @property
+    def count(self) -> int:
+        """Number of images K."""
+        return len(self.paths)
+
+    def read(self, index: int) -> NDArray[Any]:
+        """Image number `index`, of the stack's shape and dtype.
+
+        Raises
+        ------
+        InputError
+            If it cannot be read, or differs from the first image in shape or type.
+        """
+        path = self.paths[index]
+        image = read_image(path)
+        if image.shape != self.shape:
+            raise InputError(
+                f"{path}: is {_words(image.shape)}, but {self.paths[0].name} is "
+                f"{_words(self.shape)}",
+                hint="all images of a folder must have one size; move others elsewhere",
+            )
+        if image.dtype != self.dtype:
+            raise InputError(
+                f"{path}: is {image.dtype}, but {self.paths[0].name} is {self.dtype}",
+                hint="save all images of a folder with the same bit depth",
+            )
+        return image
+
+    def __iter__(self) -> Iterator[NDArray[Any]]:
+        return (self.read(index) for index in range(self.count))
+
+    def select(self, index: Sequence[int]) -> ImageStack:
+        """The stack of the images of the given indices."""
+        return ImageStack(tuple(self.paths[i] for i in index), self.shape, self.dtype)
+
+
+def _words(shape: tuple[int, ...]) -> str:
+    return f"{shape[0]} x {shape[1]}" + (f" with {shape[2]} channels" if len(shape) == 3 else "")
+
+
+def _natural(path: Path) -> tuple[list[tuple[int, int, str]], str]:
+    parts = re.split(r"(\d+)", path.name.casefold())
+    return [(0, int(p), "") if p.isdigit() else (1, 0, p) for p in parts if p], path.name
+
+
+def _check_file(file: Path) -> None:
+    if not file.exists():
+        raise InputError(f"{file}: no such file", hint="check the name")
+    if file.is_dir():
+        raise InputError(f"{file}: is a folder, not an image file", hint="give one image file")
+    if file.suffix.lower() not in READABLE:
+        raise InputError(
+            f"{file}: files ending in {file.suffix or 'nothing'} are not read",
+            hint=f"convert it to {_FORMATS}",
+        )
+    if file.stat().st_size == 0:
+        raise InputError(f"{file}: is empty (0 bytes)", hint="copy or export the file again")
+
+
+def _read_common(file: Path) -> NDArray[Any]:
+    with file.open("rb") as opened:
+        header = opened.read(33)
+    if png16.is_colour16(header):
+        return png16.read(file.read_bytes())
+    return np.asarray(imageio.imread(file, plugin="pillow", index=0))
+
+
+def _read_npy(file: Path) -> NDArray[Any]:
+    return np.asarray(np.load(file, allow_pickle=False))
+
+
+def _read_tiff(file: Path) -> NDArray[Any]:
+    with tifffile.TiffFile(file) as tiff:
+        if len(tiff.pages) != 1:
+            raise InputError(f"{file}: holds {len(tiff.pages)} pages", hint="save one image a file")
+        page = tiff.pages.first
+        # tifffile fills what is missing with zeros; a truncated image must not look dark.
+        ends = [o + n for o, n in zip(page.dataoffsets, page.databytecounts, strict=True)]
+        if not ends or max(ends) > file.stat().st_size:
+            raise ValueError("the file ends early")
+        if page.compression == 1 or page.compression in (8, 32946):
+            image = np.asarray(page.asarray())
+        else:
+            # Other compressions are Pillow's, as far as it keeps the depth.
+            image = np.asarray(imageio.imread(file, plugin="pillow"))
+            if image.dtype != page.dtype:
+                raise InputError(
+                    f"{file}: {page.dtype} with TIFF compression {int(page.compression)} is not read",
+                    hint="save it uncompressed or as PNG",
+                )
+        if page.photometric == 0 and image.dtype.kind == "u":
+            image = np.iinfo(image.dtype).max - image
+        return image
+
+
+_READERS = {".npy": _read_npy, ".tif": _read_tiff, ".tiff": _read_tiff}
+
+
+def _as_stored(file: Path, image: NDArray[Any]) -> NDArray[Any]:
+    if image.dtype == np.bool_:
+        image = image.astype(np.uint8) * np.uint8(255)
+    if image.ndim == 3 and image.shape[-1] in (2, 4):
+        image = _without_alpha(file, image)
+    if image.ndim == 3 and image.shape[-1] == 1:
+        image = image[..., 0]
+    if image.ndim not in (2, 3) or (image.ndim == 3 and image.shape[-1] != 3) or image.size == 0:
+        raise InputError(
+            f"{file}: holds an array of shape {image.shape}",
+            hint="save one image a file, (rows, cols) or (rows, cols, 3)",
+        )
+    if image.dtype.kind == "f":
+        if not np.isfinite(image).all():
+            at = tuple(int(i) for i in np.argwhere(~np.isfinite(image))[0])
+            raise InputError(
+                f"{file}: the value at {at} is {image[at]}",
+                hint="replace it, and mask the pixel if it is broken in every frame",
+            )
+        return image.astype(np.float32)
+    if image.dtype == np.int32 and image.min() >= 0 and image.max() <= 65535:
+        # How Pillow hands over some 16-bit images.
+        return image.astype(np.uint16)
+    if image.dtype.newbyteorder("=") not in (np.uint8, np.uint16):
+        raise InputError(
+            f"{file}: holds {image.dtype} values", hint="save it as uint8, uint16 or float32"
+        )
+    return np.ascontiguousarray(image, image.dtype.newbyteorder("="))
+
+
+def _without_alpha(file: Path, image: NDArray[Any]) -> NDArray[Any]:
+    opaque = np.iinfo(image.dtype).max if image.dtype.kind == "u" else 1
+    if (image[..., -1] != opaque).any():
+        raise InputError(
+            f"{file}: is partly transparent", hint="save the image without an alpha channel"
+        )
+    return image[..., :-1]
+
+
+def _to_levels(pixels: NDArray[Any], bits: int) -> NDArray[Any]:
+    if pixels.dtype != np.float32:
+        return pixels
+    if bits not in (8, 16):
+        raise InputError(f"{bits} bits for a PNG file", hint="use 8 or 16")
+    top = 2**bits - 1
+    return np.rint(pixels.clip(0, 1) * np.float64(top)).astype(f"u{bits // 8}")
