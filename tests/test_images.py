@@ -298,7 +298,7 @@ def test_outputs_below_a_file_cannot_be_written(tmp_path: Path) -> None:
 
 
 def interrupted_folder(target: Path) -> None:
-    with atomic_folder(target, overwrite=True, marker="capture.json") as part:
+    with atomic_folder(target, overwrite=True) as part:
         (part / "capture.json").write_text("new")
         raise RuntimeError("stop")
 
@@ -311,18 +311,18 @@ def interrupted_file(target: Path) -> None:
 
 def test_folders_are_replaced_whole_and_only_ours(tmp_path: Path) -> None:
     target = tmp_path / "capture"
-    with atomic_folder(target, marker="capture.json") as part:
+    with atomic_folder(target) as part:
         (part / "capture.json").write_text("old")
     with pytest.raises(RuntimeError, match="stop"):
         interrupted_folder(target)
     assert (target / "capture.json").read_text() == "old"
-    with atomic_folder(target, overwrite=True, marker="capture.json") as part:
+    with atomic_folder(target, overwrite=True) as part:
         (part / "capture.json").write_text("new")
     assert (target / "capture.json").read_text() == "new"
     (tmp_path / "photos").mkdir()
     (tmp_path / "photos" / "holiday.jpg").touch()
     with pytest.raises(OutputError, match="not written by lightmatrix"):
-        check_output(tmp_path / "photos", overwrite=True, marker="capture.json")
+        check_output(tmp_path / "photos", overwrite=True)
     assert sorted(entry.name for entry in tmp_path.iterdir()) == ["capture", "photos"]
 
 

@@ -11,13 +11,15 @@ from pathlib import Path
 
 from lightmatrix.errors import OutputError
 
+# A folder that holds one of these was written by us and may be replaced by us.
+MARKERS = frozenset({"capture.json", "patterns.json", "zarr.json"})
+
 
 def check_output(
     path: str | Path,
     *,
     overwrite: bool = False,
     suffixes: tuple[str, ...] | None = None,
-    marker: str | None = None,
 ) -> Path:
     """Whether an output may be written, asked before any work is done.
 
@@ -26,12 +28,10 @@ def check_output(
     path : str or Path
         The output, a file or a folder. Missing parent folders are created.
     overwrite : bool
-        Whether an existing output may be replaced.
+        Whether an existing output may be replaced. Of folders only our own are (and empty ones,
+        in any case), so that no slip of the pen deletes a folder of photographs.
     suffixes : tuple of str, optional
         Permitted endings, such as (".npz", ".mat").
-    marker : str, optional
-        The output is a folder; one that exists is replaced only if it holds a file of this name
-        (so that --overwrite never deletes a folder that is not ours) or nothing at all.
 
     Returns
     -------
@@ -50,7 +50,7 @@ def check_output(
             hint=f"end it in {' or '.join(suffixes)}",
         )
     with explained(target):
-        _check_existing(target, overwrite, marker)
+        _check_existing(target, overwrite)
         target.parent.mkdir(parents=True, exist_ok=True)
         # Only trying tells: permissions, read-only disks and quotas differ between systems.
         probe = _sibling(target)
@@ -82,9 +82,7 @@ def atomic_file(path: str | Path, *, overwrite: bool = False) -> Iterator[Path]:
 
 
 @contextmanager
-def atomic_folder(
-    path: str | Path, *, overwrite: bool = False, marker: str | None = None
-) -> Iterator[Path]:
+def atomic_folder(path: str | Path, *, overwrite: bool = False) -> Iterator[Path]:
     """Fill a temporary sibling folder, which becomes `path` on success.
 
     A folder that is replaced stays in place until the new one is whole.
@@ -94,7 +92,7 @@ def atomic_folder(
     OutputError
         If the output exists without `overwrite`, or on any failure of the disk.
     """
-    target = check_output(path, overwrite=overwrite, marker=marker)
+    target = check_output(path, overwrite=overwrite)
     part = _sibling(target)
     try:
         with explained(target):
@@ -134,14 +132,14 @@ def _replace_folder(part: Path, target: Path) -> None:
         old.unlink()
 
 
-def _check_existing(target: Path, overwrite: bool, marker: str | None) -> None:
+def _check_existing(target: Path, overwrite: bool) -> None:
     if not target.exists():
         return
     if target.is_dir():
         content = {entry.name for entry in target.iterdir()}
-        if not content and marker is not None:
+        if not content:
             return
-        if marker is None or marker not in content:
+        if not content & MARKERS:
             raise OutputError(
                 f"{target}: is a folder that was not written by lightmatrix",
                 hint="choose another name for the output",

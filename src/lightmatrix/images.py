@@ -320,8 +320,9 @@ def _read_tiff(file: Path) -> NDArray[Any]:
             # Other compressions are Pillow's, as far as it keeps the depth.
             image = np.asarray(imageio.imread(file, plugin="pillow"))
             if image.dtype != page.dtype:
+                kind = int(page.compression)
                 raise InputError(
-                    f"{file}: {page.dtype} with TIFF compression {int(page.compression)} is not read",
+                    f"{file}: {page.dtype} values with compression {kind} are not read",
                     hint="save it uncompressed or as PNG",
                 )
         if page.photometric == 0 and image.dtype.kind == "u":

@@ -177,11 +177,12 @@ class Response:
     name: str = "linear"
 
     @classmethod
-    def parse(cls, text: str) -> Response:
+    def parse(cls, text: str, folder: Path = Path()) -> Response:
         """Read a response: ``linear``, ``gamma:2.2``, ``srgb`` or ``curve:FILE``.
 
         A curve is a text file (or npy) of two columns, level and light, each from 0 to its own
-        maximum; or of one column, the light at equally spaced levels.
+        maximum; or of one column, the light at equally spaced levels. A relative FILE is looked
+        for in `folder`.
 
         Raises
         ------
@@ -205,7 +206,7 @@ class Response:
                 raise InputError(f"a response of {text!r}", hint="write for example gamma:2.2")
             return cls(levels, levels**gamma, text)
         if kind == "curve" and argument:
-            return cls(*_read_curve(Path(argument)), text)
+            return cls(*_read_curve(folder / argument), text)
         raise InputError(
             f"a response of {text!r}", hint="use linear, gamma:2.2, srgb or curve:FILE"
         )

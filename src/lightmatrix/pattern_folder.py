@@ -1,0 +1,130 @@
+"""Pattern sets as folders of PNG files, with patterns.json to remake the operator.
+
+A Bernoulli or Hadamard set read back is the fast operator it was written from, but only if the
+images show the same patterns: the images are what was projected, so they have the last word.
+"""
+
+from __future__ import annotations
+
+import json
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lightmatrix.atomic import atomic_folder
+from lightmatrix.errors import InputError, LightMatrixWarning
+from lightmatrix.images import ImageStack, list_images, read_grey, write_image
+from lightmatrix.patterns import ImagePatterns, PatternSet, from_description, to_grey
+
+DESCRIPTION = "patterns.json"
+FORMAT, VERSION = "lightmatrix-patterns", 1
+
+
+def write_patterns(folder: str | Path, patterns: PatternSet, *, overwrite: bool = False) -> None:
+    """Write a pattern set as 8-bit PNG files and patterns.json.
+
+    Raises
+    ------
+    OutputError
+        If the folder exists, is not one of ours, or cannot be written.
+    """
+    with atomic_folder(folder, overwrite=overwrite) as part:
+        fill_pattern_folder(part, patterns)
+
+
+def fill_pattern_folder(folder: Path, patterns: PatternSet) -> None:
+    """Write the files of a pattern folder into an empty folder."""
+    digits = max(4, len(str(patterns.count - 1)))
+    for start, block in patterns.blocks():
+        for k, image in enumerate(to_grey(block.reshape(-1, *patterns.shape)), start):
+            write_image(folder / f"pattern_{k:0{digits}d}.png", image)
+    header = {"format": FORMAT, "version": VERSION, "digest": patterns.digest}
+    content = {**header, "description": patterns.description}
+    (folder / DESCRIPTION).write_text(json.dumps(content, indent=2) + "\n")
+
+
+def read_patterns(folder: str | Path) -> PatternSet:
+    """Read a folder of pattern images in natural order.
+
+    Returns
+    -------
+    PatternSet
+        The operator that patterns.json describes if the images agree with it; else (with a
+        warning) or without patterns.json the images themselves.
+
+    Raises
+    ------
+    InputError
+        On images that cannot be read or differ in size, or a damaged patterns.json.
+    """
+    place = Path(folder)
+    paths = list_images(place)
+    description = _read_description(place / DESCRIPTION)
+    operator = None if description is None else from_description(description)
+    if operator is not None:
+        odd = _first_difference(operator, paths)
+        if odd is None:
+            return operator
+        warnings.warn(
+            f"{place}: {odd} the patterns that {DESCRIPTION} describes; the images are used",
+            LightMatrixWarning,
+            stacklevel=2,
+        )
+    stack = ImageStack.open(paths)
+    images = np.empty((len(paths), *stack.shape[:2]), np.float32)
+    for k, path in enumerate(paths):
+        # The stack names the file whose size or type differs.
+        stack.read(k)
+        images[k] = read_grey(path)
+    return ImagePatterns(images)
+
+
+def _read_description(file: Path) -> dict[str, Any] | None:
+    if not file.exists():
+        return None
+    content = read_json(file, FORMAT, VERSION)
+    if not isinstance(content.get("description"), dict):
+        raise InputError(
+            f"{file}: holds no description of the patterns",
+            hint="remove it to read the patterns from their images",
+        )
+    return dict(content["description"])
+
+
+def read_json(file: Path, kind: str, version: int) -> dict[str, Any]:
+    """Read one of our JSON files and check its format and version.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read, is of another format, or of a later version.
+    """
+    try:
+        content = json.loads(file.read_text())
+    except (OSError, ValueError) as error:
+        raise InputError(
+            f"{file}: cannot be read ({error})", hint="restore it, or remove it"
+        ) from error
+    if not isinstance(content, dict) or content.get("format") != kind:
+        raise InputError(f"{file}: is not a {kind} file", hint=f'its "format" must be "{kind}"')
+    found = content.get("version")
+    if found != version:
+        raise InputError(
+            f"{file}: has format version {found}, this lightmatrix reads {version}",
+            hint="update lightmatrix, or write the file again",
+        )
+    return content
+
+
+def _first_difference(operator: PatternSet, paths: list[Path]) -> str | None:
+    """How the images differ from an operator, in words; None if they do not."""
+    if len(paths) != operator.count:
+        return f"its {len(paths)} images are not"
+    for start, block in operator.blocks():
+        expected = to_grey(block.reshape(-1, *operator.shape))
+        for path, grey in zip(paths[start : start + len(block)], expected, strict=True):
+            if not np.array_equal(to_grey(read_grey(path)), grey):
+                return f"{path.name} is not among"
+    return None
