@@ -60,7 +60,7 @@ def test_products_match_the_dense_matrix_and_are_adjoint(
     np.testing.assert_allclose(correlations, e @ dense, atol=tolerance)
     np.testing.assert_allclose((samples * e).sum(), (x * correlations).sum(), atol=10 * tolerance)
     np.testing.assert_allclose(patterns.means, dense.mean(axis=1), atol=1e-6)
-    np.testing.assert_allclose(patterns.gram(), dense @ dense.T, atol=1e-5)
+    np.testing.assert_allclose(patterns.gram, dense @ dense.T, atol=1e-5)
 
 
 @given(pattern_sets(), st.data())

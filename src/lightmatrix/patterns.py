@@ -29,6 +29,10 @@ from lightmatrix.errors import InputError
 # Patterns are unpacked in groups of this many bytes, so that memory stays bounded.
 _BLOCK_BYTES = 64 << 20
 
+# Bernoulli patterns up to this size are also kept as floats once many rows are multiplied.
+_DENSE_BYTES = 128 << 20
+_DENSE_ROWS = 8
+
 
 class PatternSet(ABC):
     """K patterns over a projector of (rows, cols) pixels.
@@ -98,6 +102,7 @@ class PatternSet(ABC):
         """The whole of P, (K, N) float32; for small sets and tests."""
         return self.rows(0, self.count)
 
+    @cached_property
     def gram(self) -> NDArray[np.float64]:
         """P P', (K, K) float64."""
         dense = np.empty((self.count, self.count))
@@ -211,10 +216,23 @@ class BernoulliPatterns(PatternSet):
         return bits
 
     def forward(self, x: NDArray[Any]) -> NDArray[Any]:
+        if self._multiply_dense(x):
+            return np.asarray(x @ self._dense.T)
         return _core.bits_forward(self.bits, self.pixels, np.ascontiguousarray(x))
 
     def adjoint(self, e: NDArray[Any]) -> NDArray[Any]:
+        if self._multiply_dense(e):
+            return np.asarray(e @ self._dense)
         return _core.bits_adjoint(self.bits, self.pixels, np.ascontiguousarray(e))
+
+    def _multiply_dense(self, rows: NDArray[Any]) -> bool:
+        # A matrix product of floats outruns sums of bits where its matrix fits, for many rows.
+        small = 4 * self.count * self.pixels <= _DENSE_BYTES
+        return small and rows.dtype == np.float32 and len(rows) >= _DENSE_ROWS
+
+    @cached_property
+    def _dense(self) -> NDArray[np.float32]:
+        return self.dense()
 
     def columns(self, index: NDArray[np.integer]) -> NDArray[np.float32]:
         return _core.bits_columns(self.bits, self.pixels, np.asarray(index, np.int64))

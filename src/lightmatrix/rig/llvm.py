@@ -23,7 +23,12 @@ _PROBE = (
     "import mitsuba as mi; mi.set_variant('llvm_ad_rgb'); import drjit as dr;"
     "assert dr.sum(mi.Float([1, 2]))[0] == 3"
 )
-_FOLDERS = ("/usr/lib/*-linux-gnu", "/usr/lib/llvm-*/lib", "/usr/lib64", "/opt/homebrew/opt/llvm/lib")
+_FOLDERS = (
+    "/usr/lib/*-linux-gnu",
+    "/usr/lib/llvm-*/lib",
+    "/usr/lib64",
+    "/opt/homebrew/opt/llvm/lib",
+)
 _TOO_OLD = 17
 
 

@@ -155,9 +155,7 @@ def _check(
 ) -> None:
     for what, shape in (("camera", size), ("projector", projector)):
         if min(shape) < 1:
-            raise InputError(
-                f"a {what} of {shape[0]} x {shape[1]} pixels", hint="use at least 1x1"
-            )
+            raise InputError(f"a {what} of {shape[0]} x {shape[1]} pixels", hint="use at least 1x1")
     if samples < 2:
         raise InputError(f"{samples} samples a pixel", hint="use at least 2, better 1024 or more")
     if not 0 < keep <= 1:
@@ -193,9 +191,7 @@ def _mean_of_halves(halves: NDArray[np.float32], samples: int) -> NDArray[np.flo
     return mean.reshape(2, -1, halves.shape[-1])
 
 
-def _sparse_rows(
-    sums: NDArray[np.float32], keep: float
-) -> tuple[csr_array, NDArray[np.float32]]:
+def _sparse_rows(sums: NDArray[np.float32], keep: float) -> tuple[csr_array, NDArray[np.float32]]:
     """Rows (direct, global) as sparse rows of their sum, without the smallest entries."""
     whole = sums[0] + sums[1]
     if keep < 1:

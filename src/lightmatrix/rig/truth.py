@@ -92,7 +92,9 @@ class Truth:
         """
         if path.is_dir() or not path.exists():
             kind = "a folder" if path.is_dir() else "missing"
-            raise InputError(f"{path} is {kind}", hint="give a T.npz file from `lightmatrix render`")
+            raise InputError(
+                f"{path} is {kind}", hint="give a T.npz file from `lightmatrix render`"
+            )
         try:
             with np.load(path) as file:
                 content = {key: file[key] for key in file.files}

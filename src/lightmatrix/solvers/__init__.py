@@ -1,1 +1,21 @@
 """Estimators of rows of the light transport matrix, one problem and one result for all."""
+
+from __future__ import annotations
+
+from lightmatrix.solvers.admm import ADMM
+from lightmatrix.solvers.loop import Solver, solve
+from lightmatrix.solvers.problem import Fidelity, Problem, Result, Status
+from lightmatrix.solvers.romp import ROMP
+from lightmatrix.solvers.saturation_admm import SaturationADMM
+
+__all__ = [
+    "ADMM",
+    "ROMP",
+    "Fidelity",
+    "Problem",
+    "Result",
+    "SaturationADMM",
+    "Solver",
+    "Status",
+    "solve",
+]

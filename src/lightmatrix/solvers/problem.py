@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Any
 
@@ -134,6 +134,16 @@ class Problem:
         """Number of camera samples M."""
         return int(self.samples.shape[0])
 
+    def take(self, rows: NDArray[np.integer]) -> Problem:
+        """The problem of some of the rows."""
+        return replace(
+            self,
+            samples=self.samples[rows],
+            clipped=self.clipped[rows],
+            clip_level=_take(self.clip_level, rows),
+            weights=None if self.weights is None else _take(self.weights, rows),
+        )
+
     def sample_weights(self) -> NDArray[Any]:
         """Weights broadcast to (M, K), in the dtype of the samples."""
         if self.weights is None:
@@ -143,6 +153,11 @@ class Problem:
     def clip_levels(self) -> NDArray[Any]:
         """Clip levels broadcast to (M, K), in the dtype of the samples."""
         return np.broadcast_to(self.clip_level, self.samples.shape).astype(self.samples.dtype)
+
+
+def _take(values: NDArray[Any], rows: NDArray[np.integer]) -> NDArray[Any]:
+    """Rows of a (M, K) array; a (K,) array is shared by all rows."""
+    return values[rows] if values.ndim == 2 else values
 
 
 @dataclass(frozen=True)

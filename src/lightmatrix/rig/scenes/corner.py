@@ -11,8 +11,9 @@ from lightmatrix.rig.scenes.shapes import box
 
 def build() -> Scene:
     """The scene: a right-angled valley open towards the rig, its edge along y."""
-    # The edge lies half a unit below the plane of the field of view, the rims as far above it.
-    edge, rim, half = -0.5, 1.5, 3.0
+    # The plane of the field of view cuts the walls, so that their lit parts lie half below it and
+    # half above.
+    edge, rim, half = -0.6, 1.5, 3.0
     reach = rim - edge
     vertices = [
         [-reach, -half, rim],

@@ -9,19 +9,20 @@ from lightmatrix.rig.scenes.scene import Part, Scene, matt, metal, plastic
 from lightmatrix.rig.scenes.shapes import box, rod, sheet
 
 BODY = plastic((0.18, 0.19, 0.21), 0.2)
-STEEL = metal("Cr", 0.25)
-ALUMINIUM = metal("Al", 0.22)
+STEEL = metal("Cr", 0.3)
+# Bead-blasted, so that faces turned to the camera are not blinding.
+ALUMINIUM = metal("Al", 0.42)
 RUBBER = matt(0.06)
-BOLT = metal("Cr", 0.15)
+BOLT = metal("Cr", 0.25)
+
 
 def build() -> Scene:
     """The scene: the gripper lies on its side, its lowest surfaces touching the paper."""
     parts = [
-        Part(sheet(), matt(0.8)),
         Part(box(0.50, 0.62, 0.30, 0.025).placed((-0.42, 0.0, 0.0)), BODY),
         Part(box(0.30, 0.40, 0.06, 0.02).placed((-0.44, 0.0, 0.30)), ALUMINIUM),
         Part(_flange().placed((-0.70, 0.0, 0.20)), STEEL),
-        Part(rod(0.055, 0.34).placed((-0.99, 0.0, 0.20)), STEEL),
+        Part(rod(0.055, 0.60).placed((-1.12, 0.0, 0.20)), STEEL),
         Part(box(0.18, 0.70, 0.26, 0.02).placed((-0.10, 0.0, 0.0)), ALUMINIUM),
         Part(_ball(0.165).placed((0.62, 0.0, 0.0)), matt(0.8)),
     ]
@@ -31,8 +32,16 @@ def build() -> Scene:
             parts.append(Part(_screw().placed((x, 0.13 * side, 0.36)), BOLT))
             parts.append(Part(_screw().placed((x, 0.25 * side, 0.30)), BOLT))
         parts.append(Part(_screw().placed((-0.10, 0.28 * side, 0.26)), BOLT))
-    description = "a robot gripper with steel fingers holding a ball, lying on white paper"
-    return Scene("gripper", description, tuple(parts))
+    paper = Part(sheet(), matt(0.8))
+    placed = [Part(_in_place(part.mesh), part.material) for part in parts]
+    description = "a robot gripper with metal fingers holding a ball, lying on white paper"
+    return Scene("gripper", description, (paper, *placed), version=2)
+
+
+def _in_place(mesh: Mesh) -> Mesh:
+    """Enlarged about the paper's middle and turned, so that the gripper fills the view."""
+    larger = Mesh(mesh.vertices * 1.18, mesh.faces)
+    return larger.placed((-0.05, 0.02, 0.0), turn("z", 14))
 
 
 def _finger(side: int) -> list[Part]:

@@ -1,0 +1,67 @@
+"""Figures: one look for all pictures, and the panels that several of them share."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+CLIPPED_COLOUR = (0.90, 0.10, 0.12)
+# A palette that stays apart for colour-blind readers (Okabe & Ito).
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+STYLE = {
+    "font.size": 9,
+    "axes.titlesize": 9,
+    "axes.labelsize": 9,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "legend.frameon": False,
+    "legend.fontsize": 8,
+    "lines.linewidth": 1.6,
+    "savefig.dpi": 200,
+    "figure.dpi": 100,
+    "svg.hashsalt": "lightmatrix",
+}
+
+
+@contextmanager
+def figure(width: float, height: float) -> Iterator[Figure]:
+    """A figure of the given size in inches, in the house style; needs no display."""
+    with mpl.rc_context(STYLE):
+        yield Figure(figsize=(width, height), layout="constrained")
+
+
+def save(drawing: Figure, folder: Path, name: str, formats: tuple[str, ...] = ("png",)) -> None:
+    """Write a figure as folder/name.png (and .svg)."""
+    for suffix in formats:
+        drawing.savefig(folder / f"{name}.{suffix}", facecolor="white")
+
+
+def display(image: NDArray[Any], white: float) -> NDArray[np.float64]:
+    """A linear image for the eye: divided by `white`, clipped to [0, 1], gamma 2.2."""
+    return np.clip(np.asarray(image, float) / max(white, 1e-12), 0, 1) ** (1 / 2.2)
+
+
+def mark_clipped(image: NDArray[Any], clipped: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """A grey display image in [0, 1] as RGB with the clipped pixels in red."""
+    marked = np.repeat(np.asarray(image, float)[..., None], 3, axis=-1)
+    marked[clipped] = CLIPPED_COLOUR
+    return marked
+
+
+def panel(axes: Any, image: NDArray[Any], title: str = "", **options: Any) -> Any:
+    """Show an image without ticks; grey from 0 to 1 unless said otherwise."""
+    options = {"cmap": "gray", "vmin": 0, "vmax": 1, "interpolation": "nearest", **options}
+    shown = axes.imshow(image, **options)
+    axes.set_title(title)
+    axes.set_xticks([])
+    axes.set_yticks([])
+    for spine in axes.spines.values():
+        spine.set_visible(False)
+    return shown

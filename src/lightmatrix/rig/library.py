@@ -1,0 +1,80 @@
+"""Where truths come from: bundled with the package, cached, or rendered on demand."""
+
+from __future__ import annotations
+
+from importlib.resources import as_file, files
+from pathlib import Path
+
+import platformdirs
+
+from lightmatrix.rig.pack import pack, unpack
+from lightmatrix.rig.renderer import Progress, render
+from lightmatrix.rig.scenes import scene
+from lightmatrix.rig.truth import Truth
+
+BUNDLED = ("l_objects", "gripper", "metal", "corner")
+BUNDLED_SIZE = (64, 64)
+BUNDLED_SAMPLES = 65_536
+# Enough that the noise of the entries is a few per cent, in minutes rather than hours.
+DEFAULT_SAMPLES = 16_384
+
+
+def truth(
+    name: str,
+    size: tuple[int, int] = BUNDLED_SIZE,
+    *,
+    samples: int | None = None,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> Truth:
+    """The light transport matrix of a scene: bundled, from the cache, or rendered and cached.
+
+    Parameters
+    ----------
+    name : str
+        A scene; `lightmatrix.rig.scenes.names` lists them.
+    size : (rows, cols)
+        Camera and projector size. The bundled scenes come at 64 x 64.
+    samples : int, optional
+        Paths per camera pixel; None takes the bundled file, or 16,384 where there is none.
+
+    Raises
+    ------
+    InputError
+        On an unknown scene or an impossible size.
+    MissingExtraError
+        If it has to be rendered and Mitsuba is not installed.
+    """
+    described = scene(name)
+    if name in BUNDLED and size == BUNDLED_SIZE and samples is None and seed == 0:
+        with as_file(files("lightmatrix.rig") / "data" / f"{name}.npz") as path:
+            return unpack(path)
+    samples = samples or DEFAULT_SAMPLES
+    rows, cols = size
+    key = f"{name}-v{described.version}-{rows}x{cols}-{samples}spp-seed{seed}.npz"
+    path = cache_folder() / key
+    if not path.exists():
+        render(name, size, samples=samples, seed=seed, progress=progress).save(path, overwrite=True)
+    return Truth.load(path)
+
+
+def cache_folder() -> Path:
+    """Where rendered truths are kept: the user's cache directory, made on first use."""
+    return Path(platformdirs.user_cache_dir("lightmatrix", appauthor=False)) / "truth"
+
+
+def remake_bundled(folder: Path, *, progress: Progress | None = None) -> list[Path]:
+    """Render the bundled truths again (``python -m lightmatrix.rig.library FOLDER``)."""
+    paths = []
+    for name in BUNDLED:
+        rendered = render(name, BUNDLED_SIZE, samples=BUNDLED_SAMPLES, progress=progress)
+        paths.append(folder / f"{name}.npz")
+        pack(paths[-1], rendered, overwrite=True)
+    return paths
+
+
+if __name__ == "__main__":
+    import sys
+
+    for made in remake_bundled(Path(sys.argv[1])):
+        print(made, f"{made.stat().st_size / 2**20:.1f} MiB")

@@ -1,0 +1,99 @@
+"""What a real rig adds to a rendered T: blur, leaking black, vignetting, ambient light.
+
+All but ambient light act on T, so that relighting and estimation see one consistent matrix.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d
+from scipy.sparse import csr_array, diags_array, kron
+
+from lightmatrix.errors import InputError
+from lightmatrix.rig.truth import Truth
+
+
+def defocus(truth: Truth, sigma: float) -> Truth:
+    """Blur the projector: each pixel spreads as a Gaussian over its neighbours.
+
+    Parameters
+    ----------
+    sigma : float
+        Standard deviation in projector pixels, >= 0; light is conserved, also at the border.
+    """
+    if not sigma >= 0:
+        raise InputError(f"a blur of {sigma} projector pixels", hint="use 0 or more")
+    if sigma == 0:
+        return truth
+    rows, cols = (_blur_matrix(size, sigma) for size in truth.projector_shape)
+    blur = csr_array(kron(rows, cols))
+    matrix, direct = csr_array(truth.matrix @ blur), csr_array(truth.direct @ blur)
+    matrix.sort_indices()
+    return replace(truth, matrix=matrix, direct_data=_aligned(direct, matrix))
+
+
+def vignetting(truth: Truth, strength: float) -> Truth:
+    """Darken the camera's corners: gain 1 - strength * (distance from the middle)^2, 1 at corners.
+
+    Parameters
+    ----------
+    strength : float
+        Light lost in the corners, in [0, 1).
+    """
+    if not 0 <= strength < 1:
+        raise InputError(f"a vignetting of {strength}", hint="use a share from 0 to below 1")
+    rows, cols = truth.camera_shape[:2]
+    y = np.linspace(-1, 1, rows)[:, None]
+    x = np.linspace(-1, 1, cols)[None, :]
+    gain = (1 - strength * (x**2 + y**2) / 2).ravel()
+    channels = truth.camera_shape[2] if len(truth.camera_shape) == 3 else 1
+    gain = np.repeat(gain, channels).astype(np.float32)
+    matrix = csr_array(diags_array(gain) @ truth.matrix)
+    per_entry = np.repeat(gain, np.diff(truth.matrix.indptr))
+    return replace(truth, matrix=matrix, direct_data=truth.direct_data * per_entry)
+
+
+def leak(patterns: NDArray[np.floating], level: float) -> NDArray[np.float32]:
+    """What a projector really shows: black leaks, p -> level + (1 - level) p.
+
+    Parameters
+    ----------
+    patterns : array
+        Patterns in [0, 1].
+    level : float
+        Light of a black pixel as a share of a white one (1 / contrast), in [0, 1).
+    """
+    if not 0 <= level < 1:
+        raise InputError(f"a projector black level of {level}", hint="use a share such as 0.001")
+    return np.asarray(level + (1 - level) * patterns, np.float32)
+
+
+def ambient(truth: Truth, level: float) -> NDArray[np.float32]:
+    """Camera image of the room's light alone, (M,) float32: as diffuse as the scene under white.
+
+    Parameters
+    ----------
+    level : float
+        Its mean as a share of the mean image under a white pattern, >= 0.
+    """
+    if not level >= 0:
+        raise InputError(f"an ambient level of {level}", hint="use 0 or more")
+    white = np.asarray(truth.matrix.sum(axis=1), np.float64).reshape(*truth.camera_shape[:2], -1)
+    # Room light comes from all sides, so it knows no shadow edges of the projector.
+    smooth = gaussian_filter1d(gaussian_filter1d(white, 6, axis=0), 6, axis=1)
+    return np.asarray(level * smooth.ravel(), np.float32)
+
+
+def _blur_matrix(size: int, sigma: float) -> csr_array:
+    spread = gaussian_filter1d(np.eye(size), sigma, axis=1, mode="reflect", truncate=3)
+    spread[spread < 1e-4] = 0
+    return csr_array(spread / spread.sum(axis=1, keepdims=True))
+
+
+def _aligned(part: csr_array, whole: csr_array) -> NDArray[np.float32]:
+    """The entries of `part` at the places of `whole`."""
+    rows = np.repeat(np.arange(whole.shape[0]), np.diff(whole.indptr))
+    return np.asarray(part[rows, whole.indices], np.float32).ravel()

@@ -1,0 +1,57 @@
+"""A small picture of every scene under white projector light."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightmatrix.atomic import atomic_folder
+from lightmatrix.errors import MissingExtraError
+from lightmatrix.images import write_image
+from lightmatrix.rig import library
+from lightmatrix.rig.llvm import load_mitsuba
+from lightmatrix.rig.mitsuba_scene import mitsuba_scene
+from lightmatrix.rig.scenes import names, scene
+
+
+def photograph(
+    name: str, shape: tuple[int, int], *, samples: int = 128, seed: int = 0
+) -> NDArray[np.float32]:
+    """The linear camera image (rows, cols) of a scene under a white pattern, path traced.
+
+    Raises
+    ------
+    MissingExtraError
+        If Mitsuba is not installed.
+    """
+    mi, _ = load_mitsuba()
+    image = mi.render(mitsuba_scene(mi, scene(name), shape, shape), spp=samples, seed=seed)
+    return np.asarray(image, np.float32).mean(axis=2)
+
+
+def write_thumbnails(
+    folder: Path,
+    *,
+    overwrite: bool = False,
+    progress: Callable[[int, int], None] | None = None,
+) -> list[Path]:
+    """Write NAME.png for every scene; without the renderer, for the bundled ones at 64 x 64."""
+    written = []
+    with atomic_folder(folder, overwrite=overwrite) as temporary:
+        for done, name in enumerate(names(), start=1):
+            try:
+                image = photograph(name, (256, 256))
+            except MissingExtraError:
+                if name not in library.BUNDLED:
+                    continue
+                known = library.truth(name)
+                image = np.asarray(known.matrix.sum(axis=1), np.float32).reshape(known.camera_shape)
+            shown = np.clip(image / np.quantile(image, 0.97), 0, 1) ** (1 / 2.2)
+            write_image(temporary / f"{name}.png", shown.astype(np.float32))
+            written.append(folder / f"{name}.png")
+            if progress is not None:
+                progress(done, len(names()))
+    return written

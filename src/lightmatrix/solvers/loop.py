@@ -1,0 +1,186 @@
+"""The one loop around all iterative solvers: limits, stopping row by row, finiteness, history."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, fields, replace
+from typing import Any, Protocol, TypeVar, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array, vstack
+
+from lightmatrix.solvers.objective import relative_gap
+from lightmatrix.solvers.problem import Fidelity, Problem, Result, Status
+
+Progress = Callable[[int, int], None]
+S = TypeVar("S")
+
+# Rows that have stopped are set aside once they make up this share of the batch.
+_COMPACT_SHARE = 0.2
+
+
+class IterativeSolver(Protocol):
+    """What the loop needs of a solver; states are frozen dataclasses of arrays with M rows."""
+
+    fidelity: Fidelity
+    max_iterations: int
+    tolerance: float
+
+    def init(self, problem: Problem) -> Any:
+        """The state before the first step."""
+
+    def step(self, problem: Problem, state: Any) -> Any:
+        """The state after one iteration."""
+
+    def residuals(
+        self, problem: Problem, before: Any, after: Any
+    ) -> tuple[NDArray[Any], NDArray[Any]]:
+        """Relative primal and dual residual of each row, (M,) each."""
+
+    def solution(self, problem: Problem, state: Any) -> tuple[NDArray[Any], NDArray[Any]]:
+        """Coefficients (M, N), sparse by exact zeros, and background (M,)."""
+
+    def row_bytes(self, patterns: int, pixels: int) -> int:
+        """Working memory of one row."""
+
+
+@runtime_checkable
+class DirectSolver(Protocol):
+    """A solver with a loop of its own."""
+
+    def solve(self, problem: Problem, progress: Progress | None = None) -> Result:
+        """The whole job."""
+
+    def row_bytes(self, patterns: int, pixels: int) -> int:
+        """Working memory of one row."""
+
+
+Solver = IterativeSolver | DirectSolver
+
+
+def solve(problem: Problem, solver: Solver, *, progress: Progress | None = None) -> Result:
+    """Solve a problem.
+
+    Parameters
+    ----------
+    problem : Problem
+        M rows.
+    solver : Solver
+        A frozen dataclass of parameters.
+    progress : callable, optional
+        Called with (finished, all) rows.
+
+    Returns
+    -------
+    Result
+
+    Raises
+    ------
+    SolverError
+        If the solver cannot treat the problem.
+    """
+    if isinstance(solver, DirectSolver):
+        return solver.solve(problem, progress)
+    finished = _Finished(problem, solver)
+    active, part, state = np.arange(problem.rows), problem, solver.init(problem)
+    running = np.ones(problem.rows, bool)
+    history: dict[str, list[float]] = {"primal": [], "dual": [], "rows": []}
+    for iteration in range(1, solver.max_iterations + 1):
+        before, state = state, solver.step(part, state)
+        primal, dual = solver.residuals(part, before, state)
+        history["primal"].append(float(np.max(primal[running], initial=0)))
+        history["dual"].append(float(np.max(dual[running], initial=0)))
+        history["rows"].append(float(running.sum()))
+        met = running & (primal <= solver.tolerance) & (dual <= solver.tolerance)
+        broken = running & ~(np.isfinite(primal) & np.isfinite(dual))
+        last = iteration == solver.max_iterations
+        stopping = running if last else met | broken
+        if stopping.any():
+            chosen = np.flatnonzero(stopping)
+            rows = take(state, chosen)
+            finished.add(active[chosen], part.take(chosen), rows, iteration, met[chosen])
+            running = running & ~stopping
+            if progress is not None:
+                progress(finished.count, problem.rows)
+        if not running.any():
+            break
+        if (~running).mean() > _COMPACT_SHARE:
+            keep = np.flatnonzero(running)
+            active, part, state = active[keep], part.take(keep), take(state, keep)
+            running = np.ones(len(keep), bool)
+    return finished.result(history)
+
+
+def take(state: S, rows: NDArray[np.integer]) -> S:
+    """The state of some of the rows: every array field is indexed, others are shared."""
+    arrays = {
+        field.name: getattr(state, field.name)[rows]
+        for field in fields(state)  # type: ignore[arg-type]
+        if isinstance(getattr(state, field.name), np.ndarray)
+    }
+    return replace(state, **arrays)  # type: ignore[type-var]
+
+
+@dataclass
+class _Finished:
+    """Rows that have stopped, in the order in which they did."""
+
+    problem: Problem
+    solver: IterativeSolver
+
+    def __post_init__(self) -> None:
+        rows = self.problem.rows
+        self.count = 0
+        self.order: list[NDArray[np.integer]] = []
+        self.coefficients: list[csr_array] = []
+        self.background = np.zeros(rows, self.problem.samples.dtype)
+        self.iterations = np.zeros(rows, np.int32)
+        self.converged = np.zeros(rows, bool)
+        self.objective = np.zeros(rows)
+        self.gap = np.full(rows, np.nan)
+
+    def add(
+        self,
+        rows: NDArray[np.integer],
+        problem: Problem,
+        state: Any,
+        iteration: int,
+        met: NDArray[np.bool_],
+    ) -> None:
+        coefficients, background = self.solver.solution(problem, state)
+        x = csr_array(np.where(np.isfinite(coefficients), coefficients, 0))
+        background = np.where(np.isfinite(background), background, 0)
+        self.order.append(rows)
+        self.coefficients.append(x)
+        self.background[rows] = background
+        self.iterations[rows] = iteration
+        self.converged[rows] = met
+        self.objective[rows], self.gap[rows] = relative_gap(
+            problem, x, background, self.solver.fidelity
+        )
+        self.count += len(rows)
+
+    def result(self, history: dict[str, list[float]]) -> Result:
+        pixels = self.problem.patterns.pixels
+        if self.coefficients:
+            stacked = csr_array(vstack(self.coefficients, format="csr"))
+            stacked = stacked[np.argsort(np.concatenate(self.order))]
+        else:
+            stacked = csr_array((0, pixels), dtype=self.problem.samples.dtype)
+        if not np.isfinite(history["primal"] + history["dual"]).all():
+            status = Status.NOT_FINITE
+        elif self.converged.all():
+            status = Status.CONVERGED
+        else:
+            status = Status.ITERATION_LIMIT
+        return Result(
+            stacked,
+            self.background,
+            self.iterations,
+            self.converged,
+            self.objective,
+            self.gap,
+            status,
+            history,
+        )

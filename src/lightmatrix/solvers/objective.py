@@ -1,0 +1,123 @@
+"""Objectives and duality gaps, recomputed in float64 from their definitions."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+
+from lightmatrix.solvers.problem import Fidelity, Problem
+
+_BLOCK_BYTES = 128 << 20
+
+
+def predictions(
+    problem: Problem, coefficients: csr_array, background: NDArray[Any]
+) -> NDArray[np.float64]:
+    """A x + b m for every row, (M, K) float64."""
+    result = np.empty(problem.samples.shape)
+    size = max(1, _BLOCK_BYTES // (8 * problem.patterns.pixels))
+    for start in range(0, problem.rows, size):
+        rows = coefficients[start : start + size].toarray().astype(np.float64)
+        result[start : start + size] = problem.patterns.forward(rows)
+    return result + np.outer(np.asarray(background, np.float64), problem.patterns.means)
+
+
+def data_term(
+    problem: Problem, u: NDArray[np.float64], fidelity: Fidelity
+) -> NDArray[np.float64]:
+    """sum_k w_k f_k(u_k) of each row, (M,) float64."""
+    y = problem.samples.astype(np.float64)
+    weights = problem.sample_weights().astype(np.float64)
+    residual = y - u
+    if fidelity is Fidelity.ONE_SIDED:
+        residual = np.where(problem.clipped, np.maximum(residual, 0), residual)
+    elif fidelity is Fidelity.REJECTION:
+        residual = np.where(problem.clipped, 0, residual)
+    elif fidelity is Fidelity.CLIPPED:
+        level = np.maximum(problem.clip_levels().astype(np.float64), y)
+        level = np.where(problem.clipped, y, level)
+        residual = y - np.minimum(u, level)
+    return np.asarray((weights * residual**2).sum(axis=1) / 2)
+
+
+def objective(
+    problem: Problem, coefficients: csr_array, background: NDArray[Any], fidelity: Fidelity
+) -> NDArray[np.float64]:
+    """The problem's objective for each row, (M,) float64."""
+    u = predictions(problem, coefficients, background)
+    return _norm(problem, coefficients) + data_term(problem, u, fidelity)
+
+
+def relative_gap(
+    problem: Problem, coefficients: csr_array, background: NDArray[Any], fidelity: Fidelity
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Objective P and relative duality gap (P - D) / max(P, 1e-6 ||y||^2 / 2), each (M,) float64.
+
+    The dual of min lambda ||x||_1 + sum w f(A x + b m) is: maximise sum y theta - theta^2 / (2 w)
+    with A' theta <= lambda (in absolute value if x may be negative), theta >= 0 where one-sided
+    and m' theta <= 0 (= 0 if b may be negative). The weighted residual, made feasible by a shift
+    along m and the best scaling, is the dual point. NaN where the fidelity is not convex.
+    """
+    u = predictions(problem, coefficients, background)
+    primal = _norm(problem, coefficients) + data_term(problem, u, fidelity)
+    if not fidelity.convex:
+        return primal, np.full(problem.rows, np.nan)
+    dual = _dual_value(problem, u, fidelity)
+    y = problem.samples.astype(np.float64)
+    floor = 1e-6 * (y**2).sum(axis=1) / 2
+    scale = np.maximum(np.maximum(primal, floor), np.finfo(np.float64).tiny)
+    return primal, (primal - dual) / scale
+
+
+def _norm(problem: Problem, coefficients: csr_array) -> NDArray[np.float64]:
+    sums = np.abs(coefficients).sum(axis=1, dtype=np.float64)
+    return problem.regularization * np.asarray(sums).ravel()
+
+
+def _dual_value(
+    problem: Problem, u: NDArray[np.float64], fidelity: Fidelity
+) -> NDArray[np.float64]:
+    y = problem.samples.astype(np.float64)
+    weights = problem.sample_weights().astype(np.float64)
+    theta = weights * (y - u)
+    free = weights > 0
+    if fidelity is Fidelity.ONE_SIDED:
+        theta = np.where(problem.clipped, np.maximum(theta, 0), theta)
+        free = free & ~problem.clipped
+    elif fidelity is Fidelity.REJECTION:
+        theta = np.where(problem.clipped, 0, theta)
+        free = free & ~problem.clipped
+    if problem.background:
+        theta = _orthogonal_to_means(problem, theta, free)
+    highest = np.empty(problem.rows)
+    size = max(1, _BLOCK_BYTES // (8 * problem.patterns.pixels))
+    for start in range(0, problem.rows, size):
+        correlations = problem.patterns.adjoint(theta[start : start + size])
+        part = correlations if problem.nonnegative else np.abs(correlations)
+        highest[start : start + size] = part.max(axis=1)
+    linear = (y * theta).sum(axis=1)
+    quadratic = np.divide(theta**2, weights, out=np.zeros_like(theta), where=weights > 0).sum(1)
+    # D(s theta) is a parabola in s: take its top, or the largest feasible scaling before it.
+    with np.errstate(divide="ignore", invalid="ignore"):
+        top = np.where(quadratic > 0, linear / quadratic, 0)
+        limit = np.where(highest > 0, problem.regularization / highest, np.inf)
+    scaling = np.clip(top, 0, limit)
+    return np.asarray(scaling * linear - scaling**2 * quadratic / 2)
+
+
+def _orthogonal_to_means(
+    problem: Problem, theta: NDArray[np.float64], free: NDArray[np.bool_]
+) -> NDArray[np.float64]:
+    """Shift theta on its free samples until m' theta <= 0, or = 0 if b may be negative."""
+    means = problem.patterns.means
+    excess = theta @ means
+    if problem.nonnegative:
+        excess = np.maximum(excess, 0)
+    energy = free @ means**2
+    step = np.divide(excess, energy, out=np.zeros_like(excess), where=energy > 0)
+    shifted = theta - step[:, None] * means * free
+    # Without free samples only theta = 0 is feasible.
+    return np.where((energy <= 0)[:, None] & (excess > 0)[:, None], 0, shifted)

@@ -1,0 +1,68 @@
+"""Element-wise minimisations in closed form: thresholding (Eq. 12) and the u-updates (Eq. 18-21).
+
+All are pure functions of arrays; each is held against a grid search in the tests.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lightmatrix.solvers.problem import Fidelity
+
+
+def soft_threshold(
+    q: NDArray[Any], threshold: ArrayLike, *, nonnegative: bool = False
+) -> NDArray[Any]:
+    """argmin_z threshold |z| + (q - z)^2 / 2 (Eq. 12), over z >= 0 if `nonnegative`."""
+    shrunk = np.maximum(q - threshold, 0)
+    return shrunk if nonnegative else shrunk - np.maximum(-q - threshold, 0)
+
+
+def clip(u: NDArray[Any], clip_level: ArrayLike) -> NDArray[Any]:
+    """The clipping function C_Y (Eq. 5)."""
+    return np.minimum(u, clip_level)
+
+
+def update_prediction(
+    v: NDArray[Any],
+    y: NDArray[Any],
+    clipped: NDArray[np.bool_],
+    clip_level: NDArray[Any],
+    weights: NDArray[Any],
+    coupling: float,
+    fidelity: Fidelity,
+) -> NDArray[Any]:
+    """argmin_u w f(u) + coupling (v - u)^2 / 2 for every sample.
+
+    For the paper's fidelity `clipped` and w = 1 this is Eq. 18-21, with coupling = lambda nu. A
+    sample marked as clipped is a lower bound of its own value, whatever the nominal level.
+
+    Parameters
+    ----------
+    v : (M, K)
+        A x + g / nu.
+    y, clipped, clip_level, weights : (M, K)
+        As in `Problem`.
+    coupling : float
+        lambda times nu, > 0.
+    fidelity : Fidelity
+        The data term f.
+    """
+    # The minimiser while the prediction is not clipped: w (y - u) = coupling (u - v).
+    met = (weights * y + coupling * v) / (weights + coupling)
+    if fidelity is Fidelity.LINEAR:
+        return met
+    if fidelity is Fidelity.REJECTION:
+        return np.where(clipped, v, met)
+    if fidelity is Fidelity.ONE_SIDED:
+        return np.where(clipped & (v > y), v, met)
+    # Eq. 20-21: beyond the threshold it costs less to leave u clipped at v.
+    level = np.where(clipped, y, np.maximum(clip_level, y))
+    with np.errstate(divide="ignore"):
+        reach = np.sqrt(1 + weights / coupling)
+        # With weight w the ratio 1 / (lambda nu) of Eq. 19 becomes w / (lambda nu), and the two
+        # branches cost the same at y + sqrt(1 + w / c) (Y - y).
+    return np.where(v > y + reach * (level - y), v, met)

@@ -1,0 +1,245 @@
+"""Regularized orthogonal matching pursuit (Needell & Vershynin 2010), batched over rows."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array, vstack
+
+from lightmatrix.errors import InputError, SolverError
+from lightmatrix.solvers.objective import relative_gap
+from lightmatrix.solvers.problem import Fidelity, Problem, Result, Status
+
+# Rows are solved in groups whose gathered columns stay below this.
+_GROUP_BYTES = 128 << 20
+
+
+@dataclass(frozen=True)
+class ROMP:
+    """Greedy sparse estimation: the regularization of the problem is not used.
+
+    Per row: I = {}, r = y. Repeat: u = A'r; J the n largest |u|; among the subsets of J whose
+    members differ by at most a factor of two, take the one of greatest energy into I; x = least
+    squares on I; r = y - A x. Stop at r ~ 0, |I| >= 2 n or after `max_iterations` rounds.
+
+    With a background, the column of the means is always part of the least squares. Where light may
+    not be negative, only positive correlations are taken, and members whose coefficient ends below
+    zero are dropped and the rest solved again.
+
+    Parameters
+    ----------
+    sparsity : int or None
+        n, the expected number of non-zeros. None: an eighth of the samples, at most 32.
+    fidelity : Fidelity
+        linear (clipped samples count as they are) or rejection (they are left out).
+    max_iterations : int or None
+        Rounds. None: n, as in the paper by Needell and Vershynin.
+    tolerance : float
+        A row stops when its residual falls below this share of its samples.
+    """
+
+    sparsity: int | None = None
+    fidelity: Fidelity = Fidelity.REJECTION
+    max_iterations: int | None = None
+    tolerance: float = 1e-6
+
+    def __post_init__(self) -> None:
+        if self.fidelity not in (Fidelity.LINEAR, Fidelity.REJECTION):
+            raise SolverError(
+                f"ROMP cannot use the fidelity {self.fidelity}: it solves least squares",
+                hint="use linear or rejection, or the solver saturation-admm",
+            )
+        for name, value in (("sparsity", self.sparsity), ("max_iterations", self.max_iterations)):
+            if value is not None and value < 1:
+                raise InputError(f"{name} is {value}", hint="use at least 1")
+
+    def solve(
+        self, problem: Problem, progress: Callable[[int, int], None] | None = None
+    ) -> Result:
+        """Solve all rows, a group at a time."""
+        n = self.sparsity or max(1, min(32, problem.patterns.count // 8))
+        n = min(n, problem.patterns.pixels)
+        size = max(1, _GROUP_BYTES // (8 * 3 * n * problem.patterns.count))
+        parts = []
+        for start in range(0, problem.rows, size):
+            rows = np.arange(start, min(start + size, problem.rows))
+            parts.append(self._solve_group(problem.take(rows), n))
+            if progress is not None:
+                progress(int(rows[-1]) + 1, problem.rows)
+        return _joined(problem, parts, self.fidelity)
+
+    def row_bytes(self, patterns: int, pixels: int) -> int:
+        """Correlations, samples and the support's Gram matrix."""
+        return 8 * (3 * pixels + 8 * patterns + 96 * 96)
+
+    def _solve_group(self, problem: Problem, n: int) -> _Part:
+        rows = problem.rows
+        weights = problem.sample_weights().astype(np.float64)
+        if self.fidelity is Fidelity.REJECTION:
+            weights = np.where(problem.clipped, 0, weights)
+        y = problem.samples.astype(np.float64)
+        support = _Support.empty(rows)
+        x, b = np.zeros((rows, 0)), np.zeros(rows)
+        least = _LeastSquares(problem, y, weights)
+        if problem.background:
+            x, b = least.solve(support)
+        residual = least.residual(support, x, b)
+        norm = np.sqrt((weights * y**2).sum(axis=1))
+        rounds = np.zeros(rows, np.int32)
+        active = norm > 0
+        for _ in range(self.max_iterations or n):
+            active &= np.sqrt((weights * residual**2).sum(axis=1)) > self.tolerance * norm
+            active &= support.count < 2 * n
+            if not active.any():
+                break
+            correlations = problem.patterns.adjoint(weights * residual)
+            chosen = _select(correlations, n, problem.nonnegative)
+            before = support.count
+            support = support.joined(chosen, active)
+            # A round that finds nothing new would repeat itself for ever.
+            active &= support.count > before
+            rounds += active
+            x, b = least.solve(support)
+            residual = least.residual(support, x, b)
+        if problem.nonnegative:
+            support, x, b = _without_negative(least, support, x, b)
+        residual = least.residual(support, x, b)
+        met = np.sqrt((weights * residual**2).sum(axis=1)) <= self.tolerance * norm
+        return _Part(support.matrix(x, problem.patterns.pixels), b, rounds, met | ~active)
+
+
+@dataclass(frozen=True)
+class _Part:
+    coefficients: csr_array
+    background: NDArray[np.float64]
+    rounds: NDArray[np.int32]
+    converged: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class _Support:
+    """Chosen pixels of each row, (rows, width), padded with -1 at the end."""
+
+    index: NDArray[np.int64]
+
+    @classmethod
+    def empty(cls, rows: int) -> _Support:
+        return cls(np.full((rows, 0), -1, np.int64))
+
+    @property
+    def used(self) -> NDArray[np.bool_]:
+        return self.index >= 0
+
+    @property
+    def count(self) -> NDArray[np.int64]:
+        return self.used.sum(axis=1)
+
+    def joined(self, chosen: NDArray[np.int64], rows: NDArray[np.bool_]) -> _Support:
+        """With the chosen pixels (-1 for none) added to the given rows, each once."""
+        both = np.concatenate([self.index, np.where(rows[:, None], chosen, -1)], axis=1)
+        both = -np.sort(-both, axis=1)
+        both[:, 1:][both[:, 1:] == both[:, :-1]] = -1
+        return _Support(_trimmed(both))
+
+    def without(self, dropped: NDArray[np.bool_]) -> _Support:
+        return _Support(_trimmed(np.where(dropped, -1, self.index)))
+
+    def matrix(self, x: NDArray[np.float64], pixels: int) -> csr_array:
+        """Coefficients (rows, width) as sparse rows."""
+        row, place = np.nonzero(self.used)
+        entries = (x[row, place], (row, self.index[row, place]))
+        return csr_array(entries, shape=(len(self.index), pixels))
+
+
+def _trimmed(index: NDArray[np.int64]) -> NDArray[np.int64]:
+    index = -np.sort(-index, axis=1)
+    width = int((index >= 0).sum(axis=1).max(initial=0))
+    return index[:, :width]
+
+
+@dataclass(frozen=True)
+class _LeastSquares:
+    """Weighted least squares of each row on its support, the means' column always included."""
+
+    problem: Problem
+    y: NDArray[np.float64]
+    weights: NDArray[np.float64]
+
+    def columns(self, support: _Support) -> NDArray[np.float64]:
+        """(rows, K, width): each row's columns, 0 where padded."""
+        unique, place = np.unique(support.index, return_inverse=True)
+        columns = self.problem.patterns.columns(np.maximum(unique, 0)).astype(np.float64)
+        columns[:, unique < 0] = 0
+        gathered = columns[:, place.reshape(support.index.shape)]
+        return np.ascontiguousarray(np.moveaxis(gathered, 0, 1))
+
+    def solve(self, support: _Support) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        columns = self.columns(support)
+        background = self.problem.background
+        if background:
+            means = np.broadcast_to(self.problem.patterns.means[:, None], (*self.y.shape, 1))
+            columns = np.concatenate([columns, means], axis=2)
+        weighted = columns * self.weights[:, :, None]
+        gram = np.matmul(weighted.transpose(0, 2, 1), columns)
+        right = np.matmul(weighted.transpose(0, 2, 1), self.y[:, :, None])
+        diagonal = np.einsum("rii->ri", gram)
+        # Padding and columns without light get a one: their coefficient is 0. The tiny ridge keeps
+        # columns that are alike from making the system singular.
+        diagonal += np.where(diagonal > 0, 1e-10 * diagonal.max(axis=1, keepdims=True), 1)
+        x = np.linalg.solve(gram, right)[..., 0]
+        return (x[:, :-1], x[:, -1]) if background else (x, np.zeros(len(x)))
+
+    def residual(
+        self, support: _Support, x: NDArray[np.float64], b: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        predicted = np.matmul(self.columns(support), x[:, :, None])[..., 0]
+        return self.y - predicted - np.outer(b, self.problem.patterns.means)
+
+
+def _select(correlations: NDArray[np.float64], n: int, nonnegative: bool) -> NDArray[np.int64]:
+    """The comparable subset of greatest energy among the n largest, (rows, n), padded with -1."""
+    size = np.maximum(correlations, 0) if nonnegative else np.abs(correlations)
+    largest = np.argpartition(-size, n - 1, axis=1)[:, :n]
+    values = np.take_along_axis(size, largest, axis=1)
+    order = np.argsort(-values, axis=1, kind="stable")
+    largest = np.take_along_axis(largest, order, axis=1)
+    values = np.take_along_axis(values, order, axis=1)
+    # A maximal run starts at some i and ends before the first value below half of values[i].
+    inside = (2 * values[:, None, :] >= values[:, :, None]) & (values[:, None, :] > 0)
+    inside &= np.arange(n)[None, None, :] >= np.arange(n)[None, :, None]
+    energy = (inside * values[:, None, :] ** 2).sum(axis=2)
+    best = energy.argmax(axis=1)
+    taken = inside[np.arange(len(best)), best]
+    return np.where(taken, largest, -1)
+
+
+def _without_negative(
+    least: _LeastSquares, support: _Support, x: NDArray[np.float64], b: NDArray[np.float64]
+) -> tuple[_Support, NDArray[np.float64], NDArray[np.float64]]:
+    for _ in range(int(support.count.max(initial=0))):
+        negative = support.used & (x < 0)
+        if not negative.any():
+            break
+        support = support.without(negative)
+        x, b = least.solve(support)
+    return support, np.maximum(x, 0), np.maximum(b, 0)
+
+
+def _joined(problem: Problem, parts: list[_Part], fidelity: Fidelity) -> Result:
+    dtype = problem.samples.dtype
+    if parts:
+        stacked = csr_array(vstack([p.coefficients for p in parts], format="csr"), dtype=dtype)
+        background = np.concatenate([p.background for p in parts]).astype(dtype)
+        rounds = np.concatenate([p.rounds for p in parts])
+        met = np.concatenate([p.converged for p in parts])
+    else:
+        stacked = csr_array((0, problem.patterns.pixels), dtype=dtype)
+        background, rounds, met = np.zeros(0, dtype), np.zeros(0, np.int32), np.zeros(0, bool)
+    primal, _ = relative_gap(problem, stacked, background, fidelity)
+    status = Status.CONVERGED if met.all() else Status.ITERATION_LIMIT
+    return Result(
+        stacked, background, rounds, met, primal, np.full(problem.rows, np.nan), status
+    )

@@ -1,0 +1,100 @@
+"""The x-update's linear system, factored once for all camera samples (Eq. 10 and 17).
+
+Unknowns of a row are its N pixels and, if the problem has a background, one coefficient of the
+pattern means m. That coefficient is kept in units in which its column is as long as the sum of all
+pixel columns, `scale * m`: so the direction in which 0/1 patterns are nearly all alike is cheap to
+move in, and single precision suffices.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve
+
+from lightmatrix.patterns import PatternSet
+
+
+@dataclass(frozen=True, eq=False)
+class System:
+    """Solves (A' A + ridge I) x = q, with A = diag(row_scale) [P, scale m].
+
+    Parameters
+    ----------
+    patterns : PatternSet
+        P, (K, N).
+    ridge : float
+        > 0.
+    background : bool
+        Whether the column of the means is there.
+    row_scale : (K,) float64, optional
+        Square roots of the patterns' weights; None means 1.
+    """
+
+    patterns: PatternSet
+    ridge: float
+    background: bool
+    row_scale: NDArray[np.float64] | None = None
+
+    def __post_init__(self) -> None:
+        patterns = self.patterns
+        # frozen: the factor is part of what the system is, made once here, in double precision.
+        object.__setattr__(self, "scale", float(np.sqrt(patterns.pixels)))
+        means = patterns.means * (self.scale if self.background else 0.0)
+        rows = np.ones(patterns.count) if self.row_scale is None else self.row_scale
+        wide = patterns.count <= patterns.pixels
+        object.__setattr__(self, "_wide", wide)
+        if wide:
+            square = (patterns.gram + np.outer(means, means)) * np.outer(rows, rows)
+        else:
+            matrix = np.column_stack([patterns.dense().astype(np.float64), means])
+            matrix = matrix if self.background else matrix[:, :-1]
+            matrix *= rows[:, None]
+            square = matrix.T @ matrix
+        square[np.diag_indices_from(square)] += self.ridge
+        # The explicit inverse turns every later solve into one matrix product; in double precision
+        # its error is far below that of the single-precision products around it.
+        factor = cho_factor(square, lower=True, overwrite_a=True)
+        inverse = cho_solve(factor, np.eye(len(square)), overwrite_b=True)
+        object.__setattr__(self, "_inverse", (inverse + inverse.T) / 2)
+
+    scale: float = 0.0
+
+    @property
+    def unknowns(self) -> int:
+        """N, or N + 1 with a background."""
+        return self.patterns.pixels + int(self.background)
+
+    def forward(self, x: NDArray[Any]) -> NDArray[Any]:
+        """A x for rows x of (M, unknowns): (M, K)."""
+        samples = self.patterns.forward(x[:, : self.patterns.pixels])
+        if self.background:
+            means = (self.scale * self.patterns.means).astype(x.dtype)
+            samples += np.multiply.outer(x[:, -1], means)
+        if self.row_scale is not None:
+            samples *= self.row_scale.astype(x.dtype)
+        return samples
+
+    def adjoint(self, e: NDArray[Any]) -> NDArray[Any]:
+        """A' e for rows e of (M, K): (M, unknowns)."""
+        if self.row_scale is not None:
+            e = e * self.row_scale.astype(e.dtype)
+        result = np.empty((len(e), self.unknowns), e.dtype)
+        result[:, : self.patterns.pixels] = self.patterns.adjoint(e)
+        if self.background:
+            result[:, -1] = e @ (self.scale * self.patterns.means).astype(e.dtype)
+        return result
+
+    def solve(self, q: NDArray[Any]) -> NDArray[Any]:
+        """(A' A + ridge I)^-1 q for rows q of (M, unknowns), in the dtype of q."""
+        if not self._wide:
+            return (q.astype(np.float64) @ self._inverse).astype(q.dtype)
+        # Matrix inversion lemma: (q - A' (A A' + ridge I)^-1 A q) / ridge.
+        inner = self.forward(q).astype(np.float64) @ self._inverse
+        return (q - self.adjoint(inner.astype(q.dtype))) / q.dtype.type(self.ridge)
+
+    _wide: bool = True
+    _inverse: Any = None
