@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve
 
 from lightmatrix.patterns import PatternSet
 
@@ -54,12 +53,10 @@ class System:
             matrix = matrix if self.background else matrix[:, :-1]
             matrix *= rows[:, None]
             square = matrix.T @ matrix
-        square[np.diag_indices_from(square)] += self.ridge
+        square = square + self.ridge * np.eye(square.shape[-1])
         # The explicit inverse turns every later solve into one matrix product; in double precision
         # its error is far below that of the single-precision products around it.
-        factor = cho_factor(square, lower=True, overwrite_a=True)
-        inverse = cho_solve(factor, np.eye(len(square)), overwrite_b=True)
-        object.__setattr__(self, "_inverse", (inverse + inverse.T) / 2)
+        object.__setattr__(self, "_inverse", np.linalg.inv(square))
 
     scale: float = 0.0
 
@@ -91,10 +88,17 @@ class System:
     def solve(self, q: NDArray[Any]) -> NDArray[Any]:
         """(A' A + ridge I)^-1 q for rows q of (M, unknowns), in the dtype of q."""
         if not self._wide:
-            return (q.astype(np.float64) @ self._inverse).astype(q.dtype)
+            return _each_by(q.astype(np.float64), self._inverse).astype(q.dtype)
         # Matrix inversion lemma: (q - A' (A A' + ridge I)^-1 A q) / ridge.
-        inner = self.forward(q).astype(np.float64) @ self._inverse
+        inner = _each_by(self.forward(q).astype(np.float64), self._inverse)
         return (q - self.adjoint(inner.astype(q.dtype))) / q.dtype.type(self.ridge)
 
     _wide: bool = True
     _inverse: Any = None
+
+
+def _each_by(rows: NDArray[np.float64], matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Rows times one matrix, or equal groups of rows times a matrix each."""
+    if matrix.ndim == 2:
+        return rows @ matrix
+    return (rows.reshape(len(matrix), -1, rows.shape[1]) @ matrix).reshape(rows.shape)

@@ -1,0 +1,78 @@
+"""The command line; `main` turns errors into one clear message and exit code 2."""
+
+from __future__ import annotations
+
+import sys
+import warnings
+from typing import Annotated
+
+import click
+import typer
+
+import lightmatrix
+from lightmatrix.cli import experiment, make, measure, use
+from lightmatrix.cli.common import err, out
+from lightmatrix.errors import LightMatrixError, LightMatrixWarning
+
+app = typer.Typer(
+    name="lightmatrix",
+    help="Measure the light transport matrix of a projector-camera system, c = T p.",
+    epilog="Start with `lightmatrix demo`.",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+)
+for module in (make, measure, use, experiment):
+    module.register(app)
+
+
+@app.callback(invoke_without_command=True)
+def _root(
+    version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False,
+) -> None:
+    if version:
+        out.print(f"lightmatrix {lightmatrix.__version__}")
+        raise typer.Exit
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run the command line.
+
+    Returns
+    -------
+    int
+        0, 2 on bad input (with one message on standard error), 130 on Ctrl-C.
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("always", LightMatrixWarning)
+        warnings.showwarning = _show_warning
+        try:
+            code = typer.main.get_command(app).main(
+                args=argv, prog_name="lightmatrix", standalone_mode=False
+            )
+            return code if isinstance(code, int) else 0
+        except LightMatrixError as error:
+            err.print(f"error: {error.message}", style="red", markup=False, highlight=False)
+            if error.hint:
+                err.print(f"  {error.hint}", markup=False, highlight=False)
+            return 2
+        except click.ClickException as error:
+            error.show(file=sys.stderr)
+            return 2
+        except (KeyboardInterrupt, click.Abort):
+            err.print("stopped; finished tiles are kept, run again to go on", markup=False)
+            return 130
+        except MemoryError:
+            err.print("error: not enough memory\n  use a smaller size or --tile-rows")
+            return 2
+
+
+def _show_warning(message: Warning | str, category: type[Warning], *_: object) -> None:
+    if issubclass(category, LightMatrixWarning):
+        err.print(f"warning: {message}", style="yellow", markup=False, highlight=False)
+
+
+def console() -> None:
+    """Entry point of the installed command."""
+    sys.exit(main())

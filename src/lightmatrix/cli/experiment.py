@@ -1,0 +1,69 @@
+"""Commands that show: the demo and the paper's figures."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from lightmatrix.atomic import atomic_folder, check_output
+from lightmatrix.cli.common import Json, Overwrite, out, progress, show_json
+from lightmatrix.experiments import demo as demo_report
+from lightmatrix.experiments import fig4, fig5
+
+
+class Figure(StrEnum):
+    """Figures of the paper that can be drawn."""
+
+    FIG4 = "fig4"
+    FIG5 = "fig5"
+
+
+RUNS: dict[Figure, Any] = {Figure.FIG4: fig4.run, Figure.FIG5: fig5.run}
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands of this file."""
+    app.command("demo")(demo)
+    app.command("experiment")(experiment)
+
+
+def demo(
+    output: Annotated[Path, typer.Option("-o", "--output", help="Report folder.")] = Path("report"),
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+) -> None:
+    """Simulate, estimate and evaluate a bundled scene; write a picture report."""
+    check_output(output, overwrite=overwrite)
+    with (
+        atomic_folder(output, overwrite=overwrite) as folder,
+        progress("demo", "steps") as report,
+    ):
+        result = demo_report.run(folder, progress=report)
+    if as_json:
+        show_json({**result, "output": output})
+        return
+    out.print(demo_report.table(result))
+    out.print(f"pictures: {output / 'report.png'}", highlight=False)
+
+
+def experiment(
+    figure: Annotated[Figure, typer.Argument(help="Which figure of the paper.")],
+    output: Annotated[Path, typer.Option("-o", "--output", help="Folder for the figure.")],
+    quick: Annotated[bool, typer.Option(help="Fewer trials, for a first look.")] = False,
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+) -> None:
+    """Reproduce a figure of the paper: picture, CSV and JSON."""
+    check_output(output, overwrite=overwrite)
+    with (
+        atomic_folder(output, overwrite=overwrite) as folder,
+        progress(str(figure), "steps") as report,
+    ):
+        result = RUNS[figure](folder, quick=quick, progress=report)
+    if as_json:
+        show_json(result)
+    else:
+        out.print(f"{figure}: see {output}", highlight=False)

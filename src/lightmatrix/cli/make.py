@@ -1,0 +1,260 @@
+"""Commands that make input: patterns, scenes, rendered matrices, simulated captures."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+
+from lightmatrix.atomic import check_output
+from lightmatrix.capture import read_patterns, write_capture, write_patterns
+from lightmatrix.cli.common import Json, Overwrite, Seed, out, progress, show_json, size
+from lightmatrix.errors import InputError
+from lightmatrix.patterns import (
+    BernoulliPatterns,
+    BlockPatterns,
+    HadamardPatterns,
+    PatternSet,
+    one_pixel_patterns,
+)
+from lightmatrix.rig import library, realism
+from lightmatrix.rig.renderer import render
+from lightmatrix.rig.scenes import BUILDERS, names
+from lightmatrix.rig.simulate import irradiance
+from lightmatrix.rig.thumbnails import write_thumbnails
+from lightmatrix.rig.truth import Truth
+from lightmatrix.sensor import Sensor
+
+
+class PatternKind(StrEnum):
+    """Kinds of patterns that `lightmatrix patterns` makes."""
+
+    BERNOULLI = "bernoulli"
+    HADAMARD = "hadamard"
+    ONE_PIXEL = "onepixel"
+    BLOCKS = "blocks"
+
+
+class HadamardOrder(StrEnum):
+    """Which Hadamard patterns come first."""
+
+    NATURAL = "natural"
+    SEQUENCY = "sequency"
+    RANDOM = "random"
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands of this file."""
+    app.command("patterns")(patterns)
+    app.command("scenes")(scenes)
+    app.command("render")(render_scene)
+    app.command("simulate")(simulate)
+
+
+def patterns(
+    kind: Annotated[PatternKind, typer.Argument(help="Kind of patterns.")],
+    output: Annotated[Path, typer.Option("-o", "--output", help="Folder to write PNGs to.")],
+    count: Annotated[int | None, typer.Option("-k", "--count", help="Number of patterns.")] = None,
+    shape: Annotated[str, typer.Option("--size", help="Projector rows x columns.")] = "128x128",
+    density: Annotated[float, typer.Option(help="Bernoulli: share of lit pixels.")] = 0.5,
+    order: Annotated[
+        HadamardOrder, typer.Option(help="Hadamard: which come first.")
+    ] = HadamardOrder.SEQUENCY,
+    permute: Annotated[bool, typer.Option(help="Hadamard: shuffle the pixels.")] = False,
+    block: Annotated[str, typer.Option(help="Blocks: rows x columns of one block.")] = "8x8",
+    seed: Seed = 0,
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+) -> None:
+    """Write projection patterns as a folder of PNG files."""
+    check_output(output, overwrite=overwrite)
+    made = _pattern_set(kind, size(shape), count, density, order, permute, size(block), seed)
+    write_patterns(output, made, overwrite=overwrite)
+    result = {**made.description, "count": made.count, "digest": made.digest, "output": output}
+    if as_json:
+        show_json(result)
+    else:
+        rows, cols = made.shape
+        out.print(f"{made.count} {kind} patterns of {rows} x {cols} pixels in {output}")
+
+
+def _pattern_set(
+    kind: PatternKind,
+    shape: tuple[int, int],
+    count: int | None,
+    density: float,
+    order: HadamardOrder,
+    permute: bool,
+    block: tuple[int, int],
+    seed: int,
+) -> PatternSet:
+    if kind is PatternKind.BERNOULLI:
+        return BernoulliPatterns(shape, 256 if count is None else count, density, seed)
+    if kind is PatternKind.HADAMARD:
+        wanted = 256 if count is None else count
+        return HadamardPatterns(shape, wanted, str(order), permute, seed)
+    whole = one_pixel_patterns(shape) if kind is PatternKind.ONE_PIXEL else BlockPatterns(
+        shape, block
+    )
+    if count is None or count == whole.count:
+        return whole
+    if not 1 <= count <= whole.count:
+        raise InputError(f"{count} {kind} patterns", hint=f"there are {whole.count}; leave out -k")
+    chosen = np.sort(np.random.default_rng(seed).permutation(whole.count)[:count])
+    return BlockPatterns(shape, whole.block, chosen)
+
+
+def scenes(
+    thumbnails: Annotated[
+        Path | None, typer.Option(help="Folder to write a picture of each scene to.")
+    ] = None,
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+) -> None:
+    """List the scenes of the simulated rig."""
+    if thumbnails is not None:
+        check_output(thumbnails, overwrite=overwrite)
+        with progress("drawing", "scenes") as report:
+            write_thumbnails(thumbnails, overwrite=overwrite, progress=report)
+    described = {name: BUILDERS[name]().description for name in names()}
+    if as_json:
+        show_json(
+            {
+                "scenes": [
+                    {"name": name, "description": text, "bundled": name in library.BUNDLED}
+                    for name, text in described.items()
+                ]
+            }
+        )
+        return
+    for name, text in described.items():
+        note = "  (bundled at 64x64)" if name in library.BUNDLED else ""
+        out.print(f"{name:12}{text}{note}", highlight=False)
+
+
+def render_scene(
+    name: Annotated[str, typer.Argument(metavar="SCENE", help="A scene; see `scenes`.")],
+    output: Annotated[Path, typer.Option("-o", "--output", help="The T.npz file to write.")],
+    shape: Annotated[
+        str, typer.Option("--size", help="Camera and projector, rows x columns.")
+    ] = "128x128",
+    projector: Annotated[
+        str | None, typer.Option("--projector-size", help="Projector, if other than --size.")
+    ] = None,
+    samples: Annotated[
+        int, typer.Option("--spp", help="Light paths per camera pixel.")
+    ] = library.DEFAULT_SAMPLES,
+    keep: Annotated[float, typer.Option(help="Share of each row's energy to keep.")] = 0.999,
+    colour: Annotated[bool, typer.Option(help="Three camera samples a pixel.")] = False,
+    scalar: Annotated[bool, typer.Option(help="Use the slow renderer without LLVM.")] = False,
+    seed: Seed = 0,
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+) -> None:
+    """Render a scene's light transport matrix in one pass (extra `render`)."""
+    _npz(output)
+    check_output(output, overwrite=overwrite)
+    with progress(f"rendering {name}", "paths") as report:
+        truth = render(
+            name,
+            size(shape),
+            projector_size=None if projector is None else size(projector),
+            samples=samples,
+            seed=seed,
+            keep=keep,
+            colour=colour,
+            scalar=scalar,
+            progress=report,
+        )
+    truth.save(output, overwrite=overwrite)
+    entries = truth.matrix.nnz / truth.matrix.shape[0]
+    share = float(truth.direct_data.sum() / max(truth.matrix.sum(), 1e-30))
+    if as_json:
+        show_json(
+            {
+                **truth.metadata,
+                "output": output,
+                "entries_per_row": entries,
+                "direct_share": share,
+            }
+        )
+        return
+    out.print(
+        f"{output}: {truth.matrix.shape[0]} x {truth.matrix.shape[1]}, "
+        f"{entries:.0f} entries a row, {100 * share:.0f} % direct, "
+        f"noise {100 * truth.metadata['noise_entries']:.1f} % of the entries' norm, "
+        f"{100 * truth.metadata['noise_white']:.2f} % of the white image's"
+    )
+
+
+def simulate(
+    scene: Annotated[str, typer.Argument(metavar="SCENE|T.npz", help="A scene or a truth file.")],
+    pattern_folder: Annotated[
+        Path, typer.Option("--patterns", help="Folder made by `lightmatrix patterns`.")
+    ],
+    output: Annotated[Path, typer.Option("-o", "--output", help="Capture folder to write.")],
+    exposure: Annotated[float, typer.Option(help="Exposure e: sample = min(1, e T p).")] = 0.8,
+    bits: Annotated[int, typer.Option(help="Bit depth: 8, 10, 12 or 16.")] = 8,
+    noise: Annotated[float, typer.Option(help="Read noise, share of the clip level.")] = 0.003,
+    shot_noise: Annotated[
+        float, typer.Option(help="Shot noise of a sample at the clip level, share of it.")
+    ] = 0.0,
+    black: Annotated[float, typer.Option(help="Black level in raw levels.")] = 0.0,
+    blur: Annotated[float, typer.Option(help="Projector defocus, pixels (std).")] = 0.0,
+    leak: Annotated[float, typer.Option(help="Light of a black projector pixel.")] = 0.0,
+    ambient: Annotated[float, typer.Option(help="Room light, share of the mean white image.")] = 0.0,
+    vignetting: Annotated[float, typer.Option(help="Light lost in the camera's corners.")] = 0.0,
+    seed: Seed = 0,
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+) -> None:
+    """Photograph a scene with a known matrix under patterns: a capture folder to estimate from."""
+    check_output(output, overwrite=overwrite)
+    shown = read_patterns(pattern_folder)
+    with progress("rendering", "paths") as report:
+        truth = _truth(scene, shown.shape, report)
+    truth = realism.vignetting(realism.defocus(truth, blur), vignetting)
+    with progress("simulating", "rows") as report:
+        light = irradiance(truth.matrix, shown, progress=report)
+    room = realism.ambient(truth, ambient)
+    # Leaking black is affine in the pattern, so it acts on the light as it does on the patterns.
+    white = np.asarray(truth.matrix.sum(axis=1), np.float32).ravel()
+    dark = (leak * white + room)[:, None]
+    light = (1 - leak) * light + dark
+    sensor = Sensor(exposure, black, noise, shot_noise, bits)
+    frames = sensor.expose(light, seed=seed)
+    stack = np.ascontiguousarray(frames.T).reshape(shown.count, *truth.camera_shape)
+    black_frame = None
+    if leak or ambient:
+        # A frame of its own number, so that its noise is its own.
+        exposed = sensor.expose(dark, seed=seed, first_frame=shown.count)
+        black_frame = exposed.reshape(truth.camera_shape)
+    write_capture(
+        output,
+        shown,
+        stack,
+        sensor=sensor,
+        camera_shape=truth.camera_shape,
+        overwrite=overwrite,
+        black=black_frame,
+        provenance={"scene": scene, "seed": seed, **truth.metadata},
+    )
+    clipped = float((frames >= sensor.clip_level).mean())
+    if as_json:
+        show_json({"output": output, "frames": shown.count, "clipped_share": clipped})
+    else:
+        out.print(f"{shown.count} frames in {output}, {100 * clipped:.1f} % of the samples clipped")
+
+
+def _truth(scene: str, shape: tuple[int, int], report: library.Progress) -> Truth:
+    if scene.endswith(".npz"):
+        return Truth.load(Path(scene))
+    return library.truth(scene, shape, progress=report)
+
+
+def _npz(path: Path) -> None:
+    if path.suffix != ".npz":
+        raise InputError(f"{path} does not end in .npz", hint="name the output T.npz, for example")

@@ -1,0 +1,187 @@
+"""`lightmatrix estimate`: from a capture to its light transport matrix."""
+
+from __future__ import annotations
+
+import time
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+
+from lightmatrix.atomic import check_output
+from lightmatrix.capture import Capture
+from lightmatrix.cli.common import Json, Overwrite, out, progress, show_json, show_table, size
+from lightmatrix.cli.results import summary
+from lightmatrix.errors import InputError
+from lightmatrix.estimators.plain import PlainEstimator
+from lightmatrix.sensor import Response
+from lightmatrix.solvers import ADMM, ROMP, SaturationADMM, Solver
+from lightmatrix.solvers.problem import Fidelity
+
+
+class SolverName(StrEnum):
+    """Solvers of `lightmatrix estimate`."""
+
+    SATURATION_ADMM = "saturation-admm"
+    ADMM = "admm"
+    ROMP = "romp"
+
+
+SOLVERS_HELP = (
+    "saturation-admm (clipped, one-sided, rejection, linear), admm (linear), "
+    "romp (linear, rejection)."
+)
+FIDELITY_HELP = (
+    "How clipped samples count: one-sided (a lower bound, convex), clipped (the paper's Eq. 6), "
+    "rejection (left out), linear (taken at their value)."
+)
+DEFAULT_FIDELITY = {
+    SolverName.SATURATION_ADMM: Fidelity.ONE_SIDED,
+    SolverName.ADMM: Fidelity.LINEAR,
+    SolverName.ROMP: Fidelity.REJECTION,
+}
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands of this file."""
+    app.command("estimate")(estimate)
+
+
+def estimate(
+    capture: Annotated[
+        Path | None, typer.Argument(help="Capture folder (patterns/, images/, capture.json).")
+    ] = None,
+    output: Annotated[
+        Path, typer.Option("-o", "--output", help="The store to write, ending in .zarr.")
+    ] = Path("scene.zarr"),
+    pattern_folder: Annotated[
+        Path | None, typer.Option("--patterns", help="Folder of pattern images.")
+    ] = None,
+    images: Annotated[Path | None, typer.Option(help="Folder of photographs, same order.")] = None,
+    black: Annotated[
+        Path | None, typer.Option(help="Photograph under a black pattern, or of ambient light.")
+    ] = None,
+    white: Annotated[
+        Path | None, typer.Option(help="Photograph under a white pattern; one more sample.")
+    ] = None,
+    mask: Annotated[Path | None, typer.Option(help="Image; pixels at 0 are left out.")] = None,
+    clip: Annotated[float | None, typer.Option(help="Raw level at which samples clip.")] = None,
+    response: Annotated[
+        str | None, typer.Option(help="linear, gamma:2.2, srgb or curve:FILE.")
+    ] = None,
+    solver: Annotated[SolverName, typer.Option(help=SOLVERS_HELP)] = SolverName.SATURATION_ADMM,
+    fidelity: Annotated[Fidelity | None, typer.Option(help=FIDELITY_HELP)] = None,
+    regularization: Annotated[
+        str, typer.Option(help="The paper's lambda in units of camera sample, or auto.")
+    ] = "auto",
+    iterations: Annotated[
+        int | None, typer.Option(help="Most iterations (rounds for romp).", min=1)
+    ] = None,
+    signed: Annotated[bool, typer.Option(help="Allow negative light, as the paper does.")] = False,
+    background: Annotated[
+        bool, typer.Option(help="One diffuse coefficient per camera sample.")
+    ] = True,
+    bin_projector: Annotated[str, typer.Option(help="Projector pixels per bin, 8 or 8x8.")] = "1",
+    bin_camera: Annotated[str, typer.Option(help="Camera pixels per bin, 8 or 8x8.")] = "1",
+    tile_rows: Annotated[
+        int | None, typer.Option(help="Camera samples solved at a time.", min=1)
+    ] = None,
+    check: Annotated[
+        bool, typer.Option(help="Refuse images that do not follow the patterns.")
+    ] = True,
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+) -> None:
+    """Estimate T from patterns and photographs; an interrupted run goes on where it stopped."""
+    check_output(output, overwrite=overwrite, suffixes=(".zarr",))
+    started = time.perf_counter()
+    chosen = _solver(solver, fidelity, iterations)
+    opened = _open(capture, pattern_folder, images, black, white, mask, clip, response, check)
+    opened = opened.bin(projector=size(bin_projector), camera=size(bin_camera))
+    opened.check()
+    estimator = PlainEstimator(
+        chosen, _regularization(regularization), not signed, background, tile_rows
+    )
+    with progress("estimating", "rows") as report:
+        transport = estimator.estimate(
+            opened, checkpoint=output, overwrite=overwrite, progress=report
+        )
+    result = {"output": str(output), "seconds": round(time.perf_counter() - started, 2)}
+    result |= summary(transport)
+    if as_json:
+        show_json(result)
+    else:
+        show_table(f"{output}", summary(transport))
+        unfinished = float(1 - np.mean(transport.diagnostics["converged"]))
+        if unfinished > 0.01:
+            out.print(
+                f"{100 * unfinished:.0f} % of the rows reached the iteration limit; "
+                "raise it with --iterations",
+                style="yellow",
+            )
+
+
+def _solver(name: SolverName, fidelity: Fidelity | None, iterations: int | None) -> Solver:
+    wanted = fidelity or DEFAULT_FIDELITY[name]
+    limit = {} if iterations is None else {"max_iterations": iterations}
+    if name is SolverName.ADMM:
+        if wanted is not Fidelity.LINEAR:
+            raise InputError(
+                f"the solver admm cannot use the fidelity {wanted}",
+                hint="use --solver saturation-admm, or --fidelity linear",
+            )
+        return ADMM(**limit)
+    if name is SolverName.ROMP:
+        return ROMP(fidelity=wanted, **limit)
+    return SaturationADMM(fidelity=wanted, **limit)
+
+
+def _open(
+    capture: Path | None,
+    patterns: Path | None,
+    images: Path | None,
+    black: Path | None,
+    white: Path | None,
+    mask: Path | None,
+    clip: float | None,
+    response: str | None,
+    check: bool,
+) -> Capture:
+    if capture is not None:
+        extras = {"--patterns": patterns, "--images": images, "--black": black, "--white": white}
+        extras |= {"--mask": mask, "--clip": clip, "--response": response}
+        given = [name for name, value in extras.items() if value is not None]
+        if given:
+            raise InputError(
+                f"a capture folder and {', '.join(given)} were given",
+                hint="a capture folder says all that in capture.json; give one or the other",
+            )
+        return Capture.open(capture, check=check)
+    if patterns is None or images is None:
+        raise InputError(
+            "there is nothing to estimate from",
+            hint="give a capture folder, or --patterns and --images",
+        )
+    return Capture.from_folders(
+        patterns,
+        images,
+        black=black,
+        white=white,
+        mask=mask,
+        clip=clip,
+        response=None if response is None else Response.parse(response),
+        check=check,
+    )
+
+
+def _regularization(text: str) -> float | None:
+    if text == "auto":
+        return None
+    try:
+        return float(text)
+    except ValueError:
+        raise InputError(
+            f"a regularization of {text!r}", hint="use auto or a number such as 0.3"
+        ) from None

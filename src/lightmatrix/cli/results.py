@@ -1,0 +1,48 @@
+"""What is told about a light transport matrix."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from lightmatrix.transport import LightTransport
+
+
+def summary(transport: LightTransport) -> dict[str, Any]:
+    """Shapes, sparsity, clipping, convergence and gaps, as names and values."""
+    rows, pixels = transport.shape
+    entries = np.diff(transport.sparse.indptr)
+    result: dict[str, Any] = {
+        "camera": " x ".join(map(str, transport.camera_shape)),
+        "projector": " x ".join(map(str, transport.projector_shape)),
+        "entries": int(entries.sum()),
+        "entries_per_row": float(entries.mean()),
+        "background_grid": " x ".join(map(str, transport.background_grid)),
+        "background_share": _background_share(transport),
+    }
+    diagnostics = transport.diagnostics
+    if "clipped_share" in diagnostics:
+        shares = diagnostics["clipped_share"]
+        result["clipped_samples"] = float(np.mean(shares))
+        result["rows_half_clipped"] = float(np.mean(shares > 0.5))
+    if "iterations" in diagnostics:
+        result["iterations_median"] = float(np.median(diagnostics["iterations"]))
+        result["converged_rows"] = float(np.mean(diagnostics["converged"]))
+    if "gap" in diagnostics and np.isfinite(diagnostics["gap"]).any():
+        result["gap_median"] = float(np.nanmedian(diagnostics["gap"]))
+        result["gap_max"] = float(np.nanmax(diagnostics["gap"]))
+    made = transport.provenance
+    for name in ("estimator", "solver", "regularization", "pattern_digest", "scene"):
+        if name in made:
+            result[name] = made[name]
+    if "solver_parameters" in made and "fidelity" in made["solver_parameters"]:
+        result["fidelity"] = made["solver_parameters"]["fidelity"]
+    return result
+
+
+def _background_share(transport: LightTransport) -> float:
+    """Share of the white image's light that the background holds."""
+    diffuse = float(transport.background.mean(axis=1).sum())
+    total = diffuse + float(transport.sparse.sum())
+    return diffuse / total if total else 0.0

@@ -1,0 +1,146 @@
+"""Commands that use a light transport matrix: info, relight, evaluate, export."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+
+from lightmatrix import store
+from lightmatrix.atomic import check_output
+from lightmatrix.cli.common import Json, Overwrite, out, show_json, show_table
+from lightmatrix.cli.results import summary
+from lightmatrix.errors import InputError
+from lightmatrix.evaluate import (
+    diffuse_rows,
+    relative_error,
+    relighting_error,
+    response_rmse,
+    unclipped_rows,
+    unseen_patterns,
+)
+from lightmatrix.images import read_grey, write_image
+from lightmatrix.rig.truth import Truth
+from lightmatrix.transport import LightTransport
+
+Store = Annotated[Path, typer.Argument(metavar="SCENE.zarr", help="A store made by `estimate`.")]
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands of this file."""
+    app.command("info")(info)
+    app.command("relight")(relight)
+    app.command("evaluate")(evaluate)
+    app.command("export")(export)
+
+
+def info(scene: Store, as_json: Json = False) -> None:
+    """Tell what a store holds: shapes, clipping, gaps, provenance."""
+    transport = store.open(scene)
+    if as_json:
+        show_json({**summary(transport), "provenance": transport.provenance})
+        return
+    show_table(str(scene), summary(transport))
+    versions = transport.provenance.get("versions", {})
+    if versions:
+        made = ", ".join(f"{name} {number}" for name, number in versions.items())
+        out.print(f"made with {made}", highlight=False)
+
+
+def relight(
+    scene: Store,
+    pattern: Annotated[Path, typer.Argument(help="Pattern image of the projector's size.")],
+    output: Annotated[Path, typer.Option("-o", "--output", help="Image: .png, .tiff or .npy.")],
+    exposure: Annotated[float, typer.Option(help="Exposure e of the image.")] = 1.0,
+    gamma: Annotated[float, typer.Option(help="Display gamma; 1 keeps it linear.")] = 1.0,
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+) -> None:
+    """Compute the photograph under a pattern that was never projected: c = T p."""
+    check_output(output, overwrite=overwrite, suffixes=(".png", ".tif", ".tiff", ".npy"))
+    if not exposure > 0 or not gamma > 0:
+        raise InputError(
+            f"an exposure of {exposure} with gamma {gamma}", hint="both must be above 0"
+        )
+    transport = store.open(scene)
+    image = exposure * transport.relight(read_grey(pattern))
+    clipped = float((image > 1).mean())
+    if output.suffix == ".png":
+        image = np.clip(image, 0, 1) ** (1 / gamma)
+    write_image(output, image.astype(np.float32), overwrite=overwrite)
+    if as_json:
+        show_json({"output": output, "mean": float(image.mean()), "clipped_share": clipped})
+    else:
+        note = f"; {100 * clipped:.1f} % of it is above full scale" if clipped else ""
+        out.print(f"{output}{note}", highlight=False)
+
+
+def evaluate(
+    scene: Store,
+    truth: Annotated[Path, typer.Option(help="T.npz from `render` or `export`.")],
+    exposure: Annotated[
+        float, typer.Option(help="Exposure of the capture: tells which rows clip singly.")
+    ] = 1.0,
+    as_json: Json = False,
+) -> None:
+    """Compare an estimate with the truth: relative error, RMSE, relighting error."""
+    if not exposure > 0:
+        raise InputError(f"an exposure of {exposure}", hint="use a number above 0")
+    estimate = store.open(scene)
+    known = Truth.load(truth).transport()
+    if estimate.shape != known.shape:
+        raise InputError(
+            f"{scene} is {estimate.shape[0]} x {estimate.shape[1]}, "
+            f"{truth} is {known.shape[0]} x {known.shape[1]}",
+            hint="compare matrices of one rig, binned alike",
+        )
+    result = errors_by_rows(estimate, known, exposure)
+    if as_json:
+        show_json({"exposure": exposure, **result})
+    else:
+        show_table(f"{scene} against {truth}", {k: f"{v:.4f}" for k, v in result.items()})
+
+
+def errors_by_rows(
+    estimate: LightTransport, truth: LightTransport, exposure: float
+) -> dict[str, float]:
+    """The project's metrics over all rows, rows that do not clip singly, and diffuse rows."""
+    patterns = np.stack(list(unseen_patterns(truth.projector_shape).values()))
+    result = {
+        "relative_error": relative_error(estimate, truth),
+        "relighting_error": relighting_error(estimate, truth, patterns),
+        "response_rmse": response_rmse(estimate, truth, clip_level=1 / exposure),
+    }
+    groups = {
+        "unclipped_responses": unclipped_rows(truth, exposure),
+        "diffuse": diffuse_rows(truth.sparse, truth.projector_shape),
+    }
+    for name, chosen in groups.items():
+        result[f"share_of_rows_{name}"] = float(chosen.mean())
+        if chosen.any():
+            rows = np.flatnonzero(chosen)
+            result[f"relative_error_{name}"] = relative_error(estimate, truth, rows)
+            result[f"relighting_error_{name}"] = relighting_error(estimate, truth, patterns, rows)
+    return result
+
+
+def export(
+    scene: Store,
+    output: Annotated[Path, typer.Argument(metavar="T.npz|T.mat", help="File to write.")],
+    dense_background: Annotated[
+        bool,
+        typer.Option(help="Spread the background over all pixels: exact, but no longer sparse."),
+    ] = False,
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+) -> None:
+    """Write T for other software: .npz (scipy.sparse.load_npz) or .mat (MATLAB)."""
+    check_output(output, overwrite=overwrite, suffixes=(".npz", ".mat"))
+    transport = store.open(scene)
+    store.export(output, transport, dense_background=dense_background, overwrite=overwrite)
+    if as_json:
+        show_json({"output": output, "bytes": output.stat().st_size})
+    else:
+        out.print(f"{output}, {output.stat().st_size / 2**20:.1f} MiB", highlight=False)

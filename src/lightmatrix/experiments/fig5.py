@@ -1,0 +1,121 @@
+"""The scenes (the paper's Fig. 5) and what clipping does to a capture (its Figs. 1 and 2)."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightmatrix.errors import MissingExtraError
+from lightmatrix.evaluate import diffuse_rows
+from lightmatrix.figures import display, figure, mark_clipped, panel, save
+from lightmatrix.patterns import BernoulliPatterns
+from lightmatrix.rig import library
+from lightmatrix.rig.simulate import irradiance
+from lightmatrix.rig.statistics import clipped_share, direct_share, entries_for_energy
+from lightmatrix.rig.thumbnails import photograph
+from lightmatrix.rig.truth import Truth
+from lightmatrix.sensor import Sensor
+
+SCENES = {"l_objects": "(a) L objects", "gripper": "(b) gripper", "metal": "(c) metallic objects"}
+EXPOSURES = (0.1, 0.2, 0.4, 0.8, 1.0)
+FORMATS = ("png", "svg")
+
+
+def run(
+    out: Path, *, quick: bool = False, progress: Callable[[int, int], None] | None = None
+) -> dict[str, Any]:
+    """Draw fig5, fig1 and fig2 and tabulate the scenes' statistics in fig5.json.
+
+    Parameters
+    ----------
+    out : Path
+        An existing folder.
+    quick : bool
+        Pictures of 128 x 128 instead of 512 x 512.
+    """
+    report = progress or (lambda done, total: None)
+    truths = {name: library.truth(name) for name in library.BUNDLED}
+    report(1, 4)
+    _draw_scenes(out, truths, 128 if quick else 512)
+    report(2, 4)
+    _draw_capture(out, truths["l_objects"])
+    _draw_formulation(out, truths["l_objects"])
+    report(3, 4)
+    result = {"exposures": EXPOSURES, "rows": [statistics(n, t) for n, t in truths.items()]}
+    (out / "fig5.json").write_text(json.dumps(result, indent=2) + "\n")
+    report(4, 4)
+    return result
+
+
+def statistics(name: str, truth: Truth) -> dict[str, Any]:
+    """One line of the table of scenes."""
+    return {
+        "scene": name,
+        "size": list(truth.camera_shape),
+        "direct_share": direct_share(truth),
+        "entries_90": float(np.median(entries_for_energy(truth, 0.90))),
+        "entries_99": float(np.median(entries_for_energy(truth, 0.99))),
+        "diffuse_rows": float(diffuse_rows(truth.matrix, truth.projector_shape).mean()),
+        "clipped_share": clipped_share(truth, EXPOSURES),
+    }
+
+
+def _white(truth: Truth) -> NDArray[np.float32]:
+    return np.asarray(truth.matrix.sum(axis=1), np.float32).reshape(truth.camera_shape)
+
+
+def _draw_scenes(out: Path, truths: dict[str, Truth], size: int) -> None:
+    with figure(6.6, 2.4) as drawing:
+        for axes, (name, title) in zip(drawing.subplots(1, 3), SCENES.items(), strict=True):
+            try:
+                image = photograph(name, (size, size), samples=512)
+            except MissingExtraError:
+                image = _white(truths[name])
+            panel(axes, display(image, float(np.quantile(image, 0.97))))
+            axes.set_xlabel(title)
+        save(drawing, out, "fig5", FORMATS)
+
+
+def _draw_capture(out: Path, truth: Truth) -> None:
+    """Patterns and what a clipping camera sees of them, clipped pixels in red (Fig. 1)."""
+    patterns = BernoulliPatterns(truth.projector_shape, 3, seed=1)
+    light = irradiance(truth.matrix, patterns)
+    with figure(6.4, 6.6) as drawing:
+        panels = drawing.subplots(3, 3)
+        for k, (show, photo, marked) in enumerate(panels):
+            frame = light[:, k].reshape(truth.camera_shape)
+            panel(show, patterns.images(k, k + 1)[0], "projection pattern" if k == 0 else "")
+            panel(photo, display(frame, 1.0), "camera image" if k == 0 else "")
+            red = mark_clipped(display(frame, 1.0), frame >= 1)
+            share = 100 * float((frame >= 1).mean())
+            panel(marked, red, "clipped pixels in red" if k == 0 else "")
+            marked.set_xlabel(f"{share:.0f} % clipped")
+        save(drawing, out, "fig1", FORMATS)
+
+
+def _draw_formulation(out: Path, truth: Truth) -> None:
+    """C = C_Y(T L) as matrices (Fig. 2), from the middle of the scene."""
+    patterns = BernoulliPatterns(truth.projector_shape, 24, seed=1)
+    side = truth.camera_shape[1]
+    rows = (side // 2) * side + np.arange(side)
+    matrix = truth.matrix[rows]
+    frames = Sensor(bits=8).expose(irradiance(matrix, patterns)) / 255
+    columns = np.sort(np.unique(matrix.indices[matrix.data > 0.1]))[:64]
+    with figure(6.8, 2.9) as drawing:
+        left, middle, right = drawing.subplots(1, 3, width_ratios=[24, 64, 24])
+        panel(left, mark_clipped(display(frames, 1.0), frames >= 1), r"$C$, clipped in red")
+        part = matrix[:, columns].toarray()
+        panel(middle, display(part, float(part.max())), r"$T$ (64 of its columns)", aspect="auto")
+        lit = patterns.columns(columns).T
+        panel(right, lit, r"$L$ (the same rows)")
+        left.set_ylabel("64 camera pixels")
+        left.set_xlabel("24 patterns")
+        middle.set_xlabel("projector pixels")
+        right.set_xlabel("24 patterns")
+        drawing.suptitle(r"$C = C_Y(T L)$: a clipped sample is only a lower bound", fontsize=9)
+        save(drawing, out, "fig2", FORMATS)

@@ -1,0 +1,72 @@
+"""Many small problems at once: each group of rows has a pattern matrix of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightmatrix.patterns import PatternSet
+
+
+@dataclass(frozen=True, eq=False)
+class TrialPatterns(PatternSet):
+    """Pattern matrices of several trials, for solvers that take all rows at every step.
+
+    Rows must come in trial order, equally many per trial; they cannot be taken apart, so the
+    solver must not stop rows one by one.
+
+    Parameters
+    ----------
+    stack : (trials, K, N) float
+        One matrix A per trial.
+    """
+
+    stack: NDArray[Any]
+
+    @property
+    def shape(self) -> tuple[int, int]:  # type: ignore[override]
+        return 1, int(self.stack.shape[2])
+
+    @property
+    def count(self) -> int:  # type: ignore[override]
+        return int(self.stack.shape[1])
+
+    @cached_property
+    def means(self) -> NDArray[np.float64]:
+        """Zero: the trials share no means, and the experiment has no background."""
+        return np.zeros(self.count)
+
+    @cached_property
+    def gram(self) -> NDArray[np.float64]:
+        """A A' of every trial, (trials, K, K) float64."""
+        stack = self.stack.astype(np.float64)
+        return stack @ stack.transpose(0, 2, 1)
+
+    def forward(self, x: NDArray[Any]) -> NDArray[Any]:
+        return self._grouped(x, self.stack.transpose(0, 2, 1))
+
+    def adjoint(self, e: NDArray[Any]) -> NDArray[Any]:
+        return self._grouped(e, self.stack)
+
+    def _grouped(self, rows: NDArray[Any], matrices: NDArray[Any]) -> NDArray[Any]:
+        groups = rows.reshape(len(matrices), -1, rows.shape[1])
+        return (groups @ matrices.astype(rows.dtype, copy=False)).reshape(len(rows), -1)
+
+    def columns(self, index: NDArray[np.integer]) -> NDArray[np.float32]:
+        raise TypeError("trials share no columns")
+
+    def rows(self, start: int, stop: int) -> NDArray[np.float32]:
+        raise TypeError("trials share no rows")
+
+    @property
+    def description(self) -> dict[str, Any]:
+        return {"kind": "trials", "trials": len(self.stack), "count": self.count}
+
+    def one_by_one(self) -> Iterator[NDArray[Any]]:
+        """The matrix of each trial."""
+        yield from self.stack
