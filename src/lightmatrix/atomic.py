@@ -12,7 +12,17 @@ from pathlib import Path
 from lightmatrix.errors import OutputError
 
 # A folder that holds one of these was written by us and may be replaced by us.
-MARKERS = frozenset({"capture.json", "patterns.json", "zarr.json"})
+MARKERS = frozenset(
+    {
+        "capture.json",
+        "patterns.json",
+        "zarr.json",
+        "scenes.json",
+        "demo.json",
+        "fig4.json",
+        "fig5.json",
+    }
+)
 
 
 def check_output(

@@ -6,7 +6,6 @@ import sys
 import warnings
 from typing import Annotated
 
-import click
 import typer
 
 import lightmatrix
@@ -18,7 +17,6 @@ app = typer.Typer(
     name="lightmatrix",
     help="Measure the light transport matrix of a projector-camera system, c = T p.",
     epilog="Start with `lightmatrix demo`.",
-    no_args_is_help=True,
     add_completion=False,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
@@ -44,12 +42,13 @@ def main(argv: list[str] | None = None) -> int:
     int
         0, 2 on bad input (with one message on standard error), 130 on Ctrl-C.
     """
+    arguments = (sys.argv[1:] if argv is None else argv) or ["--help"]
     with warnings.catch_warnings():
         warnings.simplefilter("always", LightMatrixWarning)
         warnings.showwarning = _show_warning
         try:
             code = typer.main.get_command(app).main(
-                args=argv, prog_name="lightmatrix", standalone_mode=False
+                args=arguments, prog_name="lightmatrix", standalone_mode=False
             )
             return code if isinstance(code, int) else 0
         except LightMatrixError as error:
@@ -57,10 +56,13 @@ def main(argv: list[str] | None = None) -> int:
             if error.hint:
                 err.print(f"  {error.hint}", markup=False, highlight=False)
             return 2
-        except click.ClickException as error:
-            error.show(file=sys.stderr)
+        except typer.TyperException as error:
+            err.print(
+                f"error: {error.format_message()}", style="red", markup=False, highlight=False
+            )
+            err.print("  see `lightmatrix COMMAND --help`", markup=False, highlight=False)
             return 2
-        except (KeyboardInterrupt, click.Abort):
+        except (KeyboardInterrupt, typer.Abort):
             err.print("stopped; finished tiles are kept, run again to go on", markup=False)
             return 130
         except MemoryError:

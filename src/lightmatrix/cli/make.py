@@ -96,8 +96,8 @@ def _pattern_set(
     if kind is PatternKind.HADAMARD:
         wanted = 256 if count is None else count
         return HadamardPatterns(shape, wanted, str(order), permute, seed)
-    whole = one_pixel_patterns(shape) if kind is PatternKind.ONE_PIXEL else BlockPatterns(
-        shape, block
+    whole = (
+        one_pixel_patterns(shape) if kind is PatternKind.ONE_PIXEL else BlockPatterns(shape, block)
     )
     if count is None or count == whole.count:
         return whole
@@ -205,7 +205,9 @@ def simulate(
     black: Annotated[float, typer.Option(help="Black level in raw levels.")] = 0.0,
     blur: Annotated[float, typer.Option(help="Projector defocus, pixels (std).")] = 0.0,
     leak: Annotated[float, typer.Option(help="Light of a black projector pixel.")] = 0.0,
-    ambient: Annotated[float, typer.Option(help="Room light, share of the mean white image.")] = 0.0,
+    ambient: Annotated[
+        float, typer.Option(help="Room light, share of the mean white image.")
+    ] = 0.0,
     vignetting: Annotated[float, typer.Option(help="Light lost in the camera's corners.")] = 0.0,
     seed: Seed = 0,
     overwrite: Overwrite = False,

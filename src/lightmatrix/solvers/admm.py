@@ -16,12 +16,12 @@ from lightmatrix.solvers.system import System
 
 @dataclass(frozen=True)
 class ADMMState:
-    """x, z and the multiplier h, each (M, unknowns), and what all rows share."""
+    """x, z and the multiplier h, each (M, unknowns), weighted samples y, and what all rows share."""
 
     x: NDArray[Any]
     z: NDArray[Any]
     h: NDArray[Any]
-    correlations: NDArray[Any]
+    y: NDArray[Any]
     system: System
     penalty_x: float
 
@@ -57,20 +57,24 @@ class ADMM:
         mu = self.penalty_x or automatic_penalty(problem)
         scale = _shared_weights(problem)
         system = System(problem.patterns, mu * problem.regularization, problem.background, scale)
-        y = problem.samples if scale is None else problem.samples * scale.astype(problem.samples.dtype)
+        y = (
+            problem.samples
+            if scale is None
+            else problem.samples * scale.astype(problem.samples.dtype)
+        )
         zero = np.zeros((problem.rows, system.unknowns), problem.samples.dtype)
-        return ADMMState(zero, zero, zero, system.adjoint(y), system, mu)
+        return ADMMState(zero, zero, zero, y, system, mu)
 
     def step(self, problem: Problem, state: ADMMState) -> ADMMState:
-        mu, lam = state.penalty_x, problem.regularization
+        mu = state.penalty_x
         x, z, h = state.x, state.z, state.h
         # Eq. 9
         h = h + mu * (x - z)
-        # Eq. 10, times lambda on both sides
-        x = state.system.solve(state.correlations + lam * (mu * z - h))
+        # Eq. 10
+        x, _ = state.system.solve(state.y, z - h / mu)
         # Eq. 13
         z = shrink(x + h / mu, 1 / mu, problem)
-        return ADMMState(x, z, h, state.correlations, state.system, mu)
+        return ADMMState(x, z, h, state.y, state.system, mu)
 
     def residuals(
         self, problem: Problem, before: ADMMState, after: ADMMState
@@ -79,13 +83,11 @@ class ADMM:
         dual = relative(after.z - before.z, after.z, after.h / after.penalty_x)
         return primal, dual
 
-    def solution(
-        self, problem: Problem, state: ADMMState
-    ) -> tuple[NDArray[Any], NDArray[Any]]:
+    def solution(self, problem: Problem, state: ADMMState) -> tuple[NDArray[Any], NDArray[Any]]:
         return split(state.z, state.system)
 
     def row_bytes(self, patterns: int, pixels: int) -> int:
-        """x, z, h and A'y before and after a step, and what the step needs: 12 vectors."""
+        """x, z, h before and after a step, and what the step needs: 12 vectors of pixels."""
         return 4 * (12 * pixels + 6 * patterns)
 
 

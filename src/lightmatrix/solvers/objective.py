@@ -25,9 +25,7 @@ def predictions(
     return result + np.outer(np.asarray(background, np.float64), problem.patterns.means)
 
 
-def data_term(
-    problem: Problem, u: NDArray[np.float64], fidelity: Fidelity
-) -> NDArray[np.float64]:
+def data_term(problem: Problem, u: NDArray[np.float64], fidelity: Fidelity) -> NDArray[np.float64]:
     """sum_k w_k f_k(u_k) of each row, (M,) float64."""
     y = problem.samples.astype(np.float64)
     weights = problem.sample_weights().astype(np.float64)

@@ -56,9 +56,7 @@ class ROMP:
             if value is not None and value < 1:
                 raise InputError(f"{name} is {value}", hint="use at least 1")
 
-    def solve(
-        self, problem: Problem, progress: Callable[[int, int], None] | None = None
-    ) -> Result:
+    def solve(self, problem: Problem, progress: Callable[[int, int], None] | None = None) -> Result:
         """Solve all rows, a group at a time."""
         n = self.sparsity or max(1, min(32, problem.patterns.count // 8))
         n = min(n, problem.patterns.pixels)
@@ -240,6 +238,4 @@ def _joined(problem: Problem, parts: list[_Part], fidelity: Fidelity) -> Result:
         background, rounds, met = np.zeros(0, dtype), np.zeros(0, np.int32), np.zeros(0, bool)
     primal, _ = relative_gap(problem, stacked, background, fidelity)
     status = Status.CONVERGED if met.all() else Status.ITERATION_LIMIT
-    return Result(
-        stacked, background, rounds, met, primal, np.full(problem.rows, np.nan), status
-    )
+    return Result(stacked, background, rounds, met, primal, np.full(problem.rows, np.nan), status)

@@ -62,9 +62,7 @@ class SaturationADMM:
     tolerance: float = 1e-3
 
     def __post_init__(self) -> None:
-        check_positive(
-            penalty_x=self.penalty_x, penalty_u=self.penalty_u, tolerance=self.tolerance
-        )
+        check_positive(penalty_x=self.penalty_x, penalty_u=self.penalty_u, tolerance=self.tolerance)
 
     def init(self, problem: Problem) -> SaturationADMMState:
         mu = self.penalty_x or automatic_penalty(problem)
@@ -72,9 +70,7 @@ class SaturationADMM:
         system = System(problem.patterns, mu / nu, problem.background)
         y = problem.samples
         x = np.zeros((problem.rows, system.unknowns), y.dtype)
-        return SaturationADMMState(
-            x, x, y, x, np.zeros_like(y), np.zeros_like(y), system, mu, nu
-        )
+        return SaturationADMMState(x, x, y, x, np.zeros_like(y), np.zeros_like(y), system, mu, nu)
 
     def step(self, problem: Problem, state: SaturationADMMState) -> SaturationADMMState:
         mu, nu, lam = state.penalty_x, state.penalty_u, problem.regularization
@@ -86,11 +82,11 @@ class SaturationADMM:
         v = state.prediction + g / nu
         y, level, weights = problem.samples, problem.clip_levels(), problem.sample_weights()
         u = update_prediction(v, y, problem.clipped, level, weights, lam * nu, self.fidelity)
-        # Eq. 17, divided by nu on both sides
-        x = state.system.solve(state.system.adjoint(u - g / nu) + (mu * z - h) / nu)
+        # Eq. 17
+        x, prediction = state.system.solve(u - g / nu, z - h / mu)
         # Eq. 13
         z = shrink(x + h / mu, 1 / mu, problem)
-        return SaturationADMMState(x, z, u, h, g, state.system.forward(x), state.system, mu, nu)
+        return SaturationADMMState(x, z, u, h, g, prediction, state.system, mu, nu)
 
     def residuals(
         self, problem: Problem, before: SaturationADMMState, after: SaturationADMMState

@@ -19,7 +19,7 @@ from lightmatrix.patterns import PatternSet
 
 @dataclass(frozen=True, eq=False)
 class System:
-    """Solves (A' A + ridge I) x = q, with A = diag(row_scale) [P, scale m].
+    """Regularized least squares with A = diag(row_scale) [P, scale m].
 
     Parameters
     ----------
@@ -85,13 +85,29 @@ class System:
             result[:, -1] = e @ (self.scale * self.patterns.means).astype(e.dtype)
         return result
 
-    def solve(self, q: NDArray[Any]) -> NDArray[Any]:
-        """(A' A + ridge I)^-1 q for rows q of (M, unknowns), in the dtype of q."""
-        if not self._wide:
-            return _each_by(q.astype(np.float64), self._inverse).astype(q.dtype)
-        # Matrix inversion lemma: (q - A' (A A' + ridge I)^-1 A q) / ridge.
-        inner = _each_by(self.forward(q).astype(np.float64), self._inverse)
-        return (q - self.adjoint(inner.astype(q.dtype))) / q.dtype.type(self.ridge)
+    def solve(self, target: NDArray[Any], point: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
+        """argmin_x ||A x - target||^2 + ridge ||x - point||^2, and its prediction A x.
+
+        This is (A' A + ridge I)^-1 (A' target + ridge point). By the matrix inversion lemma it is
+        point + A' t with t = (A A' + ridge I)^-1 (target - A point), whose prediction is
+        target - ridge t: one product with A and one with A', and no difference of large numbers,
+        so that single precision suffices.
+
+        Parameters
+        ----------
+        target : (M, K)
+        point : (M, unknowns)
+            The results have its dtype.
+        """
+        dtype = point.dtype
+        if self._wide:
+            distance = (target - self.forward(point)).astype(np.float64)
+            t = _each_by(distance, self._inverse)
+            prediction = target - (self.ridge * t).astype(dtype)
+            return point + self.adjoint(t.astype(dtype)), prediction
+        right = self.adjoint(target.astype(np.float64)) + self.ridge * point.astype(np.float64)
+        x = _each_by(right, self._inverse).astype(dtype)
+        return x, self.forward(x)
 
     _wide: bool = True
     _inverse: Any = None

@@ -1,0 +1,180 @@
+"""A first look: a scene with global light, a camera that clips, three estimators, one sheet.
+
+The corner of two white walls is photographed at 32 x 32 under 256 Bernoulli patterns by an 8-bit
+camera with noise. Interreflection fills so many patterns with light that samples clip although
+hardly any single response does.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from rich.table import Table
+
+from lightmatrix.capture import Capture, write_capture
+from lightmatrix.estimators.plain import PlainEstimator
+from lightmatrix.evaluate import (
+    relative_error,
+    relighting_error,
+    response_rmse,
+    row_maximum,
+    unseen_patterns,
+)
+from lightmatrix.figures import display, figure, mark_clipped, panel, save
+from lightmatrix.patterns import BernoulliPatterns
+from lightmatrix.rig import library
+from lightmatrix.rig.coarse import coarse
+from lightmatrix.rig.simulate import irradiance
+from lightmatrix.sensor import Sensor
+from lightmatrix.solvers import ADMM, ROMP, Fidelity, SaturationADMM, Solver
+from lightmatrix.transport import LightTransport
+
+SCENE = "l_objects"
+PATTERNS = 256
+NOISE = 0.003
+# The brightest single responses just reach the clip level: what clips is the sum of many.
+SOLVERS: dict[str, Solver] = {
+    "ROMP": ROMP(fidelity=Fidelity.LINEAR),
+    "ADMM": ADMM(),
+    "Saturation ADMM": SaturationADMM(Fidelity.CLIPPED),
+}
+
+
+def run(out: Path, *, progress: Callable[[int, int], None] | None = None) -> dict[str, Any]:
+    """Run the demo and write report.png, demo.json and the capture it estimated from.
+
+    Parameters
+    ----------
+    out : Path
+        An existing folder.
+    """
+    report = progress or (lambda done, total: None)
+    steps = len(SOLVERS) + 2
+    truth = coarse(library.truth(SCENE), 2)
+    known = truth.transport()
+    exposure = 1 / float(np.quantile(row_maximum(known), 0.98))
+    patterns = BernoulliPatterns(truth.projector_shape, PATTERNS)
+    sensor = Sensor(exposure, 0.0, NOISE, 0.0, 8)
+    frames = sensor.expose(irradiance(truth.matrix, patterns))
+    stack = np.ascontiguousarray(frames.T).reshape(PATTERNS, *truth.camera_shape)
+    folder = out / "capture"
+    write_capture(folder, patterns, stack, sensor=sensor, camera_shape=truth.camera_shape)
+    capture = Capture.open(folder)
+    report(1, steps)
+    estimates = {}
+    for done, (name, solver) in enumerate(SOLVERS.items(), start=2):
+        estimates[name] = PlainEstimator(solver).estimate(capture)
+        report(done, steps)
+    tests = unseen_patterns(known.projector_shape)
+    result = {
+        "scene": SCENE,
+        "size": list(truth.camera_shape),
+        "patterns": PATTERNS,
+        "exposure": exposure,
+        "noise": NOISE,
+        "clipped_samples": float((frames >= sensor.clip_level).mean()),
+        "clipping_responses": float((row_maximum(known) * exposure > 1).mean()),
+        "methods": [
+            _errors(name, estimate, known, tests, exposure) for name, estimate in estimates.items()
+        ],
+    }
+    (out / "demo.json").write_text(json.dumps(result, indent=2) + "\n")
+    with figure(7.2, 7.6) as drawing:
+        _draw(drawing, stack, known, estimates, tests["disc"], exposure)
+        save(drawing, out, "report")
+    report(steps, steps)
+    return result
+
+
+def table(result: Mapping[str, Any]) -> Table:
+    """The errors, for the terminal."""
+    rows, cols = result["size"]
+    title = (
+        f"{result['scene']}, {rows} x {cols}, {result['patterns']} Bernoulli patterns, 8 bits: "
+        f"{100 * result['clipped_samples']:.0f} % of the samples clip, "
+        f"{100 * result['clipping_responses']:.0f} % of the single responses"
+    )
+    drawn = Table(title=title, title_justify="left")
+    drawn.add_column("method")
+    for head in ("RMSE", "relative error", "relighting error"):
+        drawn.add_column(head, justify="right")
+    for row in result["methods"]:
+        drawn.add_row(
+            row["method"],
+            f"{row['rmse']:.4f}",
+            f"{row['relative_error']:.3f}",
+            f"{row['relighting_error']:.3f}",
+        )
+    return drawn
+
+
+def _errors(
+    name: str,
+    estimate: LightTransport,
+    known: LightTransport,
+    tests: Mapping[str, NDArray[np.float32]],
+    exposure: float,
+) -> dict[str, Any]:
+    return {
+        "method": name,
+        "rmse": response_rmse(estimate, known, clip_level=1 / exposure, step=2, offset=1),
+        "relative_error": relative_error(estimate, known),
+        "relighting_error": relighting_error(estimate, known, np.stack(list(tests.values()))),
+    }
+
+
+def _draw(
+    drawing: Figure,
+    stack: NDArray[Any],
+    known: LightTransport,
+    estimates: Mapping[str, LightTransport],
+    pattern: NDArray[np.float32],
+    exposure: float,
+) -> None:
+    """Scene and capture, then a row of T and a relit image: the truth and each method."""
+    panels = drawing.subplots(4, 4)
+    white = known.relight(np.ones(known.projector_shape, np.float32))
+    frame = stack[0] / 255
+    panel(panels[0, 0], display(white, float(np.quantile(white, 0.97))), "scene, white light")
+    panel(panels[0, 1], display(frame, 1.0), "a frame, 8 bits")
+    panel(panels[0, 2], mark_clipped(display(frame, 1.0), stack[0] == 255), "clipped in red")
+    panel(panels[0, 3], pattern, "unseen pattern")
+
+    place = _interesting_row(stack, known, exposure)
+    all_of_them = {"truth": known, **estimates}
+    expected = known.relight(pattern)
+    for column, (name, transport) in enumerate(all_of_them.items()):
+        row = exposure * transport.row(*place)
+        panel(panels[1, column], display(row, float(exposure * known.row(*place).max())), name)
+        image = transport.relight(pattern)
+        panel(panels[2, column], display(image, float(np.quantile(expected, 0.98))))
+        error = (image - expected) / float(np.quantile(expected, 0.98))
+        limits = {"cmap": "RdBu_r", "vmin": -0.5, "vmax": 0.5}
+        shown = panel(panels[3, column], error, **limits)
+        panels[2, column].set_xlabel("" if name == "truth" else _psnr(image, expected))
+    panels[1, 0].set_ylabel(f"row of T, pixel {place[0]}, {place[1]}")
+    panels[2, 0].set_ylabel("relit with it")
+    panels[3, 0].set_ylabel("error of relighting")
+    drawing.colorbar(shown, ax=panels[3, :].tolist(), shrink=0.8, label="of full white")
+
+
+def _psnr(image: NDArray[np.float32], expected: NDArray[np.float32]) -> str:
+    error = float(np.sqrt(np.mean((image - expected) ** 2)))
+    return f"{20 * np.log10(float(expected.max()) / max(error, 1e-12)):.1f} dB"
+
+
+def _interesting_row(
+    stack: NDArray[Any], known: LightTransport, exposure: float
+) -> tuple[int, int]:
+    """A camera pixel that clips often although its single responses do not."""
+    share = (stack == 255).mean(axis=0).ravel()
+    share = np.where(row_maximum(known) * exposure < 0.9, share, 0)
+    wanted = int(np.argmin(np.abs(share - 0.4)))
+    rows, cols = np.unravel_index(wanted, known.camera_shape[:2])
+    return int(rows), int(cols)

@@ -1,0 +1,86 @@
+"""Closed forms against a grid that never starts from their own answer."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from lightmatrix.solvers.problem import Fidelity
+from lightmatrix.solvers.prox import clip, soft_threshold, update_prediction
+
+values = st.floats(-3, 6, allow_nan=False, width=32)
+positive = st.floats(0.01, 30)
+
+
+def _term(u: np.ndarray, y: float, clipped: bool, level: float, fidelity: Fidelity) -> np.ndarray:
+    """f(u) from its definition in the table of fidelities."""
+    if fidelity is Fidelity.CLIPPED:
+        return (y - np.minimum(u, y if clipped else level)) ** 2 / 2
+    if clipped and fidelity is Fidelity.REJECTION:
+        return np.zeros_like(u)
+    if clipped and fidelity is Fidelity.ONE_SIDED:
+        return np.maximum(0, y - u) ** 2 / 2
+    return (y - u) ** 2 / 2
+
+
+@pytest.mark.parametrize("fidelity", list(Fidelity))
+@given(v=values, level=positive, below=st.floats(0, 1), clipped=st.booleans(),
+       weight=st.sampled_from([0.0, 0.25, 1.0, 4.0]), coupling=positive)  # fmt: skip
+@settings(max_examples=120, deadline=None)
+def test_prediction_update_minimises_its_own_problem(
+    fidelity: Fidelity,
+    v: float,
+    level: float,
+    below: float,
+    clipped: bool,
+    weight: float,
+    coupling: float,
+) -> None:
+    y = level if clipped else level * below
+    found = _update(v, y, clipped, level, weight, coupling, fidelity)
+    grid = np.linspace(-10, 40, 200_001)
+
+    def cost(u: np.ndarray) -> np.ndarray:
+        return weight * _term(u, y, clipped, level, fidelity) + coupling / 2 * (v - u) ** 2
+
+    best = cost(grid).min()
+    assert cost(np.array([found]))[0] <= best + 1e-6 * (1 + best)
+
+
+def _update(
+    v: float, y: float, clipped: bool, level: float, weight: float, c: float, fidelity: Fidelity
+) -> float:
+    arrays = [np.array([[value]]) for value in (v, y, clipped, level, weight)]
+    return float(update_prediction(*arrays, c, fidelity)[0, 0])
+
+
+@given(v=values, y=st.floats(0, 3), lam=positive, nu=positive)
+@settings(max_examples=200, deadline=None)
+def test_equation_19_as_it_is_printed(v: float, y: float, lam: float, nu: float) -> None:
+    """For weight 1 the update is Eq. 19 to the letter, at y = Y too."""
+    for level in (3.0, y):
+        threshold = y + np.sqrt(1 + 1 / (lam * nu)) * (level - y)
+        expected = (y + lam * nu * v) / (1 + lam * nu) if v <= threshold else v
+        found = _update(v, y, False, level, 1.0, lam * nu, Fidelity.CLIPPED)
+        assert found == pytest.approx(expected, abs=1e-9) or v == pytest.approx(threshold)
+
+
+@given(q=values, threshold=positive, nonnegative=st.booleans())
+@settings(max_examples=120, deadline=None)
+def test_soft_threshold_minimises_its_own_problem(
+    q: float, threshold: float, nonnegative: bool
+) -> None:
+    found = float(soft_threshold(np.array([q]), threshold, nonnegative=nonnegative)[0])
+    grid = np.linspace(0 if nonnegative else -40, 40, 160_001)
+
+    def cost(z: np.ndarray) -> np.ndarray:
+        return threshold * np.abs(z) + (q - z) ** 2 / 2
+
+    assert not (nonnegative and found < 0)
+    assert cost(np.array([found]))[0] <= cost(grid).min() + 1e-7
+
+
+def test_clipping_function() -> None:
+    np.testing.assert_array_equal(clip(np.array([-1.0, 2.0, 3.0, 5.0]), 3.0), [-1, 2, 3, 3])
