@@ -1,0 +1,102 @@
+"""ROMP: the batched version against the algorithm written out for one row."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from problems import clipping_problem
+
+from lightmatrix.errors import InputError, SolverError
+from lightmatrix.patterns import ImagePatterns
+from lightmatrix.solvers import ROMP, Fidelity, Problem, solve
+from lightmatrix.solvers.objective import data_term, predictions
+
+
+def _literal(a: Any, y: Any, n: int, rounds: int) -> Any:
+    """Needell & Vershynin's steps, one row, no background, signed."""
+    chosen: list[int] = []
+    x = np.zeros(a.shape[1])
+    residual = y.copy()
+    for _ in range(rounds):
+        if np.linalg.norm(residual) <= 1e-6 * np.linalg.norm(y) or len(chosen) >= 2 * n:
+            break
+        u = np.abs(a.T @ residual)
+        order = [i for i in np.argsort(-u, kind="stable")[:n] if u[i] > 0]
+        runs = [[j for j in order[i:] if u[order[i]] <= 2 * u[j]] for i in range(len(order))]
+        best = max(runs, key=lambda run: sum(u[j] ** 2 for j in run))
+        fresh = [j for j in best if j not in chosen]
+        if not fresh:
+            break
+        chosen += fresh
+        x = np.zeros(a.shape[1])
+        x[chosen] = np.linalg.lstsq(a[:, chosen], y, rcond=None)[0]
+        residual = y - a @ x
+    return x
+
+
+@given(seed=st.integers(0, 10_000), n=st.integers(1, 12), count=st.integers(20, 40))
+@settings(max_examples=60, deadline=None)
+def test_batched_romp_is_the_literal_algorithm(seed: int, n: int, count: int) -> None:
+    random = np.random.default_rng(seed)
+    stack = random.random((count, 5, 12)).astype(np.float32)
+    patterns = ImagePatterns(stack)
+    x = np.zeros((4, 60))
+    for row in x:
+        row[random.permutation(60)[:4]] = random.standard_normal(4)
+    y = patterns.forward(x)
+    problem = Problem(patterns, y, y > np.inf, np.full(count, np.inf), 1.0, None, False, False)
+    result = solve(problem, ROMP(n, Fidelity.LINEAR))
+    matrix = patterns.dense().astype(np.float64)
+    for row in range(4):
+        expected = _literal(matrix, y[row], n, n)
+        found = result.coefficients[[row]].toarray()[0]
+        # A nearly singular least squares has many answers; its fit is what both must share.
+        np.testing.assert_allclose(matrix @ found, matrix @ expected, atol=1e-4 * abs(y).max())
+
+
+def test_rejection_never_looks_at_clipped_samples() -> None:
+    problem, _ = clipping_problem(count=60)
+    spoiled = np.where(problem.clipped, 50.0, problem.samples)
+    one = solve(problem, ROMP())
+    two = solve(replace(problem, samples=spoiled), ROMP())
+    np.testing.assert_array_equal(one.coefficients.toarray(), two.coefficients.toarray())
+    np.testing.assert_array_equal(one.background, two.background)
+
+
+def test_sparse_rows_are_found_exactly() -> None:
+    problem, x = clipping_problem(rows=8, shape=(16, 16), count=150, clip_level=50.0)
+    result = solve(problem, ROMP(5))
+    assert np.linalg.norm(result.coefficients.toarray() - x) < 0.05 * np.linalg.norm(x)
+    assert result.background == pytest.approx(0.1, abs=0.05)
+    assert (result.coefficients.data >= 0).all()
+
+
+def test_objective_is_recomputed_from_the_definition() -> None:
+    problem, _ = clipping_problem()
+    result = solve(problem, ROMP())
+    u = predictions(problem, result.coefficients, result.background)
+    norm = np.abs(result.coefficients.toarray()).sum(axis=1) * problem.regularization
+    np.testing.assert_allclose(result.objective, norm + data_term(problem, u, Fidelity.REJECTION))
+    assert np.isnan(result.gap).all()
+
+
+def test_every_sample_clipped_and_dark_rows_give_nothing() -> None:
+    problem, _ = clipping_problem()
+    blind = solve(replace(problem, clipped=np.ones_like(problem.clipped)), ROMP())
+    assert blind.coefficients.nnz == 0
+    dark = solve(replace(problem, samples=0 * problem.samples), ROMP(fidelity=Fidelity.LINEAR))
+    assert dark.coefficients.nnz == 0
+    empty = solve(problem.take(np.arange(0)), ROMP())
+    assert empty.coefficients.shape == (0, problem.patterns.pixels)
+
+
+def test_bad_parameters() -> None:
+    with pytest.raises(SolverError, match="least squares"):
+        ROMP(fidelity=Fidelity.CLIPPED)
+    with pytest.raises(InputError, match="at least 1"):
+        ROMP(sparsity=0)

@@ -1,0 +1,102 @@
+"""LightTransport: every view of T agrees with the dense matrix."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.sparse import csr_array
+
+from lightmatrix.errors import InputError
+from lightmatrix.transport import LightTransport
+
+sizes = st.integers(1, 6)
+
+
+@st.composite
+def transports(draw: st.DrawFn) -> LightTransport:
+    camera = tuple(draw(st.lists(sizes, min_size=2, max_size=3)))
+    projector = (draw(sizes), draw(sizes))
+    grid = (draw(st.integers(1, projector[0])), draw(st.integers(1, projector[1])))
+    random = np.random.default_rng(draw(st.integers(0, 1000)))
+    rows, pixels = int(np.prod(camera)), projector[0] * projector[1]
+    dense = random.random((rows, pixels)) * (random.random((rows, pixels)) < 0.4)
+    background = random.random((rows, grid[0] * grid[1])).astype(np.float32)
+    matrix = csr_array(dense, dtype=np.float32)
+    return LightTransport(matrix, background, camera, projector, grid)
+
+
+def _dense(transport: LightTransport) -> np.ndarray:
+    """T from its definition: what each projector pixel alone does."""
+    rows, cols = transport.projector_shape
+    grid_rows, grid_cols = transport.background_grid
+    result = transport.sparse.toarray().astype(float)
+    block = np.array(
+        [[r * grid_rows // rows * grid_cols + c * grid_cols // cols for c in range(cols)]
+         for r in range(rows)]
+    ).ravel()  # fmt: skip
+    for pixel, own in enumerate(block):
+        result[:, pixel] += transport.background[:, own] / (block == own).sum()
+    return result
+
+
+@given(transports(), st.integers(0, 1000))
+@settings(max_examples=60, deadline=None)
+def test_all_views_agree_with_the_dense_matrix(transport: LightTransport, seed: int) -> None:
+    dense = _dense(transport)
+    random = np.random.default_rng(seed)
+    patterns = random.random((3, *transport.projector_shape)).astype(np.float32)
+    expected = patterns.reshape(3, -1) @ dense.T
+    images = transport.relight(patterns)
+    assert images.shape == (3, *transport.camera_shape)
+    np.testing.assert_allclose(images.reshape(3, -1), expected, rtol=1e-4, atol=1e-5)
+    np.testing.assert_allclose(transport.relight(patterns[1]), images[1], rtol=1e-5)
+
+    lights = random.random(transport.camera_shape)
+    dual = transport.dual(lights)
+    np.testing.assert_allclose(dual.ravel(), dense.T @ lights.ravel(), rtol=1e-4, atol=1e-5)
+
+    camera = tuple(int(random.integers(size)) for size in transport.camera_shape)
+    row = int(np.ravel_multi_index(camera, transport.camera_shape))
+    np.testing.assert_allclose(transport.row(*camera).ravel(), dense[row], rtol=1e-5)
+    place = tuple(int(random.integers(size)) for size in transport.projector_shape)
+    pixel = int(np.ravel_multi_index(place, transport.projector_shape))
+    np.testing.assert_allclose(transport.column(*place).ravel(), dense[:, pixel], rtol=1e-5)
+    whole = transport.to_matrix(dense_background=True).toarray()
+    np.testing.assert_allclose(whole, dense, rtol=1e-5)
+    np.testing.assert_array_equal(transport.to_matrix().toarray(), transport.sparse.toarray())
+
+
+@given(transports(), st.integers(0, 1000))
+@settings(max_examples=30, deadline=None)
+def test_dual_photography_is_the_adjoint_of_relighting(
+    transport: LightTransport, seed: int
+) -> None:
+    random = np.random.default_rng(seed)
+    pattern = random.random(transport.projector_shape)
+    lights = random.random(transport.camera_shape)
+    forward = float((transport.relight(pattern) * lights).sum())
+    assert forward == pytest.approx(float((transport.dual(lights) * pattern).sum()), rel=1e-4)
+
+
+def test_bad_shapes_are_refused() -> None:
+    matrix = csr_array((6, 4), dtype=np.float32)
+    good = LightTransport.from_matrix(matrix, (2, 3), (2, 2))
+    for call, message in (
+        (lambda: LightTransport.from_matrix(matrix, (2, 2), (2, 2)), r"must be \(4, 4\)"),
+        (
+            lambda: LightTransport(matrix, np.zeros((6, 2), np.float32), (2, 3), (2, 2)),
+            "background",
+        ),
+        (lambda: good.relight(np.ones((3, 3))), "resize the pattern"),
+        (lambda: good.dual(np.ones((3, 3))), r"give shape \(2, 3\)"),
+        (
+            lambda: LightTransport.from_matrix(
+                matrix, (2, 3), (2, 2), diagnostics={"gap": np.zeros(3)}
+            ),
+            "one value a row",
+        ),
+    ):
+        with pytest.raises(InputError, match=message):
+            call()
