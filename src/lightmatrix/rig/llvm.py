@@ -47,7 +47,7 @@ def usable_llvm() -> str | None:
 
 
 def _candidates() -> list[str]:
-    """libLLVM files of version 17 and later, newest first."""
+    """LibLLVM files of version 17 and later, newest first."""
     found: dict[str, int] = {}
     for folder in _FOLDERS:
         for path in glob.glob(f"{folder}/libLLVM*"):

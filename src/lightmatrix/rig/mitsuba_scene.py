@@ -20,7 +20,7 @@ def mitsuba_scene(
     pattern: NDArray[np.float32] | None = None,
     integrator: dict[str, Any] | None = None,
 ) -> Any:
-    """Load a scene; `pattern` is what the projector shows, (rows, cols) in [0, 1], white if None."""
+    """Load a scene; the projector shows `pattern`, (rows, cols) in [0, 1], or white if None."""
     show = np.ones(projector_shape, np.float32) if pattern is None else pattern
     content: dict[str, Any] = {
         "type": "scene",

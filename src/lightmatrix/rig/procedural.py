@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,8 +49,11 @@ class ProceduralScene:
         for what, shape in (("camera", self.camera_shape), ("projector", self.projector_shape)):
             if min(shape) < 1:
                 raise InputError(f"a {what} of {shape[0]} x {shape[1]}", hint="use at least 1 x 1")
-        if self.bounces < 0 or self.indirect < 0 or self.background < 0:
-            raise InputError("bounces, indirect and background must not be negative")
+        for name in ("bounces", "indirect", "background"):
+            if not 0 <= getattr(self, name) < float("inf"):
+                raise InputError(f"{name} is {getattr(self, name)}", hint="use 0 or more")
+        if not 0 <= self.relief <= 1:
+            raise InputError(f"a relief of {self.relief}", hint="use a share from 0 to 1")
 
     def rows(self, start: int, stop: int) -> tuple[csr_array, NDArray[np.float32]]:
         """Rows start..stop of T, and the direct part of each stored entry."""
@@ -63,7 +67,7 @@ class ProceduralScene:
             inside = (dv >= 0) & (dv < rows) & (du >= 0) & (du < cols) & (weight > 0)
             which = np.broadcast_to(np.arange(len(index))[:, None], dv.shape)[inside]
             row.append(which)
-            col.append((dv[inside].astype(np.int64) * cols + du[inside].astype(np.int64)))
+            col.append(dv[inside].astype(np.int64) * cols + du[inside].astype(np.int64))
             value.append(weight[inside])
             direct.append(weight[inside] if straight else np.zeros(int(inside.sum())))
 
@@ -140,10 +144,10 @@ class ProceduralScene:
 def _hash_uniform(seed: int, index: NDArray[np.int64], count: int) -> NDArray[np.float64]:
     """Uniform numbers that depend on (seed, row, position) only: any block size gives the same."""
     with np.errstate(over="ignore"):
-        state = index.astype(np.uint64)[:, None] * np.uint64(count)
+        state: NDArray[Any] = index.astype(np.uint64)[:, None] * np.uint64(count)
         state = state + np.arange(count, dtype=np.uint64)
         state += np.uint64(seed) * np.uint64(0x9E3779B97F4A7C15) + np.uint64(0x632BE59BD9B4E019)
         for shift, factor in ((30, 0xBF58476D1CE4E5B9), (27, 0x94D049BB133111EB)):
             state = (state ^ (state >> np.uint64(shift))) * np.uint64(factor)
         state ^= state >> np.uint64(31)
-    return (state >> np.uint64(11)).astype(np.float64) / 2.0**53
+    return np.asarray(state >> np.uint64(11), np.float64) / 2.0**53

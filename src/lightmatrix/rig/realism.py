@@ -10,10 +10,14 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
-from scipy.sparse import csr_array, diags_array, kron
+from scipy.sparse import csr_array, kron
 
 from lightmatrix.errors import InputError
+from lightmatrix.rig.thinning import thinned
 from lightmatrix.rig.truth import Truth
+
+# Share of a row's sum that is kept after blurring; its total stays the same.
+_KEEP = 0.9995
 
 
 def defocus(truth: Truth, sigma: float) -> Truth:
@@ -29,10 +33,15 @@ def defocus(truth: Truth, sigma: float) -> Truth:
     if sigma == 0:
         return truth
     rows, cols = (_blur_matrix(size, sigma) for size in truth.projector_shape)
-    blur = csr_array(kron(rows, cols))
-    matrix, direct = csr_array(truth.matrix @ blur), csr_array(truth.direct @ blur)
-    matrix.sort_indices()
-    return replace(truth, matrix=matrix, direct_data=_aligned(direct, matrix))
+    # The direct part rides along as the imaginary part, so that its entries stay in step.
+    both = truth.with_data(truth.matrix.data + np.complex64(1j) * truth.direct_data)
+    blurred = csr_array(both @ csr_array(kron(rows, cols)).astype(np.complex64))
+    blurred.sort_indices()
+    shape, parts = blurred.shape, (blurred.indices, blurred.indptr)
+    whole = csr_array((np.ascontiguousarray(blurred.data.real), *parts), shape=shape)
+    # A blurred row has many entries that hold next to nothing.
+    matrix, direct = thinned(whole, np.ascontiguousarray(blurred.data.imag), _KEEP)
+    return replace(truth, matrix=matrix, direct_data=direct)
 
 
 def vignetting(truth: Truth, strength: float) -> Truth:
@@ -51,9 +60,11 @@ def vignetting(truth: Truth, strength: float) -> Truth:
     gain = (1 - strength * (x**2 + y**2) / 2).ravel()
     channels = truth.camera_shape[2] if len(truth.camera_shape) == 3 else 1
     gain = np.repeat(gain, channels).astype(np.float32)
-    matrix = csr_array(diags_array(gain) @ truth.matrix)
-    per_entry = np.repeat(gain, np.diff(truth.matrix.indptr))
-    return replace(truth, matrix=matrix, direct_data=truth.direct_data * per_entry)
+    of_entry = np.repeat(gain, np.diff(truth.matrix.indptr))
+    matrix = truth.with_data(truth.matrix.data * of_entry)
+    return replace(
+        truth, matrix=matrix, direct_data=np.asarray(truth.direct_data * of_entry, np.float32)
+    )
 
 
 def leak(patterns: NDArray[np.floating], level: float) -> NDArray[np.float32]:
@@ -91,9 +102,3 @@ def _blur_matrix(size: int, sigma: float) -> csr_array:
     spread = gaussian_filter1d(np.eye(size), sigma, axis=1, mode="reflect", truncate=3)
     spread[spread < 1e-4] = 0
     return csr_array(spread / spread.sum(axis=1, keepdims=True))
-
-
-def _aligned(part: csr_array, whole: csr_array) -> NDArray[np.float32]:
-    """The entries of `part` at the places of `whole`."""
-    rows = np.repeat(np.arange(whole.shape[0]), np.diff(whole.indptr))
-    return np.asarray(part[rows, whole.indices], np.float32).ravel()

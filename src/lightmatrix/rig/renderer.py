@@ -9,12 +9,13 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array, vstack
+from scipy.sparse import csr_array
 
 from lightmatrix.errors import InputError
 from lightmatrix.rig.llvm import load_mitsuba
 from lightmatrix.rig.mitsuba_scene import mitsuba_scene
 from lightmatrix.rig.scenes import scene as find_scene
+from lightmatrix.rig.thinning import thinned
 from lightmatrix.rig.tracing import trace_block
 from lightmatrix.rig.truth import Truth
 
@@ -22,12 +23,17 @@ Progress = Callable[[int, int], None]
 
 # Dense sums of one block of camera pixels: the accumulator, twice (halves) and copies on the way.
 _BLOCK_BYTES = 192 << 20
-_COPIES = 5
+_COPIES = 6
 # Paths in flight; each holds its ray, throughput and random state.
 _WAVEFRONT = 1 << 21
 _PATH_BYTES = 200
-# Entries that a row of a rendered scene keeps at 99.9 % of its energy, seen at most so far.
-_ENTRIES_PER_ROW = 2500
+# The renderer itself and the scene.
+_BASE_BYTES = 256 << 20
+# An entry of the result: value, column and direct part, and one of them again while blocks join.
+_ENTRY_BYTES = 16
+# Rows rendered ahead to foresee the size of the result, and what it may come out larger by.
+_PILOT_ROWS = 24
+_PILOT_MARGIN = 1.3
 
 
 def render(
@@ -43,6 +49,10 @@ def render(
     progress: Progress | None = None,
 ) -> Truth:
     """Render the light transport matrix of a scene, direct and global light kept apart.
+
+    Camera pixels are rendered in blocks of rows whose dense sums take about 1 GiB with all copies,
+    whatever the size; each block is thinned to sparse rows before the next begins. The result adds
+    16 bytes an entry, foreseen from a few rows rendered ahead where it might not fit.
 
     Parameters
     ----------
@@ -84,42 +94,54 @@ def render(
     loaded = mitsuba_scene(mi, scene, size, projector)
     channels = 3 if colour else 1
     pixels = projector[0] * projector[1]
-    block = _block_rows(pixels, channels)
     total = size[0] * size[1]
     started = time.perf_counter()
-    matrices, direct, noise = [], [], _Noise()
+    noise = _Noise()
     done = 0
-    for first in range(0, total, block):
-        count = min(block, total - first)
-        halves = np.zeros((2, 2, count, channels, pixels), np.float32)
-        for half in range(2):
-            part = samples // 2 if half else samples - samples // 2
-            chunk = max(1, _WAVEFRONT // count)
-            for number, start in enumerate(range(0, part, chunk)):
-                paths = min(chunk, part - start)
-                stream = np.random.SeedSequence((seed, first, half, number)).generate_state(1)[0]
-                halves[half] += trace_block(
-                    mi,
-                    loaded,
-                    first,
-                    count,
-                    paths,
-                    int(stream),
-                    camera_shape=size,
-                    projector_shape=projector,
-                    max_depth=scene.max_depth,
-                    colour=colour,
-                    fast=fast,
-                )
-                done += count * paths
-                if progress is not None:
-                    progress(done, total * samples)
-            halves[half] /= max(part, 1)
-        noise.add(halves, samples)
-        whole, straight = _sparse_rows(_mean_of_halves(halves, samples), keep)
-        matrices.append(whole)
-        direct.append(straight)
-    matrix = csr_array(vstack(matrices, format="csr"))
+
+    def trace(first: int, count: int, half: int) -> NDArray[np.float32]:
+        """Mean over one half of the samples: (2, count, channels, N), direct light and global."""
+        nonlocal done
+        part = samples // 2 if half else samples - samples // 2
+        chunk = max(1, _WAVEFRONT // count)
+        sums = np.zeros((2, count, channels, pixels), np.float32)
+        for number, start in enumerate(range(0, part, chunk)):
+            paths = min(chunk, part - start)
+            stream = np.random.SeedSequence((seed, first, half, number)).generate_state(1)[0]
+            sums += trace_block(
+                mi,
+                loaded,
+                first,
+                count,
+                paths,
+                int(stream),
+                camera_shape=size,
+                projector_shape=projector,
+                max_depth=scene.max_depth,
+                colour=colour,
+                fast=fast,
+            )
+            done += count * paths
+            if progress is not None:
+                progress(done, total * samples)
+        sums /= part
+        return sums
+
+    def rows(first: int, count: int) -> tuple[csr_array, NDArray[np.float32]]:
+        halves = np.stack([trace(first, count, 0), trace(first, count, 1)])
+        noise.add(halves)
+        return _sparse_rows(_mean_of_halves(halves, samples), keep)
+
+    most = min(pixels, samples * scene.max_depth)
+    if foreseen_bytes(size, projector, channels, most) > _available_bytes():
+        ahead = np.unique(np.linspace(0, total - 1, _PILOT_ROWS).astype(int))
+        seen = np.mean([rows(int(first), 1)[0].nnz / channels for first in ahead])
+        _check_memory(size, projector, channels, int(min(most, _PILOT_MARGIN * seen)))
+        noise, done = _Noise(), 0
+    block = _block_rows(pixels, channels)
+    matrix, direct = _joined(
+        [rows(first, min(block, total - first)) for first in range(0, total, block)]
+    )
     scale = _exposure_scale(matrix)
     matrix.data *= scale
     camera_shape = (*size, 3) if colour else size
@@ -136,18 +158,19 @@ def render(
         "renderer": f"mitsuba {mi.__version__} {mi.variant()}",
         "seconds": round(time.perf_counter() - started, 1),
     }
-    direct_data = np.concatenate(direct) * scale
-    return Truth(matrix, direct_data.astype(np.float32), camera_shape, projector, metadata)
+    direct *= np.float32(scale)
+    return Truth(matrix, direct, camera_shape, projector, metadata)
 
 
-def foreseen_bytes(size: tuple[int, int], projector: tuple[int, int], channels: int = 1) -> int:
-    """Memory a rendering needs at most: one dense block, the paths in flight, the sparse result."""
+def foreseen_bytes(
+    size: tuple[int, int], projector: tuple[int, int], channels: int = 1, entries: int = 1
+) -> int:
+    """Memory a rendering needs: one dense block, the paths in flight, `entries` a sparse row."""
     pixels = projector[0] * projector[1]
     block = min(_block_rows(pixels, channels), size[0] * size[1])
     dense = 2 * 4 * block * channels * pixels * _COPIES
-    # Values, columns and direct parts; vstack holds the blocks and the whole at once.
-    entries = size[0] * size[1] * channels * min(pixels, _ENTRIES_PER_ROW)
-    return dense + max(_WAVEFRONT, block) * _PATH_BYTES + 2 * 12 * entries
+    result = size[0] * size[1] * channels * entries * _ENTRY_BYTES
+    return _BASE_BYTES + dense + max(_WAVEFRONT, block) * _PATH_BYTES + result
 
 
 def _check(
@@ -160,13 +183,19 @@ def _check(
         raise InputError(f"{samples} samples a pixel", hint="use at least 2, better 1024 or more")
     if not 0 < keep <= 1:
         raise InputError(f"keep is {keep}", hint="use a share of the energy such as 0.999")
-    needed = foreseen_bytes(size, projector, 3 if colour else 1)
+    _check_memory(size, projector, 3 if colour else 1)
+
+
+def _check_memory(
+    size: tuple[int, int], projector: tuple[int, int], channels: int, entries: int = 1
+) -> None:
+    needed = foreseen_bytes(size, projector, channels, entries)
     available = _available_bytes()
     if needed > available:
         raise InputError(
             f"rendering {size[0]}x{size[1]} camera by {projector[0]}x{projector[1]} projector "
             f"pixels needs about {needed / 2**30:.1f} GiB, {available / 2**30:.1f} GiB are free",
-            hint="use a smaller --size",
+            hint="use a smaller --size, or keep less of each row with --keep 0.99",
         )
 
 
@@ -192,27 +221,27 @@ def _mean_of_halves(halves: NDArray[np.float32], samples: int) -> NDArray[np.flo
 
 
 def _sparse_rows(sums: NDArray[np.float32], keep: float) -> tuple[csr_array, NDArray[np.float32]]:
-    """Rows (direct, global) as sparse rows of their sum, without the smallest entries."""
+    """Dense rows (direct, global) as thinned sparse rows of their sum, and its direct part."""
     whole = sums[0] + sums[1]
-    if keep < 1:
-        ordered = np.sort(whole, axis=1)
-        dropped = np.cumsum(ordered, axis=1, dtype=np.float64)
-        energy = dropped[:, -1:]
-        first_kept = (dropped <= (1 - keep) * energy).sum(axis=1)
-        threshold = ordered[np.arange(len(whole)), np.minimum(first_kept, whole.shape[1] - 1)]
-        kept = (whole >= threshold[:, None]) & (whole > 0)
-    else:
-        kept = whole > 0
-    row, col = np.nonzero(kept)
-    straight, values = sums[0][row, col], whole[row, col]
-    # What was dropped goes back to the global entries that stay, so that sums are exact.
-    lost = whole.sum(axis=1, dtype=np.float64) - np.bincount(row, values, len(whole))
-    scattered = np.bincount(row, values - straight, len(whole))
-    gain = 1 + np.divide(lost, scattered, out=np.zeros_like(lost), where=scattered > 0)
-    values = straight + (values - straight) * gain[row].astype(np.float32)
-    indptr = np.concatenate([[0], np.cumsum(kept.sum(axis=1))])
-    matrix = csr_array((values, col.astype(np.int32), indptr.astype(np.int64)), shape=whole.shape)
-    return matrix, straight
+    row, col = np.nonzero(whole)
+    indptr = np.concatenate([[0], np.cumsum(np.bincount(row, minlength=len(whole)))])
+    matrix = csr_array((whole[row, col], col.astype(np.int32), indptr), shape=whole.shape)
+    return thinned(matrix, sums[0][row, col], keep)
+
+
+def _joined(
+    blocks: list[tuple[csr_array, NDArray[np.float32]]],
+) -> tuple[csr_array, NDArray[np.float32]]:
+    """The rows of all blocks as one matrix, and its direct part."""
+    lengths = np.concatenate([np.diff(part.indptr) for part, _ in blocks])
+    indptr = np.concatenate([[0], np.cumsum(lengths, dtype=np.int64)])
+    if indptr[-1] <= np.iinfo(np.int32).max:
+        indptr = indptr.astype(np.int32)
+    values = np.concatenate([part.data for part, _ in blocks])
+    columns = np.concatenate([part.indices for part, _ in blocks])
+    shape = (len(lengths), blocks[0][0].shape[1])
+    matrix = csr_array((values, columns, indptr), shape=shape)
+    return matrix, np.concatenate([direct for _, direct in blocks])
 
 
 def _exposure_scale(matrix: csr_array) -> float:
@@ -228,7 +257,7 @@ class _Noise:
         self._entries = np.zeros(2)
         self._white = np.zeros(2)
 
-    def add(self, halves: NDArray[np.float32], samples: int) -> None:
+    def add(self, halves: NDArray[np.float32]) -> None:
         a, b = halves.sum(axis=1, dtype=np.float32)
         self._entries += [np.square(a - b).sum() / 4, np.square(a + b).sum() / 4]
         white = (a.sum(axis=-1), b.sum(axis=-1))

@@ -47,7 +47,8 @@ def trace_block(
     sampler = mi.load_dict({"type": "independent"})
     sampler.seed(seed, count * samples)
     block_pixel = dr.arange(mi.UInt32, count * samples) // samples
-    camera_pixel = block_pixel + first
+    # Opaque, so that the compiled kernel serves all blocks.
+    camera_pixel = block_pixel + dr.opaque(mi.UInt32, first)
     offset = sampler.next_2d()
     rows, cols = camera_shape
     film = mi.Point2f(

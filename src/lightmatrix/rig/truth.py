@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import math
 import zipfile
+import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -45,14 +47,15 @@ class Truth:
     @property
     def direct(self) -> csr_array:
         """The direct part: light that met one surface."""
-        return self._with(self.direct_data)
+        return self.with_data(self.direct_data)
 
     @property
     def indirect(self) -> csr_array:
         """The global part: light that met two surfaces or more."""
-        return self._with(self.matrix.data - self.direct_data)
+        return self.with_data(self.matrix.data - self.direct_data)
 
-    def _with(self, data: NDArray[np.float32]) -> csr_array:
+    def with_data(self, data: NDArray[Any]) -> csr_array:
+        """A matrix with other values at the places of this one's entries."""
         return csr_array((data, self.matrix.indices, self.matrix.indptr), shape=self.matrix.shape)
 
     def transport(self) -> LightTransport:
@@ -96,17 +99,18 @@ class Truth:
                 f"{path} is {kind}", hint="give a T.npz file from `lightmatrix render`"
             )
         try:
-            with np.load(path) as file:
+            with open(path, "rb") as stream, np.load(stream) as file:
                 content = {key: file[key] for key in file.files}
-        except (ValueError, OSError, EOFError, zipfile.BadZipFile) as error:
+        except (ValueError, OSError, EOFError, zipfile.BadZipFile, zlib.error) as error:
             raise InputError(
                 f"{path} cannot be read as npz: {error}",
                 hint="give a T.npz file from `lightmatrix render` or `lightmatrix export`",
             ) from error
         needed = {"data", "indices", "indptr", "shape"}
         if not needed <= content.keys():
+            lacking = ", ".join(sorted(needed - content.keys()))
             raise InputError(
-                f"{path} holds no sparse matrix: {', '.join(sorted(needed - content.keys()))} missing",
+                f"{path} holds no sparse matrix: {lacking} missing",
                 hint="give a file that scipy.sparse.load_npz reads",
             )
         if "camera_shape" not in content or "projector_shape" not in content:
@@ -120,16 +124,46 @@ class Truth:
                 f"{FORMAT_VERSION}",
                 hint="install a newer lightmatrix",
             )
-        shape = tuple(int(v) for v in content["shape"])
-        matrix = csr_array(
-            (content["data"].astype(np.float32), content["indices"], content["indptr"]), shape=shape
-        )
+        matrix = _checked_matrix(path, content)
+        camera_shape = tuple(int(v) for v in content["camera_shape"])
+        projector_shape = tuple(int(v) for v in content["projector_shape"])
+        for what, shape, length in (
+            ("camera", camera_shape, matrix.shape[0]),
+            ("projector", projector_shape, matrix.shape[1]),
+        ):
+            if math.prod(shape) != length or min(shape) < 1:
+                raise InputError(
+                    f"{path} says its {what} has {' x '.join(map(str, shape))} pixels, its matrix "
+                    f"has {length}",
+                    hint="write it again with `lightmatrix render` or `lightmatrix export`",
+                )
         direct = content.get("direct_data", np.zeros_like(matrix.data))
-        rows, cols = (int(v) for v in content["projector_shape"])
+        if direct.shape != matrix.data.shape:
+            raise InputError(
+                f"{path} has {len(direct)} direct parts for {matrix.nnz} entries",
+                hint="write it again with `lightmatrix render`",
+            )
         return cls(
             matrix,
             direct.astype(np.float32),
-            tuple(int(v) for v in content["camera_shape"]),
-            (rows, cols),
+            camera_shape,
+            (projector_shape[0], projector_shape[1]),
             json.loads(str(content.get("metadata", "{}"))),
         )
+
+
+def _checked_matrix(path: Path, content: Mapping[str, NDArray[Any]]) -> csr_array:
+    data = content["data"].astype(np.float32)
+    if not np.isfinite(data).all():
+        raise InputError(
+            f"{path} holds values that are not finite", hint="a truth has finite entries only"
+        )
+    try:
+        rows, cols = (int(v) for v in content["shape"])
+        matrix = csr_array((data, content["indices"], content["indptr"]), shape=(rows, cols))
+        matrix.check_format(full_check=True)
+    except (ValueError, TypeError) as error:
+        raise InputError(
+            f"{path} contradicts itself: {error}", hint="the file is damaged; write it again"
+        ) from error
+    return matrix

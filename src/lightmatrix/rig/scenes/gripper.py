@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from math import cos, pi, sin
-
 from lightmatrix.rig.geometry import Mesh, extrude, revolve, turn
 from lightmatrix.rig.scenes.scene import Part, Scene, matt, metal, plastic
-from lightmatrix.rig.scenes.shapes import box, rod, sheet
+from lightmatrix.rig.scenes.shapes import ball, box, rod, sheet
 
 BODY = plastic((0.18, 0.19, 0.21), 0.2)
 STEEL = metal("Cr", 0.3)
@@ -24,7 +22,7 @@ def build() -> Scene:
         Part(_flange().placed((-0.70, 0.0, 0.20)), STEEL),
         Part(rod(0.055, 0.60).placed((-1.12, 0.0, 0.20)), STEEL),
         Part(box(0.18, 0.70, 0.26, 0.02).placed((-0.10, 0.0, 0.0)), ALUMINIUM),
-        Part(_ball(0.165).placed((0.62, 0.0, 0.0)), matt(0.8)),
+        Part(ball(0.165).placed((0.62, 0.0, 0.0)), matt(0.8)),
     ]
     for side in (1, -1):
         parts += _finger(side)
@@ -40,8 +38,8 @@ def build() -> Scene:
 
 def _in_place(mesh: Mesh) -> Mesh:
     """Enlarged about the paper's middle and turned, so that the gripper fills the view."""
-    larger = Mesh(mesh.vertices * 1.18, mesh.faces)
-    return larger.placed((-0.05, 0.02, 0.0), turn("z", 14))
+    larger = Mesh(mesh.vertices * 1.1, mesh.faces)
+    return larger.placed((-0.10, 0.0, 0.0), turn("z", 14))
 
 
 def _finger(side: int) -> list[Part]:
@@ -68,9 +66,3 @@ def _flange() -> Mesh:
 
 def _screw(radius: float = 0.035, height: float = 0.022) -> Mesh:
     return revolve([(radius, 0.0), (radius, 0.6 * height), (0.7 * radius, height)], 24)
-
-
-def _ball(radius: float) -> Mesh:
-    steps = 32
-    angles = [-pi / 2 + pi * (i + 0.5) / steps for i in range(steps)]
-    return revolve([(radius * cos(a), radius * (1 + sin(a))) for a in angles])

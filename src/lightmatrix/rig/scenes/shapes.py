@@ -79,3 +79,9 @@ def rod(radius: float, length: float) -> Mesh:
         (0.85 * radius, length / 2),
     ]
     return revolve(profile).placed(rotation=turn("y", 90))
+
+
+def ball(radius: float, steps: int = 32) -> Mesh:
+    """A ball standing on z = 0."""
+    angle = np.pi * (np.arange(steps) + 0.5) / steps - np.pi / 2
+    return revolve(np.column_stack([radius * np.cos(angle), radius * (1 + np.sin(angle))]))

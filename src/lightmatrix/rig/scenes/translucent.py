@@ -25,9 +25,11 @@ def build() -> Scene:
     leaning = turn("z", 12)
     for x in (-0.36, 0.36):
         bar = box(0.07, 1.30, 0.16, 0.012).placed((x, 0.0, 0.0))
-        parts.append(Part(bar.placed((-0.42, 0.05, 0.0), leaning), matt(0.3)))
-    parts.append(Part(_corrugated().placed((-0.42, 0.05, 0.0), leaning), PAPER))
-    description = "a corrugated sheet and a cup of translucent paper, a glazed bowl: wide footprints"
+        parts.append(Part(bar.placed((-0.46, 0.12, 0.0), leaning), matt(0.3)))
+    parts.append(Part(_corrugated().placed((-0.46, 0.12, 0.0), leaning), PAPER))
+    description = (
+        "a corrugated sheet and a cup of translucent paper, a glazed bowl: wide footprints"
+    )
     return Scene("translucent", description, tuple(parts), max_depth=14, version=2)
 
 
@@ -59,7 +61,7 @@ def _corrugated(width: float = 0.86, length: float = 1.12, waves: int = 7) -> Me
     x = np.linspace(-width / 2, width / 2, steps + 1)
     z = 0.161 + 0.028 * (1 - np.cos(2 * np.pi * waves * x / width + np.pi * (waves % 2)))
     near = np.column_stack([x, np.full_like(x, -length / 2), z])
-    far = near + [0, length, 0]
+    far = near + np.array([0, length, 0])
     i = np.arange(steps)
     j = i + steps + 1
     faces = np.concatenate([np.stack([i, i + 1, j + 1], 1), np.stack([i, j + 1, j], 1)])
