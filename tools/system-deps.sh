@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Installs what lightmatrix can use but Python cannot bring: the LLVM library (17 or newer) through
-# which the renderer of the simulated rig compiles. Without it rendering works, about three times
-# slower or worse, and everything else works as it is. Does nothing where a usable LLVM is found.
+# which the renderer of the simulated rig compiles. Without it rendering is about a hundred times
+# slower, and everything else works as it is. Does nothing where a usable LLVM is found.
 set -euo pipefail
 
 package=libllvm19

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import platformdirs
 
+from lightmatrix.errors import InputError
 from lightmatrix.rig.pack import pack, unpack
 from lightmatrix.rig.renderer import Progress, render
 from lightmatrix.rig.scenes import scene
@@ -53,9 +54,14 @@ def truth(
     rows, cols = size
     key = f"{name}-v{described.version}-{rows}x{cols}-{samples}spp-seed{seed}.npz"
     path = cache_folder() / key
-    if not path.exists():
-        render(name, size, samples=samples, seed=seed, progress=progress).save(path, overwrite=True)
-    return Truth.load(path)
+    if path.exists():
+        try:
+            return Truth.load(path)
+        except InputError:
+            pass  # damaged: rendered again below
+    rendered = render(name, size, samples=samples, seed=seed, progress=progress)
+    rendered.save(path, overwrite=True)
+    return rendered
 
 
 def cache_folder() -> Path:

@@ -38,12 +38,20 @@ def usable_llvm() -> str | None:
     own = os.environ.get("DRJIT_LIBLLVM_PATH")
     for path in [own] if own else [*_candidates(), ""]:
         environment = {**os.environ, "DRJIT_LIBLLVM_PATH": path} if path else dict(os.environ)
-        probe = subprocess.run(
-            [sys.executable, "-c", _PROBE], env=environment, capture_output=True, timeout=120
-        )
-        if probe.returncode == 0:
+        if _renders(environment):
             return path
     return None
+
+
+def _renders(environment: dict[str, str]) -> bool:
+    command = [sys.executable, "-c", _PROBE]
+    try:
+        probe = subprocess.run(
+            command, env=environment, stdin=subprocess.DEVNULL, capture_output=True, timeout=120
+        )
+    except subprocess.TimeoutExpired:
+        return False
+    return probe.returncode == 0
 
 
 def _candidates() -> list[str]:
@@ -57,7 +65,6 @@ def _candidates() -> list[str]:
     return sorted(found, key=lambda path: -found[path])
 
 
-@cache
 def load_mitsuba(*, scalar: bool = False) -> tuple[ModuleType, bool]:
     """Mitsuba with its variant set, and whether it is a fast (LLVM) one.
 
@@ -84,10 +91,16 @@ def load_mitsuba(*, scalar: bool = False) -> tuple[ModuleType, bool]:
     mi: Any = mitsuba
     mi.set_variant("scalar_rgb" if llvm is None else "llvm_ad_rgb")
     if llvm is None and not scalar:
-        warnings.warn(
-            "no usable LLVM was found, so the slow scalar renderer is used; "
-            "on Debian and Ubuntu: apt-get install libllvm19 (or `make system-deps`)",
-            LightMatrixWarning,
-            stacklevel=2,
-        )
+        _warn_of_slowness()
     return mi, llvm is not None
+
+
+@cache
+def _warn_of_slowness() -> None:
+    """Once in a process."""
+    warnings.warn(
+        "no usable LLVM was found, so the scalar renderer is used, about a hundred times slower; "
+        "on Debian and Ubuntu: apt-get install libllvm19 (or `make system-deps`)",
+        LightMatrixWarning,
+        stacklevel=4,
+    )

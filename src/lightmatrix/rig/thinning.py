@@ -43,8 +43,11 @@ def thinned(
     row, values, direct = row[kept], values[kept], direct[kept]
     lost = energy - np.bincount(row, values, count)
     scattered = np.bincount(row, values - direct, count)
-    gain = 1 + np.divide(lost, scattered, out=np.zeros(count), where=scattered > 0)
-    values = direct + (values - direct) * gain[row].astype(np.float32)
+    # Where no global light is left, all entries share what was lost; it still counts as global.
+    takes = np.where((scattered > 0)[row], values - direct, values)
+    taken = np.bincount(row, takes, count)
+    gain = np.divide(lost, taken, out=np.zeros(count), where=taken > 0)
+    values = values + takes * gain[row].astype(np.float32)
     indptr = np.concatenate([[0], np.cumsum(np.bincount(row, minlength=count))])
     indptr = indptr.astype(matrix.indptr.dtype)
     return csr_array((values, matrix.indices[kept], indptr), shape=matrix.shape), direct

@@ -35,6 +35,7 @@ def photograph(
 def write_thumbnails(
     folder: Path,
     *,
+    size: tuple[int, int] = (256, 256),
     overwrite: bool = False,
     progress: Callable[[int, int], None] | None = None,
 ) -> list[Path]:
@@ -43,7 +44,7 @@ def write_thumbnails(
     with atomic_folder(folder, overwrite=overwrite) as temporary:
         for done, name in enumerate(names(), start=1):
             try:
-                image = photograph(name, (256, 256))
+                image = photograph(name, size)
             except MissingExtraError:
                 if name not in library.BUNDLED:
                     continue
