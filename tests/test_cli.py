@@ -1,0 +1,134 @@
+"""The command line as its users and scripts see it."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.sparse import load_npz
+
+import lightmatrix
+from lightmatrix.cli import main
+from lightmatrix.images import read_image, write_image
+from lightmatrix.rig.procedural import ProceduralScene
+
+
+@pytest.fixture(scope="module")
+def work(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder in which the main commands have been run once."""
+    folder = tmp_path_factory.mktemp("work")
+    ProceduralScene((8, 9), (8, 8), background=0).truth().save(folder / "T.npz")
+    run = [
+        "patterns bernoulli -k 48 --size 8x8 -o patterns",
+        "simulate T.npz --patterns patterns --exposure 1.2 -o capture",
+        "estimate capture -o scene.zarr --regularization 0.05",
+    ]
+    for line in run:
+        assert main(_placed(line, folder)) == 0
+    return folder
+
+
+def _placed(line: str, folder: Path) -> list[str]:
+    files = ("T.npz", "patterns", "capture", "scene.zarr", "out.png", "X.npz", "X.mat", "P.png")
+    words = line.split()
+    return [str(folder / w) if w in files and i > 0 else w for i, w in enumerate(words)]
+
+
+def _json(line: str, folder: Path, capsys: pytest.CaptureFixture[str]) -> dict[str, object]:
+    assert main([*_placed(line, folder), "--json"]) == 0
+    result: dict[str, object] = json.loads(capsys.readouterr().out)
+    return result
+
+
+def test_info_and_evaluate(work: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    info = _json("info scene.zarr", work, capsys)
+    assert info["camera"] == "8 x 9"
+    assert info["fidelity"] == "one-sided"
+    errors = _json("evaluate scene.zarr --truth T.npz --exposure 1.2", work, capsys)
+    assert 0 < float(str(errors["relative_error"])) < 0.3
+
+
+def test_relight(work: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_image(work / "P.png", np.full((8, 8), 255, np.uint8))
+    _json("relight scene.zarr P.png -o out.png --exposure 0.5", work, capsys)
+    assert read_image(work / "out.png").shape == (8, 9)
+
+
+def test_export(work: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    _json("export scene.zarr X.npz", work, capsys)
+    assert load_npz(work / "X.npz").shape == (72, 64)
+    _json("export scene.zarr X.mat", work, capsys)
+    assert (work / "X.mat").stat().st_size > 0
+
+
+def test_estimating_again_gives_the_same(work: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    line = "estimate --patterns patterns --images capture -o scene.zarr --overwrite"
+    words = _placed(line, work)
+    words[words.index(str(work / "capture"))] = str(work / "capture" / "images")
+    first = _json("info scene.zarr", work, capsys)
+    assert main([*words, "--regularization", "0.05", "--json"]) == 0
+    again = json.loads(capsys.readouterr().out)
+    assert again["entries"] == pytest.approx(first["entries"], rel=0.5)
+
+
+def test_patterns_of_every_kind(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for kind, count in (("bernoulli", 5), ("hadamard", 5), ("onepixel", 64), ("blocks", 4)):
+        arguments = ["patterns", kind, "--size", "8x8", "--block", "4", "-o", str(tmp_path / kind)]
+        if kind in ("bernoulli", "hadamard"):
+            arguments += ["-k", "5"]
+        assert main([*arguments, "--json"]) == 0
+        assert json.loads(capsys.readouterr().out)["count"] == count
+        assert len(list((tmp_path / kind).glob("*.png"))) == count
+
+
+def test_scenes(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["scenes", "--json"]) == 0
+    listed = json.loads(capsys.readouterr().out)["scenes"]
+    assert {"l_objects", "gripper", "metal", "corner"} <= {
+        scene["name"] for scene in listed if scene["bundled"]
+    }
+
+
+def test_unknown_scene_suggests_the_nearest(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["render", "l_object", "--size", "8", "-o", str(tmp_path / "T.npz")]) == 2
+    assert "did you mean l_objects" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("size", ["0x8", "8x", "many", "-3"])
+def test_bad_sizes(size: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["patterns", "bernoulli", f"--size={size}", "-o", str(tmp_path / "p")]) == 2
+    assert "size" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
+def test_every_command_has_help(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([]) == 0
+    overview = capsys.readouterr().out
+    commands = (
+        "patterns scenes render simulate estimate info relight evaluate export demo experiment"
+    )
+    for command in commands.split():
+        assert command in overview
+        assert main([command, "--help"]) == 0
+        text = capsys.readouterr().out
+        assert text.startswith(f"Usage: lightmatrix {command}")
+
+
+def test_the_installed_command_runs_without_a_terminal() -> None:
+    command = Path(sys.executable).with_name("lightmatrix")
+    result = subprocess.run([command, "--version"], capture_output=True, text=True, check=True)
+    assert result.stdout == f"lightmatrix {lightmatrix.__version__}\n"
+    assert result.stderr == ""
+
+
+def test_usage_errors_end_with_code_2(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["estimate", "--no-such-option"]) == 2
+    assert main(["patterns", "moire", "-o", "x"]) == 2
+    assert "Traceback" not in capsys.readouterr().err
