@@ -13,114 +13,34 @@ tile, in the order (row, col, channel).
 from __future__ import annotations
 
 import hashlib
-import json
 import tempfile
-import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.atomic import atomic_folder
-from lightmatrix.errors import InputError, LightMatrixWarning
-from lightmatrix.frame_order import check_order
-from lightmatrix.images import ImageStack, nonlinear_tag, read_image, write_image
-from lightmatrix.pattern_folder import (
-    fill_pattern_folder,
-    read_json,
-    read_patterns,
-    write_patterns,
+from lightmatrix.capture_checks import (
+    check_light,
+    check_patterns,
+    check_per_frame,
+    warn_of_hidden_clipping,
 )
-from lightmatrix.patterns import ImagePatterns, PatternSet
+from lightmatrix.capture_folder import jsonable, read_capture, read_folders, write_capture
+from lightmatrix.errors import InputError
+from lightmatrix.frame_order import check_order
+from lightmatrix.frames import ArrayStack, Frames
+from lightmatrix.pattern_folder import read_patterns, write_patterns
+from lightmatrix.patterns import PatternSet
 from lightmatrix.sensor import Decoded, Decoder, Response, Sensor, bin_samples
 
-__all__ = [
-    "ArrayStack",
-    "Capture",
-    "Frames",
-    "Samples",
-    "read_patterns",
-    "write_capture",
-    "write_patterns",
-]
+__all__ = ["Capture", "Samples", "read_patterns", "write_capture", "write_patterns"]
 
-DESCRIPTION = "capture.json"
-FORMAT, VERSION = "lightmatrix-capture", 1
-_KEYS = frozenset({"format", "version", "projector_shape", "camera_shape", "provenance"}) | {
-    "exposure",
-    "clip",
-    "black_level",
-    "full_scale",
-    "response",
-    "black",
-    "mask",
-}
 # Raw frames up to this size are held in memory, larger ones in a temporary file.
 _MEMORY_BYTES = 2 << 30
-# Ends of the range of cameras whose levels are stored in 16 bits, low or high aligned.
-_TOPS_IN_16_BITS = (1023, 4095, 16383, 65472, 65520, 65532)
-
-
-class Frames(Protocol):
-    """A stack of frames of one shape and type, read one at a time."""
-
-    @property
-    def count(self) -> int:
-        """Number of frames K."""
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """(rows, cols) or (rows, cols, channels) of a frame."""
-
-    @property
-    def dtype(self) -> np.dtype[Any]:
-        """uint8, uint16 or float32."""
-
-    def read(self, index: int) -> NDArray[Any]:
-        """One frame as it is stored."""
-
-    def select(self, index: Sequence[int]) -> Frames:
-        """The frames of the given indices."""
-
-
-@dataclass(frozen=True, eq=False)
-class ArrayStack:
-    """Frames that are in memory already, such as simulated ones.
-
-    Parameters
-    ----------
-    array : (K, rows, cols) or (K, rows, cols, channels) uint8, uint16 or float32
-    """
-
-    array: NDArray[Any]
-
-    @property
-    def count(self) -> int:
-        """Number of frames K."""
-        return len(self.array)
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """Shape of a frame."""
-        return self.array.shape[1:]
-
-    @property
-    def dtype(self) -> np.dtype[Any]:
-        """Type of the levels."""
-        return self.array.dtype
-
-    def read(self, index: int) -> NDArray[Any]:
-        """One frame."""
-        frame: NDArray[Any] = self.array[index]
-        return frame
-
-    def select(self, index: Sequence[int]) -> ArrayStack:
-        """The frames of the given indices."""
-        return ArrayStack(self.array[list(index)])
 
 
 @dataclass(frozen=True)
@@ -218,20 +138,10 @@ class Capture:
         InputError
             On anything that makes the capture unusable, naming the file.
         """
-        place = Path(folder)
-        if not place.is_dir():
-            problem = "is a file, not a capture folder" if place.exists() else "no such folder"
-            raise InputError(f"{place}: {problem}", hint="give a folder with patterns/ and images/")
-        for name in ("patterns", "images"):
-            if not (place / name).is_dir():
-                raise InputError(
-                    f"{place}: has no folder {name}/",
-                    hint="give a folder with patterns/ and images/, or --patterns and --images",
-                )
-        content = {}
-        if (place / DESCRIPTION).exists():
-            content = read_json(place / DESCRIPTION, FORMAT, VERSION)
-        capture = cls._described(place, content)
+        parts = read_capture(folder)
+        capture = cls(
+            parts.patterns, parts.frames, parts.decoder, parts.mask, provenance=parts.provenance
+        )
         return capture._finish(bin_projector, bin_camera, check, check_order)
 
     @classmethod
@@ -281,26 +191,17 @@ class Capture:
         InputError
             On anything that makes the capture unusable, naming the file.
         """
-        shown = patterns if isinstance(patterns, PatternSet) else read_patterns(patterns)
-        stack = ImageStack.open(images)
-        if shown.count != stack.count:
-            where = "" if isinstance(patterns, PatternSet) else f" in {patterns}"
-            raise InputError(
-                f"{shown.count} patterns{where}, but {stack.count} images in {images}",
-                hint="give one image for each pattern, both in natural order; is one missing?",
-            )
-        if white is not None:
-            shown = ImagePatterns(np.concatenate([shown.images(), np.ones((1, *shown.shape))]))
-            stack = _with_frame(stack, Path(white))
-        _warn_if_tagged(stack, response)
-        decoder = _decoder(
-            stack,
+        parts = read_folders(
+            patterns,
+            images,
+            black=black,
+            white=white,
             clip=clip,
             response=response,
             exposure=exposure,
-            black=black,
+            mask=mask,
         )
-        capture = cls(shown, stack, decoder, _read_mask(mask, stack.shape))
+        capture = cls(parts.patterns, parts.frames, parts.decoder, parts.mask)
         return capture._finish(bin_projector, bin_camera, check, check_order)
 
     @classmethod
@@ -320,53 +221,6 @@ class Capture:
         capture = cls(patterns, ArrayStack(frames), decoder, mask, provenance=provenance or {})
         return capture._finish(1, 1, check, check_order)
 
-    @classmethod
-    def _described(cls, place: Path, content: Mapping[str, Any]) -> Capture:
-        file = place / DESCRIPTION
-        unknown = sorted(set(content) - _KEYS)
-        if unknown:
-            raise InputError(
-                f"{file}: does not know {', '.join(map(repr, unknown))}",
-                hint=f"its keys are {', '.join(sorted(_KEYS))}",
-            )
-        shown = read_patterns(place / "patterns")
-        stack = ImageStack.open(place / "images")
-        for key, shape, what in (
-            ("projector_shape", shown.shape, "patterns"),
-            ("camera_shape", stack.shape, "images"),
-        ):
-            if key in content and tuple(np.ravel(content[key])) != tuple(shape):
-                raise InputError(
-                    f"{file}: {key} is {content[key]}, but the {what} have {list(shape)}",
-                    hint="correct capture.json, or restore the folder",
-                )
-        response = content.get("response")
-        _warn_if_tagged(stack, response)
-        black = content.get("black")
-        try:
-            decoder = _decoder(
-                stack,
-                clip=_numbers(content.get("clip")),
-                response=None if response is None else Response.parse(str(response), place),
-                exposure=_numbers(content.get("exposure", 1.0)),
-                black=None if black is None else place / str(black["file"]),
-                black_level=_numbers(content.get("black_level")),
-                black_exposure=None if black is None else black.get("exposure"),
-                full_scale=content.get("full_scale"),
-            )
-        except (TypeError, ValueError, KeyError) as error:
-            raise InputError(
-                f"{file}: cannot be understood ({error})", hint="see docs/captures.md"
-            ) from error
-        mask = content.get("mask")
-        return cls(
-            shown,
-            stack,
-            decoder,
-            _read_mask(None if mask is None else place / str(mask), stack.shape),
-            provenance=dict(content.get("provenance") or {}),
-        )
-
     def _finish(
         self,
         bin_projector: int | tuple[int, int],
@@ -374,7 +228,7 @@ class Capture:
         check: bool,
         order: bool,
     ) -> Capture:
-        _check_per_frame(self.decoder, self.count)
+        check_per_frame(self.decoder, self.count)
         capture = self.bin(bin_projector, bin_camera)
         if check:
             capture.check(order=order)
@@ -581,10 +435,10 @@ class Capture:
             "frames": self.count,
             "bin_camera": list(self.bin_camera),
             "bin_projector": list(self.bin_projector),
-            "clip": _jsonable(self.decoder.clip),
-            "black_level": _jsonable(self.decoder.black_level),
+            "clip": jsonable(self.decoder.clip),
+            "black_level": jsonable(self.decoder.black_level),
             "black_frame": self.decoder.black_frame is not None,
-            "exposure": _jsonable(self.decoder.exposure),
+            "exposure": jsonable(self.decoder.exposure),
             "response": self.decoder.response.name,
             "masked": int((~self.valid).sum()),
             **dict(self.provenance),
@@ -606,227 +460,12 @@ class Capture:
             With one frame only, a projector of one pixel, no pattern that varies, nothing but
             dark or clipped samples, all pixels masked, or frames out of order.
         """
-        if self.count == 1:
-            raise InputError(
-                "the capture has 1 frame only", hint="take at least 2 patterns, better 64 or more"
-            )
-        if self.patterns.pixels == 1:
-            raise InputError(
-                "the projector has 1 x 1 pixels", hint="use larger patterns or bin them less"
-            )
-        self._check_patterns()
-        if not self.valid.any():
-            raise InputError("all camera pixels are masked", hint="correct the mask")
-        self._check_light()
-        if order:
-            check_order(self.patterns, self.tiles(), self.rows)
-
-    def _check_patterns(self) -> None:
-        first = self.patterns.rows(0, 1)[0]
-        # After binning, equal pixels may differ in the last bit.
-        alike, flat = True, True
-        for _, block in self.patterns.blocks():
-            flat = flat and bool((np.ptp(block, axis=1) < 1e-6).all())
-            alike = alike and bool((np.abs(block - first) < 1e-6).all())
-        if flat:
-            raise InputError(
-                "no pattern varies: each shows one grey value all over",
-                hint="use other patterns, or bin the projector less",
-            )
-        if alike:
-            raise InputError("all patterns are the same", hint="use patterns that differ")
-
-    def _check_light(self) -> None:
-        brightest, clipped, tops = 0.0, 0, 0
-        for _, tile in self.tiles():
-            relative = tile.values / np.broadcast_to(tile.clip_level, tile.values.shape)
-            brightest = max(brightest, float(relative.max(initial=0)))
-            clipped += int(tile.clipped.sum())
-        total = int(self.valid.sum()) * self.count
-        # Two levels above black are no signal.
-        quanta = 2 / float(np.min(np.asarray(self.decoder.clip) - self.decoder.black_level))
-        if brightest <= (quanta if self.frames.dtype.kind == "u" else 1e-6):
-            raise InputError(
-                "all images are dark: no sample rises above the black level",
-                hint="expose longer, and check the black frame and black level",
-            )
-        if clipped > 0.99 * total:
-            raise InputError(
-                f"{100 * clipped / total:.1f} % of the samples are clipped",
-                hint="expose so that most samples stay below the clip level; 1 to 20 % may clip",
-            )
+        check_patterns(self.patterns)
+        check_light(self.tiles(), int(self.valid.sum()), self.decoder)
         if self.frames.dtype == np.uint16 and self.bin_camera == (1, 1):
-            top = int(self._raw.max())
-            tops = int((self._raw == top).sum())
-            if top in _TOPS_IN_16_BITS and top < np.min(self.decoder.clip) and tops > 3:
-                warnings.warn(
-                    f"{tops} samples are exactly {top}, the brightest level, which many cameras "
-                    f"clip at, but the clip level is {np.min(self.decoder.clip):g}: should it be "
-                    f"{top}?",
-                    LightMatrixWarning,
-                    stacklevel=2,
-                )
-
-
-def write_capture(
-    folder: str | Path,
-    patterns: PatternSet,
-    frames: NDArray[Any] | Iterable[NDArray[Any]],
-    *,
-    sensor: Sensor,
-    camera_shape: tuple[int, ...] | None = None,
-    black: NDArray[Any] | None = None,
-    provenance: Mapping[str, Any] | None = None,
-    overwrite: bool = False,
-) -> None:
-    """Write a capture folder, whole or not at all.
-
-    Parameters
-    ----------
-    folder : str or Path
-        The folder to make.
-    patterns : PatternSet
-        K patterns.
-    frames : (K, rows, cols[, channels]) array or iterable of K images
-        Raw levels, written as PNG (uint8, uint16) or npy (float32).
-    sensor : Sensor
-        The camera that took them.
-    camera_shape : tuple of int, optional
-        Shape that each frame must have.
-    black : (rows, cols[, channels]), optional
-        Raw levels under a black pattern, at the exposure of the frames.
-    provenance : mapping, optional
-        What made the capture, JSON-ready.
-    overwrite : bool
-        Whether an existing capture may be replaced.
-
-    Raises
-    ------
-    InputError
-        If the number or shape of the frames is wrong.
-    OutputError
-        If the folder exists or cannot be written.
-    """
-    suffix = ".png" if sensor.bits else ".npy"
-    digits = max(4, len(str(patterns.count - 1)))
-    with atomic_folder(folder, overwrite=overwrite) as part:
-        (part / "patterns").mkdir()
-        (part / "images").mkdir()
-        fill_pattern_folder(part / "patterns", patterns)
-        shape, count = camera_shape, 0
-        for count, frame in enumerate(frames, 1):
-            shape = shape or frame.shape
-            if frame.shape != shape:
-                raise InputError(
-                    f"frame {count - 1} has shape {frame.shape}, expected {shape}",
-                    hint="give frames of one shape",
-                )
-            write_image(part / "images" / f"image_{count - 1:0{digits}d}{suffix}", frame)
-        if count != patterns.count:
-            raise InputError(
-                f"{count} frames for {patterns.count} patterns", hint="give one a pattern"
-            )
-        content: dict[str, Any] = {
-            "format": FORMAT,
-            "version": VERSION,
-            "projector_shape": list(patterns.shape),
-            "camera_shape": list(shape or ()),
-            "exposure": _jsonable(sensor.exposure),
-            "clip": _jsonable(sensor.decoder().clip),
-            "black_level": sensor.black_level,
-            "full_scale": sensor.full_scale,
-            "response": "linear",
-            "provenance": dict(provenance or {}),
-        }
-        if black is not None:
-            write_image(part / f"black{suffix}", black)
-            content["black"] = {"file": f"black{suffix}"}
-        text = json.dumps(content, indent=2, default=_jsonable)
-        (part / DESCRIPTION).write_text(text + "\n")
-
-
-def _decoder(
-    stack: ImageStack,
-    *,
-    clip: float | NDArray[Any] | None,
-    response: Response | str | None,
-    exposure: float | NDArray[Any] | None,
-    black: str | Path | float | None,
-    black_level: float | NDArray[Any] | None = None,
-    black_exposure: float | None = None,
-    full_scale: float | None = None,
-) -> Decoder:
-    if full_scale is None:
-        full_scale = 1.0 if stack.dtype.kind == "f" else float(np.iinfo(stack.dtype).max)
-    if response is None or isinstance(response, str):
-        response = Response.parse(response or "linear")
-    black_frame = None
-    if isinstance(black, (int, float)):
-        black_level = float(black)
-    elif black is not None:
-        image = read_image(black)
-        if image.shape != stack.shape:
-            raise InputError(
-                f"{black}: the black frame has shape {image.shape}, the images {stack.shape}",
-                hint="take the black frame with the same camera settings",
-            )
-        black_frame = image.ravel()
-        if black_level is None:
-            # Without a stated pedestal the scale is that of a typical pixel.
-            black_level = float(np.median(black_frame))
-    clip = full_scale if clip is None else clip
-    if black_frame is not None and black_level is not None and black_level >= np.min(clip):
-        raise InputError(
-            f"{black}: the black frame is clipped", hint="take it with the projector showing black"
-        )
-    return Decoder(
-        clip,
-        full_scale,
-        0.0 if black_level is None else black_level,
-        response,
-        1.0 if exposure is None else exposure,
-        black_frame,
-        black_exposure,
-    )
-
-
-def _check_per_frame(decoder: Decoder, count: int) -> None:
-    for name in ("clip", "black_level", "exposure"):
-        value = np.asarray(getattr(decoder, name))
-        if value.ndim and value.shape != (count,):
-            raise InputError(
-                f"{name} has {value.size} values for {count} frames",
-                hint="give one number, or one for each frame",
-            )
-
-
-def _read_mask(mask: str | Path | None, shape: tuple[int, ...]) -> NDArray[np.bool_] | None:
-    if mask is None:
-        return None
-    image = read_image(mask)
-    if image.ndim == 2 and len(shape) == 3 and image.shape == shape[:2]:
-        image = np.repeat(image[..., None], shape[2], axis=2)
-    if image.shape != shape:
-        raise InputError(
-            f"{mask}: the mask has shape {image.shape}, the images {shape}",
-            hint="make the mask as large as the images",
-        )
-    return np.asarray(image > 0)
-
-
-def _with_frame(stack: ImageStack, path: Path) -> ImageStack:
-    return ImageStack((*stack.paths, path), stack.shape, stack.dtype)
-
-
-def _warn_if_tagged(stack: ImageStack, response: object) -> None:
-    tag = nonlinear_tag(stack.paths[0]) if response is None else None
-    if tag is not None:
-        warnings.warn(
-            f"{stack.paths[0]}: {tag}, so probably not linear, but no response is given; "
-            "give one (srgb, gamma:2.2, ...), or linear if it is",
-            LightMatrixWarning,
-            stacklevel=2,
-        )
+            warn_of_hidden_clipping(self._raw, self.decoder)
+        if order:
+            check_order(self.patterns, self.tiles(), self.rows, self.frames.name)
 
 
 def _allocate(shape: tuple[int, ...], dtype: np.dtype[Any]) -> NDArray[Any]:
@@ -844,13 +483,3 @@ def _pair(block: int | tuple[int, int], name: str) -> tuple[int, int]:
             f"the {name} binned by {rows} x {cols} pixels", hint="use at least 1, such as 8"
         )
     return int(rows), int(cols)
-
-
-def _numbers(value: Any) -> Any:
-    return np.asarray(value, np.float64) if isinstance(value, list) else value
-
-
-def _jsonable(value: Any) -> Any:
-    if isinstance(value, np.ndarray):
-        return value.tolist()
-    return value.item() if isinstance(value, np.generic) else value

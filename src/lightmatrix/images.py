@@ -265,6 +265,10 @@ class ImageStack:
     def __iter__(self) -> Iterator[NDArray[Any]]:
         return (self.read(index) for index in range(self.count))
 
+    def name(self, index: int) -> str:
+        """The file's name."""
+        return self.paths[index].name
+
     def select(self, index: Sequence[int]) -> ImageStack:
         """The stack of the images of the given indices."""
         return ImageStack(tuple(self.paths[i] for i in index), self.shape, self.dtype)

@@ -1,0 +1,172 @@
+"""Frames out of order are named; good captures, of any kind, are left alone."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from lightmatrix.capture import Capture
+from lightmatrix.errors import InputError
+from lightmatrix.frame_order import prediction_misses
+from lightmatrix.patterns import (
+    BernoulliPatterns,
+    HadamardPatterns,
+    ImagePatterns,
+    PatternSet,
+    one_pixel_patterns,
+)
+from lightmatrix.sensor import Sensor
+
+SHAPE = (16, 20)
+CAMERA = (18, 22)
+
+
+def scene(seed: int = 0, diffuse: float = 0.3) -> NDArray[np.float64]:
+    """T of a textured surface: a few neighbouring projector pixels a row, and diffuse light."""
+    generator = np.random.default_rng(seed)
+    rows = np.add.outer(np.linspace(0, SHAPE[0] - 2, CAMERA[0]), np.zeros(CAMERA[1]))
+    cols = np.add.outer(np.zeros(CAMERA[0]), np.linspace(0, SHAPE[1] - 2, CAMERA[1]))
+    albedo = generator.uniform(0.2, 1, CAMERA)
+    matrix = np.zeros((*CAMERA, *SHAPE))
+    for r in range(CAMERA[0]):
+        for c in range(CAMERA[1]):
+            y, x = int(rows[r, c]), int(cols[r, c])
+            fy, fx = rows[r, c] - y, cols[r, c] - x
+            weights = np.outer([1 - fy, fy], [1 - fx, fx])
+            matrix[r, c, y : y + 2, x : x + 2] = albedo[r, c] * weights
+    matrix += diffuse * albedo[..., None, None] / np.prod(SHAPE)
+    return matrix.reshape(-1, int(np.prod(SHAPE)))
+
+
+def capture(
+    patterns: PatternSet,
+    order: Sequence[int] | NDArray[np.integer] | None = None,
+    *,
+    exposure: float = 1.0,
+    noise: float = 0.01,
+    seed: int = 0,
+    diffuse: float = 0.3,
+) -> Capture:
+    light = patterns.forward(scene(seed, diffuse))
+    sensor = Sensor(exposure, read_noise=noise)
+    frames = sensor.expose(light, seed=seed).T.reshape(-1, *CAMERA)
+    shown = np.arange(patterns.count) if order is None else np.asarray(order)
+    return Capture.from_arrays(patterns, frames[shown], sensor, check=False)
+
+
+def swapped(count: int, a: int, b: int) -> NDArray[np.int64]:
+    order = np.arange(count)
+    order[[a, b]] = b, a
+    return order
+
+
+def gray_code() -> ImagePatterns:
+    """Column and row stripes of all powers of two, each with its inverse, white and black."""
+    rows, cols = np.indices(SHAPE)
+    images: list[NDArray[np.float64]] = []
+    for place, size in ((cols, SHAPE[1]), (rows, SHAPE[0])):
+        for bit in reversed(range((size - 1).bit_length())):
+            stripe = ((place ^ (place >> 1)) >> bit & 1).astype(float)
+            images += [stripe, 1 - stripe]
+    return ImagePatterns(np.array([*images, np.ones(SHAPE), np.zeros(SHAPE)], np.float32))
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("exposure", [0.3, 2.0])
+@pytest.mark.parametrize("count", [8, 16, 32, 64, 200])
+def test_good_captures_pass(count: int, exposure: float, seed: int) -> None:
+    for density in (0.5, 0.1):
+        patterns = BernoulliPatterns(SHAPE, count, density, seed)
+        capture(patterns, exposure=exposure, seed=seed, noise=0.02).check()
+
+
+@pytest.mark.parametrize(
+    "patterns",
+    [
+        HadamardPatterns(SHAPE, 48, "random", True),
+        HadamardPatterns(SHAPE, 64, "sequency"),
+        HadamardPatterns(SHAPE, 64, "natural"),
+        gray_code(),
+        one_pixel_patterns(SHAPE),
+        ImagePatterns(np.repeat(gray_code().stack, 2, axis=0)),
+    ],
+    ids=["hadamard", "sequency", "natural", "gray code", "one-pixel", "each pattern twice"],
+)
+def test_good_captures_of_other_patterns_pass(patterns: PatternSet) -> None:
+    for seed in range(3):
+        capture(patterns, seed=seed, exposure=1.5, noise=0.02).check()
+
+
+def test_a_diffuse_scene_is_left_alone() -> None:
+    generator = np.random.default_rng(0)
+    patterns = BernoulliPatterns(SHAPE, 64)
+    light = patterns.forward(generator.uniform(0, 2 / 320, (400, 320)))
+    sensor = Sensor(read_noise=0.01)
+    frames = sensor.expose(light).T.reshape(64, 20, 20)
+    Capture.from_arrays(patterns, frames, sensor, check_order=True)
+    Capture.from_arrays(patterns, frames[swapped(64, 3, 9)], sensor, check_order=True)
+
+
+@pytest.mark.parametrize("exposure", [0.3, 1.5])
+@pytest.mark.parametrize("count", [32, 64, 200])
+def test_two_swapped_frames_are_named(count: int, exposure: float) -> None:
+    for seed in range(4):
+        a, b = np.sort(np.random.default_rng(seed).permutation(count)[:2])
+        patterns = BernoulliPatterns(SHAPE, count, seed=seed)
+        mixed = capture(patterns, swapped(count, a, b), exposure=exposure, seed=seed)
+        with pytest.raises(InputError, match=f"frame {a} and frame {b} look swapped"):
+            mixed.check()
+        mixed.check(order=False)
+
+
+def test_swapped_stripes_of_different_width_are_noticed() -> None:
+    patterns = gray_code()
+    with pytest.raises(InputError, match=r"frame (10 shows the pattern of frame 0|0 and frame 10)"):
+        capture(patterns, swapped(patterns.count, 0, 10)).check()
+
+
+@pytest.mark.parametrize("first", [5, 20, 40, 55])
+def test_a_missing_frame_shifts_those_after_it(first: int) -> None:
+    patterns = BernoulliPatterns(SHAPE, 64)
+    order = np.append(np.delete(np.arange(64), first), 63)
+    with pytest.raises(InputError, match="after its own") as caught:
+        capture(patterns, order).check()
+    if first > 32:
+        assert f"from frame {first} to frame 6" in caught.value.message
+
+
+def test_frames_displaced_alike() -> None:
+    patterns = BernoulliPatterns(SHAPE, 48)
+    frames = np.arange(48)
+    for order, words in (
+        (np.append(frames[1:], 0), "each image shows the pattern after its own"),
+        (np.append(0, frames[:-1]), "each image shows the pattern before its own"),
+        (frames[::-1], "the images follow the patterns backwards"),
+    ):
+        with pytest.raises(InputError, match=words):
+            capture(patterns, order).check()
+
+
+def test_a_repeated_frame_is_named() -> None:
+    patterns = BernoulliPatterns(SHAPE, 64)
+    order = np.arange(64)
+    order[30] = 29
+    with pytest.raises(InputError, match="frame 30 shows the pattern of frame 29"):
+        capture(patterns, order).check()
+
+
+def test_predictions_never_use_the_frame_they_predict() -> None:
+    patterns = BernoulliPatterns(SHAPE, 32)
+    values = patterns.forward(scene()).astype(np.float32)[::5]
+    ceiling = np.full((len(values), 1), np.inf, np.float32)
+    order = np.arange(32)
+    before, _ = prediction_misses(patterns, values, ceiling, order)
+    assert np.diag(before).max() < 0.3
+    # Noise in place of one frame: its own miss is that of noise, not fitted away.
+    noisy = values.copy()
+    noisy[:, 7] = np.random.default_rng(0).permutation(values[:, 7])
+    after, blind = prediction_misses(patterns, noisy, ceiling, order)
+    assert after[7, 7] > blind[7]
