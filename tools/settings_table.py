@@ -1,0 +1,63 @@
+"""Write docs/settings.md from the solvers' own parameters and docstrings.
+
+python tools/settings_table.py          rewrite the page
+python tools/settings_table.py --check  exit 1 if it is out of date
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import inspect
+import re
+import sys
+from pathlib import Path
+
+from lightmatrix import solvers
+from lightmatrix.estimators.plain import PlainEstimator
+
+PAGE = Path(__file__).parent.parent / "docs" / "settings.md"
+HEAD = """# Settings of the solvers
+
+Made from the code by `python tools/settings_table.py`; do not edit.
+"""
+
+
+def page() -> str:
+    """The whole page."""
+    described = [
+        value
+        for name in solvers.__all__
+        if dataclasses.is_dataclass(value := getattr(solvers, name))
+    ]
+    parts = [_section(one) for one in described if hasattr(one, "row_bytes")]
+    return "\n".join([HEAD, *parts, _section(PlainEstimator)])
+
+
+def _section(solver: type) -> str:
+    text = inspect.getdoc(solver) or ""
+    meaning = _parameters(text)
+    lines = [f"## {solver.__name__}", "", text.splitlines()[0], ""]
+    lines += ["| setting | type | default | meaning |", "|---|---|---|---|"]
+    for field in dataclasses.fields(solver):
+        default = "required" if field.default is dataclasses.MISSING else f"`{field.default}`"
+        kind = str(field.type).replace("|", "or")
+        lines.append(f"| `{field.name}` | {kind} | {default} | {meaning[field.name]} |")
+    return "\n".join([*lines, ""])
+
+
+def _parameters(text: str) -> dict[str, str]:
+    """The parameters of a NumPy-style docstring and what they mean."""
+    section = re.search(r"Parameters\n-+\n(.*?)(?:\n\n|\Z)", text, flags=re.DOTALL)
+    entries = re.split(r"\n(?=\w)", section[1] if section else "")
+    result = {}
+    for entry in entries:
+        head, _, body = entry.partition("\n")
+        for name in head.split(":")[0].split(","):
+            result[name.strip()] = " ".join(body.split()).replace("|", "\\|")
+    return result
+
+
+if __name__ == "__main__":
+    if "--check" in sys.argv:
+        sys.exit(PAGE.read_text() != page())
+    PAGE.write_text(page())
