@@ -1,5 +1,6 @@
-"""The compiled core: pattern products on packed bits and the fast Walsh-Hadamard transform."""
+"""The compiled core: pattern products on packed bits, a fast transform, the active-set solver."""
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -11,3 +12,65 @@ def bits_columns(
     packed: NDArray[np.uint8], pixels: int, index: NDArray[np.int64]
 ) -> NDArray[np.float32]: ...
 def hadamard(x: NDArray[Any]) -> NDArray[Any]: ...
+
+class PreparedPatterns:
+    """Patterns prepared for the solver: packed columns and what the correlation pass needs."""
+
+    instructions: str
+
+    @staticmethod
+    def from_bits(
+        packed: NDArray[np.uint8],
+        pixels: int,
+        means: NDArray[np.float64],
+        transform: tuple[int, NDArray[np.int64], NDArray[np.int64]] | None = None,
+        instructions: str | None = None,
+    ) -> PreparedPatterns: ...
+    @staticmethod
+    def from_dense(
+        matrix: NDArray[np.float32],
+        means: NDArray[np.float64],
+        instructions: str | None = None,
+    ) -> PreparedPatterns: ...
+    def scores(self, e: NDArray[np.float64]) -> tuple[NDArray[np.int16], NDArray[np.float64]]:
+        """One correlation pass over rows of (M, K).
+
+        Returns
+        -------
+        scores : (M, N) int16
+        bounds : (4 M,) float64
+            unit, offset, up and down of each row: a_j . e lies within
+            unit * (score + offset - down ... score + offset + up).
+        """
+
+    def pass_only(self, e: NDArray[np.float64]) -> None:
+        """One correlation pass on one thread whose scores are thrown away: for timing."""
+
+    def solve(
+        self,
+        samples: NDArray[Any],
+        clipped: NDArray[np.bool_],
+        weights: NDArray[np.float64] | None,
+        start: tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.float64], NDArray[np.float64]]
+        | None,
+        regularization: float,
+        fidelity: str,
+        nonnegative: bool,
+        background: bool,
+        tolerance: float,
+        max_passes: int,
+        threads: int | None = None,
+        progress: Callable[[int, int], None] | None = None,
+    ) -> Solved: ...
+
+class Solved:
+    """Rows as the parts of a CSR matrix, and what is known of each."""
+
+    indptr: NDArray[np.int64]
+    indices: NDArray[np.int32]
+    values: NDArray[np.float64]
+    background: NDArray[np.float64]
+    objective: NDArray[np.float64]
+    gap: NDArray[np.float64]
+    passes: NDArray[np.int32]
+    converged: NDArray[np.bool_]

@@ -1,5 +1,10 @@
 //! Bit-packed pattern products and solvers for light transport estimation; knows no Python.
 
+pub mod active_set;
 pub mod bits;
+pub mod columns;
+pub mod correlate;
 pub mod float;
 pub mod hadamard;
+pub mod simd;
+pub mod vector;

@@ -1,10 +1,12 @@
 //! `lightmatrix._core`: casts, checks and releases the GIL; no arithmetic.
 
 mod products;
+mod solver;
 
 use pyo3::prelude::*;
 
 #[pymodule]
 fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
-    products::register(module)
+    products::register(module)?;
+    solver::register(module)
 }

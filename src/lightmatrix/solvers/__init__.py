@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from lightmatrix.solvers.active_set import ActiveSet
 from lightmatrix.solvers.admm import ADMM
 from lightmatrix.solvers.loop import Solver, solve
 from lightmatrix.solvers.problem import Fidelity, Problem, Result, Status
@@ -11,6 +12,7 @@ from lightmatrix.solvers.saturation_admm import SaturationADMM
 __all__ = [
     "ADMM",
     "ROMP",
+    "ActiveSet",
     "Fidelity",
     "Problem",
     "Result",

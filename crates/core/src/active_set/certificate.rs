@@ -1,0 +1,66 @@
+//! How far from optimal a row is at most: the dual value of its residual, in float64.
+//!
+//! The dual problem is: maximise sum y theta - theta^2 / (2 w) subject to A' theta <= lambda (in
+//! absolute value if x may be negative), theta >= 0 on one-sided samples and m' theta <= 0 (= 0 if b
+//! may be negative). The residual theta, moved onto the last constraint along m and scaled onto the
+//! first ones, is a feasible point.
+
+use super::Settings;
+use crate::simd::Level;
+use crate::vector::{dot, weighted_square, DataTerm};
+
+/// Moves `theta` along the means, on two-sided samples, until m' theta <= 0 (= 0 if b is free).
+///
+/// After an exact b this repairs no more than rounding.
+pub fn orthogonal_to_means(
+    level: Level,
+    settings: &Settings,
+    data: &DataTerm,
+    means: &[f64],
+    theta: &mut [f64],
+) {
+    if !settings.background {
+        return;
+    }
+    let excess = dot(level, theta, means);
+    if excess == 0.0 || (settings.nonnegative && excess < 0.0) {
+        return;
+    }
+    let free = |k: usize| data.weights[k] > 0.0 && data.lower[k] == f64::NEG_INFINITY;
+    let energy: f64 = (0..theta.len())
+        .filter(|&k| free(k))
+        .map(|k| means[k] * means[k])
+        .sum();
+    if energy > 0.0 {
+        for k in (0..theta.len()).filter(|&k| free(k)) {
+            theta[k] -= excess / energy * means[k];
+        }
+    } else {
+        // Only theta = 0 is sure to be feasible.
+        theta.fill(0.0);
+    }
+}
+
+/// The dual value of the best scaling of `theta` whose correlations stay within lambda, given the
+/// largest correlation of `theta` itself.
+pub fn dual_value(
+    level: Level,
+    regularization: f64,
+    data: &DataTerm,
+    theta: &[f64],
+    largest: f64,
+) -> f64 {
+    let linear = dot(level, &data.y, theta);
+    let square = weighted_square(level, theta, &data.weights);
+    if square <= 0.0 {
+        return 0.0;
+    }
+    // A parabola in the scaling: its top, or the last feasible point before it.
+    let limit = if largest > 0.0 {
+        regularization / largest
+    } else {
+        f64::INFINITY
+    };
+    let scaling = (linear / square).clamp(0.0, limit);
+    scaling * linear - scaling * scaling * square / 2.0
+}

@@ -1,0 +1,178 @@
+//! The active-set solver: every row of the light transport matrix to a certified duality gap.
+//!
+//! For each row, with a_j the columns of P and m the means of the patterns,
+//!
+//! ```text
+//! min over x >= 0, b >= 0 of  lambda sum x + sum_k w_k max(y_k - u_k, l_k)^2 / 2,  u = A x + b m
+//! ```
+//!
+//! where l_k is 0 on one-sided (clipped) samples and minus infinity elsewhere. A row alternates
+//! between a restricted solve on few pixels and a pass over all pixels, which finds the strongest
+//! violators and, with the dual value, how far from optimal the row is at most.
+//!
+//! Rows form chains of `CHAIN` neighbours; each starts from the solution of the one before. Chains
+//! begin anew at fixed places and a row depends on nothing else, so results depend neither on
+//! threads nor on how rows are grouped.
+
+mod certificate;
+mod chain;
+mod restricted;
+mod row;
+mod search;
+
+use crate::columns::Columns;
+use crate::correlate::Correlator;
+use crate::simd::Level;
+use crate::vector::padded;
+use chain::{solve_together, Chain};
+use rayon::prelude::*;
+use std::sync::atomic::{AtomicBool, AtomicUsize};
+
+/// Neighbouring rows that start from one another.
+pub const CHAIN: usize = 64;
+/// Chains that advance together, sharing passes over the patterns.
+const TOGETHER: usize = 6;
+
+/// The patterns, ready for solving.
+pub struct Dictionary {
+    pub level: Level,
+    pub columns: Columns,
+    pub correlator: Correlator,
+    /// Means of the patterns, padded with zeros.
+    pub means: Vec<f64>,
+    pub patterns: usize,
+    pub pixels: usize,
+}
+
+/// How clipped samples are treated.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Fidelity {
+    /// Like any other.
+    Linear,
+    /// Their value is a lower bound.
+    OneSided,
+    /// They do not count.
+    Rejection,
+}
+
+#[derive(Clone, Copy, Debug)]
+pub struct Settings {
+    /// lambda, > 0.
+    pub regularization: f64,
+    pub fidelity: Fidelity,
+    /// Whether x and b are >= 0.
+    pub nonnegative: bool,
+    /// Whether there is a coefficient b.
+    pub background: bool,
+    /// Relative duality gap at which a row is done.
+    pub tolerance: f64,
+    /// Passes over all pixels after which a row is given up as it is.
+    pub max_passes: u32,
+}
+
+/// Numbers as they came.
+#[derive(Clone, Copy)]
+pub enum Values<'a> {
+    F32(&'a [f32]),
+    F64(&'a [f64]),
+}
+
+impl Values<'_> {
+    fn copy(&self, start: usize, out: &mut [f64]) {
+        match self {
+            Values::F32(values) => {
+                for (out, v) in out.iter_mut().zip(&values[start..]) {
+                    *out = f64::from(*v);
+                }
+            }
+            Values::F64(values) => out.copy_from_slice(&values[start..start + out.len()]),
+        }
+    }
+
+    fn len(&self) -> usize {
+        match self {
+            Values::F32(values) => values.len(),
+            Values::F64(values) => values.len(),
+        }
+    }
+}
+
+/// Sparse rows to start from.
+#[derive(Clone, Copy)]
+pub struct Start<'a> {
+    pub indptr: &'a [i64],
+    pub indices: &'a [i32],
+    pub values: &'a [f64],
+    pub background: &'a [f64],
+}
+
+/// The rows to solve.
+#[derive(Clone, Copy)]
+pub struct Rows<'a> {
+    pub count: usize,
+    /// (count, patterns)
+    pub samples: Values<'a>,
+    /// (count, patterns)
+    pub clipped: &'a [bool],
+    /// (count, patterns), or (patterns) shared by all rows, or none for 1.
+    pub weights: Option<Values<'a>>,
+    pub start: Option<Start<'a>>,
+}
+
+/// One row's solution.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Solution {
+    /// Ascending.
+    pub pixels: Vec<u32>,
+    pub x: Vec<f64>,
+    pub background: f64,
+    pub objective: f64,
+    /// (P - D) / max(P, 1e-6 ||y||^2 / 2)
+    pub gap: f64,
+    pub passes: u32,
+    pub converged: bool,
+}
+
+/// Solves all rows. Returns None if `cancelled` was set meanwhile; `finished` counts rows.
+///
+/// # Panics
+/// If the lengths of the arrays do not match.
+pub fn solve(
+    dictionary: &Dictionary,
+    rows: Rows,
+    settings: Settings,
+    cancelled: &AtomicBool,
+    finished: &AtomicUsize,
+) -> Option<Vec<Solution>> {
+    let (patterns, count) = (dictionary.patterns, rows.count);
+    assert_eq!(dictionary.means.len(), padded(patterns));
+    assert_eq!(rows.samples.len(), count * patterns);
+    assert_eq!(rows.clipped.len(), count * patterns);
+    if let Some(weights) = rows.weights {
+        assert!(weights.len() == count * patterns || weights.len() == patterns);
+    }
+    let mut solutions = vec![Solution::default(); count];
+    let chains = count.div_ceil(CHAIN);
+    // Fewer chains together where that leaves threads without work.
+    let together = chains
+        .div_ceil(rayon::current_num_threads())
+        .clamp(1, TOGETHER);
+    solutions
+        .par_chunks_mut(CHAIN * together)
+        .enumerate()
+        .for_each(|(group, solutions)| {
+            let chains = solutions
+                .chunks_mut(CHAIN)
+                .enumerate()
+                .map(|(i, solutions)| {
+                    let first = (group * together + i) * CHAIN;
+                    Chain::new(dictionary, rows, settings, first, solutions)
+                })
+                .collect();
+            solve_together(dictionary, chains, cancelled, finished);
+        });
+    (!cancelled.load(std::sync::atomic::Ordering::Relaxed)).then_some(solutions)
+}
+
+#[cfg(test)]
+mod tests;

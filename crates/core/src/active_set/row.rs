@@ -1,0 +1,280 @@
+//! One row, from its samples to its certificate.
+
+use super::certificate::{dual_value, orthogonal_to_means};
+use super::restricted::{Point, Restricted};
+use super::{Dictionary, Fidelity, Rows, Settings, Solution, Values};
+use crate::correlate::Scores;
+use crate::vector::{padded, residual, signed_sums, DataTerm};
+
+/// New pixels taken in after the first pass of a row that starts from nothing, and after others.
+const FIRST_PIXELS: usize = 32;
+const NEW_PIXELS: usize = 64;
+/// Pixels whose correlation lies this share below lambda may soon exceed it: they come along.
+const LOOK_AHEAD: f64 = 0.05;
+/// The restricted solve goes to this share of the violation that was found outside.
+const INNER_SHARE: f64 = 0.05;
+/// But no finer than this share of the tolerance, until the gap asks for it.
+const FINEST_SHARE: f64 = 0.2;
+/// The gap is relative to at least this share of ||y||^2 / 2.
+const FLOOR_SHARE: f64 = 1e-6;
+
+pub enum Next {
+    /// A pass with `RowSolver::dual` is needed.
+    Pass,
+    Done,
+}
+
+pub struct RowSolver<'a> {
+    dictionary: &'a Dictionary,
+    settings: Settings,
+    data: DataTerm,
+    /// ||y||^2 / 2
+    energy: f64,
+    point: Point,
+    restricted: Restricted,
+    dual: Vec<f64>,
+    passes: u32,
+    objective: f64,
+    dual_value: f64,
+    /// Finest accuracy of the restricted solve so far.
+    finest: f64,
+    places: Vec<u32>,
+    candidates: Vec<u32>,
+    correlations: Vec<f64>,
+}
+
+impl<'a> RowSolver<'a> {
+    pub fn new(dictionary: &'a Dictionary, settings: Settings) -> Self {
+        let n = padded(dictionary.patterns);
+        let zeros = || vec![0.0; n];
+        RowSolver {
+            dictionary,
+            settings,
+            data: DataTerm {
+                y: zeros(),
+                weights: zeros(),
+                lower: vec![f64::NEG_INFINITY; n],
+            },
+            energy: 0.0,
+            point: Point::new(n),
+            restricted: Restricted::default(),
+            dual: zeros(),
+            passes: 0,
+            objective: 0.0,
+            dual_value: f64::NEG_INFINITY,
+            finest: 0.0,
+            places: Vec::new(),
+            candidates: Vec::new(),
+            correlations: Vec::new(),
+        }
+    }
+
+    /// The dual point that the next pass correlates.
+    pub fn dual(&self) -> &[f64] {
+        &self.dual
+    }
+
+    /// The solution as it stands.
+    pub fn solution(&self) -> Solution {
+        let mut support: Vec<(u32, f64)> = self.point.support().collect();
+        support.sort_unstable_by_key(|&(pixel, _)| pixel);
+        let gap = self.gap();
+        Solution {
+            pixels: support.iter().map(|&(pixel, _)| pixel).collect(),
+            x: support.iter().map(|&(_, x)| x).collect(),
+            background: self.point.background,
+            objective: self.objective,
+            gap,
+            passes: self.passes,
+            converged: gap <= self.settings.tolerance,
+        }
+    }
+
+    /// Starts on a row: from the given start, or from the row solved before, or from nothing.
+    pub fn begin(&mut self, rows: Rows, row: usize) -> Next {
+        self.load(rows, row);
+        self.passes = 0;
+        self.dual_value = f64::NEG_INFINITY;
+        self.finest = FINEST_SHARE * self.settings.tolerance;
+        if let Some(start) = rows.start {
+            let range = start.indptr[row] as usize..start.indptr[row + 1] as usize;
+            self.point.clear();
+            for (&pixel, &x) in start.indices[range.clone()]
+                .iter()
+                .zip(&start.values[range])
+            {
+                self.point.push(pixel as u32, x);
+            }
+            self.point.background = start.background[row];
+        } else {
+            self.point.prune();
+        }
+        self.point.restrict_to(&self.settings);
+        self.update_prediction();
+        if !self.point.pixels.is_empty() {
+            // Roughly: the pass that follows finds what is missing.
+            self.solve_restricted(INNER_SHARE);
+        }
+        self.prepare_pass()
+    }
+
+    /// Goes on with the scores of `dual`.
+    pub fn after_pass(&mut self, scores: &Scores) -> Next {
+        self.passes += 1;
+        let lambda = self.settings.regularization;
+        let both = !self.settings.nonnegative;
+        let level = self.dictionary.level;
+        let fresh = self.passes == 1 && self.point.pixels.is_empty();
+        let mut most = if fresh { FIRST_PIXELS } else { NEW_PIXELS } + self.point.pixels.len();
+        let floor = lambda * (1.0 - LOOK_AHEAD);
+        let (largest, exact) = loop {
+            let bound = scores.value_exceeded_by(level, most, floor, both);
+            scores.collect(level, bound, both, &mut self.places);
+            let found = self.exact_correlations();
+            // Correlations that were not collected do not exceed the bound. Where rounding hides
+            // whether any is violated, look at more pixels exactly.
+            if found > lambda || bound <= lambda {
+                break (found.max(bound), found);
+            }
+            most *= 4;
+        };
+        self.certify(largest);
+        if self.gap() <= self.settings.tolerance || self.passes >= self.settings.max_passes {
+            return Next::Done;
+        }
+        let before = self.point.pixels.len();
+        for i in 0..self.candidates.len() {
+            let pixel = self.candidates[i];
+            let violates = self.correlations[i].abs() > lambda * (1.0 - LOOK_AHEAD);
+            if violates && !self.point.pixels[..before].contains(&pixel) {
+                self.point.push(pixel, 0.0);
+            }
+        }
+        let violation = (exact / lambda - 1.0).max(0.0);
+        if violation < self.settings.tolerance {
+            // Few pixels are left to find: what keeps the gap open is the accuracy within.
+            self.finest *= 0.3;
+        }
+        self.solve_restricted((INNER_SHARE * violation).clamp(self.finest, INNER_SHARE));
+        self.prepare_pass()
+    }
+
+    fn gap(&self) -> f64 {
+        let scale = self.objective.max(FLOOR_SHARE * self.energy);
+        if scale > 0.0 {
+            (self.objective - self.dual_value) / scale
+        } else {
+            0.0
+        }
+    }
+
+    fn load(&mut self, rows: Rows, row: usize) {
+        let n = self.dictionary.patterns;
+        let first = row * n;
+        rows.samples.copy(first, &mut self.data.y[..n]);
+        match rows.weights {
+            None => self.data.weights[..n].fill(1.0),
+            Some(values) if values.len() == n => {
+                Values::copy(&values, 0, &mut self.data.weights[..n]);
+            }
+            Some(values) => Values::copy(&values, first, &mut self.data.weights[..n]),
+        }
+        self.data.lower[..n].fill(f64::NEG_INFINITY);
+        let clipped = &rows.clipped[first..first + n];
+        for k in (0..n).filter(|&k| clipped[k]) {
+            match self.settings.fidelity {
+                Fidelity::Linear => {}
+                Fidelity::OneSided => self.data.lower[k] = 0.0,
+                Fidelity::Rejection => self.data.weights[k] = 0.0,
+            }
+        }
+        self.energy = self.data.y.iter().map(|y| y * y).sum::<f64>() / 2.0;
+        self.restricted.load(&self.data);
+    }
+
+    fn update_prediction(&mut self) {
+        self.point.predict(self.dictionary);
+        self.point
+            .exact_background(self.dictionary, &self.settings, &self.data);
+    }
+
+    fn solve_restricted(&mut self, accuracy: f64) {
+        self.restricted.solve(
+            self.dictionary,
+            &self.settings,
+            &self.data,
+            &mut self.point,
+            accuracy,
+        );
+        self.point.prune();
+        self.update_prediction();
+    }
+
+    /// Makes the dual point of the current residual; done at once if it is sure to be feasible.
+    fn prepare_pass(&mut self) -> Next {
+        let level = self.dictionary.level;
+        let loss = residual(
+            level,
+            &self.data.y,
+            &self.data.weights,
+            &self.data.lower,
+            &self.point.prediction,
+            &mut self.dual,
+        );
+        let norm: f64 = self.point.x.iter().map(|x| x.abs()).sum();
+        self.objective = self.settings.regularization * norm + loss;
+        let (dictionary, settings) = (self.dictionary, &self.settings);
+        orthogonal_to_means(
+            level,
+            settings,
+            &self.data,
+            &dictionary.means,
+            &mut self.dual,
+        );
+        // No correlation with values in [0, 1] exceeds the sum of the positive residuals.
+        let (low, high) = signed_sums(level, &self.dual);
+        let most = if settings.nonnegative {
+            high
+        } else {
+            high.max(-low)
+        };
+        if most <= settings.regularization {
+            self.certify(most);
+            if self.gap() <= self.settings.tolerance {
+                return Next::Done;
+            }
+        }
+        Next::Pass
+    }
+
+    fn certify(&mut self, largest: f64) {
+        self.dual_value = dual_value(
+            self.dictionary.level,
+            self.settings.regularization,
+            &self.data,
+            &self.dual,
+            largest,
+        );
+    }
+
+    /// Exact correlations of the collected places and of the support; returns the largest.
+    fn exact_correlations(&mut self) -> f64 {
+        let dictionary = self.dictionary;
+        self.candidates.clear();
+        let pixels = self
+            .places
+            .iter()
+            .filter_map(|&p| dictionary.correlator.pixel(p as usize));
+        self.candidates.extend(pixels);
+        self.candidates.extend_from_slice(&self.point.pixels);
+        self.correlations.resize(self.candidates.len(), 0.0);
+        let level = dictionary.level;
+        dictionary
+            .columns
+            .correlate(level, &self.candidates, &self.dual, &mut self.correlations);
+        let sign = self.settings.nonnegative;
+        self.correlations.iter().fold(0.0, |most: f64, &c| {
+            most.max(if sign { c } else { c.abs() })
+        })
+    }
+}

@@ -1,0 +1,334 @@
+//! Single columns of P: what one projector pixel contributes to the samples of a row.
+
+use crate::bits::{column_codes, Bits};
+use crate::simd::{multiversion, Kind, Level};
+use crate::vector::{fold, padded, SUMS};
+use rayon::prelude::*;
+
+/// Columns of 0/1 patterns as words of 64 samples, least significant bit first.
+pub struct BitColumns {
+    words: Vec<u64>,
+    stride: usize,
+}
+
+impl BitColumns {
+    pub fn new(bits: Bits) -> Self {
+        let (pixels, stride) = (bits.pixels(), padded(bits.patterns()) / 64);
+        let codes = column_codes(bits);
+        let mut words = vec![0u64; pixels * stride];
+        words
+            .par_chunks_mut(stride.max(1) * 256)
+            .enumerate()
+            .for_each(|(block, words)| {
+                for (group, codes) in codes.chunks_exact(pixels).enumerate() {
+                    let codes = &codes[block * 256..];
+                    for (words, code) in words.chunks_exact_mut(stride).zip(codes) {
+                        words[group / 8] |= u64::from(*code) << (8 * (group % 8));
+                    }
+                }
+            });
+        BitColumns { words, stride }
+    }
+
+    /// Words a column.
+    pub fn stride(&self) -> usize {
+        self.stride
+    }
+
+    pub fn column(&self, pixel: u32) -> &[u64] {
+        &self.words[pixel as usize * self.stride..][..self.stride]
+    }
+}
+
+/// Columns of any patterns, float32, padded.
+pub struct DenseColumns {
+    values: Vec<f32>,
+    stride: usize,
+    largest: f64,
+}
+
+impl DenseColumns {
+    /// From P, (patterns, pixels) in C order.
+    ///
+    /// # Panics
+    /// If `p` does not hold `patterns * pixels` values.
+    pub fn new(p: &[f32], patterns: usize, pixels: usize) -> Self {
+        assert_eq!(p.len(), patterns * pixels);
+        let stride = padded(patterns);
+        let mut values = vec![0f32; pixels * stride];
+        values
+            .par_chunks_mut(stride.max(1) * 64)
+            .enumerate()
+            .for_each(|(block, values)| {
+                for (k, row) in p.chunks_exact(pixels).enumerate() {
+                    for (column, value) in values.chunks_exact_mut(stride).zip(&row[block * 64..]) {
+                        column[k] = *value;
+                    }
+                }
+            });
+        let largest = p.iter().fold(0f32, |m, v| m.max(v.abs())).into();
+        DenseColumns {
+            values,
+            stride,
+            largest,
+        }
+    }
+
+    pub fn column(&self, pixel: u32) -> &[f32] {
+        &self.values[pixel as usize * self.stride..][..self.stride]
+    }
+
+    /// The largest absolute value of any pattern.
+    pub fn largest(&self) -> f64 {
+        self.largest
+    }
+}
+
+/// Columns of P, by how they are kept.
+pub enum Columns {
+    Bits(BitColumns),
+    Dense(DenseColumns),
+}
+
+impl Columns {
+    /// a_j . e for each of `pixels`, in float64; `e` is padded.
+    pub fn correlate(&self, level: Level, pixels: &[u32], e: &[f64], out: &mut [f64]) {
+        assert_eq!(pixels.len(), out.len());
+        match self {
+            Columns::Bits(bits) => {
+                for (out, pixel) in out.iter_mut().zip(pixels) {
+                    *out = masked_sum(level, bits.column(*pixel), e);
+                }
+            }
+            Columns::Dense(dense) => {
+                for (out, pixel) in out.iter_mut().zip(pixels) {
+                    *out = mixed_dot(level, dense.column(*pixel), e);
+                }
+            }
+        }
+    }
+
+    /// u += factor a_j
+    pub fn add(&self, level: Level, pixel: u32, factor: f64, u: &mut [f64]) {
+        match self {
+            Columns::Bits(bits) => masked_add(level, bits.column(pixel), factor, u),
+            Columns::Dense(dense) => mixed_add(level, dense.column(pixel), factor, u),
+        }
+    }
+
+    /// out = d a_j, element by element.
+    pub fn scaled(&self, level: Level, pixel: u32, d: &[f64], out: &mut [f64]) {
+        match self {
+            Columns::Bits(bits) => masked(level, bits.column(pixel), d, out),
+            Columns::Dense(dense) => mixed_product(level, dense.column(pixel), d, out),
+        }
+    }
+}
+
+/// Sum of the values whose bit is set.
+pub fn masked_sum(level: Level, words: &[u64], e: &[f64]) -> f64 {
+    assert_eq!(64 * words.len(), e.len());
+    match level.kind() {
+        #[cfg(target_arch = "x86_64")]
+        // SAFETY: the level proves the instructions; the lengths were just compared.
+        Kind::Avx512 => unsafe { avx512::masked_sum(words, e) },
+        _ => masked_sum_plain(level, words, e),
+    }
+}
+
+multiversion! {
+    fn masked_sum_plain(words: &[u64], e: &[f64]) -> f64 {
+        let mut sums = [0.0; SUMS];
+        for (word, e) in words.iter().zip(e.chunks_exact(64)) {
+            for (part, e) in e.chunks_exact(SUMS).enumerate() {
+                let bits = word >> (part * SUMS);
+                for i in 0..SUMS {
+                    let keep = 0u64.wrapping_sub(bits >> i & 1);
+                    sums[i] += f64::from_bits(e[i].to_bits() & keep);
+                }
+            }
+        }
+        fold(sums)
+    }
+}
+
+/// u += factor where the bit is set.
+fn masked_add(level: Level, words: &[u64], factor: f64, u: &mut [f64]) {
+    assert_eq!(64 * words.len(), u.len());
+    match level.kind() {
+        #[cfg(target_arch = "x86_64")]
+        // SAFETY: the level proves the instructions; the lengths were just compared.
+        Kind::Avx512 => unsafe { avx512::masked_add(words, factor, u) },
+        _ => masked_add_plain(level, words, factor, u),
+    }
+}
+
+multiversion! {
+    fn masked_add_plain(words: &[u64], factor: f64, u: &mut [f64]) {
+        for (word, u) in words.iter().zip(u.chunks_exact_mut(64)) {
+            for (i, u) in u.iter_mut().enumerate() {
+                let keep = 0u64.wrapping_sub(word >> i & 1);
+                *u += f64::from_bits(factor.to_bits() & keep);
+            }
+        }
+    }
+}
+
+multiversion! {
+    fn masked(words: &[u64], d: &[f64], out: &mut [f64]) {
+        for ((word, d), out) in words.iter().zip(d.chunks_exact(64)).zip(out.chunks_exact_mut(64)) {
+            for (i, (d, out)) in d.iter().zip(out).enumerate() {
+                let keep = 0u64.wrapping_sub(word >> i & 1);
+                *out = f64::from_bits(d.to_bits() & keep);
+            }
+        }
+    }
+}
+
+multiversion! {
+    fn mixed_dot(column: &[f32], e: &[f64]) -> f64 {
+        let mut sums = [0.0; SUMS];
+        for (a, e) in column.chunks_exact(SUMS).zip(e.chunks_exact(SUMS)) {
+            for i in 0..SUMS {
+                sums[i] += f64::from(a[i]) * e[i];
+            }
+        }
+        fold(sums)
+    }
+}
+
+multiversion! {
+    fn mixed_add(column: &[f32], factor: f64, u: &mut [f64]) {
+        for (a, u) in column.iter().zip(u) {
+            *u += f64::from(*a) * factor;
+        }
+    }
+}
+
+multiversion! {
+    fn mixed_product(column: &[f32], d: &[f64], out: &mut [f64]) {
+        for ((a, d), out) in column.iter().zip(d).zip(out) {
+            *out = f64::from(*a) * d;
+        }
+    }
+}
+
+/// Inner products among the columns of a working set.
+///
+/// Columns of bits are kept word by word (word w of all columns side by side), so that a row of the
+/// Gram matrix is a few vector instructions a word and eight columns.
+#[derive(Default)]
+pub struct GramSource {
+    packed: Vec<u64>,
+    counts: Vec<u64>,
+    scaled: Vec<f64>,
+    query: Vec<u64>,
+}
+
+impl GramSource {
+    /// Takes in the columns of a new working set.
+    pub fn load(&mut self, columns: &Columns, pixels: &[u32]) {
+        if let Columns::Bits(bits) = columns {
+            let n = pixels.len();
+            self.packed.clear();
+            self.packed.resize(bits.stride() * n, 0);
+            for (i, &pixel) in pixels.iter().enumerate() {
+                for (w, word) in bits.column(pixel).iter().enumerate() {
+                    self.packed[w * n + i] = *word;
+                }
+            }
+        }
+    }
+
+    /// out_i = sum_k d_k a_ik a_jk for every column i of the working set.
+    ///
+    /// `active` holds the bits of d where d is only 0 or 1, and is empty otherwise.
+    pub fn row(
+        &mut self,
+        level: Level,
+        columns: &Columns,
+        pixels: &[u32],
+        j: usize,
+        d: &[f64],
+        active: &[u64],
+        out: &mut [f64],
+    ) {
+        match columns {
+            Columns::Bits(bits) if !active.is_empty() => {
+                self.query.clear();
+                let column = bits.column(pixels[j]);
+                self.query
+                    .extend(column.iter().zip(active).map(|(c, a)| c & a));
+                self.counts.resize(pixels.len(), 0);
+                common_bits(level, &self.packed, &self.query, &mut self.counts, out);
+            }
+            _ => {
+                self.scaled.resize(d.len(), 0.0);
+                columns.scaled(level, pixels[j], d, &mut self.scaled);
+                columns.correlate(level, pixels, &self.scaled, out);
+            }
+        }
+    }
+}
+
+multiversion! {
+    /// Bits that each packed column shares with the query.
+    fn common_bits(packed: &[u64], query: &[u64], counts: &mut [u64], out: &mut [f64]) {
+        counts.fill(0);
+        for (words, query) in packed.chunks_exact(counts.len()).zip(query) {
+            for (count, word) in counts.iter_mut().zip(words) {
+                *count += u64::from((word & query).count_ones());
+            }
+        }
+        for (out, count) in out.iter_mut().zip(counts) {
+            *out = f64::from(*count as u32);
+        }
+    }
+}
+
+#[cfg(target_arch = "x86_64")]
+mod avx512 {
+    use super::fold;
+    use std::arch::x86_64::*;
+
+    /// # Safety
+    /// `e` holds 64 values a word.
+    #[target_feature(enable = "avx512f")]
+    pub unsafe fn masked_sum(words: &[u64], e: &[f64]) -> f64 {
+        let mut sums = [_mm512_setzero_pd(); 2];
+        for (w, &word) in words.iter().enumerate() {
+            for part in 0..8 {
+                // SAFETY: 64 w + 8 part + 8 <= 64 (w + 1), which `e` holds.
+                let values = unsafe { _mm512_loadu_pd(e.as_ptr().add(64 * w + 8 * part)) };
+                let mask = (word >> (8 * part)) as u8;
+                let sum = &mut sums[part % 2];
+                *sum = _mm512_mask_add_pd(*sum, mask, *sum, values);
+            }
+        }
+        let mut lanes = [0.0; 16];
+        // SAFETY: 16 lanes are two registers of eight.
+        unsafe {
+            _mm512_storeu_pd(lanes.as_mut_ptr(), sums[0]);
+            _mm512_storeu_pd(lanes.as_mut_ptr().add(8), sums[1]);
+        }
+        fold(lanes)
+    }
+
+    /// # Safety
+    /// `u` holds 64 values a word.
+    #[target_feature(enable = "avx512f")]
+    pub unsafe fn masked_add(words: &[u64], factor: f64, u: &mut [f64]) {
+        let factor = _mm512_set1_pd(factor);
+        for (w, &word) in words.iter().enumerate() {
+            for part in 0..8 {
+                // SAFETY: 64 w + 8 part + 8 <= 64 (w + 1), which `u` holds.
+                unsafe {
+                    let at = u.as_mut_ptr().add(64 * w + 8 * part);
+                    let values = _mm512_loadu_pd(at);
+                    let mask = (word >> (8 * part)) as u8;
+                    _mm512_storeu_pd(at, _mm512_mask_add_pd(values, mask, values, factor));
+                }
+            }
+        }
+    }
+}

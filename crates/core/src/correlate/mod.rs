@@ -1,0 +1,162 @@
+//! The correlation pass: a_j . e for every projector pixel j, as 16-bit scores with a sure margin.
+//!
+//! Values e are rounded to integers times a unit, so that every sum of a subset of them fits 16 bits.
+//! What rounding may have done to a sum of any subset is known, so a score bounds the exact
+//! correlation from both sides. Integer sums do not depend on their order: every kernel gives the
+//! same scores.
+
+#[cfg(target_arch = "x86_64")]
+mod avx2;
+#[cfg(target_arch = "x86_64")]
+mod avx512;
+mod dense;
+mod lookup;
+mod quantise;
+mod select;
+mod transform;
+
+use crate::bits::Bits;
+use crate::columns::Columns;
+use crate::simd::Level;
+use dense::Dense;
+use lookup::Lookup;
+use quantise::{quantise, Sums};
+use transform::Transform;
+
+/// Rows that share one pass over the patterns.
+pub const BATCH: usize = 3;
+
+/// Scores of one row: a_j . e lies in `unit * (score + offset - down ..= score + offset + up)`.
+#[derive(Clone, Default)]
+pub struct Scores {
+    pub values: Vec<i16>,
+    pub unit: f64,
+    pub offset: f64,
+    pub up: f64,
+    pub down: f64,
+}
+
+/// One way of computing scores, chosen by what the patterns are.
+pub struct Correlator {
+    level: Level,
+    patterns: usize,
+    pixels: usize,
+    kind: Kind,
+}
+
+enum Kind {
+    Lookup(Lookup),
+    Transform(Transform),
+    Dense(Dense),
+}
+
+/// Buffers of one thread.
+#[derive(Default)]
+pub struct Scratch {
+    quantised: [Vec<i16>; BATCH],
+    tables: Vec<i16>,
+}
+
+impl Correlator {
+    /// Any 0/1 patterns, by tables of partial sums.
+    pub fn lookup(level: Level, bits: Bits) -> Self {
+        Correlator {
+            level,
+            patterns: bits.patterns(),
+            pixels: bits.pixels(),
+            kind: Kind::Lookup(Lookup::new(level, bits)),
+        }
+    }
+
+    /// Rows `selected` of (H + 1) / 2 with H the Sylvester matrix of order `length`; pixel j is
+    /// column `position[j]`.
+    ///
+    /// # Panics
+    /// If `length` is no power of two or an index is not below it.
+    pub fn transform(level: Level, length: usize, selected: &[u32], position: &[u32]) -> Self {
+        Correlator {
+            level,
+            patterns: selected.len(),
+            pixels: position.len(),
+            kind: Kind::Transform(Transform::new(length, selected, position)),
+        }
+    }
+
+    /// Patterns of any values, whose columns are kept elsewhere.
+    pub fn dense(level: Level, patterns: usize, pixels: usize) -> Self {
+        Correlator {
+            level,
+            patterns,
+            pixels,
+            kind: Kind::Dense(Dense),
+        }
+    }
+
+    /// Scores of a row: one for each pixel, and some that stand for none.
+    pub fn length(&self) -> usize {
+        match &self.kind {
+            Kind::Lookup(lookup) => lookup.length(),
+            Kind::Transform(transform) => transform.length(),
+            Kind::Dense(_) => self.pixels,
+        }
+    }
+
+    /// The pixel that a score belongs to.
+    pub fn pixel(&self, score: usize) -> Option<u32> {
+        match &self.kind {
+            Kind::Transform(transform) => transform.pixel(score),
+            _ => (score < self.pixels).then_some(score as u32),
+        }
+    }
+
+    /// Scores of up to `BATCH` rows `e` (padded).
+    ///
+    /// # Panics
+    /// If there are more rows than `BATCH` or not one `out` a row.
+    pub fn run(
+        &self,
+        columns: &Columns,
+        e: &[&[f64]],
+        out: &mut [&mut Scores],
+        scratch: &mut Scratch,
+    ) {
+        assert!(e.len() <= BATCH && e.len() == out.len());
+        for out in out.iter_mut() {
+            out.values.resize(self.length(), 0);
+        }
+        let sums = match &self.kind {
+            Kind::Dense(dense) => return dense.run(self.level, columns, self.patterns, e, out),
+            Kind::Lookup(_) => Sums::OfSubsets,
+            Kind::Transform(_) => Sums::Signed,
+        };
+        for ((e, out), quantised) in e.iter().zip(out.iter_mut()).zip(&mut scratch.quantised) {
+            let rounded = quantise(&e[..self.patterns], sums, quantised);
+            (out.unit, out.up, out.down) = (rounded.unit, rounded.up, rounded.down);
+            out.offset = 0.0;
+            if let Kind::Transform(_) = self.kind {
+                // a_j . q is half of (H q)_j plus the sum of q.
+                out.unit /= 2.0;
+                out.up *= 2.0;
+                out.down *= 2.0;
+                out.offset = quantised.iter().map(|&q| f64::from(q)).sum();
+            }
+        }
+        match &self.kind {
+            Kind::Lookup(lookup) => lookup.run(
+                self.level,
+                &scratch.quantised[..e.len()],
+                &mut scratch.tables,
+                out,
+            ),
+            Kind::Transform(transform) => {
+                for (quantised, out) in scratch.quantised.iter().zip(out) {
+                    transform.run(self.level, quantised, out.offset, &mut out.values);
+                }
+            }
+            Kind::Dense(_) => unreachable!("returned above"),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

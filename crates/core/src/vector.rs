@@ -1,0 +1,147 @@
+//! Loops over the samples of a row, in float64.
+//!
+//! Vectors are padded with zeros to a multiple of `LANES` samples. Sums run in `SUMS` lanes, so that
+//! they come out the same on every CPU.
+
+use crate::simd::multiversion;
+
+/// Samples are padded to a multiple of this.
+pub const LANES: usize = 64;
+/// Independent partial sums of a reduction.
+pub(crate) const SUMS: usize = 16;
+
+/// The padded length of `samples` values.
+pub fn padded(samples: usize) -> usize {
+    samples.div_ceil(LANES) * LANES
+}
+
+/// Adds partial sums in a fixed order.
+pub(crate) fn fold(mut sums: [f64; SUMS]) -> f64 {
+    let mut half = SUMS / 2;
+    while half > 0 {
+        for i in 0..half {
+            sums[i] += sums[i + half];
+        }
+        half /= 2;
+    }
+    sums[0]
+}
+
+multiversion! {
+    /// sum a b
+    pub fn dot(a: &[f64], b: &[f64]) -> f64 {
+        let mut sums = [0.0; SUMS];
+        for (a, b) in a.chunks_exact(SUMS).zip(b.chunks_exact(SUMS)) {
+            for i in 0..SUMS {
+                sums[i] += a[i] * b[i];
+            }
+        }
+        fold(sums)
+    }
+}
+
+multiversion! {
+    /// y += factor x
+    pub fn add_scaled(y: &mut [f64], factor: f64, x: &[f64]) {
+        for (y, x) in y.iter_mut().zip(x) {
+            *y += factor * x;
+        }
+    }
+}
+
+multiversion! {
+    /// The smallest and the largest value a sum over any subset may have: (sum of the negative
+    /// values, sum of the positive ones).
+    pub fn signed_sums(values: &[f64]) -> (f64, f64) {
+        let (mut low, mut high) = ([0.0; SUMS], [0.0; SUMS]);
+        for values in values.chunks_exact(SUMS) {
+            for i in 0..SUMS {
+                low[i] += values[i].min(0.0);
+                high[i] += values[i].max(0.0);
+            }
+        }
+        (fold(low), fold(high))
+    }
+}
+
+/// The data term of one row, sum_k w_k max(y_k - u_k, lower_k)^2 / 2, in padded vectors.
+///
+/// `lower` is 0 on one-sided samples and minus infinity elsewhere; weights are 0 on samples that do
+/// not count.
+#[derive(Default)]
+pub struct DataTerm {
+    pub y: Vec<f64>,
+    pub weights: Vec<f64>,
+    pub lower: Vec<f64>,
+}
+
+multiversion! {
+    /// theta = w max(y - u, lower) and the data term's value, sum w max(y - u, lower)^2 / 2.
+    pub fn residual(
+        y: &[f64], weights: &[f64], lower: &[f64], u: &[f64], theta: &mut [f64]
+    ) -> f64 {
+        let mut sums = [0.0; SUMS];
+        let n = theta.len();
+        let (y, weights, lower, u) = (&y[..n], &weights[..n], &lower[..n], &u[..n]);
+        for start in (0..n / SUMS).map(|i| i * SUMS) {
+            let theta = &mut theta[start..start + SUMS];
+            let (y, weights) = (&y[start..start + SUMS], &weights[start..start + SUMS]);
+            let (lower, u) = (&lower[start..start + SUMS], &u[start..start + SUMS]);
+            for i in 0..SUMS {
+                let r = y[i] - u[i];
+                let r = if r > lower[i] { r } else { lower[i] };
+                let t = weights[i] * r;
+                theta[i] = t;
+                sums[i] += t * r;
+            }
+        }
+        fold(sums) / 2.0
+    }
+}
+
+multiversion! {
+    /// Curvature of the data term, d_k = w_k where y - u > lower, else 0.
+    pub fn curvature(
+        y: &[f64], weights: &[f64], lower: &[f64], u: &[f64], d: &mut [f64]
+    ) {
+        for ((((d, y), w), l), u) in d.iter_mut().zip(y).zip(weights).zip(lower).zip(u) {
+            *d = if y - u > *l { *w } else { 0.0 };
+        }
+    }
+}
+
+multiversion! {
+    /// Slope and curvature of the data term along u + t v: (sum -theta v, sum d v^2).
+    pub fn along(
+        y: &[f64], weights: &[f64], lower: &[f64], u: &[f64], v: &[f64], t: f64
+    ) -> (f64, f64) {
+        let (mut slope, mut curve) = ([0.0; SUMS], [0.0; SUMS]);
+        let n = v.len();
+        let (y, weights, lower, u) = (&y[..n], &weights[..n], &lower[..n], &u[..n]);
+        for start in (0..n / SUMS).map(|i| i * SUMS) {
+            let v = &v[start..start + SUMS];
+            let (y, weights) = (&y[start..start + SUMS], &weights[start..start + SUMS]);
+            let (lower, u) = (&lower[start..start + SUMS], &u[start..start + SUMS]);
+            for i in 0..SUMS {
+                let r = y[i] - (u[i] + t * v[i]);
+                let wv = weights[i] * v[i];
+                slope[i] -= wv * if r > lower[i] { r } else { lower[i] };
+                curve[i] += if r > lower[i] { wv * v[i] } else { 0.0 };
+            }
+        }
+        (fold(slope), fold(curve))
+    }
+}
+
+multiversion! {
+    /// sum theta^2 / w over the samples that count.
+    pub fn weighted_square(theta: &[f64], weights: &[f64]) -> f64 {
+        let mut sums = [0.0; SUMS];
+        for (t, w) in theta.chunks_exact(SUMS).zip(weights.chunks_exact(SUMS)) {
+            for i in 0..SUMS {
+                sums[i] += if w[i] > 0.0 { t[i] * t[i] / w[i] } else { 0.0 };
+            }
+        }
+        fold(sums)
+    }
+}
