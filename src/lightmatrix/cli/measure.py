@@ -16,7 +16,6 @@ from lightmatrix.cli.common import Json, Overwrite, out, progress, show_json, sh
 from lightmatrix.cli.results import summary
 from lightmatrix.errors import InputError
 from lightmatrix.estimators.plain import PlainEstimator
-from lightmatrix.sensor import Response
 from lightmatrix.solvers import ADMM, ROMP, SaturationADMM, Solver
 from lightmatrix.solvers.problem import Fidelity
 
@@ -98,9 +97,9 @@ def estimate(
     check_output(output, overwrite=overwrite, suffixes=(".zarr",))
     started = time.perf_counter()
     chosen = _solver(solver, fidelity, iterations)
-    opened = _open(capture, pattern_folder, images, black, white, mask, clip, response, check)
+    opened = _open(capture, pattern_folder, images, black, white, mask, clip, response)
     opened = opened.bin(projector=size(bin_projector), camera=size(bin_camera))
-    opened.check()
+    opened.check(order=check)
     estimator = PlainEstimator(
         chosen, _regularization(regularization), not signed, background, tile_rows
     )
@@ -147,7 +146,6 @@ def _open(
     mask: Path | None,
     clip: float | None,
     response: str | None,
-    check: bool,
 ) -> Capture:
     if capture is not None:
         extras = {"--patterns": patterns, "--images": images, "--black": black, "--white": white}
@@ -158,7 +156,7 @@ def _open(
                 f"a capture folder and {', '.join(given)} were given",
                 hint="a capture folder says all that in capture.json; give one or the other",
             )
-        return Capture.open(capture, check=check)
+        return Capture.open(capture, check=False)
     if patterns is None or images is None:
         raise InputError(
             "there is nothing to estimate from",
@@ -171,8 +169,8 @@ def _open(
         white=white,
         mask=mask,
         clip=clip,
-        response=None if response is None else Response.parse(response),
-        check=check,
+        response=response,
+        check=False,
     )
 
 
