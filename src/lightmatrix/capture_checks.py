@@ -78,7 +78,7 @@ def check_light(tiles: Iterable[tuple[int, Decoded]], valid: int, decoder: Decod
         total = valid * tile.values.shape[1]
     # Two levels above black are no signal.
     span = np.min(np.asarray(decoder.clip) - np.asarray(decoder.black_level))
-    if brightest <= (2 / span if decoder.full_scale > 1 else 1e-6):
+    if brightest <= (2.5 / span if decoder.full_scale > 1 else 1e-6):
         raise InputError(
             "all images are dark: no sample rises above the black level",
             hint="expose longer, and check the black frame and black level",

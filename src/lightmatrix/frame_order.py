@@ -24,6 +24,7 @@ from lightmatrix.sensor import Decoded
 _DECISIVE = 0.45
 _INFORMATIVE = 0.6
 _PROJECTOR_PIXELS = 3
+_FEWEST_FRAMES = 12
 _MOST_ROWS = 300
 # Multiplications spent on correlations; about a second.
 _WORK = 2e10
@@ -54,7 +55,7 @@ def check_order(
     InputError
         Naming the frames.
     """
-    if patterns.count < 8:
+    if patterns.count < _FEWEST_FRAMES:
         return
     samples = _bright_rows(patterns, tiles, rows)
     if samples is None:
@@ -73,7 +74,8 @@ def check_order(
             (frames[::-1], "the images follow the patterns backwards"),
         ):
             other, _ = prediction_misses(patterns, values, ceiling, order)
-            if float(np.median(np.diag(other)[order >= 0])) < _DECISIVE * best:
+            reached = float(np.median(np.diag(other)[order >= 0]))
+            if reached < min(_DECISIVE * best, _INFORMATIVE):
                 raise _out_of_order(f"the images do not follow the patterns: {words}")
     complaint = _describe(_displaced(miss, blind), miss, name)
     if complaint is not None:
