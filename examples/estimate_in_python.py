@@ -14,11 +14,12 @@ from lightmatrix.patterns import BernoulliPatterns
 from lightmatrix.rig.procedural import ProceduralScene
 from lightmatrix.rig.simulate import irradiance
 from lightmatrix.sensor import Sensor
-from lightmatrix.solvers import ADMM, Fidelity, Problem, SaturationADMM, solve
+from lightmatrix.solvers import ADMM, Fidelity, Problem, SaturationADMM, Solver, solve
 from lightmatrix.transport import LightTransport
 
 
 def main() -> dict[str, float]:
+    """Estimate with three solvers and return their relative errors."""
     truth = ProceduralScene((16, 16), (24, 24), seed=1, bounces=8).truth()
     patterns = BernoulliPatterns(truth.projector_shape, 160)
 
@@ -34,11 +35,12 @@ def main() -> dict[str, float]:
     known = truth.transport()
     rows = np.flatnonzero(unclipped_rows(known, exposure))
     errors = {}
-    for name, solver in {
+    solvers: dict[str, Solver] = {
         "ADMM, which ignores clipping": ADMM(),
         "Saturation ADMM, the paper's": SaturationADMM(Fidelity.CLIPPED),
         "Saturation ADMM, one-sided": SaturationADMM(Fidelity.ONE_SIDED),
-    }.items():
+    }
+    for name, solver in solvers.items():
         result = solve(problem, solver)
         found = LightTransport(
             result.coefficients,

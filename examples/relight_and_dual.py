@@ -18,6 +18,7 @@ from lightmatrix.rig import library
 
 
 def main(out: Path) -> None:
+    """Write the three pictures."""
     transport = library.truth("l_objects").transport()
 
     stripes = np.zeros(transport.projector_shape, np.float32)

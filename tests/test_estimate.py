@@ -20,7 +20,7 @@ from lightmatrix.rig.procedural import ProceduralScene
 from lightmatrix.rig.simulate import irradiance
 from lightmatrix.rig.truth import Truth
 from lightmatrix.sensor import Sensor
-from lightmatrix.solvers import ADMM, ROMP, Fidelity, SaturationADMM
+from lightmatrix.solvers import ADMM, ROMP, Fidelity, SaturationADMM, Solver, solve
 
 EXPOSURE = 2.5
 
@@ -43,13 +43,14 @@ def test_clip_aware_beats_clip_blind(rig: tuple[Path, Truth]) -> None:
     folder, truth = rig
     capture, known = Capture.open(folder), truth.transport()
     rows = np.flatnonzero(unclipped_rows(known, EXPOSURE))
+    solvers: dict[str, Solver] = {
+        "blind": ADMM(),
+        "one-sided": SaturationADMM(),
+        "clipped": SaturationADMM(Fidelity.CLIPPED),
+    }
     error = {
         name: relative_error(PlainEstimator(solver, 0.05).estimate(capture), known, rows)
-        for name, solver in {
-            "blind": ADMM(),
-            "one-sided": SaturationADMM(),
-            "clipped": SaturationADMM(Fidelity.CLIPPED),
-        }.items()
+        for name, solver in solvers.items()
     }
     assert error["one-sided"] < 0.5 * error["blind"]
     assert error["clipped"] < 0.5 * error["blind"]
@@ -74,7 +75,6 @@ def test_interrupted_runs_go_on(
     estimator = PlainEstimator(SaturationADMM(), tile_rows=40)
     expected = estimator.estimate(capture)
     solved: list[int] = []
-    solve = plain.solve
 
     def interrupted(problem: Any, solver: Any) -> Any:
         if len(solved) == 2:
@@ -90,7 +90,12 @@ def test_interrupted_runs_go_on(
 
     solved.clear()
     again: list[int] = []
-    monkeypatch.setattr(plain, "solve", lambda p, s: (again.append(p.rows), solve(p, s))[1])
+
+    def counted(problem: Any, solver: Any) -> Any:
+        again.append(problem.rows)
+        return solve(problem, solver)
+
+    monkeypatch.setattr(plain, "solve", counted)
     found = estimator.estimate(capture, checkpoint=output)
     assert again == [40]
     assert abs(found.sparse - expected.sparse).max() == 0

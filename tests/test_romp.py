@@ -52,9 +52,9 @@ def test_batched_romp_is_the_literal_algorithm(seed: int, n: int, count: int) ->
     problem = Problem(patterns, y, y > np.inf, np.full(count, np.inf), 1.0, None, False, False)
     result = solve(problem, ROMP(n, Fidelity.LINEAR))
     matrix = patterns.dense().astype(np.float64)
-    for row in range(4):
-        expected = _literal(matrix, y[row], n, n)
-        found = result.coefficients[[row]].toarray()[0]
+    for index in range(4):
+        expected = _literal(matrix, y[index], n, n)
+        found = result.coefficients[[index]].toarray()[0]
         # A nearly singular least squares has many answers; its fit is what both must share.
         np.testing.assert_allclose(matrix @ found, matrix @ expected, atol=1e-4 * abs(y).max())
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 CLIPPED_COLOUR = (0.90, 0.10, 0.12)
 # A palette that stays apart for colour-blind readers (Okabe & Ito).
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
-STYLE = {
+STYLE: dict[Any, Any] = {
     "font.size": 9,
     "axes.titlesize": 9,
     "axes.labelsize": 9,

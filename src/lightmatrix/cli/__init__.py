@@ -70,7 +70,9 @@ def main(argv: list[str] | None = None) -> int:
             return 2
 
 
-def _show_warning(message: Warning | str, category: type[Warning], *_: object) -> None:
+def _show_warning(
+    message: Warning | str, category: type[Warning], *_: object, **__: object
+) -> None:
     if issubclass(category, LightMatrixWarning):
         err.print(f"warning: {message}", style="yellow", markup=False, highlight=False)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -251,7 +252,7 @@ def simulate(
         out.print(f"{shown.count} frames in {output}, {100 * clipped:.1f} % of the samples clipped")
 
 
-def _truth(scene: str, shape: tuple[int, int], report: library.Progress) -> Truth:
+def _truth(scene: str, shape: tuple[int, int], report: Callable[[int, int], None]) -> Truth:
     if scene.endswith(".npz"):
         return Truth.load(Path(scene))
     return library.truth(scene, shape, progress=report)

@@ -124,7 +124,7 @@ def estimate(
 
 def _solver(name: SolverName, fidelity: Fidelity | None, iterations: int | None) -> Solver:
     wanted = fidelity or DEFAULT_FIDELITY[name]
-    limit = {} if iterations is None else {"max_iterations": iterations}
+    limit: dict[str, int] = {} if iterations is None else {"max_iterations": iterations}
     if name is SolverName.ADMM:
         if wanted is not Fidelity.LINEAR:
             raise InputError(
@@ -148,7 +148,12 @@ def _open(
     response: str | None,
 ) -> Capture:
     if capture is not None:
-        extras = {"--patterns": patterns, "--images": images, "--black": black, "--white": white}
+        extras: dict[str, object] = {
+            "--patterns": patterns,
+            "--images": images,
+            "--black": black,
+            "--white": white,
+        }
         extras |= {"--mask": mask, "--clip": clip, "--response": response}
         given = [name for name, value in extras.items() if value is not None]
         if given:

@@ -11,7 +11,6 @@ from lightmatrix.transport import LightTransport
 
 def summary(transport: LightTransport) -> dict[str, Any]:
     """Shapes, sparsity, clipping, convergence and gaps, as names and values."""
-    rows, pixels = transport.shape
     entries = np.diff(transport.sparse.indptr)
     result: dict[str, Any] = {
         "camera": " x ".join(map(str, transport.camera_shape)),

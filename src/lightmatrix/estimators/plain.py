@@ -6,7 +6,7 @@ import platform
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import scipy
@@ -121,7 +121,7 @@ class PlainEstimator:
         return {
             "estimator": "plain",
             "solver": type(self.solver).__name__,
-            "solver_parameters": {k: _plain(v) for k, v in asdict(self.solver).items()},
+            "solver_parameters": {k: _plain(v) for k, v in asdict(cast(Any, self.solver)).items()},
             "regularization": regularization,
             "nonnegative": self.nonnegative,
             "background": self.background,
@@ -178,7 +178,9 @@ class _Tiles:
 
     def _fitting_rows(self) -> int:
         patterns = self.capture.patterns
-        return max(1, _TILE_BYTES // self.estimator.solver.row_bytes(patterns.count, patterns.pixels))
+        return max(
+            1, _TILE_BYTES // self.estimator.solver.row_bytes(patterns.count, patterns.pixels)
+        )
 
 
 def _diagnostics(samples: Samples, result: Result) -> dict[str, NDArray[Any]]:

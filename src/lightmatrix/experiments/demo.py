@@ -155,7 +155,7 @@ def _draw(
         image = transport.relight(pattern)
         panel(panels[2, column], display(image, float(np.quantile(expected, 0.98))))
         error = (image - expected) / float(np.quantile(expected, 0.98))
-        limits = {"cmap": "RdBu_r", "vmin": -0.5, "vmax": 0.5}
+        limits: dict[str, Any] = {"cmap": "RdBu_r", "vmin": -0.5, "vmax": 0.5}
         shown = panel(panels[3, column], error, **limits)
         panels[2, column].set_xlabel("" if name == "truth" else _psnr(image, expected))
     panels[1, 0].set_ylabel(f"row of T, pixel {place[0]}, {place[1]}")

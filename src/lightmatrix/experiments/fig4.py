@@ -36,13 +36,13 @@ ITERATIONS = 1000
 # Trials share a batch, so no row may stop before the others.
 _NEVER = 1e-300
 
-_ADMM = {"penalty_x": PENALTY_X, "max_iterations": ITERATIONS, "tolerance": _NEVER}
+_ADMM: dict[str, Any] = {"penalty_x": PENALTY_X, "max_iterations": ITERATIONS, "tolerance": _NEVER}
 METHODS: dict[str, Solver] = {
     "romp": ROMP(sparsity=NON_ZERO, fidelity=Fidelity.LINEAR),
-    "admm": ADMM(**_ADMM),  # type: ignore[arg-type]
-    "saturation-admm": SaturationADMM(Fidelity.CLIPPED, penalty_u=PENALTY_U, **_ADMM),  # type: ignore[arg-type]
-    "one-sided": SaturationADMM(Fidelity.ONE_SIDED, penalty_u=PENALTY_U, **_ADMM),  # type: ignore[arg-type]
-    "rejection": SaturationADMM(Fidelity.REJECTION, penalty_u=PENALTY_U, **_ADMM),  # type: ignore[arg-type]
+    "admm": ADMM(**_ADMM),
+    "saturation-admm": SaturationADMM(Fidelity.CLIPPED, penalty_u=PENALTY_U, **_ADMM),
+    "one-sided": SaturationADMM(Fidelity.ONE_SIDED, penalty_u=PENALTY_U, **_ADMM),
+    "rejection": SaturationADMM(Fidelity.REJECTION, penalty_u=PENALTY_U, **_ADMM),
 }
 SAME_WHERE_UNCLIPPED = ("one-sided", "rejection")
 LABELS = {

@@ -73,7 +73,7 @@ def _draw_scenes(out: Path, truths: dict[str, Truth], size: int) -> None:
     with figure(6.6, 2.4) as drawing:
         for axes, (name, title) in zip(drawing.subplots(1, 3), SCENES.items(), strict=True):
             try:
-                image = photograph(name, (size, size), samples=512)
+                image = photograph(name, (size, size), samples=256)
             except MissingExtraError:
                 image = _white(truths[name])
             panel(axes, display(image, float(np.quantile(image, 0.97))))

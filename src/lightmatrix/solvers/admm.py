@@ -16,7 +16,7 @@ from lightmatrix.solvers.system import System
 
 @dataclass(frozen=True)
 class ADMMState:
-    """x, z and the multiplier h, each (M, unknowns), weighted samples y, and what all rows share."""
+    """x, z and the multiplier h, each (M, unknowns); y (M, K) and what all rows share."""
 
     x: NDArray[Any]
     z: NDArray[Any]

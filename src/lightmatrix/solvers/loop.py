@@ -23,9 +23,17 @@ _COMPACT_SHARE = 0.2
 class IterativeSolver(Protocol):
     """What the loop needs of a solver; states are frozen dataclasses of arrays with M rows."""
 
-    fidelity: Fidelity
-    max_iterations: int
-    tolerance: float
+    @property
+    def fidelity(self) -> Fidelity:
+        """The data term that it minimises."""
+
+    @property
+    def max_iterations(self) -> int:
+        """Iterations after which a row is given up as it is."""
+
+    @property
+    def tolerance(self) -> float:
+        """A row stops when both its residuals are below this."""
 
     def init(self, problem: Problem) -> Any:
         """The state before the first step."""
