@@ -52,9 +52,11 @@ def test_prediction_update_minimises_its_own_problem(
 def _update(
     v: float, y: float, clipped: bool, level: float, weight: float, c: float, fidelity: Fidelity
 ) -> float:
-    samples = [np.array([[value]]) for value in (v, y, clipped, level, weight)]
-    found = update_prediction(*samples[:5], coupling=c, fidelity=fidelity)  # type: ignore[misc]
-    return float(found[0, 0])
+    def one(value: float) -> np.ndarray:
+        return np.array([[value]])
+
+    arrays = one(v), one(y), np.array([[clipped]]), one(level), one(weight)
+    return float(update_prediction(*arrays, c, fidelity)[0, 0])
 
 
 @given(v=values, y=st.floats(0, 3), lam=positive, nu=positive)
