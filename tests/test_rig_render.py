@@ -126,9 +126,10 @@ def test_colour_gives_three_rows_a_pixel() -> None:
 
 
 @needs_llvm
-def test_a_wall_is_seen_as_it_is_lit() -> None:
+@pytest.mark.parametrize("size", [(8, 8), (5, 9), (9, 4)])
+def test_a_wall_is_seen_as_it_is_lit(size: tuple[int, int]) -> None:
     """Camera and projector see the same rectangle of a wall, so T is diagonal and global-free."""
-    truth = render("wall", (8, 8), samples=1024)
+    truth = render("wall", size, samples=1024)
     share = truth.matrix.diagonal().sum() / truth.matrix.sum()
     assert share > 0.99
     np.testing.assert_array_equal(truth.direct_data, truth.matrix.data)
@@ -214,6 +215,17 @@ def test_an_interrupted_rendering_leaves_no_file(
     with pytest.raises(KeyboardInterrupt):
         library.truth("wall", (8, 8))
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_cache_that_cannot_be_written_costs_no_rendering(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "cache").write_text("a file where a folder should be")
+    monkeypatch.setattr(library, "render", made)
+    monkeypatch.setattr(library, "cache_folder", lambda: tmp_path / "cache")
+    with pytest.warns(LightMatrixWarning, match="not cached"):
+        truth = library.truth("wall", (8, 8))
+    assert truth.camera_shape == (8, 8)
 
 
 def test_a_damaged_cache_is_rendered_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -29,6 +29,7 @@ def test_threads_and_blocks_do_not_change_a_bit(monkeypatch: pytest.MonkeyPatch)
     patterns = HadamardPatterns((16, 16), 64)
     one = simulate.irradiance(truth.matrix, patterns, threads=1)
     monkeypatch.setattr(simulate, "_BLOCK_ENTRIES", 999)
+    monkeypatch.setattr(simulate, "_CACHED_VALUES", 256 * 20)
     many = simulate.irradiance(truth.matrix, patterns, threads=4)
     np.testing.assert_array_equal(one, many)
 

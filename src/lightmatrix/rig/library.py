@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import warnings
 from importlib.resources import as_file, files
 from pathlib import Path
 
 import platformdirs
 
-from lightmatrix.errors import InputError
+from lightmatrix.errors import InputError, LightMatrixWarning, OutputError
 from lightmatrix.rig.pack import pack, unpack
 from lightmatrix.rig.renderer import Progress, render
 from lightmatrix.rig.scenes import scene
@@ -60,7 +61,10 @@ def truth(
         except InputError:
             pass  # damaged: rendered again below
     rendered = render(name, size, samples=samples, seed=seed, progress=progress)
-    rendered.save(path, overwrite=True)
+    try:
+        rendered.save(path, overwrite=True)
+    except OutputError as error:
+        warnings.warn(f"not cached: {error.message}", LightMatrixWarning, stacklevel=2)
     return rendered
 
 

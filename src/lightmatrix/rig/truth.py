@@ -124,6 +124,11 @@ class Truth:
                 f"{FORMAT_VERSION}",
                 hint="install a newer lightmatrix",
             )
+        if "background" in content and content["background"].any():
+            raise InputError(
+                f"{path} keeps its background apart, so its matrix is not the whole of T",
+                hint="export it with --dense-background",
+            )
         matrix = _checked_matrix(path, content)
         camera_shape = tuple(int(v) for v in content["camera_shape"])
         projector_shape = tuple(int(v) for v in content["projector_shape"])

@@ -1,0 +1,92 @@
+"""What kind of matrix each scene has: the table of docs/rig.md, and a picture of all scenes.
+
+    python benchmarks/rig_statistics.py [--size 64] [-o rig_statistics.json] [--picture scenes.png]
+
+The bundled scenes come at 64 x 64; everything else is rendered at 16,384 paths a pixel and cached.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lightmatrix.experiments.fig5 import EXPOSURES, statistics
+from lightmatrix.figures import display, figure, panel, save
+from lightmatrix.patterns import BernoulliPatterns
+from lightmatrix.rig import library
+from lightmatrix.rig.scenes import names
+from lightmatrix.rig.simulate import irradiance
+from lightmatrix.rig.thumbnails import photograph
+
+
+def table(rows: list[dict[str, Any]]) -> str:
+    head = ["scene", "direct", "entries 90 %", "entries 99 %", "diffuse rows"]
+    head += [f"clipped at {exposure:g}" for exposure in EXPOSURES]
+    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
+    for row in rows:
+        cells = [
+            row["scene"],
+            f"{row['direct_share']:.1%}",
+            f"{row['entries_90']:.0f}",
+            f"{row['entries_99']:.0f}",
+            f"{row['diffuse_rows']:.1%}",
+            *(f"{share:.1%}" for share in row["clipped_share"]),
+        ]
+        lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
+def draw(path: Path) -> None:
+    with figure(6.6, 4.8) as drawing:
+        for axes, name in zip(drawing.subplots(2, 3).flat, names(), strict=True):
+            image = photograph(name, (384, 384), samples=256)
+            panel(axes, display(image, float(np.quantile(image, 0.97))))
+            axes.set_xlabel(name)
+        save(drawing, path.parent, path.stem)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--size", type=int, default=64)
+    parser.add_argument("--scenes", nargs="+", default=list(names()))
+    parser.add_argument("--picture", type=Path, help="also draw all scenes")
+    parser.add_argument("-o", "--output", type=Path)
+    options = parser.parse_args()
+    rows = []
+    for name in options.scenes:
+        truth = library.truth(name, (options.size, options.size))
+        started = time.perf_counter()
+        irradiance(truth.matrix, BernoulliPatterns(truth.projector_shape, 1024))
+        rows.append(
+            {
+                **statistics(name, truth),
+                "entries_mean": truth.matrix.nnz / truth.matrix.shape[0],
+                "noise_entries": truth.metadata["noise_entries"],
+                "noise_white": truth.metadata["noise_white"],
+                "samples": truth.metadata["samples"],
+                "render_seconds": truth.metadata["seconds"],
+                "simulate_1024_seconds": time.perf_counter() - started,
+            }
+        )
+    print(table(rows))
+    print("\n| scene | entries a row | noise of the entries | of the white image | K = 1,024 |")
+    print("|---|---|---|---|---|")
+    for row in rows:
+        print(
+            f"| {row['scene']} | {row['entries_mean']:.0f} | {row['noise_entries']:.2%} | "
+            f"{row['noise_white']:.2%} | {row['simulate_1024_seconds']:.1f} s |"
+        )
+    if options.output:
+        summary = {"size": options.size, "exposures": EXPOSURES, "rows": rows}
+        options.output.write_text(json.dumps(summary, indent=2) + "\n")
+    if options.picture:
+        draw(options.picture)
+
+
+if __name__ == "__main__":
+    main()
