@@ -77,8 +77,12 @@ class Checkpoint:
                     )
                 shutil.rmtree(folder)
             folder.mkdir()
-        with atomic_file(folder / _FINGERPRINT) as part:
-            part.write_text(json.dumps(wanted, indent=2))
+        try:
+            with atomic_file(folder / _FINGERPRINT) as part:
+                part.write_text(json.dumps(wanted, indent=2))
+        except OutputError:
+            folder.rmdir()
+            raise
         return cls(target, folder, overwrite)
 
     def __enter__(self) -> Self:

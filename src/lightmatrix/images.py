@@ -141,7 +141,10 @@ def write_image(
             if levels.ndim == 3 and levels.dtype == np.uint16:
                 png16.write(part, levels)
             else:
-                imageio.imwrite(part, levels, plugin="pillow")
+                # Encoded first: given a file, Pillow's plugin trips over a full disk twice.
+                part.write_bytes(
+                    imageio.imwrite("<bytes>", levels, extension=".png", plugin="pillow")
+                )
 
 
 def list_images(folder: str | Path) -> list[Path]:
