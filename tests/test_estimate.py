@@ -20,7 +20,7 @@ from lightmatrix.rig.procedural import ProceduralScene
 from lightmatrix.rig.simulate import irradiance
 from lightmatrix.rig.truth import Truth
 from lightmatrix.sensor import Sensor
-from lightmatrix.solvers import ADMM, ROMP, Fidelity, SaturationADMM, Solver, solve
+from lightmatrix.solvers import ADMM, ROMP, ActiveSet, Fidelity, SaturationADMM, Solver, solve
 
 EXPOSURE = 2.5
 
@@ -56,7 +56,7 @@ def test_clip_aware_beats_clip_blind(rig: tuple[Path, Truth]) -> None:
     assert error["clipped"] < 0.5 * error["blind"]
 
 
-@pytest.mark.parametrize("solver", [SaturationADMM(), ADMM(), ROMP()])
+@pytest.mark.parametrize("solver", [ActiveSet(), SaturationADMM(), ADMM(), ROMP()])
 def test_tiles_do_not_matter(rig: tuple[Path, Truth], solver: Any) -> None:
     capture = Capture.open(rig[0])
     whole = PlainEstimator(solver, tile_rows=1000).estimate(capture)
@@ -76,11 +76,11 @@ def test_interrupted_runs_go_on(
     expected = estimator.estimate(capture)
     solved: list[int] = []
 
-    def interrupted(problem: Any, solver: Any) -> Any:
+    def interrupted(problem: Any, solver: Any, progress: Any) -> Any:
         if len(solved) == 2:
             raise KeyboardInterrupt
         solved.append(problem.rows)
-        return solve(problem, solver)
+        return solve(problem, solver, progress=progress)
 
     output = tmp_path / "scene.zarr"
     monkeypatch.setattr(plain, "solve", interrupted)
@@ -91,9 +91,9 @@ def test_interrupted_runs_go_on(
     solved.clear()
     again: list[int] = []
 
-    def counted(problem: Any, solver: Any) -> Any:
+    def counted(problem: Any, solver: Any, progress: Any) -> Any:
         again.append(problem.rows)
-        return solve(problem, solver)
+        return solve(problem, solver, progress=progress)
 
     monkeypatch.setattr(plain, "solve", counted)
     found = estimator.estimate(capture, checkpoint=output)

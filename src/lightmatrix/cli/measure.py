@@ -16,19 +16,21 @@ from lightmatrix.cli.common import Json, Overwrite, out, progress, show_json, sh
 from lightmatrix.cli.results import summary
 from lightmatrix.errors import InputError
 from lightmatrix.estimators.plain import PlainEstimator
-from lightmatrix.solvers import ADMM, ROMP, SaturationADMM, Solver
+from lightmatrix.solvers import ADMM, ROMP, ActiveSet, SaturationADMM, Solver
 from lightmatrix.solvers.problem import Fidelity
 
 
 class SolverName(StrEnum):
     """Solvers of `lightmatrix estimate`."""
 
+    ACTIVE_SET = "active-set"
     SATURATION_ADMM = "saturation-admm"
     ADMM = "admm"
     ROMP = "romp"
 
 
 SOLVERS_HELP = (
+    "active-set (one-sided, rejection, linear; certifies a duality gap), "
     "saturation-admm (clipped, one-sided, rejection, linear), admm (linear), "
     "romp (linear, rejection)."
 )
@@ -37,6 +39,7 @@ FIDELITY_HELP = (
     "rejection (left out), linear (taken at their value)."
 )
 DEFAULT_FIDELITY = {
+    SolverName.ACTIVE_SET: Fidelity.ONE_SIDED,
     SolverName.SATURATION_ADMM: Fidelity.ONE_SIDED,
     SolverName.ADMM: Fidelity.LINEAR,
     SolverName.ROMP: Fidelity.REJECTION,
@@ -70,13 +73,14 @@ def estimate(
     response: Annotated[
         str | None, typer.Option(help="linear, gamma:2.2, srgb or curve:FILE.")
     ] = None,
-    solver: Annotated[SolverName, typer.Option(help=SOLVERS_HELP)] = SolverName.SATURATION_ADMM,
+    solver: Annotated[SolverName, typer.Option(help=SOLVERS_HELP)] = SolverName.ACTIVE_SET,
     fidelity: Annotated[Fidelity | None, typer.Option(help=FIDELITY_HELP)] = None,
     regularization: Annotated[
         str, typer.Option(help="The paper's lambda in units of camera sample, or auto.")
     ] = "auto",
     iterations: Annotated[
-        int | None, typer.Option(help="Most iterations (rounds for romp).", min=1)
+        int | None,
+        typer.Option(help="Most iterations (rounds for romp, passes for active-set).", min=1),
     ] = None,
     signed: Annotated[bool, typer.Option(help="Allow negative light, as the paper does.")] = False,
     background: Annotated[
@@ -125,6 +129,8 @@ def estimate(
 def _solver(name: SolverName, fidelity: Fidelity | None, iterations: int | None) -> Solver:
     wanted = fidelity or DEFAULT_FIDELITY[name]
     limit: dict[str, int] = {} if iterations is None else {"max_iterations": iterations}
+    if name is SolverName.ACTIVE_SET:
+        return ActiveSet(wanted) if iterations is None else ActiveSet(wanted, max_passes=iterations)
     if name is SolverName.ADMM:
         if wanted is not Fidelity.LINEAR:
             raise InputError(

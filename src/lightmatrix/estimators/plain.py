@@ -45,7 +45,8 @@ class PlainEstimator:
     background : bool
         Whether each camera sample has a coefficient of the patterns' means (diffuse light).
     tile_rows : int or None
-        Rows solved at a time. None: as many as fit half a gigabyte. Results do not depend on it.
+        Rows solved at a time, rounded up to the solver's blocks. None: as many as fit half a
+        gigabyte. Results do not depend on it.
     """
 
     solver: Solver
@@ -99,8 +100,7 @@ class PlainEstimator:
         if checkpoint is None:
             parts = []
             for start, stop in tiles.ranges():
-                parts.append(tiles.solve(start, stop))
-                _report(progress, stop, capture.rows)
+                parts.append(tiles.solve(start, stop, progress))
             names = parts[0][2]
             return LightTransport(
                 csr_array(vstack([part[0] for part in parts], format="csr")),
@@ -112,8 +112,7 @@ class PlainEstimator:
         with Checkpoint.open(checkpoint, fingerprint, overwrite=overwrite) as running:
             for start, stop in tiles.ranges():
                 if not running.has(start, stop):
-                    running.write(start, stop, *tiles.solve(start, stop))
-                _report(progress, stop, capture.rows)
+                    running.write(start, stop, *tiles.solve(start, stop, progress))
             return running.finish(background_grid=(1, 1), **shapes)
 
     def provenance(self, capture: Capture, regularization: float) -> dict[str, Any]:
@@ -152,11 +151,14 @@ class _Tiles:
 
     def ranges(self) -> Iterator[tuple[int, int]]:
         rows = self.estimator.tile_rows or self._fitting_rows()
+        # Some solvers start anew at every block of rows: tiles must not cut through one.
+        block = getattr(self.estimator.solver, "row_block", 1)
+        rows = -(-rows // block) * block
         for start in range(0, self.capture.rows, rows):
             yield start, min(start + rows, self.capture.rows)
 
     def solve(
-        self, start: int, stop: int
+        self, start: int, stop: int, progress: Progress | None
     ) -> tuple[csr_array, NDArray[np.float32], dict[str, NDArray[Any]]]:
         samples = self.capture.samples(start, stop)
         problem = Problem(
@@ -169,7 +171,13 @@ class _Tiles:
             self.estimator.nonnegative,
             self.estimator.background,
         )
-        result = solve(problem, self.estimator.solver)
+        total = self.capture.rows
+
+        def report(done: int, _: int) -> None:
+            if progress is not None:
+                progress(start + done, total)
+
+        result = solve(problem, self.estimator.solver, progress=report)
         return (
             csr_array(result.coefficients, dtype=np.float32),
             result.background.astype(np.float32)[:, None],
@@ -191,11 +199,6 @@ def _diagnostics(samples: Samples, result: Result) -> dict[str, NDArray[Any]]:
         "gap": result.gap.astype(np.float32),
         "objective": result.objective,
     }
-
-
-def _report(progress: Progress | None, done: int, total: int) -> None:
-    if progress is not None:
-        progress(done, total)
 
 
 def _plain(value: Any) -> Any:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -58,6 +58,9 @@ class ActiveSet:
     tolerance: float = 1e-4
     max_passes: int = 200
     threads: int | None = None
+
+    # Chains of rows start anew at every block of so many rows.
+    row_block: ClassVar[int] = 64
 
     def __post_init__(self) -> None:
         if not self.fidelity.convex:
