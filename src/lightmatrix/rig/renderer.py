@@ -24,6 +24,8 @@ Progress = Callable[[int, int], None]
 # Dense sums of one block of camera pixels: the accumulator, twice (halves) and copies on the way.
 _BLOCK_BYTES = 192 << 20
 _COPIES = 6
+# Places of dense rows that are thinned at once; sorting them takes about 100 bytes each.
+_THINNING_PLACES = 1 << 21
 # Paths in flight; each holds its ray, throughput and random state.
 _WAVEFRONT = 1 << 21
 _PATH_BYTES = 200
@@ -222,11 +224,17 @@ def _mean_of_halves(halves: NDArray[np.float32], samples: int) -> NDArray[np.flo
 
 def _sparse_rows(sums: NDArray[np.float32], keep: float) -> tuple[csr_array, NDArray[np.float32]]:
     """Dense rows (direct, global) as thinned sparse rows of their sum, and its direct part."""
-    whole = sums[0] + sums[1]
-    row, col = np.nonzero(whole)
-    indptr = np.concatenate([[0], np.cumsum(np.bincount(row, minlength=len(whole)))])
-    matrix = csr_array((whole[row, col], col.astype(np.int32), indptr), shape=whole.shape)
-    return thinned(matrix, sums[0][row, col], keep)
+    count, pixels = sums.shape[1:]
+    step = max(1, _THINNING_PLACES // pixels)
+    parts = []
+    for start in range(0, count, step):
+        straight = sums[0, start : start + step]
+        whole = straight + sums[1, start : start + step]
+        row, col = np.nonzero(whole)
+        indptr = np.concatenate([[0], np.cumsum(np.bincount(row, minlength=len(whole)))])
+        matrix = csr_array((whole[row, col], col.astype(np.int32), indptr), shape=whole.shape)
+        parts.append(thinned(matrix, straight[row, col], keep))
+    return _joined(parts)
 
 
 def _joined(

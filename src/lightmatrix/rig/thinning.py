@@ -1,4 +1,9 @@
-"""Dropping the smallest entries of a matrix without changing what its rows sum to."""
+"""Dropping the smallest entries of a matrix without changing the light it carries.
+
+Dropping alone would darken images under patterns that are not white, and giving a row's lost light
+back to its large entries would move light towards them: by 0.3 % of the sum under one block of the
+corner scene. So every run of dropped neighbours leaves one entry that stands for them all.
+"""
 
 from __future__ import annotations
 
@@ -12,13 +17,13 @@ def thinned(
 ) -> tuple[csr_array, NDArray[np.float32]]:
     """Keep the largest entries of each row that hold the share `keep` of its sum.
 
-    What is dropped goes back to the global parts of the entries that stay, so that images under
-    white light do not change.
+    The light of the others is gathered, in the order of projector pixels, into entries as large as
+    the smallest that is kept; it counts as global. Rows keep their sums.
 
     Parameters
     ----------
     matrix : (M, N) csr_array float32
-        Entries >= 0.
+        Entries >= 0, columns sorted.
     direct : (matrix.nnz,) float32
         Direct part of each entry.
     keep : float
@@ -33,21 +38,35 @@ def thinned(
         return matrix, direct
     count = matrix.shape[0]
     row = np.repeat(np.arange(count), np.diff(matrix.indptr))
-    values = matrix.data
-    energy = np.bincount(row, values, count)
+    values = matrix.data.astype(np.float64)
+    energy = np.bincount(row, values, count).astype(np.float64)
     # From the smallest entry of each row on, drop while all that is dropped is small enough.
     order = np.lexsort((values, row))
-    upto = np.cumsum(values[order], dtype=np.float64) - (np.cumsum(energy) - energy)[row]
-    kept = np.zeros(len(row), bool)
-    kept[order] = upto > (1 - keep) * energy[row]
-    row, values, direct = row[kept], values[kept], direct[kept]
-    lost = energy - np.bincount(row, values, count)
-    scattered = np.bincount(row, values - direct, count)
-    # Where no global light is left, all entries share what was lost; it still counts as global.
-    takes = np.where((scattered > 0)[row], values - direct, values)
-    taken = np.bincount(row, takes, count)
-    gain = np.divide(lost, taken, out=np.zeros(count), where=taken > 0)
-    values = values + takes * gain[row].astype(np.float32)
+    upto = np.cumsum(values[order]) - (np.cumsum(energy) - energy)[row]
+    large = np.zeros(len(row), bool)
+    large[order] = upto > (1 - keep) * energy[row]
+    smallest = np.full(count, np.inf)
+    np.minimum.at(smallest, row[large], values[large])
+
+    # Small entries fill a measure of the size `smallest` one after the other; the one that makes
+    # it run over stays, for all that are in it. The measure starts half full, to be fair.
+    small = np.flatnonzero(~large)
+    filled = np.cumsum(values[small] / smallest[row[small]])
+    before = np.concatenate([[0.0], filled])[np.searchsorted(row[small], np.arange(count))]
+    filled += 0.5 - before[row[small]]
+    runs_over = np.floor(filled) > np.floor(filled - values[small] / smallest[row[small]])
+    gathered = small[runs_over]
+    kept = large.copy()
+    kept[gathered] = True
+    result = np.where(large, values, smallest[row])[kept]
+    direct = np.where(large, direct, np.float32(0))[kept]
+    row = row[kept]
+
+    # Up to half a measure a row is left over or too much: a matter of rounding.
+    gathered_energy = np.bincount(row, result, count)
+    result *= np.divide(energy, gathered_energy, where=energy > 0, out=np.ones(count))[row]
+    values32 = result.astype(np.float32)
     indptr = np.concatenate([[0], np.cumsum(np.bincount(row, minlength=count))])
     indptr = indptr.astype(matrix.indptr.dtype)
-    return csr_array((values, matrix.indices[kept], indptr), shape=matrix.shape), direct
+    thin = csr_array((values32, matrix.indices[kept], indptr), shape=matrix.shape)
+    return thin, np.minimum(direct, values32)
