@@ -13,15 +13,13 @@ import time
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from lightmatrix.experiments.fig5 import EXPOSURES, statistics
 from lightmatrix.figures import display, figure, panel, save
 from lightmatrix.patterns import BernoulliPatterns
 from lightmatrix.rig import library
 from lightmatrix.rig.scenes import names
 from lightmatrix.rig.simulate import irradiance
-from lightmatrix.rig.thumbnails import photograph
+from lightmatrix.rig.thumbnails import photograph, white_level
 
 
 def table(rows: list[dict[str, Any]]) -> str:
@@ -44,8 +42,8 @@ def table(rows: list[dict[str, Any]]) -> str:
 def draw(path: Path) -> None:
     with figure(6.6, 4.8) as drawing:
         for axes, name in zip(drawing.subplots(2, 3).flat, names(), strict=True):
-            image = photograph(name, (384, 384), samples=256)
-            panel(axes, display(image, float(np.quantile(image, 0.97))))
+            image = photograph(name, (320, 320), samples=256)
+            panel(axes, display(image, white_level(image)))
             axes.set_xlabel(name)
         save(drawing, path.parent, path.stem)
 

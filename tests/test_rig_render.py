@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import importlib.util
+import json
 import warnings
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from lightmatrix.errors import InputError, LightMatrixWarning
-from lightmatrix.rig import library, renderer
+from lightmatrix.errors import InputError, LightMatrixWarning, MissingExtraError
+from lightmatrix.images import read_image
+from lightmatrix.rig import library, renderer, thumbnails
 from lightmatrix.rig.llvm import load_mitsuba
 from lightmatrix.rig.renderer import foreseen_bytes, render
+from lightmatrix.rig.scenes import names
 from lightmatrix.rig.thumbnails import photograph, write_thumbnails
 from lightmatrix.rig.truth import Truth
 
@@ -249,7 +252,22 @@ def test_thumbnails_show_every_scene(tmp_path: Path) -> None:
     assert image.shape == (24, 24)
     assert image.std() > 0.2 * image.mean()
     paths = write_thumbnails(tmp_path / "pictures", size=(24, 24))
-    assert sorted(path.stem for path in paths) == sorted(
-        ["l_objects", "gripper", "metal", "corner", "translucent", "wall"]
-    )
-    assert all(path.exists() for path in paths)
+    assert [path.stem for path in paths] == list(names())
+    for path in paths:
+        assert read_image(path).shape == (24, 24)
+    write_thumbnails(tmp_path / "pictures", size=(8, 8), overwrite=True)
+    assert read_image(paths[0]).shape == (8, 8)
+    listed = json.loads((tmp_path / "pictures" / "scenes.json").read_text())
+    assert list(listed) == list(names())
+
+
+def test_thumbnails_without_the_renderer_show_the_bundled_scenes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def missing(*_: object, **__: object) -> None:
+        raise MissingExtraError("no renderer")
+
+    monkeypatch.setattr(thumbnails, "photograph", missing)
+    paths = write_thumbnails(tmp_path / "pictures")
+    assert [path.stem for path in paths] == list(library.BUNDLED)
+    assert all(read_image(path).shape == (64, 64) for path in paths)

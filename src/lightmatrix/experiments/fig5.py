@@ -17,7 +17,7 @@ from lightmatrix.patterns import BernoulliPatterns
 from lightmatrix.rig import library
 from lightmatrix.rig.simulate import irradiance
 from lightmatrix.rig.statistics import clipped_share, direct_share, entries_for_energy
-from lightmatrix.rig.thumbnails import photograph
+from lightmatrix.rig.thumbnails import photograph, white_level
 from lightmatrix.rig.truth import Truth
 from lightmatrix.sensor import Sensor
 
@@ -76,7 +76,7 @@ def _draw_scenes(out: Path, truths: dict[str, Truth], size: int) -> None:
                 image = photograph(name, (size, size), samples=256)
             except MissingExtraError:
                 image = _white(truths[name])
-            panel(axes, display(image, float(np.quantile(image, 0.97))))
+            panel(axes, display(image, white_level(image)))
             axes.set_xlabel(title)
         save(drawing, out, "fig5", FORMATS)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from pathlib import Path
 
@@ -32,6 +33,11 @@ def photograph(
     return np.asarray(image, np.float32).mean(axis=2)
 
 
+def white_level(image: NDArray[np.float32]) -> float:
+    """The level to show as white, so that a few highlights do not make all else dark."""
+    return float(1.1 * np.quantile(image, 0.97))
+
+
 def write_thumbnails(
     folder: Path,
     *,
@@ -39,7 +45,10 @@ def write_thumbnails(
     overwrite: bool = False,
     progress: Callable[[int, int], None] | None = None,
 ) -> list[Path]:
-    """Write NAME.png for every scene; without the renderer, for the bundled ones at 64 x 64."""
+    """Write NAME.png for every scene and a list, scenes.json.
+
+    Without the renderer the bundled scenes are drawn from their matrices, at 64 x 64.
+    """
     written = []
     with atomic_folder(folder, overwrite=overwrite) as temporary:
         for done, name in enumerate(names(), start=1):
@@ -50,9 +59,11 @@ def write_thumbnails(
                     continue
                 known = library.truth(name)
                 image = np.asarray(known.matrix.sum(axis=1), np.float32).reshape(known.camera_shape)
-            shown = np.clip(image / np.quantile(image, 0.97), 0, 1) ** (1 / 2.2)
+            shown = np.clip(image / white_level(image), 0, 1) ** (1 / 2.2)
             write_image(temporary / f"{name}.png", shown.astype(np.float32))
             written.append(folder / f"{name}.png")
             if progress is not None:
                 progress(done, len(names()))
+        described = {path.stem: scene(path.stem).description for path in written}
+        (temporary / "scenes.json").write_text(json.dumps(described, indent=2) + "\n")
     return written
