@@ -16,6 +16,7 @@
 
 mod certificate;
 mod chain;
+mod factor;
 mod restricted;
 mod row;
 mod search;

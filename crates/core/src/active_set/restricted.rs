@@ -5,14 +5,24 @@
 //! with the background eliminated (the 'centred' Gram matrix), whose rows are made when their
 //! coordinate first moves: most never do. A line search guards the step where the clip state changes.
 
+use super::factor::{Factor, LARGEST};
 use super::{search, Dictionary, Settings};
 use crate::columns::GramSource;
+use crate::simd::Level;
 use crate::vector::{add_scaled, curvature, dot, residual, DataTerm};
 
 /// Steps between which the clip state may change.
 const NEWTON_STEPS: usize = 12;
 /// Sweeps of coordinate descent a step.
 const SWEEPS: usize = 30;
+/// Coordinate descent that has not settled after so many sweeps gives way to exact pivoting,
+const SWEEPS_BEFORE_PIVOTS: usize = 5;
+/// of at most so many pixels in and out.
+const PIVOTS: usize = 400;
+/// A step is solved to this share of the violation it starts from.
+const STEP_SHARE: f64 = 0.03;
+/// Coordinate descent has settled when no coordinate's slope changes by this share of the accuracy.
+const SETTLED_SHARE: f64 = 0.3;
 /// Columns with less curvature than this share of the samples are combinations of the background.
 const FLAT: f64 = 1e-9;
 const UNSET: u32 = u32::MAX;
@@ -132,8 +142,8 @@ impl Point {
 }
 
 /// Buffers of the restricted solve.
-#[derive(Default)]
 pub struct Restricted {
+    level: Level,
     gram: GramSource,
     /// Whether weights are 0 or 1 only.
     unit_weights: bool,
@@ -152,13 +162,52 @@ pub struct Restricted {
     rows: Vec<f64>,
     slot: Vec<u32>,
     direction: Vec<f64>,
+    /// One over the diagonal; 0 where there is no curvature.
+    inverse: Vec<f64>,
+    /// Pixels that differ from zero, in two generations.
+    order: Vec<u32>,
+    moving: Vec<u32>,
+    factor: Factor,
+    /// Pixels that the exact solution has considered, and its change of those in play.
+    taken: Vec<bool>,
+    solution: Vec<f64>,
+    /// Whether b = 0 held the last step.
+    held: bool,
     /// Pixels without curvature.
     flat: Vec<usize>,
 }
 
 impl Restricted {
+    pub fn new(level: Level) -> Self {
+        Restricted {
+            level,
+            gram: GramSource::default(),
+            unit_weights: false,
+            theta: Vec::new(),
+            curvature: Vec::new(),
+            active: Vec::new(),
+            means: Vec::new(),
+            gradient: Vec::new(),
+            coupling: Vec::new(),
+            target: Vec::new(),
+            slope: Vec::new(),
+            rows: Vec::new(),
+            slot: Vec::new(),
+            direction: Vec::new(),
+            inverse: Vec::new(),
+            order: Vec::new(),
+            moving: Vec::new(),
+            factor: Factor::new(level),
+            taken: Vec::new(),
+            solution: Vec::new(),
+            held: false,
+            flat: Vec::new(),
+        }
+    }
+
     /// Takes note of a new row's data.
     pub fn load(&mut self, data: &DataTerm) {
+        self.held = false;
         self.unit_weights = data.weights.iter().all(|&w| w == 0.0 || w == 1.0);
         let n = data.y.len();
         for buffer in [
@@ -266,8 +315,21 @@ impl Restricted {
         } else {
             self.coupling.fill(0.0);
         }
-        let mut rise = 0.0;
-        if centred {
+        // A step that the clip state will make inexact anyway need not be solved well.
+        let accuracy = accuracy * settings.regularization;
+        let accuracy = accuracy.max(STEP_SHARE * self.violation(settings, point));
+        let b = point.background;
+        let surplus = if settings.nonnegative { b } else { 0.0 };
+        let mut rise = -surplus;
+        let mut free = centred;
+        if !centred || self.held {
+            // By convexity b = 0 is right where m' theta ends below zero.
+            self.descend(dictionary, settings, point, surplus, 0.0, accuracy);
+            let left = excess + surplus * along_means - self.coupled_change(point);
+            free = centred && left > 0.0;
+            self.held = !free;
+        }
+        if free {
             let per_mean = 1.0 / along_means;
             self.descend(
                 dictionary,
@@ -278,16 +340,11 @@ impl Restricted {
                 accuracy,
             );
             rise = (excess - self.coupled_change(point)) * per_mean;
-        }
-        if !centred || (settings.nonnegative && point.background + rise < 0.0) {
-            // By convexity b = 0 in the model's solution.
-            let surplus = if settings.nonnegative {
-                point.background
-            } else {
-                0.0
-            };
-            rise = -surplus;
-            self.descend(dictionary, settings, point, surplus, 0.0, accuracy);
+            if settings.nonnegative && b + rise < 0.0 {
+                self.held = true;
+                rise = -surplus;
+                self.descend(dictionary, settings, point, surplus, 0.0, accuracy);
+            }
         }
         let advanced = self.advance(dictionary, settings, data, point, rise);
         self.lower_flat(dictionary, settings, data, point) || advanced
@@ -348,10 +405,14 @@ impl Restricted {
         self.slot.resize(n, UNSET);
         self.rows.clear();
         self.flat.clear();
-        let flat = FLAT * self.theta.len() as f64;
-        for _ in 0..SWEEPS {
+        self.inverse.clear();
+        self.inverse.resize(n, 0.0);
+        let mut full = true;
+        for sweep in 0..SWEEPS {
             let mut change: f64 = 0.0;
-            for j in 0..n {
+            self.moving.clear();
+            for i in 0..if full { n } else { self.order.len() } {
+                let j = if full { i } else { self.order[i] as usize };
                 let (x, g) = (self.target[j], self.slope[j]);
                 // Nothing pulls a pixel at zero away from it.
                 if x == 0.0 && (g <= lambda && (settings.nonnegative || g >= -lambda)) {
@@ -360,17 +421,15 @@ impl Restricted {
                 if self.slot[j] == UNSET {
                     self.make_row(dictionary, point, j, per_mean);
                 }
-                let start = self.slot[j] as usize * n;
-                let row = &self.rows[start..start + n];
-                let diagonal = row[j];
-                if diagonal <= flat {
+                let inverse = self.inverse[j];
+                if inverse == 0.0 {
                     if x != 0.0 && g.abs() < lambda && !self.flat.contains(&j) {
                         self.flat.push(j);
                     }
                     continue;
                 }
-                let free = x + g / diagonal;
-                let reach = lambda / diagonal;
+                let free = x + g * inverse;
+                let reach = lambda * inverse;
                 let next = if free > reach {
                     free - reach
                 } else if !settings.nonnegative && free < -reach {
@@ -378,17 +437,127 @@ impl Restricted {
                 } else {
                     0.0
                 };
+                if next != 0.0 {
+                    self.moving.push(j as u32);
+                }
                 let moved = next - x;
                 if moved != 0.0 {
                     self.target[j] = next;
-                    add_scaled(level, &mut self.slope, -moved, row);
-                    change = change.max(moved.abs() * diagonal);
+                    let start = self.slot[j] as usize * n;
+                    add_scaled(level, &mut self.slope, -moved, &self.rows[start..start + n]);
+                    change = change.max(moved.abs() / inverse);
                 }
             }
-            if change <= 0.3 * accuracy * lambda {
+            std::mem::swap(&mut self.order, &mut self.moving);
+            if change <= SETTLED_SHARE * accuracy {
+                if full {
+                    break;
+                }
+                // Settled on the pixels that move: look at all again.
+                full = true;
+            } else {
+                full = false;
+                if sweep + 1 >= SWEEPS_BEFORE_PIVOTS && self.order.len() <= LARGEST / 2 {
+                    self.pivot(
+                        dictionary,
+                        settings,
+                        point,
+                        per_mean,
+                        SETTLED_SHARE * accuracy,
+                    );
+                    break;
+                }
+            }
+        }
+    }
+
+    /// Solves the quadratic model exactly, from where coordinate descent has come to: go to the
+    /// solution for the pixels that differ from zero; whenever one becomes zero on the way, leave it
+    /// out; once there, take in the pixel that violates its condition most (Lawson & Hanson 1974).
+    fn pivot(
+        &mut self,
+        dictionary: &Dictionary,
+        settings: &Settings,
+        point: &Point,
+        per_mean: f64,
+        accuracy: f64,
+    ) {
+        let n = self.target.len();
+        let lambda = settings.regularization;
+        self.factor.clear();
+        self.moving.clear();
+        // Pixels in play, and those that depend on them.
+        self.taken.clear();
+        self.taken.resize(n, false);
+        for i in 0..self.order.len() {
+            self.take_in(self.order[i] as usize);
+        }
+        for _ in 0..PIVOTS {
+            self.solution.clear();
+            let sloping = self.moving.iter().map(|&j| {
+                let (g, x) = (self.slope[j as usize], self.target[j as usize]);
+                // A pixel taken in at zero moves to the side it is pulled to.
+                let sign = if x == 0.0 { g.signum() } else { x.signum() };
+                g - lambda * sign
+            });
+            self.solution.extend(sloping);
+            self.factor.solve(&mut self.solution);
+            let mut limit: f64 = 1.0;
+            let mut first = None;
+            for (place, (&j, &change)) in self.moving.iter().zip(&self.solution).enumerate() {
+                let x = self.target[j as usize];
+                if x * (x + limit * change) < 0.0 {
+                    (limit, first) = (-x / change, Some(place));
+                }
+            }
+            for (&j, &change) in self.moving.iter().zip(&self.solution) {
+                self.target[j as usize] += limit * change;
+                let row = &self.rows[self.slot[j as usize] as usize * n..][..n];
+                add_scaled(self.level, &mut self.slope, -limit * change, row);
+            }
+            if let Some(place) = first {
+                let j = self.moving.remove(place) as usize;
+                self.target[j] = 0.0;
+                self.taken[j] = false;
+                self.factor.remove(place);
+                continue;
+            }
+            // Dependent pixels are skipped; what they lack shows in the next step's slopes.
+            let taken_in = loop {
+                let mut worst = None;
+                let mut most = lambda + accuracy;
+                for j in (0..n).filter(|&j| !self.taken[j]) {
+                    let g = self.slope[j];
+                    let pull = if settings.nonnegative { g } else { g.abs() };
+                    if pull > most {
+                        (most, worst) = (pull, Some(j));
+                    }
+                }
+                let Some(j) = worst else { break false };
+                if self.slot[j] == UNSET {
+                    self.make_row(dictionary, point, j, per_mean);
+                }
+                if self.take_in(j) {
+                    break true;
+                }
+            };
+            if !taken_in {
                 break;
             }
         }
+    }
+
+    /// Lets a pixel take part in the exact solution; false if it depends on those that do.
+    fn take_in(&mut self, j: usize) -> bool {
+        let n = self.target.len();
+        self.taken[j] = true;
+        let row = &self.rows[self.slot[j] as usize * n..][..n];
+        let products = self.moving.iter().map(|&i| row[i as usize]);
+        let independent = self.inverse[j] > 0.0 && self.factor.push(products, row[j]);
+        if independent {
+            self.moving.push(j as u32);
+        }
+        independent
     }
 
     fn make_row(&mut self, dictionary: &Dictionary, point: &Point, j: usize, per_mean: f64) {
@@ -409,6 +578,9 @@ impl Restricted {
         );
         if per_mean != 0.0 {
             add_scaled(level, row, -self.coupling[j] * per_mean, &self.coupling);
+        }
+        if row[j] > FLAT * self.theta.len() as f64 {
+            self.inverse[j] = 1.0 / row[j];
         }
     }
 

@@ -12,7 +12,11 @@ const NEW_PIXELS: usize = 64;
 /// Pixels whose correlation lies this share below lambda may soon exceed it: they come along.
 const LOOK_AHEAD: f64 = 0.05;
 /// The restricted solve goes to this share of the violation that was found outside.
-const INNER_SHARE: f64 = 0.05;
+const INNER_SHARE: f64 = 0.1;
+/// and no rougher than this share of lambda,
+const ROUGH: f64 = 0.3;
+/// except that violations below this share of lambda are the last ones: then as fine as can be.
+const NEARLY: f64 = 1.0;
 /// But no finer than this share of the tolerance, until the gap asks for it.
 const FINEST_SHARE: f64 = 0.2;
 /// The gap is relative to at least this share of ||y||^2 / 2.
@@ -57,7 +61,7 @@ impl<'a> RowSolver<'a> {
             },
             energy: 0.0,
             point: Point::new(n),
-            restricted: Restricted::default(),
+            restricted: Restricted::new(dictionary.level),
             dual: zeros(),
             passes: 0,
             objective: 0.0,
@@ -113,7 +117,7 @@ impl<'a> RowSolver<'a> {
         self.update_prediction();
         if !self.point.pixels.is_empty() {
             // Roughly: the pass that follows finds what is missing.
-            self.solve_restricted(INNER_SHARE);
+            self.solve_restricted(ROUGH);
         }
         self.prepare_pass()
     }
@@ -155,7 +159,12 @@ impl<'a> RowSolver<'a> {
             // Few pixels are left to find: what keeps the gap open is the accuracy within.
             self.finest *= 0.3;
         }
-        self.solve_restricted((INNER_SHARE * violation).clamp(self.finest, INNER_SHARE));
+        let accuracy = if violation < NEARLY {
+            self.finest
+        } else {
+            ROUGH.min(INNER_SHARE * violation)
+        };
+        self.solve_restricted(accuracy);
         self.prepare_pass()
     }
 
