@@ -96,8 +96,14 @@ impl Columns {
         assert_eq!(pixels.len(), out.len());
         match self {
             Columns::Bits(bits) => {
-                for (out, pixel) in out.iter_mut().zip(pixels) {
-                    *out = masked_sum(level, bits.column(*pixel), e);
+                assert_eq!(64 * bits.stride(), e.len());
+                let (fours, rest) = pixels.as_chunks::<4>();
+                let (out_fours, out_rest) = out.as_chunks_mut::<4>();
+                for (out, pixels) in out_fours.iter_mut().zip(fours) {
+                    *out = masked_sums(level, pixels.map(|pixel| bits.column(pixel)), e);
+                }
+                for (out, pixel) in out_rest.iter_mut().zip(rest) {
+                    [*out] = masked_sums(level, [bits.column(*pixel)], e);
                 }
             }
             Columns::Dense(dense) => {
@@ -125,14 +131,16 @@ impl Columns {
     }
 }
 
-/// Sum of the values whose bit is set.
-pub fn masked_sum(level: Level, words: &[u64], e: &[f64]) -> f64 {
-    assert_eq!(64 * words.len(), e.len());
+/// Sums of the values whose bit is set, for several columns.
+fn masked_sums<const C: usize>(level: Level, columns: [&[u64]; C], e: &[f64]) -> [f64; C] {
     match level.kind() {
         #[cfg(target_arch = "x86_64")]
-        // SAFETY: the level proves the instructions; the lengths were just compared.
-        Kind::Avx512 => unsafe { avx512::masked_sum(words, e) },
-        _ => masked_sum_plain(level, words, e),
+        Kind::Avx512 => {
+            assert!(columns.iter().all(|words| 64 * words.len() == e.len()));
+            // SAFETY: the level proves the instructions; the lengths were just compared.
+            unsafe { avx512::masked_sums(columns, e) }
+        }
+        _ => columns.map(|words| masked_sum_plain(level, words, e)),
     }
 }
 
@@ -292,26 +300,31 @@ mod avx512 {
     use std::arch::x86_64::*;
 
     /// # Safety
-    /// `e` holds 64 values a word.
+    /// `e` holds 64 values for each word of every column.
     #[target_feature(enable = "avx512f")]
-    pub unsafe fn masked_sum(words: &[u64], e: &[f64]) -> f64 {
-        let mut sums = [_mm512_setzero_pd(); 2];
-        for (w, &word) in words.iter().enumerate() {
+    pub unsafe fn masked_sums<const C: usize>(columns: [&[u64]; C], e: &[f64]) -> [f64; C] {
+        let mut sums = [[_mm512_setzero_pd(); 2]; C];
+        for w in 0..e.len() / 64 {
+            // SAFETY: w is below the number of words of every column.
+            let words = columns.map(|column| unsafe { *column.get_unchecked(w) });
             for part in 0..8 {
                 // SAFETY: 64 w + 8 part + 8 <= 64 (w + 1), which `e` holds.
                 let values = unsafe { _mm512_loadu_pd(e.as_ptr().add(64 * w + 8 * part)) };
-                let mask = (word >> (8 * part)) as u8;
-                let sum = &mut sums[part % 2];
-                *sum = _mm512_mask_add_pd(*sum, mask, *sum, values);
+                for (sums, word) in sums.iter_mut().zip(words) {
+                    let sum = &mut sums[part % 2];
+                    *sum = _mm512_mask_add_pd(*sum, (word >> (8 * part)) as u8, *sum, values);
+                }
             }
         }
-        let mut lanes = [0.0; 16];
-        // SAFETY: 16 lanes are two registers of eight.
-        unsafe {
-            _mm512_storeu_pd(lanes.as_mut_ptr(), sums[0]);
-            _mm512_storeu_pd(lanes.as_mut_ptr().add(8), sums[1]);
-        }
-        fold(lanes)
+        sums.map(|sums| {
+            let mut lanes = [0.0; 16];
+            // SAFETY: 16 lanes are two registers of eight.
+            unsafe {
+                _mm512_storeu_pd(lanes.as_mut_ptr(), sums[0]);
+                _mm512_storeu_pd(lanes.as_mut_ptr().add(8), sums[1]);
+            }
+            fold(lanes)
+        })
     }
 
     /// # Safety

@@ -10,13 +10,11 @@
 //! between a restricted solve on few pixels and a pass over all pixels, which finds the strongest
 //! violators and, with the dual value, how far from optimal the row is at most.
 //!
-//! Rows form chains of `CHAIN` neighbours; each starts from the solution of the one before. Chains
-//! begin anew at fixed places and a row depends on nothing else, so results depend neither on
-//! threads nor on how rows are grouped.
+//! A row depends on no other, so results depend neither on threads nor on how rows are grouped.
 
 mod certificate;
-mod chain;
 mod factor;
+mod lanes;
 mod restricted;
 mod row;
 mod search;
@@ -25,14 +23,12 @@ use crate::columns::Columns;
 use crate::correlate::Correlator;
 use crate::simd::Level;
 use crate::vector::padded;
-use chain::{solve_together, Chain};
+use lanes::solve_rows;
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicBool, AtomicUsize};
 
-/// Neighbouring rows that start from one another.
-pub const CHAIN: usize = 64;
-/// Chains that advance together, sharing passes over the patterns.
-const TOGETHER: usize = 6;
+/// Rows that one thread takes on at a time.
+const TASK: usize = 64;
 
 /// The patterns, ready for solving.
 pub struct Dictionary {
@@ -153,24 +149,23 @@ pub fn solve(
         assert!(weights.len() == count * patterns || weights.len() == patterns);
     }
     let mut solutions = vec![Solution::default(); count];
-    let chains = count.div_ceil(CHAIN);
-    // Fewer chains together where that leaves threads without work.
-    let together = chains
-        .div_ceil(rayon::current_num_threads())
-        .clamp(1, TOGETHER);
+    // Smaller tasks where rows are few, so that every thread has some.
+    let task = count
+        .div_ceil(4 * rayon::current_num_threads())
+        .clamp(1, TASK);
     solutions
-        .par_chunks_mut(CHAIN * together)
+        .par_chunks_mut(task)
         .enumerate()
-        .for_each(|(group, solutions)| {
-            let chains = solutions
-                .chunks_mut(CHAIN)
-                .enumerate()
-                .map(|(i, solutions)| {
-                    let first = (group * together + i) * CHAIN;
-                    Chain::new(dictionary, rows, settings, first, solutions)
-                })
-                .collect();
-            solve_together(dictionary, chains, cancelled, finished);
+        .for_each(|(i, solutions)| {
+            solve_rows(
+                dictionary,
+                rows,
+                settings,
+                i * task,
+                solutions,
+                cancelled,
+                finished,
+            );
         });
     (!cancelled.load(std::sync::atomic::Ordering::Relaxed)).then_some(solutions)
 }

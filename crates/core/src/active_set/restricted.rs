@@ -15,6 +15,8 @@ use crate::vector::{add_scaled, curvature, dot, residual, DataTerm};
 const NEWTON_STEPS: usize = 12;
 /// Sweeps of coordinate descent a step.
 const SWEEPS: usize = 30;
+/// Accuracy, in lambda, from which exact pivoting can pay.
+const PIVOT_ACCURACY: f64 = 0.05;
 /// Coordinate descent that has not settled after so many sweeps gives way to exact pivoting,
 const SWEEPS_BEFORE_PIVOTS: usize = 5;
 /// of at most so many pixels in and out.
@@ -457,7 +459,8 @@ impl Restricted {
                 full = true;
             } else {
                 full = false;
-                if sweep + 1 >= SWEEPS_BEFORE_PIVOTS && self.order.len() <= LARGEST / 2 {
+                let fine = accuracy <= PIVOT_ACCURACY * lambda;
+                if fine && sweep + 1 >= SWEEPS_BEFORE_PIVOTS && self.order.len() <= LARGEST / 2 {
                     self.pivot(
                         dictionary,
                         settings,

@@ -6,17 +6,20 @@ use super::{Dictionary, Fidelity, Rows, Settings, Solution, Values};
 use crate::correlate::Scores;
 use crate::vector::{padded, residual, signed_sums, DataTerm};
 
-/// New pixels taken in after the first pass of a row that starts from nothing, and after others.
-const FIRST_PIXELS: usize = 32;
-const NEW_PIXELS: usize = 64;
+/// New pixels taken in after a pass.
+const NEW_PIXELS: usize = 32;
 /// Pixels whose correlation lies this share below lambda may soon exceed it: they come along.
 const LOOK_AHEAD: f64 = 0.05;
-/// The restricted solve goes to this share of the violation that was found outside.
+/// The restricted solve goes to this share of the violation that was found outside,
 const INNER_SHARE: f64 = 0.1;
-/// and no rougher than this share of lambda,
-const ROUGH: f64 = 0.3;
-/// except that violations below this share of lambda are the last ones: then as fine as can be.
-const NEARLY: f64 = 1.0;
+/// and no rougher than this share of lambda.
+const ROUGH: f64 = 1.0;
+/// On up to so many pixels being exact is cheaper than another pass: there violations below this
+/// share of lambda are taken for the last ones, and the restricted solve is as fine as can be.
+const FEW: usize = 24;
+const NEARLY: f64 = 3.0;
+/// On more pixels violations are taken for the last ones below this.
+const VERY_NEARLY: f64 = 0.03;
 /// But no finer than this share of the tolerance, until the gap asks for it.
 const FINEST_SHARE: f64 = 0.2;
 /// The gap is relative to at least this share of ||y||^2 / 2.
@@ -94,15 +97,15 @@ impl<'a> RowSolver<'a> {
         }
     }
 
-    /// Starts on a row: from the given start, or from the row solved before, or from nothing.
+    /// Starts on a row, from the given start or from nothing.
     pub fn begin(&mut self, rows: Rows, row: usize) -> Next {
         self.load(rows, row);
         self.passes = 0;
         self.dual_value = f64::NEG_INFINITY;
         self.finest = FINEST_SHARE * self.settings.tolerance;
+        self.point.clear();
         if let Some(start) = rows.start {
             let range = start.indptr[row] as usize..start.indptr[row + 1] as usize;
-            self.point.clear();
             for (&pixel, &x) in start.indices[range.clone()]
                 .iter()
                 .zip(&start.values[range])
@@ -110,14 +113,11 @@ impl<'a> RowSolver<'a> {
                 self.point.push(pixel as u32, x);
             }
             self.point.background = start.background[row];
-        } else {
-            self.point.prune();
+            self.point.restrict_to(&self.settings);
         }
-        self.point.restrict_to(&self.settings);
         self.update_prediction();
         if !self.point.pixels.is_empty() {
-            // Roughly: the pass that follows finds what is missing.
-            self.solve_restricted(ROUGH);
+            self.solve_restricted(FINEST_SHARE * self.settings.tolerance);
         }
         self.prepare_pass()
     }
@@ -128,8 +128,7 @@ impl<'a> RowSolver<'a> {
         let lambda = self.settings.regularization;
         let both = !self.settings.nonnegative;
         let level = self.dictionary.level;
-        let fresh = self.passes == 1 && self.point.pixels.is_empty();
-        let mut most = if fresh { FIRST_PIXELS } else { NEW_PIXELS } + self.point.pixels.len();
+        let mut most = NEW_PIXELS + self.point.pixels.len();
         let floor = lambda * (1.0 - LOOK_AHEAD);
         let (largest, exact) = loop {
             let bound = scores.value_exceeded_by(level, most, floor, both);
@@ -159,7 +158,8 @@ impl<'a> RowSolver<'a> {
             // Few pixels are left to find: what keeps the gap open is the accuracy within.
             self.finest *= 0.3;
         }
-        let accuracy = if violation < NEARLY {
+        let last = if before <= FEW { NEARLY } else { VERY_NEARLY };
+        let accuracy = if violation < last {
             self.finest
         } else {
             ROUGH.min(INNER_SHARE * violation)

@@ -19,6 +19,7 @@ impl Dense {
         level: Level,
         columns: &Columns,
         patterns: usize,
+        pixels: usize,
         e: &[&[f64]],
         out: &mut [&mut Scores],
     ) {
@@ -29,7 +30,6 @@ impl Dense {
             .iter()
             .map(|e| e.iter().map(|&v| v as f32).collect())
             .collect();
-        let pixels = out.first().map_or(0, |out| out.values.len());
         let mut values = vec![0f32; rows.len() * pixels];
         match &rows[..] {
             [a] => products(level, columns, [a], &mut values),
@@ -88,6 +88,7 @@ fn score(largest: f64, patterns: usize, e: &[f64], values: &[f32], out: &mut Sco
     out.offset = 0.0;
     (out.up, out.down) = (0.51 + error / out.unit, 0.51 + error / out.unit);
     let scale = 1.0 / out.unit;
+    out.values.fill(0);
     for (out, value) in out.values.iter_mut().zip(values) {
         *out = (f64::from(*value) * scale).round() as i16;
     }

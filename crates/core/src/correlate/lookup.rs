@@ -6,12 +6,9 @@
 
 #[cfg(target_arch = "x86_64")]
 use super::{avx2, avx512};
-use super::{Scores, BATCH};
+use super::{Scores, BATCH, GROUP};
 use crate::bits::{column_codes, Bits};
 use crate::simd::{Kind, Level};
-
-/// Pixels are padded to a multiple of this.
-const PADDING: usize = 64;
 
 pub struct Lookup {
     pixels: usize,
@@ -29,7 +26,7 @@ enum Codes {
 
 impl Lookup {
     pub fn new(level: Level, bits: Bits) -> Self {
-        let (pixels, length) = (bits.pixels(), bits.pixels().next_multiple_of(PADDING));
+        let (pixels, length) = (bits.pixels(), bits.pixels().next_multiple_of(GROUP));
         let bytes = column_codes(bits);
         let codes = match level.kind() {
             #[cfg(target_arch = "x86_64")]

@@ -26,6 +26,9 @@ use transform::Transform;
 /// Rows that share one pass over the patterns.
 pub const BATCH: usize = 3;
 
+/// A row has a multiple of so many scores; some stand for no pixel.
+const GROUP: usize = 64;
+
 /// Scores of one row: a_j . e lies in `unit * (score + offset - down ..= score + offset + up)`.
 #[derive(Clone, Default)]
 pub struct Scores {
@@ -97,7 +100,7 @@ impl Correlator {
         match &self.kind {
             Kind::Lookup(lookup) => lookup.length(),
             Kind::Transform(transform) => transform.length(),
-            Kind::Dense(_) => self.pixels,
+            Kind::Dense(_) => self.pixels.next_multiple_of(GROUP),
         }
     }
 
@@ -125,12 +128,14 @@ impl Correlator {
             out.values.resize(self.length(), 0);
         }
         let sums = match &self.kind {
-            Kind::Dense(dense) => return dense.run(self.level, columns, self.patterns, e, out),
+            Kind::Dense(dense) => {
+                return dense.run(self.level, columns, self.patterns, self.pixels, e, out)
+            }
             Kind::Lookup(_) => Sums::OfSubsets,
             Kind::Transform(_) => Sums::Signed,
         };
         for ((e, out), quantised) in e.iter().zip(out.iter_mut()).zip(&mut scratch.quantised) {
-            let rounded = quantise(&e[..self.patterns], sums, quantised);
+            let rounded = quantise(self.level, e, self.patterns, sums, quantised);
             (out.unit, out.up, out.down) = (rounded.unit, rounded.up, rounded.down);
             out.offset = 0.0;
             if let Kind::Transform(_) = self.kind {

@@ -1,5 +1,8 @@
 //! Rounding to integers whose sums fit 16 bits, with a sure bound on what it does to any sum.
 
+use crate::simd::{multiversion, Level};
+use crate::vector::signed_sums;
+
 /// Which sums of the integers have to fit.
 #[derive(Clone, Copy, PartialEq)]
 pub enum Sums {
@@ -23,48 +26,65 @@ pub struct Rounded {
     pub down: f64,
 }
 
-/// Rounds `e` to integers times a unit.
-pub fn quantise(e: &[f64], sums: Sums, out: &mut Vec<i16>) -> Rounded {
-    let positive: f64 = e.iter().map(|v| v.max(0.0)).sum();
-    let negative: f64 = e.iter().map(|v| (-v).max(0.0)).sum();
+/// Adding this number rounds to the nearest integer, which its low bits then hold.
+const MAGIC: f64 = 6_755_399_441_055_744.0;
+const LANES: usize = 16;
+
+/// Rounds the first `count` values of `e` (padded with zeros) to integers times a unit.
+pub fn quantise(level: Level, e: &[f64], count: usize, sums: Sums, out: &mut Vec<i16>) -> Rounded {
+    let (negative, positive) = signed_sums(level, e);
     let range = match sums {
-        Sums::OfSubsets => positive.max(negative),
-        Sums::Signed => positive + negative,
+        Sums::OfSubsets => positive.max(-negative),
+        Sums::Signed => positive - negative,
     };
     out.clear();
+    out.resize(e.len(), 0);
     // Denormal residuals would make the unit zero; as zeros they change no decision.
-    if range < f64::MIN_POSITIVE * 1e6 {
-        out.resize(e.len(), 0);
-        return Rounded {
-            unit: 1.0,
-            up: SLACK,
-            down: SLACK,
-        };
-    }
-    let nearest = e.len() <= NEAREST;
-    let room = if nearest { e.len() as f64 / 2.0 } else { 0.0 };
-    let unit = range / (LARGEST - room);
-    let scale = 1.0 / unit;
-    // Adding and taking away this number rounds to the nearest integer.
-    const MAGIC: f64 = 6_755_399_441_055_744.0;
-    let (mut up, mut down) = ([SLACK / 16.0; 16], [SLACK / 16.0; 16]);
-    let mut round = |lane: usize, value: f64| {
-        let exact = value * scale;
-        let q = if nearest {
-            (exact + MAGIC) - MAGIC
-        } else {
-            exact.trunc()
-        };
-        let lost = exact - q;
-        up[lane] += lost.max(0.0);
-        down[lane] += (-lost).max(0.0);
-        // The range keeps |q| below 32,767.
-        q as i32 as i16
+    let (unit, lost) = if range < f64::MIN_POSITIVE * 1e6 {
+        (1.0, (0.0, 0.0))
+    } else if count <= NEAREST {
+        let unit = range / (LARGEST - count as f64 / 2.0);
+        (unit, to_nearest(level, e, 1.0 / unit, out))
+    } else {
+        let unit = range / LARGEST;
+        (unit, towards_zero(e, 1.0 / unit, out))
     };
-    out.extend(e.iter().enumerate().map(|(k, &v)| round(k % 16, v)));
+    out.truncate(count);
     Rounded {
         unit,
-        up: up.iter().sum(),
-        down: down.iter().sum(),
+        up: SLACK + lost.0,
+        down: SLACK + lost.1,
     }
+}
+
+multiversion! {
+    /// Returns what rounding took away and what it added, in units.
+    fn to_nearest(e: &[f64], scale: f64, out: &mut [i16]) -> (f64, f64) {
+        let (mut up, mut down) = ([0.0; LANES], [0.0; LANES]);
+        for (e, out) in e.chunks_exact(LANES).zip(out.chunks_exact_mut(LANES)) {
+            for i in 0..LANES {
+                let exact = e[i] * scale;
+                let shifted = exact + MAGIC;
+                // The range keeps integers within 16 bits.
+                out[i] = shifted.to_bits() as i16;
+                let lost = exact - (shifted - MAGIC);
+                up[i] += lost.max(0.0);
+                down[i] -= lost.min(0.0);
+            }
+        }
+        (up.iter().sum(), down.iter().sum())
+    }
+}
+
+/// As above, for so many values that rounding up could leave the range.
+fn towards_zero(e: &[f64], scale: f64, out: &mut [i16]) -> (f64, f64) {
+    let (mut up, mut down) = (0.0, 0.0);
+    for (e, out) in e.iter().zip(out) {
+        let exact = e * scale;
+        *out = exact as i16;
+        let lost = exact - f64::from(*out);
+        up += lost.max(0.0);
+        down -= lost.min(0.0);
+    }
+    (up, down)
 }

@@ -1,5 +1,6 @@
 //! Hadamard patterns: a fast Walsh-Hadamard transform in 16 bits.
 
+use super::GROUP;
 use crate::simd::{multiversion, Kind, Level};
 
 pub struct Transform {
@@ -19,7 +20,7 @@ impl Transform {
     pub fn new(length: usize, selected: &[u32], position: &[u32]) -> Self {
         assert!(length.is_power_of_two());
         assert!(selected.iter().all(|&s| (s as usize) < length));
-        let mut pixel = vec![NONE; length];
+        let mut pixel = vec![NONE; length.next_multiple_of(GROUP)];
         for (j, &p) in position.iter().enumerate() {
             pixel[p as usize] = j as u32;
         }
@@ -32,7 +33,7 @@ impl Transform {
     }
 
     pub fn length(&self) -> usize {
-        self.length
+        self.pixel.len()
     }
 
     pub fn pixel(&self, place: usize) -> Option<u32> {
@@ -41,20 +42,21 @@ impl Transform {
 
     /// H q at every place; places without a pixel get the score of correlation 0.
     pub fn run(&self, level: Level, row: &[i16], offset: f64, out: &mut [i16]) {
-        assert_eq!(out.len(), self.length);
+        assert_eq!(out.len(), self.pixel.len());
         out.fill(0);
         for (&place, &value) in self.selected.iter().zip(row) {
             out[place as usize] = value;
         }
+        let transformed = &mut out[..self.length];
         match level.kind() {
             #[cfg(target_arch = "x86_64")]
-            Kind::Avx512 if out.len() >= WIDTH => {
+            Kind::Avx512 if self.length >= WIDTH => {
                 // SAFETY: the level proves the instructions; the length is a power of two and at
                 // least WIDTH, hence a multiple of it.
-                unsafe { avx512::within(out) };
-                across(level, out, WIDTH);
+                unsafe { avx512::within(transformed) };
+                across(level, transformed, WIDTH);
             }
-            _ => across(level, out, 1),
+            _ => across(level, transformed, 1),
         }
         if self.partial {
             for (out, &pixel) in out.iter_mut().zip(&self.pixel) {

@@ -1,0 +1,72 @@
+//! Several rows at a time, so that they share passes over the patterns.
+
+use super::row::{Next, RowSolver};
+use super::{Dictionary, Rows, Settings, Solution};
+use crate::correlate::{Scores, Scratch, BATCH};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+
+/// Rows in work at a time: batches are full until the rows run out.
+const LANES: usize = 2 * BATCH;
+
+struct Lane<'a> {
+    solver: RowSolver<'a>,
+    scores: Scores,
+    /// The row in work, among `solutions`.
+    row: usize,
+}
+
+/// Solves the rows from `first` on, one for each of `solutions`. A row depends on no other.
+pub fn solve_rows(
+    dictionary: &Dictionary,
+    rows: Rows,
+    settings: Settings,
+    first: usize,
+    solutions: &mut [Solution],
+    cancelled: &AtomicBool,
+    finished: &AtomicUsize,
+) {
+    let mut waiting = 0..solutions.len();
+    let mut scratch = Scratch::default();
+    let mut lanes: Vec<Lane> = (0..LANES.min(solutions.len()))
+        .map(|_| Lane {
+            solver: RowSolver::new(dictionary, settings),
+            scores: Scores::default(),
+            row: 0,
+        })
+        .collect();
+    // Goes on with a lane until it needs a pass (true) or no row is left for it (false).
+    let mut advance = |lane: &mut Lane, next: Option<Next>| {
+        let mut next = next;
+        loop {
+            match next {
+                Some(Next::Pass) => return true,
+                Some(Next::Done) => {
+                    solutions[lane.row] = lane.solver.solution();
+                    finished.fetch_add(1, Ordering::Relaxed);
+                }
+                None => {}
+            }
+            let Some(row) = waiting.next() else {
+                return false;
+            };
+            lane.row = row;
+            next = Some(lane.solver.begin(rows, first + row));
+        }
+    };
+    lanes.retain_mut(|lane| advance(lane, None));
+    while !lanes.is_empty() && !cancelled.load(Ordering::Relaxed) {
+        for batch in lanes.chunks_mut(BATCH) {
+            let (residuals, mut scores): (Vec<&[f64]>, Vec<&mut Scores>) = batch
+                .iter_mut()
+                .map(|lane| (lane.solver.dual(), &mut lane.scores))
+                .unzip();
+            dictionary
+                .correlator
+                .run(&dictionary.columns, &residuals, &mut scores, &mut scratch);
+        }
+        lanes.retain_mut(|lane| {
+            let next = lane.solver.after_pass(&lane.scores);
+            advance(lane, Some(next))
+        });
+    }
+}
