@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from lightmatrix import capture as capture_module
+from lightmatrix import capture_folder
 from lightmatrix.capture import (
     Capture,
     read_patterns,
@@ -432,3 +433,11 @@ def test_patterns_that_binning_makes_constant_are_no_error_unless_all_are() -> N
     capture = Capture.from_arrays(ImagePatterns(images), frames, sensor)
     with pytest.raises(InputError, match="no pattern varies"):
         capture.bin(projector=2).check()
+
+
+def test_the_documented_description_is_the_one_that_is_read() -> None:
+    page = (Path(__file__).parents[1] / "docs" / "captures.md").read_text()
+    example = json.loads(page.split("```json")[1].split("```")[0])
+    assert set(example) == capture_folder._KEYS
+    for key in set(example) - {"format", "version"}:
+        assert f"`{key}`" in page

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from lightmatrix.atomic import atomic_folder
 from lightmatrix.errors import InputError, LightMatrixWarning
-from lightmatrix.images import ImageStack, nonlinear_tag, read_image, write_image
+from lightmatrix.images import ImageStack, fill_image, nonlinear_tag, read_image
 from lightmatrix.pattern_folder import fill_pattern_folder, read_json, read_patterns
 from lightmatrix.patterns import ImagePatterns, PatternSet
 from lightmatrix.sensor import Decoder, Response, Sensor
@@ -269,7 +269,7 @@ def write_capture(
                     f"frame {count - 1} has shape {frame.shape}, expected {shape}",
                     hint="give frames of one shape",
                 )
-            write_image(part / "images" / f"image_{count - 1:0{digits}d}{suffix}", frame)
+            fill_image(part / "images" / f"image_{count - 1:0{digits}d}{suffix}", frame)
         if count != patterns.count:
             raise InputError(
                 f"{count} frames for {patterns.count} patterns", hint="give one a pattern"
@@ -287,7 +287,7 @@ def write_capture(
             "provenance": dict(provenance or {}),
         }
         if black is not None:
-            write_image(part / f"black{suffix}", black)
+            fill_image(part / f"black{suffix}", black)
             content["black"] = {"file": f"black{suffix}"}
         text = json.dumps(content, indent=2, default=jsonable)
         (part / DESCRIPTION).write_text(text + "\n")

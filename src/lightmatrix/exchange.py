@@ -61,7 +61,7 @@ def export_npz(
         What to write.
     dense_background : bool
         Spread the background over all entries, so that the CSR matrix is the whole of T: exact,
-        but up to M x N entries (8 bytes each before compression). Otherwise the background is
+        but up to M x N entries, 8 bytes each, not compressed. Otherwise the background is
         kept apart and the CSR matrix is the sparse part alone.
     overwrite : bool
         Whether an existing file may be replaced.
@@ -73,8 +73,10 @@ def export_npz(
     """
     check_output(path, overwrite=overwrite, suffixes=(".npz",))
     matrix, background = _parts(transport, dense_background)
+    # Dense entries hardly compress, and gigabytes of them take minutes.
+    write = np.savez if dense_background else np.savez_compressed
     with atomic_file(path, overwrite=overwrite) as part:
-        np.savez_compressed(
+        write(
             part,
             format=np.array(b"csr"),
             _is_array=np.array(True),
@@ -206,8 +208,10 @@ def _parts(
     dense = transport.background.any(axis=1)
     # An upper bound, so that the entries are stored once and not copied together at the end.
     bound = int(dense.sum()) * pixels + int(np.diff(transport.sparse.indptr)[~dense].sum())
-    data, indices = np.empty(bound, np.float32), np.empty(bound, np.int32)
-    indptr = np.zeros(rows + 1, np.int64)
+    data = np.empty(bound, np.float32)
+    # One type for both indices: SciPy would copy them to the wider one.
+    indptr = np.zeros(rows + 1, np.int32 if bound < 2**31 else np.int64)
+    indices = np.empty(bound, indptr.dtype)
     step = max(1, (64 << 20) // (4 * pixels))
     for start in range(0, rows, step):
         block = np.arange(start, min(start + step, rows))

@@ -117,6 +117,19 @@ def write_image(
     OutputError
         If the file exists, has another ending or cannot be written.
     """
+    check_output(path, overwrite=overwrite, suffixes=WRITABLE)
+    with atomic_file(path, overwrite=overwrite) as part:
+        fill_image(part, image, bits=bits)
+
+
+def fill_image(path: Path, image: NDArray[Any], *, bits: int = 8) -> None:
+    """Write one image as `write_image` does, at once: for folders that are atomic as a whole.
+
+    Raises
+    ------
+    InputError
+        If the image is not an image or not finite.
+    """
     pixels = np.asarray(image)
     if pixels.ndim == 3 and pixels.shape[-1] == 1:
         pixels = pixels[..., 0]
@@ -127,24 +140,20 @@ def write_image(
     if pixels.dtype not in (np.uint8, np.uint16):
         pixels = pixels.astype(np.float32)
         if not np.isfinite(pixels).all():
-            raise InputError(f"{path}: the image has values that are not finite")
-    check_output(path, overwrite=overwrite, suffixes=WRITABLE)
-    with atomic_file(path, overwrite=overwrite) as part:
-        suffix = part.suffix.lower()
-        if suffix == ".npy":
-            np.save(part, pixels)
-        elif suffix in (".tif", ".tiff"):
-            photometric = "rgb" if pixels.ndim == 3 else "minisblack"
-            tifffile.imwrite(part, pixels, photometric=photometric)
+            raise InputError("the image has values that are not finite")
+    suffix = path.suffix.lower()
+    if suffix == ".npy":
+        np.save(path, pixels)
+    elif suffix in (".tif", ".tiff"):
+        tifffile.imwrite(path, pixels, photometric="rgb" if pixels.ndim == 3 else "minisblack")
+    else:
+        levels = _to_levels(pixels, bits)
+        if levels.ndim == 3 and levels.dtype == np.uint16:
+            png16.write(path, levels)
         else:
-            levels = _to_levels(pixels, bits)
-            if levels.ndim == 3 and levels.dtype == np.uint16:
-                png16.write(part, levels)
-            else:
-                # Encoded first: given a file, Pillow's plugin trips over a full disk twice.
-                part.write_bytes(
-                    imageio.imwrite("<bytes>", levels, extension=".png", plugin="pillow")
-                )
+            # Encoded first: given a file, Pillow's plugin trips over a full disk twice.
+            encoded = imageio.imwrite("<bytes>", levels, extension=".png", plugin="pillow")
+            path.write_bytes(encoded)
 
 
 def list_images(folder: str | Path) -> list[Path]:

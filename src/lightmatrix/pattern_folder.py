@@ -15,7 +15,7 @@ import numpy as np
 
 from lightmatrix.atomic import atomic_folder
 from lightmatrix.errors import InputError, LightMatrixWarning
-from lightmatrix.images import ImageStack, list_images, read_grey, write_image
+from lightmatrix.images import ImageStack, fill_image, list_images, read_grey
 from lightmatrix.patterns import ImagePatterns, PatternSet, from_description, to_grey
 
 DESCRIPTION = "patterns.json"
@@ -39,7 +39,7 @@ def fill_pattern_folder(folder: Path, patterns: PatternSet) -> None:
     digits = max(4, len(str(patterns.count - 1)))
     for start, block in patterns.blocks():
         for k, image in enumerate(to_grey(block.reshape(-1, *patterns.shape)), start):
-            write_image(folder / f"pattern_{k:0{digits}d}.png", image)
+            fill_image(folder / f"pattern_{k:0{digits}d}.png", image)
     header = {"format": FORMAT, "version": VERSION, "digest": patterns.digest}
     content = {**header, "description": patterns.description}
     (folder / DESCRIPTION).write_text(json.dumps(content, indent=2) + "\n")
