@@ -1,10 +1,11 @@
 """What clipping costs at full size: 128 x 128, K = 256, the middle 32 x 32 camera pixels.
 
-    python -m benchmarks.clipping_at_scale [SCENE ...]
+    python -m benchmarks.clipping_at_scale [--paper] [SCENE ...]
 
 Exposure by the house rule (a fifth of all rows have a single response that clips), noise 0.3 %,
-8 bits. Relative errors count rows whose single responses do not clip. The clip-aware fidelities
-must come out at least four times below the linear one.
+8 bits. Relative errors count rows whose single responses do not clip, and of these those apart of
+which at most half the samples clip. The aim is a clip-aware error at least four times below the
+linear one. `--paper` adds the paper's own fidelity, which takes minutes a scene.
 """
 
 from __future__ import annotations
@@ -33,11 +34,11 @@ SOLVERS: dict[str, Solver] = {
     "linear": ActiveSet(Fidelity.LINEAR),
     "rejection": ActiveSet(Fidelity.REJECTION),
     "one-sided": ActiveSet(Fidelity.ONE_SIDED),
-    "clipped": SaturationADMM(Fidelity.CLIPPED),
 }
+PAPER: dict[str, Solver] = {"clipped": SaturationADMM(Fidelity.CLIPPED)}
 
 
-def measure(name: str) -> dict[str, Any]:
+def measure(name: str, solvers: dict[str, Solver]) -> dict[str, Any]:
     """Errors, times and peak memory of all fidelities on one scene."""
     truth = library.truth(name, SIZE)
     exposure = benchmark_exposure(truth.transport())
@@ -51,8 +52,9 @@ def measure(name: str) -> dict[str, Any]:
     level = np.full(PATTERNS, 1 / exposure, np.float32)
     problem = Problem(patterns, samples, clipped, level, 0.32 / exposure)
     counted = np.flatnonzero(unclipped_rows(known, exposure))
-    errors, seconds = {}, {}
-    for fidelity, solver in SOLVERS.items():
+    lightly = counted[clipped[counted].mean(axis=1) <= 0.5]
+    errors, half_errors, seconds = {}, {}, {}
+    for fidelity, solver in solvers.items():
         started = time.perf_counter()
         result = solve(problem, solver)
         seconds[fidelity] = time.perf_counter() - started
@@ -60,6 +62,7 @@ def measure(name: str) -> dict[str, Any]:
             result.coefficients, result.background[:, None].astype(np.float32), (32, 32), SIZE
         )
         errors[fidelity] = relative_error(found, known, counted)
+        half_errors[fidelity] = relative_error(found, known, lightly)
         print(f"{name}, {fidelity}: {errors[fidelity]:.4f}", file=sys.stderr, flush=True)
     return {
         "scene": name,
@@ -67,18 +70,22 @@ def measure(name: str) -> dict[str, Any]:
         "clipped_samples": float(clipped.mean()),
         "rows_counted": len(counted),
         "relative_error": errors,
+        "rows_at_most_half_clipped": len(lightly),
+        "relative_error_at_most_half_clipped": half_errors,
         "seconds": seconds,
         "peak_gib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20,
     }
 
 
 def main() -> int:
-    results = [measure(name) for name in sys.argv[1:] or ("l_objects", "gripper", "metal")]
+    names = [word for word in sys.argv[1:] if word != "--paper"]
+    solvers = {**SOLVERS, **PAPER} if "--paper" in sys.argv else SOLVERS
+    results = [measure(name, solvers) for name in names or ("l_objects", "gripper", "metal")]
     print(json.dumps(results, indent=2))
     good = True
     for result in results:
         error = result["relative_error"]
-        ratio = error["linear"] / min(error["clipped"], error["one-sided"])
+        ratio = error["linear"] / error["one-sided"]
         good &= ratio >= 4
         print(f"{result['scene']}: linear {ratio:.1f} times the clip-aware error", file=sys.stderr)
     return 0 if good else 1
