@@ -163,6 +163,10 @@ pub struct Restricted {
     /// Rows of the centred Gram matrix made so far, and where each pixel's is.
     rows: Vec<f64>,
     slot: Vec<u32>,
+    /// The `per_mean` they are centred with.
+    rows_per_mean: f64,
+    /// Whether `coupling` is up to date.
+    coupled: bool,
     direction: Vec<f64>,
     /// One over the diagonal; 0 where there is no curvature.
     inverse: Vec<f64>,
@@ -195,6 +199,8 @@ impl Restricted {
             slope: Vec::new(),
             rows: Vec::new(),
             slot: Vec::new(),
+            rows_per_mean: 0.0,
+            coupled: false,
             direction: Vec::new(),
             inverse: Vec::new(),
             order: Vec::new(),
@@ -220,6 +226,8 @@ impl Restricted {
         ] {
             buffer.resize(n, 0.0);
         }
+        // Nothing known of the last row holds for this one.
+        self.curvature.fill(f64::NAN);
     }
 
     /// Improves `point` until every pixel's optimality condition holds within `accuracy` lambda.
@@ -234,10 +242,14 @@ impl Restricted {
         let level = dictionary.level;
         let n = point.pixels.len();
         self.gram.load(&dictionary.columns, &point.pixels);
-        for buffer in [&mut self.gradient, &mut self.coupling] {
+        for buffer in [&mut self.gradient, &mut self.coupling, &mut self.inverse] {
             buffer.clear();
             buffer.resize(n, 0.0);
         }
+        self.slot.clear();
+        self.slot.resize(n, UNSET);
+        self.rows.clear();
+        self.coupled = false;
         for _ in 0..NEWTON_STEPS {
             residual(
                 level,
@@ -286,36 +298,25 @@ impl Restricted {
         let level = dictionary.level;
         let means = &dictionary.means;
         let u = &point.prediction;
-        curvature(
-            level,
-            &data.y,
-            &data.weights,
-            &data.lower,
-            u,
-            &mut self.curvature,
-        );
-        self.active.clear();
-        if self.unit_weights {
-            let words = self.curvature.chunks_exact(64).map(|d| {
-                d.iter()
-                    .enumerate()
-                    .fold(0u64, |word, (i, &d)| word | u64::from(d > 0.0) << i)
-            });
-            self.active.extend(words);
-        }
-        for ((dm, d), m) in self.means.iter_mut().zip(&self.curvature).zip(means) {
-            *dm = d * m;
+        self.direction.resize(self.theta.len(), 0.0);
+        let d = &mut self.direction;
+        curvature(level, &data.y, &data.weights, &data.lower, u, d);
+        if self.direction != self.curvature {
+            std::mem::swap(&mut self.direction, &mut self.curvature);
+            self.curvature_changed(means);
         }
         let along_means = dot(level, &self.means, means);
         let excess = dot(level, &self.theta, means);
         let centred = settings.background
             && along_means > 0.0
             && (!settings.nonnegative || point.background > 0.0 || excess > 0.0);
-        if centred {
+        if !centred {
+            self.coupling.fill(0.0);
+            self.coupled = false;
+        } else if !self.coupled {
             let columns = &dictionary.columns;
             columns.correlate(level, &point.pixels, &self.means, &mut self.coupling);
-        } else {
-            self.coupling.fill(0.0);
+            self.coupled = true;
         }
         // A step that the clip state will make inexact anyway need not be solved well.
         let accuracy = accuracy * settings.regularization;
@@ -350,6 +351,30 @@ impl Restricted {
         }
         let advanced = self.advance(dictionary, settings, data, point, rise);
         self.lower_flat(dictionary, settings, data, point) || advanced
+    }
+
+    /// What follows from the samples that count, and makes known rows of the Gram matrix useless.
+    fn curvature_changed(&mut self, means: &[f64]) {
+        self.active.clear();
+        if self.unit_weights {
+            let words = self.curvature.chunks_exact(64).map(|d| {
+                d.iter()
+                    .enumerate()
+                    .fold(0u64, |word, (i, &d)| word | u64::from(d > 0.0) << i)
+            });
+            self.active.extend(words);
+        }
+        for ((dm, d), m) in self.means.iter_mut().zip(&self.curvature).zip(means) {
+            *dm = d * m;
+        }
+        self.coupled = false;
+        self.forget_rows();
+    }
+
+    fn forget_rows(&mut self) {
+        self.slot.fill(UNSET);
+        self.inverse.fill(0.0);
+        self.rows.clear();
     }
 
     /// Pixels that lie beyond the clip level of all their samples see no curvature, only lambda:
@@ -403,12 +428,11 @@ impl Restricted {
         self.slope.clear();
         let centred = self.gradient.iter().zip(&self.coupling);
         self.slope.extend(centred.map(|(g, c)| g + c * shift));
-        self.slot.clear();
-        self.slot.resize(n, UNSET);
-        self.rows.clear();
+        if per_mean != self.rows_per_mean {
+            self.forget_rows();
+            self.rows_per_mean = per_mean;
+        }
         self.flat.clear();
-        self.inverse.clear();
-        self.inverse.resize(n, 0.0);
         let mut full = true;
         for sweep in 0..SWEEPS {
             let mut change: f64 = 0.0;

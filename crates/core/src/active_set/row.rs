@@ -18,6 +18,8 @@ const ROUGH: f64 = 1.0;
 /// share of lambda are taken for the last ones, and the restricted solve is as fine as can be.
 const FEW: usize = 24;
 const NEARLY: f64 = 3.0;
+/// A violation by this share of lambda rules out that the row is solved.
+const CLEARLY: f64 = 0.01;
 /// On more pixels violations are taken for the last ones below this.
 const VERY_NEARLY: f64 = 0.03;
 /// But no finer than this share of the tolerance, until the gap asks for it.
@@ -135,8 +137,8 @@ impl<'a> RowSolver<'a> {
             scores.collect(level, bound, both, &mut self.places);
             let found = self.exact_correlations();
             // Correlations that were not collected do not exceed the bound. Where rounding hides
-            // whether any is violated, look at more pixels exactly.
-            if found > lambda || bound <= lambda {
+            // which is the largest and little is violated, look at more pixels exactly.
+            if bound <= found.max(lambda) || found > (1.0 + CLEARLY) * lambda {
                 break (found.max(bound), found);
             }
             most *= 4;
