@@ -3,7 +3,7 @@
     python -m benchmarks.clipping_at_scale [--paper] [SCENE ...]
 
 Exposure by the house rule (a fifth of all rows have a single response that clips), noise 0.3 %,
-8 bits. Relative errors count rows whose single responses do not clip, and of these those apart of
+8 bits, lambda a tenth of the clip level. Relative errors count rows whose single responses do not clip, and of these those apart of
 which at most half the samples clip. The aim is a clip-aware error at least four times below the
 linear one. `--paper` adds the paper's own fidelity, which takes minutes a scene.
 """
@@ -28,6 +28,7 @@ from lightmatrix.transport import LightTransport
 
 SIZE = (128, 128)
 PATTERNS = 256
+REGULARIZATION = 0.1
 # The convex fidelities are solved to a certificate, so the errors are those of the problems and not
 # of a solver that stopped early; what ADMM converges to is `linear`.
 SOLVERS: dict[str, Solver] = {
@@ -50,7 +51,7 @@ def measure(name: str, solvers: dict[str, Solver]) -> dict[str, Any]:
     clipped = frames == 255
     samples = (frames / np.float32(255 * exposure)).astype(np.float32)
     level = np.full(PATTERNS, 1 / exposure, np.float32)
-    problem = Problem(patterns, samples, clipped, level, 0.32 / exposure)
+    problem = Problem(patterns, samples, clipped, level, REGULARIZATION / exposure)
     counted = np.flatnonzero(unclipped_rows(known, exposure))
     lightly = counted[clipped[counted].mean(axis=1) <= 0.5]
     errors, half_errors, seconds = {}, {}, {}
