@@ -15,7 +15,7 @@ from lightmatrix.errors import InputError
 from lightmatrix.rig.llvm import load_mitsuba
 from lightmatrix.rig.mitsuba_scene import mitsuba_scene
 from lightmatrix.rig.scenes import scene as find_scene
-from lightmatrix.rig.thinning import thinned
+from lightmatrix.rig.thinning import sparse_rows, stacked
 from lightmatrix.rig.tracing import trace_block
 from lightmatrix.rig.truth import Truth
 
@@ -24,8 +24,6 @@ Progress = Callable[[int, int], None]
 # Dense sums of one block of camera pixels: the accumulator, twice (halves) and copies on the way.
 _BLOCK_BYTES = 192 << 20
 _COPIES = 6
-# Places of dense rows that are thinned at once; sorting them takes about 100 bytes each.
-_THINNING_PLACES = 1 << 21
 # Paths in flight; each holds its ray, throughput and random state.
 _WAVEFRONT = 1 << 21
 _PATH_BYTES = 200
@@ -132,7 +130,8 @@ def render(
     def rows(first: int, count: int) -> tuple[csr_array, NDArray[np.float32]]:
         halves = np.stack([trace(first, count, 0), trace(first, count, 1)])
         noise.add(halves)
-        return _sparse_rows(_mean_of_halves(halves, samples), keep)
+        direct, scattered = _mean_of_halves(halves, samples)
+        return sparse_rows(direct + scattered, direct, keep)
 
     most = min(pixels, samples * scene.max_depth)
     if foreseen_bytes(size, projector, channels, most) > _available_bytes():
@@ -141,7 +140,7 @@ def render(
         _check_memory(size, projector, channels, int(min(most, _PILOT_MARGIN * seen)))
         noise, done = _Noise(), 0
     block = _block_rows(pixels, channels)
-    matrix, direct = _joined(
+    matrix, direct = stacked(
         [rows(first, min(block, total - first)) for first in range(0, total, block)]
     )
     scale = _exposure_scale(matrix)
@@ -220,36 +219,6 @@ def _mean_of_halves(halves: NDArray[np.float32], samples: int) -> NDArray[np.flo
     share = np.float32((samples - samples // 2) / samples)
     mean = share * halves[0] + (1 - share) * halves[1]
     return mean.reshape(2, -1, halves.shape[-1])
-
-
-def _sparse_rows(sums: NDArray[np.float32], keep: float) -> tuple[csr_array, NDArray[np.float32]]:
-    """Dense rows (direct, global) as thinned sparse rows of their sum, and its direct part."""
-    count, pixels = sums.shape[1:]
-    step = max(1, _THINNING_PLACES // pixels)
-    parts = []
-    for start in range(0, count, step):
-        straight = sums[0, start : start + step]
-        whole = straight + sums[1, start : start + step]
-        row, col = np.nonzero(whole)
-        indptr = np.concatenate([[0], np.cumsum(np.bincount(row, minlength=len(whole)))])
-        matrix = csr_array((whole[row, col], col.astype(np.int32), indptr), shape=whole.shape)
-        parts.append(thinned(matrix, straight[row, col], keep))
-    return _joined(parts)
-
-
-def _joined(
-    blocks: list[tuple[csr_array, NDArray[np.float32]]],
-) -> tuple[csr_array, NDArray[np.float32]]:
-    """The rows of all blocks as one matrix, and its direct part."""
-    lengths = np.concatenate([np.diff(part.indptr) for part, _ in blocks])
-    indptr = np.concatenate([[0], np.cumsum(lengths, dtype=np.int64)])
-    if indptr[-1] <= np.iinfo(np.int32).max:
-        indptr = indptr.astype(np.int32)
-    values = np.concatenate([part.data for part, _ in blocks])
-    columns = np.concatenate([part.indices for part, _ in blocks])
-    shape = (len(lengths), blocks[0][0].shape[1])
-    matrix = csr_array((values, columns, indptr), shape=shape)
-    return matrix, np.concatenate([direct for _, direct in blocks])
 
 
 def _exposure_scale(matrix: csr_array) -> float:

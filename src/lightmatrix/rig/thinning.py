@@ -11,6 +11,39 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
+# Places of dense rows that are thinned at once; sorting them takes about 100 bytes each.
+_PLACES = 1 << 21
+
+
+def stacked(
+    parts: list[tuple[csr_array, NDArray[np.float32]]],
+) -> tuple[csr_array, NDArray[np.float32]]:
+    """Blocks of rows and their direct parts as one matrix and its direct part."""
+    lengths = np.concatenate([np.diff(part.indptr) for part, _ in parts])
+    indptr = np.concatenate([[0], np.cumsum(lengths, dtype=np.int64)])
+    if indptr[-1] <= np.iinfo(np.int32).max:
+        indptr = indptr.astype(np.int32)
+    values = np.concatenate([part.data for part, _ in parts])
+    columns = np.concatenate([part.indices for part, _ in parts])
+    shape = (len(lengths), parts[0][0].shape[1])
+    matrix = csr_array((values, columns, indptr), shape=shape)
+    return matrix, np.concatenate([direct for _, direct in parts])
+
+
+def sparse_rows(
+    whole: NDArray[np.float32], direct: NDArray[np.float32], keep: float
+) -> tuple[csr_array, NDArray[np.float32]]:
+    """Dense rows (m, N) and their direct parts as thinned sparse rows and their direct parts."""
+    step = max(1, _PLACES // whole.shape[1])
+    parts = []
+    for start in range(0, len(whole), step):
+        some = whole[start : start + step]
+        row, col = np.nonzero(some)
+        indptr = np.concatenate([[0], np.cumsum(np.bincount(row, minlength=len(some)))])
+        matrix = csr_array((some[row, col], col.astype(np.int32), indptr), shape=some.shape)
+        parts.append(thinned(matrix, direct[start : start + step][row, col], keep))
+    return stacked(parts)
+
 
 def thinned(
     matrix: csr_array, direct: NDArray[np.float32], keep: float
@@ -37,16 +70,21 @@ def thinned(
     if keep >= 1:
         return matrix, direct
     count = matrix.shape[0]
-    row = np.repeat(np.arange(count), np.diff(matrix.indptr))
+    lengths = np.diff(matrix.indptr)
+    row = np.repeat(np.arange(count), lengths)
     values = matrix.data.astype(np.float64)
     energy = np.bincount(row, values, count).astype(np.float64)
+    # Each row's values, ascending: floats above 0 are ordered as their bits are.
+    key = (row.astype(np.uint64) << np.uint64(32)) | matrix.data.view(np.uint32)
+    key.sort()
+    ascending = key.astype(np.uint32).view(np.float32)
     # From the smallest entry of each row on, drop while all that is dropped is small enough.
-    order = np.lexsort((values, row))
-    upto = np.cumsum(values[order]) - (np.cumsum(energy) - energy)[row]
-    large = np.zeros(len(row), bool)
-    large[order] = upto > (1 - keep) * energy[row]
+    upto = np.cumsum(ascending, dtype=np.float64) - (np.cumsum(energy) - energy)[row]
+    dropped = np.bincount(row[upto <= (1 - keep) * energy[row]], minlength=count)
     smallest = np.full(count, np.inf)
-    np.minimum.at(smallest, row[large], values[large])
+    lit = lengths > 0
+    smallest[lit] = ascending[matrix.indptr[:-1][lit] + np.minimum(dropped, lengths - 1)[lit]]
+    large = values >= smallest[row]
 
     # Small entries fill a measure of the size `smallest` one after the other; the one that makes
     # it run over stays, for all that are in it. The measure starts half full, to be fair.
