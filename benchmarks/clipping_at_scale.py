@@ -3,8 +3,9 @@
     python -m benchmarks.clipping_at_scale [--paper] [SCENE ...]
 
 Exposure by the house rule (a fifth of all rows have a single response that clips), noise 0.3 %,
-8 bits, lambda a tenth of the clip level. Relative errors count rows whose single responses do not clip, and of these those apart of
-which at most half the samples clip. The aim is a clip-aware error at least four times below the
+8 bits, lambda a tenth of the clip level. Relative errors count rows whose single responses do not
+clip, and of these those apart of which at most half the samples clip. The aim is a clip-aware error
+at least four times below the
 linear one. `--paper` adds the paper's own fidelity, which takes minutes a scene.
 """
 
