@@ -14,15 +14,15 @@ use crate::vector::{add_scaled, curvature, dot, residual, DataTerm};
 /// Steps between which the clip state may change.
 const NEWTON_STEPS: usize = 12;
 /// Sweeps of coordinate descent a step.
-const SWEEPS: usize = 30;
+const SWEEPS: usize = 20;
 /// Accuracy, in lambda, from which exact pivoting can pay.
-const PIVOT_ACCURACY: f64 = 0.05;
+const PIVOT_ACCURACY: f64 = 0.01;
 /// Coordinate descent that has not settled after so many sweeps gives way to exact pivoting,
 const SWEEPS_BEFORE_PIVOTS: usize = 5;
 /// of at most so many pixels in and out.
 const PIVOTS: usize = 400;
 /// A step is solved to this share of the violation it starts from.
-const STEP_SHARE: f64 = 0.03;
+const STEP_SHARE: f64 = 0.05;
 /// Coordinate descent has settled when no coordinate's slope changes by this share of the accuracy.
 const SETTLED_SHARE: f64 = 0.3;
 /// Columns with less curvature than this share of the samples are combinations of the background.

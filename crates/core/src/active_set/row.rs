@@ -11,7 +11,7 @@ const NEW_PIXELS: usize = 32;
 /// Pixels whose correlation lies this share below lambda may soon exceed it: they come along.
 const LOOK_AHEAD: f64 = 0.05;
 /// The restricted solve goes to this share of the violation that was found outside,
-const INNER_SHARE: f64 = 0.1;
+const INNER_SHARE: f64 = 0.25;
 /// and no rougher than this share of lambda.
 const ROUGH: f64 = 1.0;
 /// On up to so many pixels being exact is cheaper than another pass: there violations below this

@@ -1,6 +1,5 @@
 //! The look-up pass with AVX-512: tables of six patterns, 64 sums in two registers, one permute.
 
-use super::lookup::subset_sums;
 use super::Scores;
 use crate::simd::{Kind, Level};
 use std::arch::x86_64::*;
@@ -27,13 +26,14 @@ pub fn run(
     assert!(planes.is_multiple_of(PLANES) && length.is_multiple_of(32));
     assert!(rows.iter().all(|row| row.len() <= 12 * planes));
     assert!(out.iter().all(|out| out.values.len() == length));
-    let mut table = Vec::with_capacity(TABLE);
     tables.clear();
-    for row in rows {
-        for step in 0..2 * planes {
-            let values = row.get(6 * step..).unwrap_or(&[]);
-            subset_sums(&values[..values.len().min(6)], 6, &mut table);
-            tables.extend_from_slice(&table);
+    tables.resize(rows.len() * 2 * planes * TABLE, 0);
+    for (row, tables) in rows.iter().zip(tables.chunks_exact_mut(2 * planes * TABLE)) {
+        for (values, table) in row.chunks(6).zip(tables.chunks_exact_mut(TABLE)) {
+            let mut six = [0; 6];
+            six[..values.len()].copy_from_slice(values);
+            // SAFETY: the level proves the instructions.
+            unsafe { subset_sums(six, table) };
         }
     }
     // SAFETY, for all: the level proves the instructions; the asserts above are the contract.
@@ -49,6 +49,30 @@ pub fn run(
             );
         },
         _ => assert!(out.is_empty()),
+    }
+}
+
+/// Sums over all subsets of six values: entry i sums the values of i's bits.
+#[target_feature(enable = "avx512f,avx512bw")]
+fn subset_sums(values: [i16; 6], table: &mut [i16]) {
+    let lanes = [
+        0xaaaa_aaaa,
+        0xcccc_cccc,
+        0xf0f0_f0f0,
+        0xff00_ff00,
+        0xffff_0000,
+    ];
+    let mut low = _mm512_setzero_si512();
+    for (mask, value) in lanes.into_iter().zip(values) {
+        low = _mm512_add_epi16(low, _mm512_maskz_set1_epi16(mask, value));
+    }
+    let high = _mm512_add_epi16(low, _mm512_set1_epi16(values[5]));
+    let (first, second) = table.split_at_mut(32);
+    assert!(first.len() == 32 && second.len() == 32);
+    // SAFETY: each half holds one register.
+    unsafe {
+        _mm512_storeu_si512(first.as_mut_ptr().cast(), low);
+        _mm512_storeu_si512(second.as_mut_ptr().cast(), high);
     }
 }
 
