@@ -321,35 +321,30 @@ impl Restricted {
         // A step that the clip state will make inexact anyway need not be solved well.
         let accuracy = accuracy * settings.regularization;
         let accuracy = accuracy.max(STEP_SHARE * self.violation(settings, point));
+        // Every step is one of descent on the model, so the line search always finds progress.
         let b = point.background;
-        let surplus = if settings.nonnegative { b } else { 0.0 };
-        let mut rise = -surplus;
-        let mut free = centred;
-        if !centred || self.held {
-            // By convexity b = 0 is right where m' theta ends below zero.
-            self.descend(dictionary, settings, point, surplus, 0.0, accuracy);
-            let left = excess + surplus * along_means - self.coupled_change(point);
-            free = centred && left > 0.0;
-            self.held = !free;
-        }
+        let (mut rise, mut limit) = (0.0, 1.0);
+        let mut free = centred && (b > 0.0 || !self.held);
         if free {
             let per_mean = 1.0 / along_means;
-            self.descend(
-                dictionary,
-                settings,
-                point,
-                -excess * per_mean,
-                per_mean,
-                accuracy,
-            );
+            self.descend(dictionary, settings, point, excess, per_mean, accuracy);
             rise = (excess - self.coupled_change(point)) * per_mean;
             if settings.nonnegative && b + rise < 0.0 {
+                limit = b / -rise;
+                free = limit > 0.0;
                 self.held = true;
-                rise = -surplus;
-                self.descend(dictionary, settings, point, surplus, 0.0, accuracy);
+            } else {
+                self.held = false;
             }
         }
-        let advanced = self.advance(dictionary, settings, data, point, rise);
+        if !free {
+            // b stays at 0 while x moves; if m' theta then calls for more, b follows.
+            rise = 0.0;
+            limit = 1.0;
+            self.descend(dictionary, settings, point, 0.0, 0.0, accuracy);
+            self.held = excess - self.coupled_change(point) <= 0.0;
+        }
+        let advanced = self.advance(dictionary, settings, data, point, rise, limit);
         self.lower_flat(dictionary, settings, data, point) || advanced
     }
 
@@ -393,7 +388,7 @@ impl Restricted {
             let columns = &dictionary.columns;
             columns.add(level, point.pixels[j], -x, &mut self.direction);
             let linear = -settings.regularization * x.abs();
-            let t = search::line(level, data, &point.prediction, &self.direction, linear);
+            let t = search::line(level, data, &point.prediction, &self.direction, linear, 1.0);
             point.x[j] = if t == 1.0 { 0.0 } else { x - t * x };
             add_scaled(level, &mut point.prediction, t, &self.direction);
         }
@@ -409,14 +404,14 @@ impl Restricted {
         changes.map(|((target, x), c)| c * (target - x)).sum()
     }
 
-    /// Coordinate descent on the quadratic model from `point.x` to `target`: with the background
-    /// moved by `-shift` and then eliminated (`per_mean` > 0) or held.
+    /// Coordinate descent on the quadratic model from `point.x` to `target`, with the background
+    /// eliminated (`per_mean` = 1 / m' D m) or held (0).
     fn descend(
         &mut self,
         dictionary: &Dictionary,
         settings: &Settings,
         point: &Point,
-        shift: f64,
+        excess: f64,
         per_mean: f64,
         accuracy: f64,
     ) {
@@ -427,7 +422,8 @@ impl Restricted {
         self.target.extend_from_slice(&point.x);
         self.slope.clear();
         let centred = self.gradient.iter().zip(&self.coupling);
-        self.slope.extend(centred.map(|(g, c)| g + c * shift));
+        self.slope
+            .extend(centred.map(|(g, c)| g - c * excess * per_mean));
         if per_mean != self.rows_per_mean {
             self.forget_rows();
             self.rows_per_mean = per_mean;
@@ -619,6 +615,7 @@ impl Restricted {
         data: &DataTerm,
         point: &mut Point,
         rise: f64,
+        limit: f64,
     ) -> bool {
         let level = dictionary.level;
         let mut growth = 0.0;
@@ -635,7 +632,7 @@ impl Restricted {
             add_scaled(level, &mut self.direction, rise, &dictionary.means);
         }
         let linear = settings.regularization * growth;
-        let t = search::line(level, data, &point.prediction, &self.direction, linear);
+        let t = search::line(level, data, &point.prediction, &self.direction, linear, 1.0);
         if t <= 0.0 {
             return false;
         }
@@ -646,7 +643,8 @@ impl Restricted {
                 *x + t * (target - *x)
             };
         }
-        point.background = if t == 1.0 && rise == -point.background {
+        let to_zero = t == limit && limit < 1.0;
+        point.background = if to_zero {
             0.0
         } else {
             point.background + t * rise

@@ -6,9 +6,9 @@ use crate::vector::{along, DataTerm};
 /// Newton steps on a piecewise linear slope; each pins down the piece or halves the bracket.
 const STEPS: usize = 40;
 
-/// The step t in [0, 1] that minimises `linear t + data term(u + t v)`, a convex
+/// The step t in [0, limit], limit <= 1, that minimises `linear t + data term(u + t v)`, a convex
 /// function that falls at 0 and is expected to have its minimum near 1.
-pub fn line(level: Level, data: &DataTerm, u: &[f64], v: &[f64], linear: f64) -> f64 {
+pub fn line(level: Level, data: &DataTerm, u: &[f64], v: &[f64], linear: f64, limit: f64) -> f64 {
     let slope_at = |t: f64| {
         let (slope, curve) = along(level, &data.y, &data.weights, &data.lower, u, v, t);
         (slope + linear, curve)
@@ -17,12 +17,12 @@ pub fn line(level: Level, data: &DataTerm, u: &[f64], v: &[f64], linear: f64) ->
     if start >= 0.0 {
         return 0.0;
     }
-    let mut t = 1.0;
-    let (mut low, mut high) = (0.0, 1.0);
+    let mut t = limit;
+    let (mut low, mut high) = (0.0, limit);
     for _ in 0..STEPS {
         let (slope, curve) = slope_at(t);
         // A hundredth of the first slope: the next round starts from an exact residual anyway.
-        if slope.abs() <= 0.01 * -start || (t == 1.0 && slope < 0.0) {
+        if slope.abs() <= 0.01 * -start || (t == limit && slope < 0.0) {
             break;
         }
         if slope < 0.0 {
