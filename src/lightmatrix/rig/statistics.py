@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from lightmatrix.patterns import BernoulliPatterns
 from lightmatrix.rig.simulate import irradiance
+from lightmatrix.rig.thinning import ascending_in_rows
 from lightmatrix.rig.truth import Truth
 
 
@@ -20,13 +21,12 @@ def entries_for_energy(truth: Truth, share: float) -> NDArray[np.int64]:
     matrix = truth.matrix
     lengths = np.diff(matrix.indptr)
     row = np.repeat(np.arange(len(lengths)), lengths)
-    order = np.lexsort((-matrix.data, row))
-    sums = np.cumsum(matrix.data[order], dtype=np.float64)
-    before = np.concatenate([[0.0], sums])[matrix.indptr[:-1]]
-    total = np.concatenate([[0.0], sums])[matrix.indptr[1:]] - before
-    reached = sums - before[row] < share * total[row]
-    counted = np.bincount(row[reached], minlength=len(lengths))
-    return np.where(total > 0, np.minimum(counted + 1, lengths), 0)
+    sums = np.cumsum(ascending_in_rows(matrix), dtype=np.float64)
+    ends = np.concatenate([[0.0], sums])[matrix.indptr]
+    # Counted from the smallest entry on: those that may go.
+    total = np.diff(ends)
+    spare = sums - ends[row] <= (total - share * total)[row]
+    return np.where(total > 0, lengths - np.bincount(row[spare], minlength=len(lengths)), 0)
 
 
 def clipped_share(truth: Truth, exposures: tuple[float, ...], count: int = 32) -> list[float]:
