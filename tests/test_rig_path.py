@@ -55,17 +55,24 @@ def reference(
     return mean, float(noise / np.linalg.norm(mean)), float(noise / mean.sum())
 
 
+def tolerance(fast: bool) -> float:
+    """In units of the reference's noise, which 36 pixels of scalar mode know only roughly."""
+    return 1.5 if fast else 2.5
+
+
 @pytest.mark.parametrize("name", ["l_objects", "gripper", "metal", "corner"])
 def test_relighting_agrees_with_the_path_integrator(mitsuba: tuple[Any, bool], name: str) -> None:
     mi, fast = mitsuba
-    side, samples = (24, 2048) if fast else (6, 32)
+    side, samples = (24, 2048) if fast else (6, 128)
     truth = render(name, (side, side), samples=8 * samples, keep=1.0, scalar=not fast)
     for pattern in test_patterns(side):
         expected, noise, sum_noise = reference(
             mi, name, pattern, samples, truth.metadata["max_depth"] + 1
         )
         image = truth.matrix @ pattern.ravel() / truth.metadata["scale"]
-        assert np.linalg.norm(image - expected) <= 1.5 * noise * np.linalg.norm(expected)
+        assert np.linalg.norm(image - expected) <= tolerance(fast) * noise * np.linalg.norm(
+            expected
+        )
         # 0.1 %, which so few pixels know only up to their noise.
         assert image.sum() == pytest.approx(expected.sum(), rel=max(1e-3, 4 * sum_noise))
         if fast:
@@ -74,10 +81,10 @@ def test_relighting_agrees_with_the_path_integrator(mitsuba: tuple[Any, bool], n
 
 def test_the_direct_part_agrees_with_paths_of_one_bounce(mitsuba: tuple[Any, bool]) -> None:
     mi, fast = mitsuba
-    side, samples = (16, 1024) if fast else (6, 32)
+    side, samples = (16, 1024) if fast else (6, 128)
     truth = render("corner", (side, side), samples=4 * samples, keep=1.0, scalar=not fast)
     pattern = test_patterns(side)[3]
     expected, noise, sum_noise = reference(mi, "corner", pattern, samples, 2)
     image = truth.direct @ pattern.ravel() / truth.metadata["scale"]
-    assert np.linalg.norm(image - expected) <= 1.5 * noise * np.linalg.norm(expected)
+    assert np.linalg.norm(image - expected) <= tolerance(fast) * noise * np.linalg.norm(expected)
     assert image.sum() == pytest.approx(expected.sum(), rel=max(1e-3, 4 * sum_noise))
