@@ -251,6 +251,8 @@ impl GramSource {
     /// out_i = sum_k d_k a_ik a_jk for every column i of the working set.
     ///
     /// `active` holds the bits of d where d is only 0 or 1, and is empty otherwise.
+    // All of them are borrowed from the row's own state, which a struct would only name again.
+    #[allow(clippy::too_many_arguments)]
     pub fn row(
         &mut self,
         level: Level,

@@ -632,7 +632,14 @@ impl Restricted {
             add_scaled(level, &mut self.direction, rise, &dictionary.means);
         }
         let linear = settings.regularization * growth;
-        let t = search::line(level, data, &point.prediction, &self.direction, linear, limit);
+        let t = search::line(
+            level,
+            data,
+            &point.prediction,
+            &self.direction,
+            linear,
+            limit,
+        );
         if t <= 0.0 {
             return false;
         }

@@ -106,6 +106,8 @@ unsafe fn pass<const R: usize>(codes: &[u16], length: usize, tables: &[i16], out
                             total[r] = _mm512_loadu_si512(out[r].add(pixel).cast());
                         }
                     }
+                    // An index, not an iterator: it walks the second axis of `sums`.
+                    #[allow(clippy::needless_range_loop)]
                     for p in 0..PLANES {
                         let at = (plane + p) * length + pixel;
                         let low = _mm512_loadu_si512(codes.as_ptr().add(at).cast());
