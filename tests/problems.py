@@ -26,7 +26,8 @@ def clipping_problem(
     patterns = BernoulliPatterns(shape, count, seed=seed)
     x = np.zeros((rows, patterns.pixels))
     for row in x:
-        row[random.permutation(patterns.pixels)[:5]] = random.random(5)
+        lit = random.permutation(patterns.pixels)[:5]
+        row[lit] = random.random(len(lit))
     light = patterns.forward(x) + 0.1 * patterns.means
     samples = np.minimum(light + 0.003 * random.standard_normal(light.shape), clip_level)
     problem = Problem(
