@@ -32,8 +32,8 @@ class ActiveSet:
     finds the strongest violators and the dual value (for the method, see `docs/fast-solver.md`).
     It stops when its relative gap (P - D) / max(P, 1e-6 ||y||^2 / 2), in float64, is at most
     `tolerance`. A clipped sample's own value is its lower bound, so clip levels and exposures may
-    differ from sample to sample. Rows start from the row before them, anew every 64 rows: results
-    depend neither on threads nor on tiles of whole multiples of 64 rows.
+    differ from sample to sample. A row's solution depends on no other row: results depend neither
+    on threads nor on tiles.
 
     Parameters
     ----------
@@ -90,8 +90,7 @@ class ActiveSet:
         progress : callable, optional
             Called with (finished, all) rows.
         start : Result, optional
-            Where to start, such as the solution at another regularization. None: each row starts
-            from the one before.
+            Where to start, such as the solution at another regularization. None: from nothing.
 
         Returns
         -------
@@ -145,27 +144,33 @@ def prepare(patterns: PatternSet, instructions: str | None = None) -> _core.Prep
     Parameters
     ----------
     patterns : PatternSet
-        Bernoulli and Hadamard sets are kept as bits, all others as float32.
+        Sets of zeros and ones are kept as bits, all others as float32.
     instructions : {"portable", "avx2", "avx512"}, optional
         None takes the best this CPU has; all give the same scores.
     """
     means = np.ascontiguousarray(patterns.means, np.float64)
-    if isinstance(patterns, BernoulliPatterns):
-        bits = patterns.bits
-        return _core.PreparedPatterns.from_bits(
-            bits, patterns.pixels, means, instructions=instructions
-        )
+    pixels = patterns.pixels
+    transform = None
     if isinstance(patterns, HadamardPatterns):
-        blocks = [
-            np.packbits(block.astype(bool), axis=1, bitorder="little")
-            for _, block in patterns.blocks()
-        ]
         transform = (patterns.transform_size, patterns.selected, patterns.position)
-        return _core.PreparedPatterns.from_bits(
-            np.concatenate(blocks), patterns.pixels, means, transform, instructions
-        )
-    matrix = np.ascontiguousarray(patterns.dense())
-    return _core.PreparedPatterns.from_dense(matrix, means, instructions)
+    bits = _bits(patterns)
+    if bits is None:
+        matrix = np.ascontiguousarray(patterns.dense())
+        return _core.PreparedPatterns.from_dense(matrix, means, instructions)
+    return _core.PreparedPatterns.from_bits(bits, pixels, means, transform, instructions)
+
+
+def _bits(patterns: PatternSet) -> NDArray[np.uint8] | None:
+    """Patterns of zeros and ones only as packed bits, (K, ceil(N / 8)); None for others."""
+    if isinstance(patterns, BernoulliPatterns):
+        return patterns.bits
+    packed = []
+    for _, block in patterns.blocks():
+        lit = block == 1
+        if not (lit | (block == 0)).all():
+            return None
+        packed.append(np.packbits(lit, axis=1, bitorder="little"))
+    return np.concatenate(packed)
 
 
 def _weights(problem: Problem) -> NDArray[np.float64] | None:
