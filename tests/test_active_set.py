@@ -95,7 +95,7 @@ def dense_gap(problem: Problem, result: Result, fidelity: Fidelity) -> NDArray[n
             if energy > 0:
                 theta = theta - np.where(free, excess / energy * m, 0)
             elif abs(excess) > 0:
-                theta = np.zeros_like(theta)
+                theta = np.where(m > 0, 0, theta)
         correlations = p.T @ theta
         most = correlations.max() if problem.nonnegative else np.abs(correlations).max()
         linear = y @ theta
@@ -329,7 +329,7 @@ def test_refuses_what_it_cannot_do() -> None:
         ActiveSet(Fidelity.CLIPPED)
     for wrong in ({"tolerance": 0.0}, {"max_passes": 0}, {"threads": 0}):
         with pytest.raises(InputError):
-            ActiveSet(**wrong)  # type: ignore[arg-type]
+            ActiveSet(**wrong)
 
 
 def test_an_error_in_progress_stops_the_solver() -> None:
