@@ -106,5 +106,5 @@ def show_table(title: str, rows: Mapping[str, Any]) -> None:
     """Print names and values in two columns."""
     table = Table(title=title, title_justify="left", show_header=False, box=None, padding=(0, 2))
     for name, value in rows.items():
-        table.add_row(name, str(value))
+        table.add_row(name, f"{value:.4g}" if isinstance(value, float) else str(value))
     out.print(table)
