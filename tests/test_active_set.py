@@ -101,7 +101,7 @@ def dense_gap(problem: Problem, result: Result, fidelity: Fidelity) -> NDArray[n
         linear = y @ theta
         quadratic = (theta[w > 0] ** 2 / w[w > 0]).sum()
         best = linear / quadratic if quadratic > 0 else 0.0
-        scale = min(max(best, 0), lam / most if most > 0 else np.inf)
+        scale = min(max(best, 0), lam / most if most > 0 else np.inf, 2)
         dual = scale * linear - scale**2 * quadratic / 2
         gaps[i] = (primal - dual) / max(primal, 1e-6 * (y**2).sum() / 2, 1e-300)
     return gaps

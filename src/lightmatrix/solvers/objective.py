@@ -102,7 +102,8 @@ def _dual_value(
     with np.errstate(divide="ignore", invalid="ignore"):
         top = np.where(quadratic > 0, linear / quadratic, 0)
         limit = np.where(highest > 0, problem.regularization / highest, np.inf)
-    scaling = np.clip(top, 0, limit)
+    # Far beyond 1 it would only magnify the rounding errors in m' theta = 0.
+    scaling = np.clip(top, 0, np.minimum(limit, 2))
     return np.asarray(scaling * linear - scaling**2 * quadratic / 2)
 
 

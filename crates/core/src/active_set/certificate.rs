@@ -9,6 +9,10 @@ use super::Settings;
 use crate::simd::Level;
 use crate::vector::{dot, weighted_square, DataTerm};
 
+/// Near the optimum the best scaling is 1; far beyond, it would only magnify rounding errors in
+/// m' theta = 0.
+const LARGEST_SCALING: f64 = 2.0;
+
 /// Moves `theta` along the means, on two-sided samples, until m' theta <= 0 (= 0 if b is free).
 ///
 /// After an exact b this repairs no more than rounding.
@@ -36,8 +40,10 @@ pub fn orthogonal_to_means(
             theta[k] -= excess / energy * means[k];
         }
     } else {
-        // Only theta = 0 is sure to be feasible.
-        theta.fill(0.0);
+        // What counts against the means lies on one-sided samples: leave those out.
+        for k in (0..theta.len()).filter(|&k| means[k] > 0.0) {
+            theta[k] = 0.0;
+        }
     }
 }
 
@@ -61,6 +67,6 @@ pub fn dual_value(
     } else {
         f64::INFINITY
     };
-    let scaling = (linear / square).clamp(0.0, limit);
+    let scaling = (linear / square).clamp(0.0, limit.min(LARGEST_SCALING));
     scaling * linear - scaling * scaling * square / 2.0
 }

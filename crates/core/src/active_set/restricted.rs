@@ -50,6 +50,7 @@ impl Point {
     pub fn clear(&mut self) {
         self.pixels.clear();
         self.x.clear();
+        self.background = 0.0;
     }
 
     pub fn push(&mut self, pixel: u32, x: f64) {
