@@ -346,6 +346,9 @@ def test_an_error_in_progress_stops_the_solver() -> None:
 def test_ctrl_c_answers_within_a_second() -> None:
     # A problem of minutes: a tiny regularization on noise.
     script = (
+        # Background jobs of a shell start with interrupts ignored, and so would this child.
+        "import signal\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
         "import numpy as np\n"
         "from lightmatrix.patterns import BernoulliPatterns\n"
         "from lightmatrix.solvers import ActiveSet, Problem, solve\n"
