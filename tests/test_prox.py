@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lightmatrix.solvers.problem import Fidelity
-from lightmatrix.solvers.prox import clip, soft_threshold, update_prediction
+from lightmatrix.solvers.prox import capped_soft_threshold, clip, soft_threshold, update_prediction
 
 values = st.floats(-3, 6, allow_nan=False, width=32)
 positive = st.floats(0.01, 30)
@@ -83,6 +83,43 @@ def test_soft_threshold_minimises_its_own_problem(
 
     assert not (nonnegative and found < 0)
     assert cost(np.array([found]))[0] <= cost(grid).min() + 1e-7
+
+
+@given(q=st.tuples(values, values), total=values, threshold=positive, scale=st.floats(0.2, 5))
+@settings(max_examples=100, deadline=None)
+def test_capped_soft_threshold_minimises_its_own_problem(
+    q: tuple[float, float], total: float, threshold: float, scale: float
+) -> None:
+    z, c = capped_soft_threshold(np.array([q]), np.array([total]), threshold, scale)
+    assert (z >= 0).all()
+    assert z.sum() <= scale * c[0] + 1e-9
+    axis = np.linspace(0, 6, 801)
+    one, two = np.meshgrid(axis, axis)
+
+    def cost(one: np.ndarray, two: np.ndarray, c: np.ndarray) -> np.ndarray:
+        distance = (one - q[0]) ** 2 + (two - q[1]) ** 2 + (c - total) ** 2
+        return threshold * (one + two) + distance / 2
+
+    # For given z the best c is the total, or what the cap asks for.
+    best = cost(one, two, np.maximum(total, (one + two) / scale)).min()
+    assert cost(z[0, 0], z[0, 1], c[0]) <= best + 1e-9
+
+
+def test_capped_soft_threshold_raises_all_thresholds_of_a_row_alike() -> None:
+    random = np.random.default_rng(0)
+    q = 3 * random.standard_normal((40, 300))
+    total = 500 + 100 * random.standard_normal(40)
+    z, c = capped_soft_threshold(q, total, 0.1, 0.7)
+    plain = soft_threshold(q, 0.1, nonnegative=True)
+    free = plain.sum(axis=1) <= 0.7 * total
+    assert 0 < free.sum() < 40
+    np.testing.assert_array_equal(z[free], plain[free])
+    np.testing.assert_array_equal(c[free], total[free])
+    for row in np.flatnonzero(~free):
+        tau = (c[row] - total[row]) / 0.7
+        assert tau > 0
+        np.testing.assert_allclose(z[row], np.maximum(q[row] - 0.1 - tau, 0), atol=1e-9)
+        assert z[row].sum() == pytest.approx(0.7 * c[row])
 
 
 def test_clipping_function() -> None:

@@ -95,7 +95,9 @@ def solve(problem: Problem, solver: Solver, *, progress: Progress | None = None)
     running = np.ones(problem.rows, bool)
     history: dict[str, list[float]] = {"primal": [], "dual": [], "rows": []}
     for iteration in range(1, solver.max_iterations + 1):
-        before, state = state, solver.step(part, state)
+        # One after the other, so that no third state is kept alive meanwhile.
+        before = state
+        state = solver.step(part, before)
         primal, dual = solver.residuals(part, before, state)
         history["primal"].append(float(np.max(primal[running], initial=0)))
         history["dual"].append(float(np.max(dual[running], initial=0)))

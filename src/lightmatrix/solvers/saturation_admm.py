@@ -8,10 +8,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.solvers.admm import automatic_penalty, check_positive, relative, shrink, split
+from lightmatrix.solvers.admm import (
+    automatic_penalty_x,
+    check_count,
+    check_positive,
+    relative,
+    shrink,
+)
 from lightmatrix.solvers.problem import Fidelity, Problem
 from lightmatrix.solvers.prox import update_prediction
 from lightmatrix.solvers.system import System
+
+# Samples whose norm is below this share of lambda are as good as dark.
+_DARK = 1e-3
 
 
 @dataclass(frozen=True)
@@ -45,28 +54,29 @@ class SaturationADMM:
     fidelity : Fidelity
         clipped (the paper), one-sided, rejection or linear.
     penalty_x : float or None
-        The paper's mu, > 0, in 1 / (units of T). None: 40 over the largest clip level.
+        The paper's mu, > 0, in 1 / (units of T). None: from the patterns and lambda, see
+        `automatic_penalty_x`; for 0/1 patterns of density 0.5, sqrt(K N) / (24 lambda).
     penalty_u : float or None
-        The paper's nu, > 0, in 1 / (units of camera sample). None: see
-        `automatic_penalty_u`.
+        The paper's nu, > 0, in 1 / (units of camera sample). None: 1 / (8 lambda).
     max_iterations : int
-        Iterations after which a row is given up as it is.
+        Iterations after which a row is given up as it is, at least 1.
     tolerance : float
-        A row stops when its relative primal and dual residuals are below this.
+        A row stops when its relative primal and dual residuals are at most this, > 0.
     """
 
     fidelity: Fidelity = Fidelity.ONE_SIDED
     penalty_x: float | None = None
     penalty_u: float | None = None
     max_iterations: int = 1000
-    tolerance: float = 1e-3
+    tolerance: float = 5e-4
 
     def __post_init__(self) -> None:
         check_positive(penalty_x=self.penalty_x, penalty_u=self.penalty_u, tolerance=self.tolerance)
+        check_count(max_iterations=self.max_iterations)
 
     def init(self, problem: Problem) -> SaturationADMMState:
-        mu = self.penalty_x or automatic_penalty(problem)
-        nu = self.penalty_u or automatic_penalty_u(problem, mu)
+        mu = self.penalty_x or automatic_penalty_x(problem)
+        nu = self.penalty_u or automatic_penalty_u(problem)
         system = System(problem.patterns, mu / nu, problem.background)
         y = problem.samples
         x = np.zeros((problem.rows, system.unknowns), y.dtype)
@@ -85,39 +95,33 @@ class SaturationADMM:
         # Eq. 17
         x, prediction = state.system.solve(u - g / nu, z - h / mu)
         # Eq. 13
-        z = shrink(x + h / mu, 1 / mu, problem)
+        z = shrink(x + h / mu, mu, problem, state.system)
         return SaturationADMMState(x, z, u, h, g, prediction, state.system, mu, nu)
 
     def residuals(
         self, problem: Problem, before: SaturationADMMState, after: SaturationADMMState
     ) -> tuple[NDArray[Any], NDArray[Any]]:
+        threshold, dark = 1 / after.penalty_x, _DARK * problem.regularization
         primal = np.maximum(
-            relative(after.x - after.z, after.x, after.z),
-            relative(after.prediction - after.u, after.prediction, after.u),
+            relative(after.x - after.z, threshold, after.x, after.z),
+            relative(after.prediction - after.u, dark, after.prediction, after.u),
         )
         dual = np.maximum(
-            relative(after.z - before.z, after.z, after.h / after.penalty_x),
-            relative(after.u - before.u, after.u, after.g / after.penalty_u),
+            relative(after.z - before.z, threshold, after.z, after.h * threshold),
+            relative(after.u - before.u, dark, after.u, after.g / after.penalty_u),
         )
         return primal, dual
 
     def solution(
         self, problem: Problem, state: SaturationADMMState
     ) -> tuple[NDArray[Any], NDArray[Any]]:
-        return split(state.z, state.system)
+        return state.system.split(state.z)
 
     def row_bytes(self, patterns: int, pixels: int) -> int:
-        """x, z, h before and after a step, and what the step needs: 12 vectors of pixels."""
-        return 4 * (12 * pixels + 14 * patterns)
+        """Two states and what a step and the certificate need: 13 vectors of pixels, float32."""
+        return 4 * (13 * pixels + 14 * patterns)
 
 
-def automatic_penalty_u(problem: Problem, penalty_x: float) -> float:
-    """nu: five times the value at which A x = u and x = z weigh alike in the x-update.
-
-    They do at mu over the typical eigenvalue of the centred patterns' P P', which is their energy.
-    The factor was found on rendered scenes; convergence is flat within a factor of two around it.
-    """
-    patterns = problem.patterns
-    energy = np.diag(patterns.gram) - patterns.pixels * patterns.means**2
-    typical = float(np.median(energy))
-    return 5 * penalty_x / typical if typical > 0 else penalty_x
+def automatic_penalty_u(problem: Problem) -> float:
+    """nu: lambda nu, which Eq. 18 weighs against the 1 of the data term, is an eighth."""
+    return 1 / (8 * problem.regularization)

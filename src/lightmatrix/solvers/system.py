@@ -1,14 +1,18 @@
 """The x-update's linear system, factored once for all camera samples (Eq. 10 and 17).
 
-Unknowns of a row are its N pixels and, if the problem has a background, one coefficient of the
-pattern means m. That coefficient is kept in units in which its column is as long as the sum of all
-pixel columns, `scale * m`: so the direction in which 0/1 patterns are nearly all alike is cheap to
-move in, and single precision suffices.
+Unknowns of a row are its N pixels and, if the problem has a background, one more: the response c
+to a projector whose pixels are all lit, which is sum x + b. In x and c the prediction is
+
+    P x + b m = (P - m 1') x + c m,
+
+so that pixels act through centred patterns only. This removes the direction in which 0/1 patterns
+are all alike, whose eigenvalue is about N times the others: c alone moves along it.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -19,18 +23,18 @@ from lightmatrix.patterns import PatternSet
 
 @dataclass(frozen=True, eq=False)
 class System:
-    """Regularized least squares with A = diag(row_scale) [P, scale m].
+    """Regularized least squares with A = P or, with a background, A = [P - m 1', scale m].
 
     Parameters
     ----------
     patterns : PatternSet
-        P, (K, N).
+        P, (K, N), with means m.
     ridge : float
         > 0.
     background : bool
-        Whether the column of the means is there.
+        Whether there is a background; the last unknown is then c / scale.
     row_scale : (K,) float64, optional
-        Square roots of the patterns' weights; None means 1.
+        Square roots of the patterns' weights, which multiply the rows of A; None means 1.
     """
 
     patterns: PatternSet
@@ -38,39 +42,52 @@ class System:
     background: bool
     row_scale: NDArray[np.float64] | None = None
 
-    def __post_init__(self) -> None:
-        patterns = self.patterns
-        # frozen: the factor is part of what the system is, made once here, in double precision.
-        object.__setattr__(self, "scale", float(np.sqrt(patterns.pixels)))
-        means = patterns.means * (self.scale if self.background else 0.0)
-        rows = np.ones(patterns.count) if self.row_scale is None else self.row_scale
-        wide = patterns.count <= patterns.pixels
-        object.__setattr__(self, "_wide", wide)
-        if wide:
-            square = (patterns.gram + np.outer(means, means)) * np.outer(rows, rows)
-        else:
-            matrix = np.column_stack([patterns.dense().astype(np.float64), means])
-            matrix = matrix if self.background else matrix[:, :-1]
-            matrix *= rows[:, None]
-            square = matrix.T @ matrix
-        square = square + self.ridge * np.eye(square.shape[-1])
-        # The explicit inverse turns every later solve into one matrix product; in double precision
-        # its error is far below that of the single-precision products around it.
-        object.__setattr__(self, "_inverse", np.linalg.inv(square))
-
-    scale: float = 0.0
-
     @property
     def unknowns(self) -> int:
         """N, or N + 1 with a background."""
         return self.patterns.pixels + int(self.background)
 
+    @cached_property
+    def scale(self) -> float:
+        """Unit of c: makes its column as long as a typical row of the centred patterns."""
+        energy = float(np.median(centred_energy(self.patterns)))
+        length = float(np.linalg.norm(self.patterns.means))
+        return float(np.sqrt(energy) / length) if energy > 0 and length > 0 else 1.0
+
+    @property
+    def _wide(self) -> bool:
+        return self.patterns.count <= self.patterns.pixels
+
+    @cached_property
+    def _inverse(self) -> NDArray[np.float64]:
+        """(A A' + ridge I)^-1, or (A' A + ridge I)^-1 where that is smaller, in double precision.
+
+        Being explicit it turns every solve into one matrix product; its error is far below that of
+        the single-precision products around it.
+        """
+        means = self.patterns.means
+        rows = np.ones(self.patterns.count) if self.row_scale is None else self.row_scale
+        if self._wide:
+            square = self.patterns.gram * np.outer(rows, rows)
+            if self.background:
+                change = self.scale**2 - self.patterns.pixels
+                square = square + change * np.outer(rows * means, rows * means)
+        else:
+            matrix = self.patterns.dense().astype(np.float64)
+            if self.background:
+                matrix = np.column_stack([matrix - means[:, None], self.scale * means])
+            matrix *= rows[:, None]
+            square = matrix.T @ matrix
+        square = square + self.ridge * np.eye(square.shape[-1])
+        return np.asarray(np.linalg.inv(square), np.float64)
+
     def forward(self, x: NDArray[Any]) -> NDArray[Any]:
         """A x for rows x of (M, unknowns): (M, K)."""
-        samples = self.patterns.forward(x[:, : self.patterns.pixels])
+        pixels = x[:, : self.patterns.pixels]
+        samples = self.patterns.forward(pixels)
         if self.background:
-            means = (self.scale * self.patterns.means).astype(x.dtype)
-            samples += np.multiply.outer(x[:, -1], means)
+            level = self.scale * x[:, -1] - pixels.sum(axis=1)
+            samples += np.multiply.outer(level, self.patterns.means).astype(x.dtype)
         if self.row_scale is not None:
             samples *= self.row_scale.astype(x.dtype)
         return samples
@@ -79,10 +96,13 @@ class System:
         """A' e for rows e of (M, K): (M, unknowns)."""
         if self.row_scale is not None:
             e = e * self.row_scale.astype(e.dtype)
+        correlations = self.patterns.adjoint(e)
+        if not self.background:
+            return correlations
+        along = e @ self.patterns.means.astype(e.dtype)
         result = np.empty((len(e), self.unknowns), e.dtype)
-        result[:, : self.patterns.pixels] = self.patterns.adjoint(e)
-        if self.background:
-            result[:, -1] = e @ (self.scale * self.patterns.means).astype(e.dtype)
+        np.subtract(correlations, along[:, None], out=result[:, :-1])
+        result[:, -1] = self.scale * along
         return result
 
     def solve(self, target: NDArray[Any], point: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
@@ -100,17 +120,28 @@ class System:
             The results have its dtype.
         """
         dtype = point.dtype
+        distance = target - self.forward(point)
         if self._wide:
-            distance = (target - self.forward(point)).astype(np.float64)
-            t = _each_by(distance, self._inverse)
+            t = _each_by(distance.astype(np.float64), self._inverse)
             prediction = target - (self.ridge * t).astype(dtype)
             return point + self.adjoint(t.astype(dtype)), prediction
-        right = self.adjoint(target.astype(np.float64)) + self.ridge * point.astype(np.float64)
-        x = _each_by(right, self._inverse).astype(dtype)
+        step = _each_by(self.adjoint(distance).astype(np.float64), self._inverse)
+        x = point + step.astype(dtype)
         return x, self.forward(x)
 
-    _wide: bool = True
-    _inverse: Any = None
+    def split(self, z: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
+        """Unknowns as coefficients (M, N) and background b = c - sum x, (M,)."""
+        if not self.background:
+            return z, np.zeros(len(z), z.dtype)
+        coefficients = z[:, :-1]
+        b = self.scale * z[:, -1].astype(np.float64) - coefficients.sum(axis=1, dtype=np.float64)
+        return coefficients, b.astype(z.dtype)
+
+
+def centred_energy(patterns: PatternSet) -> NDArray[np.float64]:
+    """Squared lengths of the centred patterns P - m 1', (K,): N / 4 for 0/1 at density 0.5."""
+    energy = np.diagonal(patterns.gram) - patterns.pixels * patterns.means**2
+    return np.maximum(energy, 0)
 
 
 def _each_by(rows: NDArray[np.float64], matrix: NDArray[np.float64]) -> NDArray[np.float64]:
