@@ -1,0 +1,171 @@
+"""The measurements behind `python -m benchmarks`: whole frames, passes, scaling, agreement."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import numpy as np
+from scipy.sparse import csr_array
+
+from benchmarks import solver_reference, solver_rows
+from lightmatrix.patterns import HadamardPatterns, PatternSet
+from lightmatrix.solvers import ActiveSet, Fidelity, Problem, Result, SaturationADMM, solve
+from lightmatrix.solvers.active_set import prepare, prepared
+from lightmatrix.solvers.objective import objective
+
+Row = dict[str, Any]
+PASS_ROWS = 96
+
+
+def best_of(repeats: int, run: Callable[[], Any]) -> tuple[float, Any]:
+    """Least wall time of several runs, and the last one's result."""
+    best = np.inf
+    for _ in range(repeats):
+        started = time.perf_counter()
+        result = run()
+        best = min(best, time.perf_counter() - started)
+    return best, result
+
+
+def sgemm_seconds(patterns: PatternSet, rows: int, repeats: int = 5) -> float:
+    """One correlation pass by BLAS in float32, per row."""
+    e = np.random.default_rng(0).normal(size=(rows, patterns.count)).astype(np.float32)
+    p = patterns.dense()
+    seconds, _ = best_of(repeats, lambda: e @ p)
+    return seconds / rows
+
+
+def whole_frame(problem: Problem, repeats: int = 3) -> Row:
+    """Every row of a frame, certified, on all cores; beside it one SGEMM pass on all cores."""
+    prepared(problem.patterns)
+    seconds, result = best_of(repeats, lambda: solve(problem, ActiveSet()))
+    sgemm = sgemm_seconds(problem.patterns, min(2048, problem.rows)) * problem.rows
+    support = np.diff(result.coefficients.indptr)
+    return {
+        "patterns": problem.patterns.count,
+        "regularization": problem.regularization,
+        "seconds": seconds,
+        "sgemm_seconds": sgemm,
+        "ratio": seconds / sgemm,
+        "certified": int(result.converged.sum()),
+        "rows": problem.rows,
+        "worst_gap": float(result.gap.max()),
+        "passes": float(result.iterations.mean()),
+        "support": float(support.mean()),
+        "clipped": float(problem.clipped.mean()),
+    }
+
+
+def agreement(problem: Problem, rows: int) -> Row:
+    """Certified objectives against an independent, long float64 solve."""
+    problem = solver_rows.spread(problem, rows)
+    rough, fine = solve(problem, ActiveSet()), solve(problem, ActiveSet(tolerance=1e-6))
+    dense = problem.patterns.dense().astype(np.float64)
+    beyond, apart, proof = [], [], []
+    for i in range(problem.rows):
+        known = solver_reference.solve_row(
+            dense, problem.samples[i], problem.clipped[i], problem.regularization
+        )
+        scale = max(known.objective, 5e-7 * float((problem.samples[i] ** 2).sum()))
+        # How far the distance to the reference exceeds what the gap promises.
+        excess = (rough.objective[i] - known.objective) / scale - rough.gap[i]
+        beyond.append(excess)
+        apart.append(abs(fine.objective[i] - known.objective) / scale)
+        proof.append((known.objective - known.bound) / scale)
+    return {
+        "rows": problem.rows,
+        "beyond_certified_gap": max(beyond),
+        "objective_difference_at_1e-6": max(apart),
+        "reference_gap": max(proof),
+    }
+
+
+def passes(count: int, repeats: int = 7) -> list[Row]:
+    """One correlation pass for each instruction set, and for Hadamard patterns, against SGEMM."""
+    shape = solver_rows.SIZE
+    bits = solver_rows.bernoulli(count)
+    sets: list[tuple[str, PatternSet, str | None]] = [
+        (f"tables, {name}", bits, name) for name in ("portable", "avx2", "avx512")
+    ]
+    sets.append(("transform", HadamardPatterns(shape, count, order="random"), None))
+    e = np.random.default_rng(0).normal(size=(PASS_ROWS, count))
+    sgemm = sgemm_seconds(bits, 512)
+    table = []
+    for name, patterns, instructions in sets:
+        try:
+            core = prepare(patterns, instructions)
+        except ValueError:
+            continue
+        seconds, _ = best_of(repeats, partial(core.pass_only, e))
+        table.append(
+            {
+                "patterns": count,
+                "kernel": name,
+                "microseconds_per_row": seconds / PASS_ROWS * 1e6,
+                "sgemm_microseconds_per_row": sgemm * 1e6,
+                "times_sgemm": sgemm * PASS_ROWS / seconds,
+            }
+        )
+    return table
+
+
+def scaling(sizes: tuple[int, ...], counts: tuple[int, ...], rows: int) -> list[Row]:
+    """Cost of synthetic rows against projector size and patterns, one core."""
+    table = []
+    for size in sizes:
+        truth = solver_rows.synthetic_truth(rows, size * size)
+        for count in counts:
+            problem = solver_rows.photographed(truth, solver_rows.bernoulli(count, (size, size)))
+            table.append(_scaling_row(problem, size))
+    return table
+
+
+def scaling_rows(size: int, count: int, rows: tuple[int, ...]) -> list[Row]:
+    """Cost against the number of rows."""
+    truth = solver_rows.synthetic_truth(max(rows), size * size)
+    patterns = solver_rows.bernoulli(count, (size, size))
+    problem = solver_rows.photographed(truth, patterns)
+    return [_scaling_row(problem.take(np.arange(n)), size) for n in rows]
+
+
+def _scaling_row(problem: Problem, size: int) -> Row:
+    prepared(problem.patterns)
+    seconds, result = best_of(3, lambda: solve(problem, ActiveSet(threads=1)))
+    count = problem.patterns.count
+    return {
+        "size": size,
+        "patterns": count,
+        "rows": problem.rows,
+        "microseconds_per_row": seconds / problem.rows * 1e6,
+        "nanoseconds_per_pattern_pixel": seconds / problem.rows * 1e9 / (count * size * size),
+        "certified": bool(result.converged.all()),
+    }
+
+
+def against_saturation_admm(problem: Problem, rows: int, share: float = 1e-3) -> Row:
+    """Time until Saturation ADMM's mean objective is within a share of the optimum, one core."""
+    problem = solver_rows.spread(problem, rows)
+    seconds, exact = best_of(3, lambda: solve(problem, ActiveSet(threads=1)))
+    for iterations in (50, 100, 200, 400, 800, 1600):
+        solver = SaturationADMM(Fidelity.ONE_SIDED, max_iterations=iterations, tolerance=1e-9)
+        theirs, result = best_of(1, partial(solve, problem, solver))
+        above = float(_repaired(problem, result).sum() / exact.objective.sum() - 1)
+        if above <= share:
+            break
+    return {
+        "rows": problem.rows,
+        "microseconds_per_row": seconds / problem.rows * 1e6,
+        "admm_iterations": iterations,
+        "admm_microseconds_per_row": theirs / problem.rows * 1e6,
+        "admm_above_optimum": above,
+        "times_faster": theirs / seconds,
+    }
+
+
+def _repaired(problem: Problem, result: Result) -> Any:
+    """Objectives of the feasible rows nearest to ADMM's."""
+    x = csr_array(result.coefficients.maximum(0))
+    return objective(problem, x, np.maximum(result.background, 0), Fidelity.ONE_SIDED)

@@ -1,0 +1,88 @@
+"""The compiled correlation pass against its definition in NumPy."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from lightmatrix._core import PreparedPatterns
+from lightmatrix.patterns import BernoulliPatterns, HadamardPatterns, ImagePatterns, PatternSet
+from lightmatrix.solvers.active_set import prepare
+
+INSTRUCTIONS = ("portable", "avx2", "avx512")
+
+
+def available(patterns: PatternSet) -> list[PreparedPatterns]:
+    cores = []
+    for name in INSTRUCTIONS:
+        try:
+            cores.append(prepare(patterns, name))
+        except ValueError:
+            assert name != "portable"
+    return cores
+
+
+def check(core: PreparedPatterns, patterns: PatternSet, e: NDArray[np.float64]) -> None:
+    scores, bounds = core.scores(e)
+    unit, offset, up, down = bounds.reshape(-1, 4).T[:, :, None]
+    exact = e @ patterns.dense().astype(np.float64)
+    slack = 1e-9 * np.abs(e).sum(axis=1, keepdims=True)
+    assert (exact <= unit * (scores + offset + up) + slack).all()
+    assert (exact >= unit * (scores + offset - down) - slack).all()
+
+
+@given(
+    shape=st.tuples(st.integers(1, 12), st.integers(1, 12)),
+    count=st.integers(1, 60),
+    rows=st.integers(1, 7),
+    seed=st.integers(0, 99),
+    kind=st.sampled_from(["bernoulli", "hadamard", "images"]),
+)
+@settings(max_examples=80, deadline=None)
+def test_scores_bound_the_correlations(
+    shape: tuple[int, int], count: int, rows: int, seed: int, kind: str
+) -> None:
+    rng = np.random.default_rng(seed)
+    patterns: PatternSet
+    if kind == "bernoulli":
+        patterns = BernoulliPatterns(shape, count, seed=seed)
+    elif kind == "hadamard":
+        count = min(count, shape[0] * shape[1])
+        patterns = HadamardPatterns(shape, count, order="random", permute=True, seed=seed)
+    else:
+        patterns = ImagePatterns(rng.random((count, *shape)).astype(np.float32))
+    e = rng.normal(size=(rows, count))
+    for core in available(patterns):
+        check(core, patterns, e)
+
+
+def test_instruction_sets_give_the_same_scores() -> None:
+    patterns = BernoulliPatterns((61, 67), 131)
+    e = np.random.default_rng(0).normal(size=(5, 131))
+    first, *others = (core.scores(e) for core in available(patterns))
+    for other in others:
+        np.testing.assert_array_equal(other[0], first[0])
+        np.testing.assert_array_equal(other[1], first[1])
+
+
+def test_wrong_arguments_are_refused() -> None:
+    patterns = BernoulliPatterns((5, 5), 9)
+    with pytest.raises(ValueError, match="abacus"):
+        prepare(patterns, "abacus")
+    core = prepare(patterns)
+    with pytest.raises(ValueError, match="9 patterns"):
+        core.scores(np.zeros((2, 8)))
+    with pytest.raises(ValueError, match="bytes a pattern"):
+        PreparedPatterns.from_bits(patterns.bits, 99, patterns.means)
+    with pytest.raises(ValueError, match="3 means"):
+        PreparedPatterns.from_bits(patterns.bits, 25, np.zeros(3))
+    with pytest.raises(ValueError, match="outside"):
+        PreparedPatterns.from_dense(np.full((2, 3), 1.5, np.float32), np.zeros(2))
+    index = np.arange(9, dtype=np.int64)
+    with pytest.raises(ValueError, match="transform of length"):
+        PreparedPatterns.from_bits(
+            patterns.bits, 25, patterns.means, (24, index, np.arange(24, dtype=np.int64))
+        )
