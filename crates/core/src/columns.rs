@@ -74,6 +74,25 @@ impl DenseColumns {
         }
     }
 
+    /// From columns side by side, each padded, none of whose absolute values exceeds `largest`.
+    ///
+    /// # Panics
+    /// If `values` does not hold whole columns.
+    pub fn from_padded(values: Vec<f32>, patterns: usize, largest: f64) -> Self {
+        let stride = padded(patterns);
+        assert!(values.len().is_multiple_of(stride.max(1)));
+        DenseColumns {
+            values,
+            stride,
+            largest,
+        }
+    }
+
+    /// The columns' memory, to be used again.
+    pub fn into_values(self) -> Vec<f32> {
+        self.values
+    }
+
     pub fn column(&self, pixel: u32) -> &[f32] {
         &self.values[pixel as usize * self.stride..][..self.stride]
     }
@@ -109,6 +128,18 @@ impl Columns {
             Columns::Dense(dense) => {
                 for (out, pixel) in out.iter_mut().zip(pixels) {
                     *out = mixed_dot(level, dense.column(*pixel), e);
+                }
+            }
+        }
+    }
+
+    /// out = factor a_j, padded, in float32.
+    pub fn copy_scaled(&self, level: Level, pixel: u32, factor: f32, out: &mut [f32]) {
+        match self {
+            Columns::Bits(bits) => expand(level, bits.column(pixel), factor, out),
+            Columns::Dense(dense) => {
+                for (out, a) in out.iter_mut().zip(dense.column(pixel)) {
+                    *out = factor * a;
                 }
             }
         }
@@ -188,6 +219,18 @@ multiversion! {
             for (i, (d, out)) in d.iter().zip(out).enumerate() {
                 let keep = 0u64.wrapping_sub(word >> i & 1);
                 *out = f64::from_bits(d.to_bits() & keep);
+            }
+        }
+    }
+}
+
+multiversion! {
+    /// out = factor where the bit is set, else 0.
+    fn expand(words: &[u64], factor: f32, out: &mut [f32]) {
+        for (word, out) in words.iter().zip(out.chunks_exact_mut(64)) {
+            for (i, out) in out.iter_mut().enumerate() {
+                let keep = 0u32.wrapping_sub((word >> i & 1) as u32);
+                *out = f32::from_bits(factor.to_bits() & keep);
             }
         }
     }

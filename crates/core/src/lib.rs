@@ -2,6 +2,7 @@
 
 pub mod active_set;
 pub mod bits;
+pub mod coherent;
 pub mod columns;
 pub mod correlate;
 pub mod float;

@@ -19,7 +19,7 @@ const PATIENCE: Duration = Duration::from_millis(50);
 /// Patterns prepared for the solver: packed columns and the tables of the correlation pass.
 #[pyclass(frozen, module = "lightmatrix._core")]
 pub struct PreparedPatterns {
-    dictionary: Dictionary,
+    pub dictionary: Dictionary,
 }
 
 fn level(name: Option<&str>) -> PyResult<Level> {
@@ -32,6 +32,37 @@ fn level(name: Option<&str>) -> PyResult<Level> {
                 known.join(", ")
             ))
         }),
+    }
+}
+
+pub fn fidelity(name: &str) -> PyResult<Fidelity> {
+    match name {
+        "linear" => Ok(Fidelity::Linear),
+        "one-sided" => Ok(Fidelity::OneSided),
+        "rejection" => Ok(Fidelity::Rejection),
+        other => Err(PyValueError::new_err(format!("no fidelity {other:?}"))),
+    }
+}
+
+/// A two-dimensional array of float32 or float64.
+pub enum Floats<'py> {
+    Single(PyReadonlyArray2<'py, f32>),
+    Double(PyReadonlyArray2<'py, f64>),
+}
+
+impl<'py> Floats<'py> {
+    pub fn of(array: &Bound<'py, PyAny>) -> PyResult<Self> {
+        match array.extract() {
+            Ok(single) => Ok(Floats::Single(single)),
+            Err(_) => Ok(Floats::Double(array.extract()?)),
+        }
+    }
+
+    pub fn view(&self) -> PyResult<(&[usize], Values<'_>)> {
+        Ok(match self {
+            Floats::Single(values) => (values.shape(), Values::F32(values.as_slice()?)),
+            Floats::Double(values) => (values.shape(), Values::F64(values.as_slice()?)),
+        })
     }
 }
 
@@ -211,14 +242,7 @@ impl PreparedPatterns {
     ) -> PyResult<Solved> {
         let settings = Settings {
             regularization,
-            fidelity: match fidelity {
-                "linear" => Fidelity::Linear,
-                "one-sided" => Fidelity::OneSided,
-                "rejection" => Fidelity::Rejection,
-                other => {
-                    return Err(PyValueError::new_err(format!("no fidelity {other:?}")));
-                }
-            },
+            fidelity: self::fidelity(fidelity)?,
             nonnegative,
             background,
             tolerance,
@@ -229,16 +253,8 @@ impl PreparedPatterns {
                 "regularization and tolerance must be positive",
             ));
         }
-        let single = samples.extract::<PyReadonlyArray2<f32>>().ok();
-        let double = match &single {
-            None => Some(samples.extract::<PyReadonlyArray2<f64>>()?),
-            Some(_) => None,
-        };
-        let (shape, values) = match (&single, &double) {
-            (Some(s), _) => (s.shape(), Values::F32(s.as_slice()?)),
-            (None, Some(s)) => (s.shape(), Values::F64(s.as_slice()?)),
-            (None, None) => unreachable!("one of the two was extracted"),
-        };
+        let floats = Floats::of(samples)?;
+        let (shape, values) = floats.view()?;
         let (count, patterns) = (shape[0], shape[1]);
         if patterns != self.dictionary.patterns || clipped.shape() != shape {
             return Err(PyValueError::new_err(format!(
@@ -275,7 +291,10 @@ impl PreparedPatterns {
             },
             start,
         };
-        let solutions = run_interruptibly(py, &self.dictionary, rows, settings, threads, progress)?;
+        let dictionary = &self.dictionary;
+        let solutions = run_interruptibly(py, count, threads, progress, |cancelled, finished| {
+            active_set::solve(dictionary, rows, settings, cancelled, finished)
+        })?;
         Ok(Solved::new(py, solutions))
     }
 }
@@ -314,7 +333,7 @@ impl PreparedPatterns {
     }
 }
 
-fn checked_start(start: Start<'_>, count: usize, pixels: usize) -> PyResult<Start<'_>> {
+pub fn checked_start(start: Start<'_>, count: usize, pixels: usize) -> PyResult<Start<'_>> {
     let entries = start.indices.len();
     let sound = start.indptr.len() == count + 1
         && start.background.len() == count
@@ -336,14 +355,13 @@ fn checked_start(start: Start<'_>, count: usize, pixels: usize) -> PyResult<Star
 }
 
 /// Solves on other threads while this one listens for signals and reports progress.
-fn run_interruptibly(
+pub fn run_interruptibly<T: Send>(
     py: Python<'_>,
-    dictionary: &Dictionary,
-    rows: Rows,
-    settings: Settings,
+    count: usize,
     threads: Option<usize>,
     progress: Option<Bound<'_, PyAny>>,
-) -> PyResult<Vec<active_set::Solution>> {
+    solve: impl FnOnce(&AtomicBool, &AtomicUsize) -> Option<T> + Send,
+) -> PyResult<T> {
     let pool = match threads {
         None => None,
         Some(n) => Some(
@@ -359,7 +377,7 @@ fn run_interruptibly(
         let (cancelled, finished, pool) = (&cancelled, &finished, &pool);
         let worker = scope.spawn(move || {
             let _ends_with_the_thread = sender;
-            let solve = || active_set::solve(dictionary, rows, settings, cancelled, finished);
+            let solve = || solve(cancelled, finished);
             match pool {
                 Some(pool) => pool.install(solve),
                 None => solve(),
@@ -376,7 +394,7 @@ fn run_interruptibly(
                 outcome = py.check_signals();
                 if let (Ok(()), Some(progress)) = (&outcome, &progress) {
                     let done = finished.load(Ordering::Relaxed);
-                    outcome = progress.call1((done, rows.count)).map(|_| ());
+                    outcome = progress.call1((done, count)).map(|_| ());
                 }
                 if outcome.is_err() {
                     cancelled.store(true, Ordering::Relaxed);
@@ -410,7 +428,7 @@ pub struct Solved {
 }
 
 impl Solved {
-    fn new(py: Python<'_>, solutions: Vec<active_set::Solution>) -> Self {
+    pub fn new(py: Python<'_>, solutions: Vec<active_set::Solution>) -> Self {
         let mut indptr = vec![0i64];
         let (mut indices, mut values) = (Vec::new(), Vec::new());
         for solution in &solutions {

@@ -1,7 +1,7 @@
 //! Several rows at a time, so that they share passes over the patterns.
 
 use super::row::{Next, RowSolver};
-use super::{Dictionary, Rows, Settings, Solution};
+use super::{Dictionary, Rows, Settings, Solution, Start};
 use crate::correlate::{Scores, Scratch, BATCH};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
@@ -50,7 +50,10 @@ pub fn solve_rows(
                 return false;
             };
             lane.row = row;
-            next = Some(lane.solver.begin(rows, first + row));
+            next = Some(
+                lane.solver
+                    .begin(rows, first + row, rows.start.map(|s| (s, first + row))),
+            );
         }
     };
     lanes.retain_mut(|lane| advance(lane, None));
@@ -69,4 +72,25 @@ pub fn solve_rows(
             advance(lane, Some(next))
         });
     }
+}
+
+/// Solves row `row` of `rows`, from the only row of `start`.
+pub fn solve_row(
+    dictionary: &Dictionary,
+    rows: Rows,
+    row: usize,
+    start: Option<Start>,
+    settings: Settings,
+) -> Solution {
+    let mut solver = RowSolver::new(dictionary, settings);
+    let mut scores = Scores::default();
+    let mut scratch = Scratch::default();
+    let correlator = &dictionary.correlator;
+    let mut next = solver.begin(rows, row, start.map(|start| (start, 0)));
+    while let Next::Pass = next {
+        let columns = &dictionary.columns;
+        correlator.run(columns, &[solver.dual()], &mut [&mut scores], &mut scratch);
+        next = solver.after_pass(&scores);
+    }
+    solver.solution()
 }

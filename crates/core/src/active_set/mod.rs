@@ -23,6 +23,7 @@ use crate::columns::Columns;
 use crate::correlate::Correlator;
 use crate::simd::Level;
 use crate::vector::padded;
+pub use lanes::solve_row;
 use lanes::solve_rows;
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicBool, AtomicUsize};

@@ -2,7 +2,7 @@
 
 use super::certificate::{dual_value, orthogonal_to_means};
 use super::restricted::{Point, Restricted};
-use super::{Dictionary, Fidelity, Rows, Settings, Solution, Values};
+use super::{Dictionary, Fidelity, Rows, Settings, Solution, Start, Values};
 use crate::correlate::Scores;
 use crate::vector::{padded, residual, signed_sums, DataTerm};
 
@@ -99,14 +99,14 @@ impl<'a> RowSolver<'a> {
         }
     }
 
-    /// Starts on a row, from the given start or from nothing.
-    pub fn begin(&mut self, rows: Rows, row: usize) -> Next {
+    /// Starts on a row, from a row of the given start or from nothing.
+    pub fn begin(&mut self, rows: Rows, row: usize, start: Option<(Start, usize)>) -> Next {
         self.load(rows, row);
         self.passes = 0;
         self.dual_value = f64::NEG_INFINITY;
         self.finest = FINEST_SHARE * self.settings.tolerance;
         self.point.clear();
-        if let Some(start) = rows.start {
+        if let Some((start, row)) = start {
             let range = start.indptr[row] as usize..start.indptr[row + 1] as usize;
             for (&pixel, &x) in start.indices[range.clone()]
                 .iter()

@@ -1,0 +1,11 @@
+//! What neighbouring camera pixels know of each other: the projector pixels that a row probably
+//! holds, and rows solved on these alone, each pixel with a penalty of its own.
+
+mod likely;
+mod weighted;
+
+pub use likely::{likely, Sparse, Windows};
+pub use weighted::{solve, Candidates, Further, Weighted};
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,183 @@
+use super::*;
+use crate::active_set::{Dictionary, Fidelity, Rows, Settings, Start, Values};
+use crate::bits::Bits;
+use crate::columns::{BitColumns, Columns};
+use crate::correlate::Correlator;
+use crate::simd::Level;
+use crate::vector::padded;
+use std::sync::atomic::{AtomicBool, AtomicUsize};
+
+const PATTERNS: usize = 40;
+const PIXELS: usize = 24;
+
+fn random(state: &mut u64) -> u64 {
+    *state = state
+        .wrapping_mul(6364136223846793005)
+        .wrapping_add(1442695040888963407);
+    *state >> 33
+}
+
+fn bit(packed: &[u8], k: usize, j: usize) -> f64 {
+    f64::from(packed[k * PIXELS / 8 + j / 8] >> (j % 8) & 1)
+}
+
+fn dictionary(level: Level, packed: &[u8]) -> Dictionary {
+    let bits = Bits::new(packed, PATTERNS, PIXELS);
+    let mut means: Vec<f64> = (0..PATTERNS)
+        .map(|k| (0..PIXELS).map(|j| bit(packed, k, j)).sum::<f64>() / PIXELS as f64)
+        .collect();
+    means.resize(padded(PATTERNS), 0.0);
+    Dictionary {
+        level,
+        columns: Columns::Bits(BitColumns::new(bits)),
+        correlator: Correlator::lookup(level, bits),
+        means,
+        patterns: PATTERNS,
+        pixels: PIXELS,
+    }
+}
+
+fn settings() -> Settings {
+    Settings {
+        regularization: 0.05,
+        fidelity: Fidelity::OneSided,
+        nonnegative: true,
+        background: false,
+        tolerance: 1e-9,
+        max_passes: 200,
+    }
+}
+
+/// Slopes of the data term at the solution: a_j . theta for the pixels, then the further columns.
+fn slopes(packed: &[u8], further: &[f32], y: &[f64], found: &Weighted) -> Vec<f64> {
+    let theta: Vec<f64> = (0..PATTERNS)
+        .map(|k| {
+            let pixels = found.row.pixels.iter().zip(&found.row.x);
+            let u: f64 = pixels.map(|(&j, x)| bit(packed, k, j as usize) * x).sum();
+            let shared = found.further.iter().enumerate();
+            let v: f64 = shared
+                .map(|(i, g)| f64::from(further[i * PATTERNS + k]) * g)
+                .sum();
+            y[k] - u - v
+        })
+        .collect();
+    let dot = |value: &dyn Fn(usize) -> f64| (0..PATTERNS).map(|k| value(k) * theta[k]).sum();
+    let pixels = (0..PIXELS).map(|j| dot(&|k| bit(packed, k, j)));
+    let shared =
+        (0..further.len() / PATTERNS).map(|i| dot(&|k| f64::from(further[i * PATTERNS + k])));
+    pixels.chain(shared).collect()
+}
+
+#[test]
+fn every_pixel_meets_the_optimality_condition_of_its_own_penalty() {
+    let mut state = 7;
+    let packed: Vec<u8> = (0..PATTERNS * PIXELS / 8)
+        .map(|_| random(&mut state) as u8)
+        .collect();
+    let further: Vec<f32> = (0..2 * PATTERNS)
+        .map(|_| (random(&mut state) % 1000) as f32 / 1000.0)
+        .collect();
+    let y: Vec<f64> = (0..PATTERNS)
+        .map(|k| 0.7 * bit(&packed, k, 3) + 0.2 * bit(&packed, k, 9) + 0.1 * f64::from(further[k]))
+        .collect();
+    let pixels: Vec<i32> = (0..PIXELS as i32).filter(|j| j % 2 == 1).collect();
+    let penalties: Vec<f32> = pixels.iter().map(|&j| 0.1 + 0.2 * j as f32).collect();
+    let shared = [0.5f32, 3.0];
+    let lambda = settings().regularization;
+    for level in Level::available() {
+        let dictionary = dictionary(level, &packed);
+        let solve_from = |start: Option<Start>, further_start: Option<&[f32]>| {
+            let rows = Rows {
+                count: 1,
+                samples: Values::F64(&y),
+                clipped: &[false; PATTERNS],
+                weights: None,
+                start,
+            };
+            let candidates = Candidates {
+                indptr: &[0, pixels.len() as i64],
+                pixels: &pixels,
+                penalties: &penalties,
+            };
+            let further = Further {
+                columns: &further,
+                penalties: &shared,
+                start: further_start,
+            };
+            let (cancelled, finished) = (AtomicBool::new(false), AtomicUsize::new(0));
+            let found = solve(
+                &dictionary,
+                rows,
+                candidates,
+                further,
+                settings(),
+                &cancelled,
+                &finished,
+            );
+            found.expect("not cancelled").remove(0)
+        };
+        let found = solve_from(None, None);
+        assert!(found.row.converged);
+        assert!(found.row.pixels.contains(&3) && found.row.pixels.contains(&9));
+        let slopes = slopes(&packed, &further, &y, &found);
+        for (&pixel, &penalty) in pixels.iter().zip(&penalties) {
+            let excess = slopes[pixel as usize] / (lambda * f64::from(penalty)) - 1.0;
+            assert!(excess < 1e-3);
+            if found.row.pixels.contains(&(pixel as u32)) {
+                assert!(excess.abs() < 1e-3);
+            }
+        }
+        for i in 0..2 {
+            let excess = slopes[PIXELS + i] / (lambda * f64::from(shared[i])) - 1.0;
+            assert!(excess < 1e-3);
+            if found.further[i] > 0.0 {
+                assert!(excess.abs() < 1e-3);
+            }
+        }
+        // From its own solution nothing is left to do but to certify it.
+        let indices: Vec<i32> = found.row.pixels.iter().map(|&j| j as i32).collect();
+        let further_start: Vec<f32> = found.further.iter().map(|&g| g as f32).collect();
+        let again = solve_from(
+            Some(Start {
+                indptr: &[0, indices.len() as i64],
+                indices: &indices,
+                values: &found.row.x,
+                background: &[0.0],
+            }),
+            Some(&further_start),
+        );
+        assert!(again.row.converged && again.row.passes <= found.row.passes);
+        assert!((again.row.objective - found.row.objective).abs() < 1e-8);
+    }
+}
+
+#[test]
+fn likely_pixels_are_the_neighbours_rows_over_their_maximum_blurred() {
+    // A camera of 2 x 3, a projector of 4 x 5, one entry in each of three rows.
+    let (camera, projector) = ([2, 3, 1], [4, 5]);
+    let indptr = [0i64, 1, 2, 2, 2, 4, 4];
+    let matrix = Sparse {
+        indptr: &indptr,
+        indices: &[0, 7, 7, 13],
+        values: &[2.0, 0.5, 1.0, 4.0],
+    };
+    let windows = |camera_reach, projector_reach, most| Windows {
+        camera,
+        projector,
+        camera_reach,
+        projector_reach,
+        most,
+    };
+    // Row 3 has the neighbours 0, 1 and 4: pixel 0 once, pixel 7 by 1 and 1/4, pixel 13 once.
+    let found = likely(matrix, windows(1, 0, 9), 3..4);
+    assert_eq!(found, [(vec![0, 7, 13], vec![0.8, 1.0, 0.8])]);
+    assert_eq!(
+        likely(matrix, windows(1, 0, 1), 3..4),
+        [(vec![7], vec![1.0])]
+    );
+    // Alone, row 0 is blurred into the corner of the projector.
+    let found = likely(matrix, windows(0, 1, 9), 0..1);
+    assert_eq!(found, [(vec![0, 1, 5, 6], vec![1.0; 4])]);
+    // A row nobody knows anything of.
+    assert_eq!(likely(matrix, windows(0, 2, 9), 5..6), [(vec![], vec![])]);
+}

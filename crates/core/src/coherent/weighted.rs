@@ -1,0 +1,228 @@
+//! Rows solved on given pixels only, each pixel with a penalty of its own.
+//!
+//! A penalty of w lambda on x is a penalty of lambda on w x, whose column is a / w. So the
+//! active-set solver works on a dictionary of the row's own columns, and its certificate covers
+//! the weighted problem on these columns.
+
+use crate::active_set::{solve_row, Dictionary, Rows, Settings, Solution, Start};
+use crate::columns::{Columns, DenseColumns};
+use crate::correlate::Correlator;
+use crate::vector::padded;
+use rayon::prelude::*;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+
+/// Rows that one thread takes on at a time.
+const TASK: usize = 16;
+
+/// Pixels that each row may use, as the parts of a CSR matrix.
+#[derive(Clone, Copy)]
+pub struct Candidates<'a> {
+    pub indptr: &'a [i64],
+    /// Ascending within a row.
+    pub pixels: &'a [i32],
+    /// Penalties relative to lambda, > 0.
+    pub penalties: &'a [f32],
+}
+
+/// Columns that every row may use beside its pixels, such as the means of blocks of pixels.
+#[derive(Clone, Copy)]
+pub struct Further<'a> {
+    /// One column after the other, a value in [0, 1] for each pattern.
+    pub columns: &'a [f32],
+    /// Penalties relative to lambda, > 0.
+    pub penalties: &'a [f32],
+    /// Where to start, (rows, columns).
+    pub start: Option<&'a [f32]>,
+}
+
+/// One row's solution.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Weighted {
+    pub row: Solution,
+    /// Coefficients of the further columns.
+    pub further: Vec<f64>,
+}
+
+/// Solves every row on its candidates. Returns None if `cancelled` was set meanwhile; `finished`
+/// counts rows.
+///
+/// # Panics
+/// If the lengths of the arrays do not match.
+pub fn solve(
+    dictionary: &Dictionary,
+    rows: Rows,
+    candidates: Candidates,
+    further: Further,
+    settings: Settings,
+    cancelled: &AtomicBool,
+    finished: &AtomicUsize,
+) -> Option<Vec<Weighted>> {
+    let shared = further.penalties.len();
+    assert_eq!(candidates.indptr.len(), rows.count + 1);
+    assert_eq!(candidates.pixels.len(), candidates.penalties.len());
+    assert_eq!(further.columns.len(), shared * dictionary.patterns);
+    if let Some(start) = further.start {
+        assert_eq!(start.len(), rows.count * shared);
+    }
+    let mut solutions = vec![Weighted::default(); rows.count];
+    solutions.par_chunks_mut(TASK).enumerate().for_each_init(
+        Work::default,
+        |work, (task, solutions)| {
+            for (i, solution) in solutions.iter_mut().enumerate() {
+                if cancelled.load(Ordering::Relaxed) {
+                    return;
+                }
+                let row = task * TASK + i;
+                *solution = work.solve(dictionary, rows, row, candidates, further, settings);
+                finished.fetch_add(1, Ordering::Relaxed);
+            }
+        },
+    );
+    (!cancelled.load(Ordering::Relaxed)).then_some(solutions)
+}
+
+/// Buffers of one thread.
+#[derive(Default)]
+struct Work {
+    values: Vec<f32>,
+    penalties: Vec<f32>,
+    places: Vec<i32>,
+    start: Vec<f64>,
+}
+
+impl Work {
+    fn solve(
+        &mut self,
+        dictionary: &Dictionary,
+        rows: Rows,
+        row: usize,
+        candidates: Candidates,
+        further: Further,
+        settings: Settings,
+    ) -> Weighted {
+        let range = candidates.indptr[row] as usize..candidates.indptr[row + 1] as usize;
+        let pixels = &candidates.pixels[range.clone()];
+        self.penalties.clear();
+        self.penalties.extend(&candidates.penalties[range]);
+        self.penalties.extend(further.penalties);
+        // The smallest penalty becomes 1, so that no column exceeds 1.
+        let least = self.penalties.iter().copied().fold(f32::INFINITY, f32::min);
+        let least = if least.is_finite() { least } else { 1.0 };
+        self.gather(dictionary, pixels, further, least);
+        let shared = further.penalties.len();
+        let background = [rows.start.map_or(0.0, |start| start.background[row])];
+        self.starting(rows.start, row, pixels, further, least);
+        let indptr = [0, self.places.len() as i64];
+        let start = rows.start.is_some() || further.start.is_some();
+        let local = Dictionary {
+            level: dictionary.level,
+            columns: Columns::Dense(DenseColumns::from_padded(
+                std::mem::take(&mut self.values),
+                dictionary.patterns,
+                1.0,
+            )),
+            correlator: Correlator::dense(
+                dictionary.level,
+                dictionary.patterns,
+                pixels.len() + shared,
+            ),
+            means: dictionary.means.clone(),
+            patterns: dictionary.patterns,
+            pixels: pixels.len() + shared,
+        };
+        let start = start.then_some(Start {
+            indptr: &indptr,
+            indices: &self.places,
+            values: &self.start,
+            background: &background,
+        });
+        let settings = Settings {
+            regularization: settings.regularization * f64::from(least),
+            ..settings
+        };
+        let solution = solve_row(&local, rows, row, start, settings);
+        if let Columns::Dense(columns) = local.columns {
+            self.values = columns.into_values();
+        }
+        self.unscaled(solution, pixels, shared, least)
+    }
+
+    /// The row's columns, each over its penalty.
+    fn gather(&mut self, dictionary: &Dictionary, pixels: &[i32], further: Further, least: f32) {
+        let patterns = dictionary.patterns;
+        let stride = padded(patterns);
+        self.values.clear();
+        self.values.resize(self.penalties.len() * stride, 0.0);
+        let mut places = self.values.chunks_exact_mut(stride).zip(&self.penalties);
+        for (&pixel, (out, penalty)) in pixels.iter().zip(&mut places) {
+            let columns = &dictionary.columns;
+            columns.copy_scaled(dictionary.level, pixel as u32, least / penalty, out);
+        }
+        for (column, (out, penalty)) in further.columns.chunks_exact(patterns).zip(places) {
+            for (out, a) in out.iter_mut().zip(column) {
+                *out = a * (least / penalty);
+            }
+        }
+    }
+
+    /// Where to start, in the places and scales of the row's own columns.
+    fn starting(
+        &mut self,
+        start: Option<Start>,
+        row: usize,
+        pixels: &[i32],
+        further: Further,
+        least: f32,
+    ) {
+        self.places.clear();
+        self.start.clear();
+        if let Some(start) = start {
+            let range = start.indptr[row] as usize..start.indptr[row + 1] as usize;
+            for (pixel, value) in start.indices[range.clone()]
+                .iter()
+                .zip(&start.values[range])
+            {
+                if let Ok(place) = pixels.binary_search(pixel) {
+                    self.places.push(place as i32);
+                    self.start
+                        .push(value * f64::from(self.penalties[place] / least));
+                }
+            }
+        }
+        if let Some(values) = further.start {
+            let shared = further.penalties.len();
+            for (i, &value) in values[row * shared..][..shared].iter().enumerate() {
+                if value != 0.0 {
+                    let place = pixels.len() + i;
+                    self.places.push(place as i32);
+                    self.start
+                        .push(f64::from(value) * f64::from(self.penalties[place] / least));
+                }
+            }
+        }
+    }
+
+    /// Back to pixels and their own scale.
+    fn unscaled(&self, solution: Solution, pixels: &[i32], shared: usize, least: f32) -> Weighted {
+        let mut result = Weighted {
+            further: vec![0.0; shared],
+            row: Solution {
+                pixels: Vec::new(),
+                x: Vec::new(),
+                ..solution
+            },
+        };
+        for (&place, &x) in solution.pixels.iter().zip(&solution.x) {
+            let place = place as usize;
+            let x = x * f64::from(least / self.penalties[place]);
+            match place.checked_sub(pixels.len()) {
+                None => {
+                    result.row.pixels.push(pixels[place] as u32);
+                    result.row.x.push(x);
+                }
+                Some(i) => result.further[i] = x,
+            }
+        }
+        result
+    }
+}
