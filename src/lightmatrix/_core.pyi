@@ -12,6 +12,34 @@ def bits_columns(
     packed: NDArray[np.uint8], pixels: int, index: NDArray[np.int64]
 ) -> NDArray[np.float32]: ...
 def hadamard(x: NDArray[Any]) -> NDArray[Any]: ...
+def likely_pixels(
+    indptr: NDArray[np.int64],
+    indices: NDArray[np.int32],
+    values: NDArray[np.float32],
+    camera: tuple[int, int, int],
+    projector: tuple[int, int],
+    reach: tuple[int, int],
+    most: int,
+    range: tuple[int, int],
+) -> tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.float32]]: ...
+def solve_weighted(
+    prepared: PreparedPatterns,
+    samples: NDArray[Any],
+    clipped: NDArray[np.bool_],
+    weights: NDArray[np.float64] | None,
+    candidates: tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.float32]],
+    further: tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32] | None],
+    start: tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.float64], NDArray[np.float64]]
+    | None,
+    regularization: float,
+    fidelity_name: str,
+    nonnegative: bool,
+    background: bool,
+    tolerance: float,
+    max_passes: int,
+    threads: int | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> tuple[Solved, NDArray[np.float64]]: ...
 
 class PreparedPatterns:
     """Patterns prepared for the solver: packed columns and what the correlation pass needs."""

@@ -70,7 +70,7 @@ class Checkpoint:
                 differing = _differing(folder / _FINGERPRINT, wanted)
                 if differing is None:
                     return cls(target, folder, overwrite)
-                if not overwrite and any(folder.glob("rows-*.npz")):
+                if not overwrite and any(folder.glob("*.npz")):
                     raise OutputError(
                         f"{folder}: holds an incomplete estimate with other settings ({differing})",
                         hint="finish it with its own settings, or add --overwrite to discard it",
@@ -94,7 +94,7 @@ class Checkpoint:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        if not any(self._folder.glob("rows-*.npz")):
+        if not any(self._folder.glob("*.npz")):
             shutil.rmtree(self._folder, ignore_errors=True)
 
     @property
@@ -144,6 +144,29 @@ class Checkpoint:
                 **named,
             )
         self._used.add((start, stop))
+
+    def remember(self, name: str, arrays: Mapping[str, NDArray[Any]]) -> None:
+        """Keep what an estimator needs to go on, under a name that does not begin with rows.
+
+        Raises
+        ------
+        OutputError
+            If the disk fails; what was kept before remains.
+        """
+        with atomic_file(self._folder / f"{name}.npz", overwrite=True) as part:
+            np.savez(part, **dict(arrays))  # type: ignore[arg-type]
+
+    def recall(self, name: str) -> dict[str, NDArray[Any]] | None:
+        """What was kept under a name; None if nothing whole is there."""
+        file = self._folder / f"{name}.npz"
+        if not zipfile.is_zipfile(file):
+            return None
+        with np.load(file, allow_pickle=False) as arrays:
+            return {key: arrays[key] for key in arrays.files}
+
+    def forget(self, name: str) -> None:
+        """Throw away what was kept under a name, if anything."""
+        (self._folder / f"{name}.npz").unlink(missing_ok=True)
 
     def finish(
         self,

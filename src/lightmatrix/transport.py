@@ -98,14 +98,7 @@ class LightTransport:
     @cached_property
     def _pooling(self) -> csr_array:
         """The operator m: mean over each block of the background grid, (B, N)."""
-        rows, cols = self.projector_shape
-        grid_rows, grid_cols = self.background_grid
-        row_block = np.arange(rows) * grid_rows // rows
-        col_block = np.arange(cols) * grid_cols // cols
-        block = (row_block[:, None] * grid_cols + col_block[None, :]).ravel()
-        sizes = np.bincount(block, minlength=grid_rows * grid_cols)
-        entries = ((1 / sizes[block]).astype(np.float32), (block, np.arange(rows * cols)))
-        return csr_array(entries, shape=(grid_rows * grid_cols, rows * cols))
+        return block_means(self.projector_shape, self.background_grid)
 
     def relight(self, patterns: NDArray[Any]) -> NDArray[np.float32]:
         """Camera images under patterns: c = T p, linear, not clipped.
@@ -203,3 +196,22 @@ class LightTransport:
         if not dense_background:
             return self.sparse
         return csr_array(self.sparse + csr_array(self.background) @ self._pooling)
+
+
+def block_means(projector_shape: tuple[int, int], grid: tuple[int, int]) -> csr_array:
+    """The operator m: means of a pattern over the blocks of a coarse grid, (B, N) float32.
+
+    Parameters
+    ----------
+    projector_shape : (rows, cols)
+        N = rows * cols.
+    grid : (rows, cols)
+        B = rows * cols blocks, as equal as whole pixels allow.
+    """
+    rows, cols = projector_shape
+    row_block = np.arange(rows) * grid[0] // rows
+    col_block = np.arange(cols) * grid[1] // cols
+    block = (row_block[:, None] * grid[1] + col_block[None, :]).ravel()
+    sizes = np.bincount(block, minlength=grid[0] * grid[1])
+    entries = ((1 / sizes[block]).astype(np.float32), (block, np.arange(rows * cols)))
+    return csr_array(entries, shape=(grid[0] * grid[1], rows * cols))

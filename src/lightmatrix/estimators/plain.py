@@ -2,31 +2,31 @@
 
 from __future__ import annotations
 
-import platform
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 from scipy.sparse import csr_array, vstack
 
-import lightmatrix
-from lightmatrix.capture import Capture, Samples
+from lightmatrix.capture import Capture
 from lightmatrix.errors import InputError
+from lightmatrix.estimators.common import (
+    TILE_BYTES,
+    Progress,
+    plain_value,
+    problem_of,
+    provenance_of,
+    row_diagnostics,
+)
 from lightmatrix.solvers import Solver, solve
-from lightmatrix.solvers.problem import Problem, Result
 from lightmatrix.store import Checkpoint
 from lightmatrix.transport import LightTransport
 
-Progress = Callable[[int, int], None]
-
 # Of the clip level; nearly independent of the number of patterns, flat within a factor of two.
 DEFAULT_REGULARIZATION = 0.32
-# Working memory of one tile of rows, well below the 4 GiB that any estimate may take.
-_TILE_BYTES = 512 << 20
 
 
 @dataclass(frozen=True)
@@ -117,23 +117,17 @@ class PlainEstimator:
 
     def provenance(self, capture: Capture, regularization: float) -> dict[str, Any]:
         """What made the estimate, JSON-ready."""
-        return {
-            "estimator": "plain",
-            "solver": type(self.solver).__name__,
-            "solver_parameters": {k: _plain(v) for k, v in asdict(cast(Any, self.solver)).items()},
-            "regularization": regularization,
-            "nonnegative": self.nonnegative,
-            "background": self.background,
-            "patterns": capture.patterns.description,
-            "pattern_digest": capture.patterns.digest,
-            "capture_description": capture.description,
-            "versions": {
-                "lightmatrix": lightmatrix.__version__,
-                "numpy": np.__version__,
-                "scipy": scipy.__version__,
-                "python": platform.python_version(),
+        return provenance_of(
+            capture,
+            estimator="plain",
+            solver=type(self.solver).__name__,
+            solver_parameters={
+                k: plain_value(v) for k, v in asdict(cast(Any, self.solver)).items()
             },
-        }
+            regularization=regularization,
+            nonnegative=self.nonnegative,
+            background=self.background,
+        )
 
     def _regularization(self, capture: Capture) -> float:
         if self.regularization is not None:
@@ -161,15 +155,12 @@ class _Tiles:
         self, start: int, stop: int, progress: Progress | None
     ) -> tuple[csr_array, NDArray[np.float32], dict[str, NDArray[Any]]]:
         samples = self.capture.samples(start, stop)
-        problem = Problem(
-            self.capture.patterns,
-            samples.values,
-            samples.clipped,
-            samples.clip_level,
+        problem = problem_of(
+            self.capture,
+            samples,
             self.regularization,
-            samples.weights,
-            self.estimator.nonnegative,
-            self.estimator.background,
+            nonnegative=self.estimator.nonnegative,
+            background=self.estimator.background,
         )
         total = self.capture.rows
 
@@ -181,25 +172,11 @@ class _Tiles:
         return (
             csr_array(result.coefficients, dtype=np.float32),
             result.background.astype(np.float32)[:, None],
-            _diagnostics(samples, result),
+            row_diagnostics(samples, result),
         )
 
     def _fitting_rows(self) -> int:
         patterns = self.capture.patterns
         return max(
-            1, _TILE_BYTES // self.estimator.solver.row_bytes(patterns.count, patterns.pixels)
+            1, TILE_BYTES // self.estimator.solver.row_bytes(patterns.count, patterns.pixels)
         )
-
-
-def _diagnostics(samples: Samples, result: Result) -> dict[str, NDArray[Any]]:
-    return {
-        "clipped_share": samples.clipped.mean(axis=1, dtype=np.float32),
-        "iterations": result.iterations,
-        "converged": result.converged,
-        "gap": result.gap.astype(np.float32),
-        "objective": result.objective,
-    }
-
-
-def _plain(value: Any) -> Any:
-    return value if isinstance(value, (bool, int, float, str, type(None))) else str(value)

@@ -100,8 +100,8 @@ class ActiveSet:
         solved = prepared(problem.patterns).solve(
             np.ascontiguousarray(problem.samples),
             np.ascontiguousarray(problem.clipped),
-            _weights(problem),
-            None if start is None else _start(problem, start),
+            sample_weights(problem),
+            None if start is None else starting_rows(problem, start.coefficients, start.background),
             float(problem.regularization),
             str(self.fidelity),
             problem.nonnegative,
@@ -111,19 +111,7 @@ class ActiveSet:
             self.threads,
             progress,
         )
-        shape = (problem.rows, problem.patterns.pixels)
-        narrow = solved.indptr[-1] <= np.iinfo(np.int32).max
-        indptr = solved.indptr.astype(np.int32) if narrow else solved.indptr
-        converged = solved.converged
-        return Result(
-            csr_array((solved.values, solved.indices, indptr), shape=shape),
-            solved.background,
-            solved.passes,
-            converged,
-            solved.objective,
-            solved.gap,
-            Status.CONVERGED if converged.all() else Status.ITERATION_LIMIT,
-        )
+        return as_result(solved, problem)
 
     def row_bytes(self, patterns: int, pixels: int) -> int:
         """Samples as they come and as solved, scores of a row, and a generous support."""
@@ -173,22 +161,40 @@ def _bits(patterns: PatternSet) -> NDArray[np.uint8] | None:
     return np.concatenate(packed)
 
 
-def _weights(problem: Problem) -> NDArray[np.float64] | None:
+def sample_weights(problem: Problem) -> NDArray[np.float64] | None:
+    """The weights as the core takes them."""
     if problem.weights is None:
         return None
     return np.ascontiguousarray(np.atleast_2d(problem.weights), np.float64)
 
 
-def _start(
-    problem: Problem, start: Result
+def starting_rows(
+    problem: Problem, coefficients: Any, background: NDArray[Any]
 ) -> tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.float64], NDArray[np.float64]]:
-    x: Any = start.coefficients
+    """A start as the core takes it."""
     shape = (problem.rows, problem.patterns.pixels)
-    if x.shape != shape:
-        raise InputError(f"a start of shape {x.shape} for a problem of {shape}")
+    if coefficients.shape != shape:
+        raise InputError(f"a start of shape {coefficients.shape} for a problem of {shape}")
     return (
-        np.ascontiguousarray(x.indptr, np.int64),
-        np.ascontiguousarray(x.indices, np.int32),
-        np.ascontiguousarray(x.data, np.float64),
-        np.ascontiguousarray(start.background, np.float64),
+        np.ascontiguousarray(coefficients.indptr, np.int64),
+        np.ascontiguousarray(coefficients.indices, np.int32),
+        np.ascontiguousarray(coefficients.data, np.float64),
+        np.ascontiguousarray(background, np.float64),
+    )
+
+
+def as_result(solved: _core.Solved, problem: Problem) -> Result:
+    """What the core has solved."""
+    shape = (problem.rows, problem.patterns.pixels)
+    narrow = solved.indptr[-1] <= np.iinfo(np.int32).max
+    indptr = solved.indptr.astype(np.int32) if narrow else solved.indptr
+    converged = solved.converged
+    return Result(
+        csr_array((solved.values, solved.indices, indptr), shape=shape),
+        solved.background,
+        solved.passes,
+        converged,
+        solved.objective,
+        solved.gap,
+        Status.CONVERGED if converged.all() else Status.ITERATION_LIMIT,
     )

@@ -1,0 +1,186 @@
+"""Spatially coherent estimation: camera pixels learn from their neighbours where their light is.
+
+Neighbouring camera pixels look at neighbouring projector pixels. So each row is solved several
+times, each time with penalties that its neighbours' rows suggest: low where they found light, high
+where they did not. The windows in which neighbours count shrink from round to round. This is
+reweighted l1 minimisation (Candes, Wakin & Boyd 2008) with the weights of one row coming from the
+rows around it; docs/few-patterns.md says what it is worth.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+from scipy.sparse import csr_array, vstack
+
+from lightmatrix.capture import Capture
+from lightmatrix.errors import InputError
+from lightmatrix.estimators.common import Progress, plain_value, provenance_of
+from lightmatrix.estimators.rounds import Rounds
+from lightmatrix.solvers.active_set import ActiveSet
+from lightmatrix.solvers.problem import Fidelity
+from lightmatrix.store import Checkpoint
+from lightmatrix.transport import LightTransport
+
+# Half widths of the windows of each round, in camera and in projector pixels. The first rounds
+# gather evidence, the last ones settle it.
+WINDOWS = ((2, 2), (2, 2), (2, 2), (2, 1), (1, 1), (1, 1))
+# Of the clip level.
+DEFAULT_REGULARIZATION = 0.1
+
+
+@dataclass(frozen=True)
+class CoherentEstimator:
+    """Estimates T with penalties from neighbouring camera pixels, from few patterns.
+
+    In each round row i is solved on its likeliest projector pixels j with the penalty
+    ``2 lambda e / (e + s_ij)``, where s_i is the sum of the neighbours' rows, each over its
+    maximum and blurred by a window, relative to its strongest pixel. The last rounds also have
+    coarse blocks of projector pixels, which hold the faint light from everywhere.
+
+    Parameters
+    ----------
+    regularization : float or None
+        lambda: half the penalty of a pixel where no neighbour found light, in units of camera
+        sample at exposure 1. None: 0.1 times the clip level of the longest exposure.
+    trust : float
+        e, > 0: how little light among the neighbours makes a pixel likely. The penalty of the
+        likeliest pixel is about 2 lambda e.
+    windows : tuple of (int, int)
+        Half widths of the windows of each round, in camera and projector pixels.
+    candidates : int
+        Likeliest pixels kept of each row.
+    background_grid : (int, int)
+        Rows and columns of the coarse blocks; (1, 1) keeps one coefficient a row.
+    fidelity : Fidelity
+        one-sided, rejection or linear.
+    tolerance : float
+        Relative duality gap of the weighted problem of each row.
+    threads : int or None
+        None takes one per core.
+    tile_rows : int or None
+        Rows solved at a time. None: as many as fit half a gigabyte. Results do not depend on it.
+
+    Raises
+    ------
+    InputError
+        On parameters out of range.
+    """
+
+    regularization: float | None = None
+    trust: float = 0.01
+    windows: tuple[tuple[int, int], ...] = WINDOWS
+    candidates: int = 250
+    background_grid: tuple[int, int] = (8, 8)
+    fidelity: Fidelity = Fidelity.ONE_SIDED
+    tolerance: float = 1e-3
+    threads: int | None = None
+    tile_rows: int | None = None
+
+    def __post_init__(self) -> None:
+        ActiveSet(self.fidelity, self.tolerance, threads=self.threads)  # checks what it is given
+        if not self.trust > 0:
+            raise InputError(f"a trust of {self.trust}", hint="use a small number such as 0.01")
+        if not self.windows or min(min(pair) for pair in self.windows) < 0:
+            raise InputError(
+                f"windows of {self.windows}", hint="give half widths of one round or more"
+            )
+        for name, value in (("candidates", self.candidates), ("tile_rows", self.tile_rows)):
+            if value is not None and value < 1:
+                raise InputError(f"{name} is {value}", hint="use at least 1")
+        if min(self.background_grid) < 1:
+            raise InputError(
+                f"a background grid of {self.background_grid}", hint="use (1, 1) or more"
+            )
+
+    def estimate(
+        self,
+        capture: Capture,
+        *,
+        checkpoint: Path | None = None,
+        overwrite: bool = False,
+        progress: Progress | None = None,
+    ) -> LightTransport:
+        """From a capture to its light transport matrix.
+
+        Parameters
+        ----------
+        capture : Capture
+            M camera samples under K patterns of N projector pixels.
+        checkpoint : Path, optional
+            The store to write. Finished rounds, and the tiles of the last one, are kept beside it,
+            so that an interrupted run goes on where it stopped.
+        overwrite : bool
+            Whether a complete store at `checkpoint` may be replaced.
+        progress : callable, optional
+            Called with (done, total) rows, over all rounds.
+
+        Returns
+        -------
+        LightTransport
+            With the diagnostics clipped_share, iterations, converged, gap and objective per row;
+            the gap is that of the weighted problem of the last round.
+
+        Raises
+        ------
+        InputError, SolverError, OutputError
+            On unusable captures or outputs that cannot be written.
+        """
+        rounds = Rounds(
+            capture,
+            self._solver,
+            self._regularization(capture),
+            self.trust,
+            self.windows,
+            self.candidates,
+            self.background_grid,
+            self.tile_rows,
+            progress,
+        )
+        provenance = self.provenance(capture, rounds.regularization)
+        shapes: dict[str, Any] = {
+            "camera_shape": capture.camera_shape,
+            "projector_shape": capture.projector_shape,
+            "background_grid": rounds.grid,
+            "provenance": provenance,
+        }
+        if checkpoint is None:
+            parts = [part for _, _, part in rounds.run(None)]
+            names = parts[0][2]
+            return LightTransport(
+                csr_array(vstack([part[0] for part in parts], format="csr")),
+                np.concatenate([part[1] for part in parts]),
+                diagnostics={n: np.concatenate([part[2][n] for part in parts]) for n in names},
+                **shapes,
+            )
+        fingerprint = {**provenance, "capture": capture.digest}
+        with Checkpoint.open(checkpoint, fingerprint, overwrite=overwrite) as running:
+            for start, stop, part in rounds.run(running):
+                running.write(start, stop, *part)
+            return running.finish(**shapes)
+
+    def provenance(self, capture: Capture, regularization: float) -> dict[str, Any]:
+        """What made the estimate, JSON-ready."""
+        parameters = {name: plain_value(value) for name, value in asdict(cast(Any, self)).items()}
+        for name in ("regularization", "threads", "tile_rows"):
+            del parameters[name]
+        return provenance_of(
+            capture,
+            estimator="coherent",
+            solver="ActiveSet",
+            solver_parameters=parameters,
+            regularization=regularization,
+            certificate="each row's weighted problem on its likeliest pixels, in the last round",
+        )
+
+    @property
+    def _solver(self) -> ActiveSet:
+        return ActiveSet(self.fidelity, self.tolerance, threads=self.threads)
+
+    def _regularization(self, capture: Capture) -> float:
+        if self.regularization is not None:
+            return self.regularization
+        return DEFAULT_REGULARIZATION * capture.reference_level

@@ -1,0 +1,207 @@
+"""The rounds of the coherent estimate: each solves every row with what the last one found."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array, vstack
+
+from lightmatrix import _core
+from lightmatrix.capture import Capture, Samples
+from lightmatrix.estimators.common import TILE_BYTES, Progress, problem_of, row_diagnostics
+from lightmatrix.patterns import PatternSet
+from lightmatrix.solvers.active_set import ActiveSet
+from lightmatrix.solvers.weighted import Blocks, Candidates, Start, WeightedResult, solve_weighted
+from lightmatrix.store import Checkpoint
+from lightmatrix.transport import block_means
+
+# Of the clip level, and the gap: the first estimate, row by row, only has to show where light is.
+FIRST_REGULARIZATION = 0.32
+FIRST_TOLERANCE = 1e-2
+# The blocks of the background join in the last rounds, when it is clear where the rest is.
+ROUNDS_WITH_BLOCKS = 2
+# Of the clip level, over the side of a block: the penalty of a block's coefficient.
+BLOCK_PENALTY = 0.01
+
+Part = tuple[csr_array, NDArray[np.float32], dict[str, NDArray[Any]]]
+
+
+@dataclass(frozen=True)
+class Rounds:
+    """See `CoherentEstimator`, whose parameters these are."""
+
+    capture: Capture
+    solver: ActiveSet
+    regularization: float
+    trust: float
+    windows: tuple[tuple[int, int], ...]
+    candidates: int
+    background_grid: tuple[int, int]
+    tile_rows: int | None
+    progress: Progress | None
+
+    def run(self, running: Checkpoint | None) -> Iterator[tuple[int, int, Part]]:
+        """Parts of the last round, as they are solved; those that a checkpoint has are left out."""
+        missing = [tile for tile in self._ranges() if running is None or not running.has(*tile)]
+        if not missing:
+            return
+        found = self._remembered(running, 0, self._first)
+        for number in range(1, len(self.windows)):
+
+            def again(start: int, stop: int, number: int = number, known: Start = found) -> Start:
+                samples = self.capture.samples(start, stop)
+                return _kept(self._solve(samples, start, stop, number, known))
+
+            found = self._remembered(running, number, again)
+        for start, stop in missing:
+            samples = self.capture.samples(start, stop)
+            solved = self._solve(samples, start, stop, len(self.windows), found)
+            yield start, stop, self._part(samples, solved)
+
+    @property
+    def grid(self) -> tuple[int, int]:
+        """Blocks of the background, no more than there are pixels."""
+        rows, cols = self.capture.projector_shape
+        return min(self.background_grid[0], rows), min(self.background_grid[1], cols)
+
+    def _ranges(self) -> Iterator[tuple[int, int]]:
+        # Samples twice, and candidates with what is found of them.
+        row_bytes = 16 * self.capture.count + 32 * self.candidates
+        tile = self.tile_rows or max(1, TILE_BYTES // row_bytes)
+        for start in range(0, self.capture.rows, tile):
+            yield start, min(start + tile, self.capture.rows)
+
+    def _remembered(
+        self, running: Checkpoint | None, number: int, solve: Callable[[int, int], Start]
+    ) -> Start:
+        """A round over all rows, from the checkpoint if it is there."""
+        name = f"round-{number}"
+        if running is not None and (arrays := running.recall(name)) is not None:
+            return _unpacked(arrays, self.capture)
+        found = _joined([solve(start, stop) for start, stop in self._ranges()])
+        if running is not None:
+            running.remember(name, _packed(found))
+            running.forget(f"round-{number - 1}")
+        return found
+
+    def _first(self, start: int, stop: int) -> Start:
+        samples = self.capture.samples(start, stop)
+        regularization = FIRST_REGULARIZATION * self.capture.reference_level
+        problem = problem_of(self.capture, samples, regularization)
+        solver = replace(self.solver, tolerance=max(FIRST_TOLERANCE, self.solver.tolerance))
+        result = solver.solve(problem, self._report(0, start))
+        return _kept(WeightedResult(result, np.zeros((stop - start, 0), np.float32)))
+
+    def _solve(
+        self, samples: Samples, start: int, stop: int, number: int, found: Start
+    ) -> WeightedResult:
+        """The rows start..stop, with penalties from what was found before."""
+        problem = problem_of(self.capture, samples, self.regularization)
+        with_blocks = number > len(self.windows) - ROUNDS_WITH_BLOCKS
+        return solve_weighted(
+            problem,
+            self._candidates(found.coefficients, number, start, stop),
+            self._blocks if with_blocks else Blocks.none(self.capture.patterns),
+            self.solver,
+            start=Start(
+                found.coefficients[start:stop],
+                found.background[start:stop],
+                found.blocks[start:stop],
+            ),
+            progress=self._report(number, start),
+        )
+
+    def _candidates(self, rows: csr_array, number: int, start: int, stop: int) -> Candidates:
+        camera_rows, camera_cols, *channels = self.capture.camera_shape
+        projector = self.capture.projector_shape
+        camera_reach, projector_reach = self.windows[number - 1]
+        # Footprints of neighbours lie further apart where the projector is the finer one.
+        finer = max(1.0, projector[0] / camera_rows, projector[1] / camera_cols)
+        indptr, pixels, shares = _core.likely_pixels(
+            rows.indptr.astype(np.int64, copy=False),
+            rows.indices.astype(np.int32, copy=False),
+            rows.data.astype(np.float32, copy=False),
+            (camera_rows, camera_cols, channels[0] if channels else 1),
+            projector,
+            (camera_reach, round(projector_reach * finer)),
+            self.candidates,
+            (start, stop),
+        )
+        penalties = 2 * self.trust / (self.trust + shares)
+        return Candidates(indptr, pixels, penalties.astype(np.float32))
+
+    @cached_property
+    def _pooling(self) -> csr_array:
+        return block_means(self.capture.projector_shape, self.grid)
+
+    @cached_property
+    def _block_sizes(self) -> NDArray[np.float64]:
+        return np.asarray(np.diff(self._pooling.indptr), np.float64)
+
+    @cached_property
+    def _blocks(self) -> Blocks:
+        """Coarse columns; a single block would only repeat the background's own coefficient."""
+        patterns = self.capture.patterns
+        if self.grid == (1, 1):
+            return Blocks.none(patterns)
+        cost = BLOCK_PENALTY * self.capture.reference_level / self.regularization
+        penalties = (cost / np.sqrt(self._block_sizes)).astype(np.float32)
+        return Blocks(_pattern_block_means(patterns, self._pooling), penalties)
+
+    def _part(self, samples: Samples, solved: WeightedResult) -> Part:
+        # The row's own coefficient is spread over the blocks, each by its share of the pixels.
+        shares = self._block_sizes / self._block_sizes.sum()
+        background = solved.rows.background[:, None] * shares
+        if solved.blocks.shape[1]:
+            background += solved.blocks
+        sparse = csr_array(solved.rows.coefficients, dtype=np.float32)
+        return sparse, background.astype(np.float32), row_diagnostics(samples, solved.rows)
+
+    def _report(self, number: int, start: int) -> Progress | None:
+        report = self.progress
+        if report is None:
+            return None
+        before = number * self.capture.rows + start
+        total = self.capture.rows * (1 + len(self.windows))
+        return lambda done, _: report(before + done, total)
+
+
+def _pattern_block_means(patterns: PatternSet, pooling: csr_array) -> NDArray[np.float32]:
+    """Mean of each pattern over each block, (B, K) float32 in [0, 1]."""
+    parts = [pooling @ block.T for _, block in patterns.blocks()]
+    return np.ascontiguousarray(np.clip(np.concatenate(parts, axis=1), 0, 1), np.float32)
+
+
+def _kept(solved: WeightedResult) -> Start:
+    coefficients = csr_array(solved.rows.coefficients, dtype=np.float32)
+    return Start(coefficients, solved.rows.background.astype(np.float32), solved.blocks)
+
+
+def _joined(parts: list[Start]) -> Start:
+    return Start(
+        csr_array(vstack([part.coefficients for part in parts], format="csr")),
+        np.concatenate([part.background for part in parts]),
+        np.concatenate([part.blocks for part in parts]),
+    )
+
+
+def _packed(found: Start) -> dict[str, NDArray[Any]]:
+    rows = found.coefficients
+    return {
+        "data": rows.data,
+        "indices": rows.indices,
+        "indptr": rows.indptr,
+        "background": found.background,
+        "blocks": found.blocks,
+    }
+
+
+def _unpacked(arrays: dict[str, NDArray[Any]], capture: Capture) -> Start:
+    shape = (capture.rows, capture.patterns.pixels)
+    rows = csr_array((arrays["data"], arrays["indices"], arrays["indptr"]), shape=shape)
+    return Start(rows, arrays["background"], arrays["blocks"])

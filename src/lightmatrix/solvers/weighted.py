@@ -1,0 +1,175 @@
+"""Rows solved on given pixels only, each with a penalty of its own, to a certified gap."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+
+from lightmatrix import _core
+from lightmatrix.errors import InputError
+from lightmatrix.patterns import PatternSet
+from lightmatrix.solvers.active_set import (
+    ActiveSet,
+    as_result,
+    prepared,
+    sample_weights,
+    starting_rows,
+)
+from lightmatrix.solvers.loop import Progress
+from lightmatrix.solvers.problem import Problem, Result
+
+
+@dataclass(frozen=True)
+class Candidates:
+    """Pixels that each of M rows may use, as the parts of a CSR matrix.
+
+    Parameters
+    ----------
+    indptr : (M + 1,) int64
+        Where each row's entries begin.
+    pixels : (E,) int32
+        Projector pixels, ascending within a row.
+    penalties : (E,) float32
+        Penalties relative to the problem's regularization, > 0.
+    """
+
+    indptr: NDArray[np.int64]
+    pixels: NDArray[np.int32]
+    penalties: NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Blocks:
+    """Coarse columns that all rows share: the means of the patterns over blocks of pixels.
+
+    Parameters
+    ----------
+    means : (B, K) float32
+        Mean of each pattern over each block, in [0, 1].
+    penalties : (B,) float32
+        Penalties relative to the problem's regularization, > 0.
+    """
+
+    means: NDArray[np.float32]
+    penalties: NDArray[np.float32]
+
+    @classmethod
+    def none(cls, patterns: PatternSet) -> Blocks:
+        """No blocks."""
+        return cls(np.zeros((0, patterns.count), np.float32), np.zeros(0, np.float32))
+
+
+@dataclass(frozen=True)
+class Start:
+    """Where to start M rows.
+
+    Parameters
+    ----------
+    coefficients : (M, N) csr_array
+    background : (M,)
+    blocks : (M, B) float32
+        One column for each block, or none.
+    """
+
+    coefficients: csr_array
+    background: NDArray[Any]
+    blocks: NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class WeightedResult:
+    """What was found.
+
+    Parameters
+    ----------
+    rows : Result
+        Pixels and the background's coefficient; its gap is that of the weighted problem on the
+        candidates and blocks.
+    blocks : (M, B) float32
+        Coefficients of the blocks.
+    """
+
+    rows: Result
+    blocks: NDArray[np.float32]
+
+
+def solve_weighted(
+    problem: Problem,
+    candidates: Candidates,
+    blocks: Blocks,
+    solver: ActiveSet,
+    *,
+    start: Start | None = None,
+    progress: Progress | None = None,
+) -> WeightedResult:
+    """Solve each row on its candidates and the blocks.
+
+    ::
+
+        min over x, g, b >= 0 of  lambda (sum_j v_j x_j + sum_l w_l g_l)
+                                  + sum_k w_k f_k(a_k . x + m_k . g + b mean_k)
+
+    The weighted l1 norm of Candes, Wakin & Boyd 2008, whose weights come from elsewhere (see
+    `lightmatrix.estimators.coherent`).
+
+    Parameters
+    ----------
+    problem : Problem
+        M rows; light is not negative.
+    candidates : Candidates
+        Pixels of each row and their weights v.
+    blocks : Blocks
+        Coarse columns and their weights w.
+    solver : ActiveSet
+        Fidelity, tolerance, limit of passes, threads.
+    start : Start, optional
+        Pixels that are no candidates are left out, and blocks if there are none.
+    progress : callable, optional
+        Called with (finished, all) rows.
+
+    Returns
+    -------
+    WeightedResult
+
+    Raises
+    ------
+    InputError
+        If the parts do not fit the problem.
+    """
+    if not problem.nonnegative:
+        raise InputError(
+            "weights from neighbouring rows need light that is not negative",
+            hint="leave out --signed, or estimate row by row (--no-coherent)",
+        )
+    if len(candidates.indptr) != problem.rows + 1:
+        raise InputError(
+            f"candidates of {len(candidates.indptr) - 1} rows for a problem of {problem.rows}"
+        )
+    solved, coefficients = _core.solve_weighted(
+        prepared(problem.patterns),
+        np.ascontiguousarray(problem.samples),
+        np.ascontiguousarray(problem.clipped),
+        sample_weights(problem),
+        (candidates.indptr, candidates.pixels, candidates.penalties),
+        (blocks.means, blocks.penalties, _starting_blocks(start, len(blocks.penalties))),
+        None if start is None else starting_rows(problem, start.coefficients, start.background),
+        float(problem.regularization),
+        str(solver.fidelity),
+        True,
+        problem.background,
+        solver.tolerance,
+        solver.max_passes,
+        solver.threads,
+        progress,
+    )
+    return WeightedResult(as_result(solved, problem), coefficients.astype(np.float32))
+
+
+def _starting_blocks(start: Start | None, count: int) -> NDArray[np.float32] | None:
+    if start is None or start.blocks.shape[1] != count:
+        return None
+    return np.ascontiguousarray(start.blocks)
