@@ -29,6 +29,7 @@ def solve_weighted(
     weights: NDArray[np.float64] | None,
     candidates: tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.float32]],
     further: tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32] | None],
+    white: tuple[NDArray[np.float32], NDArray[np.float32]] | None,
     start: tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.float64], NDArray[np.float64]]
     | None,
     regularization: float,

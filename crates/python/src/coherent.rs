@@ -2,7 +2,9 @@
 
 use crate::solver::{checked_start, fidelity, run_interruptibly, Floats, PreparedPatterns, Solved};
 use lightmatrix_core::active_set::{Rows, Settings, Start, Values};
-use lightmatrix_core::coherent::{self, Candidates, Further, Sparse, Weighted, Windows};
+use lightmatrix_core::coherent::{
+    self, Candidates, Further, Knowledge, Sparse, Weighted, White, Windows,
+};
 use numpy::{IntoPyArray, PyArray1, PyReadonlyArray1, PyReadonlyArray2, PyUntypedArrayMethods};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -82,7 +84,7 @@ fn likely_pixels<'py>(
 /// Solves rows on their candidates; see `lightmatrix.solvers.weighted`.
 #[pyfunction]
 #[pyo3(signature = (
-    prepared, samples, clipped, weights, candidates, further, start, regularization, fidelity_name,
+    prepared, samples, clipped, weights, candidates, further, white, start, regularization, fidelity_name,
     nonnegative, background, tolerance, max_passes, threads=None, progress=None
 ))]
 #[allow(clippy::too_many_arguments, clippy::type_complexity)]
@@ -102,6 +104,7 @@ fn solve_weighted<'py>(
         PyReadonlyArray1<'py, f32>,
         Option<PyReadonlyArray2<'py, f32>>,
     ),
+    white: Option<(PyReadonlyArray1<'py, f32>, PyReadonlyArray1<'py, f32>)>,
     start: Option<(
         PyReadonlyArray1<'py, i64>,
         PyReadonlyArray1<'py, i32>,
@@ -180,6 +183,32 @@ fn solve_weighted<'py>(
             pixels,
         )?),
     };
+    let white = match &white {
+        None => None,
+        Some((sums, weights)) => Some(White {
+            sums: sums.as_slice()?,
+            weights: weights.as_slice()?,
+        }),
+    };
+    let fits = white.is_none_or(|white| {
+        white.sums.len() == count
+            && white.weights.len() == count
+            && white
+                .sums
+                .iter()
+                .chain(white.weights)
+                .all(|v| v.is_finite() && *v >= 0.0)
+    });
+    if !fits {
+        return Err(PyValueError::new_err(
+            "the expected sums do not fit the samples",
+        ));
+    }
+    let knowledge = Knowledge {
+        candidates,
+        further,
+        white,
+    };
     let rows = Rows {
         count,
         samples: values,
@@ -199,9 +228,7 @@ fn solve_weighted<'py>(
         max_passes,
     };
     let solutions = run_interruptibly(py, count, threads, progress, |cancelled, finished| {
-        coherent::solve(
-            dictionary, rows, candidates, further, settings, cancelled, finished,
-        )
+        coherent::solve(dictionary, rows, knowledge, settings, cancelled, finished)
     })?;
     let mut shares = Vec::with_capacity(count * shared);
     let mut found = Vec::with_capacity(count);

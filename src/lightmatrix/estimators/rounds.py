@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import median_filter
 from scipy.sparse import csr_array, vstack
 
 from lightmatrix import _core
@@ -16,17 +17,30 @@ from lightmatrix.capture import Capture, Samples
 from lightmatrix.estimators.common import TILE_BYTES, Progress, problem_of, row_diagnostics
 from lightmatrix.patterns import PatternSet
 from lightmatrix.solvers.active_set import ActiveSet
-from lightmatrix.solvers.weighted import Blocks, Candidates, Start, WeightedResult, solve_weighted
+from lightmatrix.solvers.weighted import (
+    Blocks,
+    Candidates,
+    Start,
+    WeightedResult,
+    White,
+    solve_weighted,
+)
 from lightmatrix.store import Checkpoint
 from lightmatrix.transport import block_means
 
 # Of the clip level, and the gap: the first estimate, row by row, only has to show where light is.
 FIRST_REGULARIZATION = 0.32
 FIRST_TOLERANCE = 1e-2
-# The blocks of the background join in the last rounds, when it is clear where the rest is.
-ROUNDS_WITH_BLOCKS = 2
+# The blocks of the background, and what rows are expected to add up to, join in the last rounds,
+# when it is clear where most of the light is.
+LAST_ROUNDS = 2
 # Of the clip level, over the side of a block: the penalty of a block's coefficient.
 BLOCK_PENALTY = 0.01
+# Weight of the expected sum of a row, times the ratio of its clipped to its other samples: it only
+# counts where few others do.
+WHITE_WEIGHT = 0.16
+# Camera pixels whose median sum is expected.
+WHITE_WINDOW = 5
 
 Part = tuple[csr_array, NDArray[np.float32], dict[str, NDArray[Any]]]
 
@@ -102,12 +116,13 @@ class Rounds:
     ) -> WeightedResult:
         """The rows start..stop, with penalties from what was found before."""
         problem = problem_of(self.capture, samples, self.regularization)
-        with_blocks = number > len(self.windows) - ROUNDS_WITH_BLOCKS
+        last = number > len(self.windows) - LAST_ROUNDS
         return solve_weighted(
             problem,
             self._candidates(found.coefficients, number, start, stop),
-            self._blocks if with_blocks else Blocks.none(self.capture.patterns),
+            self._blocks if last else Blocks.none(self.capture.patterns),
             self.solver,
+            white=self._white(samples, found, start, stop) if last else None,
             start=Start(
                 found.coefficients[start:stop],
                 found.background[start:stop],
@@ -134,6 +149,16 @@ class Rounds:
         )
         penalties = 2 * self.trust / (self.trust + shares)
         return Candidates(indptr, pixels, penalties.astype(np.float32))
+
+    def _white(self, samples: Samples, found: Start, start: int, stop: int) -> White:
+        """Rows of clipped samples probably add up to what their neighbours add up to."""
+        shape = self.capture.camera_shape
+        sums = found.coefficients.sum(axis=1) + found.background + found.blocks.sum(axis=1)
+        window = (WHITE_WINDOW, WHITE_WINDOW, *(1 for _ in shape[2:]))
+        expected = median_filter(sums.reshape(shape), size=window).ravel()[start:stop]
+        clipped = samples.clipped.mean(axis=1)
+        weights = WHITE_WEIGHT * clipped / (1 + (1 - clipped) * self.capture.count)
+        return White(expected.astype(np.float32), weights.astype(np.float32))
 
     @cached_property
     def _pooling(self) -> csr_array:

@@ -64,6 +64,25 @@ class Blocks:
 
 
 @dataclass(frozen=True)
+class White:
+    """What each of M rows is expected to add up to: one more sample, under a white pattern.
+
+    Where clipping leaves a row undetermined (a bright pixel that never was lit alone has only a
+    lower bound), this says how bright it probably is.
+
+    Parameters
+    ----------
+    sums : (M,) float32
+        Expected sum of the row, in units of camera sample, >= 0.
+    weights : (M,) float32
+        Weight of that sample in the data term; 0 where nothing is expected.
+    """
+
+    sums: NDArray[np.float32]
+    weights: NDArray[np.float32]
+
+
+@dataclass(frozen=True)
 class Start:
     """Where to start M rows.
 
@@ -103,6 +122,7 @@ def solve_weighted(
     blocks: Blocks,
     solver: ActiveSet,
     *,
+    white: White | None = None,
     start: Start | None = None,
     progress: Progress | None = None,
 ) -> WeightedResult:
@@ -126,6 +146,8 @@ def solve_weighted(
         Coarse columns and their weights w.
     solver : ActiveSet
         Fidelity, tolerance, limit of passes, threads.
+    white : White, optional
+        What the rows are expected to add up to.
     start : Start, optional
         Pixels that are no candidates are left out, and blocks if there are none.
     progress : callable, optional
@@ -156,6 +178,7 @@ def solve_weighted(
         sample_weights(problem),
         (candidates.indptr, candidates.pixels, candidates.penalties),
         (blocks.means, blocks.penalties, _starting_blocks(start, len(blocks.penalties))),
+        None if white is None else (white.sums, white.weights),
         None if start is None else starting_rows(problem, start.coefficients, start.background),
         float(problem.regularization),
         str(solver.fidelity),

@@ -76,7 +76,7 @@ pub enum Values<'a> {
 }
 
 impl Values<'_> {
-    fn copy(&self, start: usize, out: &mut [f64]) {
+    pub(crate) fn copy(&self, start: usize, out: &mut [f64]) {
         match self {
             Values::F32(values) => {
                 for (out, v) in out.iter_mut().zip(&values[start..]) {
@@ -87,7 +87,7 @@ impl Values<'_> {
         }
     }
 
-    fn len(&self) -> usize {
+    pub(crate) fn len(&self) -> usize {
         match self {
             Values::F32(values) => values.len(),
             Values::F64(values) => values.len(),

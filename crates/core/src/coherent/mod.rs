@@ -5,7 +5,7 @@ mod likely;
 mod weighted;
 
 pub use likely::{likely, Sparse, Windows};
-pub use weighted::{solve, Candidates, Further, Weighted};
+pub use weighted::{solve, Candidates, Further, Knowledge, Weighted, White};
 
 #[cfg(test)]
 mod tests;

@@ -94,22 +94,24 @@ fn every_pixel_meets_the_optimality_condition_of_its_own_penalty() {
                 weights: None,
                 start,
             };
-            let candidates = Candidates {
-                indptr: &[0, pixels.len() as i64],
-                pixels: &pixels,
-                penalties: &penalties,
-            };
-            let further = Further {
-                columns: &further,
-                penalties: &shared,
-                start: further_start,
+            let knowledge = Knowledge {
+                candidates: Candidates {
+                    indptr: &[0, pixels.len() as i64],
+                    pixels: &pixels,
+                    penalties: &penalties,
+                },
+                further: Further {
+                    columns: &further,
+                    penalties: &shared,
+                    start: further_start,
+                },
+                white: None,
             };
             let (cancelled, finished) = (AtomicBool::new(false), AtomicUsize::new(0));
             let found = solve(
                 &dictionary,
                 rows,
-                candidates,
-                further,
+                knowledge,
                 settings(),
                 &cancelled,
                 &finished,

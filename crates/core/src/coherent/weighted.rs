@@ -4,7 +4,7 @@
 //! active-set solver works on a dictionary of the row's own columns, and its certificate covers
 //! the weighted problem on these columns.
 
-use crate::active_set::{solve_row, Dictionary, Rows, Settings, Solution, Start};
+use crate::active_set::{solve_row, Dictionary, Rows, Settings, Solution, Start, Values};
 use crate::columns::{Columns, DenseColumns};
 use crate::correlate::Correlator;
 use crate::vector::padded;
@@ -35,6 +35,23 @@ pub struct Further<'a> {
     pub start: Option<&'a [f32]>,
 }
 
+/// What each row is expected to add up to: one more sample a row, under an all-white pattern that
+/// was never shown.
+#[derive(Clone, Copy)]
+pub struct White<'a> {
+    pub sums: &'a [f32],
+    /// Weights of the samples; 0 where nothing is expected.
+    pub weights: &'a [f32],
+}
+
+/// What is known of the rows before they are solved.
+#[derive(Clone, Copy)]
+pub struct Knowledge<'a> {
+    pub candidates: Candidates<'a>,
+    pub further: Further<'a>,
+    pub white: Option<White<'a>>,
+}
+
 /// One row's solution.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Weighted {
@@ -51,18 +68,25 @@ pub struct Weighted {
 pub fn solve(
     dictionary: &Dictionary,
     rows: Rows,
-    candidates: Candidates,
-    further: Further,
+    knowledge: Knowledge,
     settings: Settings,
     cancelled: &AtomicBool,
     finished: &AtomicUsize,
 ) -> Option<Vec<Weighted>> {
+    let Knowledge {
+        candidates,
+        further,
+        white,
+    } = knowledge;
     let shared = further.penalties.len();
     assert_eq!(candidates.indptr.len(), rows.count + 1);
     assert_eq!(candidates.pixels.len(), candidates.penalties.len());
     assert_eq!(further.columns.len(), shared * dictionary.patterns);
     if let Some(start) = further.start {
         assert_eq!(start.len(), rows.count * shared);
+    }
+    if let Some(white) = white {
+        assert!(white.sums.len() == rows.count && white.weights.len() == rows.count);
     }
     let mut solutions = vec![Weighted::default(); rows.count];
     solutions.par_chunks_mut(TASK).enumerate().for_each_init(
@@ -73,7 +97,7 @@ pub fn solve(
                     return;
                 }
                 let row = task * TASK + i;
-                *solution = work.solve(dictionary, rows, row, candidates, further, settings);
+                *solution = work.solve(dictionary, rows, row, knowledge, settings);
                 finished.fetch_add(1, Ordering::Relaxed);
             }
         },
@@ -88,6 +112,9 @@ struct Work {
     penalties: Vec<f32>,
     places: Vec<i32>,
     start: Vec<f64>,
+    samples: Vec<f64>,
+    weights: Vec<f64>,
+    clipped: Vec<bool>,
 }
 
 impl Work {
@@ -96,10 +123,14 @@ impl Work {
         dictionary: &Dictionary,
         rows: Rows,
         row: usize,
-        candidates: Candidates,
-        further: Further,
+        knowledge: Knowledge,
         settings: Settings,
     ) -> Weighted {
+        let Knowledge {
+            candidates,
+            further,
+            white,
+        } = knowledge;
         let range = candidates.indptr[row] as usize..candidates.indptr[row + 1] as usize;
         let pixels = &candidates.pixels[range.clone()];
         self.penalties.clear();
@@ -108,6 +139,11 @@ impl Work {
         // The smallest penalty becomes 1, so that no column exceeds 1.
         let least = self.penalties.iter().copied().fold(f32::INFINITY, f32::min);
         let least = if least.is_finite() { least } else { 1.0 };
+        self.load(dictionary.patterns, rows, row, white);
+        let patterns = self.samples.len();
+        let mut means = dictionary.means[..dictionary.patterns].to_vec();
+        means.resize(patterns, 1.0);
+        means.resize(padded(patterns), 0.0);
         self.gather(dictionary, pixels, further, least);
         let shared = further.penalties.len();
         let background = [rows.start.map_or(0.0, |start| start.background[row])];
@@ -118,16 +154,12 @@ impl Work {
             level: dictionary.level,
             columns: Columns::Dense(DenseColumns::from_padded(
                 std::mem::take(&mut self.values),
-                dictionary.patterns,
+                patterns,
                 1.0,
             )),
-            correlator: Correlator::dense(
-                dictionary.level,
-                dictionary.patterns,
-                pixels.len() + shared,
-            ),
-            means: dictionary.means.clone(),
-            patterns: dictionary.patterns,
+            correlator: Correlator::dense(dictionary.level, patterns, pixels.len() + shared),
+            means,
+            patterns,
             pixels: pixels.len() + shared,
         };
         let start = start.then_some(Start {
@@ -140,28 +172,67 @@ impl Work {
             regularization: settings.regularization * f64::from(least),
             ..settings
         };
-        let solution = solve_row(&local, rows, row, start, settings);
+        let rows = Rows {
+            count: 1,
+            samples: Values::F64(&self.samples),
+            clipped: &self.clipped,
+            weights: Some(Values::F64(&self.weights)),
+            start: None,
+        };
+        let solution = solve_row(&local, rows, 0, start, settings);
         if let Columns::Dense(columns) = local.columns {
             self.values = columns.into_values();
         }
         self.unscaled(solution, pixels, shared, least)
     }
 
-    /// The row's columns, each over its penalty.
+    /// The row's samples, the expected one last.
+    fn load(&mut self, patterns: usize, rows: Rows, row: usize, white: Option<White>) {
+        let first = row * patterns;
+        let expected = white.map(|white| (white.sums[row], white.weights[row]));
+        let expected = expected.filter(|&(_, weight)| weight > 0.0);
+        let count = patterns + usize::from(expected.is_some());
+        for buffer in [&mut self.samples, &mut self.weights] {
+            buffer.clear();
+            buffer.resize(count, 1.0);
+        }
+        rows.samples.copy(first, &mut self.samples[..patterns]);
+        if let Some(weights) = rows.weights {
+            let start = if weights.len() == patterns { 0 } else { first };
+            weights.copy(start, &mut self.weights[..patterns]);
+        }
+        self.clipped.clear();
+        self.clipped.extend(&rows.clipped[first..first + patterns]);
+        if let Some((sum, weight)) = expected {
+            self.samples[patterns] = f64::from(sum);
+            self.weights[patterns] = f64::from(weight);
+            self.clipped.push(false);
+        }
+    }
+
+    /// The row's columns, each over its penalty; 1 under the white pattern, if there is one.
     fn gather(&mut self, dictionary: &Dictionary, pixels: &[i32], further: Further, least: f32) {
         let patterns = dictionary.patterns;
-        let stride = padded(patterns);
+        let own = padded(patterns);
+        let stride = padded(self.samples.len());
         self.values.clear();
         self.values.resize(self.penalties.len() * stride, 0.0);
         let mut places = self.values.chunks_exact_mut(stride).zip(&self.penalties);
         for (&pixel, (out, penalty)) in pixels.iter().zip(&mut places) {
             let columns = &dictionary.columns;
-            columns.copy_scaled(dictionary.level, pixel as u32, least / penalty, out);
+            columns.copy_scaled(
+                dictionary.level,
+                pixel as u32,
+                least / penalty,
+                &mut out[..own],
+            );
+            out[patterns..self.samples.len()].fill(least / penalty);
         }
         for (column, (out, penalty)) in further.columns.chunks_exact(patterns).zip(places) {
             for (out, a) in out.iter_mut().zip(column) {
                 *out = a * (least / penalty);
             }
+            out[patterns..self.samples.len()].fill(least / penalty);
         }
     }
 
