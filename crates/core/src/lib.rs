@@ -6,5 +6,6 @@ pub mod columns;
 pub mod correlate;
 pub mod float;
 pub mod hadamard;
+mod octet;
 pub mod simd;
 pub mod vector;

@@ -11,23 +11,25 @@ const LANES: usize = 2 * BATCH;
 struct Lane<'a> {
     solver: RowSolver<'a>,
     scores: Scores,
-    /// The row in work, among `solutions`.
+    /// The row in work.
     row: usize,
 }
 
-/// Solves the rows from `first` on, one for each of `solutions`. A row depends on no other.
+/// Solves rows that wait (`waiting` is the first of them) until none does. A row depends on no
+/// other, so it does not matter who solves which.
 pub fn solve_rows(
     dictionary: &Dictionary,
     rows: Rows,
     settings: Settings,
-    first: usize,
-    solutions: &mut [Solution],
+    waiting: &AtomicUsize,
     cancelled: &AtomicBool,
     finished: &AtomicUsize,
-) {
-    let mut waiting = 0..solutions.len();
+) -> Vec<(usize, Solution)> {
+    let mut solutions = Vec::new();
     let mut scratch = Scratch::default();
-    let mut lanes: Vec<Lane> = (0..LANES.min(solutions.len()))
+    // Where rows are few, every thread gets some.
+    let lanes = LANES.min(rows.count.div_ceil(rayon::current_num_threads()));
+    let mut lanes: Vec<Lane> = (0..lanes)
         .map(|_| Lane {
             solver: RowSolver::new(dictionary, settings),
             scores: Scores::default(),
@@ -41,16 +43,16 @@ pub fn solve_rows(
             match next {
                 Some(Next::Pass) => return true,
                 Some(Next::Done) => {
-                    solutions[lane.row] = lane.solver.solution();
+                    solutions.push((lane.row, lane.solver.solution()));
                     finished.fetch_add(1, Ordering::Relaxed);
                 }
                 None => {}
             }
-            let Some(row) = waiting.next() else {
+            lane.row = waiting.fetch_add(1, Ordering::Relaxed);
+            if lane.row >= rows.count {
                 return false;
-            };
-            lane.row = row;
-            next = Some(lane.solver.begin(rows, first + row));
+            }
+            next = Some(lane.solver.begin(rows, lane.row));
         }
     };
     lanes.retain_mut(|lane| advance(lane, None));
@@ -69,4 +71,5 @@ pub fn solve_rows(
             advance(lane, Some(next))
         });
     }
+    solutions
 }
