@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,17 +12,23 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lightmatrix.errors import InputError
+from lightmatrix.pattern_folder import read_patterns, write_patterns
+from lightmatrix.pattern_kinds import from_description
+from lightmatrix.pattern_mix import MixedPatterns, default_mix, parse_mix
 from lightmatrix.patterns import (
     BernoulliPatterns,
+    BitPatterns,
     BlockPatterns,
     HadamardPatterns,
     ImagePatterns,
     PatternSet,
     block_mean,
-    from_description,
+    grid_cells,
     one_pixel_patterns,
     sampled_pixels,
 )
+from lightmatrix.solvers import ActiveSet
+from lightmatrix.solvers.problem import Problem
 
 sizes = st.integers(1, 13)
 
@@ -29,9 +37,15 @@ sizes = st.integers(1, 13)
 def pattern_sets(draw: st.DrawFn) -> PatternSet:
     shape = (draw(sizes), draw(sizes))
     seed = draw(st.integers(0, 2**32))
-    kind = draw(st.sampled_from(["bernoulli", "hadamard", "blocks", "images"]))
+    kind = draw(st.sampled_from(["bernoulli", "hadamard", "blocks", "images", "mix", "bits"]))
     if kind == "bernoulli":
         return BernoulliPatterns(shape, draw(sizes), draw(st.floats(0.01, 0.99)), seed)
+    if kind == "mix":
+        grid = draw(st.integers(1, shape[0])), draw(st.integers(1, shape[1]))
+        mix = ((shape, 1.0),) if grid == shape else ((shape, 0.7), (grid, 0.3))
+        return MixedPatterns(shape, draw(sizes), mix, draw(st.floats(0.01, 0.99)), seed)
+    if kind == "bits":
+        return BernoulliPatterns(shape, draw(sizes), 0.5, seed).subset(np.array([0]))
     if kind == "hadamard":
         order = draw(st.sampled_from(["natural", "sequency", "random"]))
         count = min(draw(sizes), shape[0] * shape[1])
@@ -84,7 +98,7 @@ def test_columns_rows_and_coarse_versions(patterns: PatternSet, data: st.DataObj
 @settings(max_examples=40, deadline=None)
 def test_descriptions_remake_the_set(patterns: PatternSet) -> None:
     remade = from_description(json.loads(json.dumps(patterns.description)))
-    if isinstance(patterns, ImagePatterns):
+    if isinstance(patterns, ImagePatterns | BitPatterns):
         assert remade is None
     else:
         assert remade is not None
@@ -135,6 +149,71 @@ def test_block_mean_handles_uneven_blocks() -> None:
     np.testing.assert_allclose(block_mean(image, (2, 3)), [[3.5, 6.0], [11.0, 13.5]])
 
 
+@given(pattern_sets(), st.data())
+@settings(max_examples=60, deadline=None)
+def test_subsets_are_the_chosen_patterns(patterns: PatternSet, data: st.DataObject) -> None:
+    chosen = st.lists(st.integers(0, patterns.count - 1), min_size=1, max_size=6)
+    index = np.array(data.draw(chosen))
+    subset = patterns.subset(index)
+    assert subset.count == len(index)
+    np.testing.assert_array_equal(subset.dense(), patterns.dense()[index])
+    everything = patterns.subset(np.arange(patterns.count))
+    assert everything.digest == patterns.digest
+
+
+def test_mix_has_its_shares_in_every_prefix_and_its_grids() -> None:
+    shape = (96, 64)
+    mix = default_mix(shape, 64)
+    patterns = MixedPatterns(shape, 64, mix, seed=3)
+    for k in range(1, 65):
+        counts = np.bincount(patterns.kinds[:k], minlength=3)
+        assert np.abs(counts - k * np.array([0.75, 0.125, 0.125])).max() < 1.5
+    assert np.bincount(patterns.kinds).tolist() == [48, 8, 8]
+    for (grid, _), kind in zip(mix, range(3), strict=True):
+        cells = grid_cells(shape, grid)
+        first = np.unique(cells, return_index=True)[1]
+        block = patterns.dense()[patterns.kinds == kind]
+        np.testing.assert_array_equal(block, block[:, first[cells]])
+        # Coarse, but not coarser than it says: cells differ from their neighbours.
+        assert len(first) == grid[0] * grid[1]
+        assert 0.4 < np.abs(np.diff(block[:, first], axis=1)).mean() < 0.6
+    fine = BernoulliPatterns(shape, 64, seed=3)
+    np.testing.assert_array_equal(
+        patterns.bits[patterns.kinds == 0], fine.bits[patterns.kinds == 0]
+    )
+    longer = MixedPatterns(shape, 100, mix, seed=3)
+    np.testing.assert_array_equal(longer.bits[:64], patterns.bits)
+
+
+def test_default_mix_is_fine_for_few_patterns_and_small_projectors() -> None:
+    assert default_mix((128, 128), 32) == (((128, 128), 1.0),)
+    assert [grid for grid, _ in default_mix((40, 40), 64)] == [(40, 40), (8, 8)]
+    assert default_mix((4, 4), 64) == (((4, 4), 1.0),)
+    assert parse_mix("fine:0.75,32x32:0.125,8x8:0.125", (128, 128)) == default_mix((128, 128), 64)
+    assert parse_mix("8x8", (16, 16)) == (((8, 8), 1.0),)
+
+
+def test_mix_comes_back_from_disk(tmp_path: Path) -> None:
+    patterns = MixedPatterns((20, 30), 16, parse_mix("fine:0.5,5x6:0.5", (20, 30)), seed=2)
+    write_patterns(tmp_path / "patterns", patterns)
+    remade = read_patterns(tmp_path / "patterns")
+    assert isinstance(remade, MixedPatterns)
+    assert remade.description == patterns.description
+    np.testing.assert_array_equal(remade.bits, patterns.bits)
+
+
+def test_the_fast_solver_takes_a_mix_as_bits() -> None:
+    mix = MixedPatterns((12, 10), 24, parse_mix("fine:0.5,3x5:0.5", (12, 10)))
+    samples = mix.forward(np.eye(1, 120, 7, np.float32))
+    problem = Problem(mix, samples, samples > 9, np.full(24, 9, np.float32), 0.01)
+    solved = ActiveSet().solve(problem)
+    assert solved.gap[0] <= 1e-4
+    assert solved.coefficients.toarray()[0].argmax() == 7
+    bernoulli = BitPatterns((12, 10), mix.bits)
+    again = ActiveSet().solve(replace(problem, patterns=bernoulli))
+    np.testing.assert_array_equal(again.coefficients.data, solved.coefficients.data)
+
+
 @pytest.mark.parametrize(
     ("make", "message"),
     [
@@ -147,6 +226,20 @@ def test_block_mean_handles_uneven_blocks() -> None:
         (lambda: one_pixel_patterns((4, 4), np.array([16])), "use 0 to 15"),
         (lambda: ImagePatterns(np.full((2, 3, 3), 2.0, np.float32)), r"scale the patterns"),
         (lambda: ImagePatterns(np.zeros((3, 3), np.float32)), r"\(K, rows, cols\)"),
+        (lambda: BitPatterns((3, 3), np.zeros((2, 1), np.uint8)), "give .K, 2. bytes"),
+        (lambda: MixedPatterns((4, 4), 3, (((4, 5), 1.0),)), "4 x 5 cells on a projector of 4 x 4"),
+        (lambda: MixedPatterns((4, 4), 3, (((4, 4), 0.5),)), "sum to 1"),
+        (lambda: MixedPatterns((4, 4), 3, ()), "sum to 1"),
+        (lambda: MixedPatterns((4, 4), 3, (((4, 4), 0.5), ((4, 4), 0.5))), "one grid twice"),
+        (lambda: MixedPatterns((4, 4), 0, (((4, 4), 1.0),)), "0 patterns"),
+        (lambda: MixedPatterns((4, 4), 3, (((4, 4), 1.0),), density=0), "density of 0"),
+        (lambda: parse_mix("fine:0.5,8x8:0.6", (9, 9)), "sum to 1.1"),
+        (lambda: parse_mix("fine:0.5,8by8:0.5", (9, 9)), "'8by8'"),
+        (lambda: parse_mix("fine,8x8", (9, 9)), "for example"),
+        (
+            lambda: from_description({"kind": "mix", "shape": [4, 4], "count": 2, "mix": [3]}),
+            "cannot be read",
+        ),
         (lambda: from_description({"kind": "bernoulli"}), "cannot be read"),
         (lambda: from_description({"kind": "moire"}), "unknown"),
     ],

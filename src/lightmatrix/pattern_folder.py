@@ -16,7 +16,8 @@ import numpy as np
 from lightmatrix.atomic import atomic_folder
 from lightmatrix.errors import InputError, LightMatrixWarning
 from lightmatrix.images import ImageStack, fill_image, list_images, read_grey
-from lightmatrix.patterns import ImagePatterns, PatternSet, from_description, to_grey
+from lightmatrix.pattern_kinds import from_description
+from lightmatrix.patterns import ImagePatterns, PatternSet, to_grey
 
 DESCRIPTION = "patterns.json"
 FORMAT, VERSION = "lightmatrix-patterns", 1

@@ -6,7 +6,7 @@ the light transport matrix are estimated in batches, so the operators act on row
     forward:  (M, N) -> (M, K)   samples = X P'
     adjoint:  (M, K) -> (M, N)   correlations = E P
 
-Every set knows how it was made (`description`, which `from_description` reads back) and a digest
+Every set knows how it was made (`description`, which `pattern_kinds` reads back) and a digest
 of its content, which ties a capture and an estimate to the patterns they belong to.
 """
 
@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import hashlib
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -168,52 +167,54 @@ def block_mean(images: NDArray[Any], block: tuple[int, int]) -> NDArray[np.float
     return result
 
 
-def _check_geometry(shape: tuple[int, int], count: int) -> None:
+def grid_cells(shape: tuple[int, int], grid: tuple[int, int]) -> NDArray[np.int64]:
+    """The cell of a coarse grid over the projector that each pixel lies in.
+
+    Parameters
+    ----------
+    shape : (int, int)
+        Projector rows and columns.
+    grid : (int, int)
+        Rows and columns of cells; cells are as equal as whole pixels allow, and none is empty.
+
+    Returns
+    -------
+    (N,) int64
+        Cells in the order (row, col).
+
+    Raises
+    ------
+    InputError
+        If the grid has more rows or columns than the projector, or none.
+    """
+    if min(grid) < 1 or grid[0] > shape[0] or grid[1] > shape[1]:
+        raise InputError(
+            f"a grid of {grid[0]} x {grid[1]} cells on a projector of {shape[0]} x {shape[1]}",
+            hint="use at least 1 and at most one cell a pixel",
+        )
+    row = np.arange(shape[0]) * grid[0] // shape[0]
+    col = np.arange(shape[1]) * grid[1] // shape[1]
+    return (row[:, None] * grid[1] + col[None, :]).ravel()
+
+
+def check_geometry(shape: tuple[int, int], count: int) -> None:
+    """Refuse projectors without pixels and sets without patterns."""
     if len(shape) != 2 or min(shape) < 1:
         raise InputError(f"a projector of shape {shape}", hint="give (rows, cols), both at least 1")
     if count < 1:
         raise InputError(f"{count} patterns", hint="ask for at least 1")
 
 
-@dataclass(frozen=True, eq=False)
-class BernoulliPatterns(PatternSet):
-    """Random on/off patterns: each projector pixel is lit with probability `density`.
-
-    The patterns of the paper's experiments (after Sen & Darabi 2009), kept as bits.
+class PackedPatterns(PatternSet):
+    """Patterns of zeros and ones, kept as bits: what the compiled core multiplies fastest.
 
     Parameters
     ----------
-    shape : (int, int)
-        Projector rows and columns.
-    count : int
-        Number of patterns K.
-    density : float
-        Probability that a pixel is lit, in (0, 1).
-    seed : int
-        Seed of the draw; the same seed gives the same patterns on every machine.
+    bits : (K, ceil(N / 8)) uint8
+        Lit pixels, least significant bit first.
     """
 
-    shape: tuple[int, int]
-    count: int
-    density: float = 0.5
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        _check_geometry(self.shape, self.count)
-        if not 0 < self.density < 1:
-            raise InputError(
-                f"a density of {self.density}", hint="use a share between 0 and 1, such as 0.5"
-            )
-
-    @cached_property
-    def bits(self) -> NDArray[np.uint8]:
-        """Lit pixels, (K, ceil(N / 8)) uint8, least significant bit first."""
-        bits = np.empty((self.count, (self.pixels + 7) // 8), np.uint8)
-        # One generator a pattern: the first k patterns do not depend on how many follow.
-        for k, child in enumerate(np.random.SeedSequence(self.seed).spawn(self.count)):
-            lit = np.random.Generator(np.random.PCG64(child)).random(self.pixels) < self.density
-            bits[k] = np.packbits(lit, bitorder="little")
-        return bits
+    bits: NDArray[np.uint8]
 
     def forward(self, x: NDArray[Any]) -> NDArray[Any]:
         if self._multiply_dense(x):
@@ -240,6 +241,82 @@ class BernoulliPatterns(PatternSet):
     def rows(self, start: int, stop: int) -> NDArray[np.float32]:
         lit = np.unpackbits(self.bits[start:stop], axis=1, count=self.pixels, bitorder="little")
         return lit.astype(np.float32)
+
+    def subset(self, index: NDArray[np.integer]) -> PatternSet:
+        return BitPatterns(self.shape, self.bits[np.asarray(index)])
+
+
+@dataclass(frozen=True, eq=False)
+class BitPatterns(PackedPatterns):
+    """Patterns of zeros and ones given as bits, such as some of the patterns of another set.
+
+    Parameters
+    ----------
+    shape : (int, int)
+        Projector rows and columns.
+    bits : (K, ceil(N / 8)) uint8
+        Lit pixels, least significant bit first.
+    """
+
+    shape: tuple[int, int]
+    bits: NDArray[np.uint8]
+
+    def __post_init__(self) -> None:
+        check_geometry(self.shape, self.count)
+        if self.bits.ndim != 2 or self.bits.shape[1] != (self.pixels + 7) // 8:
+            raise InputError(
+                f"bits of shape {self.bits.shape} for a projector of shape {self.shape}",
+                hint=f"give (K, {(self.pixels + 7) // 8}) bytes",
+            )
+
+    @property
+    def count(self) -> int:  # type: ignore[override]
+        return len(self.bits)
+
+    @property
+    def description(self) -> dict[str, Any]:
+        return {"kind": "images", "shape": list(self.shape), "count": self.count}
+
+
+@dataclass(frozen=True, eq=False)
+class BernoulliPatterns(PackedPatterns):
+    """Random on/off patterns: each projector pixel is lit with probability `density`.
+
+    The patterns of the paper's experiments (after Sen & Darabi 2009), kept as bits.
+
+    Parameters
+    ----------
+    shape : (int, int)
+        Projector rows and columns.
+    count : int
+        Number of patterns K.
+    density : float
+        Probability that a pixel is lit, in (0, 1).
+    seed : int
+        Seed of the draw; the same seed gives the same patterns on every machine.
+    """
+
+    shape: tuple[int, int]
+    count: int
+    density: float = 0.5
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        check_geometry(self.shape, self.count)
+        if not 0 < self.density < 1:
+            raise InputError(
+                f"a density of {self.density}", hint="use a share between 0 and 1, such as 0.5"
+            )
+
+    @cached_property
+    def bits(self) -> NDArray[np.uint8]:  # type: ignore[override]
+        """Lit pixels, (K, ceil(N / 8)) uint8, least significant bit first."""
+        bits = np.empty((self.count, (self.pixels + 7) // 8), np.uint8)
+        # One generator a pattern: the first k patterns do not depend on how many follow.
+        for k, child in enumerate(np.random.SeedSequence(self.seed).spawn(self.count)):
+            lit = np.random.Generator(np.random.PCG64(child)).random(self.pixels) < self.density
+            bits[k] = np.packbits(lit, bitorder="little")
+        return bits
 
     @property
     def description(self) -> dict[str, Any]:
@@ -285,7 +362,7 @@ class HadamardPatterns(PatternSet):
     seed: int = 0
 
     def __post_init__(self) -> None:
-        _check_geometry(self.shape, self.count)
+        check_geometry(self.shape, self.count)
         if self.order not in HADAMARD_ORDERS:
             raise InputError(
                 f"an order called {self.order!r}", hint=f"use one of {', '.join(HADAMARD_ORDERS)}"
@@ -403,7 +480,7 @@ class ImagePatterns(PatternSet):
             raise InputError(
                 f"patterns of shape {stack.shape}", hint="give grey images as (K, rows, cols)"
             )
-        _check_geometry(stack.shape[1:], len(stack))
+        check_geometry(stack.shape[1:], len(stack))
         if not np.isfinite(stack).all() or stack.min() < 0 or stack.max() > 1:
             raise InputError(
                 "pattern values are not all within 0 and 1", hint="scale the patterns to [0, 1]"
@@ -468,7 +545,7 @@ class BlockPatterns(PatternSet):
     def __post_init__(self) -> None:
         if min(self.block) < 1:
             raise InputError(f"a block of {self.block} pixels", hint="use at least 1 x 1")
-        _check_geometry(self.shape, self.count)
+        check_geometry(self.shape, self.count)
         index = self.index
         total = self.grid[0] * self.grid[1]
         if len(index) and (index.min() < 0 or index.max() >= total):
@@ -547,36 +624,3 @@ def sampled_pixels(shape: tuple[int, int], step: int = 8, offset: int = 4) -> ND
     rows = np.arange(offset, shape[0], step)
     cols = np.arange(offset, shape[1], step)
     return (rows[:, None] * shape[1] + cols[None, :]).ravel().astype(np.int64)
-
-
-def from_description(description: Mapping[str, Any]) -> PatternSet | None:
-    """Remake a pattern set from its description; None for a set that only its images hold.
-
-    Raises
-    ------
-    InputError
-        On an unknown kind or missing parameters.
-    """
-    parameters = {key: value for key, value in description.items() if key != "kind"}
-    kind = description.get("kind")
-    try:
-        for key in ("shape", "block"):
-            if key in parameters:
-                parameters[key] = tuple(int(v) for v in parameters[key])
-        if kind == "bernoulli":
-            return BernoulliPatterns(**parameters)
-        if kind == "hadamard":
-            return HadamardPatterns(**parameters)
-        if kind == "blocks":
-            return BlockPatterns(**parameters)
-        if kind == "images":
-            return None
-    except (TypeError, ValueError) as error:
-        raise InputError(
-            f"a description of {kind} patterns that cannot be read: {error}",
-            hint="remove patterns.json to read the patterns from their images",
-        ) from error
-    raise InputError(
-        f"patterns of kind {kind!r} are unknown",
-        hint="remove patterns.json to read the patterns from their images",
-    )

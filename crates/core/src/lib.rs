@@ -7,5 +7,6 @@ pub mod columns;
 pub mod correlate;
 pub mod float;
 pub mod hadamard;
+mod octet;
 pub mod simd;
 pub mod vector;

@@ -10,6 +10,7 @@ from typing import Annotated
 import numpy as np
 import typer
 
+from lightmatrix import pattern_mix
 from lightmatrix.atomic import check_output
 from lightmatrix.capture import read_patterns, write_capture, write_patterns
 from lightmatrix.cli.common import Json, Overwrite, Seed, out, progress, show_json, size
@@ -37,6 +38,7 @@ class PatternKind(StrEnum):
     HADAMARD = "hadamard"
     ONE_PIXEL = "onepixel"
     BLOCKS = "blocks"
+    MIX = "mix"
 
 
 class HadamardOrder(StrEnum):
@@ -60,7 +62,14 @@ def patterns(
     output: Annotated[Path, typer.Option("-o", "--output", help="Folder to write PNGs to.")],
     count: Annotated[int | None, typer.Option("-k", "--count", help="Number of patterns.")] = None,
     shape: Annotated[str, typer.Option("--size", help="Projector rows x columns.")] = "128x128",
-    density: Annotated[float, typer.Option(help="Bernoulli: share of lit pixels.")] = 0.5,
+    density: Annotated[float, typer.Option(help="Bernoulli and mix: share of lit pixels.")] = 0.5,
+    mix: Annotated[
+        str | None,
+        typer.Option(
+            help="Mix: grids of cells lit as a whole and their shares, "
+            f"{pattern_mix.EXAMPLE} (the default; all fine below {pattern_mix.FEWEST_MIXED})."
+        ),
+    ] = None,
     order: Annotated[
         HadamardOrder, typer.Option(help="Hadamard: which come first.")
     ] = HadamardOrder.SEQUENCY,
@@ -72,7 +81,19 @@ def patterns(
 ) -> None:
     """Write projection patterns as a folder of PNG files."""
     check_output(output, overwrite=overwrite)
-    made = _pattern_set(kind, size(shape), count, density, order, permute, size(block), seed)
+    if mix is not None and kind is not PatternKind.MIX:
+        raise InputError(f"--mix for {kind} patterns", hint="write `lightmatrix patterns mix`")
+    projector = size(shape)
+    if kind is PatternKind.MIX:
+        frames = 256 if count is None else count
+        shares = (
+            pattern_mix.default_mix(projector, frames)
+            if mix is None
+            else pattern_mix.parse_mix(mix, projector)
+        )
+        made: PatternSet = pattern_mix.MixedPatterns(projector, frames, shares, density, seed)
+    else:
+        made = _pattern_set(kind, projector, count, density, order, permute, size(block), seed)
     write_patterns(output, made, overwrite=overwrite)
     result = {**made.description, "count": made.count, "digest": made.digest, "output": output}
     if as_json:

@@ -15,20 +15,20 @@ const LARGEST_SCALING: f64 = 2.0;
 
 /// Moves `theta` along the means, on two-sided samples, until m' theta <= 0 (= 0 if b is free).
 ///
-/// After an exact b this repairs no more than rounding.
+/// After an exact b this repairs no more than rounding. Returns by how much m' theta was off.
 pub fn orthogonal_to_means(
     level: Level,
     settings: &Settings,
     data: &DataTerm,
     means: &[f64],
     theta: &mut [f64],
-) {
+) -> f64 {
     if !settings.background {
-        return;
+        return 0.0;
     }
     let excess = dot(level, theta, means);
     if excess == 0.0 || (settings.nonnegative && excess < 0.0) {
-        return;
+        return 0.0;
     }
     let free = |k: usize| data.weights[k] > 0.0 && data.lower[k] == f64::NEG_INFINITY;
     let energy: f64 = (0..theta.len())
@@ -45,6 +45,7 @@ pub fn orthogonal_to_means(
             theta[k] = 0.0;
         }
     }
+    excess.abs()
 }
 
 /// The dual value of the best scaling of `theta` whose correlations stay within lambda, given the

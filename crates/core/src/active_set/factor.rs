@@ -1,23 +1,25 @@
-//! A Cholesky factor that gains and loses columns: H = R'R with R upper triangular.
+//! A Cholesky factor of a small matrix: H = R'R with R upper triangular, and solutions with it.
 //!
-//! Rows of R lie in memory one after the other. Gaining a column is a triangular solve, losing one
-//! a sequence of Givens rotations (Golub & Van Loan 2013, 6.5.2); both are quadratic in the order.
+//! Rows of R lie in memory one after the other; the right side rides along as one more column, so
+//! that its forward substitution is done when the factor is.
 
+use crate::octet::octets;
 use crate::simd::{multiversion, Level};
 
 /// Largest order.
 pub const LARGEST: usize = 256;
-/// Rows are this far apart: no power of two, which would crowd one cache set.
-const STRIDE: usize = LARGEST + 8;
-/// Pivots below this share of their diagonal mean that a column depends on the others.
+const LANES: usize = 8;
+/// Rows are this far apart: room for the right side, and no power of two, which would crowd one
+/// cache set.
+const STRIDE: usize = LARGEST + LANES;
+/// Pivots below this share of their diagonal mean that a column depends on those before it.
 const DEPENDENT: f64 = 1e-10;
-const SUMS: usize = 8;
+/// Rows factorised at a time.
+const PANEL: usize = 4;
 
 pub struct Factor {
     level: Level,
     r: Vec<f64>,
-    size: usize,
-    column: Vec<f64>,
 }
 
 impl Factor {
@@ -25,111 +27,158 @@ impl Factor {
         Factor {
             level,
             r: Vec::new(),
-            size: 0,
-            column: Vec::new(),
         }
     }
 
-    pub fn clear(&mut self) {
-        self.size = 0;
-    }
-
-    /// Takes in a column: its inner products with those there, in their order, and its own square.
-    /// False, and nothing changes, if it depends on them or there is no room.
-    pub fn push(&mut self, products: impl Iterator<Item = f64>, square: f64) -> bool {
-        let size = self.size;
-        if size == LARGEST {
-            return false;
+    /// Solves H z = right in place, with H the columns `set` of the rows that begin at `places`.
+    ///
+    /// # Errors
+    /// The place of a column that depends on those before it; `right` is then as it was.
+    ///
+    /// # Panics
+    /// If the order is above `LARGEST` or the lengths differ.
+    pub fn solve(
+        &mut self,
+        rows: &[f64],
+        places: &[usize],
+        set: &[u32],
+        right: &mut [f64],
+    ) -> Result<(), usize> {
+        let size = set.len();
+        assert!(size <= LARGEST && places.len() == size && right.len() == size);
+        let needed = size.next_multiple_of(PANEL) * STRIDE;
+        if self.r.len() < needed {
+            self.r.resize(needed, 0.0);
         }
-        if self.r.len() < (size + 1) * STRIDE {
-            self.r.resize((size + 1) * STRIDE, 0.0);
+        gather(self.level, &mut self.r, rows, places, set, right);
+        let found = factorise(self.level, &mut self.r, size);
+        if found < size {
+            return Err(found);
         }
-        self.column.clear();
-        self.column.extend(products);
-        assert_eq!(self.column.len(), size);
-        let rest = square - forward(self.level, &self.r, &mut self.column);
-        if rest <= DEPENDENT * square {
-            return false;
+        for (right, row) in right.iter_mut().zip(self.r.chunks_exact(STRIDE)) {
+            *right = row[size];
         }
-        for (k, value) in self.column.iter().enumerate() {
-            self.r[k * STRIDE + size] = *value;
-        }
-        self.r[size * STRIDE + size] = rest.sqrt();
-        self.size += 1;
-        true
-    }
-
-    /// Loses the column at a place; those after it move up.
-    pub fn remove(&mut self, place: usize) {
-        assert!(place < self.size);
-        remove(self.level, &mut self.r, self.size, place);
-        self.size -= 1;
-    }
-
-    /// Solves H z = right, in place.
-    pub fn solve(&self, right: &mut [f64]) {
-        assert_eq!(right.len(), self.size);
-        forward(self.level, &self.r, right);
         backward(self.level, &self.r, right);
+        Ok(())
+    }
+
+    /// After a column was found to depend on those before it: a combination of the columns, with
+    /// factor 1 for that one, which is zero.
+    pub fn dependency(&self, place: usize, out: &mut Vec<f64>) {
+        out.clear();
+        let rows = self.r.chunks_exact(STRIDE).take(place);
+        out.extend(rows.map(|row| -row[place]));
+        backward(self.level, &self.r, out);
+        out.push(1.0);
     }
 }
 
 multiversion! {
-    /// Solves R' z = z in place and returns the sum of squares.
-    fn forward(r: &[f64], z: &mut [f64]) -> f64 {
-        let mut square = 0.0;
-        for k in 0..z.len() {
-            let row = &r[k * STRIDE..][..z.len()];
-            let value = z[k] / row[k];
-            z[k] = value;
-            square += value * value;
-            for (z, r) in z[k + 1..].iter_mut().zip(&row[k + 1..]) {
-                *z -= value * r;
+    /// The upper triangle, and the right side behind it.
+    fn gather(r: &mut [f64], rows: &[f64], places: &[usize], set: &[u32], right: &[f64]) {
+        let size = set.len();
+        for (i, (place, r)) in places.iter().zip(r.chunks_exact_mut(STRIDE)).enumerate() {
+            let row = &rows[*place..];
+            for (r, &j) in r[i..size].iter_mut().zip(&set[i..]) {
+                *r = row[j as usize];
+            }
+            r[size] = right[i];
+        }
+    }
+}
+
+octets! {
+    /// H becomes R; returns the order, or the place of the first dependent column.
+    fn factorise<O>(r: &mut [f64], size: usize) -> usize {
+        let mut squares = [0.0; LARGEST];
+        for (k, square) in squares[..size].iter_mut().enumerate() {
+            *square = r[k * STRIDE + k];
+        }
+        // Whole octets, whatever lies in those below the diagonal and behind the right side.
+        let end = (size + 1).div_ceil(LANES);
+        for first in (0..size).step_by(PANEL) {
+            let count = PANEL.min(size - first);
+            let (panel, rest) = r[first * STRIDE..].split_at_mut(PANEL * STRIDE);
+            let start = first / LANES;
+            for k in 0..count {
+                let (above, row) = panel.split_at_mut(k * STRIDE);
+                let row = &mut row.as_chunks_mut().0[start..end];
+                for above in above.chunks_exact(STRIDE) {
+                    let factor = O::splat(above[first + k]);
+                    for (row, above) in row.iter_mut().zip(&above.as_chunks().0[start..end]) {
+                        O::load(row).minus(factor.times(O::load(above))).store(row);
+                    }
+                }
+                let pivot = row[0][first + k - start * LANES];
+                if pivot <= DEPENDENT * squares[first + k] {
+                    return first + k;
+                }
+                let scale = O::splat(1.0 / pivot.sqrt());
+                for row in row {
+                    O::load(row).times(scale).store(row);
+                }
+            }
+            if count < PANEL {
+                break;
+            }
+            let (a, others) = panel.split_at(STRIDE);
+            let (b, others) = others.split_at(STRIDE);
+            let (c, d) = others.split_at(STRIDE);
+            for (i, row) in (first + PANEL..size).zip(rest.chunks_exact_mut(STRIDE)) {
+                let [f, g, h, k] = [O::splat(a[i]), O::splat(b[i]), O::splat(c[i]), O::splat(d[i])];
+                let whole = i / LANES..end;
+                let [a, b, c, d] = [a, b, c, d].map(|row| &row.as_chunks().0[whole.clone()]);
+                let row = &mut row.as_chunks_mut().0[whole];
+                for ((((row, a), b), c), d) in row.iter_mut().zip(a).zip(b).zip(c).zip(d) {
+                    let first = f.times(O::load(a)).plus(g.times(O::load(b)));
+                    let second = h.times(O::load(c)).plus(k.times(O::load(d)));
+                    O::load(row).minus(first.plus(second)).store(row);
+                }
             }
         }
-        square
+        size
+    }
+}
+
+octets! {
+    /// values -= factor row, for the rows that begin at some places.
+    pub fn subtract_rows<O>(values: &mut [f64], rows: &[f64], places: &[usize], factors: &[f64]) {
+        for (group, values) in values.as_chunks_mut().0.iter_mut().enumerate() {
+            let (mut even, mut odd) = (O::load(values), O::splat(0.0));
+            let row = |place: usize| {
+                O::load(rows[place + group * LANES..].first_chunk().expect("whole octets"))
+            };
+            let ((pairs, place), (factor_pairs, factor)) = (places.as_chunks::<2>(), factors.as_chunks::<2>());
+            for (places, factors) in pairs.iter().zip(factor_pairs) {
+                even = even.minus(O::splat(factors[0]).times(row(places[0])));
+                odd = odd.minus(O::splat(factors[1]).times(row(places[1])));
+            }
+            for (place, factor) in place.iter().zip(factor) {
+                even = even.minus(O::splat(*factor).times(row(*place)));
+            }
+            even.plus(odd).store(values);
+        }
     }
 }
 
 multiversion! {
     /// Solves R z = z in place.
     fn backward(r: &[f64], z: &mut [f64]) {
-        for k in (0..z.len()).rev() {
-            let row = &r[k * STRIDE..][..z.len()];
+        let size = z.len();
+        for k in (0..size).rev() {
+            let row = &r[k * STRIDE..][..size];
             z[k] = (z[k] - dot(&row[k + 1..], &z[k + 1..])) / row[k];
-        }
-    }
-}
-
-multiversion! {
-    fn remove(r: &mut [f64], size: usize, place: usize) {
-        for k in 0..size {
-            let from = k.max(place + 1);
-            r.copy_within(k * STRIDE + from..k * STRIDE + size, k * STRIDE + from - 1);
-        }
-        for k in place..size - 1 {
-            let (upper, lower) = r[k * STRIDE..].split_at_mut(STRIDE);
-            let (upper, lower) = (&mut upper[k..size - 1], &mut lower[k..size - 1]);
-            let (a, b) = (upper[0], lower[0]);
-            let length = (a * a + b * b).sqrt();
-            let (cosine, sine) = (a / length, b / length);
-            for (upper, lower) in upper.iter_mut().zip(lower) {
-                let (a, b) = (*upper, *lower);
-                *upper = cosine * a + sine * b;
-                *lower = cosine * b - sine * a;
-            }
         }
     }
 }
 
 #[inline(always)]
 fn dot(a: &[f64], b: &[f64]) -> f64 {
-    let mut sums = [0.0; SUMS];
-    let (a, b) = (a.chunks_exact(SUMS), b.chunks_exact(SUMS));
-    let tail = a.remainder().iter().zip(b.remainder());
-    let rest: f64 = tail.map(|(a, b)| a * b).sum();
-    for (a, b) in a.zip(b) {
-        for i in 0..SUMS {
+    let mut sums = [0.0; LANES];
+    let ((a, a_rest), (b, b_rest)) = (a.as_chunks::<LANES>(), b.as_chunks::<LANES>());
+    let rest: f64 = a_rest.iter().zip(b_rest).map(|(a, b)| a * b).sum();
+    for (a, b) in a.iter().zip(b) {
+        for i in 0..LANES {
             sums[i] += a[i] * b[i];
         }
     }
@@ -158,47 +207,64 @@ mod tests {
             .collect()
     }
 
-    fn product(a: &[f64], b: &[f64]) -> f64 {
-        a.iter().zip(b).map(|(a, b)| a * b).sum()
+    fn gram(columns: &[Vec<f64>]) -> Vec<f64> {
+        let product = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum();
+        columns
+            .iter()
+            .flat_map(|a| columns.iter().map(move |b| product(a, b)))
+            .collect()
     }
 
     #[test]
-    fn solves_after_gains_and_losses() {
+    fn solves_any_part_of_a_matrix() {
         for level in Level::available() {
-            let all = columns(40, 60);
-            let mut factor = Factor::new(level);
-            let mut kept: Vec<usize> = Vec::new();
-            for j in 0..40 {
-                let products = kept.iter().map(|&i| product(&all[i], &all[j]));
-                assert!(factor.push(products, product(&all[j], &all[j])));
-                kept.push(j);
-                if j % 3 == 2 {
-                    let place = j * 7 % kept.len();
-                    factor.remove(place);
-                    kept.remove(place);
+            for count in [1, 2, 4, 7, 8, 9, 40] {
+                let rows = gram(&columns(count, 60));
+                let set: Vec<u32> = (0..count as u32).filter(|j| j % 3 != 1).collect();
+                let places: Vec<usize> = set.iter().map(|&j| j as usize * count).collect();
+                let right: Vec<f64> = (0..set.len()).map(|i| i as f64 - 3.0).collect();
+                let mut z = right.clone();
+                let mut factor = Factor::new(level);
+                assert!(factor.solve(&rows, &places, &set, &mut z).is_ok());
+                for (place, right) in places.iter().zip(right) {
+                    let terms = set.iter().zip(&z);
+                    let left: f64 = terms.map(|(&j, z)| rows[place + j as usize] * z).sum();
+                    assert!((left - right).abs() < 1e-8);
                 }
-            }
-            let right: Vec<f64> = (0..kept.len()).map(|i| i as f64 - 3.0).collect();
-            let mut z = right.clone();
-            factor.solve(&mut z);
-            for (i, right) in kept.iter().zip(right) {
-                let left: f64 = kept
-                    .iter()
-                    .zip(&z)
-                    .map(|(j, z)| product(&all[*i], &all[*j]) * z)
-                    .sum();
-                assert!((left - right).abs() < 1e-8);
             }
         }
     }
 
     #[test]
-    fn refuses_a_dependent_column() {
-        let mut factor = Factor::new(Level::detect());
-        assert!(factor.push(std::iter::empty(), 4.0));
-        assert!(!factor.push(std::iter::once(6.0), 9.0));
-        let mut z = [8.0];
-        factor.solve(&mut z);
-        assert_eq!(z, [2.0]);
+    fn names_the_combination_that_is_zero() {
+        for level in Level::available() {
+            let mut all = columns(7, 20);
+            let sum = (0..20).map(|k| all[1][k] + 2.0 * all[3][k]).collect();
+            all.insert(5, sum);
+            let rows = gram(&all);
+            let set: Vec<u32> = (0..8).collect();
+            let places: Vec<usize> = (0..8).map(|j| 8 * j).collect();
+            let mut factor = Factor::new(level);
+            assert_eq!(factor.solve(&rows, &places, &set, &mut [1.0; 8]), Err(5));
+            let mut way = Vec::new();
+            factor.dependency(5, &mut way);
+            for (way, expected) in way.iter().zip([0.0, -1.0, 0.0, -2.0, 0.0, 1.0]) {
+                assert!((way - expected).abs() < 1e-8);
+            }
+        }
+    }
+
+    #[test]
+    fn subtracts_rows() {
+        for level in Level::available() {
+            let rows: Vec<f64> = (0..5 * 16).map(f64::from).collect();
+            let mut values = vec![1.0; 16];
+            subtract_rows(level, &mut values, &rows, &[16, 0, 48], &[2.0, -1.0, 0.5]);
+            for (i, value) in values.iter().enumerate() {
+                let i = i as f64;
+                let expected = 1.0 - 2.0 * (16.0 + i) + i - 0.5 * (48.0 + i);
+                assert!((value - expected).abs() < 1e-12);
+            }
+        }
     }
 }

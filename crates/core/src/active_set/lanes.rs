@@ -1,7 +1,7 @@
 //! Several rows at a time, so that they share passes over the patterns.
 
 use super::row::{Next, RowSolver};
-use super::{Dictionary, Rows, Settings, Solution, Start};
+use super::{Dictionary, Rows, Settings, Solution};
 use crate::correlate::{Scores, Scratch, BATCH};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
@@ -11,23 +11,25 @@ const LANES: usize = 2 * BATCH;
 struct Lane<'a> {
     solver: RowSolver<'a>,
     scores: Scores,
-    /// The row in work, among `solutions`.
+    /// The row in work.
     row: usize,
 }
 
-/// Solves the rows from `first` on, one for each of `solutions`. A row depends on no other.
+/// Solves rows that wait (`waiting` is the first of them) until none does. A row depends on no
+/// other, so it does not matter who solves which.
 pub fn solve_rows(
     dictionary: &Dictionary,
     rows: Rows,
     settings: Settings,
-    first: usize,
-    solutions: &mut [Solution],
+    waiting: &AtomicUsize,
     cancelled: &AtomicBool,
     finished: &AtomicUsize,
-) {
-    let mut waiting = 0..solutions.len();
+) -> Vec<(usize, Solution)> {
+    let mut solutions = Vec::new();
     let mut scratch = Scratch::default();
-    let mut lanes: Vec<Lane> = (0..LANES.min(solutions.len()))
+    // Where rows are few, every thread gets some.
+    let lanes = LANES.min(rows.count.div_ceil(rayon::current_num_threads()));
+    let mut lanes: Vec<Lane> = (0..lanes)
         .map(|_| Lane {
             solver: RowSolver::new(dictionary, settings),
             scores: Scores::default(),
@@ -41,19 +43,16 @@ pub fn solve_rows(
             match next {
                 Some(Next::Pass) => return true,
                 Some(Next::Done) => {
-                    solutions[lane.row] = lane.solver.solution();
+                    solutions.push((lane.row, lane.solver.solution()));
                     finished.fetch_add(1, Ordering::Relaxed);
                 }
                 None => {}
             }
-            let Some(row) = waiting.next() else {
+            lane.row = waiting.fetch_add(1, Ordering::Relaxed);
+            if lane.row >= rows.count {
                 return false;
-            };
-            lane.row = row;
-            next = Some(
-                lane.solver
-                    .begin(rows, first + row, rows.start.map(|s| (s, first + row))),
-            );
+            }
+            next = Some(lane.solver.begin(rows, lane.row));
         }
     };
     lanes.retain_mut(|lane| advance(lane, None));
@@ -72,21 +71,16 @@ pub fn solve_rows(
             advance(lane, Some(next))
         });
     }
+    solutions
 }
 
-/// Solves row `row` of `rows`, from the only row of `start`.
-pub fn solve_row(
-    dictionary: &Dictionary,
-    rows: Rows,
-    row: usize,
-    start: Option<Start>,
-    settings: Settings,
-) -> Solution {
+/// Solves the only row of `rows`.
+pub fn solve_row(dictionary: &Dictionary, rows: Rows, settings: Settings) -> Solution {
     let mut solver = RowSolver::new(dictionary, settings);
     let mut scores = Scores::default();
     let mut scratch = Scratch::default();
     let correlator = &dictionary.correlator;
-    let mut next = solver.begin(rows, row, start.map(|start| (start, 0)));
+    let mut next = solver.begin(rows, 0);
     while let Next::Pass = next {
         let columns = &dictionary.columns;
         correlator.run(columns, &[solver.dual()], &mut [&mut scores], &mut scratch);

@@ -13,8 +13,13 @@
 //! A row depends on no other, so results depend neither on threads nor on how rows are grouped.
 
 mod certificate;
+mod descent;
+mod exact;
 mod factor;
 mod lanes;
+mod model;
+mod packed;
+mod point;
 mod restricted;
 mod row;
 mod search;
@@ -25,11 +30,7 @@ use crate::simd::Level;
 use crate::vector::padded;
 pub use lanes::solve_row;
 use lanes::solve_rows;
-use rayon::prelude::*;
-use std::sync::atomic::{AtomicBool, AtomicUsize};
-
-/// Rows that one thread takes on at a time.
-const TASK: usize = 64;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
 /// The patterns, ready for solving.
 pub struct Dictionary {
@@ -149,26 +150,17 @@ pub fn solve(
     if let Some(weights) = rows.weights {
         assert!(weights.len() == count * patterns || weights.len() == patterns);
     }
+    let waiting = AtomicUsize::new(0);
+    let solved =
+        rayon::broadcast(|_| solve_rows(dictionary, rows, settings, &waiting, cancelled, finished));
+    if cancelled.load(Ordering::Relaxed) {
+        return None;
+    }
     let mut solutions = vec![Solution::default(); count];
-    // Smaller tasks where rows are few, so that every thread has some.
-    let task = count
-        .div_ceil(4 * rayon::current_num_threads())
-        .clamp(1, TASK);
-    solutions
-        .par_chunks_mut(task)
-        .enumerate()
-        .for_each(|(i, solutions)| {
-            solve_rows(
-                dictionary,
-                rows,
-                settings,
-                i * task,
-                solutions,
-                cancelled,
-                finished,
-            );
-        });
-    (!cancelled.load(std::sync::atomic::Ordering::Relaxed)).then_some(solutions)
+    for (row, solution) in solved.into_iter().flatten() {
+        solutions[row] = solution;
+    }
+    Some(solutions)
 }
 
 #[cfg(test)]

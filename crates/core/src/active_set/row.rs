@@ -1,29 +1,34 @@
 //! One row, from its samples to its certificate.
 
 use super::certificate::{dual_value, orthogonal_to_means};
-use super::restricted::{Point, Restricted};
-use super::{Dictionary, Fidelity, Rows, Settings, Solution, Start, Values};
+use super::point::Point;
+use super::restricted::Restricted;
+use super::{Dictionary, Fidelity, Rows, Settings, Solution, Values};
 use crate::correlate::Scores;
 use crate::vector::{padded, residual, signed_sums, DataTerm};
 
-/// New pixels taken in after a pass.
-const NEW_PIXELS: usize = 32;
+/// New pixels taken in after the first pass,
+const FIRST_PIXELS: usize = 8;
+/// and after each later one.
+const NEW_PIXELS: usize = 16;
 /// Pixels whose correlation lies this share below lambda may soon exceed it: they come along.
-const LOOK_AHEAD: f64 = 0.05;
+const LOOK_AHEAD: f64 = 0.02;
 /// The restricted solve goes to this share of the violation that was found outside,
 const INNER_SHARE: f64 = 0.25;
 /// and no rougher than this share of lambda.
 const ROUGH: f64 = 1.0;
 /// On up to so many pixels being exact is cheaper than another pass: there violations below this
 /// share of lambda are taken for the last ones, and the restricted solve is as fine as can be.
-const FEW: usize = 24;
-const NEARLY: f64 = 3.0;
+const FEW: usize = 12;
+const NEARLY: f64 = 1.0;
 /// A violation by this share of lambda rules out that the row is solved.
 const CLEARLY: f64 = 0.01;
 /// On more pixels violations are taken for the last ones below this.
-const VERY_NEARLY: f64 = 0.03;
+const VERY_NEARLY: f64 = 0.01;
 /// But no finer than this share of the tolerance, until the gap asks for it.
 const FINEST_SHARE: f64 = 0.2;
+/// A dual point this share of lambda off the residual's slope along the means counts as the residual.
+const NEGLIGIBLE: f64 = 1e-9;
 /// The gap is relative to at least this share of ||y||^2 / 2.
 const FLOOR_SHARE: f64 = 1e-6;
 
@@ -50,6 +55,10 @@ pub struct RowSolver<'a> {
     places: Vec<u32>,
     candidates: Vec<u32>,
     correlations: Vec<f64>,
+    /// Correlations of the point's pixels.
+    gradient: Vec<f64>,
+    /// Whether `dual` is the residual, but for rounding.
+    dual_is_residual: bool,
 }
 
 impl<'a> RowSolver<'a> {
@@ -75,6 +84,8 @@ impl<'a> RowSolver<'a> {
             places: Vec::new(),
             candidates: Vec::new(),
             correlations: Vec::new(),
+            gradient: Vec::new(),
+            dual_is_residual: false,
         }
     }
 
@@ -99,14 +110,14 @@ impl<'a> RowSolver<'a> {
         }
     }
 
-    /// Starts on a row, from a row of the given start or from nothing.
-    pub fn begin(&mut self, rows: Rows, row: usize, start: Option<(Start, usize)>) -> Next {
+    /// Starts on a row, from the given start or from nothing.
+    pub fn begin(&mut self, rows: Rows, row: usize) -> Next {
         self.load(rows, row);
         self.passes = 0;
         self.dual_value = f64::NEG_INFINITY;
         self.finest = FINEST_SHARE * self.settings.tolerance;
         self.point.clear();
-        if let Some((start, row)) = start {
+        if let Some(start) = rows.start {
             let range = start.indptr[row] as usize..start.indptr[row + 1] as usize;
             for (&pixel, &x) in start.indices[range.clone()]
                 .iter()
@@ -119,7 +130,7 @@ impl<'a> RowSolver<'a> {
         }
         self.update_prediction();
         if !self.point.pixels.is_empty() {
-            self.solve_restricted(FINEST_SHARE * self.settings.tolerance);
+            self.solve_restricted(FINEST_SHARE * self.settings.tolerance, false);
         }
         self.prepare_pass()
     }
@@ -130,11 +141,15 @@ impl<'a> RowSolver<'a> {
         let lambda = self.settings.regularization;
         let both = !self.settings.nonnegative;
         let level = self.dictionary.level;
-        let mut most = NEW_PIXELS + self.point.pixels.len();
+        let new = if self.passes == 1 {
+            FIRST_PIXELS
+        } else {
+            NEW_PIXELS
+        };
+        let mut most = new + self.point.pixels.len();
         let floor = lambda * (1.0 - LOOK_AHEAD);
         let (largest, exact) = loop {
-            let bound = scores.value_exceeded_by(level, most, floor, both);
-            scores.collect(level, bound, both, &mut self.places);
+            let bound = scores.collect_largest(level, most, floor, both, &mut self.places);
             let found = self.exact_correlations();
             // Correlations that were not collected do not exceed the bound. Where rounding hides
             // which is the largest and little is violated, look at more pixels exactly.
@@ -148,11 +163,15 @@ impl<'a> RowSolver<'a> {
             return Next::Done;
         }
         let before = self.point.pixels.len();
+        self.gradient.clear();
+        self.gradient
+            .extend_from_slice(&self.correlations[self.candidates.len() - before..]);
         for i in 0..self.candidates.len() {
             let pixel = self.candidates[i];
             let violates = self.correlations[i].abs() > lambda * (1.0 - LOOK_AHEAD);
             if violates && !self.point.pixels[..before].contains(&pixel) {
                 self.point.push(pixel, 0.0);
+                self.gradient.push(self.correlations[i]);
             }
         }
         let violation = (exact / lambda - 1.0).max(0.0);
@@ -166,7 +185,7 @@ impl<'a> RowSolver<'a> {
         } else {
             ROUGH.min(INNER_SHARE * violation)
         };
-        self.solve_restricted(accuracy);
+        self.solve_restricted(accuracy, self.dual_is_residual);
         self.prepare_pass()
     }
 
@@ -209,12 +228,13 @@ impl<'a> RowSolver<'a> {
             .exact_background(self.dictionary, &self.settings, &self.data);
     }
 
-    fn solve_restricted(&mut self, accuracy: f64) {
+    fn solve_restricted(&mut self, accuracy: f64, gradient_known: bool) {
         self.restricted.solve(
             self.dictionary,
             &self.settings,
             &self.data,
             &mut self.point,
+            gradient_known.then_some((&self.dual[..], &self.gradient[..])),
             accuracy,
         );
         self.point.prune();
@@ -235,13 +255,14 @@ impl<'a> RowSolver<'a> {
         let norm: f64 = self.point.x.iter().map(|x| x.abs()).sum();
         self.objective = self.settings.regularization * norm + loss;
         let (dictionary, settings) = (self.dictionary, &self.settings);
-        orthogonal_to_means(
+        let moved = orthogonal_to_means(
             level,
             settings,
             &self.data,
             &dictionary.means,
             &mut self.dual,
         );
+        self.dual_is_residual = moved <= NEGLIGIBLE * settings.regularization;
         // No correlation with values in [0, 1] exceeds the sum of the positive residuals.
         let (low, high) = signed_sums(level, &self.dual);
         let most = if settings.nonnegative {

@@ -177,9 +177,9 @@ impl Work {
             samples: Values::F64(&self.samples),
             clipped: &self.clipped,
             weights: Some(Values::F64(&self.weights)),
-            start: None,
+            start,
         };
-        let solution = solve_row(&local, rows, 0, start, settings);
+        let solution = solve_row(&local, rows, settings);
         if let Columns::Dense(columns) = local.columns {
             self.values = columns.into_values();
         }

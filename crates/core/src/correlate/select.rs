@@ -5,6 +5,8 @@ use crate::simd::{multiversion, Kind, Level};
 
 /// Halvings of the range of values when a threshold is sought; more would tell ties apart.
 const HALVINGS: usize = 15;
+/// Groups of places of which one is the extreme.
+const PEAKS: usize = 1024;
 
 impl Scores {
     /// Thresholds (below, above) between which, both included, no correlation exceeds `value`
@@ -19,25 +21,58 @@ impl Scores {
         (below, above)
     }
 
-    /// Collects, in ascending order, the places whose correlation may exceed `value`.
-    pub fn collect(&self, level: Level, value: f64, both: bool, out: &mut Vec<u32>) {
+    /// Collects places whose correlations may exceed a value >= `floor`, about `most` of them or
+    /// fewer; returns the value. All others do not exceed it.
+    ///
+    /// The value is found among the extremes of groups of places, so that all scores are read only
+    /// once; places of one group that exceed it together make the number larger.
+    pub fn collect_largest(
+        &self,
+        level: Level,
+        most: usize,
+        floor: f64,
+        both: bool,
+        out: &mut Vec<u32>,
+    ) -> f64 {
+        let (mut tops, mut bottoms) = ([i16::MIN; PEAKS], [i16::MAX; PEAKS]);
+        peaks(level, &self.values, &mut tops);
+        if both {
+            dips(level, &self.values, &mut bottoms);
+        }
+        let value = self.value_exceeded_by(level, &tops, &bottoms, most, floor, both);
         let (below, above) = self.thresholds(value, both);
         collect_outside(level, &self.values, below, above, out);
+        value
     }
 
-    /// The smallest value >= `floor`, roughly, which at most `most` correlations may exceed.
-    pub fn value_exceeded_by(&self, level: Level, most: usize, floor: f64, both: bool) -> f64 {
+    fn value_exceeded_by(
+        &self,
+        level: Level,
+        tops: &[i16; PEAKS],
+        bottoms: &[i16; PEAKS],
+        most: usize,
+        floor: f64,
+        both: bool,
+    ) -> f64 {
         let count = |value| {
             let (below, above) = self.thresholds(value, both);
-            count_outside(level, &self.values, below, above)
+            let low = if both {
+                count_below(level, bottoms, below)
+            } else {
+                0
+            };
+            count_above(level, tops, above) + low
         };
         if count(floor) <= most {
             return floor;
         }
-        let (least, largest) = extremes(level, &self.values);
-        let top = self.unit * (f64::from(largest) + self.offset + self.up);
-        let bottom = self.unit * (f64::from(least) + self.offset - self.down);
-        let (mut low, mut high) = (floor, if both { top.max(-bottom) } else { top });
+        let largest = f64::from(largest_of(level, tops));
+        let mut high = self.unit * (largest + self.offset + self.up);
+        if both {
+            let least = f64::from(smallest_of(level, bottoms));
+            high = high.max(-self.unit * (least + self.offset - self.down));
+        }
+        let mut low = floor;
         for _ in 0..HALVINGS {
             let middle = (low + high) / 2.0;
             let count = count(middle);
@@ -55,19 +90,48 @@ impl Scores {
 }
 
 multiversion! {
-    fn count_outside(scores: &[i16], below: i16, above: i16) -> usize {
-        let mut total = 0usize;
-        // The count of one lane fits 16 bits in stretches of this length.
-        for stretch in scores.chunks(GROUP * 16_384) {
-            let mut lanes = [0i16; GROUP];
-            for group in stretch.chunks_exact(GROUP) {
-                for i in 0..GROUP {
-                    lanes[i] += i16::from((group[i] > above) | (group[i] < below));
-                }
+    /// The largest score of each group: places that are equal modulo their number.
+    fn peaks(scores: &[i16], most: &mut [i16; PEAKS]) {
+        for scores in scores.chunks(PEAKS) {
+            for (most, score) in most.iter_mut().zip(scores) {
+                *most = (*most).max(*score);
             }
-            total += lanes.iter().map(|&c| c as usize).sum::<usize>();
         }
-        total
+    }
+}
+
+multiversion! {
+    /// The smallest score of each group.
+    fn dips(scores: &[i16], least: &mut [i16; PEAKS]) {
+        for scores in scores.chunks(PEAKS) {
+            for (least, score) in least.iter_mut().zip(scores) {
+                *least = (*least).min(*score);
+            }
+        }
+    }
+}
+
+multiversion! {
+    fn count_above(scores: &[i16; PEAKS], above: i16) -> usize {
+        scores.iter().map(|&s| i16::from(s > above)).sum::<i16>() as usize
+    }
+}
+
+multiversion! {
+    fn count_below(scores: &[i16; PEAKS], below: i16) -> usize {
+        scores.iter().map(|&s| i16::from(s < below)).sum::<i16>() as usize
+    }
+}
+
+multiversion! {
+    fn largest_of(scores: &[i16; PEAKS]) -> i16 {
+        scores.iter().fold(i16::MIN, |most, &s| most.max(s))
+    }
+}
+
+multiversion! {
+    fn smallest_of(scores: &[i16; PEAKS]) -> i16 {
+        scores.iter().fold(i16::MAX, |least, &s| least.min(s))
     }
 }
 
@@ -104,21 +168,6 @@ multiversion! {
     }
 }
 
-multiversion! {
-    /// The smallest and the largest score.
-    fn extremes(scores: &[i16]) -> (i16, i16) {
-        let (mut most, mut least) = ([i16::MIN; GROUP], [i16::MAX; GROUP]);
-        for group in scores.chunks_exact(GROUP) {
-            for i in 0..GROUP {
-                most[i] = most[i].max(group[i]);
-                least[i] = least[i].min(group[i]);
-            }
-        }
-        let least = least.into_iter().min().unwrap_or(0);
-        (least, most.into_iter().max().unwrap_or(0))
-    }
-}
-
 #[cfg(target_arch = "x86_64")]
 mod avx512 {
     use std::arch::x86_64::*;
@@ -126,14 +175,25 @@ mod avx512 {
     #[target_feature(enable = "avx512f,avx512bw")]
     pub fn collect(scores: &[i16], below: i16, above: i16, out: &mut Vec<u32>) {
         let (lowest, highest) = (_mm512_set1_epi16(below), _mm512_set1_epi16(above));
-        for (block, group) in scores.chunks_exact(32).enumerate() {
-            // SAFETY: a group holds one register.
-            let values = unsafe { _mm512_loadu_si512(group.as_ptr().cast()) };
-            let mut mask =
-                _mm512_cmpgt_epi16_mask(values, highest) | _mm512_cmplt_epi16_mask(values, lowest);
-            while mask != 0 {
-                out.push(32 * block as u32 + mask.trailing_zeros());
-                mask &= mask - 1;
+        // Few scores lie outside, so first see in which of 64 registers any does.
+        for (stretch, scores) in scores.chunks(64 * 32).enumerate() {
+            let mut masks = [0u32; 64];
+            let mut any = 0u64;
+            for (i, (group, mask)) in scores.chunks_exact(32).zip(&mut masks).enumerate() {
+                // SAFETY: a group holds one register.
+                let values = unsafe { _mm512_loadu_si512(group.as_ptr().cast()) };
+                *mask = _mm512_cmpgt_epi16_mask(values, highest)
+                    | _mm512_cmplt_epi16_mask(values, lowest);
+                any |= u64::from(*mask != 0) << i;
+            }
+            while any != 0 {
+                let group = any.trailing_zeros();
+                let mut mask = masks[group as usize];
+                while mask != 0 {
+                    out.push(2048 * stretch as u32 + 32 * group + mask.trailing_zeros());
+                    mask &= mask - 1;
+                }
+                any &= any - 1;
             }
         }
     }

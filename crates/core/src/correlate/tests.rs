@@ -223,9 +223,9 @@ fn selection_finds_all_that_may_exceed_a_value() {
     };
     for level in Level::available() {
         for both in [false, true] {
-            for value in [0.0, 55.5, 250.0, 299.0, 1e4] {
+            for (most, floor) in [(100, 1.0), (7, 250.0), (4096, 55.5), (50, 299.0), (5, 1e4)] {
                 let mut found = Vec::new();
-                scores.collect(level, value, both, &mut found);
+                let value = scores.collect_largest(level, most, floor, both, &mut found);
                 let expected: Vec<u32> = (0..4096u32)
                     .filter(|&i| {
                         let middle = f64::from(scores.values[i as usize]) + 12.0;
@@ -236,11 +236,12 @@ fn selection_finds_all_that_may_exceed_a_value() {
                 // The threshold may be one score lower, never higher.
                 assert!(expected.iter().all(|i| found.contains(i)));
                 assert!(found.len() <= expected.len() + 4);
+                assert!(found.is_sorted());
+                if value > floor {
+                    // Of the four places of a group more than one may exceed the value.
+                    assert!(found.len() <= 2 * most && 4 * found.len() >= most);
+                }
             }
-            let value = scores.value_exceeded_by(level, 100, 1.0, both);
-            let mut found = Vec::new();
-            scores.collect(level, value, both, &mut found);
-            assert!(found.len() <= 100 && found.len() >= 25, "{}", found.len());
         }
     }
 }

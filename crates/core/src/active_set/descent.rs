@@ -1,0 +1,186 @@
+//! Coordinate descent on the quadratic model, which gives way to exact solution where it is slow.
+
+use super::exact::Exact;
+use super::factor::subtract_rows;
+use super::model::Model;
+use super::packed::{Packed, WIDTH};
+use super::{Dictionary, Settings};
+use crate::simd::{multiversion, Level};
+use crate::vector::add_scaled;
+
+/// Choices of the pixels that take part.
+const ROUNDS: usize = 8;
+/// Most sweeps over those first chosen,
+const FIRST_SWEEPS: usize = 3;
+/// and over those of a later choice.
+const SWEEPS: usize = 12;
+/// Accuracy, in lambda, from which exact solution can pay.
+const EXACT_ACCURACY: f64 = 0.01;
+/// Coordinate descent has settled when no coordinate's slope changes by this share of the accuracy.
+const SETTLED_SHARE: f64 = 0.3;
+
+/// Where coordinate descent has come to.
+#[derive(Default)]
+pub struct Progress {
+    pub target: Vec<f64>,
+    /// Minus the slope of the model at `target`, without lambda; padded.
+    pub slope: Vec<f64>,
+    /// Pixels that take part.
+    pub order: Vec<u32>,
+}
+
+pub struct Descent {
+    pub progress: Progress,
+    packed: Packed,
+    /// Bits of the pixels that take part.
+    chosen: Vec<u8>,
+    moves: Vec<f64>,
+    places: Vec<usize>,
+    exact: Exact,
+    /// Whether the last run came as far as it should.
+    pub settled: bool,
+    /// Pixels without curvature.
+    pub flat: Vec<usize>,
+}
+
+impl Descent {
+    pub fn new(level: Level) -> Self {
+        Descent {
+            progress: Progress::default(),
+            packed: Packed::default(),
+            chosen: Vec::new(),
+            moves: Vec::new(),
+            places: Vec::new(),
+            exact: Exact::new(level),
+            settled: false,
+            flat: Vec::new(),
+        }
+    }
+
+    /// Minimises the model from `x` with slopes `gradient - excess per_mean coupling`, to slopes
+    /// within `accuracy`.
+    #[allow(clippy::too_many_arguments)]
+    pub fn run(
+        &mut self,
+        dictionary: &Dictionary,
+        settings: &Settings,
+        model: &mut Model,
+        pixels: &[u32],
+        x: &[f64],
+        gradient: &[f64],
+        shift: f64,
+        accuracy: f64,
+    ) {
+        let level = model.level;
+        let lambda = settings.regularization;
+        let settled = SETTLED_SHARE * accuracy;
+        let progress = &mut self.progress;
+        progress.target.clear();
+        progress.target.extend_from_slice(x);
+        progress.target.resize(model.stride, 0.0);
+        progress.slope.clear();
+        progress.slope.extend_from_slice(gradient);
+        progress.slope.resize(model.stride, 0.0);
+        add_scaled(level, &mut progress.slope, -shift, &model.coupling);
+        self.flat.clear();
+        self.settled = false;
+        let mut change = f64::INFINITY;
+        for round in 0..ROUNDS {
+            let entering = self.choose(dictionary, settings, model, pixels, settled);
+            if change <= settled && !entering {
+                self.settled = true;
+                return;
+            }
+            // Many of the pixels that enter leave again at once.
+            let sweeps = if round == 0 { FIRST_SWEEPS } else { SWEEPS };
+            let progress = &mut self.progress;
+            let order = &progress.order;
+            self.packed
+                .load(model, order, lambda, &progress.target, &progress.slope);
+            change = self
+                .packed
+                .sweep(level, !settings.nonnegative, settled, sweeps);
+            self.moves.clear();
+            self.places.clear();
+            for (&j, &x) in order.iter().zip(&self.packed.x) {
+                let target = &mut progress.target[j as usize];
+                self.moves.push(x - *target);
+                self.places.push(model.place(j));
+                *target = x;
+            }
+            subtract_rows(
+                level,
+                &mut progress.slope,
+                &model.rows,
+                &self.places,
+                &self.moves,
+            );
+            if round > 0 && change > settled && accuracy <= EXACT_ACCURACY * lambda {
+                progress
+                    .order
+                    .retain(|&j| progress.target[j as usize] != 0.0);
+                if self
+                    .exact
+                    .run(dictionary, settings, model, pixels, progress, settled)
+                {
+                    self.settled = true;
+                    return;
+                }
+            }
+        }
+    }
+
+    /// Pixels that differ from zero or are pulled away from it take part; whether there are any of
+    /// the second kind.
+    fn choose(
+        &mut self,
+        dictionary: &Dictionary,
+        settings: &Settings,
+        model: &mut Model,
+        pixels: &[u32],
+        settled: f64,
+    ) -> bool {
+        let lambda = settings.regularization;
+        let Progress {
+            target,
+            slope,
+            order,
+        } = &mut self.progress;
+        order.clear();
+        self.chosen.resize(model.stride / WIDTH, 0);
+        let limit = lambda + settled;
+        let signed = !settings.nonnegative;
+        choose(model.level, target, slope, limit, signed, &mut self.chosen);
+        let mut entering = false;
+        for (group, &bits) in self.chosen.iter().enumerate() {
+            let mut bits = bits;
+            while bits != 0 {
+                let j = group * WIDTH + bits.trailing_zeros() as usize;
+                bits &= bits - 1;
+                model.make_row(dictionary, pixels, j);
+                if model.inverse[j] != 0.0 {
+                    entering |= target[j] == 0.0;
+                    order.push(j as u32);
+                } else if target[j] != 0.0 && slope[j].abs() < lambda && !self.flat.contains(&j) {
+                    self.flat.push(j);
+                }
+            }
+        }
+        entering
+    }
+}
+
+multiversion! {
+    /// Bits of the pixels that differ from zero or are pulled by more than `limit`.
+    fn choose(target: &[f64], slope: &[f64], limit: f64, signed: bool, chosen: &mut [u8]) {
+        let groups = target.as_chunks::<WIDTH>().0.iter().zip(slope.as_chunks::<WIDTH>().0);
+        for (chosen, (target, slope)) in chosen.iter_mut().zip(groups) {
+            let mut bits = 0;
+            for i in 0..WIDTH {
+                let pull = if signed { slope[i].abs() } else { slope[i] };
+                bits |= u8::from((target[i] != 0.0) | (pull > limit)) << i;
+            }
+            *chosen = bits;
+        }
+    }
+}

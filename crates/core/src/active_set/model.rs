@@ -1,0 +1,187 @@
+//! The restricted problem while no sample changes between clipped-above and not: a quadratic.
+//!
+//! Its Hessian is the Gram matrix of the working set's columns over the samples that count, with
+//! the background eliminated ('centred'). Rows are made when they are first asked for: most never
+//! are.
+
+use super::Dictionary;
+use crate::columns::{GramSource, WIDTH};
+use crate::simd::Level;
+use crate::vector::{dot, DataTerm};
+
+/// Columns with less curvature than this share of the samples are combinations of the background.
+const FLAT: f64 = 1e-9;
+const UNSET: u32 = u32::MAX;
+
+pub struct Model {
+    pub level: Level,
+    gram: GramSource,
+    /// Whether weights are 0 or 1 only.
+    unit_weights: bool,
+    /// d, the samples' curvature, and its bits where it is 0 or 1.
+    curvature: Vec<f64>,
+    active: Vec<u64>,
+    /// d m
+    weighted_means: Vec<f64>,
+    /// a_j . d m, padded
+    pub coupling: Vec<f64>,
+    coupled: bool,
+    /// 1 / m' D m where the background is eliminated, 0 where it is held.
+    per_mean: f64,
+    /// Rows of the centred Gram matrix made so far, `stride` apart, and where each pixel's is.
+    pub rows: Vec<f64>,
+    pub slot: Vec<u32>,
+    pub stride: usize,
+    /// One over the diagonal, padded; 0 where there is no curvature.
+    pub inverse: Vec<f64>,
+    pub diagonal: Vec<f64>,
+}
+
+impl Model {
+    pub fn new(level: Level) -> Self {
+        Model {
+            level,
+            gram: GramSource::default(),
+            unit_weights: false,
+            curvature: Vec::new(),
+            active: Vec::new(),
+            weighted_means: Vec::new(),
+            coupling: Vec::new(),
+            coupled: false,
+            per_mean: 0.0,
+            rows: Vec::new(),
+            slot: Vec::new(),
+            stride: 0,
+            inverse: Vec::new(),
+            diagonal: Vec::new(),
+        }
+    }
+
+    /// Takes note of a new row's data.
+    pub fn load_row(&mut self, data: &DataTerm) {
+        self.unit_weights = data.weights.iter().all(|&w| w == 0.0 || w == 1.0);
+        self.curvature.clear();
+        // Nothing known of the last row holds for this one.
+        self.curvature.resize(data.y.len(), f64::NAN);
+        self.weighted_means.resize(data.y.len(), 0.0);
+    }
+
+    /// Takes in the pixels of a new working set.
+    pub fn load_pixels(&mut self, dictionary: &Dictionary, pixels: &[u32]) {
+        self.gram.load(&dictionary.columns, pixels);
+        self.stride = pixels.len().next_multiple_of(WIDTH);
+        self.coupling.clear();
+        self.coupling.resize(self.stride, 0.0);
+        self.coupled = false;
+        self.slot.clear();
+        self.slot.resize(pixels.len(), UNSET);
+        self.inverse.clear();
+        self.inverse.resize(self.stride, 0.0);
+        self.diagonal.resize(self.stride, 0.0);
+        self.rows.clear();
+    }
+
+    /// Makes the samples' curvature that of the model; exchanges it with what was there before.
+    pub fn set_curvature(&mut self, means: &[f64], curvature: &mut Vec<f64>) {
+        if *curvature == self.curvature {
+            return;
+        }
+        std::mem::swap(curvature, &mut self.curvature);
+        self.active.clear();
+        if self.unit_weights {
+            let words = self.curvature.chunks_exact(64).map(|d| {
+                d.iter()
+                    .enumerate()
+                    .fold(0u64, |word, (i, &d)| word | u64::from(d > 0.0) << i)
+            });
+            self.active.extend(words);
+        }
+        for ((dm, d), m) in self
+            .weighted_means
+            .iter_mut()
+            .zip(&self.curvature)
+            .zip(means)
+        {
+            *dm = d * m;
+        }
+        self.coupled = false;
+        self.forget_rows();
+    }
+
+    pub fn has_curvature(&self, curvature: &[f64]) -> bool {
+        self.curvature == curvature
+    }
+
+    /// m' D m
+    pub fn along_means(&self, means: &[f64]) -> f64 {
+        dot(self.level, &self.weighted_means, means)
+    }
+
+    /// Whether pixels act on the background's slope from now on.
+    pub fn couple(&mut self, dictionary: &Dictionary, pixels: &[u32], centred: bool) {
+        if !centred {
+            self.coupling.fill(0.0);
+            self.coupled = false;
+        } else if !self.coupled {
+            let coupling = &mut self.coupling[..pixels.len()];
+            dictionary
+                .columns
+                .correlate(self.level, pixels, &self.weighted_means, coupling);
+            self.coupled = true;
+        }
+    }
+
+    /// Eliminates the background (`per_mean` = 1 / m' D m) or holds it (0).
+    pub fn centre(&mut self, per_mean: f64) {
+        if per_mean != self.per_mean {
+            self.forget_rows();
+            self.per_mean = per_mean;
+        }
+    }
+
+    fn forget_rows(&mut self) {
+        self.slot.fill(UNSET);
+        self.inverse.fill(0.0);
+        self.rows.clear();
+    }
+
+    /// Where row j, which has been made, begins.
+    pub fn place(&self, j: u32) -> usize {
+        self.slot[j as usize] as usize * self.stride
+    }
+
+    pub fn has_row(&self, j: usize) -> bool {
+        self.slot[j] != UNSET
+    }
+
+    /// Row j, which has been made.
+    pub fn row(&self, j: usize) -> &[f64] {
+        &self.rows[self.place(j as u32)..][..self.stride]
+    }
+
+    /// Makes row j unless it is there.
+    pub fn make_row(&mut self, dictionary: &Dictionary, pixels: &[u32], j: usize) {
+        if self.has_row(j) {
+            return;
+        }
+        let start = self.rows.len();
+        self.slot[j] = (start / self.stride) as u32;
+        self.rows.resize(start + self.stride, 0.0);
+        let row = &mut self.rows[start..];
+        self.gram.row(
+            self.level,
+            &dictionary.columns,
+            pixels,
+            j,
+            &self.curvature,
+            &self.active,
+            -self.coupling[j] * self.per_mean,
+            &self.coupling,
+            row,
+        );
+        if row[j] > FLAT * self.curvature.len() as f64 {
+            self.inverse[j] = 1.0 / row[j];
+            self.diagonal[j] = row[j];
+        }
+    }
+}

@@ -1,0 +1,81 @@
+//! Packing and sweeping with AVX-512: eight pixels a register.
+
+use super::{Packed, WIDTH};
+use std::arch::x86_64::*;
+
+/// The values of a row whose bits are set, times `inverse`, then zeros up to `size`.
+///
+/// # Safety
+/// `row` and `inverse` have eight values a group, `out` eight more than `size`, and at most
+/// `size` bits are set.
+#[target_feature(enable = "avx512f")]
+pub unsafe fn compress(row: &[f64], inverse: &[f64], groups: &[u8], size: usize, out: &mut [f64]) {
+    // SAFETY: as this function's; what lies behind the compressed values is zero, and the next
+    // octet, or the next row, overwrites it.
+    unsafe {
+        let mut at = out.as_mut_ptr();
+        _mm512_storeu_pd(at.add(size - 8), _mm512_setzero_pd());
+        for (i, &bits) in groups.iter().enumerate() {
+            let values = _mm512_loadu_pd(row.as_ptr().add(8 * i));
+            let scaled = _mm512_mul_pd(values, _mm512_loadu_pd(inverse.as_ptr().add(8 * i)));
+            _mm512_storeu_pd(at, _mm512_maskz_compress_pd(bits, scaled));
+            at = at.add(bits.count_ones() as usize);
+        }
+    }
+}
+
+/// # Safety
+/// `x`, `pull`, `band` and `diagonal` have one length, a multiple of `WIDTH`, and `matrix` at
+/// least its square.
+#[target_feature(enable = "avx512f,avx512dq")]
+pub unsafe fn sweep(packed: &mut Packed, signed: bool) -> f64 {
+    let size = packed.x.len();
+    let zero = _mm512_setzero_pd();
+    let mut change = zero;
+    for block in (0..size).step_by(WIDTH) {
+        // SAFETY: block + 8 <= size bounds all reads and writes of vectors; rows block to
+        // block + 8 of the matrix begin at most at (size - 1) size and hold size values.
+        unsafe {
+            let rows = packed.matrix.as_ptr().add(block * size);
+            let pulls = packed.pull.as_mut_ptr();
+            let at = packed.x.as_mut_ptr().add(block);
+            let x = _mm512_loadu_pd(at);
+            let back = _mm512_sub_pd(zero, x);
+            let band = _mm512_loadu_pd(packed.band.as_ptr().add(block));
+            let mut pull = _mm512_loadu_pd(pulls.add(block));
+            let mut moved = zero;
+            let mut moves = [zero; WIDTH];
+            for (i, by) in moves.iter_mut().enumerate() {
+                let back = if signed {
+                    _mm512_min_pd(back, _mm512_add_pd(pull, band))
+                } else {
+                    back
+                };
+                let all = _mm512_max_pd(pull, back);
+                moved = _mm512_mask_mov_pd(moved, 1 << i, all);
+                *by = _mm512_permutexvar_pd(_mm512_set1_epi64(i as i64), all);
+                let row = _mm512_loadu_pd(rows.add(i * size + block));
+                pull = _mm512_sub_pd(pull, _mm512_mul_pd(*by, row));
+            }
+            if _mm512_cmp_pd_mask::<_CMP_NEQ_UQ>(moved, zero) == 0 {
+                continue;
+            }
+            // A pixel that goes back to zero lands on it exactly.
+            _mm512_storeu_pd(at, _mm512_add_pd(x, moved));
+            let diagonal = _mm512_loadu_pd(packed.diagonal.as_ptr().add(block));
+            change = _mm512_max_pd(change, _mm512_mul_pd(_mm512_abs_pd(moved), diagonal));
+            _mm512_storeu_pd(pulls.add(block), pull);
+            // The next block first: it waits for nothing else.
+            let others = (block + WIDTH..size).chain(0..block);
+            for other in others.step_by(WIDTH) {
+                let row =
+                    |i: usize| _mm512_mul_pd(moves[i], _mm512_loadu_pd(rows.add(i * size + other)));
+                let a = _mm512_add_pd(_mm512_add_pd(row(0), row(1)), _mm512_add_pd(row(2), row(3)));
+                let b = _mm512_add_pd(_mm512_add_pd(row(4), row(5)), _mm512_add_pd(row(6), row(7)));
+                let old = _mm512_loadu_pd(pulls.add(other));
+                _mm512_storeu_pd(pulls.add(other), _mm512_sub_pd(old, _mm512_add_pd(a, b)));
+            }
+        }
+    }
+    _mm512_reduce_max_pd(change)
+}

@@ -1,0 +1,127 @@
+//! Eight float64 numbers at a time, for loops that compilers do not make vectors of by themselves.
+
+/// Eight numbers: an array, or a register.
+///
+/// # Safety
+/// For all functions: the CPU must have the instructions of the implementation.
+pub trait Octet: Copy {
+    unsafe fn splat(value: f64) -> Self;
+    unsafe fn load(values: &[f64; 8]) -> Self;
+    unsafe fn store(self, values: &mut [f64; 8]);
+    unsafe fn plus(self, other: Self) -> Self;
+    unsafe fn minus(self, other: Self) -> Self;
+    unsafe fn times(self, other: Self) -> Self;
+}
+
+/// For any CPU.
+#[derive(Clone, Copy)]
+pub struct Array([f64; 8]);
+
+impl Octet for Array {
+    #[inline(always)]
+    unsafe fn splat(value: f64) -> Self {
+        Array([value; 8])
+    }
+    #[inline(always)]
+    unsafe fn load(values: &[f64; 8]) -> Self {
+        Array(*values)
+    }
+    #[inline(always)]
+    unsafe fn store(self, values: &mut [f64; 8]) {
+        *values = self.0;
+    }
+    #[inline(always)]
+    unsafe fn plus(self, other: Self) -> Self {
+        Array(std::array::from_fn(|i| self.0[i] + other.0[i]))
+    }
+    #[inline(always)]
+    unsafe fn minus(self, other: Self) -> Self {
+        Array(std::array::from_fn(|i| self.0[i] - other.0[i]))
+    }
+    #[inline(always)]
+    unsafe fn times(self, other: Self) -> Self {
+        Array(std::array::from_fn(|i| self.0[i] * other.0[i]))
+    }
+}
+
+#[cfg(target_arch = "x86_64")]
+pub use register::Register;
+
+#[cfg(target_arch = "x86_64")]
+mod register {
+    use super::Octet;
+    use std::arch::x86_64::*;
+
+    /// For AVX-512.
+    #[derive(Clone, Copy)]
+    pub struct Register(__m512d);
+
+    // SAFETY, for all: the trait asks for the instructions; references to eight values are valid.
+    impl Octet for Register {
+        #[inline(always)]
+        unsafe fn splat(value: f64) -> Self {
+            unsafe { Register(_mm512_set1_pd(value)) }
+        }
+        #[inline(always)]
+        unsafe fn load(values: &[f64; 8]) -> Self {
+            unsafe { Register(_mm512_loadu_pd(values.as_ptr())) }
+        }
+        #[inline(always)]
+        unsafe fn store(self, values: &mut [f64; 8]) {
+            unsafe { _mm512_storeu_pd(values.as_mut_ptr(), self.0) }
+        }
+        #[inline(always)]
+        unsafe fn plus(self, other: Self) -> Self {
+            unsafe { Register(_mm512_add_pd(self.0, other.0)) }
+        }
+        #[inline(always)]
+        unsafe fn minus(self, other: Self) -> Self {
+            unsafe { Register(_mm512_sub_pd(self.0, other.0)) }
+        }
+        #[inline(always)]
+        unsafe fn times(self, other: Self) -> Self {
+            unsafe { Register(_mm512_mul_pd(self.0, other.0)) }
+        }
+    }
+}
+
+/// Compiles one function, generic over `Octet`, once a level and calls the right one.
+macro_rules! octets {
+    ($(#[$meta:meta])* $vis:vis fn $name:ident<$octet:ident>($($arg:ident: $ty:ty),* $(,)?) $(-> $ret:ty)? $body:block) => {
+        $(#[$meta])*
+        $vis fn $name(level: $crate::simd::Level, $($arg: $ty),*) $(-> $ret)? {
+            /// # Safety
+            /// The CPU must have the instructions of the octet.
+            #[inline(always)]
+            unsafe fn generic<$octet: $crate::octet::Octet>($($arg: $ty),*) $(-> $ret)? $body
+
+            #[cfg(target_arch = "x86_64")]
+            #[target_feature(enable = "avx2,bmi1,bmi2,popcnt")]
+            fn avx2($($arg: $ty),*) $(-> $ret)? {
+                // SAFETY: arrays need no instructions.
+                unsafe { generic::<$crate::octet::Array>($($arg),*) }
+            }
+
+            #[cfg(target_arch = "x86_64")]
+            #[target_feature(enable = "avx2,bmi1,bmi2,popcnt,avx512f,avx512bw,avx512dq,avx512vl")]
+            fn avx512($($arg: $ty),*) $(-> $ret)? {
+                // SAFETY: this function has the instructions.
+                unsafe { generic::<$crate::octet::Register>($($arg),*) }
+            }
+
+            match level.kind() {
+                // SAFETY: arrays need no instructions.
+                $crate::simd::Kind::Portable => unsafe {
+                    generic::<$crate::octet::Array>($($arg),*)
+                },
+                // SAFETY: a level proves that this CPU has its instructions.
+                #[cfg(target_arch = "x86_64")]
+                $crate::simd::Kind::Avx2 => unsafe { avx2($($arg),*) },
+                // SAFETY: as above.
+                #[cfg(target_arch = "x86_64")]
+                $crate::simd::Kind::Avx512 => unsafe { avx512($($arg),*) },
+            }
+        }
+    };
+}
+pub(crate) use octets;
