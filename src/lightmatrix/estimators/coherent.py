@@ -38,8 +38,9 @@ class CoherentEstimator:
 
     In each round row i is solved on its likeliest projector pixels j with the penalty
     ``2 lambda e / (e + s_ij)``, where s_i is the sum of the neighbours' rows, each over its
-    maximum and blurred by a window, relative to its strongest pixel. The last rounds also have
-    coarse blocks of projector pixels, which hold the faint light from everywhere.
+    maximum and blurred by a window, relative to its strongest pixel. The last round also has
+    coarse blocks of projector pixels, which hold the faint light from everywhere; and a row of
+    clipped samples is expected, weakly, to add up to what its neighbours do.
 
     Parameters
     ----------

@@ -31,9 +31,6 @@ from lightmatrix.transport import block_means
 # Of the clip level, and the gap: the first estimate, row by row, only has to show where light is.
 FIRST_REGULARIZATION = 0.32
 FIRST_TOLERANCE = 1e-2
-# The blocks of the background, and what rows are expected to add up to, join in the last rounds,
-# when it is clear where most of the light is.
-LAST_ROUNDS = 2
 # Of the clip level, over the side of a block: the penalty of a block's coefficient.
 BLOCK_PENALTY = 0.01
 # Weight of the expected sum of a row, times the ratio of its clipped to its other samples: it only
@@ -116,7 +113,9 @@ class Rounds:
     ) -> WeightedResult:
         """The rows start..stop, with penalties from what was found before."""
         problem = problem_of(self.capture, samples, self.regularization)
-        last = number > len(self.windows) - LAST_ROUNDS
+        # The faint light from everywhere, and what clipped rows add up to, join in the last round,
+        # when it is clear where most of the light is.
+        last = number == len(self.windows)
         return solve_weighted(
             problem,
             self._candidates(found.coefficients, number, start, stop),
