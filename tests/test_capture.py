@@ -142,8 +142,8 @@ def test_a_written_capture_comes_back(
     np.testing.assert_allclose(samples.clip_level, 1 / exposure, rtol=1e-6)
     assert samples.weights is not None
     # Misfit of 3 % of the longest exposure's range and noise of 0.3 % of each frame's.
-        variance = 0.03**2 + (0.003 * 1.5 / exposure) ** 2
-        np.testing.assert_allclose(samples.weights, variance.min() / variance, rtol=1e-6)
+    variance = 0.03**2 + (0.003 * 1.5 / exposure) ** 2
+    np.testing.assert_allclose(samples.weights, variance.min() / variance, rtol=1e-6)
     np.testing.assert_array_equal(found.frame(3), frames[3])
 
 
