@@ -12,7 +12,7 @@ ROOT = Path(__file__).parent.parent / "src" / "lightmatrix"
 # From the ground up; a module may import from its own floor and from those below it.
 FLOORS = [
     {"errors", "_core", "atomic", "png16", "images"},
-    {"shares", "patterns", "pattern_mix", "pattern_kinds", "sensor", "transport"},
+    {"shares", "exposures", "patterns", "pattern_mix", "pattern_kinds", "sensor", "transport"},
     {
         "pattern_folder",
         "frames",

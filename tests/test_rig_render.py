@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import json
+import re
 import warnings
 from pathlib import Path
 
@@ -12,9 +13,10 @@ import pytest
 
 from lightmatrix.errors import InputError, LightMatrixWarning, MissingExtraError
 from lightmatrix.images import read_image
-from lightmatrix.rig import library, renderer, thumbnails
+from lightmatrix.rig import library, memory, renderer, thumbnails
 from lightmatrix.rig.llvm import load_mitsuba
-from lightmatrix.rig.renderer import foreseen_bytes, render
+from lightmatrix.rig.memory import foreseen_bytes
+from lightmatrix.rig.renderer import render
 from lightmatrix.rig.scenes import names
 from lightmatrix.rig.thumbnails import photograph, write_thumbnails
 from lightmatrix.rig.truth import Truth
@@ -85,7 +87,7 @@ def test_scalar_mode_obeys_energy_and_seed() -> None:
 @needs_llvm
 def test_blocks_of_rows_do_not_change_the_picture(monkeypatch: pytest.MonkeyPatch) -> None:
     whole = render("gripper", (12, 12), samples=2048)
-    monkeypatch.setattr(renderer, "_BLOCK_BYTES", 2 * 4 * 144 * 50)
+    monkeypatch.setattr(renderer, "WAVEFRONT", 50 * 1024)
     seen: list[tuple[int, int]] = []
     blocks = render(
         "gripper", (12, 12), samples=2048, progress=lambda done, total: seen.append((done, total))
@@ -156,22 +158,26 @@ def test_impossible_renderings_are_refused(options: dict[str, object], message: 
 
 @needs_llvm
 def test_memory_is_foreseen_from_a_few_rows(monkeypatch: pytest.MonkeyPatch) -> None:
-    room = foreseen_bytes((16, 16), (64, 64), entries=2000)
-    monkeypatch.setattr(renderer, "_available_bytes", lambda: room)
+    room = foreseen_bytes((16, 16), entries=2000)
+    for module in (memory, renderer):
+        monkeypatch.setattr(module, "available_bytes", lambda: room)
     sparse = render("wall", (16, 16), projector_size=(64, 64), samples=4096)
     assert sparse.matrix.nnz < 256 * 2000
-    monkeypatch.setattr(
-        renderer, "_available_bytes", lambda: foreseen_bytes((16, 16), (64, 64), entries=300)
-    )
-    with pytest.raises(InputError, match="needs about"):
+    room = foreseen_bytes((16, 16), entries=300)
+    with pytest.raises(InputError, match="needs about") as refused:
         render("corner", (16, 16), projector_size=(64, 64), samples=4096)
+    advised = re.search(r"--keep ([0-9.]+)", refused.value.hint or "")
+    assert advised is not None
+    keep = float(advised[1])
+    thin = render("corner", (16, 16), projector_size=(64, 64), samples=4096, keep=keep)
+    assert thin.matrix.nnz < 256 * 300
 
 
 def test_foreseen_memory_is_bounded_but_for_the_result() -> None:
-    assert foreseen_bytes((64, 64), (64, 64)) < 1.7 * 2**30
-    assert foreseen_bytes((512, 512), (512, 512)) < 1.9 * 2**30
-    more = foreseen_bytes((512, 512), (512, 512), entries=1001)
-    assert more - foreseen_bytes((512, 512), (512, 512)) == 512 * 512 * 1000 * 16
+    assert foreseen_bytes((64, 64)) < 1.3 * 2**30
+    assert foreseen_bytes((512, 512)) < 1.3 * 2**30
+    more = foreseen_bytes((512, 512), entries=1001)
+    assert more - foreseen_bytes((512, 512)) == 512 * 512 * 1000 * 16
 
 
 def made(name: str, size: tuple[int, int], **options: object) -> Truth:

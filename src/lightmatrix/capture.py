@@ -39,6 +39,11 @@ from lightmatrix.sensor import Decoded, Decoder, Response, Sensor, bin_samples
 
 __all__ = ["Capture", "Samples", "read_patterns", "write_capture", "write_patterns"]
 
+# Of the clip level of the longest exposure: what no sparse row explains, and a camera's noise.
+# Weights by noise alone, e^2, would nearly throw short exposures away, although for most samples
+# the misfit is the larger part (docs/planning.md has the measurement).
+MISFIT = 0.03
+USUAL_NOISE = 0.003
 # Raw frames up to this size are held in memory, larger ones in a temporary file.
 _MEMORY_BYTES = 2 << 30
 
@@ -56,7 +61,7 @@ class Samples(Decoded):
     clip_level : (K,) or (m, K) float32
         Where each sample clips.
     weights : (m, K) or (K,) float32, optional
-        0 masks a sample; frames of lower exposure weigh less. None means all 1.
+        0 masks a sample; frames of much lower exposure weigh less. None means all 1.
     """
 
     weights: NDArray[np.float32] | None = None
@@ -369,7 +374,10 @@ class Capture:
         # The noise of a sample divided by its exposure e grows by 1/e. Relative to the longest
         # exposure, so that equal exposures weigh 1, however long they are.
         relative = self.exposures / self.exposures.max()
-        return None if (relative == 1).all() else (relative**2).astype(np.float32)
+        if (relative == 1).all():
+            return None
+        variance = MISFIT**2 + (USUAL_NOISE / relative) ** 2
+        return (variance.min() / variance).astype(np.float32)
 
     @cached_property
     def _raw(self) -> NDArray[Any]:

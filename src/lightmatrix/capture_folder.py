@@ -224,6 +224,7 @@ def write_capture(
     sensor: Sensor,
     camera_shape: tuple[int, ...] | None = None,
     black: NDArray[Any] | None = None,
+    black_exposure: float | None = None,
     provenance: Mapping[str, Any] | None = None,
     overwrite: bool = False,
 ) -> None:
@@ -242,7 +243,9 @@ def write_capture(
     camera_shape : tuple of int, optional
         Shape that each frame must have.
     black : (rows, cols[, channels]), optional
-        Raw levels under a black pattern, at the exposure of the frames.
+        Raw levels under a black pattern.
+    black_exposure : float, optional
+        Its exposure; None means that of the frames, which must then be one.
     provenance : mapping, optional
         What made the capture, JSON-ready.
     overwrite : bool
@@ -289,6 +292,8 @@ def write_capture(
         if black is not None:
             fill_image(part / f"black{suffix}", black)
             content["black"] = {"file": f"black{suffix}"}
+            if black_exposure is not None:
+                content["black"]["exposure"] = black_exposure
         text = json.dumps(content, indent=2, default=jsonable)
         (part / DESCRIPTION).write_text(text + "\n")
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -15,6 +16,8 @@ from lightmatrix.atomic import check_output
 from lightmatrix.capture import read_patterns, write_capture, write_patterns
 from lightmatrix.cli.common import Json, Overwrite, Seed, out, progress, show_json, size
 from lightmatrix.errors import InputError
+from lightmatrix.exposures import EXAMPLE as EXPOSURES_EXAMPLE
+from lightmatrix.exposures import of_frames, parse_exposures
 from lightmatrix.patterns import (
     BernoulliPatterns,
     BlockPatterns,
@@ -218,7 +221,13 @@ def simulate(
         Path, typer.Option("--patterns", help="Folder made by `lightmatrix patterns`.")
     ],
     output: Annotated[Path, typer.Option("-o", "--output", help="Capture folder to write.")],
-    exposure: Annotated[float, typer.Option(help="Exposure e: sample = min(1, e T p).")] = 0.8,
+    exposure: Annotated[
+        str,
+        typer.Option(
+            help="Exposure e: sample = min(1, e T p); or several and their shares of the frames, "
+            f"{EXPOSURES_EXAMPLE}."
+        ),
+    ] = "0.8",
     bits: Annotated[int, typer.Option(help="Bit depth: 8, 10, 12 or 16.")] = 8,
     noise: Annotated[float, typer.Option(help="Read noise, share of the clip level.")] = 0.003,
     shot_noise: Annotated[
@@ -237,6 +246,7 @@ def simulate(
 ) -> None:
     """Photograph a scene with a known matrix under patterns: a capture folder to estimate from."""
     check_output(output, overwrite=overwrite)
+    exposures = parse_exposures(exposure)
     shown = read_patterns(pattern_folder)
     with progress("rendering", "paths") as report:
         truth = _truth(scene, shown.shape, report)
@@ -248,13 +258,13 @@ def simulate(
     white = np.asarray(truth.matrix.sum(axis=1), np.float32).ravel()
     dark = (leak * white + room)[:, None]
     light = (1 - leak) * light + dark
-    sensor = Sensor(exposure, black, noise, shot_noise, bits)
+    sensor = Sensor(of_frames(exposures, shown), black, noise, shot_noise, bits)
     frames = sensor.expose(light, seed=seed)
     stack = np.ascontiguousarray(frames.T).reshape(shown.count, *truth.camera_shape)
-    black_frame = None
+    black_frame, longest = None, max(e for e, _ in exposures)
     if leak or ambient:
         # A frame of its own number, so that its noise is its own.
-        exposed = sensor.expose(dark, seed=seed, first_frame=shown.count)
+        exposed = replace(sensor, exposure=longest).expose(dark, seed=seed, first_frame=shown.count)
         black_frame = exposed.reshape(truth.camera_shape)
     write_capture(
         output,
@@ -264,11 +274,20 @@ def simulate(
         camera_shape=truth.camera_shape,
         overwrite=overwrite,
         black=black_frame,
+        black_exposure=longest,
         provenance={"scene": scene, "seed": seed, **truth.metadata},
     )
     clipped = float((frames >= sensor.clip_level).mean())
+    per_frame = np.broadcast_to(np.asarray(sensor.exposure), shown.count)
     if as_json:
-        show_json({"output": output, "frames": shown.count, "clipped_share": clipped})
+        show_json(
+            {
+                "output": output,
+                "frames": shown.count,
+                "exposures": {e: int((per_frame == e).sum()) for e, _ in exposures},
+                "clipped_share": clipped,
+            }
+        )
     else:
         out.print(f"{shown.count} frames in {output}, {100 * clipped:.1f} % of the samples clipped")
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Callable
 from typing import Any
@@ -13,24 +12,17 @@ from scipy.sparse import csr_array
 
 from lightmatrix.errors import InputError
 from lightmatrix.rig.llvm import load_mitsuba
+from lightmatrix.rig.memory import WAVEFRONT, available_bytes, check_memory, foreseen_bytes
 from lightmatrix.rig.mitsuba_scene import mitsuba_scene
 from lightmatrix.rig.scenes import scene as find_scene
-from lightmatrix.rig.thinning import sparse_rows, stacked
+from lightmatrix.rig.thinning import stacked, thinned_in_steps
 from lightmatrix.rig.tracing import trace_block
 from lightmatrix.rig.truth import Truth
 
 Progress = Callable[[int, int], None]
 
-# Dense sums of one block of camera pixels: the accumulator, twice (halves) and copies on the way.
-_BLOCK_BYTES = 192 << 20
-_COPIES = 6
-# Paths in flight; each holds its ray, throughput and random state.
-_WAVEFRONT = 1 << 21
-_PATH_BYTES = 200
-# The renderer itself and the scene.
-_BASE_BYTES = 256 << 20
-# An entry of the result: value, column and direct part, and one of them again while blocks join.
-_ENTRY_BYTES = 16
+# Places of one block of camera pixels are numbered in 32 bits.
+_MAX_PLACES = 1 << 32
 # Rows rendered ahead to foresee the size of the result, and what it may come out larger by.
 _PILOT_ROWS = 24
 _PILOT_MARGIN = 1.3
@@ -50,9 +42,9 @@ def render(
 ) -> Truth:
     """Render the light transport matrix of a scene, direct and global light kept apart.
 
-    Camera pixels are rendered in blocks of rows whose dense sums take about 1 GiB with all copies,
-    whatever the size; each block is thinned to sparse rows before the next begins. The result adds
-    16 bytes an entry, foreseen from a few rows rendered ahead where it might not fit.
+    Camera pixels are rendered in blocks that share a million paths; each block is summed to sparse
+    rows and thinned before the next begins, which takes about 1.2 GiB, whatever the size. The
+    result adds 16 bytes an entry, foreseen from a few rows rendered ahead where it might not fit.
 
     Parameters
     ----------
@@ -99,16 +91,16 @@ def render(
     noise = _Noise()
     done = 0
 
-    def trace(first: int, count: int, half: int) -> NDArray[np.float32]:
-        """Mean over one half of the samples: (2, count, channels, N), direct light and global."""
+    def trace(first: int, count: int, half: int) -> csr_array:
+        """Sums over one half of the samples, (count * channels, N): all light + i direct light."""
         nonlocal done
         part = samples // 2 if half else samples - samples // 2
-        chunk = max(1, _WAVEFRONT // count)
-        sums = np.zeros((2, count, channels, pixels), np.float32)
+        chunk = max(1, WAVEFRONT // count)
+        sums = csr_array((count * channels, pixels), dtype=np.complex64)
         for number, start in enumerate(range(0, part, chunk)):
             paths = min(chunk, part - start)
             stream = np.random.SeedSequence((seed, first, half, number)).generate_state(1)[0]
-            sums += trace_block(
+            traced = trace_block(
                 mi,
                 loaded,
                 first,
@@ -121,27 +113,36 @@ def render(
                 colour=colour,
                 fast=fast,
             )
+            sums = traced if start == 0 else csr_array(sums + traced)
             done += count * paths
             if progress is not None:
                 progress(done, total * samples)
-        sums /= part
         return sums
 
     def rows(first: int, count: int) -> tuple[csr_array, NDArray[np.float32]]:
-        halves = np.stack([trace(first, count, 0), trace(first, count, 1)])
-        noise.add(halves)
-        direct, scattered = _mean_of_halves(halves, samples)
-        return sparse_rows(direct + scattered, direct, keep)
+        halves = trace(first, count, 0), trace(first, count, 1)
+        noise.add(*halves, samples)
+        both = csr_array((halves[0] + halves[1]) / np.float32(samples))
+        whole = csr_array((both.data.real.copy(), both.indices, both.indptr), shape=both.shape)
+        return whole, both.data.imag.copy()
 
+    block = min(total, _block_rows(samples, pixels, channels))
     most = min(pixels, samples * scene.max_depth)
-    if foreseen_bytes(size, projector, channels, most) > _available_bytes():
+    if foreseen_bytes(size, channels, most) > available_bytes():
         ahead = np.unique(np.linspace(0, total - 1, _PILOT_ROWS).astype(int))
-        seen = np.mean([rows(int(first), 1)[0].nnz / channels for first in ahead])
-        _check_memory(size, projector, channels, int(min(most, _PILOT_MARGIN * seen)))
+        seen = [rows(int(first), 1) for first in ahead]
+
+        def entries(share: float) -> int:
+            mean = np.mean([thinned_in_steps(*part, share)[0].nnz / channels for part in seen])
+            return int(min(most, _PILOT_MARGIN * mean))
+
+        check_memory(size, projector, channels, entries(keep), entries, keep)
         noise, done = _Noise(), 0
-    block = _block_rows(pixels, channels)
     matrix, direct = stacked(
-        [rows(first, min(block, total - first)) for first in range(0, total, block)]
+        [
+            thinned_in_steps(*rows(first, min(block, total - first)), keep)
+            for first in range(0, total, block)
+        ]
     )
     scale = _exposure_scale(matrix)
     matrix.data *= scale
@@ -163,17 +164,6 @@ def render(
     return Truth(matrix, direct, camera_shape, projector, metadata)
 
 
-def foreseen_bytes(
-    size: tuple[int, int], projector: tuple[int, int], channels: int = 1, entries: int = 1
-) -> int:
-    """Memory a rendering needs: one dense block, the paths in flight, `entries` a sparse row."""
-    pixels = projector[0] * projector[1]
-    block = min(_block_rows(pixels, channels), size[0] * size[1])
-    dense = 2 * 4 * block * channels * pixels * _COPIES
-    result = size[0] * size[1] * channels * entries * _ENTRY_BYTES
-    return _BASE_BYTES + dense + max(_WAVEFRONT, block) * _PATH_BYTES + result
-
-
 def _check(
     size: tuple[int, int], projector: tuple[int, int], samples: int, keep: float, colour: bool
 ) -> None:
@@ -184,41 +174,13 @@ def _check(
         raise InputError(f"{samples} samples a pixel", hint="use at least 2, better 1024 or more")
     if not 0 < keep <= 1:
         raise InputError(f"keep is {keep}", hint="use a share of the energy such as 0.999")
-    _check_memory(size, projector, 3 if colour else 1)
+    check_memory(size, projector, 3 if colour else 1)
 
 
-def _check_memory(
-    size: tuple[int, int], projector: tuple[int, int], channels: int, entries: int = 1
-) -> None:
-    needed = foreseen_bytes(size, projector, channels, entries)
-    available = _available_bytes()
-    if needed > available:
-        raise InputError(
-            f"rendering {size[0]}x{size[1]} camera by {projector[0]}x{projector[1]} projector "
-            f"pixels needs about {needed / 2**30:.1f} GiB, {available / 2**30:.1f} GiB are free",
-            hint="use a smaller --size, or keep less of each row with --keep 0.99",
-        )
-
-
-def _available_bytes() -> int:
-    try:
-        with open("/proc/meminfo") as file:
-            for line in file:
-                if line.startswith("MemAvailable:"):
-                    return int(line.split()[1]) * 1024
-    except OSError:
-        pass
-    return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-
-
-def _block_rows(pixels: int, channels: int) -> int:
-    return max(1, _BLOCK_BYTES // (2 * 4 * channels * pixels))
-
-
-def _mean_of_halves(halves: NDArray[np.float32], samples: int) -> NDArray[np.float32]:
-    share = np.float32((samples - samples // 2) / samples)
-    mean = share * halves[0] + (1 - share) * halves[1]
-    return mean.reshape(2, -1, halves.shape[-1])
+def _block_rows(samples: int, pixels: int, channels: int) -> int:
+    """Camera pixels that are rendered together: half their samples are one wavefront."""
+    half = samples - samples // 2
+    return max(1, min(WAVEFRONT // half, _MAX_PLACES // (channels * pixels)))
 
 
 def _exposure_scale(matrix: csr_array) -> float:
@@ -234,14 +196,18 @@ class _Noise:
         self._entries = np.zeros(2)
         self._white = np.zeros(2)
 
-    def add(self, halves: NDArray[np.float32]) -> None:
-        a, b = halves.sum(axis=1, dtype=np.float32)
-        self._entries += [np.square(a - b).sum() / 4, np.square(a + b).sum() / 4]
-        white = (a.sum(axis=-1), b.sum(axis=-1))
-        self._white += [
-            np.square(white[0] - white[1]).sum() / 4,
-            np.square(white[0] + white[1]).sum() / 4,
-        ]
+    def add(self, first: csr_array, second: csr_array, samples: int) -> None:
+        """Count the sums (rows, N) over the two halves of the samples."""
+        a = first.real / np.float32(samples - samples // 2)
+        b = second.real / np.float32(samples // 2)
+        for half_sum, half_difference, energy in (
+            ((a + b).data, (a - b).data, self._entries),
+            (a.sum(axis=1) + b.sum(axis=1), a.sum(axis=1) - b.sum(axis=1), self._white),
+        ):
+            energy += [
+                np.square(half_difference, dtype=np.float64).sum() / 4,
+                np.square(half_sum, dtype=np.float64).sum() / 4,
+            ]
 
     @property
     def entries(self) -> float:

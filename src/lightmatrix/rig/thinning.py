@@ -7,42 +7,65 @@ corner scene. So every run of dropped neighbours leaves one entry that stands fo
 
 from __future__ import annotations
 
+import itertools
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-# Places of dense rows that are thinned at once; sorting them takes about 100 bytes each.
-_PLACES = 1 << 21
+# Entries that are thinned at once; sorting them takes about 100 bytes each.
+_ENTRIES = 1 << 21
 
 
 def stacked(
     parts: list[tuple[csr_array, NDArray[np.float32]]],
 ) -> tuple[csr_array, NDArray[np.float32]]:
-    """Blocks of rows and their direct parts as one matrix and its direct part."""
+    """Blocks of rows and their direct parts as one matrix and its direct part.
+
+    The list is emptied on the way, so that only a third of the result exists twice.
+    """
     lengths = np.concatenate([np.diff(part.indptr) for part, _ in parts])
     indptr = np.concatenate([[0], np.cumsum(lengths, dtype=np.int64)])
     if indptr[-1] <= np.iinfo(np.int32).max:
         indptr = indptr.astype(np.int32)
-    values = np.concatenate([part.data for part, _ in parts])
-    columns = np.concatenate([part.indices for part, _ in parts])
     shape = (len(lengths), parts[0][0].shape[1])
-    matrix = csr_array((values, columns, indptr), shape=shape)
-    return matrix, np.concatenate([direct for _, direct in parts])
+    arrays = [[part.data for part, _ in parts], [part.indices for part, _ in parts]]
+    arrays.append([direct for _, direct in parts])
+    parts.clear()
+    values, columns, direct = (np.concatenate(_emptied(some)) for some in arrays)
+    return csr_array((values, columns, indptr), shape=shape), direct
+
+
+def _emptied(some: list[NDArray[Any]]) -> list[NDArray[Any]]:
+    """The list's content, which it gives up."""
+    content = some.copy()
+    some.clear()
+    return content
+
+
+def thinned_in_steps(
+    matrix: csr_array, direct: NDArray[np.float32], keep: float
+) -> tuple[csr_array, NDArray[np.float32]]:
+    """`thinned` with bounded memory: some rows at a time."""
+    targets = np.arange(_ENTRIES, matrix.nnz, _ENTRIES)
+    cuts = np.unique([0, *np.searchsorted(matrix.indptr, targets), matrix.shape[0]])
+    return stacked(
+        [
+            thinned(matrix[a:b], direct[matrix.indptr[a] : matrix.indptr[b]], keep)
+            for a, b in itertools.pairwise(cuts)
+        ]
+    )
 
 
 def sparse_rows(
     whole: NDArray[np.float32], direct: NDArray[np.float32], keep: float
 ) -> tuple[csr_array, NDArray[np.float32]]:
     """Dense rows (m, N) and their direct parts as thinned sparse rows and their direct parts."""
-    step = max(1, _PLACES // whole.shape[1])
-    parts = []
-    for start in range(0, len(whole), step):
-        some = whole[start : start + step]
-        row, col = np.nonzero(some)
-        indptr = np.concatenate([[0], np.cumsum(np.bincount(row, minlength=len(some)))])
-        matrix = csr_array((some[row, col], col.astype(np.int32), indptr), shape=some.shape)
-        parts.append(thinned(matrix, direct[start : start + step][row, col], keep))
-    return stacked(parts)
+    row, col = np.nonzero(whole)
+    indptr = np.concatenate([[0], np.cumsum(np.bincount(row, minlength=len(whole)))])
+    matrix = csr_array((whole[row, col], col.astype(np.int32), indptr), shape=whole.shape)
+    return thinned_in_steps(matrix, direct[row, col], keep)
 
 
 def thinned(

@@ -2,7 +2,10 @@
 
 The whole of T comes from one pass: at each surface point a path visits, the light that reaches the
 point straight from the projector came through one projector pixel, which the sampling of the
-emitter reports. What the path would carry of it to the camera is added to that entry of T.
+emitter reports. What the path would carry of it to the camera belongs to that entry of T.
+
+A path gives one to five such contributions, whatever the number of projector pixels. They are kept
+as they come and summed by one sort, so that a rendering costs the same for any projector.
 """
 
 from __future__ import annotations
@@ -12,6 +15,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
+
+from lightmatrix.rig.summing import summed
 
 
 def trace_block(
@@ -27,26 +33,54 @@ def trace_block(
     max_depth: int,
     colour: bool,
     fast: bool,
-) -> NDArray[np.float32]:
+) -> csr_array:
     """Trace `samples` paths from each of `count` camera pixels, starting at pixel `first`.
+
+    Parameters
+    ----------
+    count : int
+        ``count * channels * N`` must be at most 2^32.
 
     Returns
     -------
-    (2, count, channels, N) float32
-        Sums over the paths of their contributions, direct light first, then global.
+    (count * channels, N) csr_array complex64
+        Sums over the paths of their contributions: all light as real part, the direct light among
+        it as imaginary part. Columns are sorted, places without light are not stored.
     """
-    if not fast:
-        return trace_block_scalar(
-            mi, scene, first, count, samples, seed, camera_shape, projector_shape, max_depth, colour
-        )
+    trace = _contributions if fast else _contributions_scalar
+    place, value, direct = trace(
+        mi, scene, first, count, samples, seed, camera_shape, projector_shape, max_depth, colour
+    )
+    shape = (count * (3 if colour else 1), projector_shape[0] * projector_shape[1])
+    return summed(place, value, direct, shape)
+
+
+Contributions = tuple[NDArray[np.uint32], NDArray[np.float32], NDArray[np.bool_]]
+
+
+def _contributions(
+    mi: ModuleType,
+    scene: Any,
+    first: int,
+    count: int,
+    samples: int,
+    seed: int,
+    camera_shape: tuple[int, int],
+    projector_shape: tuple[int, int],
+    max_depth: int,
+    colour: bool,
+) -> Contributions:
+    """Places, values and directness of all contributions, zeros among them."""
     import drjit as dr
 
     channels = 3 if colour else 1
-    pixels = projector_shape[0] * projector_shape[1]
-    sums = dr.zeros(mi.Float, 2 * count * channels * pixels)
+    paths = count * samples
+    places = dr.zeros(mi.UInt32, paths * max_depth)
+    values = [dr.zeros(mi.Float, paths * max_depth) for _ in range(channels)]
     sampler = mi.load_dict({"type": "independent"})
-    sampler.seed(seed, count * samples)
-    block_pixel = dr.arange(mi.UInt32, count * samples) // samples
+    sampler.seed(seed, paths)
+    path = dr.arange(mi.UInt32, paths)
+    block_pixel = path // samples
     # Opaque, so that the compiled kernel serves all blocks.
     camera_pixel = block_pixel + dr.opaque(mi.UInt32, first)
     offset = sampler.next_2d()
@@ -57,12 +91,20 @@ def trace_block(
     )
     ray, weight = scene.sensors()[0].sample_ray(0.0, 0.5, film, mi.Point2f(0.5))
     ray = mi.Ray3f(ray.o, ray.d)
+    width = projector_shape[0] * projector_shape[1]
     _paths(
-        mi, dr, scene, sampler, ray, mi.Color3f(weight), block_pixel, sums,
-        projector_shape, max_depth, channels, count * channels * pixels,
+        mi, dr, scene, sampler, ray, mi.Color3f(weight), path, block_pixel * (channels * width),
+        places, values, projector_shape, max_depth, paths,
     )  # fmt: skip
-    dr.eval(sums)
-    return np.asarray(sums.numpy()).reshape(2, count, channels, pixels)
+    dr.eval(places, values)
+    # The contributions at one depth stand together, those of the first points of paths in front.
+    place = np.asarray(places.numpy())
+    direct = np.arange(len(place)) < paths
+    return (
+        np.concatenate([place + np.uint32(channel * width) for channel in range(channels)]),
+        np.concatenate([np.asarray(part.numpy()) for part in values]),
+        np.tile(direct, channels),
+    )
 
 
 def _paths(
@@ -72,16 +114,16 @@ def _paths(
     sampler: Any,
     ray: Any,
     throughput: Any,
-    block_pixel: Any,
-    sums: Any,
+    path: Any,
+    row_start: Any,
+    places: Any,
+    values: list[Any],
     projector_shape: tuple[int, int],
     max_depth: int,
-    channels: int,
-    direct_size: int,
+    paths: int,
 ) -> None:
     context = mi.BSDFContext()
     rows, cols = projector_shape
-    pixels = rows * cols
 
     def alive(active: Any, *_: Any) -> Any:
         return active
@@ -95,11 +137,11 @@ def _paths(
         value = throughput * bsdf.eval(context, hit, hit.to_local(light.d), lit) * emitted
         row = mi.UInt32(dr.clip(light.uv.y * rows, 0, rows - 1))
         col = mi.UInt32(dr.clip(light.uv.x * cols, 0, cols - 1))
-        place = block_pixel * (channels * pixels) + row * cols + col
-        place += dr.select(depth == 0, 0, direct_size)
-        parts = [value.x, value.y, value.z] if channels == 3 else [dr.mean(value)]
-        for channel, part in enumerate(parts):
-            dr.scatter_reduce(dr.ReduceOp.Add, sums, part, place + channel * pixels, lit)
+        slot = depth * paths + path
+        dr.scatter(places, row_start + row * cols + col, slot, lit)
+        parts = [value.x, value.y, value.z] if len(values) == 3 else [dr.mean(value)]
+        for target, part in zip(values, parts, strict=True):
+            dr.scatter(target, part, slot, lit)
         sample, factor = bsdf.sample(
             context, hit, sampler.next_1d(active), sampler.next_2d(active), active
         )
@@ -117,7 +159,7 @@ def _paths(
     )
 
 
-def trace_block_scalar(
+def _contributions_scalar(
     mi: ModuleType,
     scene: Any,
     first: int,
@@ -128,11 +170,13 @@ def trace_block_scalar(
     projector_shape: tuple[int, int],
     max_depth: int,
     colour: bool,
-) -> NDArray[np.float32]:
-    """`trace_block` one path after another, for machines without LLVM."""
+) -> Contributions:
+    """`_contributions` one path after another, for machines without LLVM."""
     channels = 3 if colour else 1
     rows, cols = projector_shape
-    sums = np.zeros((2, count, channels, rows * cols), np.float32)
+    places: list[int] = []
+    values: list[float] = []
+    direct: list[bool] = []
     random = np.random.default_rng(seed).random
     context = mi.BSDFContext()
     sensor = scene.sensors()[0]
@@ -156,12 +200,14 @@ def trace_block_scalar(
                     ).ravel()
                     pattern_row = min(int(light.uv.y * rows), rows - 1)
                     pattern_col = min(int(light.uv.x * cols), cols - 1)
-                    sums[int(depth > 0), pixel, :, pattern_row * cols + pattern_col] += (
-                        value if colour else value.mean()
-                    )
+                    column = pattern_row * cols + pattern_col
+                    for channel in range(channels):
+                        places.append((pixel * channels + channel) * rows * cols + column)
+                        values.append(float(value[channel] if colour else value.mean()))
+                        direct.append(depth == 0)
                 sample, factor = bsdf.sample(context, hit, u[2], mi.Point2f(u[3], u[4]))
                 throughput = throughput * factor
                 if not np.asarray(throughput).max() > 0:
                     break
                 ray = hit.spawn_ray(hit.to_world(sample.wo))
-    return sums
+    return np.array(places, np.uint32), np.array(values, np.float32), np.array(direct, bool)
