@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -61,14 +61,9 @@ class Rounds:
         missing = [tile for tile in self._ranges() if running is None or not running.has(*tile)]
         if not missing:
             return
-        found = self._remembered(running, 0, self._first)
-        for number in range(1, len(self.windows)):
-
-            def again(start: int, stop: int, number: int = number, known: Start = found) -> Start:
-                samples = self.capture.samples(start, stop)
-                return _kept(self._solve(samples, start, stop, number, known))
-
-            found = self._remembered(running, number, again)
+        latest, found = self._latest(running)
+        for number in range(latest + 1, len(self.windows)):
+            found = self._whole(running, number, partial(self._again, number, found))
         for start, stop in missing:
             samples = self.capture.samples(start, stop)
             solved = self._solve(samples, start, stop, len(self.windows), found)
@@ -87,16 +82,21 @@ class Rounds:
         for start in range(0, self.capture.rows, tile):
             yield start, min(start + tile, self.capture.rows)
 
-    def _remembered(
+    def _latest(self, running: Checkpoint | None) -> tuple[int, Start]:
+        """The latest round that was finished, and what it found."""
+        if running is not None:
+            for number in reversed(range(len(self.windows))):
+                if (arrays := running.recall(f"round-{number}")) is not None:
+                    return number, _unpacked(arrays, self.capture)
+        return 0, self._whole(running, 0, self._first)
+
+    def _whole(
         self, running: Checkpoint | None, number: int, solve: Callable[[int, int], Start]
     ) -> Start:
-        """A round over all rows, from the checkpoint if it is there."""
-        name = f"round-{number}"
-        if running is not None and (arrays := running.recall(name)) is not None:
-            return _unpacked(arrays, self.capture)
+        """A round over all rows; the checkpoint remembers it instead of the one before."""
         found = _joined([solve(start, stop) for start, stop in self._ranges()])
         if running is not None:
-            running.remember(name, _packed(found))
+            running.remember(f"round-{number}", _packed(found))
             running.forget(f"round-{number - 1}")
         return found
 
@@ -107,6 +107,10 @@ class Rounds:
         solver = replace(self.solver, tolerance=max(FIRST_TOLERANCE, self.solver.tolerance))
         result = solver.solve(problem, self._report(0, start))
         return _kept(WeightedResult(result, np.zeros((stop - start, 0), np.float32)))
+
+    def _again(self, number: int, found: Start, start: int, stop: int) -> Start:
+        samples = self.capture.samples(start, stop)
+        return _kept(self._solve(samples, start, stop, number, found))
 
     def _solve(
         self, samples: Samples, start: int, stop: int, number: int, found: Start

@@ -1,0 +1,161 @@
+"""Coherent estimation: few patterns suffice, tiles do not matter, interrupted runs go on."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lightmatrix import store
+from lightmatrix.capture import Capture
+from lightmatrix.errors import InputError
+from lightmatrix.estimators.coherent import CoherentEstimator
+from lightmatrix.estimators.plain import PlainEstimator
+from lightmatrix.evaluate import relative_error, unclipped_rows
+from lightmatrix.patterns import BernoulliPatterns
+from lightmatrix.rig import library
+from lightmatrix.rig.procedural import ProceduralScene
+from lightmatrix.rig.simulate import irradiance
+from lightmatrix.rig.truth import Truth
+from lightmatrix.sensor import Sensor
+from lightmatrix.solvers import ActiveSet
+from lightmatrix.transport import LightTransport
+
+EXPOSURE = 2.5
+
+
+def photographed(truth: Truth, count: int, exposure: float = EXPOSURE) -> Capture:
+    patterns = BernoulliPatterns(truth.projector_shape, count, seed=1)
+    sensor = Sensor(exposure, 0.0, 0.003, 0.0, 8)
+    frames = sensor.expose(irradiance(truth.matrix, patterns))
+    stack = np.ascontiguousarray(frames.T).reshape(count, *truth.camera_shape)
+    return Capture.from_arrays(patterns, stack, sensor)
+
+
+@pytest.fixture(scope="module")
+def scene() -> Truth:
+    return ProceduralScene((20, 18), (24, 20), seed=4, background=0.02, bounces=4).truth()
+
+
+def same(one: LightTransport, other: LightTransport) -> bool:
+    return (
+        (one.sparse != other.sparse).nnz == 0
+        and np.array_equal(one.background, other.background)
+        and np.array_equal(one.diagnostics["gap"], other.diagnostics["gap"])
+    )
+
+
+@pytest.mark.parametrize("name", ["l_objects", "gripper", "metal", "corner"])
+def test_few_patterns_do_what_row_by_row_takes_many_for(name: str) -> None:
+    truth = library.truth(name)
+    known = truth.transport()
+    exposure = 0.8 / float(np.quantile(known.sparse.max(axis=1).toarray(), 0.8))
+    capture = photographed(truth, 32, exposure)
+    rows = np.flatnonzero(unclipped_rows(known, exposure))
+    plain = relative_error(PlainEstimator(ActiveSet()).estimate(capture), known, rows)
+    coherent = CoherentEstimator().estimate(capture)
+    assert relative_error(coherent, known, rows) < 0.5 * plain
+    assert (coherent.diagnostics["gap"][coherent.diagnostics["converged"]] <= 1e-3).all()
+    assert coherent.diagnostics["converged"].mean() > 0.99
+
+
+def test_tiles_and_threads_do_not_matter(scene: Truth) -> None:
+    capture = photographed(scene, 24)
+    whole = CoherentEstimator().estimate(capture)
+    for changed in ({"tile_rows": 7}, {"threads": 1}):
+        assert same(whole, replace(CoherentEstimator(), **changed).estimate(capture))
+
+
+@pytest.mark.parametrize("finished_rows", [100, 360 * 3 + 50, 360 * 6 + 100])
+def test_an_interrupted_estimate_goes_on(scene: Truth, tmp_path: Path, finished_rows: int) -> None:
+    capture = photographed(scene, 24)
+    estimator = CoherentEstimator(tile_rows=90)
+    target = tmp_path / "scene.zarr"
+    reached: list[int] = []
+
+    def interrupt(done: int, total: int) -> None:
+        assert total == 7 * scene.matrix.shape[0]
+        reached.append(done)
+        if done > finished_rows:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        estimator.estimate(capture, checkpoint=target, progress=interrupt)
+    assert not target.exists()
+    first = reached[0]
+    reached.clear()
+    again = estimator.estimate(
+        capture, checkpoint=target, progress=lambda done, total: reached.append(done)
+    )
+    # What was whole is not done again.
+    assert first < 360
+    assert min(reached) >= max(0, finished_rows - 360 - 90)
+    assert same(again, CoherentEstimator().estimate(capture))
+    assert same(store.open(target), again)
+    assert not target.with_name("scene.zarr.partial").exists()
+
+
+def test_the_background_is_kept_in_blocks(scene: Truth) -> None:
+    capture = photographed(scene, 64)
+    found = CoherentEstimator(background_grid=(3, 4)).estimate(capture)
+    assert found.background_grid == (3, 4)
+    assert found.background.shape == (360, 12)
+    single = CoherentEstimator(background_grid=(1, 1)).estimate(capture)
+    assert single.background.shape == (360, 1)
+    # Blocks no finer than pixels.
+    assert CoherentEstimator(background_grid=(100, 100)).estimate(capture).background_grid == (
+        24,
+        20,
+    )
+
+
+def test_colour_channels_are_estimated_each_for_itself(scene: Truth) -> None:
+    grey = photographed(scene, 24)
+    frames = np.stack([grey.frame(k) for k in range(24)])
+    colour = Capture.from_arrays(
+        grey.patterns, np.stack([frames, frames // 2], axis=-1), grey.decoder
+    )
+    estimate = CoherentEstimator().estimate(colour)
+    assert estimate.camera_shape == (20, 18, 2)
+    expected = CoherentEstimator().estimate(grey)
+    assert (estimate.sparse[::2] != expected.sparse).nnz == 0
+
+
+def test_a_finer_projector_widens_the_windows() -> None:
+    truth = ProceduralScene((16, 16), (48, 48), seed=2, bounces=2).truth()
+    known = truth.transport()
+    capture = photographed(truth, 40)
+    plain = relative_error(PlainEstimator(ActiveSet()).estimate(capture), known)
+    assert relative_error(CoherentEstimator().estimate(capture), known) < 0.8 * plain
+
+
+def test_dark_and_clipped_captures() -> None:
+    patterns = BernoulliPatterns((8, 8), 12)
+    sensor = Sensor(1.0, 0.0, 0.003, 0.0, 8)
+    dark = np.zeros((12, 6, 6), np.uint8)
+    found = CoherentEstimator().estimate(Capture.from_arrays(patterns, dark, sensor, check=False))
+    assert found.sparse.nnz == 0
+    assert not found.background.any()
+    full = np.full((12, 6, 6), 255, np.uint8)
+    found = CoherentEstimator().estimate(Capture.from_arrays(patterns, full, sensor, check=False))
+    relit = found.relight(patterns.images())
+    assert (relit > 0.95).all()
+
+
+@pytest.mark.parametrize(
+    ("parameters", "what"),
+    [
+        ({"trust": 0.0}, "trust"),
+        ({"windows": ()}, "windows"),
+        ({"windows": ((1, -1),)}, "windows"),
+        ({"candidates": 0}, "candidates"),
+        ({"tile_rows": 0}, "tile_rows"),
+        ({"background_grid": (0, 3)}, "grid"),
+        ({"tolerance": 2.0}, "tolerance"),
+    ],
+)
+def test_parameters_out_of_range(parameters: dict[str, object], what: str) -> None:
+    with pytest.raises(InputError, match=what):
+        CoherentEstimator(**parameters)  # type: ignore[arg-type]

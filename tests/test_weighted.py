@@ -1,0 +1,163 @@
+"""Weighted rows on given pixels: optimal by the definition; with equal weights the plain problem."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from lightmatrix.errors import InputError
+from lightmatrix.patterns import ImagePatterns
+from lightmatrix.solvers import ActiveSet, Problem
+from lightmatrix.solvers.weighted import Blocks, Candidates, Start, White, solve_weighted
+from problems import clipping_problem
+
+SOLVER = ActiveSet(tolerance=1e-8)
+
+
+def every_pixel(problem: Problem, penalties: Any = 1.0) -> Candidates:
+    rows, pixels = problem.rows, problem.patterns.pixels
+    index = np.tile(np.arange(pixels, dtype=np.int32), rows)
+    weights = np.broadcast_to(np.asarray(penalties, np.float32), (rows, pixels)).ravel()
+    return Candidates(np.arange(rows + 1, dtype=np.int64) * pixels, index, weights.copy())
+
+
+def objective(
+    problem: Problem, x: Any, weights: Any, blocks: Blocks, coefficients: Any, background: Any
+) -> Any:
+    u = x @ problem.patterns.dense().T.astype(np.float64)
+    u = u + coefficients @ blocks.means + background[:, None] * problem.patterns.means
+    residual = problem.samples - u
+    residual = np.where(problem.clipped, np.maximum(residual, 0), residual)
+    loss = (problem.sample_weights() * residual**2).sum(axis=1) / 2
+    norm = (x * weights).sum(axis=1) + coefficients @ blocks.penalties
+    return problem.regularization * norm + loss
+
+
+def test_equal_weights_are_the_plain_problem() -> None:
+    problem, _ = clipping_problem()
+    found = solve_weighted(
+        problem, every_pixel(problem), Blocks.none(problem.patterns), SOLVER
+    ).rows
+    plain = SOLVER.solve(problem)
+    assert found.converged.all()
+    np.testing.assert_allclose(found.objective, plain.objective, rtol=1e-6)
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    st.integers(1, 90),
+    st.tuples(st.integers(1, 7), st.integers(2, 9)),
+    st.integers(0, 3),
+    st.integers(0, 2**16),
+)
+def test_no_change_improves_the_objective(
+    count: int, shape: tuple[int, int], blocks_count: int, seed: int
+) -> None:
+    random = np.random.default_rng(seed)
+    problem, _ = clipping_problem(rows=3, shape=shape, count=count, seed=seed % 1000)
+    problem = replace(problem, weights=random.choice([0.0, 0.5, 1.0], (3, count)))
+    weights = random.uniform(0.05, 3, (3, problem.patterns.pixels))
+    candidates = every_pixel(problem, weights)
+    weights = candidates.penalties.reshape(weights.shape).astype(np.float64)
+    means = random.random((blocks_count, count)).astype(np.float32)
+    blocks = Blocks(means, random.uniform(0.1, 2, blocks_count).astype(np.float32))
+    found = solve_weighted(problem, candidates, blocks, SOLVER)
+    x = found.rows.coefficients.toarray()
+    given = (weights, blocks)
+    best = objective(problem, x, *given, found.blocks.astype(float), found.rows.background)
+    np.testing.assert_allclose(best, found.rows.objective, rtol=1e-4, atol=1e-9)
+    for _ in range(20):
+        step = 10.0 ** random.uniform(-4, 0)
+        other = np.maximum(
+            x + step * random.normal(size=x.shape) * (random.random(x.shape) < 0.2), 0
+        )
+        g = np.maximum(found.blocks + step * random.normal(size=found.blocks.shape), 0)
+        b = np.maximum(found.rows.background + step * random.normal(size=3), 0)
+        changed = objective(problem, other, *given, g, b)
+        assert (changed >= best * (1 - 1e-4) - 1e-9).all()
+
+
+def test_only_candidates_are_used() -> None:
+    problem, truth = clipping_problem(rows=4, regularization=1e-3, clip_level=1.5)
+    indptr, pixels = [0], []
+    for row in truth[:3]:
+        pixels.extend(np.flatnonzero(row))
+        indptr.append(len(pixels))
+    indptr.append(len(pixels))  # The last row has none.
+    candidates = Candidates(
+        np.array(indptr, np.int64), np.array(pixels, np.int32), np.ones(len(pixels), np.float32)
+    )
+    found = solve_weighted(problem, candidates, Blocks.none(problem.patterns), SOLVER)
+    x = found.rows.coefficients.toarray()
+    assert not x[truth == 0].any()
+    assert not x[3].any()
+    # With the support known, forty samples suffice for any row.
+    error = np.linalg.norm(x[:3] - truth[:3]) / np.linalg.norm(truth[:3])
+    assert error < 0.1
+    assert found.rows.background[3] > 0
+
+
+def test_an_expected_sum_is_one_more_sample_under_white() -> None:
+    problem, truth = clipping_problem(rows=5)
+    sums = (truth.sum(axis=1) + 0.1).astype(np.float32)
+    weights = np.array([0, 0.1, 0.5, 1, 2], np.float32)
+    found = solve_weighted(
+        problem,
+        every_pixel(problem),
+        Blocks.none(problem.patterns),
+        SOLVER,
+        white=White(sums, weights),
+    ).rows
+    images = problem.patterns.images()
+    white = np.ones((1, *problem.patterns.shape), np.float32)
+    extended = Problem(
+        ImagePatterns(np.concatenate([images, white])),
+        np.column_stack([problem.samples, sums]).astype(np.float64),
+        np.column_stack([problem.clipped, np.zeros(5, bool)]),
+        np.ones(problem.patterns.count + 1),
+        problem.regularization,
+        weights=np.column_stack([np.ones(problem.samples.shape), weights]).astype(np.float64),
+    )
+    plain = SOLVER.solve(extended)
+    np.testing.assert_allclose(found.objective, plain.objective, rtol=1e-6)
+
+
+def test_starting_at_the_solution_leaves_only_the_certificate() -> None:
+    problem, _ = clipping_problem(rows=5)
+    means = problem.patterns.dense()[:, :20].mean(axis=1)[None].astype(np.float32)
+    blocks = Blocks(means, np.array([0.2], np.float32))
+    candidates = every_pixel(problem)
+    first = solve_weighted(problem, candidates, blocks, SOLVER)
+    start = Start(first.rows.coefficients, first.rows.background, first.blocks)
+    again = solve_weighted(problem, candidates, blocks, SOLVER, start=start)
+    assert (again.rows.iterations <= first.rows.iterations).all()
+    assert again.rows.iterations.sum() < first.rows.iterations.sum()
+    np.testing.assert_allclose(again.rows.objective, first.rows.objective, rtol=1e-6)
+
+
+def test_threads_do_not_matter() -> None:
+    problem, _ = clipping_problem(rows=70)
+    found = [
+        solve_weighted(
+            problem,
+            every_pixel(problem),
+            Blocks.none(problem.patterns),
+            replace(SOLVER, threads=threads),
+        ).rows.coefficients
+        for threads in (1, 3)
+    ]
+    assert (found[0] != found[1]).nnz == 0
+
+
+def test_signed_light_and_foreign_candidates_are_refused() -> None:
+    problem, _ = clipping_problem()
+    none = Blocks.none(problem.patterns)
+    with pytest.raises(InputError, match="not negative"):
+        solve_weighted(replace(problem, nonnegative=False), every_pixel(problem), none, SOLVER)
+    with pytest.raises(InputError, match="candidates of 6 rows for a problem of 2"):
+        solve_weighted(problem.take(np.arange(2)), every_pixel(problem), none, SOLVER)
