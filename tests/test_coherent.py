@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -64,8 +63,8 @@ def test_few_patterns_do_what_row_by_row_takes_many_for(name: str) -> None:
 def test_tiles_and_threads_do_not_matter(scene: Truth) -> None:
     capture = photographed(scene, 24)
     whole = CoherentEstimator().estimate(capture)
-    for changed in ({"tile_rows": 7}, {"threads": 1}):
-        assert same(whole, replace(CoherentEstimator(), **changed).estimate(capture))
+    for changed in (CoherentEstimator(tile_rows=7), CoherentEstimator(threads=1)):
+        assert same(whole, changed.estimate(capture))
 
 
 @pytest.mark.parametrize("finished_rows", [100, 360 * 3 + 50, 360 * 6 + 100])

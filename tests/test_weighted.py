@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from problems import clipping_problem
 
 from lightmatrix.errors import InputError
 from lightmatrix.patterns import ImagePatterns
 from lightmatrix.solvers import ActiveSet, Problem
 from lightmatrix.solvers.weighted import Blocks, Candidates, Start, White, solve_weighted
-from problems import clipping_problem
 
 SOLVER = ActiveSet(tolerance=1e-8)
 
