@@ -2,31 +2,31 @@
 
 from __future__ import annotations
 
-import platform
-from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
-import scipy
-from numpy.typing import NDArray
-from scipy.sparse import csr_array, vstack
+from scipy.sparse import csr_array
 
-import lightmatrix
-from lightmatrix.capture import Capture, Samples
+from lightmatrix.capture import Capture
 from lightmatrix.errors import InputError
+from lightmatrix.estimators.tiles import (
+    TILE_BYTES,
+    Progress,
+    Tile,
+    capture_provenance,
+    diagnostics,
+    joined,
+    solver_provenance,
+)
 from lightmatrix.solvers import Solver, solve
-from lightmatrix.solvers.problem import Problem, Result
-from lightmatrix.store import Checkpoint
+from lightmatrix.solvers.problem import Problem
 from lightmatrix.transport import LightTransport
-
-Progress = Callable[[int, int], None]
 
 # Of the clip level; nearly independent of the number of patterns, flat within a factor of two.
 DEFAULT_REGULARIZATION = 0.32
-# Working memory of one tile of rows, well below the 4 GiB that any estimate may take.
-_TILE_BYTES = 512 << 20
 
 
 @dataclass(frozen=True)
@@ -92,47 +92,25 @@ class PlainEstimator:
             On unusable captures, problems the solver cannot treat, or outputs it cannot write.
         """
         tiles = _Tiles(self, capture, self._regularization(capture))
-        shapes: dict[str, Any] = {
-            "camera_shape": capture.camera_shape,
-            "projector_shape": capture.projector_shape,
-            "provenance": self.provenance(capture, tiles.regularization),
-        }
-        if checkpoint is None:
-            parts = []
-            for start, stop in tiles.ranges():
-                parts.append(tiles.solve(start, stop, progress))
-            names = parts[0][2]
-            return LightTransport(
-                csr_array(vstack([part[0] for part in parts], format="csr")),
-                np.concatenate([part[1] for part in parts]),
-                diagnostics={n: np.concatenate([part[2][n] for part in parts]) for n in names},
-                **shapes,
-            )
-        fingerprint = {**shapes["provenance"], "capture": capture.digest}
-        with Checkpoint.open(checkpoint, fingerprint, overwrite=overwrite) as running:
-            for start, stop in tiles.ranges():
-                if not running.has(start, stop):
-                    running.write(start, stop, *tiles.solve(start, stop, progress))
-            return running.finish(background_grid=(1, 1), **shapes)
+        provenance = self.provenance(capture, tiles.regularization)
+        return joined(
+            capture,
+            tiles.ranges(),
+            lambda start, stop: tiles.solve(start, stop, progress),
+            provenance,
+            checkpoint=checkpoint,
+            overwrite=overwrite,
+        )
 
     def provenance(self, capture: Capture, regularization: float) -> dict[str, Any]:
         """What made the estimate, JSON-ready."""
         return {
             "estimator": "plain",
-            "solver": type(self.solver).__name__,
-            "solver_parameters": {k: _plain(v) for k, v in asdict(cast(Any, self.solver)).items()},
+            **solver_provenance(self.solver),
             "regularization": regularization,
             "nonnegative": self.nonnegative,
             "background": self.background,
-            "patterns": capture.patterns.description,
-            "pattern_digest": capture.patterns.digest,
-            "capture_description": capture.description,
-            "versions": {
-                "lightmatrix": lightmatrix.__version__,
-                "numpy": np.__version__,
-                "scipy": scipy.__version__,
-                "python": platform.python_version(),
-            },
+            **capture_provenance(capture),
         }
 
     def _regularization(self, capture: Capture) -> float:
@@ -157,9 +135,7 @@ class _Tiles:
         for start in range(0, self.capture.rows, rows):
             yield start, min(start + rows, self.capture.rows)
 
-    def solve(
-        self, start: int, stop: int, progress: Progress | None
-    ) -> tuple[csr_array, NDArray[np.float32], dict[str, NDArray[Any]]]:
+    def solve(self, start: int, stop: int, progress: Progress | None) -> Tile:
         samples = self.capture.samples(start, stop)
         problem = Problem(
             self.capture.patterns,
@@ -181,25 +157,11 @@ class _Tiles:
         return (
             csr_array(result.coefficients, dtype=np.float32),
             result.background.astype(np.float32)[:, None],
-            _diagnostics(samples, result),
+            diagnostics(samples, result),
         )
 
     def _fitting_rows(self) -> int:
         patterns = self.capture.patterns
         return max(
-            1, _TILE_BYTES // self.estimator.solver.row_bytes(patterns.count, patterns.pixels)
+            1, TILE_BYTES // self.estimator.solver.row_bytes(patterns.count, patterns.pixels)
         )
-
-
-def _diagnostics(samples: Samples, result: Result) -> dict[str, NDArray[Any]]:
-    return {
-        "clipped_share": samples.clipped.mean(axis=1, dtype=np.float32),
-        "iterations": result.iterations,
-        "converged": result.converged,
-        "gap": result.gap.astype(np.float32),
-        "objective": result.objective,
-    }
-
-
-def _plain(value: Any) -> Any:
-    return value if isinstance(value, (bool, int, float, str, type(None))) else str(value)
