@@ -219,6 +219,59 @@ def test_any_size_and_any_clipping(
         assert dense_gap(problem, result, fidelity).max() <= 1.01e-4
 
 
+def degenerate(kind: str, shape: tuple[int, int], count: int, seed: int) -> PatternSet:
+    """Patterns that leave much undetermined, as images of zeros and ones or of any values."""
+    rng = np.random.default_rng(seed)
+    images = (rng.random((count, *shape)) < 0.5).astype(np.float32)
+    if kind == "duplicates":
+        images[rng.integers(count, size=count // 2)] = images[0]
+        images[:, :, : shape[1] // 2] = images[:, :, :1]
+    elif kind == "constant":
+        images = np.broadcast_to(rng.random((count, 1, 1), np.float32), images.shape).copy()
+    elif kind == "black and white":
+        images[0], images[-1] = 0, 1
+    return ImagePatterns(images)
+
+
+@given(
+    kind=st.sampled_from(["duplicates", "constant", "black and white"]),
+    shape=st.tuples(st.integers(1, 9), st.integers(1, 9)),
+    count=st.sampled_from([1, 2, 3, 17, 65]),
+    level=st.sampled_from([0.02, 0.2, 100.0]),
+    regularization=st.sampled_from([1e-3, 0.03, 1.0]),
+    seed=st.integers(0, 999),
+    all_clipped=st.booleans(),
+    nonnegative=st.booleans(),
+    background=st.booleans(),
+)
+@settings(max_examples=150, deadline=None)
+def test_what_patterns_cannot_tell_apart(
+    kind: str,
+    shape: tuple[int, int],
+    count: int,
+    level: float,
+    regularization: float,
+    seed: int,
+    all_clipped: bool,
+    nonnegative: bool,
+    background: bool,
+) -> None:
+    problem = draw(
+        degenerate(kind, shape, count, seed),
+        4,
+        seed,
+        level=level,
+        regularization=regularization,
+        nonnegative=nonnegative,
+        background=background,
+    )
+    if all_clipped:
+        problem = replace(problem, clipped=np.ones_like(problem.clipped))
+    result = solve(problem, ActiveSet())
+    assert result.converged.all()
+    assert dense_gap(problem, result, Fidelity.ONE_SIDED).max() <= 1.01e-4
+
+
 def test_dark_and_fully_clipped_rows() -> None:
     patterns = BernoulliPatterns((16, 16), 48)
     samples = np.zeros((3, 48), np.float32)

@@ -1,4 +1,4 @@
-"""Weighted rows on given pixels: optimal by the definition; with equal weights the plain problem."""
+"""Weighted rows on given pixels: optimal by the definition; equal weights are the plain case."""
 
 from __future__ import annotations
 
@@ -84,7 +84,8 @@ def test_no_change_improves_the_objective(
 
 def test_only_candidates_are_used() -> None:
     problem, truth = clipping_problem(rows=4, regularization=1e-3, clip_level=1.5)
-    indptr, pixels = [0], []
+    indptr: list[int] = [0]
+    pixels: list[int] = []
     for row in truth[:3]:
         pixels.extend(np.flatnonzero(row))
         indptr.append(len(pixels))

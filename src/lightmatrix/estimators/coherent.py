@@ -9,20 +9,22 @@ rows around it; docs/few-patterns.md says what it is worth.
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast
-
-import numpy as np
-from scipy.sparse import csr_array, vstack
+from typing import Any
 
 from lightmatrix.capture import Capture
 from lightmatrix.errors import InputError
-from lightmatrix.estimators.common import Progress, plain_value, provenance_of
 from lightmatrix.estimators.rounds import Rounds
+from lightmatrix.estimators.tiles import (
+    Progress,
+    capture_provenance,
+    joined,
+    solver_provenance,
+)
 from lightmatrix.solvers.active_set import ActiveSet
 from lightmatrix.solvers.problem import Fidelity
-from lightmatrix.store import Checkpoint
+from lightmatrix.solvers.weighted import Start
 from lightmatrix.transport import LightTransport
 
 # Half widths of the windows of each round, in camera and in projector pixels. The first rounds
@@ -141,41 +143,33 @@ class CoherentEstimator:
             self.tile_rows,
             progress,
         )
-        provenance = self.provenance(capture, rounds.regularization)
-        shapes: dict[str, Any] = {
-            "camera_shape": capture.camera_shape,
-            "projector_shape": capture.projector_shape,
-            "background_grid": rounds.grid,
-            "provenance": provenance,
-        }
-        if checkpoint is None:
-            parts = [part for _, _, part in rounds.run(None)]
-            names = parts[0][2]
-            return LightTransport(
-                csr_array(vstack([part[0] for part in parts], format="csr")),
-                np.concatenate([part[1] for part in parts]),
-                diagnostics={n: np.concatenate([part[2][n] for part in parts]) for n in names},
-                **shapes,
-            )
-        fingerprint = {**provenance, "capture": capture.digest}
-        with Checkpoint.open(checkpoint, fingerprint, overwrite=overwrite) as running:
-            for start, stop, part in rounds.run(running):
-                running.write(start, stop, *part)
-            return running.finish(**shapes)
+        found: list[Start] = []
+        return joined(
+            capture,
+            rounds.ranges(),
+            lambda start, stop: rounds.last(found[0], start, stop),
+            self.provenance(capture, rounds.regularization),
+            checkpoint=checkpoint,
+            overwrite=overwrite,
+            background_grid=rounds.grid,
+            prepare=lambda running: found.append(rounds.before_last(running)),
+        )
 
     def provenance(self, capture: Capture, regularization: float) -> dict[str, Any]:
         """What made the estimate, JSON-ready."""
-        parameters = {name: plain_value(value) for name, value in asdict(cast(Any, self)).items()}
-        for name in ("regularization", "threads", "tile_rows"):
-            del parameters[name]
-        return provenance_of(
-            capture,
-            estimator="coherent",
-            solver="ActiveSet",
-            solver_parameters=parameters,
-            regularization=regularization,
-            certificate="each row's weighted problem on its likeliest pixels, in the last round",
-        )
+        made = solver_provenance(self._solver)
+        made["solver_parameters"] |= {
+            "trust": self.trust,
+            "windows": [list(pair) for pair in self.windows],
+            "candidates": self.candidates,
+        }
+        return {
+            "estimator": "coherent",
+            **made,
+            "regularization": regularization,
+            "certificate": "the weighted problem of each row on its likeliest pixels",
+            **capture_provenance(capture),
+        }
 
     @property
     def _solver(self) -> ActiveSet:

@@ -3,26 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.sparse import csr_array, vstack
+from scipy.sparse import csr_array
 
 from lightmatrix.capture import Capture
 from lightmatrix.errors import InputError
-from lightmatrix.estimators.common import (
+from lightmatrix.estimators.tiles import (
     TILE_BYTES,
     Progress,
-    plain_value,
-    problem_of,
-    provenance_of,
-    row_diagnostics,
+    Tile,
+    capture_provenance,
+    diagnostics,
+    joined,
+    solver_provenance,
 )
 from lightmatrix.solvers import Solver, solve
-from lightmatrix.store import Checkpoint
+from lightmatrix.solvers.problem import Problem
 from lightmatrix.transport import LightTransport
 
 # Of the clip level; nearly independent of the number of patterns, flat within a factor of two.
@@ -92,42 +92,26 @@ class PlainEstimator:
             On unusable captures, problems the solver cannot treat, or outputs it cannot write.
         """
         tiles = _Tiles(self, capture, self._regularization(capture))
-        shapes: dict[str, Any] = {
-            "camera_shape": capture.camera_shape,
-            "projector_shape": capture.projector_shape,
-            "provenance": self.provenance(capture, tiles.regularization),
-        }
-        if checkpoint is None:
-            parts = []
-            for start, stop in tiles.ranges():
-                parts.append(tiles.solve(start, stop, progress))
-            names = parts[0][2]
-            return LightTransport(
-                csr_array(vstack([part[0] for part in parts], format="csr")),
-                np.concatenate([part[1] for part in parts]),
-                diagnostics={n: np.concatenate([part[2][n] for part in parts]) for n in names},
-                **shapes,
-            )
-        fingerprint = {**shapes["provenance"], "capture": capture.digest}
-        with Checkpoint.open(checkpoint, fingerprint, overwrite=overwrite) as running:
-            for start, stop in tiles.ranges():
-                if not running.has(start, stop):
-                    running.write(start, stop, *tiles.solve(start, stop, progress))
-            return running.finish(background_grid=(1, 1), **shapes)
+        provenance = self.provenance(capture, tiles.regularization)
+        return joined(
+            capture,
+            tiles.ranges(),
+            lambda start, stop: tiles.solve(start, stop, progress),
+            provenance,
+            checkpoint=checkpoint,
+            overwrite=overwrite,
+        )
 
     def provenance(self, capture: Capture, regularization: float) -> dict[str, Any]:
         """What made the estimate, JSON-ready."""
-        return provenance_of(
-            capture,
-            estimator="plain",
-            solver=type(self.solver).__name__,
-            solver_parameters={
-                k: plain_value(v) for k, v in asdict(cast(Any, self.solver)).items()
-            },
-            regularization=regularization,
-            nonnegative=self.nonnegative,
-            background=self.background,
-        )
+        return {
+            "estimator": "plain",
+            **solver_provenance(self.solver),
+            "regularization": regularization,
+            "nonnegative": self.nonnegative,
+            "background": self.background,
+            **capture_provenance(capture),
+        }
 
     def _regularization(self, capture: Capture) -> float:
         if self.regularization is not None:
@@ -151,16 +135,17 @@ class _Tiles:
         for start in range(0, self.capture.rows, rows):
             yield start, min(start + rows, self.capture.rows)
 
-    def solve(
-        self, start: int, stop: int, progress: Progress | None
-    ) -> tuple[csr_array, NDArray[np.float32], dict[str, NDArray[Any]]]:
+    def solve(self, start: int, stop: int, progress: Progress | None) -> Tile:
         samples = self.capture.samples(start, stop)
-        problem = problem_of(
-            self.capture,
-            samples,
+        problem = Problem(
+            self.capture.patterns,
+            samples.values,
+            samples.clipped,
+            samples.clip_level,
             self.regularization,
-            nonnegative=self.estimator.nonnegative,
-            background=self.estimator.background,
+            samples.weights,
+            self.estimator.nonnegative,
+            self.estimator.background,
         )
         total = self.capture.rows
 
@@ -172,7 +157,7 @@ class _Tiles:
         return (
             csr_array(result.coefficients, dtype=np.float32),
             result.background.astype(np.float32)[:, None],
-            row_diagnostics(samples, result),
+            diagnostics(samples, result),
         )
 
     def _fitting_rows(self) -> int:

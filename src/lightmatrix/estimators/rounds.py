@@ -14,9 +14,10 @@ from scipy.sparse import csr_array, vstack
 
 from lightmatrix import _core
 from lightmatrix.capture import Capture, Samples
-from lightmatrix.estimators.common import TILE_BYTES, Progress, problem_of, row_diagnostics
+from lightmatrix.estimators.tiles import TILE_BYTES, Progress, Tile, diagnostics
 from lightmatrix.patterns import PatternSet
 from lightmatrix.solvers.active_set import ActiveSet
+from lightmatrix.solvers.problem import Problem
 from lightmatrix.solvers.weighted import (
     Blocks,
     Candidates,
@@ -39,8 +40,6 @@ WHITE_WEIGHT = 0.16
 # Camera pixels whose median sum is expected.
 WHITE_WINDOW = 5
 
-Part = tuple[csr_array, NDArray[np.float32], dict[str, NDArray[Any]]]
-
 
 @dataclass(frozen=True)
 class Rounds:
@@ -56,18 +55,17 @@ class Rounds:
     tile_rows: int | None
     progress: Progress | None
 
-    def run(self, running: Checkpoint | None) -> Iterator[tuple[int, int, Part]]:
-        """Parts of the last round, as they are solved; those that a checkpoint has are left out."""
-        missing = [tile for tile in self._ranges() if running is None or not running.has(*tile)]
-        if not missing:
-            return
+    def before_last(self, running: Checkpoint | None) -> Start:
+        """What the rounds before the last one find, from where a checkpoint has come to."""
         latest, found = self._latest(running)
         for number in range(latest + 1, len(self.windows)):
             found = self._whole(running, number, partial(self._again, number, found))
-        for start, stop in missing:
-            samples = self.capture.samples(start, stop)
-            solved = self._solve(samples, start, stop, len(self.windows), found)
-            yield start, stop, self._part(samples, solved)
+        return found
+
+    def last(self, found: Start, start: int, stop: int) -> Tile:
+        """The rows start..stop of the last round."""
+        samples = self.capture.samples(start, stop)
+        return self._tile(samples, self._solve(samples, start, stop, len(self.windows), found))
 
     @property
     def grid(self) -> tuple[int, int]:
@@ -75,7 +73,8 @@ class Rounds:
         rows, cols = self.capture.projector_shape
         return min(self.background_grid[0], rows), min(self.background_grid[1], cols)
 
-    def _ranges(self) -> Iterator[tuple[int, int]]:
+    def ranges(self) -> Iterator[tuple[int, int]]:
+        """Rows solved at a time."""
         # Samples twice, and candidates with what is found of them.
         row_bytes = 16 * self.capture.count + 32 * self.candidates
         tile = self.tile_rows or max(1, TILE_BYTES // row_bytes)
@@ -94,7 +93,7 @@ class Rounds:
         self, running: Checkpoint | None, number: int, solve: Callable[[int, int], Start]
     ) -> Start:
         """A round over all rows; the checkpoint remembers it instead of the one before."""
-        found = _joined([solve(start, stop) for start, stop in self._ranges()])
+        found = _joined([solve(start, stop) for start, stop in self.ranges()])
         if running is not None:
             running.remember(f"round-{number}", _packed(found))
             running.forget(f"round-{number - 1}")
@@ -103,7 +102,7 @@ class Rounds:
     def _first(self, start: int, stop: int) -> Start:
         samples = self.capture.samples(start, stop)
         regularization = FIRST_REGULARIZATION * self.capture.reference_level
-        problem = problem_of(self.capture, samples, regularization)
+        problem = self._problem(samples, regularization)
         solver = replace(self.solver, tolerance=max(FIRST_TOLERANCE, self.solver.tolerance))
         result = solver.solve(problem, self._report(0, start))
         return _kept(WeightedResult(result, np.zeros((stop - start, 0), np.float32)))
@@ -116,7 +115,7 @@ class Rounds:
         self, samples: Samples, start: int, stop: int, number: int, found: Start
     ) -> WeightedResult:
         """The rows start..stop, with penalties from what was found before."""
-        problem = problem_of(self.capture, samples, self.regularization)
+        problem = self._problem(samples, self.regularization)
         # The faint light from everywhere, and what clipped rows add up to, join in the last round,
         # when it is clear where most of the light is.
         last = number == len(self.windows)
@@ -132,6 +131,16 @@ class Rounds:
                 found.blocks[start:stop],
             ),
             progress=self._report(number, start),
+        )
+
+    def _problem(self, samples: Samples, regularization: float) -> Problem:
+        return Problem(
+            self.capture.patterns,
+            samples.values,
+            samples.clipped,
+            samples.clip_level,
+            regularization,
+            samples.weights,
         )
 
     def _candidates(self, rows: csr_array, number: int, start: int, stop: int) -> Candidates:
@@ -181,14 +190,14 @@ class Rounds:
         penalties = (cost / np.sqrt(self._block_sizes)).astype(np.float32)
         return Blocks(_pattern_block_means(patterns, self._pooling), penalties)
 
-    def _part(self, samples: Samples, solved: WeightedResult) -> Part:
+    def _tile(self, samples: Samples, solved: WeightedResult) -> Tile:
         # The row's own coefficient is spread over the blocks, each by its share of the pixels.
         shares = self._block_sizes / self._block_sizes.sum()
         background = solved.rows.background[:, None] * shares
         if solved.blocks.shape[1]:
             background += solved.blocks
         sparse = csr_array(solved.rows.coefficients, dtype=np.float32)
-        return sparse, background.astype(np.float32), row_diagnostics(samples, solved.rows)
+        return sparse, background.astype(np.float32), diagnostics(samples, solved.rows)
 
     def _report(self, number: int, start: int) -> Progress | None:
         report = self.progress

@@ -37,6 +37,8 @@ pub struct Descent {
     moves: Vec<f64>,
     places: Vec<usize>,
     exact: Exact,
+    /// Whether exact solution is called for whatever the accuracy.
+    pub exactly: bool,
     /// Whether the last run came as far as it should.
     pub settled: bool,
     /// Pixels without curvature.
@@ -52,6 +54,7 @@ impl Descent {
             moves: Vec::new(),
             places: Vec::new(),
             exact: Exact::new(level),
+            exactly: false,
             settled: false,
             flat: Vec::new(),
         }
@@ -115,7 +118,8 @@ impl Descent {
                 &self.places,
                 &self.moves,
             );
-            if round > 0 && change > settled && accuracy <= EXACT_ACCURACY * lambda {
+            let exactly = self.exactly || accuracy <= EXACT_ACCURACY * lambda;
+            if round > 0 && change > settled && exactly {
                 progress
                     .order
                     .retain(|&j| progress.target[j as usize] != 0.0);

@@ -16,6 +16,9 @@ const NEWTON_STEPS: usize = 12;
 /// A step is solved to this share of the violation it starts from.
 const STEP_SHARE: f64 = 0.1;
 
+/// Steps that leave more than this share of the violation call for exact solution.
+const CRAWLING: f64 = 0.9;
+
 /// How a Newton step ended.
 #[derive(PartialEq)]
 enum Step {
@@ -78,6 +81,7 @@ impl Restricted {
         let level = dictionary.level;
         self.model.load_pixels(dictionary, &point.pixels);
         self.gradient.resize(point.pixels.len(), 0.0);
+        let mut before = f64::INFINITY;
         for step in 0..NEWTON_STEPS {
             match known {
                 Some((theta, gradient)) if step == 0 => {
@@ -97,9 +101,13 @@ impl Restricted {
                     columns.correlate(level, &point.pixels, &self.theta, &mut self.gradient);
                 }
             }
-            if self.violation(settings, point) <= accuracy * settings.regularization {
+            let violation = self.violation(settings, point);
+            if violation <= accuracy * settings.regularization {
                 return;
             }
+            // Coordinate descent may crawl where columns nearly depend on each other.
+            self.descent.exactly = !self.descent.settled && violation > CRAWLING * before;
+            before = violation;
             if self.step(dictionary, settings, data, point, accuracy) != Step::Open {
                 return;
             }
