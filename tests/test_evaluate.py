@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from scipy.sparse import csr_array
 
 from lightmatrix.errors import InputError
@@ -13,6 +15,7 @@ from lightmatrix.evaluate import (
     relative_error,
     relighting_error,
     response_rmse,
+    squared_errors,
     unclipped_rows,
     unseen_patterns,
 )
@@ -52,6 +55,31 @@ def test_errors_follow_their_definitions(pair: tuple[LightTransport, LightTransp
     )
     assert relighting_error(estimate, truth, patterns) == pytest.approx(expected, rel=1e-4)
     assert relative_error(truth, truth) == 0
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    st.tuples(st.integers(1, 5), st.integers(1, 5)),
+    st.tuples(st.integers(1, 5), st.integers(1, 5)),
+    st.integers(0, 99),
+)
+def test_squared_errors_need_no_dense_matrix(
+    grid: tuple[int, int], other_grid: tuple[int, int], seed: int
+) -> None:
+    random = np.random.default_rng(seed)
+
+    def transport(grid: tuple[int, int]) -> LightTransport:
+        sparse = random.random((12, 35)) * (random.random((12, 35)) < 0.2)
+        background = random.random((12, grid[0] * grid[1])).astype(np.float32)
+        matrix = csr_array(sparse, dtype=np.float32)
+        return LightTransport(matrix, background, (3, 4), (5, 7), grid)
+
+    estimate, truth = transport(grid), transport(other_grid)
+    rows = np.arange(12)
+    a, b = estimate.dense_rows(rows), truth.dense_rows(rows)
+    wrong, total = squared_errors(estimate, truth)
+    np.testing.assert_allclose(wrong, np.square(a - b).sum(axis=1), rtol=1e-4)
+    np.testing.assert_allclose(total, np.square(b).sum(axis=1), rtol=1e-4)
 
 
 def test_benchmark_exposure_clips_a_fifth_of_the_single_responses() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -28,13 +27,44 @@ def relative_error(
     rows : (R,) int, optional
         Camera samples to count; None means all.
     """
+    wrong, total = squared_errors(estimate, truth)
+    chosen = slice(None) if rows is None else rows
+    missed, energy = float(wrong[chosen].sum()), float(total[chosen].sum())
+    return float(np.sqrt(missed / energy if energy else missed))
+
+
+def squared_errors(
+    estimate: LightTransport, truth: LightTransport
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """||T_est - T||^2 and ||T||^2 of each row, backgrounds included, without a dense matrix.
+
+    Returns
+    -------
+    wrong, total : (M,) float64
+    """
     _check_same_rig(estimate, truth)
-    wrong = total = 0.0
-    for block in _row_blocks(estimate, rows):
-        expected = truth.dense_rows(block)
-        wrong += _energy(estimate.dense_rows(block) - expected)
-        total += _energy(expected)
-    return float(np.sqrt(wrong / total)) if total else float(np.sqrt(wrong))
+    difference = csr_array(estimate.sparse - truth.sparse, dtype=np.float64)
+    found, expected = (estimate.background, estimate.pooling), (truth.background, truth.pooling)
+    wrong = _row_energies(difference, [found, (-expected[0], expected[1])])
+    return wrong, _row_energies(csr_array(truth.sparse, dtype=np.float64), [expected])
+
+
+def _row_energies(
+    sparse: csr_array, coarse: list[tuple[NDArray[Any], csr_array]]
+) -> NDArray[np.float64]:
+    """Row by row ||S + sum B m||^2: products of the parts, each as small as its smaller one."""
+    squares = csr_array((sparse.data**2, sparse.indices, sparse.indptr), shape=sparse.shape)
+    energy = np.asarray(squares.sum(axis=1), np.float64)
+    for i, (background, means) in enumerate(coarse):
+        if not background.any():
+            continue
+        own = background.astype(np.float64)
+        energy += 2 * ((sparse @ means.T.astype(np.float64)).toarray() * own).sum(axis=1)
+        for other_background, other_means in coarse[i:]:
+            overlap = (means @ other_means.T).toarray().astype(np.float64)
+            product = ((own @ overlap) * other_background).sum(axis=1)
+            energy += product if other_background is background else 2 * product
+    return np.maximum(energy, 0)
 
 
 def response_rmse(
@@ -143,17 +173,6 @@ def diffuse_rows(matrix: csr_array, projector_shape: tuple[int, int]) -> NDArray
         window = summed.max(axis=(1, 2))
         result[start : start + size] = window < 0.5 * images.sum(axis=(1, 2))
     return result
-
-
-def _row_blocks(
-    transport: LightTransport, rows: NDArray[np.integer] | None
-) -> Iterator[NDArray[np.int64]]:
-    chosen = np.arange(transport.shape[0]) if rows is None else np.asarray(rows)
-    if chosen.dtype == np.bool_:
-        chosen = np.flatnonzero(chosen)
-    size = max(1, _BLOCK_BYTES // (4 * transport.shape[1]))
-    for start in range(0, len(chosen), size):
-        yield chosen[start : start + size]
 
 
 def _check_same_rig(estimate: LightTransport, truth: LightTransport) -> None:

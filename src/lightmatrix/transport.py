@@ -96,7 +96,7 @@ class LightTransport:
         return int(self.sparse.shape[0]), int(self.sparse.shape[1])
 
     @cached_property
-    def _pooling(self) -> csr_array:
+    def pooling(self) -> csr_array:
         """The operator m: mean over each block of the background grid, (B, N)."""
         return block_means(self.projector_shape, self.background_grid)
 
@@ -126,7 +126,7 @@ class LightTransport:
                 hint="resize the pattern to the projector",
             )
         p = stack.reshape(-1, self.shape[1]).T
-        camera = self.sparse @ p + self.background @ (self._pooling @ p)
+        camera = self.sparse @ p + self.background @ (self.pooling @ p)
         images = np.asarray(camera.T, np.float32).reshape(-1, *self.camera_shape)
         return images if stack.ndim == 3 else images[0]
 
@@ -154,7 +154,7 @@ class LightTransport:
                 f"camera lights of shape {light.shape}", hint=f"give shape {self.camera_shape}"
             )
         flat = light.ravel()
-        image = self.sparse.T @ flat + self._pooling.T @ (self.background.T @ flat)
+        image = self.sparse.T @ flat + self.pooling.T @ (self.background.T @ flat)
         return np.asarray(image, np.float32).reshape(self.projector_shape)
 
     def row(self, *camera_index: int) -> NDArray[np.float32]:
@@ -176,12 +176,12 @@ class LightTransport:
 
     def dense_rows(self, index: NDArray[np.integer]) -> NDArray[np.float32]:
         """Chosen rows of T, background included: (len(index), N) float32."""
-        values = self.sparse[index].toarray() + self.background[index] @ self._pooling
+        values = self.sparse[index].toarray() + self.background[index] @ self.pooling
         return np.asarray(values, np.float32)
 
     def dense_columns(self, index: NDArray[np.integer]) -> NDArray[np.float32]:
         """Chosen columns of T, background included: (M, len(index)) float32."""
-        pooled = self._pooling[:, index].toarray()
+        pooled = self.pooling[:, index].toarray()
         return np.asarray(self.sparse[:, index].toarray() + self.background @ pooled, np.float32)
 
     def to_matrix(self, *, dense_background: bool = False) -> csr_array:
@@ -195,7 +195,7 @@ class LightTransport:
         """
         if not dense_background:
             return self.sparse
-        return csr_array(self.sparse + csr_array(self.background) @ self._pooling)
+        return csr_array(self.sparse + csr_array(self.background) @ self.pooling)
 
 
 def block_means(projector_shape: tuple[int, int], grid: tuple[int, int]) -> csr_array:
