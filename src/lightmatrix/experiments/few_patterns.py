@@ -1,0 +1,262 @@
+"""How few patterns suffice: coherent estimates of the rendered scenes against row by row ones."""
+
+from __future__ import annotations
+
+import csv
+import json
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.sparse import csr_array
+
+from lightmatrix.capture import Capture
+from lightmatrix.estimators.coherent import DEFAULT_REGULARIZATION, CoherentEstimator
+from lightmatrix.estimators.plain import PlainEstimator
+from lightmatrix.experiments.measured_scene import ONE_EXPOSURE, Exposures, MeasuredScene
+from lightmatrix.figures import COLOURS, figure, save
+from lightmatrix.pattern_mix import MixedPatterns, default_mix
+from lightmatrix.patterns import BernoulliPatterns, PatternSet
+from lightmatrix.rig import library
+from lightmatrix.solvers import ActiveSet, Problem
+from lightmatrix.solvers.weighted import Blocks, Candidates, solve_weighted
+from lightmatrix.transport import LightTransport
+
+SCENES = {"l_objects": "L objects", "gripper": "gripper", "metal": "metallic objects"}
+SIZE = (128, 128)
+SEEDS = (0, 1, 2)
+TWO_EXPOSURES: Exposures = ((1.0, 0.75), (0.25, 0.25))
+THREE_EXPOSURES: Exposures = ((1.0, 0.5), (0.25, 0.25), (0.0625, 0.25))
+# Entries of the truth above this share of the clip level, where the support is taken as known.
+KNOWN_SUPPORT = 0.003
+# The penalty there, relative to the coherent estimate's.
+KNOWN_PENALTY = 0.01
+
+
+@dataclass(frozen=True)
+class Case:
+    """One estimate of one capture."""
+
+    scene: str
+    method: str
+    patterns: int
+    seed: int
+    mix: bool = False
+    exposures: Exposures = ONE_EXPOSURE
+    size: tuple[int, int] = SIZE
+
+    @property
+    def name(self) -> str:
+        """A file name."""
+        parts = [self.scene, f"{self.size[0]}", self.method, f"k{self.patterns}", f"s{self.seed}"]
+        return "-".join([*parts, *["mix"] * self.mix, *[f"e{len(self.exposures)}"]])
+
+
+def cases(quick: bool) -> Iterator[Case]:
+    """What is measured, the cheap and important first."""
+    if quick:
+        for method in ("coherent", "row by row"):
+            yield Case("l_objects", method, 32, 0, size=(64, 64))
+        return
+    for seed in SEEDS:
+        for scene in SCENES:
+            for count in (16, 32, 64):
+                for method in ("coherent", "row by row"):
+                    yield Case(scene, method, count, seed)
+            yield Case(scene, "coherent", 64, seed, mix=True)
+            for exposures in (TWO_EXPOSURES, THREE_EXPOSURES):
+                yield Case(scene, "coherent", 64, seed, exposures=exposures)
+            yield Case(scene, "coherent", 64, seed, mix=True, exposures=THREE_EXPOSURES)
+            for count in (128, 256):
+                yield Case(scene, "row by row", count, seed)
+    for scene in SCENES:
+        for count in (16, 32, 64, 256):
+            yield Case(scene, "known support", count, 0)
+            if count < 256:
+                yield Case(scene, "not clipping", count, 0)
+    # No worse than row by row, on any bundled scene and at any number of patterns.
+    for count in (32, 64, 128, 256, 512, 1024):
+        for scene in library.BUNDLED:
+            for seed in SEEDS:
+                for method in ("coherent", "row by row"):
+                    yield Case(scene, method, count, seed, size=(64, 64))
+    for seed in SEEDS:
+        for scene in SCENES:
+            for count in (128, 256):
+                yield Case(scene, "coherent", count, seed)
+
+
+def run(
+    out: Path,
+    *,
+    quick: bool = False,
+    progress: Callable[[int, int], None] | None = None,
+    kept: Path | None = None,
+) -> dict[str, Any]:
+    """Measure all cases and write few-patterns.png, .svg, .csv and .json.
+
+    Parameters
+    ----------
+    out : Path
+        An existing folder.
+    quick : bool
+        One scene at 64 x 64.
+    kept : Path, optional
+        A folder where finished cases are kept, for a run that goes on.
+    """
+    chosen = list(cases(quick))
+    rows = []
+    for done, case in enumerate(chosen, start=1):
+        rows.append(_kept(case, kept))
+        if progress is not None:
+            progress(done, len(chosen))
+    result = {"rows": rows, "means": means(rows)}
+    (out / "few-patterns.json").write_text(json.dumps(result, indent=1) + "\n")
+    with open(out / "few-patterns.csv", "w", newline="") as file:
+        table = csv.DictWriter(file, list(result["means"][0]))
+        table.writeheader()
+        table.writerows(result["means"])
+    if not quick:
+        _draw(out, result["means"])
+    return result
+
+
+def means(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Mean over the seeds of every other combination."""
+    groups: dict[str, list[dict[str, Any]]] = {}
+    for row in rows:
+        key = json.dumps([row[name] for name in asdict(Case("", "", 0, 0)) if name != "seed"])
+        groups.setdefault(key, []).append(row)
+    result = []
+    for group in groups.values():
+        first = dict(group[0])
+        del first["seed"]
+        for name, value in first.items():
+            if isinstance(value, float):
+                first[name] = float(np.mean([row[name] for row in group]))
+        result.append({**first, "seeds": len(group)})
+    return result
+
+
+def measure(case: Case) -> dict[str, Any]:
+    """Errors and time of one case."""
+    scene = _scene(case.scene, case.size)
+    patterns = _patterns(case)
+    capture = scene.capture(patterns, case.seed, case.exposures)
+    started = time.perf_counter()
+    estimate = _estimate(case, scene, capture)
+    seconds = time.perf_counter() - started
+    certified = estimate.diagnostics.get("converged", np.array([np.nan]))
+    return {
+        **asdict(case),
+        **scene.errors(estimate, capture),
+        "certified": float(np.mean(certified)),
+        "seconds": seconds,
+    }
+
+
+def _estimate(case: Case, scene: MeasuredScene, capture: Capture) -> LightTransport:
+    if case.method == "coherent":
+        return CoherentEstimator().estimate(capture)
+    if case.method == "row by row":
+        return PlainEstimator(ActiveSet()).estimate(capture)
+    if case.method == "not clipping":
+        clean = scene.capture(capture.patterns, case.seed, case.exposures, clipping=False)
+        return CoherentEstimator().estimate(clean)
+    return _with_known_support(scene, capture)
+
+
+def _with_known_support(scene: MeasuredScene, capture: Capture) -> LightTransport:
+    """Rows solved on the pixels that hold light in truth."""
+    level = capture.reference_level
+    support = scene.truth.matrix.copy()
+    support.data[support.data < KNOWN_SUPPORT * level] = 0
+    support.eliminate_zeros()
+    samples = capture.samples()
+    problem = Problem(
+        capture.patterns,
+        samples.values,
+        samples.clipped,
+        samples.clip_level,
+        KNOWN_PENALTY * DEFAULT_REGULARIZATION * level,
+        samples.weights,
+    )
+    candidates = Candidates(
+        support.indptr.astype(np.int64),
+        support.indices.astype(np.int32),
+        np.ones(support.nnz, np.float32),
+    )
+    found = solve_weighted(
+        problem, candidates, Blocks.none(capture.patterns), ActiveSet(tolerance=1e-3)
+    ).rows
+    return LightTransport(
+        csr_array(found.coefficients, dtype=np.float32),
+        found.background.astype(np.float32)[:, None],
+        capture.camera_shape,
+        capture.projector_shape,
+        diagnostics={"converged": found.converged},
+    )
+
+
+def _patterns(case: Case) -> PatternSet:
+    if case.mix:
+        return MixedPatterns(
+            case.size, case.patterns, default_mix(case.size, case.patterns), seed=case.seed
+        )
+    return BernoulliPatterns(case.size, case.patterns, seed=case.seed)
+
+
+@lru_cache(maxsize=2)
+def _scene(name: str, size: tuple[int, int]) -> MeasuredScene:
+    return MeasuredScene(library.truth(name, size))
+
+
+def _kept(case: Case, folder: Path | None) -> dict[str, Any]:
+    if folder is None:
+        return measure(case)
+    file = folder / f"{case.name}.json"
+    if not file.exists():
+        folder.mkdir(parents=True, exist_ok=True)
+        part = file.with_suffix(".part")
+        part.write_text(json.dumps(measure(case)))
+        part.replace(file)
+    return dict(json.loads(file.read_text()))
+
+
+def _draw(out: Path, rows: list[dict[str, Any]]) -> None:
+    kinds = (
+        ("row by row", "row by row", COLOURS[6], "-"),
+        ("coherent", "coherent", COLOURS[0], "-"),
+        ("not clipping", "coherent, camera that does not clip", COLOURS[2], "--"),
+        ("known support", "support known", COLOURS[1], ":"),
+    )
+    with figure(7.2, 4.4) as drawing:
+        panels = drawing.subplots(2, len(SCENES), sharex=True, sharey="row")
+        for column, (scene, title) in enumerate(SCENES.items()):
+            for line, what in enumerate(("relative_error", "relighting_error")):
+                axes = panels[line, column]
+                for method, label, colour, style in kinds:
+                    points = sorted(
+                        (row["patterns"], row[what])
+                        for row in rows
+                        if row["scene"] == scene
+                        and row["method"] == method
+                        and not row["mix"]
+                        and len(row["exposures"]) == 1
+                        and row["size"][0] == SIZE[0]
+                    )
+                    k, value = zip(*points, strict=True)
+                    axes.plot(k, value, style, color=colour, marker="o", markersize=3, label=label)
+                axes.set_xscale("log", base=2)
+                axes.set_yscale("log")
+                axes.set_xticks([16, 32, 64, 128, 256], ["16", "32", "64", "128", "256"])
+            panels[0, column].set_title(title)
+            panels[1, column].set_xlabel("patterns K")
+        panels[0, 0].set_ylabel("relative error of T")
+        panels[1, 0].set_ylabel("relighting error")
+        panels[0, 2].legend(loc="lower left", fontsize=6.5)
+        save(drawing, out, "few-patterns", ("png", "svg"))

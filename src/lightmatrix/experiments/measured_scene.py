@@ -1,0 +1,159 @@
+"""A rendered scene at its benchmark exposure: captures of it, groups of its rows, and errors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightmatrix.capture import Capture
+from lightmatrix.evaluate import (
+    UNCLIPPED_RESPONSE,
+    benchmark_exposure,
+    diffuse_rows,
+    relighting_error,
+    row_maximum,
+    squared_errors,
+    unseen_patterns,
+)
+from lightmatrix.exposures import of_frames
+from lightmatrix.patterns import PatternSet
+from lightmatrix.rig.simulate import irradiance
+from lightmatrix.rig.truth import Truth
+from lightmatrix.sensor import Sensor
+from lightmatrix.transport import LightTransport
+
+NOISE = 0.003
+BITS = 8
+# Neighbouring camera pixels whose strongest projector pixels are further apart than this lie on
+# two sides of a depth edge.
+EDGE_STEP = 3
+# How far beyond its clip level a camera would reach that does not clip: a power of two.
+HEADROOM_BITS = 5
+
+Exposures = tuple[tuple[float, float], ...]
+ONE_EXPOSURE: Exposures = ((1.0, 1.0),)
+
+
+@dataclass(frozen=True, eq=False)
+class _FarReaching(Capture):
+    """A capture whose regularization follows a level below the one at which it would clip."""
+
+    nominal_level: float = 1.0
+
+    @property
+    def reference_level(self) -> float:
+        return self.nominal_level
+
+
+@dataclass(frozen=True)
+class MeasuredScene:
+    """A scene whose T is known, as an 8-bit camera with noise of 0.003 of its range sees it.
+
+    Parameters
+    ----------
+    truth : Truth
+        With T at exposure 1.
+    """
+
+    truth: Truth
+
+    @cached_property
+    def known(self) -> LightTransport:
+        """T at exposure 1."""
+        return self.truth.transport()
+
+    @cached_property
+    def exposure(self) -> float:
+        """A fifth of the rows have a single response that clips."""
+        return benchmark_exposure(self.known)
+
+    def capture(
+        self,
+        patterns: PatternSet,
+        seed: int,
+        exposures: Exposures = ONE_EXPOSURE,
+        *,
+        clipping: bool = True,
+    ) -> Capture:
+        """Frames of the scene, in multiples of the benchmark exposure and their shares.
+
+        Without `clipping` the camera has the same noise and steps, but reaches much further.
+        """
+        reach = 1 if clipping else 2**HEADROOM_BITS
+        bits = BITS if clipping else BITS + HEADROOM_BITS
+        exposure = of_frames(exposures, patterns)
+        sensor = Sensor(np.multiply(exposure, self.exposure / reach), 0.0, NOISE / reach, 0.0, bits)
+        frames = sensor.expose(irradiance(self.truth.matrix, patterns), seed=seed)
+        stack = np.ascontiguousarray(frames.T).reshape(patterns.count, *self.truth.camera_shape)
+        capture = Capture.from_arrays(patterns, stack, sensor, check=False)
+        if clipping:
+            return capture
+        level = 1 / (self.exposure * np.max(exposure))
+        return _FarReaching(patterns, capture.frames, capture.decoder, nominal_level=float(level))
+
+    @cached_property
+    def unclipped_responses(self) -> NDArray[np.bool_]:
+        """Rows whose single responses do not clip, (M,)."""
+        return row_maximum(self.known) * self.exposure <= UNCLIPPED_RESPONSE
+
+    @cached_property
+    def diffuse(self) -> NDArray[np.bool_]:
+        """Rows without a dominant 3 x 3 window, (M,)."""
+        return diffuse_rows(self.truth.matrix, self.truth.projector_shape)
+
+    @cached_property
+    def mostly_global(self) -> NDArray[np.bool_]:
+        """Rows less than half of whose light is direct, (M,)."""
+        whole = np.asarray(self.truth.matrix.sum(axis=1)).ravel()
+        return np.asarray(self.truth.direct.sum(axis=1)).ravel() < 0.5 * whole
+
+    @cached_property
+    def edges(self) -> NDArray[np.bool_]:
+        """Rows at depth edges, (M,)."""
+        rows, cols = self.truth.camera_shape[:2]
+        strongest = np.asarray(self.truth.matrix.argmax(axis=1)).reshape(rows, cols)
+        place = np.stack(np.divmod(strongest, self.truth.projector_shape[1]))
+        edge = np.zeros((rows, cols), bool)
+        for axis in (0, 1):
+            step = np.abs(np.diff(place, axis=1 + axis)).max(axis=0) > EDGE_STEP
+            edge |= np.pad(step, [(0, int(a == axis)) for a in (0, 1)])
+            edge |= np.pad(step, [(int(a == axis), 0) for a in (0, 1)])
+        return edge.ravel()
+
+    def errors(self, estimate: LightTransport, capture: Capture) -> dict[str, float]:
+        """Relative error of each group of rows, and relighting of the well-exposed ones.
+
+        The well-exposed rows are those whose single responses do not clip at the benchmark
+        exposure and at most half of whose samples clip.
+        """
+        wrong, total = squared_errors(estimate, self.known)
+        half = capture.samples().clipped.mean(axis=1) <= 0.5
+        exposed = self.unclipped_responses & half
+        tests = unseen_patterns(self.known.projector_shape)
+        white = np.ones((1, *self.known.projector_shape), np.float32)
+
+        def relative(rows: NDArray[np.bool_]) -> float:
+            energy = total[rows].sum()
+            return float(np.sqrt(wrong[rows].sum() / energy)) if energy else float("nan")
+
+        def relit(patterns: NDArray[Any], rows: NDArray[np.bool_]) -> float:
+            return relighting_error(estimate, self.known, patterns, np.flatnonzero(rows))
+
+        every = np.ones(len(wrong), bool)
+        return {
+            "relative_error": relative(exposed),
+            "relighting_error": relit(np.stack(list(tests.values())), exposed),
+            "white_error": relit(white, exposed),
+            "all_rows": relative(every),
+            "all_rows_relighting": relit(np.stack(list(tests.values())), every),
+            "diffuse_rows": relative(self.diffuse & exposed),
+            "diffuse_all_rows": relative(self.diffuse),
+            "mostly_global_rows": relative(self.mostly_global),
+            "edge_rows": relative(self.edges & exposed),
+            "edge_all_rows": relative(self.edges),
+            "rows": int(exposed.sum()),
+        }
