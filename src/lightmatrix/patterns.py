@@ -78,6 +78,11 @@ class PatternSet(ABC):
         """Mean of each pattern, (K,) float64."""
         return np.concatenate([block.mean(axis=1, dtype=np.float64) for _, block in self.blocks()])
 
+    @property
+    def sums(self) -> NDArray[np.float64]:
+        """Sum of each pattern over its pixels, (K,) float64."""
+        return self.pixels * self.means
+
     @cached_property
     def digest(self) -> str:
         """Hash of the patterns' content (8-bit grey, as projected) and shape, 16 hex digits."""

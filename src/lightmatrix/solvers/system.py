@@ -68,10 +68,12 @@ class System:
         means = self.patterns.means
         rows = np.ones(self.patterns.count) if self.row_scale is None else self.row_scale
         if self._wide:
-            square = self.patterns.gram * np.outer(rows, rows)
+            square = self.patterns.gram
             if self.background:
-                change = self.scale**2 - self.patterns.pixels
-                square = square + change * np.outer(rows * means, rows * means)
+                crossed = np.outer(self.patterns.sums, means)
+                change = self.scale**2 + self.patterns.pixels
+                square = square - crossed - crossed.T + change * np.outer(means, means)
+            square = square * np.outer(rows, rows)
         else:
             matrix = self.patterns.dense().astype(np.float64)
             if self.background:
@@ -140,8 +142,8 @@ class System:
 
 def centred_energy(patterns: PatternSet) -> NDArray[np.float64]:
     """Squared lengths of the centred patterns P - m 1', (K,): N / 4 for 0/1 at density 0.5."""
-    energy = np.diagonal(patterns.gram) - patterns.pixels * patterns.means**2
-    return np.maximum(energy, 0)
+    energy = np.diagonal(patterns.gram) - 2 * patterns.sums * patterns.means
+    return np.maximum(energy + patterns.pixels * patterns.means**2, 0)
 
 
 def _each_by(rows: NDArray[np.float64], matrix: NDArray[np.float64]) -> NDArray[np.float64]:
