@@ -15,6 +15,7 @@ from lightmatrix.capture import Capture
 from lightmatrix.cli.common import Json, Overwrite, out, progress, show_json, show_table, size
 from lightmatrix.cli.results import summary
 from lightmatrix.errors import InputError
+from lightmatrix.estimators.coherent import WORTH_IT_UP_TO, CoherentEstimator
 from lightmatrix.estimators.plain import PlainEstimator
 from lightmatrix.solvers import ADMM, ROMP, ActiveSet, SaturationADMM, Solver
 from lightmatrix.solvers.problem import Fidelity
@@ -31,12 +32,13 @@ class SolverName(StrEnum):
 
 SOLVERS_HELP = (
     "active-set (one-sided, rejection, linear; certifies a duality gap), "
-    "saturation-admm (clipped, one-sided, rejection, linear), admm (linear), "
+    "saturation-admm (clipped, one-sided, likelihood, rejection, linear), admm (linear), "
     "romp (linear, rejection)."
 )
 FIDELITY_HELP = (
     "How clipped samples count: one-sided (a lower bound, convex), clipped (the paper's Eq. 6), "
-    "rejection (left out), linear (taken at their value)."
+    "likelihood (a lower bound with a soft edge), rejection (left out), "
+    "linear (taken at their value)."
 )
 DEFAULT_FIDELITY = {
     SolverName.ACTIVE_SET: Fidelity.ONE_SIDED,
@@ -78,13 +80,22 @@ def estimate(
     regularization: Annotated[
         str, typer.Option(help="The paper's lambda in units of camera sample, or auto.")
     ] = "auto",
+    coherent: Annotated[
+        bool | None,
+        typer.Option(
+            "--coherent/--no-coherent",
+            help="Learn from neighbouring camera pixels where light is likely; by default with the "
+            f"active-set solver and up to {WORTH_IT_UP_TO} patterns.",
+        ),
+    ] = None,
     iterations: Annotated[
         int | None,
         typer.Option(help="Most iterations (rounds for romp, passes for active-set).", min=1),
     ] = None,
     signed: Annotated[bool, typer.Option(help="Allow negative light, as the paper does.")] = False,
     background: Annotated[
-        bool, typer.Option(help="One diffuse coefficient per camera sample.")
+        bool,
+        typer.Option(help="Diffuse light: a coefficient, or coarse blocks, per camera sample."),
     ] = True,
     bin_projector: Annotated[str, typer.Option(help="Projector pixels per bin, 8 or 8x8.")] = "1",
     bin_camera: Annotated[str, typer.Option(help="Camera pixels per bin, 8 or 8x8.")] = "1",
@@ -100,13 +111,23 @@ def estimate(
     """Estimate T from patterns and photographs; an interrupted run goes on where it stopped."""
     check_output(output, overwrite=overwrite, suffixes=(".zarr",))
     started = time.perf_counter()
+    fitting = _why_not_coherent(solver, signed, background)
+    if coherent and fitting is not None:
+        raise InputError(f"--coherent {fitting}", hint="leave out one of the two")
     chosen = _solver(solver, fidelity, iterations)
     opened = _open(capture, pattern_folder, images, black, white, mask, clip, response)
     opened = opened.bin(projector=size(bin_projector), camera=size(bin_camera))
     opened.check(order=check)
-    estimator = PlainEstimator(
-        chosen, _regularization(regularization), not signed, background, tile_rows
-    )
+    if coherent is None:
+        coherent = fitting is None and opened.count <= WORTH_IT_UP_TO
+    value = _regularization(regularization)
+    estimator: PlainEstimator | CoherentEstimator
+    if coherent and isinstance(chosen, ActiveSet):
+        estimator = CoherentEstimator(
+            value, fidelity=chosen.fidelity, max_passes=chosen.max_passes, tile_rows=tile_rows
+        )
+    else:
+        estimator = PlainEstimator(chosen, value, not signed, background, tile_rows)
     with progress("estimating", "rows") as report:
         transport = estimator.estimate(
             opened, checkpoint=output, overwrite=overwrite, progress=report
@@ -124,6 +145,17 @@ def estimate(
                 "raise it with --iterations",
                 style="yellow",
             )
+
+
+def _why_not_coherent(solver: SolverName, signed: bool, background: bool) -> str | None:
+    """What the coherent estimate does not go with, if anything."""
+    if solver is not SolverName.ACTIVE_SET:
+        return f"needs --solver active-set, not {solver}"
+    if signed:
+        return "needs light that is not negative, without --signed"
+    if not background:
+        return "needs the background, without --no-background"
+    return None
 
 
 def _solver(name: SolverName, fidelity: Fidelity | None, iterations: int | None) -> Solver:

@@ -32,7 +32,14 @@ def summary(transport: LightTransport) -> dict[str, Any]:
         result["gap_median"] = float(np.nanmedian(diagnostics["gap"]))
         result["gap_max"] = float(np.nanmax(diagnostics["gap"]))
     made = transport.provenance
-    for name in ("estimator", "solver", "regularization", "pattern_digest", "scene"):
+    for name in (
+        "estimator",
+        "solver",
+        "regularization",
+        "certificate",
+        "pattern_digest",
+        "scene",
+    ):
         if name in made:
             result[name] = made[name]
     if "solver_parameters" in made and "fidelity" in made["solver_parameters"]:

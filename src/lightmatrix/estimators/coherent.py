@@ -32,6 +32,8 @@ from lightmatrix.transport import LightTransport
 WINDOWS = ((2, 2), (2, 2), (2, 2), (2, 1), (1, 1), (1, 1))
 # Of the clip level.
 DEFAULT_REGULARIZATION = 0.1
+# With more patterns than this the row by row estimate is good by itself, and much faster.
+WORTH_IT_UP_TO = 256
 
 
 @dataclass(frozen=True)
@@ -62,6 +64,8 @@ class CoherentEstimator:
         one-sided, rejection or linear.
     tolerance : float
         Relative duality gap of the weighted problem of each row.
+    max_passes : int
+        Passes over a row's pixels, in each round, after which it is given up as it is.
     threads : int or None
         None takes one per core.
     tile_rows : int or None
@@ -80,11 +84,12 @@ class CoherentEstimator:
     background_grid: tuple[int, int] = (8, 8)
     fidelity: Fidelity = Fidelity.ONE_SIDED
     tolerance: float = 1e-3
+    max_passes: int = 200
     threads: int | None = None
     tile_rows: int | None = None
 
     def __post_init__(self) -> None:
-        ActiveSet(self.fidelity, self.tolerance, threads=self.threads)  # checks what it is given
+        _ = self._solver  # Checks what it is given.
         if not self.trust > 0:
             raise InputError(f"a trust of {self.trust}", hint="use a small number such as 0.01")
         if not self.windows or min(min(pair) for pair in self.windows) < 0:
@@ -173,7 +178,7 @@ class CoherentEstimator:
 
     @property
     def _solver(self) -> ActiveSet:
-        return ActiveSet(self.fidelity, self.tolerance, threads=self.threads)
+        return ActiveSet(self.fidelity, self.tolerance, self.max_passes, self.threads)
 
     def _regularization(self, capture: Capture) -> float:
         if self.regularization is not None:
