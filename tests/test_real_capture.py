@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from lightmatrix.capture import Capture
 from lightmatrix.errors import InputError
+from lightmatrix.estimators.coherent import CoherentEstimator
 from lightmatrix.images import ImageStack
 from lightmatrix.solvers.active_set import ActiveSet
 from lightmatrix.solvers.problem import Problem, Result
@@ -84,14 +85,18 @@ def estimate(capture: Capture, rows: NDArray[np.int64], regularization: float = 
     return ActiveSet().solve(problem)
 
 
+@pytest.mark.parametrize("coherent", [False, True])
 def test_the_strongest_entry_is_where_gray_decoding_says(
-    capture: Capture, photographs: NDArray[np.float32]
+    capture: Capture, photographs: NDArray[np.float32], coherent: bool
 ) -> None:
     assert capture.projector_shape == (96, 128)
     assert capture.camera_shape == (128, 160)
     rows = lit(photographs)
     assert len(rows) > 15000
-    matrix = estimate(capture, rows).coefficients
+    if coherent:
+        matrix = CoherentEstimator().estimate(capture).sparse[rows]
+    else:
+        matrix = estimate(capture, rows).coefficients
     strongest = np.array(
         [
             matrix.indices[a:b][matrix.data[a:b].argmax()] if b > a else -1
@@ -106,6 +111,22 @@ def test_the_strongest_entry_is_where_gray_decoding_says(
         near &= np.abs(found - np.nanmedian(decoded, axis=1) // BIN) <= 1
     print(f"strongest entry within one bin of Gray decoding: {100 * near.mean():.2f} %")
     assert near.mean() >= 0.95
+
+
+@pytest.mark.parametrize("held", [2, 26])
+def test_a_frame_held_out_is_predicted_by_the_coherent_estimate(
+    capture: Capture, photographs: NDArray[np.float32], held: int
+) -> None:
+    rest = np.delete(np.arange(capture.count), held)
+    found = CoherentEstimator().estimate(capture.select(rest))
+    predicted = found.relight(capture.patterns.images(held, held + 1)).reshape(-1)
+    samples = capture.samples()
+    rows = lit(photographs)
+    rows = rows[~samples.clipped[rows, held]]
+    lit_range = samples.values[rows, WHITE].mean()
+    error = np.sqrt(np.mean((predicted - samples.values[:, held])[rows] ** 2)) / lit_range
+    print(f"frame {held} predicted to {100 * error:.2f} % RMS of the mean lit level")
+    assert error < 0.06
 
 
 @pytest.mark.parametrize("held", [2, 6, 26])
