@@ -59,6 +59,15 @@ def whole_frame(problem: Problem, repeats: int = 3) -> Row:
     }
 
 
+def same_on_one_thread(problem: Problem) -> bool:
+    """Whether one thread gives the very same rows as all do."""
+    many, one = solve(problem, ActiveSet()), solve(problem, ActiveSet(threads=1))
+    parts = (
+        (r.coefficients.indices, r.coefficients.data, r.background, r.gap) for r in (many, one)
+    )
+    return all(np.array_equal(a, b) for a, b in zip(*parts, strict=True))
+
+
 def agreement(problem: Problem, rows: int) -> Row:
     """Certified objectives against an independent, long float64 solve."""
     problem = solver_rows.spread(problem, rows)
