@@ -32,7 +32,7 @@ BITS = 8
 # two sides of a depth edge.
 EDGE_STEP = 3
 # How far beyond its clip level a camera would reach that does not clip: a power of two.
-HEADROOM_BITS = 5
+HEADROOM_BITS = 8
 
 Exposures = tuple[tuple[float, float], ...]
 ONE_EXPOSURE: Exposures = ((1.0, 1.0),)
