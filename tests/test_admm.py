@@ -15,11 +15,11 @@ from scipy.sparse import csr_array
 
 from lightmatrix.errors import InputError, SolverError
 from lightmatrix.patterns import BernoulliPatterns
-from lightmatrix.solvers import ADMM, Fidelity, Problem, SaturationADMM, solve
-from lightmatrix.solvers.objective import objective, relative_gap
+from lightmatrix.solvers import ADMM, ROMP, ActiveSet, Fidelity, Problem, SaturationADMM, solve
+from lightmatrix.solvers.objective import objective, predictions, relative_gap
 from lightmatrix.solvers.system import System
 
-CONVEX = [Fidelity.LINEAR, Fidelity.ONE_SIDED, Fidelity.REJECTION]
+CONVEX = [Fidelity.LINEAR, Fidelity.ONE_SIDED, Fidelity.REJECTION, Fidelity.LIKELIHOOD]
 
 
 def _augmented(problem: Problem, scale: float) -> np.ndarray[Any, Any]:
@@ -158,6 +158,36 @@ def test_optimum_is_certified_by_its_duality_gap(
     assert result.gap.max() < 1e-4
 
 
+def test_likelihood_with_a_narrow_edge_is_one_sided() -> None:
+    problem, _ = clipping_problem()
+    hard, soft = Fidelity.ONE_SIDED, Fidelity.LIKELIHOOD
+    x = csr_array(np.random.default_rng(2).random((problem.rows, problem.patterns.pixels)) / 40)
+    b = np.zeros(problem.rows)
+    assert (predictions(problem, x, b) < problem.samples)[problem.clipped].any()
+    previous = np.inf
+    for edge in (0.1, 0.01, 1e-3, 1e-4):
+        narrow = replace(problem, edge_noise=edge)
+        distance = np.abs(objective(narrow, x, b, soft) - objective(problem, x, b, hard)).max()
+        assert distance < previous
+        previous = distance
+    assert distance < 1e-4
+
+
+@pytest.mark.parametrize("edge", [0.0, -0.1, 2.0, np.nan])
+def test_edges_out_of_range_are_refused(edge: float) -> None:
+    problem, _ = clipping_problem()
+    with pytest.raises(InputError, match="edge_noise"):
+        replace(problem, edge_noise=edge)
+
+
+@pytest.mark.parametrize("solver", [ActiveSet, ROMP])
+def test_solvers_without_the_likelihood_say_so(solver: Any) -> None:
+    with pytest.raises(SolverError, match="likelihood") as caught:
+        solver(fidelity=Fidelity.LIKELIHOOD)
+    assert caught.value.hint is not None
+    assert "saturation-admm" in caught.value.hint
+
+
 @given(seed=st.integers(0, 1000))
 @settings(max_examples=20, deadline=None)
 def test_no_point_beats_the_dual_bound(seed: int) -> None:
@@ -170,7 +200,7 @@ def test_no_point_beats_the_dual_bound(seed: int) -> None:
         assert (gap >= 0).all()
 
 
-@pytest.mark.parametrize("fidelity", [Fidelity.CLIPPED, Fidelity.ONE_SIDED])
+@pytest.mark.parametrize("fidelity", [Fidelity.CLIPPED, Fidelity.ONE_SIDED, Fidelity.LIKELIHOOD])
 def test_clip_aware_estimates_are_far_better(fidelity: Fidelity) -> None:
     problem, x = clipping_problem(
         rows=20, shape=(16, 16), count=120, clip_level=1.5, regularization=0.02

@@ -6,9 +6,17 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.special import log_ndtr
 
 from lightmatrix.solvers.problem import Fidelity
-from lightmatrix.solvers.prox import capped_soft_threshold, clip, soft_threshold, update_prediction
+from lightmatrix.solvers.prox import (
+    capped_soft_threshold,
+    clip,
+    likelihood_update,
+    mills,
+    soft_threshold,
+    update_prediction,
+)
 
 values = st.floats(-3, 6, allow_nan=False, width=32)
 positive = st.floats(0.01, 30)
@@ -20,6 +28,9 @@ def _term(u: np.ndarray, y: float, clipped: bool, level: float, fidelity: Fideli
         return (y - np.minimum(u, y if clipped else level)) ** 2 / 2
     if clipped and fidelity is Fidelity.REJECTION:
         return np.zeros_like(u)
+    if clipped and fidelity is Fidelity.LIKELIHOOD:
+        width = 0.02 * level
+        return -(width**2) * log_ndtr((u - y) / width)
     if clipped and fidelity is Fidelity.ONE_SIDED:
         return np.maximum(0, y - u) ** 2 / 2
     return (y - u) ** 2 / 2
@@ -56,7 +67,44 @@ def _update(
         return np.array([[value]])
 
     arrays = one(v), one(y), np.array([[clipped]]), one(level), one(weight)
-    return float(update_prediction(*arrays, c, fidelity)[0, 0])
+    return float(update_prediction(*arrays, c, fidelity, one(0.02 * level))[0, 0])
+
+
+@given(v=st.floats(-50, 50), y=st.floats(0, 3), ratio=st.floats(1e-3, 1e3),
+       width=st.floats(1e-2, 1))  # fmt: skip
+@settings(max_examples=200, deadline=None)
+def test_likelihood_update_is_stationary_in_both_tails(
+    v: float, y: float, ratio: float, width: float
+) -> None:
+    """The slope of the cost changes its sign within rounding of the answer."""
+    given = np.array([v]), np.array([y]), np.array([ratio])
+    u = float(likelihood_update(*given, 1.0, np.array([width]))[0])
+    assert u >= v - 1e-9 * (1 + abs(v))
+
+    def slope(u: float) -> float:
+        z = (u - y) / width
+        # Another way to the Mills ratio: the quotient of its definition, by logarithms.
+        ratio_of = np.exp(-(z**2) / 2 - np.log(2 * np.pi) / 2 - log_ndtr(z))
+        return float(u - v - ratio * width * ratio_of)
+
+    step = 1e-6 * (1 + abs(u) + abs(v))
+    assert slope(u - step) < 0 < slope(u + step)
+
+
+def test_a_narrow_edge_is_the_one_sided_term() -> None:
+    random = np.random.default_rng(0)
+    v, y = random.uniform(-3, 6, (2, 1, 500))
+    arrays = v, np.abs(y), np.ones(y.shape, bool), np.abs(y), np.ones(y.shape)
+    soft = update_prediction(*arrays, 0.7, Fidelity.LIKELIHOOD, np.full(y.shape, 1e-4))
+    hard = update_prediction(*arrays, 0.7, Fidelity.ONE_SIDED)
+    np.testing.assert_allclose(soft, hard, atol=2e-4)
+    assert (soft >= hard - 1e-12).all()
+
+
+def test_mills_ratio_in_both_tails() -> None:
+    np.testing.assert_allclose(mills(np.array([0.0])), np.sqrt(2 / np.pi), rtol=1e-14)
+    np.testing.assert_allclose(mills(np.array([-1e6])), 1e6, rtol=1e-11)
+    assert mills(np.array([50.0]))[0] == 0
 
 
 @given(v=values, y=st.floats(0, 3), lam=positive, nu=positive)

@@ -15,6 +15,7 @@ from lightmatrix.capture import Capture
 from lightmatrix.cli.common import Json, Overwrite, out, progress, show_json, show_table, size
 from lightmatrix.cli.results import summary
 from lightmatrix.errors import InputError
+from lightmatrix.estimators.automatic import held_out_path
 from lightmatrix.estimators.coherent import WORTH_IT_UP_TO, CoherentEstimator
 from lightmatrix.estimators.plain import PlainEstimator
 from lightmatrix.solvers import ADMM, ROMP, ActiveSet, SaturationADMM, Solver
@@ -78,7 +79,11 @@ def estimate(
     solver: Annotated[SolverName, typer.Option(help=SOLVERS_HELP)] = SolverName.ACTIVE_SET,
     fidelity: Annotated[Fidelity | None, typer.Option(help=FIDELITY_HELP)] = None,
     regularization: Annotated[
-        str, typer.Option(help="The paper's lambda in units of camera sample, or auto.")
+        str,
+        typer.Option(
+            help="The paper's lambda in units of camera sample; auto (from patterns and samples); or "
+            "path (row by row, the value that best predicts patterns held out)."
+        ),
     ] = "auto",
     coherent: Annotated[
         bool | None,
@@ -97,6 +102,10 @@ def estimate(
         bool,
         typer.Option(help="Diffuse light: a coefficient, or coarse blocks, per camera sample."),
     ] = True,
+    multi_scale: Annotated[
+        bool,
+        typer.Option("--multi-scale", help="Projector blocks first, then the pixels that matter."),
+    ] = False,
     bin_projector: Annotated[str, typer.Option(help="Projector pixels per bin, 8 or 8x8.")] = "1",
     bin_camera: Annotated[str, typer.Option(help="Camera pixels per bin, 8 or 8x8.")] = "1",
     tile_rows: Annotated[
@@ -118,9 +127,16 @@ def estimate(
     opened = _open(capture, pattern_folder, images, black, white, mask, clip, response)
     opened = opened.bin(projector=size(bin_projector), camera=size(bin_camera))
     opened.check(order=check)
+    if regularization == "path":
+        if coherent:
+            raise InputError(
+                "--regularization path chooses for rows by themselves, not with --coherent",
+                hint="leave out one of the two",
+            )
+        coherent = False
     if coherent is None:
         coherent = fitting is None and opened.count <= WORTH_IT_UP_TO
-    value = _regularization(regularization)
+    value = _regularization(regularization, opened)
     estimator: PlainEstimator | CoherentEstimator
     if coherent and isinstance(chosen, ActiveSet):
         estimator = CoherentEstimator(
@@ -217,12 +233,14 @@ def _open(
     )
 
 
-def _regularization(text: str) -> float | None:
+def _regularization(text: str, capture: Capture) -> float | None:
     if text == "auto":
         return None
+    if text == "path":
+        return held_out_path(capture).best
     try:
         return float(text)
     except ValueError:
         raise InputError(
-            f"a regularization of {text!r}", hint="use auto or a number such as 0.3"
+            f"a regularization of {text!r}", hint="use auto, path or a number such as 0.3"
         ) from None

@@ -38,7 +38,8 @@ class ActiveSet:
     Parameters
     ----------
     fidelity : Fidelity
-        one-sided, rejection or linear; not `clipped`, which is not convex and has no gap.
+        one-sided, rejection or linear; not `clipped`, which is not convex and has no gap, and not
+        `likelihood`.
     tolerance : float
         Relative duality gap, in (0, 1).
     max_passes : int
@@ -49,7 +50,7 @@ class ActiveSet:
     Raises
     ------
     SolverError
-        For the fidelity `clipped`.
+        For the fidelities `clipped` and `likelihood`.
     InputError
         On parameters out of range.
     """
@@ -63,6 +64,12 @@ class ActiveSet:
     row_block: ClassVar[int] = 64
 
     def __post_init__(self) -> None:
+        if self.fidelity is Fidelity.LIKELIHOOD:
+            raise SolverError(
+                "the active-set solver cannot use the fidelity likelihood: its steps are exact for "
+                "quadratic terms only",
+                hint="use one-sided, or the solver saturation-admm",
+            )
         if not self.fidelity.convex:
             raise SolverError(
                 f"the active-set solver cannot use the fidelity {self.fidelity}: it is not convex, "

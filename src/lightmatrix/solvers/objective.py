@@ -7,10 +7,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
+from scipy.special import log_ndtr
 
 from lightmatrix.solvers.problem import Fidelity, Problem
+from lightmatrix.solvers.prox import mills
 
 _BLOCK_BYTES = 128 << 20
+# Quadratic convergence: a handful suffice.
+_NEWTON_STEPS = 50
 
 
 def predictions(
@@ -38,7 +42,11 @@ def data_term(problem: Problem, u: NDArray[np.float64], fidelity: Fidelity) -> N
         level = np.maximum(problem.clip_levels().astype(np.float64), y)
         level = np.where(problem.clipped, y, level)
         residual = y - np.minimum(u, level)
-    return np.asarray((weights * residual**2).sum(axis=1) / 2)
+    terms = residual**2 / 2
+    if fidelity is Fidelity.LIKELIHOOD:
+        width = problem.edge_widths().astype(np.float64)
+        terms = np.where(problem.clipped, -(width**2) * log_ndtr(-residual / width), terms)
+    return np.asarray((weights * terms).sum(axis=1))
 
 
 def objective(
@@ -58,6 +66,9 @@ def relative_gap(
     with A' theta <= lambda (in absolute value if x may be negative), theta >= 0 where one-sided
     and m' theta <= 0 (= 0 if b may be negative). The weighted residual, made feasible by a shift
     along m and the best scaling, is the dual point. NaN where the fidelity is not convex.
+
+    For a clipped sample of the likelihood the residual is s mills(z) with z = (u - y) / s, and
+    theta^2 / (2 w) becomes w s^2 g(theta / (w s)), g(t) = max over z of log Phi(z) - t z.
     """
     u = predictions(problem, coefficients, background)
     primal = _norm(problem, coefficients) + data_term(problem, u, fidelity)
@@ -88,6 +99,11 @@ def _dual_value(
     elif fidelity is Fidelity.REJECTION:
         theta = np.where(problem.clipped, 0, theta)
         free = free & ~problem.clipped
+    elif fidelity is Fidelity.LIKELIHOOD:
+        width = problem.edge_widths().astype(np.float64)
+        slope = width * mills((u - y) / width)
+        theta = np.where(problem.clipped, weights * slope, theta)
+        free = free & ~problem.clipped
     if problem.background:
         theta = _orthogonal_to_means(problem, theta, free)
     highest = np.empty(problem.rows)
@@ -96,6 +112,8 @@ def _dual_value(
         correlations = problem.patterns.adjoint(theta[start : start + size])
         part = correlations if problem.nonnegative else np.abs(correlations)
         highest[start : start + size] = part.max(axis=1)
+    if fidelity is Fidelity.LIKELIHOOD:
+        return _likelihood_dual(problem, theta, highest)
     linear = (y * theta).sum(axis=1)
     quadratic = np.divide(theta**2, weights, out=np.zeros_like(theta), where=weights > 0).sum(1)
     # D(s theta) is a parabola in s: take its top, or the largest feasible scaling before it.
@@ -105,6 +123,42 @@ def _dual_value(
     # Far beyond 1 it would only magnify the rounding errors in m' theta = 0.
     scaling = np.clip(top, 0, np.minimum(limit, 2))
     return np.asarray(scaling * linear - scaling**2 * quadratic / 2)
+
+
+def _likelihood_dual(
+    problem: Problem, theta: NDArray[np.float64], highest: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """The dual value of theta, scaled down until it is feasible."""
+    weights = problem.sample_weights().astype(np.float64)
+    width = problem.edge_widths().astype(np.float64)
+    with np.errstate(divide="ignore"):
+        scaling = np.where(highest > 0, problem.regularization / highest, np.inf)
+    theta = theta * np.minimum(scaling, 1)[:, None]
+    share = np.divide(theta, weights, out=np.zeros_like(theta), where=weights > 0)
+    cost = share**2 / 2
+    at = np.nonzero(problem.clipped)
+    cost[at] = width[at] ** 2 * _log_ndtr_conjugate(share[at] / width[at])
+    return np.asarray((problem.samples * theta - weights * cost).sum(axis=1))
+
+
+def _log_ndtr_conjugate(t: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Maximum over z of log Phi(z) - t z for t >= 0: at mills(z) = t.
+
+    log mills is concave and decreasing, so Newton's steps from the right of the root stay there.
+    """
+    t = np.maximum(t, 0)
+    asked = np.log(np.maximum(t, np.finfo(np.float64).tiny))
+    # mills(z) <= exp(-z^2 / 2) for z >= 0, and <= 1 - z for z <= 0: neither root lies left of it.
+    z = np.where(asked < 0, np.sqrt(np.maximum(-2 * asked, 0)), 1 - t)
+    for _ in range(_NEWTON_STEPS):
+        # Of mills(z), in the form that neither underflows nor cancels.
+        right = -(z**2 + np.log(2 * np.pi)) / 2 - log_ndtr(z)
+        logarithm = np.where(z > 0, right, np.log(mills(np.minimum(z, 0))))
+        step = (logarithm - asked) / (z + mills(z))
+        z = z + step
+        if (np.abs(step) <= 1e-12 * (1 + np.abs(z))).all():
+            break
+    return np.asarray(np.where(t > 0, log_ndtr(z) - t * z, 0))
 
 
 def _orthogonal_to_means(

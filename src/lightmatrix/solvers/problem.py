@@ -24,16 +24,20 @@ class Fidelity(StrEnum):
     one-sided  (y - u)^2 / 2                         max(0, y - u)^2 / 2          yes
     clipped    (y - min(u, Y))^2 / 2                 the same; convex at y = Y    no
     rejection  (y - u)^2 / 2                         nothing                      yes
+    likelihood (y - u)^2 / 2                         -s^2 log Phi((u - y) / s)    yes
     ========== ===================================== ============================ =======
 
     ``clipped`` is the paper's Eq. 6, ``one-sided`` is Rencker et al. 2018 (declipping),
-    ``rejection`` is Laska et al. 2009.
+    ``rejection`` is Laska et al. 2009, ``likelihood`` is the probability that a sample with noise
+    of standard deviation s clips (Banerjee et al. 2021), Phi the normal distribution function, in
+    the unit in which (y - u)^2 / 2 is that of the others. For s to 0 it becomes ``one-sided``.
     """
 
     LINEAR = "linear"
     ONE_SIDED = "one-sided"
     CLIPPED = "clipped"
     REJECTION = "rejection"
+    LIKELIHOOD = "likelihood"
 
     @property
     def convex(self) -> bool:
@@ -76,6 +80,9 @@ class Problem:
         Light is not negative; off only where the paper is reproduced.
     background : bool
         Whether the row has an unpenalised coefficient b of the pattern means (diffuse light).
+    edge_noise : float
+        The s of the ``likelihood`` fidelity as a share of each sample's clip level, from 1e-4 to 1:
+        how far below it the prediction of a clipped sample is likely. Noise and misfit together.
 
     Raises
     ------
@@ -91,6 +98,7 @@ class Problem:
     weights: NDArray[Any] | None = None
     nonnegative: bool = True
     background: bool = True
+    edge_noise: float = 0.02
 
     def __post_init__(self) -> None:
         samples = self.samples
@@ -128,6 +136,11 @@ class Problem:
             np.isfinite(self.weights).all() and (self.weights >= 0).all()
         ):
             raise InputError("a weight is negative or not finite", hint="use 0 to mask a sample")
+        if not 1e-4 <= self.edge_noise <= 1:
+            raise InputError(
+                f"edge_noise is {self.edge_noise}",
+                hint="use a share of the clip level from 0.0001 to 1, such as 0.02",
+            )
 
     @property
     def rows(self) -> int:
@@ -153,6 +166,12 @@ class Problem:
     def clip_levels(self) -> NDArray[Any]:
         """Clip levels broadcast to (M, K), in the dtype of the samples."""
         return np.broadcast_to(self.clip_level, self.samples.shape).astype(self.samples.dtype)
+
+    def edge_widths(self) -> NDArray[Any]:
+        """The s of the ``likelihood`` fidelity, (M, K), in the dtype of the samples."""
+        # A level of 0 (room light all over the range) leaves nothing to be wide.
+        tiny = np.finfo(self.samples.dtype).tiny
+        return np.maximum(self.edge_noise * np.abs(self.clip_levels()), np.sqrt(tiny))
 
 
 def _take(values: NDArray[Any], rows: NDArray[np.integer]) -> NDArray[Any]:

@@ -52,7 +52,7 @@ class SaturationADMM:
     Parameters
     ----------
     fidelity : Fidelity
-        clipped (the paper), one-sided, rejection or linear.
+        clipped (the paper), one-sided, likelihood, rejection or linear.
     penalty_x : float or None
         The paper's mu, > 0, in 1 / (units of T). None: from the patterns and lambda, see
         `automatic_penalty_x`; for 0/1 patterns of density 0.5, sqrt(K N) / (24 lambda).
@@ -91,7 +91,10 @@ class SaturationADMM:
         # Eq. 18-21
         v = state.prediction + g / nu
         y, level, weights = problem.samples, problem.clip_levels(), problem.sample_weights()
-        u = update_prediction(v, y, problem.clipped, level, weights, lam * nu, self.fidelity)
+        widths = problem.edge_widths() if self.fidelity is Fidelity.LIKELIHOOD else None
+        u = update_prediction(
+            v, y, problem.clipped, level, weights, lam * nu, self.fidelity, widths
+        )
         # Eq. 17
         x, prediction = state.system.solve(u - g / nu, z - h / mu)
         # Eq. 13
