@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
@@ -11,17 +12,24 @@ import typer
 from lightmatrix.atomic import atomic_folder, check_output
 from lightmatrix.cli.common import Json, Overwrite, out, progress, show_json
 from lightmatrix.experiments import demo as demo_report
-from lightmatrix.experiments import fig4, fig5
+from lightmatrix.experiments import few_patterns, fig4, fig5
 
 
 class Figure(StrEnum):
-    """Figures of the paper that can be drawn."""
+    """Figures of the paper that can be drawn, and claims of ours."""
 
     FIG4 = "fig4"
     FIG5 = "fig5"
+    FEW_PATTERNS = "few-patterns"
 
 
-RUNS: dict[Figure, Any] = {Figure.FIG4: fig4.run, Figure.FIG5: fig5.run}
+RUNS: dict[Figure, Any] = {
+    Figure.FIG4: fig4.run,
+    Figure.FIG5: fig5.run,
+    Figure.FEW_PATTERNS: few_patterns.run,
+}
+# These take long, so that an interrupted run goes on with the cases it has.
+RESUMABLE = {Figure.FEW_PATTERNS}
 
 
 def register(app: typer.Typer) -> None:
@@ -50,19 +58,24 @@ def demo(
 
 
 def experiment(
-    figure: Annotated[Figure, typer.Argument(help="Which figure of the paper.")],
+    figure: Annotated[
+        Figure, typer.Argument(help="A figure of the paper, or how few patterns suffice.")
+    ],
     output: Annotated[Path, typer.Option("-o", "--output", help="Folder for the figure.")],
     quick: Annotated[bool, typer.Option(help="Fewer trials, for a first look.")] = False,
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
-    """Reproduce a figure of the paper: picture, CSV and JSON."""
+    """Reproduce a figure of the paper, or a claim of ours: picture, CSV and JSON."""
     check_output(output, overwrite=overwrite)
+    kept = output.with_name(output.name + ".cases")
+    options = {"kept": kept} if figure in RESUMABLE else {}
     with (
         atomic_folder(output, overwrite=overwrite) as folder,
         progress(str(figure), "steps") as report,
     ):
-        result = RUNS[figure](folder, quick=quick, progress=report)
+        result = RUNS[figure](folder, quick=quick, progress=report, **options)
+    shutil.rmtree(kept, ignore_errors=True)
     if as_json:
         show_json(result)
     else:
