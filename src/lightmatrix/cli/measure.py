@@ -81,8 +81,8 @@ def estimate(
     regularization: Annotated[
         str,
         typer.Option(
-            help="The paper's lambda in units of camera sample; auto (from patterns and samples); or "
-            "path (row by row, the value that best predicts patterns held out)."
+            help="The paper's lambda in units of camera sample; auto (from patterns and samples); "
+            "or path (row by row, the value that best predicts patterns held out)."
         ),
     ] = "auto",
     coherent: Annotated[
@@ -119,8 +119,13 @@ def estimate(
 ) -> None:
     """Estimate T from patterns and photographs; an interrupted run goes on where it stopped."""
     check_output(output, overwrite=overwrite, suffixes=(".zarr",))
+    if multi_scale and tile_rows is not None:
+        raise InputError(
+            "--tile-rows with --multi-scale, which solves strips of camera blocks",
+            hint="leave out one of the two",
+        )
     started = time.perf_counter()
-    fitting = _why_not_coherent(solver, signed, background)
+    fitting = _why_not_coherent(solver, signed, background, multi_scale)
     if coherent and fitting is not None:
         raise InputError(f"--coherent {fitting}", hint="leave out one of the two")
     chosen = _solver(solver, fidelity, iterations)
@@ -137,8 +142,10 @@ def estimate(
     if coherent is None:
         coherent = fitting is None and opened.count <= WORTH_IT_UP_TO
     value = _regularization(regularization, opened)
-    estimator: PlainEstimator | CoherentEstimator
-    if coherent and isinstance(chosen, ActiveSet):
+    estimator: PlainEstimator | CoherentEstimator | MultiScaleEstimator
+    if multi_scale:
+        estimator = MultiScaleEstimator(chosen, value, not signed, background)
+    elif coherent and isinstance(chosen, ActiveSet):
         estimator = CoherentEstimator(
             value, fidelity=chosen.fidelity, max_passes=chosen.max_passes, tile_rows=tile_rows
         )
@@ -163,8 +170,12 @@ def estimate(
             )
 
 
-def _why_not_coherent(solver: SolverName, signed: bool, background: bool) -> str | None:
+def _why_not_coherent(
+    solver: SolverName, signed: bool, background: bool, multi_scale: bool
+) -> str | None:
     """What the coherent estimate does not go with, if anything."""
+    if multi_scale:
+        return "looks for light in a way of its own, without --multi-scale"
     if solver is not SolverName.ACTIVE_SET:
         return f"needs --solver active-set, not {solver}"
     if signed:

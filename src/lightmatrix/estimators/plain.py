@@ -12,6 +12,7 @@ from scipy.sparse import csr_array
 
 from lightmatrix.capture import Capture
 from lightmatrix.errors import InputError
+from lightmatrix.estimators.automatic import automatic_regularization
 from lightmatrix.estimators.tiles import (
     TILE_BYTES,
     Progress,
@@ -25,9 +26,6 @@ from lightmatrix.solvers import Solver, solve
 from lightmatrix.solvers.problem import Problem
 from lightmatrix.transport import LightTransport
 
-# Of the clip level; nearly independent of the number of patterns, flat within a factor of two.
-DEFAULT_REGULARIZATION = 0.32
-
 
 @dataclass(frozen=True)
 class PlainEstimator:
@@ -38,8 +36,8 @@ class PlainEstimator:
     solver : Solver
         ADMM, SaturationADMM, ROMP or ActiveSet.
     regularization : float or None
-        The paper's lambda in units of camera sample at exposure 1. None: 0.32 times the clip
-        level of the longest exposure.
+        The paper's lambda in units of camera sample at exposure 1. None: 0.16 times the level that
+        samples reach, or more where noise asks for it (see `automatic_regularization`).
     nonnegative : bool
         Whether light is held to be not negative.
     background : bool
@@ -116,7 +114,7 @@ class PlainEstimator:
     def _regularization(self, capture: Capture) -> float:
         if self.regularization is not None:
             return self.regularization
-        return DEFAULT_REGULARIZATION * capture.reference_level
+        return automatic_regularization(capture)
 
 
 @dataclass(frozen=True)

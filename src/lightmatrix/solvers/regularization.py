@@ -42,7 +42,7 @@ def default_regularization(
     patterns : PatternSet
         K patterns over N projector pixels.
     clip_level : float
-        Y, in the units of the samples; > 0.
+        Y, in the units of the samples; > 0. If samples stay below it, the level that they reach.
     noise : float, optional
         Standard deviation of a sample, in the units of the samples; >= 0. None: 0.003 Y.
 
