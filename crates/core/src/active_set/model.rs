@@ -4,8 +4,8 @@
 //! the background eliminated ('centred'). Rows are made when they are first asked for: most never
 //! are.
 
+use super::gram::{GramSource, WIDTH};
 use super::Dictionary;
-use crate::columns::{GramSource, WIDTH};
 use crate::simd::Level;
 use crate::vector::{dot, DataTerm};
 

@@ -2,6 +2,7 @@
 
 use super::certificate::{dual_value, orthogonal_to_means};
 use super::point::Point;
+use super::pricing::Pricing;
 use super::restricted::Restricted;
 use super::{Dictionary, Fidelity, Rows, Settings, Solution, Values};
 use crate::correlate::Scores;
@@ -11,8 +12,6 @@ use crate::vector::{padded, residual, signed_sums, DataTerm};
 const FIRST_PIXELS: usize = 8;
 /// and after each later one.
 const NEW_PIXELS: usize = 16;
-/// Pixels whose correlation lies this share below lambda may soon exceed it: they come along.
-const LOOK_AHEAD: f64 = 0.02;
 /// The restricted solve goes to this share of the violation that was found outside,
 const INNER_SHARE: f64 = 0.25;
 /// and no rougher than this share of lambda.
@@ -21,8 +20,6 @@ const ROUGH: f64 = 1.0;
 /// share of lambda are taken for the last ones, and the restricted solve is as fine as can be.
 const FEW: usize = 12;
 const NEARLY: f64 = 1.0;
-/// A violation by this share of lambda rules out that the row is solved.
-const CLEARLY: f64 = 0.01;
 /// On more pixels violations are taken for the last ones below this.
 const VERY_NEARLY: f64 = 0.01;
 /// But no finer than this share of the tolerance, until the gap asks for it.
@@ -52,9 +49,7 @@ pub struct RowSolver<'a> {
     dual_value: f64,
     /// Finest accuracy of the restricted solve so far.
     finest: f64,
-    places: Vec<u32>,
-    candidates: Vec<u32>,
-    correlations: Vec<f64>,
+    pricing: Pricing,
     /// Correlations of the point's pixels.
     gradient: Vec<f64>,
     /// Whether `dual` is the residual, but for rounding.
@@ -81,9 +76,7 @@ impl<'a> RowSolver<'a> {
             objective: 0.0,
             dual_value: f64::NEG_INFINITY,
             finest: 0.0,
-            places: Vec::new(),
-            candidates: Vec::new(),
-            correlations: Vec::new(),
+            pricing: Pricing::default(),
             gradient: Vec::new(),
             dual_is_residual: false,
         }
@@ -138,43 +131,32 @@ impl<'a> RowSolver<'a> {
     /// Goes on with the scores of `dual`.
     pub fn after_pass(&mut self, scores: &Scores) -> Next {
         self.passes += 1;
-        let lambda = self.settings.regularization;
-        let both = !self.settings.nonnegative;
-        let level = self.dictionary.level;
         let new = if self.passes == 1 {
             FIRST_PIXELS
         } else {
             NEW_PIXELS
         };
-        let mut most = new + self.point.pixels.len();
-        let floor = lambda * (1.0 - LOOK_AHEAD);
-        let (largest, exact) = loop {
-            let bound = scores.collect_largest(level, most, floor, both, &mut self.places);
-            let found = self.exact_correlations();
-            // Correlations that were not collected do not exceed the bound. Where rounding hides
-            // which is the largest and little is violated, look at more pixels exactly.
-            if bound <= found.max(lambda) || found > (1.0 + CLEARLY) * lambda {
-                break (found.max(bound), found);
-            }
-            most *= 4;
-        };
-        self.certify(largest);
+        let found = self.pricing.run(
+            self.dictionary,
+            &self.settings,
+            scores,
+            &self.dual,
+            &self.point.pixels,
+            new,
+        );
+        self.certify(found.largest);
         if self.gap() <= self.settings.tolerance || self.passes >= self.settings.max_passes {
             return Next::Done;
         }
         let before = self.point.pixels.len();
         self.gradient.clear();
-        self.gradient
-            .extend_from_slice(&self.correlations[self.candidates.len() - before..]);
-        for i in 0..self.candidates.len() {
-            let pixel = self.candidates[i];
-            let violates = self.correlations[i].abs() > lambda * (1.0 - LOOK_AHEAD);
-            if violates && !self.point.pixels[..before].contains(&pixel) {
-                self.point.push(pixel, 0.0);
-                self.gradient.push(self.correlations[i]);
-            }
+        self.gradient.extend_from_slice(self.pricing.known());
+        let lambda = self.settings.regularization;
+        for (pixel, correlation) in self.pricing.violators(lambda) {
+            self.point.push(pixel, 0.0);
+            self.gradient.push(correlation);
         }
-        let violation = (exact / lambda - 1.0).max(0.0);
+        let violation = (found.exact / lambda - 1.0).max(0.0);
         if violation < self.settings.tolerance {
             // Few pixels are left to find: what keeps the gap open is the accuracy within.
             self.finest *= 0.3;
@@ -287,26 +269,5 @@ impl<'a> RowSolver<'a> {
             &self.dual,
             largest,
         );
-    }
-
-    /// Exact correlations of the collected places and of the support; returns the largest.
-    fn exact_correlations(&mut self) -> f64 {
-        let dictionary = self.dictionary;
-        self.candidates.clear();
-        let pixels = self
-            .places
-            .iter()
-            .filter_map(|&p| dictionary.correlator.pixel(p as usize));
-        self.candidates.extend(pixels);
-        self.candidates.extend_from_slice(&self.point.pixels);
-        self.correlations.resize(self.candidates.len(), 0.0);
-        let level = dictionary.level;
-        dictionary
-            .columns
-            .correlate(level, &self.candidates, &self.dual, &mut self.correlations);
-        let sign = self.settings.nonnegative;
-        self.correlations.iter().fold(0.0, |most: f64, &c| {
-            most.max(if sign { c } else { c.abs() })
-        })
     }
 }

@@ -1,0 +1,143 @@
+//! Inner products among the columns of a working set, by counting common bits.
+
+use crate::columns::Columns;
+use crate::simd::{multiversion, Kind, Level};
+use crate::vector::add_scaled;
+
+/// Columns of a working set that are counted side by side.
+pub const WIDTH: usize = 8;
+
+/// Inner products among the columns of a working set.
+///
+/// Columns of bits are kept in groups of `WIDTH`, word by word, so that a row of the Gram matrix is a
+/// few vector instructions a word and group.
+#[derive(Default)]
+pub struct GramSource {
+    packed: Vec<u64>,
+    scaled: Vec<f64>,
+    query: Vec<u64>,
+}
+
+impl GramSource {
+    /// Takes in the columns of a new working set.
+    pub fn load(&mut self, columns: &Columns, pixels: &[u32]) {
+        if let Columns::Bits(bits) = columns {
+            let group = bits.stride() * WIDTH;
+            self.packed.clear();
+            self.packed.resize(pixels.len().div_ceil(WIDTH) * group, 0);
+            for (i, &pixel) in pixels.iter().enumerate() {
+                let packed = &mut self.packed[i / WIDTH * group..][..group];
+                for (words, word) in packed.chunks_exact_mut(WIDTH).zip(bits.column(pixel)) {
+                    words[i % WIDTH] = *word;
+                }
+            }
+        }
+    }
+
+    /// out_i = sum_k d_k a_ik a_jk + factor coupling_i for every column i of the working set.
+    ///
+    /// `out` and `coupling` are padded to whole groups. `active` holds the bits of d where d is only
+    /// 0 or 1, and is empty otherwise.
+    // All of them are borrowed from the row's own state, which a struct would only name again.
+    #[allow(clippy::too_many_arguments)]
+    pub fn row(
+        &mut self,
+        level: Level,
+        columns: &Columns,
+        pixels: &[u32],
+        j: usize,
+        d: &[f64],
+        active: &[u64],
+        factor: f64,
+        coupling: &[f64],
+        out: &mut [f64],
+    ) {
+        match columns {
+            Columns::Bits(bits) if !active.is_empty() => {
+                self.query.clear();
+                let column = bits.column(pixels[j]);
+                self.query
+                    .extend(column.iter().zip(active).map(|(c, a)| c & a));
+                common_bits(level, &self.packed, &self.query, factor, coupling, out);
+            }
+            _ => {
+                self.scaled.resize(d.len(), 0.0);
+                columns.scaled(level, pixels[j], d, &mut self.scaled);
+                columns.correlate(level, pixels, &self.scaled, &mut out[..pixels.len()]);
+                add_scaled(level, out, factor, coupling);
+            }
+        }
+    }
+}
+
+/// Bits that each packed column shares with the query, plus `factor coupling`.
+fn common_bits(
+    level: Level,
+    packed: &[u64],
+    query: &[u64],
+    factor: f64,
+    coupling: &[f64],
+    out: &mut [f64],
+) {
+    assert_eq!(out.len(), coupling.len());
+    assert_eq!(packed.len(), out.len() * query.len());
+    match level.kind() {
+        #[cfg(target_arch = "x86_64")]
+        // SAFETY: the level proves the instructions; the lengths were just compared.
+        Kind::Avx512 => unsafe { avx512::common_bits(packed, query, factor, coupling, out) },
+        _ => common_bits_plain(level, packed, query, factor, coupling, out),
+    }
+}
+
+multiversion! {
+    fn common_bits_plain(
+        packed: &[u64], query: &[u64], factor: f64, coupling: &[f64], out: &mut [f64]
+    ) {
+        let groups = packed.chunks_exact(WIDTH * query.len());
+        let out = out.chunks_exact_mut(WIDTH);
+        for ((out, coupling), group) in out.zip(coupling.chunks_exact(WIDTH)).zip(groups) {
+            for (i, (out, coupling)) in out.iter_mut().zip(coupling).enumerate() {
+                let words = group[i..].iter().step_by(WIDTH).zip(query);
+                let common: u32 = words.map(|(word, query)| (word & query).count_ones()).sum();
+                *out = f64::from(common) + factor * coupling;
+            }
+        }
+    }
+}
+
+#[cfg(target_arch = "x86_64")]
+mod avx512 {
+    use super::WIDTH;
+    use std::arch::x86_64::*;
+
+    /// # Safety
+    /// `coupling` and `out` have one length, a multiple of eight, and `packed` a word for each of
+    /// them and of `query`.
+    #[target_feature(enable = "avx512f,avx512vpopcntdq,avx512dq")]
+    pub unsafe fn common_bits(
+        packed: &[u64],
+        query: &[u64],
+        factor: f64,
+        coupling: &[f64],
+        out: &mut [f64],
+    ) {
+        let (factor, query_len) = (_mm512_set1_pd(factor), query.len());
+        for group in 0..out.len() / WIDTH {
+            let mut counts = _mm512_setzero_si512();
+            for (w, &query) in query.iter().enumerate() {
+                let at = WIDTH * (group * query_len + w);
+                // SAFETY: the words of all groups before, and of this one up to w, fit `packed`.
+                let words = unsafe { _mm512_loadu_si512(packed.as_ptr().add(at).cast()) };
+                let common = _mm512_and_si512(words, _mm512_set1_epi64(query as i64));
+                counts = _mm512_add_epi64(counts, _mm512_popcnt_epi64(common));
+            }
+            // SAFETY: 8 group + 8 <= the length of both.
+            unsafe {
+                let coupling = _mm512_loadu_pd(coupling.as_ptr().add(WIDTH * group));
+                let shift = _mm512_mul_pd(factor, coupling);
+                let sum = _mm512_add_pd(_mm512_cvtepu64_pd(counts), shift);
+                _mm512_storeu_pd(out.as_mut_ptr().add(WIDTH * group), sum);
+            }
+        }
+    }
+}
