@@ -17,6 +17,7 @@ from lightmatrix.cli.results import summary
 from lightmatrix.errors import InputError
 from lightmatrix.estimators.automatic import held_out_path
 from lightmatrix.estimators.coherent import WORTH_IT_UP_TO, CoherentEstimator
+from lightmatrix.estimators.multiscale import MultiScaleEstimator
 from lightmatrix.estimators.plain import PlainEstimator
 from lightmatrix.solvers import ADMM, ROMP, ActiveSet, SaturationADMM, Solver
 from lightmatrix.solvers.problem import Fidelity
