@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from lightmatrix.capture import Capture
+from lightmatrix.capture import Capture, write_capture
+from lightmatrix.cli import main
 from lightmatrix.errors import InputError
 from lightmatrix.estimators.automatic import (
     automatic_regularization,
@@ -87,3 +90,19 @@ def test_hold_out_chooses_among_values_around_the_automatic_one() -> None:
 def test_hold_out_needs_patterns_to_hold_out() -> None:
     with pytest.raises(InputError, match="held out"):
         held_out_path(photographed(0.6, 2))
+
+
+def test_the_command_takes_the_value_held_out_patterns_ask_for(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    patterns, sensor = BernoulliPatterns(TRUTH.projector_shape, 48, seed=1), Sensor(1.0, bits=8)
+    frames = sensor.expose(irradiance(TRUTH.matrix, patterns))
+    stack = np.ascontiguousarray(frames.T).reshape(patterns.count, *TRUTH.camera_shape)
+    folder, output = tmp_path / "capture", tmp_path / "scene.zarr"
+    write_capture(folder, patterns, stack, sensor=sensor, camera_shape=TRUTH.camera_shape)
+    words = ["estimate", str(folder), "-o", str(output), "--regularization", "path"]
+    assert main([*words, "--coherent"]) == 2
+    assert "--coherent" in capsys.readouterr().err
+    assert main([*words, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)["regularization"]
+    assert found == pytest.approx(held_out_path(Capture.open(folder)).best)
