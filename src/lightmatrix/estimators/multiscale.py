@@ -35,8 +35,9 @@ class MultiScaleEstimator:
 
     Camera pixels are taken in square blocks, whose pixels look at nearly the same part of the
     projector and share the candidates. At each scale, from `coarsest` down to single pixels, the
-    solver estimates the block's rows on the candidate projector blocks; the strongest of them, by
-    the sum over rows of each row's relative coefficients, and their neighbours are split into four.
+    solver estimates the block's rows on the candidate projector blocks; the active ones among them,
+    by the sum over rows of each row's relative coefficients, and all blocks next to these are split
+    into four.
     `docs/multi-scale.md` gives the reasons.
 
     Parameters
@@ -54,10 +55,9 @@ class MultiScaleEstimator:
         estimate in camera blocks. Halved as long as the projector has no 4 x 4 blocks.
     camera_block : int
         Pixels per side of the camera blocks, at least 1.
-    kept : float or None
-        Share of the candidates that is kept at each scale before their neighbours are added, in
-        (0, 1]; 1 keeps everything. None: a sixteenth, or 4 / K where that is more, since few
-        patterns do not tell blocks apart.
+    active : float
+        A projector block is active from this share of the strongest block's score on, in [0, 1);
+        0 keeps everything.
     coarse_solver : Solver or None
         Solver of all scales but the last, such as the same with fewer iterations.
 
@@ -73,7 +73,7 @@ class MultiScaleEstimator:
     background: bool = True
     coarsest: int = 8
     camera_block: int = 8
-    kept: float | None = None
+    active: float = 0.1
     coarse_solver: Solver | None = None
 
     def __post_init__(self) -> None:
@@ -85,8 +85,11 @@ class MultiScaleEstimator:
             raise InputError(
                 f"camera blocks of {self.camera_block} pixels", hint="use at least 1, such as 8"
             )
-        if self.kept is not None and not 0 < self.kept <= 1:
-            raise InputError(f"a kept share of {self.kept}", hint="use a share such as 0.0625")
+        if not 0 <= self.active < 1:
+            raise InputError(
+                f"blocks active from {self.active} of the strongest on",
+                hint="use a share from 0 to below 1, such as 0.1",
+            )
 
     def estimate(
         self,
@@ -133,7 +136,7 @@ class MultiScaleEstimator:
             "background": self.background,
             "coarsest": self.coarsest,
             "camera_block": self.camera_block,
-            "kept": self.kept,
+            "active": self.active,
             **capture_provenance(capture),
         }
 
@@ -193,8 +196,7 @@ class _Run:
         candidates = np.arange(grid[0] * grid[1])
         for scale in self._scales[:-1]:
             result = self._solve_scale(problem, scale, candidates)
-            share = self.estimator.kept or max(1 / 16, 4 / patterns.count)
-            active = strongest(result.coefficients, candidates, grid, share)
+            active = strongest(result.coefficients, candidates, grid, self.estimator.active)
             finer = grid_of(patterns.shape, scale.block // 2)
             candidates = split(active, finer)
             grid = finer

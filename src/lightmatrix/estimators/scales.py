@@ -83,21 +83,21 @@ def strongest(
     grid : (rows, cols)
         Of the projector blocks.
     share : float
-        How many of the candidates to keep before the neighbours are added, in (0, 1].
+        Of the strongest score, from which on a block is active, in [0, 1); 0 keeps everything.
 
     Returns
     -------
     grid bool
-        All candidates where no row has any light.
+        All candidates if no row has any light.
     """
     size = abs(coefficients)
     total = np.asarray(size.sum(axis=1), np.float64).ravel()
     # Bright rows tell no more about the places than dark ones.
     score = size.T @ np.divide(1, total, out=np.zeros_like(total), where=total > 0)
-    lit = int((score > 0).sum())
-    count = len(candidates) if share == 1 or lit == 0 else max(_LEAST_KEPT, int(share * len(score)))
-    if 0 < lit < count < len(candidates):
-        count = lit
+    wanted = (score >= share * score.max()) & ((score > 0) | (share == 0))
+    count = max(int(wanted.sum()), min(_LEAST_KEPT, int((score > 0).sum())))
+    if not score.any():
+        count = len(candidates)
     active = np.zeros(grid, bool)
     active.ravel()[candidates[np.argsort(-score, kind="stable")[:count]]] = True
     return np.asarray(binary_dilation(active, np.ones((3, 3), bool)))
