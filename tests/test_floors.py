@@ -24,10 +24,11 @@ FLOORS = [
         "exchange",
         "checkpoint",
         "store",
+        "white_frame",
     },
     {"solvers"},
     {"estimators", "rig"},
-    {"evaluate", "figures"},
+    {"plan", "plan_table", "evaluate", "figures"},
     {"experiments"},
     {"cli"},
 ]

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 import lightmatrix
-from lightmatrix.cli import experiment, make, measure, use
+from lightmatrix.cli import experiment, make, measure, plan, use
 from lightmatrix.cli.common import err, out
 from lightmatrix.errors import LightMatrixError, LightMatrixWarning
 
@@ -21,7 +21,7 @@ app = typer.Typer(
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
 )
-for module in (make, measure, use, experiment):
+for module in (make, plan, measure, use, experiment):
     module.register(app)
 
 

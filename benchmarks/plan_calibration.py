@@ -1,0 +1,141 @@
+"""Errors to expect, for `lightmatrix plan`: estimates of the rendered scenes as it advises them.
+
+    python -m benchmarks.plan_calibration            makes src/lightmatrix/plan_table.json
+
+Scenes of 128 x 128 pixels (rendered on first use), an 8-bit camera with noise of 0.003 of its clip
+level, one seed. Row by row every fifth camera row counts; coherent estimates need whole frames.
+Each finished run is kept in the output, so that an interrupted calibration goes on.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.sparse import csr_array
+
+from lightmatrix.capture import Capture
+from lightmatrix.estimators.coherent import CoherentEstimator
+from lightmatrix.estimators.plain import PlainEstimator
+from lightmatrix.evaluate import (
+    benchmark_exposure,
+    relative_error,
+    relighting_error,
+    unseen_patterns,
+)
+from lightmatrix.exposures import of_frames
+from lightmatrix.pattern_mix import MixedPatterns, default_mix
+from lightmatrix.patterns import BernoulliPatterns, PatternSet
+from lightmatrix.plan import WhiteFrame, advise_exposures
+from lightmatrix.rig.library import truth
+from lightmatrix.rig.simulate import irradiance
+from lightmatrix.rig.truth import Truth
+from lightmatrix.sensor import Sensor
+from lightmatrix.solvers import ActiveSet
+
+TABLE = Path(__file__).parents[1] / "src" / "lightmatrix" / "plan_table.json"
+SIZE = (128, 128)
+SCENES = ("l_objects", "gripper", "metal")
+COUNTS = (32, 64, 128, 256)
+ROW_STEP = 5
+
+
+def main() -> None:
+    """Run what is missing and write the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--output", type=Path, default=TABLE)
+    parser.add_argument("--scenes", nargs="+", default=SCENES)
+    parser.add_argument("--estimators", nargs="+", default=("plain", "coherent"))
+    parser.add_argument("--counts", nargs="+", type=int, default=COUNTS)
+    parser.add_argument("--patterns", nargs="+", default=("fine", "mix"))
+    parser.add_argument("--exposures", nargs="+", default=("advised", "long"))
+    parser.add_argument("--densities", nargs="+", type=float, default=(0.5,))
+    arguments = parser.parse_args()
+    rows: list[dict[str, Any]] = (
+        json.loads(arguments.output.read_text())["rows"] if arguments.output.exists() else []
+    )
+    for estimator in arguments.estimators:
+        for scene in arguments.scenes:
+            for count in arguments.counts:
+                for patterns in arguments.patterns:
+                    for exposure in arguments.exposures:
+                        for density in arguments.densities:
+                            case = {
+                                "estimator": estimator,
+                                "scene": scene,
+                                "frames": count,
+                                "patterns": patterns,
+                                "exposures": exposure,
+                                "density": density,
+                            }
+                            if (patterns == "mix" and count < 64) or _known(rows, case):
+                                continue
+                            rows.append({**case, **run(**case)})
+                            print(rows[-1], flush=True)
+                            _write(arguments.output, rows)
+
+
+def _known(rows: list[dict[str, Any]], case: dict[str, Any]) -> bool:
+    return any(all(row[key] == value for key, value in case.items()) for row in rows)
+
+
+def _write(path: Path, rows: list[dict[str, Any]]) -> None:
+    lines = ",\n".join("    " + json.dumps(row) for row in rows)
+    made = "python -m benchmarks.plan_calibration"
+    path.write_text(f'{{\n  "made_by": "{made}",\n  "rows": [\n{lines}\n  ]\n}}\n')
+
+
+def run(
+    estimator: str, scene: str, frames: int, patterns: str, exposures: str, density: float
+) -> dict[str, float]:
+    """One estimate and its errors."""
+    known = truth(scene, SIZE)
+    white = known.matrix.sum(axis=1)
+    if exposures == "advised":
+        chosen = advise_exposures(WhiteFrame(white, np.zeros(len(white), bool)))
+    else:
+        chosen = [(benchmark_exposure(known.transport()), 1.0)]
+    if estimator == "plain":
+        known = _some_rows(known)
+    shown: PatternSet = BernoulliPatterns(SIZE, frames, density)
+    if patterns == "mix":
+        shown = MixedPatterns(SIZE, frames, default_mix(SIZE, frames), density)
+    capture, share = _photograph(known, shown, chosen)
+    made = PlainEstimator(ActiveSet()) if estimator == "plain" else CoherentEstimator()
+    started = time.perf_counter()
+    estimate = made.estimate(capture)
+    seconds = time.perf_counter() - started
+    right = known.transport()
+    unseen = np.stack(list(unseen_patterns(SIZE).values()))
+    return {
+        "relative_error": round(relative_error(estimate, right), 4),
+        "relighting_error": round(relighting_error(estimate, right, unseen), 4),
+        "clipped_share": round(share, 4),
+        "seconds": round(seconds, 1),
+    }
+
+
+def _some_rows(known: Truth) -> Truth:
+    chosen = np.arange(0, known.matrix.shape[0], ROW_STEP)
+    part = csr_array(known.matrix[chosen])
+    return replace(
+        known, matrix=part, direct_data=np.zeros_like(part.data), camera_shape=(len(chosen), 1)
+    )
+
+
+def _photograph(
+    known: Truth, patterns: PatternSet, exposures: list[tuple[float, float]]
+) -> tuple[Capture, float]:
+    sensor = Sensor(of_frames(exposures, patterns), read_noise=0.003)
+    frames = sensor.expose(irradiance(known.matrix, patterns))
+    stack = np.ascontiguousarray(frames.T).reshape(patterns.count, *known.camera_shape)
+    return Capture.from_arrays(patterns, stack, sensor, check=False), float((frames == 255).mean())
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,62 @@
+"""Reading the photograph of a white pattern as linear samples, with its clip states."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from lightmatrix.capture_folder import make_decoder
+from lightmatrix.errors import InputError
+from lightmatrix.images import ImageStack
+from lightmatrix.sensor import Decoded, Response
+
+
+def read_white_frame(
+    path: str | Path,
+    *,
+    black: str | Path | float | None = None,
+    clip: float | None = None,
+    response: str | None = None,
+) -> Decoded:
+    """One photograph as samples in units of the clip level, at exposure 1.
+
+    Parameters
+    ----------
+    path : str or Path
+        The image.
+    black : str, Path or float, optional
+        Photograph under a black pattern at the same exposure, or the black level.
+    clip : float, optional
+        Raw level at which the camera clips; None means the end of the range.
+    response : str, optional
+        See `Response.parse`; None means linear.
+
+    Returns
+    -------
+    Decoded
+        (M, 1) each; M camera samples that do not clip without light.
+
+    Raises
+    ------
+    InputError
+        On images that cannot be read or differ in size, and levels out of range.
+    """
+    file = Path(path)
+    if not file.is_file():
+        problem = "is a folder" if file.is_dir() else "no such file"
+        raise InputError(
+            f"{file}: {problem}", hint="give a photograph of a white pattern, a scene, or a T.npz"
+        )
+    stack = ImageStack.open([file])
+    decoder = make_decoder(
+        stack,
+        clip=clip,
+        response=Response() if response is None else Response.parse(response),
+        exposure=1.0,
+        black=black,
+    )
+    decoded = decoder.decode(stack.read(0).reshape(-1, 1))
+    keep = slice(None) if decoder.hot is None else ~decoder.hot
+    level = decoded.clip_level if decoded.clip_level.ndim == 1 else decoded.clip_level[keep]
+    return Decoded(np.asarray(decoded.values[keep]), np.asarray(decoded.clipped[keep]), level)

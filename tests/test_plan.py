@@ -1,0 +1,201 @@
+"""The planner: what it advises for a white frame, that it comes true, and what it refuses."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from lightmatrix.cli import main
+from lightmatrix.errors import InputError
+from lightmatrix.images import write_image
+from lightmatrix.patterns import BernoulliPatterns
+from lightmatrix.plan import (
+    NOISE_LIMIT,
+    WhiteFrame,
+    advise_exposures,
+    clipped_share,
+    single_clipped_share,
+)
+from lightmatrix.plan_table import counts, expectations, frames_for, table
+from lightmatrix.rig.library import truth
+from lightmatrix.rig.simulate import irradiance
+
+
+def _white(levels: object, clipped: object = False) -> WhiteFrame:
+    values = np.asarray(levels, float)
+    return WhiteFrame(values, np.broadcast_to(np.asarray(clipped), values.shape))
+
+
+@given(st.floats(0.01, 100), st.floats(1, 500), st.floats(0, 0.02), st.integers(0, 99))
+@settings(max_examples=60, deadline=None)
+def test_the_ladder_covers_the_scene_and_scales_with_it(
+    light: float, contrast: float, noise: float, seed: int
+) -> None:
+    random = np.random.default_rng(seed)
+    levels = light * np.exp(random.uniform(0, np.log(contrast), 2000))
+    white = _white(levels)
+    ladder = advise_exposures(white, noise)
+    exposures = np.array([e for e, _ in ladder])
+    assert sum(share for _, share in ladder) == pytest.approx(1)
+    assert (np.diff(exposures) < 0).all()
+    # The shortest clips no single response, the longest is quiet (or lights typical pixels fully).
+    assert (levels * exposures[-1] > 1.01).mean() < 0.002
+    assert single_clipped_share(white, ladder) < 0.002
+    quiet = noise <= 1.01 * NOISE_LIMIT * white.typical * exposures[0]
+    assert quiet or exposures[0] * white.typical >= 0.99
+    other = [e for e, _ in advise_exposures(_white(3 * levels), noise)]
+    np.testing.assert_allclose(3 * np.array(other), exposures, rtol=0.02)
+
+
+def test_clipped_highlights_get_a_shorter_exposure() -> None:
+    levels = np.r_[np.full(950, 0.5), np.ones(50)]
+    known = advise_exposures(_white(levels))
+    unknown = advise_exposures(_white(levels, levels == 1))
+    assert unknown[-1][0] == pytest.approx(known[-1][0] / 4)
+    limited = advise_exposures(_white(levels), shortest=2.0)
+    assert limited == [(2.0, 1.0)]
+    assert single_clipped_share(_white(levels), limited) == pytest.approx(0.05)
+
+
+@pytest.mark.parametrize("scene", ["l_objects", "gripper", "metal"])
+@pytest.mark.parametrize("density", [0.5, 0.25])
+def test_clipping_is_told_from_the_white_frame(scene: str, density: float) -> None:
+    known = truth(scene)
+    white = _white(known.matrix.sum(axis=1))
+    light = irradiance(known.matrix, BernoulliPatterns((64, 64), 32, density))[white.lit]
+    shortest = advise_exposures(white)[-1][0]
+    assert float((shortest * light >= 1).mean()) < 0.001
+    shares = [clipped_share(white, factor * shortest, density) for factor in (1, 2, 4, 8)]
+    for factor, share in zip((1, 2, 4, 8), shares, strict=True):
+        found = float((factor * shortest * light >= 1).mean())
+        assert share == pytest.approx(found, abs=0.15)
+    assert shares == sorted(shares)
+
+
+def test_pixels_the_projector_does_not_reach_do_not_count() -> None:
+    levels = np.r_[np.zeros(9000), np.full(1000, 0.4)]
+    assert advise_exposures(_white(levels)) == advise_exposures(_white(levels[9000:]))
+
+
+def test_the_table_is_whole_and_improves_with_frames() -> None:
+    assert counts()[0] <= 32
+    assert counts()[-1] >= 256
+    for estimator in {row["estimator"] for row in table()}:
+        worst = [
+            e.relative_error[1]
+            for k in counts()
+            for e in expectations(k)
+            if e.estimator == estimator
+        ]
+        assert worst == sorted(worst, reverse=True)
+    (between,) = [e for e in expectations(100) if e.estimator == "plain"]
+    assert not between.measured
+    lower, upper = (
+        next(e for e in expectations(k) if e.estimator == "plain").relative_error for k in (128, 64)
+    )
+    assert lower[0] < between.relative_error[0] < upper[0]
+    assert frames_for(1e-9) == counts()[-1]
+    assert frames_for(0.9) == counts()[0]
+    few = frames_for(0.05)
+    assert min(e.relative_error[1] for e in expectations(few)) <= 0.05
+
+
+def test_advice_comes_true(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The advised commands, run: the error is about what was said, at a quarter of the size too."""
+    assert main(["plan", "metal", "--size", "64", "--frames", "64", "--json"]) == 0
+    advice = json.loads(capsys.readouterr().out)
+    assert advice["projector"] == [64, 64]
+    for line in advice["commands"]:
+        words = [
+            str(tmp_path / w.rstrip("/")) if w in ("patterns/", "capture/", "scene.zarr") else w
+            for w in line.split()[1:]
+        ]
+        assert main(words) == 0
+    capsys.readouterr()
+    content = json.loads((tmp_path / "capture" / "capture.json").read_text())
+    assert content["exposure"] == pytest.approx(advice["exposure_of_frames"])
+    plain = str(tmp_path / "scene.zarr")
+    save = tmp_path / "T.npz"
+    truth("metal").save(save)
+    assert main(["evaluate", plain, "--truth", str(save), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)["relative_error"]
+    worst = max(e["relative_error"][1] for e in advice["expected"] if e["frames"] == 64)
+    assert found < 2 * worst
+
+
+def test_a_photograph_is_read_with_its_black_and_clip(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    random = np.random.default_rng(0)
+    light = random.uniform(0.05, 0.25, (20, 30))
+    raw = np.rint(16 + light * (4095 - 16)).astype(np.uint16)
+    write_image(tmp_path / "white.png", raw)
+    arguments = ["plan", str(tmp_path / "white.png"), "--clip", "4095", "--black", "16"]
+    assert main([*arguments, "--json"]) == 0
+    advice = json.loads(capsys.readouterr().out)
+    assert advice["exposures"][-1]["exposure"] == pytest.approx(4, rel=0.03)
+    assert advice["projector"] == [128, 128]
+    assert len(advice["exposure_of_frames"]) == advice["frames"]
+    assert main([*arguments, "--size", "48x64", "-k", "40"]) == 0
+    text = capsys.readouterr().out
+    assert "patterns bernoulli -k 40 --size 48x64" in text
+    assert "Error to expect" in text
+
+
+def test_a_partly_clipped_frame_is_warned_about(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    image = np.full((20, 20), 90, np.uint8)
+    image[:4] = 255
+    write_image(tmp_path / "white.png", image)
+    assert main(["plan", str(tmp_path / "white.png")]) == 0
+    assert "20.0 % of the white frame is clipped" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("level", "message"),
+    [(255, "100 % of the white frame is clipped"), (0, "white frame is dark")],
+)
+def test_frames_that_tell_nothing_are_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], level: int, message: str
+) -> None:
+    write_image(tmp_path / "white.png", np.full((8, 8), level, np.uint8))
+    assert main(["plan", str(tmp_path / "white.png")]) == 2
+    assert message in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "plan nowhere.png",
+        "plan l_objects --size 0",
+        "plan l_objects --black 3",
+        "plan l_objects --size 64 --noise -1",
+        "plan l_objects --size 64 --shortest 0",
+        "plan l_objects --size 64 --error 2",
+        "plan nowhere.npz",
+    ],
+)
+def test_bad_plans_have_one_message(line: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(line.split()) == 2
+    assert capsys.readouterr().err.startswith("error: ")
+
+
+def test_a_truth_of_another_size_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    truth("metal").save(tmp_path / "T.npz")
+    assert main(["plan", str(tmp_path / "T.npz"), "--size", "32"]) == 2
+    assert "64 x 64" in capsys.readouterr().err
+
+
+def test_bad_numbers_are_refused() -> None:
+    white = _white(np.ones(10))
+    for arguments in ({"noise": np.nan}, {"noise": 2.0}, {"shortest": -1.0}):
+        with pytest.raises(InputError):
+            advise_exposures(white, **arguments)
