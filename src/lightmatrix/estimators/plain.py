@@ -43,8 +43,7 @@ class PlainEstimator:
     background : bool
         Whether each camera sample has a coefficient of the patterns' means (diffuse light).
     tile_rows : int or None
-        Rows solved at a time, rounded up to the solver's blocks. None: as many as fit half a
-        gigabyte. Results do not depend on it.
+        Rows solved at a time. None: as many as fit half a gigabyte. Results do not depend on it.
     """
 
     solver: Solver
@@ -127,9 +126,6 @@ class _Tiles:
 
     def ranges(self) -> Iterator[tuple[int, int]]:
         rows = self.estimator.tile_rows or self._fitting_rows()
-        # Some solvers start anew at every block of rows: tiles must not cut through one.
-        block = getattr(self.estimator.solver, "row_block", 1)
-        rows = -(-rows // block) * block
         for start in range(0, self.capture.rows, rows):
             yield start, min(start + rows, self.capture.rows)
 

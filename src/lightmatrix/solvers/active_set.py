@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -59,9 +59,6 @@ class ActiveSet:
     tolerance: float = 1e-4
     max_passes: int = 200
     threads: int | None = None
-
-    # Chains of rows start anew at every block of so many rows.
-    row_block: ClassVar[int] = 64
 
     def __post_init__(self) -> None:
         if self.fidelity is Fidelity.LIKELIHOOD:
