@@ -192,14 +192,19 @@ def grid_cells(shape: tuple[int, int], grid: tuple[int, int]) -> NDArray[np.int6
     InputError
         If the grid has more rows or columns than the projector, or none.
     """
+    check_grid(shape, grid)
+    row = np.arange(shape[0]) * grid[0] // shape[0]
+    col = np.arange(shape[1]) * grid[1] // shape[1]
+    return (row[:, None] * grid[1] + col[None, :]).ravel()
+
+
+def check_grid(shape: tuple[int, int], grid: tuple[int, int]) -> None:
+    """Refuse grids with more rows or columns than the projector, or none."""
     if min(grid) < 1 or grid[0] > shape[0] or grid[1] > shape[1]:
         raise InputError(
             f"a grid of {grid[0]} x {grid[1]} cells on a projector of {shape[0]} x {shape[1]}",
             hint="use at least 1 and at most one cell a pixel",
         )
-    row = np.arange(shape[0]) * grid[0] // shape[0]
-    col = np.arange(shape[1]) * grid[1] // shape[1]
-    return (row[:, None] * grid[1] + col[None, :]).ravel()
 
 
 def check_geometry(shape: tuple[int, int], count: int) -> None:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from lightmatrix.errors import InputError
+from lightmatrix.patterns import check_grid, grid_cells
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,6 +61,7 @@ class LightTransport:
                 f"projector {self.projector_shape}",
                 hint=f"its shape must be {expected}",
             )
+        check_grid(self.projector_shape, self.background_grid)
         blocks = self.background_grid[0] * self.background_grid[1]
         if self.background.shape != (expected[0], blocks):
             raise InputError(
@@ -207,11 +209,13 @@ def block_means(projector_shape: tuple[int, int], grid: tuple[int, int]) -> csr_
         N = rows * cols.
     grid : (rows, cols)
         B = rows * cols blocks, as equal as whole pixels allow.
+
+    Raises
+    ------
+    InputError
+        If the grid has more rows or columns than the projector, or none.
     """
-    rows, cols = projector_shape
-    row_block = np.arange(rows) * grid[0] // rows
-    col_block = np.arange(cols) * grid[1] // cols
-    block = (row_block[:, None] * grid[1] + col_block[None, :]).ravel()
+    block = grid_cells(projector_shape, grid)
     sizes = np.bincount(block, minlength=grid[0] * grid[1])
-    entries = ((1 / sizes[block]).astype(np.float32), (block, np.arange(rows * cols)))
-    return csr_array(entries, shape=(grid[0] * grid[1], rows * cols))
+    entries = ((1 / sizes[block]).astype(np.float32), (block, np.arange(len(block))))
+    return csr_array(entries, shape=(grid[0] * grid[1], len(block)))
