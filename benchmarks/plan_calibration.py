@@ -101,11 +101,11 @@ def run(
     else:
         chosen = [(benchmark_exposure(known.transport()), 1.0)]
     if estimator == "plain":
-        known = _some_rows(known)
+        known = some_rows(known)
     shown: PatternSet = BernoulliPatterns(SIZE, frames, density)
     if patterns == "mix":
         shown = MixedPatterns(SIZE, frames, default_mix(SIZE, frames), density)
-    capture, share = _photograph(known, shown, chosen)
+    capture, share = photograph(known, shown, chosen)
     made = PlainEstimator(ActiveSet()) if estimator == "plain" else CoherentEstimator()
     started = time.perf_counter()
     estimate = made.estimate(capture)
@@ -120,7 +120,8 @@ def run(
     }
 
 
-def _some_rows(known: Truth) -> Truth:
+def some_rows(known: Truth) -> Truth:
+    """Every fifth camera row, as a camera of one column."""
     chosen = np.arange(0, known.matrix.shape[0], ROW_STEP)
     part = csr_array(known.matrix[chosen])
     return replace(
@@ -128,10 +129,14 @@ def _some_rows(known: Truth) -> Truth:
     )
 
 
-def _photograph(
-    known: Truth, patterns: PatternSet, exposures: list[tuple[float, float]]
+def photograph(
+    known: Truth,
+    patterns: PatternSet,
+    exposures: list[tuple[float, float]],
+    noise: float = 0.003,
 ) -> tuple[Capture, float]:
-    sensor = Sensor(of_frames(exposures, patterns), read_noise=0.003)
+    """A capture of 8 bits, and the share of its samples that clipped."""
+    sensor = Sensor(of_frames(exposures, patterns), read_noise=noise)
     frames = sensor.expose(irradiance(known.matrix, patterns))
     stack = np.ascontiguousarray(frames.T).reshape(patterns.count, *known.camera_shape)
     return Capture.from_arrays(patterns, stack, sensor, check=False), float((frames == 255).mean())

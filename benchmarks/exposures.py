@@ -1,0 +1,64 @@
+"""How the exposure of a capture decides the error of T: the tables of docs/planning.md.
+
+    python -m benchmarks.exposures [--noise 0.003] [--estimator plain]
+
+Exposures are relative to s, at which the brightest white level just does not clip. 64 fine
+patterns of 128 x 128, row by row (every fifth row) or coherently (whole frames), 8 bits, one seed.
+"""
+
+from __future__ import annotations
+
+import argparse
+
+import numpy as np
+
+from benchmarks.plan_calibration import SCENES, SIZE, photograph, some_rows
+from lightmatrix.estimators.coherent import CoherentEstimator
+from lightmatrix.estimators.plain import PlainEstimator
+from lightmatrix.evaluate import relative_error
+from lightmatrix.patterns import BernoulliPatterns
+from lightmatrix.plan import WhiteFrame
+from lightmatrix.rig.library import truth
+from lightmatrix.solvers import ActiveSet
+
+PLANS: dict[str, list[tuple[float, float]]] = {
+    "4 s": [(4, 1.0)],
+    "2 s": [(2, 1.0)],
+    "s": [(1, 1.0)],
+    "s/2": [(1 / 2, 1.0)],
+    "s/4": [(1 / 4, 1.0)],
+    "s/8": [(1 / 8, 1.0)],
+    "4 s: 1/2, s: 1/2": [(4, 0.5), (1, 0.5)],
+    "4 s: 3/4, s: 1/4": [(4, 0.75), (1, 0.25)],
+    "16 s, 4 s, s: 1/3 each": [(16, 1 / 3), (4, 1 / 3), (1, 1 / 3)],
+}
+
+
+def main() -> None:
+    """Print a table in Markdown: a row for each plan, a column for each scene."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--noise", type=float, default=0.003)
+    parser.add_argument("--estimator", choices=("plain", "coherent"), default="plain")
+    parser.add_argument("--plans", nargs="+", default=tuple(PLANS), choices=tuple(PLANS))
+    arguments = parser.parse_args()
+    patterns = BernoulliPatterns(SIZE, 64)
+    print("| exposures | " + " | ".join(SCENES) + " |\n" + "|---" * (len(SCENES) + 1) + "|")
+    for name in arguments.plans:
+        cells = []
+        for scene in SCENES:
+            known = truth(scene, SIZE)
+            levels = known.matrix.sum(axis=1)
+            shortest = 1 / WhiteFrame(levels, np.zeros(len(levels), bool)).brightest
+            if arguments.estimator == "plain":
+                known = some_rows(known)
+            exposures = [(factor * shortest, share) for factor, share in PLANS[name]]
+            capture, clipped = photograph(known, patterns, exposures, arguments.noise)
+            plain = PlainEstimator(ActiveSet(tolerance=1e-3))
+            made = plain if arguments.estimator == "plain" else CoherentEstimator()
+            error = relative_error(made.estimate(capture), known.transport())
+            cells.append(f"{error:.3f} ({100 * clipped:.1f} %)")
+        print(f"| {name} | " + " | ".join(cells) + " |", flush=True)
+
+
+if __name__ == "__main__":
+    main()
