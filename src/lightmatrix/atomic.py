@@ -21,6 +21,8 @@ MARKERS = frozenset(
         "demo.json",
         "fig4.json",
         "fig5.json",
+        "fig6.json",
+        "fig7.json",
     }
 )
 

@@ -12,7 +12,7 @@ import typer
 from lightmatrix.atomic import atomic_folder, check_output
 from lightmatrix.cli.common import Json, Overwrite, out, progress, show_json
 from lightmatrix.experiments import demo as demo_report
-from lightmatrix.experiments import few_patterns, fig4, fig5
+from lightmatrix.experiments import few_patterns, fig4, fig5, fig6, fig7
 
 
 class Figure(StrEnum):
@@ -20,16 +20,20 @@ class Figure(StrEnum):
 
     FIG4 = "fig4"
     FIG5 = "fig5"
+    FIG6 = "fig6"
+    FIG7 = "fig7"
     FEW_PATTERNS = "few-patterns"
 
 
 RUNS: dict[Figure, Any] = {
     Figure.FIG4: fig4.run,
     Figure.FIG5: fig5.run,
+    Figure.FIG6: fig6.run,
+    Figure.FIG7: fig7.run,
     Figure.FEW_PATTERNS: few_patterns.run,
 }
 # These take long, so that an interrupted run goes on with the cases it has.
-RESUMABLE = {Figure.FEW_PATTERNS}
+RESUMABLE = {Figure.FIG6, Figure.FIG7, Figure.FEW_PATTERNS}
 
 
 def register(app: typer.Typer) -> None:

@@ -14,7 +14,7 @@ from scipy.sparse import csr_array, vstack
 
 from lightmatrix.capture import Capture, Samples
 from lightmatrix.errors import InputError
-from lightmatrix.estimators.plain import PlainEstimator
+from lightmatrix.estimators.automatic import automatic_regularization
 from lightmatrix.estimators.scales import Scale, grid_of, scales, split, strongest
 from lightmatrix.estimators.tiles import (
     Progress,
@@ -111,8 +111,9 @@ class MultiScaleEstimator:
             many projector pixels each row was estimated. The gap is that of the restricted
             problem: it says nothing about pixels that were given up at coarser scales.
         """
-        plain = PlainEstimator(self.solver, self.regularization, self.nonnegative, self.background)
-        regularization = plain._regularization(capture)
+        regularization = self.regularization
+        if regularization is None:
+            regularization = automatic_regularization(capture)
         run = _Run(self, capture, regularization)
         return joined(
             capture,

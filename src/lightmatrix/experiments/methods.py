@@ -1,0 +1,103 @@
+"""The methods that the paper's real-scene figures compare, each under a name and a label."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+
+from lightmatrix.capture import Capture
+from lightmatrix.estimators.coherent import CoherentEstimator
+from lightmatrix.estimators.multiscale import MultiScaleEstimator
+from lightmatrix.estimators.plain import PlainEstimator
+from lightmatrix.figures import COLOURS
+from lightmatrix.solvers import ADMM, ROMP, ActiveSet, Fidelity, SaturationADMM, Solver
+from lightmatrix.transport import LightTransport
+
+# The paper states none of these. lambda is 0.16 clip levels for all, n of ROMP as in Fig. 4. The
+# iterated solvers take mu and nu by rule and stop after so many iterations.
+REGULARIZATION = 0.16
+ROMP_SPARSITY = 10
+ITERATIONS = 150
+
+
+class Reach(StrEnum):
+    """Which camera pixels a method can afford."""
+
+    CAMERA = "all camera pixels"
+    BLOCKS = "camera blocks"
+    ROWS = "some rows"
+
+
+@dataclass(frozen=True)
+class Method:
+    """A way from a capture to T.
+
+    Parameters
+    ----------
+    name, label : str
+        In tables, and in figures.
+    make : callable
+        From the regularization, in units of the samples, to something with `estimate`.
+    colour, style : str
+        Of its curve.
+    reach : Reach
+    """
+
+    name: str
+    label: str
+    make: Callable[[float], PlainEstimator | MultiScaleEstimator | CoherentEstimator]
+    colour: str
+    style: str = "-"
+    reach: Reach = Reach.BLOCKS
+
+    def estimate(self, capture: Capture, clip_level: float) -> LightTransport:
+        """Estimate T from a capture whose samples clip at `clip_level`."""
+        return self.make(REGULARIZATION * clip_level).estimate(capture)
+
+
+def _pair(name: str, label: str, solver: Solver, colour: str) -> list[Method]:
+    """A solver row by row, and from coarse to fine."""
+    return [
+        Method(name, label, lambda value: PlainEstimator(solver, value), colour),
+        Method(
+            f"{name}-multi-scale",
+            f"{label} multi-scale",
+            lambda value: MultiScaleEstimator(solver, value),
+            colour,
+            "--",
+        ),
+    ]
+
+
+METHODS = [
+    *_pair("romp", "ROMP", ROMP(ROMP_SPARSITY, Fidelity.LINEAR), COLOURS[0]),
+    *_pair("admm", "ADMM (Eq. 2)", ActiveSet(Fidelity.LINEAR), COLOURS[1]),
+    *_pair("saturation-admm", "Saturation ADMM (one-sided)", ActiveSet(), COLOURS[2]),
+    Method(
+        "coherent",
+        "coherent (ours)",
+        lambda _: CoherentEstimator(),
+        COLOURS[6],
+        reach=Reach.CAMERA,
+    ),
+    Method(
+        "admm-iterated",
+        "ADMM, iterated",
+        lambda value: PlainEstimator(ADMM(max_iterations=ITERATIONS), value),
+        COLOURS[1],
+        "x",
+        Reach.ROWS,
+    ),
+    Method(
+        "saturation-admm-iterated",
+        "Saturation ADMM (Eq. 6), iterated",
+        lambda value: PlainEstimator(
+            SaturationADMM(Fidelity.CLIPPED, max_iterations=ITERATIONS), value
+        ),
+        COLOURS[2],
+        "x",
+        Reach.ROWS,
+    ),
+]
+BY_NAME = {method.name: method for method in METHODS}
