@@ -2,7 +2,8 @@
 
 The background column is projected out of patterns and samples, which is the same problem wherever
 b > 0; each peer gets that matrix in float64 and, from a ladder of tolerances, the loosest that
-reaches the gap on every row. Objectives and gaps are recomputed here, alike for all.
+reaches the gap on every row. Times are those of the process on one core. Objectives and gaps are
+recomputed here, alike for all.
 """
 
 from __future__ import annotations
@@ -69,9 +70,9 @@ class Centred:
         for setting in settings:
             seconds, spent = np.inf, 0.0
             for repeat in range(repeats):
-                started = time.perf_counter()
+                started = time.process_time()
                 x = method(setting)
-                took = time.perf_counter() - started
+                took = time.process_time() - started
                 seconds, spent = min(seconds, took), spent + took
                 if spent * (repeat + 2) / (repeat + 1) > PATIENCE:
                     break

@@ -42,7 +42,8 @@ def claims(results: dict[str, Any]) -> list[Row]:
     for count, limit in FRAME_SECONDS.items():
         chosen = [f for f in frames if f["patterns"] == count]
         table.append(_most(f"whole frame, K = {count}, s", [f["seconds"] for f in chosen], limit))
-        table.append(_most(f"over one SGEMM pass, K = {count}", [f["ratio"] for f in chosen], 1.0))
+        over = f"over one SGEMM pass, one core, K = {count}"
+        table.append(_most(over, [f["core_ratio"] for f in chosen], 1.0))
     for count, limit in CELER_TIMES.items():
         found = [
             p["times_active_set"]

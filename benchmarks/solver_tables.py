@@ -36,6 +36,8 @@ FRAMES = {
     "seconds": "s",
     "sgemm_seconds": "one SGEMM, s",
     "ratio": "ratio",
+    "microseconds_per_row": "one core, µs a row",
+    "core_ratio": "ratio",
     "certified": "certified",
     "worst_gap": "worst gap",
     "passes": "passes",
