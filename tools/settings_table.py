@@ -1,4 +1,4 @@
-"""Write docs/settings.md from the solvers' own parameters and docstrings.
+"""Write docs/settings.md from the solvers' and estimators' own parameters and docstrings.
 
 python tools/settings_table.py          rewrite the page
 python tools/settings_table.py --check  exit 1 if it is out of date
@@ -13,10 +13,13 @@ import sys
 from pathlib import Path
 
 from lightmatrix import solvers
+from lightmatrix.estimators.coherent import CoherentEstimator
+from lightmatrix.estimators.multiscale import MultiScaleEstimator
 from lightmatrix.estimators.plain import PlainEstimator
 
 PAGE = Path(__file__).parent.parent / "docs" / "settings.md"
-HEAD = """# Settings of the solvers
+ESTIMATORS = (PlainEstimator, CoherentEstimator, MultiScaleEstimator)
+HEAD = """# Settings of the solvers and estimators
 
 Made from the code by `python tools/settings_table.py`; do not edit.
 """
@@ -30,7 +33,7 @@ def page() -> str:
         if dataclasses.is_dataclass(value := getattr(solvers, name))
     ]
     parts = [_section(one) for one in described if hasattr(one, "row_bytes")]
-    return "\n".join([HEAD, *parts, _section(PlainEstimator)])
+    return "\n".join([HEAD, *parts, *map(_section, ESTIMATORS)])
 
 
 def _section(solver: type) -> str:
