@@ -55,7 +55,11 @@ def main() -> None:
     parser.add_argument("--patterns", nargs="+", default=("fine", "mix"))
     parser.add_argument("--exposures", nargs="+", default=("advised", "long"))
     parser.add_argument("--densities", nargs="+", type=float, default=(0.5,))
+    parser.add_argument("--show", action="store_true", help="Print the tables of the docs.")
     arguments = parser.parse_args()
+    if arguments.show:
+        show(json.loads(arguments.output.read_text())["rows"])
+        return
     rows: list[dict[str, Any]] = (
         json.loads(arguments.output.read_text())["rows"] if arguments.output.exists() else []
     )
@@ -88,6 +92,19 @@ def _write(path: Path, rows: list[dict[str, Any]]) -> None:
     lines = ",\n".join("    " + json.dumps(row) for row in rows)
     made = "python -m benchmarks.plan_calibration"
     path.write_text(f'{{\n  "made_by": "{made}",\n  "rows": [\n{lines}\n  ]\n}}\n')
+
+
+def show(rows: list[dict[str, Any]]) -> None:
+    """Print what was measured, in Markdown: a row for each plan, a column for each scene."""
+    plans = ("estimator", "frames", "patterns", "exposures", "density")
+    print("| " + " | ".join((*plans, *SCENES)) + " |\n" + "|---" * (len(plans) + 3) + "|")
+    found: dict[tuple[Any, ...], dict[str, str]] = {}
+    for row in rows:
+        cell = f"{row['relative_error']:.3f} / {row['relighting_error']:.3f}"
+        found.setdefault(tuple(row[key] for key in plans), {})[row["scene"]] = cell
+    for plan, cells in sorted(found.items()):
+        values = [str(value) for value in plan] + [cells.get(scene, "") for scene in SCENES]
+        print("| " + " | ".join(values) + " |")
 
 
 def run(

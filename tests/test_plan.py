@@ -17,6 +17,7 @@ from lightmatrix.patterns import BernoulliPatterns
 from lightmatrix.plan import (
     NOISE_LIMIT,
     WhiteFrame,
+    advise_density,
     advise_exposures,
     clipped_share,
     single_clipped_share,
@@ -60,6 +61,8 @@ def test_clipped_highlights_get_a_shorter_exposure() -> None:
     limited = advise_exposures(_white(levels), shortest=2.0)
     assert limited == [(2.0, 1.0)]
     assert single_clipped_share(_white(levels), limited) == pytest.approx(0.05)
+    assert advise_density(_white(levels), limited) == 0.25
+    assert advise_density(_white(levels), known) == 0.5
 
 
 @pytest.mark.parametrize("scene", ["l_objects", "gripper", "metal"])
@@ -145,6 +148,10 @@ def test_a_photograph_is_read_with_its_black_and_clip(
     text = capsys.readouterr().out
     assert "patterns bernoulli -k 40 --size 48x64" in text
     assert "Error to expect" in text
+    assert main([*arguments, "--shortest", "40"]) == 0
+    text = " ".join(capsys.readouterr().out.split())
+    assert "--density 0.25" in text
+    assert "dim the projector" in text
 
 
 def test_a_partly_clipped_frame_is_warned_about(

@@ -17,6 +17,7 @@ from lightmatrix.plan import (
     DENSITY,
     USUAL_NOISE,
     WhiteFrame,
+    advise_density,
     advise_exposures,
     clipped_share,
     single_clipped_share,
@@ -97,20 +98,21 @@ def advice(
 ) -> dict[str, Any]:
     """The whole advice, JSON-ready."""
     exposures = advise_exposures(white, noise, shortest)
+    density = advise_density(white, exposures)
     mix = default_mix(projector, frames)
     per_frame = np.broadcast_to(of_frames(exposures, MixedPatterns(projector, frames, mix)), frames)
     return {
         "projector": list(projector),
         "frames": frames,
         "patterns": "mix" if frames >= FEWEST_MIXED else "bernoulli",
-        "density": DENSITY,
+        "density": density,
         "mix": [{"grid": list(grid), "share": share} for grid, share in mix],
         "exposures": [
             {
                 "exposure": exposure,
                 "share": share,
                 "frames": int((per_frame == exposure).sum()),
-                "clipped_share": clipped_share(white, exposure),
+                "clipped_share": clipped_share(white, exposure, density),
             }
             for exposure, share in exposures
         ],
@@ -162,6 +164,8 @@ def _photograph(
 def _commands(source: str, simulated: bool, result: dict[str, Any]) -> list[str]:
     rows, cols = result["projector"]
     patterns = f"patterns {result['patterns']} -k {result['frames']} --size {rows}x{cols}"
+    if result["density"] != DENSITY:
+        patterns += f" --density {result['density']:g}"
     lines = [f"lightmatrix {patterns} -o patterns/"]
     if simulated:
         values = [(e["exposure"], e["share"]) for e in result["exposures"]]
@@ -191,7 +195,8 @@ def _show(result: dict[str, Any], white: WhiteFrame, simulated: bool) -> None:
     if result["rows_that_clip_singly"] > 0.01:
         out.print(
             f"{100 * result['rows_that_clip_singly']:.0f} % of the lit camera pixels will clip "
-            "under a single projector pixel even so: dim the projector or close the aperture",
+            "under a single projector pixel even so, and the errors will be several times those "
+            "below: dim the projector or close the aperture",
             style="yellow",
         )
     table = Table(title="\nError to expect", title_justify="left", box=None, padding=(0, 2))
