@@ -6,7 +6,8 @@ VENV := .venv
 BIN := $(VENV)/bin
 CORE := $(shell find crates -name '*.rs' -o -name Cargo.toml) Cargo.toml pyproject.toml
 
-.PHONY: help install demo test test-install lint types rust-test py-test format bench system-deps clean
+.PHONY: help install demo test test-install lint types rust-test py-test format bench experiments \
+	system-deps clean
 
 help:
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 16
@@ -57,8 +58,13 @@ bench: install ## the solver against its peers: table, JSON and plot in bench-ou
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[bench]'
 	$(BIN)/python -m benchmarks
 
+experiments: test-install ## the paper's figures and ours, in experiments-out/; goes on where it stopped
+	for name in fig4 fig5 fig6 fig7 few-patterns; do \
+	  test -e experiments-out/$$name/$$name.json || \
+	  $(BIN)/lightmatrix experiment $$name -o experiments-out/$$name || exit; done
+
 system-deps: ## optional system packages (the renderer's LLVM)
 	bash tools/system-deps.sh
 
 clean: ## remove what make made
-	rm -rf $(VENV) target report bench-out src/lightmatrix/_core*.so
+	rm -rf $(VENV) target report bench-out experiments-out src/lightmatrix/_core*.so
