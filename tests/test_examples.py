@@ -12,7 +12,7 @@ EXAMPLES = Path(__file__).parent.parent / "examples"
 
 
 def test_every_example_is_tested() -> None:
-    tested = {"relight_and_dual", "estimate_in_python"}
+    tested = {"relight_and_dual", "estimate_in_python", "few_patterns"}
     assert {path.stem for path in EXAMPLES.glob("*.py")} == tested
 
 
@@ -26,3 +26,10 @@ def test_estimate_in_python() -> None:
     errors = runpy.run_path(str(EXAMPLES / "estimate_in_python.py"))["main"]()
     blind, paper, convex = errors.values()
     assert max(paper, convex) < 0.5 * blind
+
+
+def test_few_patterns() -> None:
+    errors = runpy.run_path(str(EXAMPLES / "few_patterns.py"))["main"]()
+    row_by_row, coherent, two_exposures = errors.values()
+    assert coherent < 0.6 * row_by_row
+    assert two_exposures < 0.02
