@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.ticker import FixedLocator, NullLocator
 from scipy.sparse import csr_array
 
 from lightmatrix.capture import Capture
@@ -36,6 +37,7 @@ THREE_EXPOSURES: Exposures = ((1.0, 0.5), (0.25, 0.25), (0.0625, 0.25))
 KNOWN_SUPPORT = 0.003
 # The penalty there, relative to the coherent estimate's.
 KNOWN_PENALTY = 0.01
+ERROR_TICKS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1)
 
 
 @dataclass(frozen=True)
@@ -259,6 +261,10 @@ def _draw(out: Path, rows: list[dict[str, Any]]) -> None:
                     axes.plot(k, value, style, color=colour, marker="o", markersize=3, label=label)
                 axes.set_xscale("log", base=2)
                 axes.set_yscale("log")
+                axes.yaxis.set_major_locator(FixedLocator(ERROR_TICKS))
+                axes.yaxis.set_major_formatter("{x:g}")
+                axes.yaxis.set_minor_locator(NullLocator())
+                axes.grid(axis="y", color="0.92", linewidth=0.6)
                 axes.set_xticks([16, 32, 64, 128, 256], ["16", "32", "64", "128", "256"])
             panels[0, column].set_title(title)
             panels[1, column].set_xlabel("patterns K")
