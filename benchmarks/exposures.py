@@ -1,6 +1,6 @@
 """How the exposure of a capture decides the error of T: the tables of docs/planning.md.
 
-    python -m benchmarks.exposures [--noise 0.003] [--estimator plain]
+    python -m benchmarks.exposures [--noise 0.003] [--misfit 0.03] [--estimator plain]
 
 Exposures are relative to s, at which the brightest white level just does not clip. 64 fine
 patterns of 128 x 128, row by row (every fifth row) or coherently (whole frames), 8 bits, one seed.
@@ -12,6 +12,7 @@ import argparse
 
 import numpy as np
 
+import lightmatrix.capture
 from benchmarks.plan_calibration import SCENES, SIZE, photograph, some_rows
 from lightmatrix.estimators.coherent import CoherentEstimator
 from lightmatrix.estimators.plain import PlainEstimator
@@ -40,7 +41,10 @@ def main() -> None:
     parser.add_argument("--noise", type=float, default=0.003)
     parser.add_argument("--estimator", choices=("plain", "coherent"), default="plain")
     parser.add_argument("--plans", nargs="+", default=tuple(PLANS), choices=tuple(PLANS))
+    parser.add_argument("--misfit", type=float, default=lightmatrix.capture.MISFIT)
     arguments = parser.parse_args()
+    # 0 weighs frames by noise alone, e^2; a large value weighs all alike.
+    lightmatrix.capture.MISFIT = arguments.misfit
     patterns = BernoulliPatterns(SIZE, 64)
     print("| exposures | " + " | ".join(SCENES) + " |\n" + "|---" * (len(SCENES) + 1) + "|")
     for name in arguments.plans:

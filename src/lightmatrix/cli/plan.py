@@ -50,7 +50,7 @@ def plan(
     ] = None,
     error: Annotated[
         float, typer.Option(help="Relative error of T that is good enough; sets the frames.")
-    ] = 0.05,
+    ] = 0.03,
     noise: Annotated[
         float, typer.Option(help="Noise of a sample, share of the clip level.")
     ] = USUAL_NOISE,
@@ -206,7 +206,7 @@ def _show(result: dict[str, Any], white: WhiteFrame, simulated: bool) -> None:
         table.add_row(
             ("> " if e["frames"] == result["frames"] else "") + str(e["frames"]),
             "mix" if e["frames"] >= FEWEST_MIXED else "all fine",
-            e["estimator"] + ("" if e["measured"] else " (between)"),
+            e["estimator"] + ("" if e["measured"] else " (about)"),
             _range(e["relative_error"]),
             _range(e["relighting_error"]),
         )
