@@ -148,6 +148,9 @@ def test_a_photograph_is_read_with_its_black_and_clip(
     text = capsys.readouterr().out
     assert "patterns bernoulli -k 40 --size 48x64" in text
     assert "Error to expect" in text
+    assert main([*arguments, "--exposure", "20", "--json"]) == 0
+    milliseconds = json.loads(capsys.readouterr().out)["exposures"][-1]["exposure"]
+    assert milliseconds == pytest.approx(20 * advice["exposures"][-1]["exposure"], rel=0.01)
     assert main([*arguments, "--shortest", "40"]) == 0
     text = " ".join(capsys.readouterr().out.split())
     assert "--density 0.25" in text
@@ -182,6 +185,7 @@ def test_frames_that_tell_nothing_are_refused(
         "plan nowhere.png",
         "plan l_objects --size 0",
         "plan l_objects --black 3",
+        "plan l_objects --exposure 20",
         "plan l_objects --size 64 --noise -1",
         "plan l_objects --size 64 --shortest 0",
         "plan l_objects --size 64 --error 2",

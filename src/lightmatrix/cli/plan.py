@@ -28,6 +28,8 @@ from lightmatrix.rig.scenes import names
 from lightmatrix.rig.truth import Truth
 from lightmatrix.white_frame import read_white_frame
 
+_NAMES = {"plain": "row by row"}
+
 
 def register(app: typer.Typer) -> None:
     """Add the command of this file."""
@@ -54,8 +56,12 @@ def plan(
     noise: Annotated[
         float, typer.Option(help="Noise of a sample, share of the clip level.")
     ] = USUAL_NOISE,
+    exposure: Annotated[
+        float | None,
+        typer.Option(help="Exposure of the white frame in any unit, such as ms; the answer's too."),
+    ] = None,
     shortest: Annotated[
-        float | None, typer.Option(help="The camera's shortest exposure, white frame's = 1.")
+        float | None, typer.Option(help="The camera's shortest exposure, in the same unit.")
     ] = None,
     black: Annotated[
         str | None, typer.Option(help="Photograph under a black pattern, or the black level.")
@@ -72,7 +78,8 @@ def plan(
     wanted = None if shape is None else size(shape)
     simulated = source.endswith(".npz") or source in names()
     if simulated:
-        given = {"--black": black, "--clip": clip, "--response": response}
+        given: dict[str, object] = {"--exposure": exposure, "--black": black}
+        given |= {"--clip": clip, "--response": response}
         odd = [name for name, value in given.items() if value is not None]
         if odd:
             raise InputError(
@@ -80,13 +87,18 @@ def plan(
             )
         white, projector = _known(source, wanted)
     else:
-        white, projector = _photograph(source, black, clip, response), wanted or (128, 128)
+        unit = 1.0 if exposure is None else exposure
+        if not (np.isfinite(unit) and unit > 0):
+            raise InputError(f"an exposure of {exposure}", hint="use a number above 0, such as 20")
+        white = _photograph(source, black, clip, response, unit)
+        projector = wanted or (128, 128)
     result = advice(white, projector, frames or frames_for(error), noise, shortest)
     result = {"source": source, **result, "commands": _commands(source, simulated, result)}
     if as_json:
         show_json(result)
     else:
-        _show(result, white, simulated)
+        unit_name = "exposure" if simulated or exposure else "exposure (white frame = 1)"
+        _show(result, white, simulated, unit_name)
 
 
 def advice(
@@ -150,14 +162,13 @@ def _known(source: str, wanted: tuple[int, int] | None) -> tuple[WhiteFrame, tup
 
 
 def _photograph(
-    source: str, black: str | None, clip: float | None, response: str | None
+    source: str, black: str | None, clip: float | None, response: str | None, exposure: float
 ) -> WhiteFrame:
     level: str | float | None = black
     if black is not None and black.replace(".", "", 1).isdecimal():
         level = float(black)
     frame = read_white_frame(source, black=level, clip=clip, response=response)
-    values = frame.values[:, 0].astype(np.float64)
-    # Under room light a clipped pixel's own value lies below the clip level.
+    values = frame.values[:, 0].astype(np.float64) / exposure
     return WhiteFrame(values, frame.clipped[:, 0])
 
 
@@ -178,8 +189,7 @@ def _commands(source: str, simulated: bool, result: dict[str, Any]) -> list[str]
     return lines
 
 
-def _show(result: dict[str, Any], white: WhiteFrame, simulated: bool) -> None:
-    unit = "exposure" if simulated else "exposure (white frame = 1)"
+def _show(result: dict[str, Any], white: WhiteFrame, simulated: bool, unit: str) -> None:
     if white.clipped_share > 0:
         out.print(
             f"{100 * white.clipped_share:.1f} % of the white frame is clipped, so its brightest "
@@ -206,7 +216,7 @@ def _show(result: dict[str, Any], white: WhiteFrame, simulated: bool) -> None:
         table.add_row(
             ("> " if e["frames"] == result["frames"] else "") + str(e["frames"]),
             "mix" if e["frames"] >= FEWEST_MIXED else "all fine",
-            e["estimator"] + ("" if e["measured"] else " (about)"),
+            _NAMES.get(e["estimator"], e["estimator"]) + ("" if e["measured"] else " (about)"),
             _range(e["relative_error"]),
             _range(e["relighting_error"]),
         )
