@@ -1,6 +1,6 @@
 """How the exposure of a capture decides the error of T: the tables of docs/planning.md.
 
-    python -m benchmarks.exposures [--noise 0.003] [--misfit 0.03] [--estimator plain]
+    python -m benchmarks.exposures [--noise 0.003] [--misfit 0.03] [--estimator plain] ...
 
 Exposures are relative to s, at which the brightest white level just does not clip. 64 fine
 patterns of 128 x 128, row by row (every fifth row) or coherently (whole frames), 8 bits, one seed.
@@ -41,16 +41,19 @@ def main() -> None:
     parser.add_argument("--noise", type=float, default=0.003)
     parser.add_argument("--estimator", choices=("plain", "coherent"), default="plain")
     parser.add_argument("--plans", nargs="+", default=tuple(PLANS), choices=tuple(PLANS))
+    parser.add_argument("--scenes", nargs="+", default=SCENES)
+    parser.add_argument("--size", type=int, default=SIZE[0])
     parser.add_argument("--misfit", type=float, default=lightmatrix.capture.MISFIT)
     arguments = parser.parse_args()
     # 0 weighs frames by noise alone, e^2; a large value weighs all alike.
     lightmatrix.capture.MISFIT = arguments.misfit
-    patterns = BernoulliPatterns(SIZE, 64)
-    print("| exposures | " + " | ".join(SCENES) + " |\n" + "|---" * (len(SCENES) + 1) + "|")
+    size, scenes = (arguments.size, arguments.size), arguments.scenes
+    patterns = BernoulliPatterns(size, 64)
+    print("| exposures | " + " | ".join(scenes) + " |\n" + "|---" * (len(scenes) + 1) + "|")
     for name in arguments.plans:
         cells = []
-        for scene in SCENES:
-            known = truth(scene, SIZE)
+        for scene in scenes:
+            known = truth(scene, size)
             levels = known.matrix.sum(axis=1)
             shortest = 1 / WhiteFrame(levels, np.zeros(len(levels), bool)).brightest
             if arguments.estimator == "plain":
