@@ -51,10 +51,16 @@ def test_readme_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def _own_photographs(folder: Path) -> None:
     from lightmatrix.images import list_images, read_image
 
-    for path in list_images(folder / "capture" / "images"):
+    total = np.zeros((32, 32))
+    paths = list_images(folder / "capture" / "images")
+    for path in paths:
         image = read_image(path)[16:48, 16:48]
+        total += image
         write_image(folder / "photos" / path.name, np.kron(image, np.ones((8, 8), np.uint8)))
     write_image(folder / "black.png", np.zeros((256, 256), np.uint8))
+    # Half of white, which random patterns average to: no pixel of it clips.
+    white = np.kron(total / len(paths), np.ones((8, 8)))
+    write_image(folder / "white.png", white.astype(np.uint8))
 
 
 def test_links_lead_somewhere() -> None:
