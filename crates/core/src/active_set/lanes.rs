@@ -1,12 +1,13 @@
 //! Several rows at a time, so that they share passes over the patterns.
 
+use super::restricted::Restricted;
 use super::row::{Next, RowSolver};
 use super::{Dictionary, Rows, Settings, Solution};
 use crate::correlate::{Scores, Scratch, BATCH};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
 /// Rows in work at a time: batches are full until the rows run out.
-const LANES: usize = 2 * BATCH;
+const LANES: usize = BATCH;
 
 struct Lane<'a> {
     solver: RowSolver<'a>,
@@ -27,6 +28,8 @@ pub fn solve_rows(
 ) -> Vec<(usize, Solution)> {
     let mut solutions = Vec::new();
     let mut scratch = Scratch::default();
+    // Its buffers are large: lanes that share one leave the caches to the patterns.
+    let mut restricted = Restricted::new(dictionary.level);
     // Where rows are few, every thread gets some.
     let lanes = LANES.min(rows.count.div_ceil(rayon::current_num_threads()));
     let mut lanes: Vec<Lane> = (0..lanes)
@@ -37,7 +40,7 @@ pub fn solve_rows(
         })
         .collect();
     // Goes on with a lane until it needs a pass (true) or no row is left for it (false).
-    let mut advance = |lane: &mut Lane, next: Option<Next>| {
+    let mut advance = |lane: &mut Lane, next: Option<Next>, restricted: &mut Restricted| {
         let mut next = next;
         loop {
             match next {
@@ -52,10 +55,10 @@ pub fn solve_rows(
             if lane.row >= rows.count {
                 return false;
             }
-            next = Some(lane.solver.begin(rows, lane.row));
+            next = Some(lane.solver.begin(rows, lane.row, restricted));
         }
     };
-    lanes.retain_mut(|lane| advance(lane, None));
+    lanes.retain_mut(|lane| advance(lane, None, &mut restricted));
     while !lanes.is_empty() && !cancelled.load(Ordering::Relaxed) {
         for batch in lanes.chunks_mut(BATCH) {
             let (residuals, mut scores): (Vec<&[f64]>, Vec<&mut Scores>) = batch
@@ -67,8 +70,8 @@ pub fn solve_rows(
                 .run(&dictionary.columns, &residuals, &mut scores, &mut scratch);
         }
         lanes.retain_mut(|lane| {
-            let next = lane.solver.after_pass(&lane.scores);
-            advance(lane, Some(next))
+            let next = lane.solver.after_pass(&lane.scores, &mut restricted);
+            advance(lane, Some(next), &mut restricted)
         });
     }
     solutions
@@ -80,11 +83,12 @@ pub fn solve_row(dictionary: &Dictionary, rows: Rows, settings: Settings) -> Sol
     let mut scores = Scores::default();
     let mut scratch = Scratch::default();
     let correlator = &dictionary.correlator;
-    let mut next = solver.begin(rows, 0);
+    let mut restricted = Restricted::new(dictionary.level);
+    let mut next = solver.begin(rows, 0, &mut restricted);
     while let Next::Pass = next {
         let columns = &dictionary.columns;
         correlator.run(columns, &[solver.dual()], &mut [&mut scores], &mut scratch);
-        next = solver.after_pass(&scores);
+        next = solver.after_pass(&scores, &mut restricted);
     }
     solver.solution()
 }

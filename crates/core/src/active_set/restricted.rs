@@ -38,8 +38,8 @@ pub struct Restricted {
     /// a_j . theta
     gradient: Vec<f64>,
     direction: Vec<f64>,
-    /// Whether b = 0 held the last step.
-    held: bool,
+    /// Whether b = 0 held the last step of the row.
+    pub held: bool,
 }
 
 impl Restricted {
@@ -54,9 +54,9 @@ impl Restricted {
         }
     }
 
-    /// Takes note of a new row's data.
-    pub fn load(&mut self, data: &DataTerm) {
-        self.held = false;
+    /// Turns to a row: its data, and how its last solve ended.
+    pub fn load(&mut self, data: &DataTerm, held: bool) {
+        self.held = held;
         self.model.load_row(data);
         self.theta.resize(data.y.len(), 0.0);
         self.direction.resize(data.y.len(), 0.0);

@@ -42,7 +42,8 @@ pub struct RowSolver<'a> {
     /// ||y||^2 / 2
     energy: f64,
     point: Point,
-    restricted: Restricted,
+    /// Whether b = 0 held the last step of the restricted solve.
+    held: bool,
     dual: Vec<f64>,
     passes: u32,
     objective: f64,
@@ -70,7 +71,7 @@ impl<'a> RowSolver<'a> {
             },
             energy: 0.0,
             point: Point::new(n),
-            restricted: Restricted::new(dictionary.level),
+            held: false,
             dual: zeros(),
             passes: 0,
             objective: 0.0,
@@ -104,7 +105,7 @@ impl<'a> RowSolver<'a> {
     }
 
     /// Starts on a row, from the given start or from nothing.
-    pub fn begin(&mut self, rows: Rows, row: usize) -> Next {
+    pub fn begin(&mut self, rows: Rows, row: usize, restricted: &mut Restricted) -> Next {
         self.load(rows, row);
         self.passes = 0;
         self.dual_value = f64::NEG_INFINITY;
@@ -123,13 +124,13 @@ impl<'a> RowSolver<'a> {
         }
         self.update_prediction();
         if !self.point.pixels.is_empty() {
-            self.solve_restricted(FINEST_SHARE * self.settings.tolerance, false);
+            self.solve_restricted(restricted, FINEST_SHARE * self.settings.tolerance, false);
         }
         self.prepare_pass()
     }
 
     /// Goes on with the scores of `dual`.
-    pub fn after_pass(&mut self, scores: &Scores) -> Next {
+    pub fn after_pass(&mut self, scores: &Scores, restricted: &mut Restricted) -> Next {
         self.passes += 1;
         let new = if self.passes == 1 {
             FIRST_PIXELS
@@ -167,7 +168,7 @@ impl<'a> RowSolver<'a> {
         } else {
             ROUGH.min(INNER_SHARE * violation)
         };
-        self.solve_restricted(accuracy, self.dual_is_residual);
+        self.solve_restricted(restricted, accuracy, self.dual_is_residual);
         self.prepare_pass()
     }
 
@@ -201,7 +202,7 @@ impl<'a> RowSolver<'a> {
             }
         }
         self.energy = self.data.y.iter().map(|y| y * y).sum::<f64>() / 2.0;
-        self.restricted.load(&self.data);
+        self.held = false;
     }
 
     fn update_prediction(&mut self) {
@@ -210,8 +211,14 @@ impl<'a> RowSolver<'a> {
             .exact_background(self.dictionary, &self.settings, &self.data);
     }
 
-    fn solve_restricted(&mut self, accuracy: f64, gradient_known: bool) {
-        self.restricted.solve(
+    fn solve_restricted(
+        &mut self,
+        restricted: &mut Restricted,
+        accuracy: f64,
+        gradient_known: bool,
+    ) {
+        restricted.load(&self.data, self.held);
+        restricted.solve(
             self.dictionary,
             &self.settings,
             &self.data,
@@ -219,6 +226,7 @@ impl<'a> RowSolver<'a> {
             gradient_known.then_some((&self.dual[..], &self.gradient[..])),
             accuracy,
         );
+        self.held = restricted.held;
         self.point.prune();
         self.update_prediction();
     }
