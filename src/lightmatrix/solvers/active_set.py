@@ -12,7 +12,7 @@ from scipy.sparse import csr_array
 
 from lightmatrix import _core
 from lightmatrix.errors import InputError, SolverError
-from lightmatrix.patterns import BernoulliPatterns, HadamardPatterns, PatternSet
+from lightmatrix.patterns import HadamardPatterns, PackedPatterns, PatternSet
 from lightmatrix.solvers.loop import Progress
 from lightmatrix.solvers.problem import Fidelity, Problem, Result, Status
 
@@ -154,7 +154,7 @@ def prepare(patterns: PatternSet, instructions: str | None = None) -> _core.Prep
 
 def _bits(patterns: PatternSet) -> NDArray[np.uint8] | None:
     """Patterns of zeros and ones only as packed bits, (K, ceil(N / 8)); None for others."""
-    if isinstance(patterns, BernoulliPatterns):
+    if isinstance(patterns, PackedPatterns):
         return patterns.bits
     packed = []
     for _, block in patterns.blocks():
