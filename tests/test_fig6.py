@@ -135,6 +135,11 @@ def test_image_quality_from_its_definition() -> None:
     assert wrong["ssim"] < 1
     noise = fig7.quality(random.random((40, 30)), expected)
     assert noise["ssim"] < 0.3
+    bright = expected.copy()
+    bright[3, 4] = 50.0
+    highlight = fig7.quality(bright, expected)
+    assert highlight["psnr"] < 10
+    assert highlight["psnr_shown"] > 30
 
 
 def test_the_logo_is_binary_at_any_size() -> None:
