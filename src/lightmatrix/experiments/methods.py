@@ -18,7 +18,7 @@ from lightmatrix.transport import LightTransport
 # iterated solvers take mu and nu by rule and stop after so many iterations.
 REGULARIZATION = 0.16
 ROMP_SPARSITY = 10
-ITERATIONS = 150
+ITERATIONS = 400
 
 
 class Reach(StrEnum):
