@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from problems import clipping_problem
 
 from lightmatrix.errors import InputError
-from lightmatrix.patterns import ImagePatterns
+from lightmatrix.patterns import BernoulliPatterns, ImagePatterns, PatternSet
 from lightmatrix.solvers import ActiveSet, Problem
-from lightmatrix.solvers.weighted import Blocks, Candidates, Start, White, solve_weighted
+from lightmatrix.solvers.weighted import Blocks, Candidates, Expectation, Start, solve_weighted
 
 SOLVER = ActiveSet(tolerance=1e-8)
 
@@ -103,28 +103,41 @@ def test_only_candidates_are_used() -> None:
     assert found.rows.background[3] > 0
 
 
-def test_an_expected_sum_is_one_more_sample_under_white() -> None:
+@pytest.mark.parametrize("packed", [False, True])
+def test_expected_samples_are_further_samples(packed: bool) -> None:
     problem, truth = clipping_problem(rows=5)
-    sums = (truth.sum(axis=1) + 0.1).astype(np.float32)
-    weights = np.array([0, 0.1, 0.5, 1, 2], np.float32)
+    shape, count = problem.patterns.shape, problem.patterns.count
+    unseen: PatternSet = BernoulliPatterns(shape, 7, seed=5)
+    if not packed:
+        unseen = ImagePatterns(np.random.default_rng(5).random((7, *shape)).astype(np.float32))
+    random = np.random.default_rng(0)
+    both = np.concatenate([problem.patterns.images(), unseen.images()])
+    flat = both.reshape(count + 7, -1)
+    values = (truth @ flat.T + 0.02 * random.random((5, count + 7))).astype(np.float32)
+    weights = random.choice([0, 0.1, 0.5, 2], values.shape).astype(np.float32)
+    weights[0] = 0
+    means = np.ascontiguousarray(flat[:, :20].mean(axis=1)[None], np.float32)
+    penalties = np.array([0.3], np.float32)
     found = solve_weighted(
         problem,
         every_pixel(problem),
-        Blocks.none(problem.patterns),
+        Blocks(means, penalties),
         SOLVER,
-        white=White(sums, weights),
+        expected=Expectation(unseen, values, weights),
     ).rows
-    images = problem.patterns.images()
-    white = np.ones((1, *problem.patterns.shape), np.float32)
+    # The same with the patterns shown twice.
+    twice = np.concatenate([problem.patterns.images(), both])
     extended = Problem(
-        ImagePatterns(np.concatenate([images, white])),
-        np.column_stack([problem.samples, sums]).astype(np.float64),
-        np.column_stack([problem.clipped, np.zeros(5, bool)]),
-        np.ones(problem.patterns.count + 1),
+        ImagePatterns(twice),
+        np.concatenate([problem.samples, values], axis=1).astype(np.float64),
+        np.concatenate([problem.clipped, np.zeros(values.shape, bool)], axis=1),
+        np.ones(len(twice)),
         problem.regularization,
-        weights=np.column_stack([np.ones(problem.samples.shape), weights]).astype(np.float64),
+        weights=np.concatenate([np.ones(problem.samples.shape), weights], axis=1),
     )
-    plain = SOLVER.solve(extended)
+    again = np.concatenate([means[:, :count], means], axis=1)
+    plain = solve_weighted(extended, every_pixel(extended), Blocks(again, penalties), SOLVER).rows
+    assert found.converged.all()
     np.testing.assert_allclose(found.objective, plain.objective, rtol=1e-6)
 
 

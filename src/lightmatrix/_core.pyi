@@ -22,6 +22,22 @@ def likely_pixels(
     most: int,
     range: tuple[int, int],
 ) -> tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.float32]]: ...
+def expected_samples(
+    shown: PreparedPatterns,
+    unseen: PreparedPatterns,
+    samples: NDArray[Any],
+    clipped: NDArray[np.bool_],
+    weights: NDArray[np.float64] | None,
+    matrix: tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.float32]],
+    camera: tuple[int, int, int],
+    projector: tuple[int, int],
+    reach: int,
+    movement: NDArray[np.float32],
+    background: NDArray[np.float32],
+    first: int,
+    start: int,
+    level: float,
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]: ...
 def solve_weighted(
     prepared: PreparedPatterns,
     samples: NDArray[Any],
@@ -29,7 +45,7 @@ def solve_weighted(
     weights: NDArray[np.float64] | None,
     candidates: tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.float32]],
     further: tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32] | None],
-    white: tuple[NDArray[np.float32], NDArray[np.float32]] | None,
+    expected: tuple[PreparedPatterns, NDArray[np.float32], NDArray[np.float32]] | None,
     start: tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.float64], NDArray[np.float64]]
     | None,
     regularization: float,

@@ -3,7 +3,8 @@
 use crate::solver::{checked_start, fidelity, run_interruptibly, Floats, PreparedPatterns, Solved};
 use lightmatrix_core::active_set::{Rows, Settings, Start, Values};
 use lightmatrix_core::coherent::{
-    self, Candidates, Further, Knowledge, Sparse, Weighted, White, Windows,
+    self, Candidates, Expectation, Expected, Further, Knowledge, Neighbours, Sparse, Weighted,
+    Windows,
 };
 use numpy::{IntoPyArray, PyArray1, PyReadonlyArray1, PyReadonlyArray2, PyUntypedArrayMethods};
 use pyo3::exceptions::PyValueError;
@@ -81,10 +82,97 @@ fn likely_pixels<'py>(
     ))
 }
 
+/// Expected samples and their variances; see `lightmatrix.estimators.expectations`.
+#[pyfunction]
+#[allow(clippy::too_many_arguments, clippy::type_complexity)]
+fn expected_samples<'py>(
+    py: Python<'py>,
+    shown: &PreparedPatterns,
+    unseen: &PreparedPatterns,
+    samples: &Bound<'py, PyAny>,
+    clipped: PyReadonlyArray2<'py, bool>,
+    weights: Option<PyReadonlyArray2<'py, f64>>,
+    matrix: (
+        PyReadonlyArray1<'py, i64>,
+        PyReadonlyArray1<'py, i32>,
+        PyReadonlyArray1<'py, f32>,
+    ),
+    camera: [usize; 3],
+    projector: [usize; 2],
+    reach: usize,
+    movement: PyReadonlyArray2<'py, f32>,
+    background: PyReadonlyArray2<'py, f32>,
+    first: usize,
+    start: usize,
+    level: f64,
+) -> PyResult<(Bound<'py, PyAny>, Bound<'py, PyAny>)> {
+    let (shown, unseen) = (&shown.dictionary, &unseen.dictionary);
+    let floats = Floats::of(samples)?;
+    let (shape, values) = floats.view()?;
+    let (count, patterns) = (shape[0], shape[1]);
+    let all = patterns + unseen.patterns;
+    let (rows, pixels) = (camera.iter().product(), projector.iter().product());
+    let matrix = Sparse {
+        indptr: matrix.0.as_slice()?,
+        indices: matrix.1.as_slice()?,
+        values: matrix.2.as_slice()?,
+    };
+    checked(matrix.indptr, matrix.indices, matrix.values, rows, pixels)?;
+    // The rows that the first and the last row asked for have around them.
+    let halo = (reach * camera[1] + reach) * camera[2];
+    let around = start.saturating_sub(halo)..(start + count + halo).min(rows);
+    let sound = patterns == shown.patterns
+        && shown.pixels == pixels
+        && unseen.pixels == pixels
+        && start + count <= rows
+        && clipped.shape() == [count, patterns]
+        && movement.shape() == [count, 4]
+        && background.shape()[1] == all
+        && first <= around.start
+        && first + background.shape()[0] >= around.end
+        && level > 0.0
+        && weights
+            .as_ref()
+            .is_none_or(|w| w.shape()[1] == patterns && [1, count].contains(&w.shape()[0]));
+    if !sound {
+        return Err(PyValueError::new_err(
+            "the neighbours do not fit the samples",
+        ));
+    }
+    let neighbours = Neighbours {
+        matrix,
+        camera,
+        projector,
+        reach,
+        movement: movement.as_slice()?,
+        background: background.as_slice()?,
+        first,
+    };
+    let rows = Rows {
+        count,
+        samples: values,
+        clipped: clipped.as_slice()?,
+        weights: match &weights {
+            None => None,
+            Some(weights) => Some(Values::F64(weights.as_slice()?)),
+        },
+        start: None,
+    };
+    let Expected { values, variances } = py.detach(|| {
+        coherent::expected(shown, unseen, neighbours, rows, level, start..start + count)
+    });
+    let shaped = |values: Vec<f32>| {
+        values
+            .into_pyarray(py)
+            .call_method1("reshape", (count, all))
+    };
+    Ok((shaped(values)?, shaped(variances)?))
+}
+
 /// Solves rows on their candidates; see `lightmatrix.solvers.weighted`.
 #[pyfunction]
 #[pyo3(signature = (
-    prepared, samples, clipped, weights, candidates, further, white, start, regularization, fidelity_name,
+    prepared, samples, clipped, weights, candidates, further, expected, start, regularization, fidelity_name,
     nonnegative, background, tolerance, max_passes, threads=None, progress=None
 ))]
 #[allow(clippy::too_many_arguments, clippy::type_complexity)]
@@ -104,7 +192,11 @@ fn solve_weighted<'py>(
         PyReadonlyArray1<'py, f32>,
         Option<PyReadonlyArray2<'py, f32>>,
     ),
-    white: Option<(PyReadonlyArray1<'py, f32>, PyReadonlyArray1<'py, f32>)>,
+    expected: Option<(
+        PyRef<'py, PreparedPatterns>,
+        PyReadonlyArray2<'py, f32>,
+        PyReadonlyArray2<'py, f32>,
+    )>,
     start: Option<(
         PyReadonlyArray1<'py, i64>,
         PyReadonlyArray1<'py, i32>,
@@ -138,9 +230,11 @@ fn solve_weighted<'py>(
         pixels,
     )?;
     let shared = further.1.len();
+    let unseen = expected.as_ref().map(|(unseen, ..)| &unseen.dictionary);
+    let all = patterns + unseen.map_or(0, |unseen| unseen.patterns);
     let fits = patterns == dictionary.patterns
         && clipped.shape() == [count, patterns]
-        && further.0.shape() == [shared, patterns]
+        && further.0.shape() == [shared, all]
         && further
             .2
             .as_ref()
@@ -183,31 +277,31 @@ fn solve_weighted<'py>(
             pixels,
         )?),
     };
-    let white = match &white {
-        None => None,
-        Some((sums, weights)) => Some(White {
-            sums: sums.as_slice()?,
-            weights: weights.as_slice()?,
-        }),
+    let expected = match (&expected, unseen) {
+        (Some((_, values, weights)), Some(unseen)) => {
+            let values_and_weights = (values.as_slice()?, weights.as_slice()?);
+            let sound = unseen.pixels == pixels
+                && values.shape() == [count, all]
+                && weights.shape() == [count, all]
+                && values_and_weights.0.iter().all(|v| v.is_finite())
+                && (values_and_weights.1.iter()).all(|v| v.is_finite() && *v >= 0.0);
+            if !sound {
+                return Err(PyValueError::new_err(
+                    "the expected samples do not fit the problem",
+                ));
+            }
+            Some(Expectation {
+                unseen,
+                values: values_and_weights.0,
+                weights: values_and_weights.1,
+            })
+        }
+        _ => None,
     };
-    let fits = white.is_none_or(|white| {
-        white.sums.len() == count
-            && white.weights.len() == count
-            && white
-                .sums
-                .iter()
-                .chain(white.weights)
-                .all(|v| v.is_finite() && *v >= 0.0)
-    });
-    if !fits {
-        return Err(PyValueError::new_err(
-            "the expected sums do not fit the samples",
-        ));
-    }
     let knowledge = Knowledge {
         candidates,
         further,
-        white,
+        expected,
     };
     let rows = Rows {
         count,
@@ -244,5 +338,6 @@ fn solve_weighted<'py>(
 
 pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(likely_pixels, module)?)?;
+    module.add_function(wrap_pyfunction!(expected_samples, module)?)?;
     module.add_function(wrap_pyfunction!(solve_weighted, module)?)
 }

@@ -4,7 +4,8 @@ Neighbouring camera pixels look at neighbouring projector pixels. So each row is
 times, each time with penalties that its neighbours' rows suggest: low where they found light, high
 where they did not. The windows in which neighbours count shrink from round to round. This is
 reweighted l1 minimisation (Candes, Wakin & Boyd 2008) with the weights of one row coming from the
-rows around it; docs/few-patterns.md says what it is worth.
+rows around it. And what neighbours' rows would give in a row's place stands in for samples that
+clip or were never taken. docs/few-patterns.md says what it is worth.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from typing import Any
 
 from lightmatrix.capture import Capture
 from lightmatrix.errors import InputError
-from lightmatrix.estimators.rounds import Rounds
+from lightmatrix.estimators.rounds import Known, Rounds
 from lightmatrix.estimators.tiles import (
     Progress,
     capture_provenance,
@@ -24,12 +25,11 @@ from lightmatrix.estimators.tiles import (
 )
 from lightmatrix.solvers.active_set import ActiveSet
 from lightmatrix.solvers.problem import Fidelity
-from lightmatrix.solvers.weighted import Start
 from lightmatrix.transport import LightTransport
 
 # Half widths of the windows of each round, in camera and in projector pixels. The first rounds
 # gather evidence, the last ones settle it.
-WINDOWS = ((2, 2), (2, 2), (2, 2), (2, 1), (1, 1), (1, 1))
+WINDOWS = ((2, 2), (2, 2), (2, 2), (2, 1), (1, 1), (1, 1), (1, 1))
 # Of the clip level.
 DEFAULT_REGULARIZATION = 0.1
 # With more patterns than this the row by row estimate is good by itself, and much faster.
@@ -42,9 +42,11 @@ class CoherentEstimator:
 
     In each round row i is solved on its likeliest projector pixels j with the penalty
     ``2 lambda e / (e + s_ij)``, where s_i is the sum of the neighbours' rows, each over its
-    maximum and blurred by a window, relative to its strongest pixel. The last round also has
-    coarse blocks of projector pixels, which hold the faint light from everywhere; and a row of
-    clipped samples is expected, weakly, to add up to what its neighbours do.
+    maximum and blurred by a window, relative to its strongest pixel. From the round on whose window
+    on the projector is 3 x 3, rows have further samples, in place of clipped ones and under 64
+    patterns that were never shown: what the neighbours' rows, moved along and scaled, would give
+    there. They weigh the less, the less the neighbours agree. The last round also has coarse blocks
+    of projector pixels, which hold the faint light from everywhere.
 
     Parameters
     ----------
@@ -148,7 +150,7 @@ class CoherentEstimator:
             self.tile_rows,
             progress,
         )
-        found: list[Start] = []
+        found: list[Known] = []
         return joined(
             capture,
             rounds.ranges(),
@@ -157,7 +159,7 @@ class CoherentEstimator:
             checkpoint=checkpoint,
             overwrite=overwrite,
             background_grid=rounds.grid,
-            prepare=lambda running: found.append(rounds.before_last(running)),
+            prepare=lambda running: found.append(rounds.known(rounds.before_last(running))),
         )
 
     def provenance(self, capture: Capture, regularization: float) -> dict[str, Any]:

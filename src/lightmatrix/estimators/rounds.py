@@ -9,21 +9,24 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import median_filter
 from scipy.sparse import csr_array, vstack
 
 from lightmatrix import _core
 from lightmatrix.capture import Capture, Samples
+from lightmatrix.estimators.expectations import (
+    UNSEEN,
+    Neighbourhood,
+    unseen_patterns,
+)
 from lightmatrix.estimators.tiles import TILE_BYTES, Progress, Tile, diagnostics
 from lightmatrix.patterns import PatternSet
 from lightmatrix.solvers.active_set import ActiveSet
-from lightmatrix.solvers.problem import Problem
+from lightmatrix.solvers.problem import Fidelity, Problem
 from lightmatrix.solvers.weighted import (
     Blocks,
     Candidates,
     Start,
     WeightedResult,
-    White,
     solve_weighted,
 )
 from lightmatrix.store import Checkpoint
@@ -34,11 +37,17 @@ FIRST_REGULARIZATION = 0.32
 FIRST_TOLERANCE = 1e-2
 # Of the clip level, over the side of a block: the penalty of a block's coefficient.
 BLOCK_PENALTY = 0.01
-# Weight of the expected sum of a row, times the ratio of its clipped to its other samples: it only
-# counts where few others do.
-WHITE_WEIGHT = 0.16
-# Camera pixels whose median sum is expected.
-WHITE_WINDOW = 5
+# What neighbours' rows give is expected from the round on whose window on the projector is this
+# narrow: then most rows are about right.
+EXPECTING = 1
+
+
+@dataclass(frozen=True)
+class Known:
+    """What was found of all rows, and their neighbourhood."""
+
+    found: Start
+    neighbourhood: Neighbourhood
 
 
 @dataclass(frozen=True)
@@ -59,13 +68,25 @@ class Rounds:
         """What the rounds before the last one find, from where a checkpoint has come to."""
         latest, found = self._latest(running)
         for number in range(latest + 1, len(self.windows)):
-            found = self._whole(running, number, partial(self._again, number, found))
+            known = self.known(found)
+            found = self._whole(running, number, partial(self._again, number, known))
         return found
 
-    def last(self, found: Start, start: int, stop: int) -> Tile:
+    def known(self, found: Start) -> Known:
+        """What a round knows of all rows."""
+        rows, cols, *channels = self.capture.camera_shape
+        camera = (rows, cols, channels[0] if channels else 1)
+        return Known(
+            found,
+            Neighbourhood(
+                found.coefficients, found.background, camera, self.capture.projector_shape
+            ),
+        )
+
+    def last(self, known: Known, start: int, stop: int) -> Tile:
         """The rows start..stop of the last round."""
         samples = self.capture.samples(start, stop)
-        return self._tile(samples, self._solve(samples, start, stop, len(self.windows), found))
+        return self._tile(samples, self._solve(samples, start, stop, len(self.windows), known))
 
     @property
     def grid(self) -> tuple[int, int]:
@@ -75,8 +96,8 @@ class Rounds:
 
     def ranges(self) -> Iterator[tuple[int, int]]:
         """Rows solved at a time."""
-        # Samples twice, and candidates with what is found of them.
-        row_bytes = 16 * self.capture.count + 32 * self.candidates
+        # Samples and expected ones twice, and candidates with what is found of them.
+        row_bytes = 32 * (self.capture.count + UNSEEN) + 32 * self.candidates
         tile = self.tile_rows or max(1, TILE_BYTES // row_bytes)
         for start in range(0, self.capture.rows, tile):
             yield start, min(start + tile, self.capture.rows)
@@ -107,24 +128,35 @@ class Rounds:
         result = solver.solve(problem, self._report(0, start))
         return _kept(WeightedResult(result, np.zeros((stop - start, 0), np.float32)))
 
-    def _again(self, number: int, found: Start, start: int, stop: int) -> Start:
+    def _again(self, number: int, known: Known, start: int, stop: int) -> Start:
         samples = self.capture.samples(start, stop)
-        return _kept(self._solve(samples, start, stop, number, found))
+        return _kept(self._solve(samples, start, stop, number, known))
 
     def _solve(
-        self, samples: Samples, start: int, stop: int, number: int, found: Start
+        self, samples: Samples, start: int, stop: int, number: int, known: Known
     ) -> WeightedResult:
         """The rows start..stop, with penalties from what was found before."""
         problem = self._problem(samples, self.regularization)
-        # The faint light from everywhere, and what clipped rows add up to, join in the last round,
-        # when it is clear where most of the light is.
+        found = known.found
+        expected = None
+        if self.windows[number - 1][1] <= EXPECTING:
+            expected = known.neighbourhood.expected(
+                self.capture.patterns,
+                self._unseen,
+                samples,
+                samples.clipped & (self.solver.fidelity is not Fidelity.LINEAR),
+                self.capture.reference_level,
+                start,
+            )
+        # The faint light from everywhere joins in the last round, when it is clear where most of
+        # the light is.
         last = number == len(self.windows)
         return solve_weighted(
             problem,
             self._candidates(found.coefficients, number, start, stop),
-            self._blocks if last else Blocks.none(self.capture.patterns),
+            self._blocks(last, expected is not None),
             self.solver,
-            white=self._white(samples, found, start, stop) if last else None,
+            expected=expected,
             start=Start(
                 found.coefficients[start:stop],
                 found.background[start:stop],
@@ -162,15 +194,9 @@ class Rounds:
         penalties = 2 * self.trust / (self.trust + shares)
         return Candidates(indptr, pixels, penalties.astype(np.float32))
 
-    def _white(self, samples: Samples, found: Start, start: int, stop: int) -> White:
-        """Rows of clipped samples probably add up to what their neighbours add up to."""
-        shape = self.capture.camera_shape
-        sums = found.coefficients.sum(axis=1) + found.background + found.blocks.sum(axis=1)
-        window = (WHITE_WINDOW, WHITE_WINDOW, *(1 for _ in shape[2:]))
-        expected = median_filter(sums.reshape(shape), size=window).ravel()[start:stop]
-        clipped = samples.clipped.mean(axis=1)
-        weights = WHITE_WEIGHT * clipped / (1 + (1 - clipped) * self.capture.count)
-        return White(expected.astype(np.float32), weights.astype(np.float32))
+    @cached_property
+    def _unseen(self) -> PatternSet:
+        return unseen_patterns(self.capture.projector_shape)
 
     @cached_property
     def _pooling(self) -> csr_array:
@@ -180,15 +206,22 @@ class Rounds:
     def _block_sizes(self) -> NDArray[np.float64]:
         return np.asarray(np.diff(self._pooling.indptr), np.float64)
 
+    def _blocks(self, some: bool, expecting: bool) -> Blocks:
+        """Coarse columns, with or without unseen patterns; or none."""
+        blocks = self._coarse
+        used = slice(None if some else 0)
+        count = None if expecting else self.capture.count
+        return Blocks(np.ascontiguousarray(blocks.means[used, :count]), blocks.penalties[used])
+
     @cached_property
-    def _blocks(self) -> Blocks:
+    def _coarse(self) -> Blocks:
         """Coarse columns; a single block would only repeat the background's own coefficient."""
-        patterns = self.capture.patterns
-        if self.grid == (1, 1):
-            return Blocks.none(patterns)
+        patterns = (self.capture.patterns, self._unseen)
+        means = np.concatenate([_pattern_block_means(p, self._pooling) for p in patterns], axis=1)
         cost = BLOCK_PENALTY * self.capture.reference_level / self.regularization
         penalties = (cost / np.sqrt(self._block_sizes)).astype(np.float32)
-        return Blocks(_pattern_block_means(patterns, self._pooling), penalties)
+        several = slice(0 if self.grid == (1, 1) else None)
+        return Blocks(means[several], penalties[several])
 
     def _tile(self, samples: Samples, solved: WeightedResult) -> Tile:
         # The row's own coefficient is spread over the blocks, each by its share of the pixels.

@@ -49,7 +49,8 @@ class Blocks:
     Parameters
     ----------
     means : (B, K) float32
-        Mean of each pattern over each block, in [0, 1].
+        Mean of each pattern over each block, in [0, 1]; with an expectation (B, K + E), those of
+        its unseen patterns last.
     penalties : (B,) float32
         Penalties relative to the problem's regularization, > 0.
     """
@@ -64,21 +65,22 @@ class Blocks:
 
 
 @dataclass(frozen=True)
-class White:
-    """What each of M rows is expected to add up to: one more sample, under a white pattern.
-
-    Where clipping leaves a row undetermined (a bright pixel that never was lit alone has only a
-    lower bound), this says how bright it probably is.
+class Expectation:
+    """What the samples of M rows are expected to be: further samples, of little weight.
 
     Parameters
     ----------
-    sums : (M,) float32
-        Expected sum of the row, in units of camera sample, >= 0.
-    weights : (M,) float32
-        Weight of that sample in the data term; 0 where nothing is expected.
+    unseen : PatternSet
+        E patterns that were not shown, of as many pixels as the K that were.
+    values : (M, K + E) float32
+        Expected samples under the patterns shown (beside those that were taken, which may clip),
+        then under the unseen ones.
+    weights : (M, K + E) float32
+        Their weights in the data term; 0 where nothing is expected.
     """
 
-    sums: NDArray[np.float32]
+    unseen: PatternSet
+    values: NDArray[np.float32]
     weights: NDArray[np.float32]
 
 
@@ -122,7 +124,7 @@ def solve_weighted(
     blocks: Blocks,
     solver: ActiveSet,
     *,
-    white: White | None = None,
+    expected: Expectation | None = None,
     start: Start | None = None,
     progress: Progress | None = None,
 ) -> WeightedResult:
@@ -146,8 +148,8 @@ def solve_weighted(
         Coarse columns and their weights w.
     solver : ActiveSet
         Fidelity, tolerance, limit of passes, threads.
-    white : White, optional
-        What the rows are expected to add up to.
+    expected : Expectation, optional
+        Further samples that were not taken.
     start : Start, optional
         Pixels that are no candidates are left out, and blocks if there are none.
     progress : callable, optional
@@ -178,7 +180,9 @@ def solve_weighted(
         sample_weights(problem),
         (candidates.indptr, candidates.pixels, candidates.penalties),
         (blocks.means, blocks.penalties, _starting_blocks(start, len(blocks.penalties))),
-        None if white is None else (white.sums, white.weights),
+        None
+        if expected is None
+        else (prepared(expected.unseen), expected.values, expected.weights),
         None if start is None else starting_rows(problem, start.coefficients, start.background),
         float(problem.regularization),
         str(solver.fidelity),

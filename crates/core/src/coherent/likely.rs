@@ -15,7 +15,7 @@ pub struct Sparse<'a> {
 }
 
 impl Sparse<'_> {
-    fn row(&self, row: usize) -> impl Iterator<Item = (i32, f32)> + Clone + '_ {
+    pub(super) fn row(&self, row: usize) -> impl Iterator<Item = (i32, f32)> + Clone + '_ {
         let range = self.indptr[row] as usize..self.indptr[row + 1] as usize;
         let indices = self.indices[range.clone()].iter().copied();
         indices.zip(self.values[range].iter().copied())
@@ -116,6 +116,6 @@ impl Sums {
 }
 
 /// Places within `reach` of a place, on a line of `length`.
-fn around(place: usize, reach: usize, length: usize) -> Range<usize> {
+pub(super) fn around(place: usize, reach: usize, length: usize) -> Range<usize> {
     place.saturating_sub(reach)..(place + reach + 1).min(length)
 }

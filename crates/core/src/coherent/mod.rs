@@ -1,11 +1,14 @@
 //! What neighbouring camera pixels know of each other: the projector pixels that a row probably
-//! holds, and rows solved on these alone, each pixel with a penalty of its own.
+//! holds, what its samples probably are, and rows solved on these pixels alone, each pixel with a
+//! penalty of its own.
 
+mod expected;
 mod likely;
 mod weighted;
 
+pub use expected::{expected, Expected, Neighbours};
 pub use likely::{likely, Sparse, Windows};
-pub use weighted::{solve, Candidates, Further, Knowledge, Weighted, White};
+pub use weighted::{solve, Candidates, Expectation, Further, Knowledge, Weighted};
 
 #[cfg(test)]
 mod tests;

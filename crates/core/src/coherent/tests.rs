@@ -105,7 +105,7 @@ fn every_pixel_meets_the_optimality_condition_of_its_own_penalty() {
                     penalties: &shared,
                     start: further_start,
                 },
-                white: None,
+                expected: None,
             };
             let (cancelled, finished) = (AtomicBool::new(false), AtomicUsize::new(0));
             let found = solve(

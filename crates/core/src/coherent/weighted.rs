@@ -27,7 +27,8 @@ pub struct Candidates<'a> {
 /// Columns that every row may use beside its pixels, such as the means of blocks of pixels.
 #[derive(Clone, Copy)]
 pub struct Further<'a> {
-    /// One column after the other, a value in [0, 1] for each pattern.
+    /// One column after the other, a value in [0, 1] for each pattern: those shown, then the
+    /// unseen ones of the expectation.
     pub columns: &'a [f32],
     /// Penalties relative to lambda, > 0.
     pub penalties: &'a [f32],
@@ -35,12 +36,14 @@ pub struct Further<'a> {
     pub start: Option<&'a [f32]>,
 }
 
-/// What each row is expected to add up to: one more sample a row, under an all-white pattern that
-/// was never shown.
+/// What each row's samples are expected to be: further samples, each of its own weight. The first
+/// ones are of patterns that were shown (whose own samples clip, say), then come unseen ones.
 #[derive(Clone, Copy)]
-pub struct White<'a> {
-    pub sums: &'a [f32],
-    /// Weights of the samples; 0 where nothing is expected.
+pub struct Expectation<'a> {
+    pub unseen: &'a Dictionary,
+    /// (rows, patterns shown and unseen).
+    pub values: &'a [f32],
+    /// Of the same shape; 0 where nothing is expected.
     pub weights: &'a [f32],
 }
 
@@ -49,7 +52,7 @@ pub struct White<'a> {
 pub struct Knowledge<'a> {
     pub candidates: Candidates<'a>,
     pub further: Further<'a>,
-    pub white: Option<White<'a>>,
+    pub expected: Option<Expectation<'a>>,
 }
 
 /// One row's solution.
@@ -76,17 +79,20 @@ pub fn solve(
     let Knowledge {
         candidates,
         further,
-        white,
+        expected,
     } = knowledge;
     let shared = further.penalties.len();
+    let patterns = dictionary.patterns + expected.map_or(0, |e| e.unseen.patterns);
     assert_eq!(candidates.indptr.len(), rows.count + 1);
     assert_eq!(candidates.pixels.len(), candidates.penalties.len());
-    assert_eq!(further.columns.len(), shared * dictionary.patterns);
+    assert_eq!(further.columns.len(), shared * patterns);
     if let Some(start) = further.start {
         assert_eq!(start.len(), rows.count * shared);
     }
-    if let Some(white) = white {
-        assert!(white.sums.len() == rows.count && white.weights.len() == rows.count);
+    if let Some(expected) = expected {
+        assert_eq!(expected.unseen.pixels, dictionary.pixels);
+        assert_eq!(expected.values.len(), rows.count * patterns);
+        assert_eq!(expected.weights.len(), rows.count * patterns);
     }
     let mut solutions = vec![Weighted::default(); rows.count];
     solutions.par_chunks_mut(TASK).enumerate().for_each_init(
@@ -115,6 +121,11 @@ struct Work {
     samples: Vec<f64>,
     weights: Vec<f64>,
     clipped: Vec<bool>,
+    means: Vec<f64>,
+    /// Patterns of the expected samples: those shown, then the unseen ones.
+    added: Vec<usize>,
+    /// A column's values under the unseen patterns.
+    unseen: Vec<f32>,
 }
 
 impl Work {
@@ -129,7 +140,7 @@ impl Work {
         let Knowledge {
             candidates,
             further,
-            white,
+            expected,
         } = knowledge;
         let range = candidates.indptr[row] as usize..candidates.indptr[row + 1] as usize;
         let pixels = &candidates.pixels[range.clone()];
@@ -139,12 +150,9 @@ impl Work {
         // The smallest penalty becomes 1, so that no column exceeds 1.
         let least = self.penalties.iter().copied().fold(f32::INFINITY, f32::min);
         let least = if least.is_finite() { least } else { 1.0 };
-        self.load(dictionary.patterns, rows, row, white);
+        self.load(dictionary, rows, row, expected);
         let patterns = self.samples.len();
-        let mut means = dictionary.means[..dictionary.patterns].to_vec();
-        means.resize(patterns, 1.0);
-        means.resize(padded(patterns), 0.0);
-        self.gather(dictionary, pixels, further, least);
+        self.gather(dictionary, expected, pixels, further, least);
         let shared = further.penalties.len();
         let background = [rows.start.map_or(0.0, |start| start.background[row])];
         self.starting(rows.start, row, pixels, further, least);
@@ -158,7 +166,7 @@ impl Work {
                 1.0,
             )),
             correlator: Correlator::dense(dictionary.level, patterns, pixels.len() + shared),
-            means,
+            means: std::mem::take(&mut self.means),
             patterns,
             pixels: pixels.len() + shared,
         };
@@ -183,56 +191,93 @@ impl Work {
         if let Columns::Dense(columns) = local.columns {
             self.values = columns.into_values();
         }
+        self.means = local.means;
         self.unscaled(solution, pixels, shared, least)
     }
 
-    /// The row's samples, the expected one last.
-    fn load(&mut self, patterns: usize, rows: Rows, row: usize, white: Option<White>) {
+    /// The row's samples, the expected ones last, and the means of their patterns.
+    fn load(
+        &mut self,
+        dictionary: &Dictionary,
+        rows: Rows,
+        row: usize,
+        expected: Option<Expectation>,
+    ) {
+        let patterns = dictionary.patterns;
         let first = row * patterns;
-        let expected = white.map(|white| (white.sums[row], white.weights[row]));
-        let expected = expected.filter(|&(_, weight)| weight > 0.0);
-        let count = patterns + usize::from(expected.is_some());
         for buffer in [&mut self.samples, &mut self.weights] {
             buffer.clear();
-            buffer.resize(count, 1.0);
+            buffer.resize(patterns, 1.0);
         }
-        rows.samples.copy(first, &mut self.samples[..patterns]);
+        rows.samples.copy(first, &mut self.samples);
         if let Some(weights) = rows.weights {
             let start = if weights.len() == patterns { 0 } else { first };
-            weights.copy(start, &mut self.weights[..patterns]);
+            weights.copy(start, &mut self.weights);
         }
         self.clipped.clear();
         self.clipped.extend(&rows.clipped[first..first + patterns]);
-        if let Some((sum, weight)) = expected {
-            self.samples[patterns] = f64::from(sum);
-            self.weights[patterns] = f64::from(weight);
-            self.clipped.push(false);
+        self.means.clear();
+        self.means.extend(&dictionary.means[..patterns]);
+        self.added.clear();
+        if let Some(expected) = expected {
+            let all = patterns + expected.unseen.patterns;
+            let weights = &expected.weights[row * all..][..all];
+            self.added.extend((0..all).filter(|&k| weights[k] > 0.0));
+            for &k in &self.added {
+                self.samples.push(f64::from(expected.values[row * all + k]));
+                self.weights.push(f64::from(weights[k]));
+                self.clipped.push(false);
+                self.means.push(match k.checked_sub(patterns) {
+                    None => dictionary.means[k],
+                    Some(unseen) => expected.unseen.means[unseen],
+                });
+            }
         }
+        self.means.resize(padded(self.samples.len()), 0.0);
     }
 
-    /// The row's columns, each over its penalty; 1 under the white pattern, if there is one.
-    fn gather(&mut self, dictionary: &Dictionary, pixels: &[i32], further: Further, least: f32) {
+    /// The row's columns, each over its penalty, the expected samples last.
+    fn gather(
+        &mut self,
+        dictionary: &Dictionary,
+        expected: Option<Expectation>,
+        pixels: &[i32],
+        further: Further,
+        least: f32,
+    ) {
         let patterns = dictionary.patterns;
+        let unseen = expected.map_or(0, |expected| expected.unseen.patterns);
         let own = padded(patterns);
         let stride = padded(self.samples.len());
         self.values.clear();
         self.values.resize(self.penalties.len() * stride, 0.0);
+        self.unseen.resize(padded(unseen), 0.0);
         let mut places = self.values.chunks_exact_mut(stride).zip(&self.penalties);
         for (&pixel, (out, penalty)) in pixels.iter().zip(&mut places) {
+            let (pixel, factor) = (pixel as u32, least / penalty);
             let columns = &dictionary.columns;
-            columns.copy_scaled(
-                dictionary.level,
-                pixel as u32,
-                least / penalty,
-                &mut out[..own],
-            );
-            out[patterns..self.samples.len()].fill(least / penalty);
-        }
-        for (column, (out, penalty)) in further.columns.chunks_exact(patterns).zip(places) {
-            for (out, a) in out.iter_mut().zip(column) {
-                *out = a * (least / penalty);
+            columns.copy_scaled(dictionary.level, pixel, factor, &mut out[..own]);
+            if let Some(expected) = expected {
+                let (level, columns) = (expected.unseen.level, &expected.unseen.columns);
+                columns.copy_scaled(level, pixel, factor, &mut self.unseen);
             }
-            out[patterns..self.samples.len()].fill(least / penalty);
+            let (shown, rest) = out.split_at_mut(patterns);
+            for (out, &k) in rest.iter_mut().zip(&self.added) {
+                *out = match k.checked_sub(patterns) {
+                    None => shown[k],
+                    Some(unseen) => self.unseen[unseen],
+                };
+            }
+        }
+        for (column, (out, penalty)) in further
+            .columns
+            .chunks_exact((patterns + unseen).max(1))
+            .zip(places)
+        {
+            let used = (0..patterns).chain(self.added.iter().copied());
+            for (out, k) in out.iter_mut().zip(used) {
+                *out = column[k] * (least / penalty);
+            }
         }
     }
 

@@ -1,0 +1,228 @@
+//! What a row's samples probably are, by what its neighbours' rows would give in its place.
+//!
+//! A neighbour's footprint, moved along with it and scaled, is a guess at the row's own. How well
+//! it explains the samples that are known says how much it counts; how far the guesses lie apart
+//! says how little is known.
+
+use super::likely::{around, Sparse};
+use crate::active_set::{Dictionary, Rows};
+use crate::vector::padded;
+use rayon::prelude::*;
+use std::ops::Range;
+
+/// Rows that one thread takes on at a time.
+const TASK: usize = 64;
+/// A neighbour's brightness may differ by this factor, and
+const BRIGHTEST: f64 = 2.0;
+/// is taken to be the row's own as if one more sample of the clip level said so.
+const LIKENESS: f64 = 1.0;
+/// Misfits below this share of the clip level, per sample, count alike.
+const PRECISION: f64 = 0.01;
+
+/// The rows around, on their grids.
+#[derive(Clone, Copy)]
+pub struct Neighbours<'a> {
+    /// All rows.
+    pub matrix: Sparse<'a>,
+    /// Rows, columns and channels of the camera.
+    pub camera: [usize; 3],
+    /// Rows and columns of the projector.
+    pub projector: [usize; 2],
+    /// Half width of the camera window.
+    pub reach: usize,
+    /// How far footprints move, in projector rows and columns, a camera row and a camera column
+    /// on: four numbers for each row asked for.
+    pub movement: &'a [f32],
+    /// What the background of some rows, the first of which is `first`, gives under all patterns:
+    /// those shown, then the unseen ones.
+    pub background: &'a [f32],
+    pub first: usize,
+}
+
+/// Expected samples of each row asked for, under all patterns, and their variances.
+#[derive(Debug, Default, PartialEq)]
+pub struct Expected {
+    pub values: Vec<f32>,
+    pub variances: Vec<f32>,
+}
+
+/// Expected samples of the rows of `range` under the patterns `shown` and the `unseen` ones, with
+/// `rows` the samples that are known and `level` the clip level.
+///
+/// # Panics
+/// If the lengths of the arrays do not match.
+pub fn expected(
+    shown: &Dictionary,
+    unseen: &Dictionary,
+    neighbours: Neighbours,
+    rows: Rows,
+    level: f64,
+    range: Range<usize>,
+) -> Expected {
+    let all = shown.patterns + unseen.patterns;
+    assert_eq!(rows.count, range.len());
+    assert_eq!(neighbours.movement.len(), 4 * rows.count);
+    let mut result = Expected {
+        values: vec![0.0; rows.count * all],
+        variances: vec![f32::INFINITY; rows.count * all],
+    };
+    let out =
+        (result.values.par_chunks_mut(all.max(1))).zip(result.variances.par_chunks_mut(all.max(1)));
+    out.enumerate().with_min_len(TASK).for_each_init(
+        || Guesses::new(shown.patterns, unseen.patterns),
+        |guesses, (i, (values, variances))| {
+            guesses.load(rows, i);
+            guesses.gather(shown, unseen, neighbours, range.start + i, i, level);
+            guesses.write(values, variances);
+        },
+    );
+    result
+}
+
+/// One row's samples, and sums over its neighbours' guesses at them. Buffers of one thread.
+struct Guesses {
+    y: Vec<f64>,
+    weights: Vec<f64>,
+    clipped: Vec<bool>,
+    /// A neighbour's guess, under the patterns shown and the unseen ones.
+    shown: Vec<f64>,
+    unseen: Vec<f64>,
+    patterns: [usize; 2],
+    sums: Vec<f64>,
+    squares: Vec<f64>,
+    total: f64,
+}
+
+impl Guesses {
+    fn new(shown: usize, unseen: usize) -> Self {
+        Guesses {
+            y: vec![0.0; shown],
+            weights: vec![1.0; shown],
+            clipped: vec![false; shown],
+            shown: vec![0.0; padded(shown)],
+            unseen: vec![0.0; padded(unseen)],
+            patterns: [shown, unseen],
+            sums: vec![0.0; shown + unseen],
+            squares: vec![0.0; shown + unseen],
+            total: 0.0,
+        }
+    }
+
+    fn load(&mut self, rows: Rows, row: usize) {
+        let n = self.y.len();
+        rows.samples.copy(row * n, &mut self.y);
+        self.clipped.copy_from_slice(&rows.clipped[row * n..][..n]);
+        if let Some(weights) = rows.weights {
+            let start = if weights.len() == n { 0 } else { row * n };
+            weights.copy(start, &mut self.weights);
+        }
+        self.sums.fill(0.0);
+        self.squares.fill(0.0);
+        self.total = 0.0;
+    }
+
+    /// Asks all neighbours of `row`, which is the i-th of those asked for.
+    fn gather(
+        &mut self,
+        shown: &Dictionary,
+        unseen: &Dictionary,
+        neighbours: Neighbours,
+        row: usize,
+        i: usize,
+        level: f64,
+    ) {
+        let [camera_rows, camera_cols, channels] = neighbours.camera;
+        let (pixel, channel) = (row / channels, row % channels);
+        let (r, c) = (pixel / camera_cols, pixel % camera_cols);
+        let movement = &neighbours.movement[4 * i..][..4];
+        for other_r in around(r, neighbours.reach, camera_rows) {
+            for other_c in around(c, neighbours.reach, camera_cols) {
+                if (other_r, other_c) == (r, c) {
+                    continue;
+                }
+                let down = other_r as f32 - r as f32;
+                let right = other_c as f32 - c as f32;
+                let moved = [
+                    (movement[0] * down + movement[1] * right).round() as isize,
+                    (movement[2] * down + movement[3] * right).round() as isize,
+                ];
+                let other = (other_r * camera_cols + other_c) * channels + channel;
+                if self.ask(shown, unseen, neighbours, other, moved) {
+                    self.weigh(level);
+                }
+            }
+        }
+    }
+
+    /// What the row `other` would give, moved back by `moved`. False if that is nothing.
+    fn ask(
+        &mut self,
+        shown: &Dictionary,
+        unseen: &Dictionary,
+        neighbours: Neighbours,
+        other: usize,
+        moved: [isize; 2],
+    ) -> bool {
+        let [k, e] = self.patterns;
+        let background = &neighbours.background[(other - neighbours.first) * (k + e)..][..k + e];
+        for (out, b) in self.shown.iter_mut().zip(&background[..k]) {
+            *out = f64::from(*b);
+        }
+        for (out, b) in self.unseen.iter_mut().zip(&background[k..]) {
+            *out = f64::from(*b);
+        }
+        let [rows, cols] = neighbours.projector.map(|n| n as isize);
+        let mut any = false;
+        for (pixel, value) in neighbours.matrix.row(other) {
+            let r = pixel as isize / cols - moved[0];
+            let c = pixel as isize % cols - moved[1];
+            if value > 0.0 && (0..rows).contains(&r) && (0..cols).contains(&c) {
+                let (place, value) = ((r * cols + c) as u32, f64::from(value));
+                (shown.columns).add(shown.level, place, value, &mut self.shown);
+                (unseen.columns).add(unseen.level, place, value, &mut self.unseen);
+                any = true;
+            }
+        }
+        any
+    }
+
+    /// Scales the guess to the samples that are known and adds it by how well it explains them.
+    fn weigh(&mut self, level: f64) {
+        let n = self.y.len();
+        let prior = LIKENESS * level * level;
+        let (mut product, mut square) = (prior, prior);
+        for k in (0..n).filter(|&k| !self.clipped[k]) {
+            product += self.weights[k] * self.y[k] * self.shown[k];
+            square += self.weights[k] * self.shown[k] * self.shown[k];
+        }
+        let scale = (product / square).clamp(1.0 / BRIGHTEST, BRIGHTEST);
+        let mut misfit = 0.0;
+        for k in 0..n {
+            let mut off = self.y[k] - scale * self.shown[k];
+            if self.clipped[k] {
+                off = off.max(0.0);
+            }
+            misfit += self.weights[k] * off * off;
+        }
+        let off = misfit / (n as f64 * level * level) + PRECISION * PRECISION;
+        let weight = 1.0 / (off * off);
+        let guess = self.shown[..n].iter().chain(&self.unseen);
+        for ((sum, square), u) in self.sums.iter_mut().zip(&mut self.squares).zip(guess) {
+            let u = scale * u;
+            *sum += weight * u;
+            *square += weight * u * u;
+        }
+        self.total += weight;
+    }
+
+    fn write(&self, values: &mut [f32], variances: &mut [f32]) {
+        if self.total > 0.0 {
+            let sums = self.sums.iter().zip(&self.squares);
+            for ((value, variance), (sum, square)) in values.iter_mut().zip(variances).zip(sums) {
+                let mean = sum / self.total;
+                *value = mean as f32;
+                *variance = (square / self.total - mean * mean).max(0.0) as f32;
+            }
+        }
+    }
+}

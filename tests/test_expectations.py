@@ -1,0 +1,155 @@
+"""Expected samples: what neighbours' rows give in a row's place, by the definition."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.sparse import csr_array
+
+from lightmatrix.capture import Samples
+from lightmatrix.estimators.expectations import REACH, Neighbourhood, unseen_patterns
+from lightmatrix.patterns import BernoulliPatterns, PatternSet
+
+LEVEL = 0.5
+
+
+def neighbourhood(camera: Any, projector: Any, seed: int, filled: float = 0.2) -> Neighbourhood:
+    random = np.random.default_rng(seed)
+    rows = np.prod(camera)
+    dense = random.random((rows, projector[0] * projector[1])).astype(np.float32)
+    dense[random.random(dense.shape) > filled] = 0
+    return Neighbourhood(csr_array(dense), 0.1 * random.random(rows), camera, projector)
+
+
+def samples_of(shown: PatternSet, rows: int, seed: int) -> Samples:
+    random = np.random.default_rng(seed)
+    values = (random.random((rows, shown.count)) * LEVEL * 2).astype(np.float32)
+    clipped = values > LEVEL
+    values[clipped] = LEVEL
+    weights = random.choice([0.2, 1], (rows, shown.count)).astype(np.float32)
+    return Samples(values, clipped, np.full(shown.count, LEVEL, np.float32), weights)
+
+
+def by_definition(
+    around: Neighbourhood, shown: PatternSet, unseen: PatternSet, samples: Samples, row: int
+) -> tuple[Any, Any]:
+    """Mean and variance of the guesses at the samples of one row, entry by entry."""
+    camera_rows, camera_cols, channels = around.camera
+    images = np.concatenate([shown.images(), unseen.images()]).astype(np.float64)
+    means = images.mean(axis=(1, 2))
+    assert samples.weights is not None
+    y, clipped, weights = samples.values[row], samples.clipped[row], samples.weights[row]
+    r, c, channel = (int(i) for i in np.unravel_index(row, around.camera))
+    guesses, counts = [], []
+    for other_r in range(max(0, r - REACH), min(camera_rows, r + REACH + 1)):
+        for other_c in range(max(0, c - REACH), min(camera_cols, c + REACH + 1)):
+            other = (other_r * camera_cols + other_c) * channels + channel
+            step = np.array([other_r - r, other_c - c], np.float32)
+            moved = around.movement[row].reshape(2, 2) @ step
+            moved = np.trunc(moved + np.copysign(0.5, moved)).astype(int)
+            entries = around.rows[[other]].toarray().reshape(around.projector)
+            places = np.argwhere(entries > 0)
+            kept = ((places >= moved) & (places < moved + around.projector)).all(axis=1)
+            if other == row or not kept.any():
+                continue
+            guess = around.background[other] * means
+            for place in places[kept]:
+                at = tuple(place - moved)
+                guess = guess + entries[tuple(place)] * images[:, *at]
+            known = weights * ~clipped
+            u = guess[: shown.count]
+            scale = (LEVEL**2 + known @ (y * u)) / (LEVEL**2 + known @ (u * u))
+            scale = min(max(scale, 0.5), 2)
+            off = y - scale * u
+            off[clipped] = np.maximum(off[clipped], 0)
+            misfit = (weights * off**2).mean() / LEVEL**2
+            guesses.append(scale * guess)
+            counts.append((misfit + 1e-4) ** -2)
+    if not guesses:
+        return None, None
+    mean = np.average(guesses, axis=0, weights=counts)
+    return mean, np.average((np.array(guesses) - mean) ** 2, axis=0, weights=counts)
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    st.tuples(st.integers(1, 5), st.integers(1, 5), st.sampled_from([1, 3])),
+    st.tuples(st.integers(2, 7), st.integers(2, 7)),
+    st.integers(1, 70),
+    st.integers(0, 2**16),
+)
+def test_they_are_the_mean_of_the_guesses(camera: Any, projector: Any, k: int, seed: int) -> None:
+    around = neighbourhood(camera, projector, seed)
+    shown, unseen = BernoulliPatterns(projector, k, seed=seed), unseen_patterns(projector)
+    samples = samples_of(shown, around.rows.shape[0], seed)
+    found = around.expected(shown, unseen, samples, samples.clipped, LEVEL, 0)
+    for row in range(around.rows.shape[0]):
+        mean, variance = by_definition(around, shown, unseen, samples, row)
+        if mean is None:
+            assert not found.weights[row].any()
+            continue
+        mean[:k] = np.where(samples.clipped[row], np.maximum(mean[:k], LEVEL), mean[:k])
+        np.testing.assert_allclose(found.values[row], mean, rtol=1e-3, atol=1e-5)
+        weights = 1 / (1 + (variance + (0.02 * mean) ** 2) / (0.0033 * LEVEL) ** 2)
+        weights[:k] *= samples.clipped[row]
+        weights[weights < 1e-4] = 0
+        near = np.isclose(found.weights[row], weights, rtol=0.02, atol=2e-4)
+        assert near.all()
+
+
+def test_rows_asked_for_apart_are_the_same() -> None:
+    around = neighbourhood((7, 6, 1), (9, 8), 3)
+    shown, unseen = BernoulliPatterns((9, 8), 20), unseen_patterns((9, 8))
+    samples = samples_of(shown, 42, 1)
+    whole = around.expected(shown, unseen, samples, samples.clipped, LEVEL, 0)
+    part = slice(17, 30)
+    assert samples.weights is not None
+    some = Samples(
+        samples.values[part], samples.clipped[part], samples.clip_level, samples.weights[part]
+    )
+    found = around.expected(shown, unseen, some, some.clipped, LEVEL, 17)
+    assert np.array_equal(found.values, whole.values[part])
+    assert np.array_equal(found.weights, whole.weights[part])
+
+
+@pytest.mark.parametrize("turn", range(4))
+@pytest.mark.parametrize("finer", [1, 2])
+def test_footprints_are_followed_however_the_projector_is_turned(turn: int, finer: int) -> None:
+    side, projector = 12, (12 * finer, 12 * finer)
+    place = np.rot90(np.arange(projector[0] * projector[1]).reshape(projector), turn)
+    place = place[::finer, ::finer]
+    rows = csr_array((np.ones(side**2, np.float32), place.ravel(), np.arange(side**2 + 1)))
+    rows.resize((side**2, projector[0] * projector[1]))
+    around = Neighbourhood(rows, np.zeros(side**2), (side, side, 1), projector)
+    turned = {0: (1, 0, 0, 1), 1: (0, 1, -1, 0), 2: (-1, 0, 0, -1), 3: (0, -1, 1, 0)}[turn]
+    movement = around.movement.reshape(side, side, 4)[3:-3, 3:-3]
+    assert np.array_equal(movement, np.broadcast_to(finer * np.array(turned), movement.shape))
+    # All neighbours agree: clipped samples are as good as known, but for what neighbours share.
+    shown, unseen = BernoulliPatterns(projector, 30), unseen_patterns(projector)
+    values = shown.forward(rows.toarray())
+    clipped = np.zeros(values.shape, bool)
+    clipped[:, ::2] = values[:, ::2] > 0
+    seen = np.where(clipped, LEVEL, values)
+    samples = Samples(seen, clipped, np.full(30, LEVEL, np.float32), None)
+    found = around.expected(shown, unseen, samples, clipped, LEVEL, 0)
+    inside = np.zeros((side, side), bool)
+    inside[5:-5, 5:-5] = True
+    middle = inside.ravel()
+    np.testing.assert_allclose(found.values[middle][:, 30:], unseen.forward(rows.toarray())[middle])
+    np.testing.assert_allclose(found.values[middle][:, :30][clipped[middle]], 1)
+    assert (found.weights[middle][:, :30][clipped[middle]] > 0).all()
+
+
+def test_neighbours_that_know_nothing_are_not_asked() -> None:
+    around = neighbourhood((4, 4, 1), (5, 5), 0)
+    dark = replace(around, rows=csr_array((16, 25), dtype=np.float32))
+    shown, unseen = BernoulliPatterns((5, 5), 9), unseen_patterns((5, 5))
+    samples = samples_of(shown, 16, 0)
+    found = dark.expected(shown, unseen, samples, samples.clipped, LEVEL, 0)
+    assert not found.weights.any()
+    assert np.isfinite(found.values).all()
