@@ -97,6 +97,7 @@ def test_they_are_the_mean_of_the_guesses(camera: Any, projector: Any, k: int, s
         np.testing.assert_allclose(found.values[row], mean, rtol=1e-3, atol=1e-5)
         weights = 1 / (1 + (variance + (0.02 * mean) ** 2) / (0.0033 * LEVEL) ** 2)
         weights[:k] *= samples.clipped[row]
+        weights *= min(1, 16 / max(1, (~samples.clipped[row]).sum()))
         weights[weights < 1e-4] = 0
         near = np.isclose(found.weights[row], weights, rtol=0.02, atol=2e-4)
         assert near.all()

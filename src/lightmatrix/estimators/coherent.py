@@ -29,7 +29,7 @@ from lightmatrix.transport import LightTransport
 
 # Half widths of the windows of each round, in camera and in projector pixels. The first rounds
 # gather evidence, the last ones settle it.
-WINDOWS = ((2, 2), (2, 2), (2, 2), (2, 1), (1, 1), (1, 1), (1, 1))
+WINDOWS = ((2, 2), (2, 2), (2, 1), (2, 1), (1, 1), (1, 1), (1, 1), (1, 1))
 # Of the clip level.
 DEFAULT_REGULARIZATION = 0.1
 # With more patterns than this the row by row estimate is good by itself, and much faster.

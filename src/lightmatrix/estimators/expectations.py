@@ -33,6 +33,9 @@ UNSEEN_SEED = 0x5EED_0F_64
 SAMPLE_DEVIATION = 0.0033
 # Guesses are never surer than this share of their mean: neighbours err alike.
 COMMON_ERROR = 0.02
+# They help rows of few known samples. With more than this many they weigh less in proportion, for
+# what neighbours err in common does not average out.
+ENOUGH = 16
 # Lighter samples are left out.
 LEAST_WEIGHT = 1e-4
 # Movement is measured between the strongest pixels of rows that lie this far to both sides, as the
@@ -123,6 +126,8 @@ class Neighbourhood:
         deviations = (variances + (COMMON_ERROR * values) ** 2) / (SAMPLE_DEVIATION * level) ** 2
         weight = (1 / (1 + deviations)).astype(np.float32)
         weight[:, :count] *= clipped
+        known = count - clipped.sum(axis=1, keepdims=True)
+        weight *= np.minimum(1, ENOUGH / np.maximum(known, 1))
         weight[weight < LEAST_WEIGHT] = 0
         return Expectation(unseen, values, weight)
 
