@@ -1,7 +1,9 @@
 """Relighting with a logo that no pattern resembles (the paper's Section 4.3, Fig. 7).
 
 All camera pixels, 256 Bernoulli patterns, the exposure and camera of Fig. 6. Each method's T is
-multiplied with the logo; beside the image stands its difference from the true one.
+multiplied with the logo; under the image stands its difference from the true one. Two more columns
+show the coherent estimate from 64 frames: of the same kind, and with some coarse patterns and
+half of the frames shorter, as `lightmatrix plan` advises for highlights.
 """
 
 from __future__ import annotations
@@ -10,6 +12,7 @@ import csv
 import json
 import time
 from collections.abc import Callable
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,11 +20,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 
+from lightmatrix.capture import Capture
 from lightmatrix.experiments.fig6 import SCENES, captured, measured_scene
+from lightmatrix.experiments.measured_scene import Exposures
 from lightmatrix.experiments.methods import BY_NAME, REGULARIZATION
 from lightmatrix.figures import display, figure, panel, save
+from lightmatrix.pattern_mix import MixedPatterns, default_mix
 
 OBSERVATIONS = 256
+EXPOSURES: Exposures = ((1.0, 0.5), (0.25, 0.25), (0.0625, 0.25))
 METHODS = (
     "romp-multi-scale",
     "admm-multi-scale",
@@ -29,7 +36,7 @@ METHODS = (
     "saturation-admm",
     "coherent",
 )
-# Patterns of the coherent estimate that is drawn as a last column.
+# Frames of the last columns.
 FEW = 64
 # Errors are drawn up to this share of the image's white.
 ERROR_RANGE = 0.25
@@ -54,6 +61,31 @@ LOGO = (
 )
 
 
+@dataclass(frozen=True)
+class Column:
+    """A method and the frames it is given: fine patterns at one exposure, or both mixed."""
+
+    method: str
+    observations: int
+    mixed: bool = False
+
+    @property
+    def label(self) -> str:
+        """What stands above the images."""
+        name = BY_NAME[self.method].label.replace(" (", "\n(").replace(" multi", "\nmulti")
+        frames = f"K = {self.observations}"
+        return f"{name}\n{frames}, mixed" if self.mixed else f"{name}\n{frames}"
+
+    def capture(self, scene: str, size: int) -> Capture:
+        """Its frames."""
+        if not self.mixed:
+            return captured(scene, size, self.observations)
+        shape = (size, size)
+        mix = default_mix(shape, self.observations)
+        patterns = MixedPatterns(shape, self.observations, mix)
+        return measured_scene(scene, size).capture(patterns, 0, EXPOSURES)
+
+
 def run(
     out: Path,
     *,
@@ -73,28 +105,33 @@ def run(
         A folder where finished images are kept, for a run that goes on.
     """
     size, count = (64, 64) if quick else (128, OBSERVATIONS)
-    columns = [(name, count) for name in METHODS] + [("coherent", FEW)] * (not quick)
+    columns = [Column(name, count) for name in METHODS]
+    columns += [Column("coherent", FEW)] * (not quick) + [Column("coherent", FEW, mixed=True)]
     report = progress or (lambda done, total: None)
-    images: dict[tuple[str, str, int], NDArray[np.float32]] = {}
+    images: dict[tuple[str, Column], NDArray[np.float32]] = {}
     rows = []
     for scene in SCENES:
         truth = measured_scene(scene, size)
         expected = truth.known.relight(logo(size))
-        for name, patterns in columns:
-            image, seconds = _relit(scene, size, name, patterns, kept)
-            images[scene, name, patterns] = image
+        for column in columns:
+            image, seconds = _relit(scene, size, column, kept)
+            images[scene, column] = image
             rows.append(
                 {
                     "scene": scene,
-                    "method": name,
-                    "observations": patterns,
+                    **asdict(column),
                     **quality(image, expected),
                     "seconds": round(seconds, 1),
                 }
             )
             report(len(rows), len(SCENES) * len(columns))
     result: dict[str, Any] = {
-        "parameters": {"size": size, "lambda": REGULARIZATION, "seed": 0},
+        "parameters": {
+            "size": size,
+            "lambda": REGULARIZATION,
+            "seed": 0,
+            "mixed exposures and shares": EXPOSURES,
+        },
         "rows": rows,
     }
     (out / "fig7.json").write_text(json.dumps(result, indent=1) + "\n")
@@ -143,16 +180,17 @@ def quality(image: NDArray[Any], expected: NDArray[Any]) -> dict[str, float]:
 
 
 def _relit(
-    scene: str, size: int, name: str, count: int, kept: Path | None
+    scene: str, size: int, column: Column, kept: Path | None
 ) -> tuple[NDArray[np.float32], float]:
-    file = None if kept is None else kept / f"{scene}-{size}-{name}-k{count}.npz"
+    name = f"{scene}-{size}-{column.method}-k{column.observations}{'-mixed' * column.mixed}.npz"
+    file = None if kept is None else kept / name
     if file is not None and file.exists():
         with np.load(file) as found:
             return found["image"], float(found["seconds"])
     measured = measured_scene(scene, size)
-    capture = captured(scene, size, count)
+    capture = column.capture(scene, size)
     started = time.perf_counter()
-    estimate = BY_NAME[name].estimate(capture, 1 / measured.exposure)
+    estimate = BY_NAME[column.method].estimate(capture, 1 / measured.exposure)
     seconds = time.perf_counter() - started
     image = estimate.relight(logo(size))
     if file is not None:
@@ -166,12 +204,15 @@ def _relit(
 def _draw(
     out: Path,
     size: int,
-    columns: list[tuple[str, int]],
-    images: dict[tuple[str, str, int], NDArray[np.float32]],
+    columns: list[Column],
+    images: dict[tuple[str, Column], NDArray[np.float32]],
     rows: list[dict[str, Any]],
 ) -> None:
     """Two lines a scene: relit images, and their errors under them."""
-    measures = {(row["scene"], row["method"], row["observations"]): row for row in rows}
+    measures = {
+        (row["scene"], Column(row["method"], row["observations"], row["mixed"])): row
+        for row in rows
+    }
     width = len(columns) + 1
     with figure(1.25 * width, 2.85 * len(SCENES)) as drawing:
         panels = drawing.subplots(2 * len(SCENES), width)
@@ -183,15 +224,14 @@ def _draw(
             upper[0].set_ylabel(title)
             panel(lower[0], logo(size))
             lower[0].set_xlabel("projected", fontsize=7)
-            for place, (name, count) in enumerate(columns, start=1):
-                label = BY_NAME[name].label.replace(" (", "\n(").replace(" multi", "\nmulti")
-                image = images[scene, name, count]
+            for place, column in enumerate(columns, start=1):
+                image = images[scene, column]
                 panel(upper[place], display(image, white))
                 if line == 0:
-                    upper[place].set_title(f"{label}\nK = {count}", fontsize=7)
+                    upper[place].set_title(column.label, fontsize=7)
                 limits: dict[str, Any] = {"vmin": -ERROR_RANGE, "vmax": ERROR_RANGE}
                 shown = panel(lower[place], (image - expected) / white, cmap="RdBu_r", **limits)
-                made = measures[scene, name, count]
+                made = measures[scene, column]
                 text = f"{made['psnr_shown']:.1f} dB, {made['ssim']:.2f}"
                 lower[place].set_xlabel(text, fontsize=7)
         drawing.colorbar(
