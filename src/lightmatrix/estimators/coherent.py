@@ -174,7 +174,8 @@ class CoherentEstimator:
             "estimator": "coherent",
             **made,
             "regularization": regularization,
-            "certificate": "the weighted problem of each row on its likeliest pixels",
+            "certificate": "the weighted problem of each row on its likeliest pixels, with "
+            "expected samples",
             **capture_provenance(capture),
         }
 

@@ -126,8 +126,10 @@ class Neighbourhood:
         deviations = (variances + (COMMON_ERROR * values) ** 2) / (SAMPLE_DEVIATION * level) ** 2
         weight = (1 / (1 + deviations)).astype(np.float32)
         weight[:, :count] *= clipped
-        known = count - clipped.sum(axis=1, keepdims=True)
-        weight *= np.minimum(1, ENOUGH / np.maximum(known, 1))
+        # Masked rows, none of whose samples counts, stay empty.
+        used = np.broadcast_to(weights is None or weights > 0, clipped.shape)
+        known = (used & ~clipped).sum(axis=1, keepdims=True)
+        weight *= used.any(axis=1, keepdims=True) * np.minimum(1, ENOUGH / np.maximum(known, 1))
         weight[weight < LEAST_WEIGHT] = 0
         return Expectation(unseen, values, weight)
 
