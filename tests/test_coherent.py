@@ -122,6 +122,19 @@ def test_colour_channels_are_estimated_each_for_itself(scene: Truth) -> None:
     assert (estimate.sparse[::2] != expected.sparse).nnz == 0
 
 
+def test_masked_camera_pixels_stay_empty(scene: Truth) -> None:
+    grey = photographed(scene, 24)
+    frames = np.stack([grey.frame(k) for k in range(24)])
+    mask = np.ones((20, 18), bool)
+    mask[5:8, 6] = False
+    capture = Capture.from_arrays(grey.patterns, frames, grey.decoder, mask=mask)
+    found = CoherentEstimator().estimate(capture)
+    masked = np.flatnonzero(~mask.ravel())
+    assert found.sparse[masked].nnz == 0
+    assert not found.background[masked].any()
+    assert (np.diff(found.sparse.indptr)[mask.ravel()] > 0).mean() > 0.9
+
+
 def test_a_finer_projector_widens_the_windows() -> None:
     truth = ProceduralScene((16, 16), (48, 48), seed=2, bounces=2).truth()
     known = truth.transport()
