@@ -242,7 +242,7 @@ def _draw(out: Path, rows: list[dict[str, Any]]) -> None:
         ("not clipping", "coherent, camera that does not clip", COLOURS[2], "--"),
         ("known support", "support known", COLOURS[1], ":"),
     )
-    with figure(7.2, 4.4) as drawing:
+    with figure(7.2, 4.7) as drawing:
         panels = drawing.subplots(2, len(SCENES), sharex=True, sharey="row")
         for column, (scene, title) in enumerate(SCENES.items()):
             for line, what in enumerate(("relative_error", "relighting_error")):
@@ -270,5 +270,6 @@ def _draw(out: Path, rows: list[dict[str, Any]]) -> None:
             panels[1, column].set_xlabel("patterns K")
         panels[0, 0].set_ylabel("relative error of T")
         panels[1, 0].set_ylabel("relighting error")
-        panels[0, 2].legend(loc="lower left", fontsize=6.5)
+        handles, labels = panels[0, 0].get_legend_handles_labels()
+        drawing.legend(handles, labels, loc="outside lower center", ncols=4)
         save(drawing, out, "few-patterns", ("png", "svg"))

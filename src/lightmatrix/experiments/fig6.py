@@ -220,15 +220,21 @@ def _draw(out: Path, rows: list[dict[str, Any]]) -> None:
                     if not points or (line == 1 and _left_out(method.name)):
                         continue
                     k, value = zip(*points, strict=True)
-                    mark = {"marker": "o", "markersize": 3, "linestyle": method.style}
-                    if method.style == "x":
-                        mark = {"marker": "x", "markersize": 5, "linestyle": "none"}
-                    options: dict[str, Any] = {**mark, "label": method.label}
-                    axes.plot(k, value, color=method.colour, **options)
+                    options: dict[str, Any] = {
+                        "color": method.colour,
+                        "linestyle": method.style or "none",
+                        "marker": method.marker,
+                        # Open squares and large crosses show what lies under them.
+                        "markersize": {"s": 6, "x": 5, "+": 7}.get(method.marker, 3),
+                        "markerfacecolor": "none" if method.marker == "s" else method.colour,
+                        "label": method.label,
+                    }
+                    axes.plot(k, value, **options)
                 axes.set_xscale("log", base=2)
                 axes.set_yscale("log")
                 ticks = sorted({row["observations"] for row in rows})
-                axes.set_xticks(ticks, [str(k) for k in ticks])
+                labels = ticks if len(ticks) < 5 else ticks[::2]
+                axes.set_xticks(labels, [str(k) for k in labels])
                 axes.xaxis.set_minor_locator(NullLocator())
                 axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
                 axes.yaxis.set_major_formatter("{x:g}")
@@ -236,8 +242,8 @@ def _draw(out: Path, rows: list[dict[str, Any]]) -> None:
             panels[0, column].set_title(title)
             panels[1, column].set_xlabel("patterns K")
         judged, few = rows[0]["size"] ** 2 // 4, rows[0]["size"] ** 2 // 128
-        panels[0, 0].set_ylabel(f"RMSE, {judged:,} camera pixels")
-        panels[1, 0].set_ylabel(f"RMSE, {few} of them")
+        panels[0, 0].set_ylabel(f"RMSE (clip levels)\n{judged:,} camera pixels")
+        panels[1, 0].set_ylabel(f"RMSE (clip levels)\n{few} of them")
         handles: dict[str, Any] = {}
         for axes in panels[:, 0]:
             handles |= dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True))

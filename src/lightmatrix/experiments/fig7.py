@@ -32,8 +32,8 @@ EXPOSURES: Exposures = ((1.0, 0.5), (0.25, 0.25), (0.0625, 0.25))
 METHODS = (
     "romp-multi-scale",
     "admm-multi-scale",
-    "saturation-admm-multi-scale",
     "saturation-admm",
+    "saturation-admm-multi-scale",
     "coherent",
 )
 # Frames of the last columns.
@@ -220,7 +220,9 @@ def _draw(
             expected = measured_scene(scene, size).known.relight(logo(size))
             white = float(np.quantile(expected, 0.98))
             upper, lower = panels[2 * line], panels[2 * line + 1]
-            panel(upper[0], display(expected, white), "truth" if line == 0 else "")
+            panel(upper[0], display(expected, white))
+            if line == 0:
+                upper[0].set_title("truth", fontsize=7)
             upper[0].set_ylabel(title)
             panel(lower[0], logo(size))
             lower[0].set_xlabel("projected", fontsize=7)
@@ -240,6 +242,6 @@ def _draw(
             location="bottom",
             shrink=0.4,
             aspect=40,
-            label="error as a share of white; below: PSNR and SSIM as a screen shows the images",
+            label="error / white (98th percentile of the truth); PSNR, SSIM as on a screen",
         )
         save(drawing, out, "fig7", ("png", "svg"))

@@ -39,7 +39,7 @@ class Method:
         In tables, and in figures.
     make : callable
         From the regularization, in units of the samples, to something with `estimate`.
-    colour, style : str
+    colour, style, marker : str
         Of its curve.
     reach : Reach
     """
@@ -49,6 +49,7 @@ class Method:
     make: Callable[[float], PlainEstimator | MultiScaleEstimator | CoherentEstimator]
     colour: str
     style: str = "-"
+    marker: str = "o"
     reach: Reach = Reach.BLOCKS
 
     def estimate(self, capture: Capture, clip_level: float) -> LightTransport:
@@ -56,24 +57,25 @@ class Method:
         return self.make(REGULARIZATION * clip_level).estimate(capture)
 
 
-def _pair(name: str, label: str, solver: Solver, colour: str) -> list[Method]:
+def _pair(name: str, label: str, solver: Solver, colour: str, marker: str) -> list[Method]:
     """A solver row by row, and from coarse to fine."""
     return [
-        Method(name, label, lambda value: PlainEstimator(solver, value), colour),
+        Method(name, label, lambda value: PlainEstimator(solver, value), colour, "-", marker),
         Method(
             f"{name}-multi-scale",
             f"{label} multi-scale",
             lambda value: MultiScaleEstimator(solver, value),
             colour,
             "--",
+            marker,
         ),
     ]
 
 
 METHODS = [
-    *_pair("romp", "ROMP", ROMP(ROMP_SPARSITY, Fidelity.LINEAR), COLOURS[0]),
-    *_pair("admm", "ADMM (Eq. 2)", ActiveSet(Fidelity.LINEAR), COLOURS[1]),
-    *_pair("saturation-admm", "Saturation ADMM (one-sided)", ActiveSet(), COLOURS[2]),
+    *_pair("romp", "ROMP", ROMP(ROMP_SPARSITY, Fidelity.LINEAR), COLOURS[0], "s"),
+    *_pair("admm", "ADMM (Eq. 2)", ActiveSet(Fidelity.LINEAR), COLOURS[1], "o"),
+    *_pair("saturation-admm", "Saturation ADMM (one-sided)", ActiveSet(), COLOURS[2], "^"),
     Method(
         "coherent",
         "coherent (ours)",
@@ -86,7 +88,8 @@ METHODS = [
         "ADMM, iterated",
         lambda value: PlainEstimator(ADMM(max_iterations=ITERATIONS), value),
         COLOURS[1],
-        "x",
+        "",
+        "+",
         Reach.ROWS,
     ),
     Method(
@@ -96,6 +99,7 @@ METHODS = [
             SaturationADMM(Fidelity.CLIPPED, max_iterations=ITERATIONS), value
         ),
         COLOURS[2],
+        "",
         "x",
         Reach.ROWS,
     ),
