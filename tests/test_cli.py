@@ -12,6 +12,7 @@ import pytest
 from scipy.sparse import load_npz
 
 import lightmatrix
+from lightmatrix import store
 from lightmatrix.cli import main
 from lightmatrix.images import read_image, write_image
 from lightmatrix.rig.procedural import ProceduralScene
@@ -62,6 +63,15 @@ def test_export(work: Path, capsys: pytest.CaptureFixture[str]) -> None:
     _json("export scene.zarr X.npz", work, capsys)
     assert load_npz(work / "X.npz").shape == (72, 64)
     _json("export scene.zarr X.mat", work, capsys)
+    left_out = _json("info scene.zarr", work, capsys)["background_share"]
+    assert main(_placed("export scene.zarr X.npz --overwrite", work)) == 0
+    note = f"without the background ({100 * float(str(left_out)):.1f} % of the light)"
+    assert note in capsys.readouterr().out
+    assert main(_placed("export scene.zarr X.npz --overwrite --dense-background", work)) == 0
+    assert "without" not in capsys.readouterr().out
+    whole = load_npz(work / "X.npz")
+    relit = store.open(work / "scene.zarr").relight(np.ones((8, 8), np.float32))
+    np.testing.assert_allclose(whole @ np.ones(64), relit.ravel(), rtol=1e-4, atol=1e-6)
     assert (work / "X.mat").stat().st_size > 0
 
 

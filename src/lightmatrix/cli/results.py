@@ -18,7 +18,7 @@ def summary(transport: LightTransport) -> dict[str, Any]:
         "entries": int(entries.sum()),
         "entries_per_row": float(entries.mean()),
         "background_grid": " x ".join(map(str, transport.background_grid)),
-        "background_share": _background_share(transport),
+        "background_share": background_share(transport),
     }
     diagnostics = transport.diagnostics
     if "clipped_share" in diagnostics:
@@ -47,7 +47,7 @@ def summary(transport: LightTransport) -> dict[str, Any]:
     return result
 
 
-def _background_share(transport: LightTransport) -> float:
+def background_share(transport: LightTransport) -> float:
     """Share of the white image's light that the background holds."""
     # Under white the mean of every block is 1.
     diffuse = float(transport.background.sum(dtype=np.float64))

@@ -11,7 +11,7 @@ import typer
 from lightmatrix import store
 from lightmatrix.atomic import check_output
 from lightmatrix.cli.common import Json, Overwrite, out, show_json, show_table
-from lightmatrix.cli.results import summary
+from lightmatrix.cli.results import background_share, summary
 from lightmatrix.errors import InputError
 from lightmatrix.evaluate import (
     diffuse_rows,
@@ -140,7 +140,13 @@ def export(
     check_output(output, overwrite=overwrite, suffixes=(".npz", ".mat"))
     transport = store.open(scene)
     store.export(output, transport, dense_background=dense_background, overwrite=overwrite)
+    left_out = 0.0 if dense_background else background_share(transport)
     if as_json:
-        show_json({"output": output, "bytes": output.stat().st_size})
-    else:
-        out.print(f"{output}, {output.stat().st_size / 2**20:.1f} MiB", highlight=False)
+        result = {"output": output, "bytes": output.stat().st_size}
+        show_json({**result, "background_share_left_out": left_out})
+        return
+    note = ""
+    if left_out:
+        note = f"; without the background ({100 * left_out:.1f} % of the light): "
+        note += "--dense-background adds it"
+    out.print(f"{output}, {output.stat().st_size / 2**20:.1f} MiB{note}", highlight=False)
