@@ -169,7 +169,11 @@ def test_a_partly_clipped_frame_is_warned_about(
 
 @pytest.mark.parametrize(
     ("level", "message"),
-    [(255, "100 % of the white frame is clipped"), (0, "white frame is dark")],
+    [
+        (255, "100 % of the white frame is clipped"),
+        (0, "white frame is dark: its bright pixels are at 0.0 %"),
+        (1, "white frame is dark: its bright pixels are at 0.4 %"),
+    ],
 )
 def test_frames_that_tell_nothing_are_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], level: int, message: str

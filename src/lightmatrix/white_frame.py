@@ -11,6 +11,9 @@ from lightmatrix.errors import InputError
 from lightmatrix.images import ImageStack
 from lightmatrix.sensor import Decoded, Response
 
+# Of the clip level: bright pixels below it are black level and noise rather than light.
+_DARK = 0.02
+
 
 def read_white_frame(
     path: str | Path,
@@ -40,7 +43,8 @@ def read_white_frame(
     Raises
     ------
     InputError
-        On images that cannot be read or differ in size, and levels out of range.
+        On images that cannot be read or differ in size, levels out of range, and frames that are
+        dark.
     """
     file = Path(path)
     if not file.is_file():
@@ -59,4 +63,13 @@ def read_white_frame(
     decoded = decoder.decode(stack.read(0).reshape(-1, 1))
     keep = slice(None) if decoder.hot is None else ~decoder.hot
     level = decoded.clip_level if decoded.clip_level.ndim == 1 else decoded.clip_level[keep]
-    return Decoded(np.asarray(decoded.values[keep]), np.asarray(decoded.clipped[keep]), level)
+    values = np.asarray(decoded.values[keep])
+    bright = float(np.quantile(values, 0.99)) if values.size else 0.0
+    if bright < _DARK:
+        raise InputError(
+            f"the white frame is dark: its bright pixels are at {100 * max(bright, 0):.1f} % of the "
+            "clip level",
+            hint="photograph the white pattern with a longer exposure; if that is the camera's black "
+            "level, say so with --black",
+        )
+    return Decoded(values, np.asarray(decoded.clipped[keep]), level)
