@@ -76,7 +76,8 @@ def cases(quick: bool) -> Iterator[Case]:
             yield Case(scene, "coherent", 64, seed, mix=True)
             for exposures in (TWO_EXPOSURES, THREE_EXPOSURES):
                 yield Case(scene, "coherent", 64, seed, exposures=exposures)
-            yield Case(scene, "coherent", 64, seed, mix=True, exposures=THREE_EXPOSURES)
+            for exposures in (TWO_EXPOSURES, THREE_EXPOSURES):
+                yield Case(scene, "coherent", 64, seed, mix=True, exposures=exposures)
             for count in (128, 256):
                 yield Case(scene, "row by row", count, seed)
     for scene in SCENES:
