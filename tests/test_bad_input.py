@@ -304,6 +304,8 @@ FAULTS: dict[str, tuple[Fault, str, str]] = {
         "a capture folder and --patterns were given",
     ),
     "no source": (nothing, "estimate -o scene.zarr", "there is nothing to estimate from"),
+    "no patterns": (nothing, "estimate --images images", "--patterns is missing"),
+    "no photographs": (nothing, "estimate --patterns patterns", "--images is missing"),
     # ---- outputs
     "existing output": (nothing, "estimate capture -o T.zarr", "T.zarr: exists already"),
     "output of the wrong kind": (nothing, "estimate capture -o scene.h5", "ends in .h5"),
@@ -347,6 +349,12 @@ FAULTS: dict[str, tuple[Fault, str, str]] = {
         nothing,
         "evaluate T.zarr --truth T.npz",
         "T.npz keeps its background apart",
+    ),
+    "a truth of another rig": (nothing, "evaluate T.zarr --truth wall", "18 x 22"),
+    "a truth that is no scene": (
+        nothing,
+        "evaluate T.zarr --truth l_object",
+        "there is no scene called 'l_object'",
     ),
     "patterns of no size": (nothing, "patterns bernoulli --size 0x8 -o p", "a size of '0x8'"),
     "an unknown option": (nothing, f"{ESTIMATE} --colour red", "No such option"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -15,6 +16,7 @@ import lightmatrix
 from lightmatrix import store
 from lightmatrix.cli import main
 from lightmatrix.images import read_image, write_image
+from lightmatrix.rig import library
 from lightmatrix.rig.procedural import ProceduralScene
 
 
@@ -57,6 +59,34 @@ def test_relight(work: Path, capsys: pytest.CaptureFixture[str]) -> None:
     write_image(work / "P.png", np.full((8, 8), 255, np.uint8))
     _json("relight scene.zarr P.png -o out.png --exposure 0.5", work, capsys)
     assert read_image(work / "out.png").shape == (8, 9)
+
+
+def test_relight_says_how_to_keep_what_a_png_cuts_off(
+    work: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_image(work / "P.png", np.full((8, 8), 255, np.uint8), overwrite=True)
+    assert main(_placed("relight scene.zarr P.png -o out.png --exposure 3 --overwrite", work)) == 0
+    told = re.search(r"and cut off; --exposure (\S+) keeps it all", capsys.readouterr().out)
+    assert told
+    again = f"relight scene.zarr P.png -o out.png --exposure {told[1]} --overwrite"
+    assert main(_placed(again, work)) == 0
+    assert "full scale" not in capsys.readouterr().out
+    assert read_image(work / "out.png").max() > 225
+
+
+def test_names_to_read_instead_of_keys(work: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(_placed("info scene.zarr", work)) == 0
+    shown = capsys.readouterr().out
+    assert "largest relative duality gap" in shown
+    assert "rows with half of their samples clipped" in shown
+    assert "_" not in shown.replace(str(work), "")
+
+
+def test_a_scene_is_a_truth(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    store.save(tmp_path / "T.zarr", library.truth("metal").transport())
+    line = ["evaluate", str(tmp_path / "T.zarr"), "--truth", "metal", "--json"]
+    assert main(line) == 0
+    assert json.loads(capsys.readouterr().out)["relative_error"] == pytest.approx(0, abs=1e-3)
 
 
 def test_export(work: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -124,6 +154,7 @@ def test_every_command_has_help(capsys: pytest.CaptureFixture[str]) -> None:
     commands = (
         "patterns scenes render simulate estimate info relight evaluate export demo experiment"
     )
+    assert "..." not in overview.replace("[ARGS]...", "")
     for command in commands.split():
         assert command in overview
         assert main([command, "--help"]) == 0
@@ -140,5 +171,11 @@ def test_the_installed_command_runs_without_a_terminal() -> None:
 
 def test_usage_errors_end_with_code_2(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["estimate", "--no-such-option"]) == 2
-    assert main(["patterns", "moire", "-o", "x"]) == 2
-    assert "Traceback" not in capsys.readouterr().err
+    assert "see `lightmatrix estimate --help`" in capsys.readouterr().err
+    assert main(["patterns", "bernouli", "-o", "x"]) == 2
+    shown = capsys.readouterr().err
+    assert "Traceback" not in shown
+    assert "Value error" not in shown
+    assert "did you mean bernoulli? see `lightmatrix patterns --help`" in shown
+    assert main(["patrns"]) == 2
+    assert "see `lightmatrix --help`" in capsys.readouterr().err

@@ -148,6 +148,10 @@ def test_a_photograph_is_read_with_its_black_and_clip(
     text = capsys.readouterr().out
     assert "patterns bernoulli -k 40 --size 48x64" in text
     assert "Error to expect" in text
+    assert "128x128" not in text
+    # A black level can only be said in capture.json.
+    assert "estimate capture/ -o" in text
+    assert "capture.json that says" in text
     assert main([*arguments, "--exposure", "20", "--json"]) == 0
     milliseconds = json.loads(capsys.readouterr().out)["exposures"][-1]["exposure"]
     assert milliseconds == pytest.approx(20 * advice["exposures"][-1]["exposure"], rel=0.01)
@@ -155,6 +159,24 @@ def test_a_photograph_is_read_with_its_black_and_clip(
     text = " ".join(capsys.readouterr().out.split())
     assert "--density 0.25" in text
     assert "dim the projector" in text
+
+
+def test_two_folders_are_enough_for_photographs_of_one_exposure(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    image = np.random.default_rng(0).integers(100, 200, (20, 20)).astype(np.uint8)
+    write_image(tmp_path / "white.png", image)
+    write_image(tmp_path / "black.png", np.full((20, 20), 3, np.uint8))
+    black = str(tmp_path / "black.png")
+    arguments = ["plan", str(tmp_path / "white.png"), "--black", black, "--response", "srgb"]
+    assert main(arguments) == 0
+    text = capsys.readouterr().out
+    assert "for a projector of 128x128; say yours with --size" in text
+    folders = f"estimate --patterns patterns/ --images photos/ --black {black} --response srgb"
+    assert folders in text
+    assert "capture/" not in text
+    assert "* as advised" in text
+    assert sum(line.lstrip().startswith("64 *") for line in text.splitlines()) == 2
 
 
 def test_a_partly_clipped_frame_is_warned_about(

@@ -54,9 +54,13 @@ def read_image(path: str | Path) -> NDArray[Any]:
         raise
     # Image libraries raise nearly anything on damaged files, among them SyntaxError.
     except Exception as error:
-        reason = " ".join(str(error).split())[:120] or type(error).__name__
+        # Reading past the end, and formats that no reader knows, are told without helpful words.
+        reason = " ".join(str(error).split())[:120]
+        if isinstance(error, (IndexError, struct.error)) or "given uri" in reason:
+            reason = ""
         raise InputError(
-            f"{file}: cannot be read as an image, damaged or truncated ({reason})",
+            f"{file}: cannot be read as an image, damaged or truncated"
+            + (f" ({reason})" if reason else ""),
             hint="copy or export the file again",
         ) from error
     return _as_stored(file, image)

@@ -67,9 +67,9 @@ def read_white_frame(
     bright = float(np.quantile(values, 0.99)) if values.size else 0.0
     if bright < _DARK:
         raise InputError(
-            f"the white frame is dark: its bright pixels are at {100 * max(bright, 0):.1f} % of the "
-            "clip level",
-            hint="photograph the white pattern with a longer exposure; if that is the camera's black "
-            "level, say so with --black",
+            "the white frame is dark: its bright pixels are at "
+            f"{100 * max(bright, 0):.1f} % of the clip level",
+            hint="photograph the white pattern with a longer exposure; if the black level is what "
+            "is seen, say --black",
         )
     return Decoded(values, np.asarray(decoded.clipped[keep]), level)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 import sys
 import warnings
+from difflib import get_close_matches
 from typing import Annotated
 
 import typer
@@ -57,10 +59,9 @@ def main(argv: list[str] | None = None) -> int:
                 err.print(f"  {error.hint}", markup=False, highlight=False)
             return 2
         except typer.TyperException as error:
-            err.print(
-                f"error: {error.format_message()}", style="red", markup=False, highlight=False
-            )
-            err.print("  see `lightmatrix COMMAND --help`", markup=False, highlight=False)
+            message, hint = _usage_error(error)
+            err.print(f"error: {message}", style="red", markup=False, highlight=False)
+            err.print(f"  {hint}", markup=False, highlight=False)
             return 2
         except (KeyboardInterrupt, typer.Abort):
             err.print("stopped; finished tiles are kept, run again to go on", markup=False)
@@ -68,6 +69,18 @@ def main(argv: list[str] | None = None) -> int:
         except MemoryError:
             err.print("error: not enough memory\n  use a smaller size or --tile-rows")
             return 2
+
+
+def _usage_error(error: typer.TyperException) -> tuple[str, str]:
+    """What was wrong with the words given, and where to look or what was probably meant."""
+    message = error.format_message().replace("Value error, ", "")
+    context = getattr(error, "ctx", None)
+    hint = f"see `{context.command_path if context else 'lightmatrix'} --help`"
+    choice = re.search(r"'([^']*)' is not one of (.*)", message)
+    if choice:
+        near = get_close_matches(choice[1], re.findall(r"'([^']*)'", choice[2]), n=1)
+        hint = f"did you mean {near[0]}? {hint}" if near else hint
+    return message, hint
 
 
 def _show_warning(

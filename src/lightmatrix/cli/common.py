@@ -6,8 +6,9 @@ import json
 import math
 import re
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
@@ -26,12 +27,26 @@ from rich.table import Table
 from rich.text import Text
 
 from lightmatrix.errors import InputError
+from lightmatrix.rig import library
+from lightmatrix.rig.truth import Truth
 
 out = Console(soft_wrap=True)
 err = Console(stderr=True, soft_wrap=True)
 
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace an output that exists.")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")]
+Clip = Annotated[
+    float | None,
+    typer.Option(
+        help="Raw level at which samples clip.", show_default="255, 65535, or 1 for float"
+    ),
+]
+ResponseCurve = Annotated[
+    str | None,
+    typer.Option(
+        "--response", help="linear, gamma:2.2, srgb or curve:FILE.", show_default="linear"
+    ),
+]
 Seed = Annotated[int, typer.Option(help="Seed of everything random.", min=0)]
 
 
@@ -45,6 +60,13 @@ def size(text: str) -> tuple[int, int]:
     if rows < 1 or cols < 1:
         raise InputError(f"a size of {text!r}", hint="use at least 1x1")
     return rows, cols
+
+
+def known_truth(source: str, shape: tuple[int, int], report: Callable[[int, int], None]) -> Truth:
+    """The matrix of a truth file (.npz), or of a scene at a size, rendered if need be."""
+    if source.endswith(".npz"):
+        return Truth.load(Path(source))
+    return library.truth(source, shape, progress=report)
 
 
 class _Rate(ProgressColumn):
@@ -105,6 +127,8 @@ def _jsonable(value: Any) -> Any:
 def show_table(title: str, rows: Mapping[str, Any]) -> None:
     """Print names and values in two columns."""
     table = Table(title=title, title_justify="left", show_header=False, box=None, padding=(0, 2))
+    table.add_column(no_wrap=True)
+    table.add_column()
     for name, value in rows.items():
         table.add_row(name, f"{value:.4g}" if isinstance(value, float) else str(value))
     out.print(table)

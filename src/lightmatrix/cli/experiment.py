@@ -47,7 +47,7 @@ def demo(
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
-    """Simulate, estimate and evaluate a bundled scene; write a picture report."""
+    """Simulate and estimate a scene; write a picture report."""
     check_output(output, overwrite=overwrite)
     with (
         atomic_folder(output, overwrite=overwrite) as folder,
@@ -63,14 +63,22 @@ def demo(
 
 def experiment(
     figure: Annotated[
-        Figure, typer.Argument(help="A figure of the paper, or how few patterns suffice.")
+        Figure,
+        typer.Argument(
+            metavar="FIGURE",
+            help="A figure of the paper, or how few patterns suffice.",
+        ),
     ],
     output: Annotated[Path, typer.Option("-o", "--output", help="Folder for the figure.")],
     quick: Annotated[bool, typer.Option(help="Fewer trials, for a first look.")] = False,
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
-    """Reproduce a figure of the paper, or a claim of ours: picture, CSV and JSON."""
+    """Reproduce a figure: picture, CSV and JSON.
+
+    Without --quick it takes up to an hour; fig6, fig7 and few-patterns go on where they stopped if
+    run again, and need the extra `render`.
+    """
     check_output(output, overwrite=overwrite)
     kept = output.with_name(output.name + ".cases")
     options = {"kept": kept} if figure in RESUMABLE else {}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
@@ -14,7 +13,16 @@ import typer
 from lightmatrix import pattern_mix
 from lightmatrix.atomic import check_output
 from lightmatrix.capture import read_patterns, write_capture, write_patterns
-from lightmatrix.cli.common import Json, Overwrite, Seed, out, progress, show_json, size
+from lightmatrix.cli.common import (
+    Json,
+    Overwrite,
+    Seed,
+    known_truth,
+    out,
+    progress,
+    show_json,
+    size,
+)
 from lightmatrix.errors import InputError
 from lightmatrix.exposures import EXAMPLE as EXPOSURES_EXAMPLE
 from lightmatrix.exposures import of_frames, parse_exposures
@@ -30,7 +38,6 @@ from lightmatrix.rig.renderer import render
 from lightmatrix.rig.scenes import BUILDERS, names
 from lightmatrix.rig.simulate import irradiance
 from lightmatrix.rig.thumbnails import write_thumbnails
-from lightmatrix.rig.truth import Truth
 from lightmatrix.sensor import Sensor
 
 
@@ -42,6 +49,10 @@ class PatternKind(StrEnum):
     ONE_PIXEL = "onepixel"
     BLOCKS = "blocks"
     MIX = "mix"
+
+
+# Where there is no natural number of patterns.
+USUAL_COUNT = 256
 
 
 class HadamardOrder(StrEnum):
@@ -61,9 +72,17 @@ def register(app: typer.Typer) -> None:
 
 
 def patterns(
-    kind: Annotated[PatternKind, typer.Argument(help="Kind of patterns.")],
+    kind: Annotated[PatternKind, typer.Argument(metavar="KIND", help="Kind of patterns.")],
     output: Annotated[Path, typer.Option("-o", "--output", help="Folder to write PNGs to.")],
-    count: Annotated[int | None, typer.Option("-k", "--count", help="Number of patterns.")] = None,
+    count: Annotated[
+        int | None,
+        typer.Option(
+            "-k",
+            "--count",
+            help="Number of patterns.",
+            show_default=f"{USUAL_COUNT}; all there are for onepixel and blocks",
+        ),
+    ] = None,
     shape: Annotated[str, typer.Option("--size", help="Projector rows x columns.")] = "128x128",
     density: Annotated[float, typer.Option(help="Bernoulli and mix: share of lit pixels.")] = 0.5,
     mix: Annotated[
@@ -88,7 +107,7 @@ def patterns(
         raise InputError(f"--mix for {kind} patterns", hint="write `lightmatrix patterns mix`")
     projector = size(shape)
     if kind is PatternKind.MIX:
-        frames = 256 if count is None else count
+        frames = USUAL_COUNT if count is None else count
         shares = (
             pattern_mix.default_mix(projector, frames)
             if mix is None
@@ -103,7 +122,7 @@ def patterns(
         show_json(result)
     else:
         rows, cols = made.shape
-        out.print(f"{made.count} {kind} patterns of {rows} x {cols} pixels in {output}")
+        out.print(f"{made.count} patterns ({kind}) of {rows} x {cols} pixels in {output}")
 
 
 def _pattern_set(
@@ -117,9 +136,9 @@ def _pattern_set(
     seed: int,
 ) -> PatternSet:
     if kind is PatternKind.BERNOULLI:
-        return BernoulliPatterns(shape, 256 if count is None else count, density, seed)
+        return BernoulliPatterns(shape, USUAL_COUNT if count is None else count, density, seed)
     if kind is PatternKind.HADAMARD:
-        wanted = 256 if count is None else count
+        wanted = USUAL_COUNT if count is None else count
         return HadamardPatterns(shape, wanted, str(order), permute, seed)
     whole = (
         one_pixel_patterns(shape) if kind is PatternKind.ONE_PIXEL else BlockPatterns(shape, block)
@@ -139,7 +158,11 @@ def scenes(
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
-    """List the scenes of the simulated rig."""
+    """List the scenes of the simulated rig.
+
+    Bundled ones come at 64x64. All else is rendered on first use and kept, which needs the extra
+    `render`: other sizes, and the scenes translucent and wall.
+    """
     if thumbnails is not None:
         check_output(thumbnails, overwrite=overwrite)
         with progress("drawing", "scenes") as report:
@@ -156,8 +179,9 @@ def scenes(
         )
         return
     for name, text in described.items():
-        note = "  (bundled at 64x64)" if name in library.BUNDLED else ""
-        out.print(f"{name:12}{text}{note}", highlight=False)
+        bundled = name in library.BUNDLED
+        note = "  (bundled at 64x64)" if bundled else "  (rendered on first use: extra `render`)"
+        out.print(f"{name:13}{text}{note}", highlight=False)
 
 
 def render_scene(
@@ -167,7 +191,7 @@ def render_scene(
         str, typer.Option("--size", help="Camera and projector, rows x columns.")
     ] = "128x128",
     projector: Annotated[
-        str | None, typer.Option("--projector-size", help="Projector, if other than --size.")
+        str | None, typer.Option("--projector-size", help="Projector.", show_default="as --size")
     ] = None,
     samples: Annotated[
         int, typer.Option("--spp", help="Light paths per camera pixel.")
@@ -179,7 +203,10 @@ def render_scene(
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
-    """Render a scene's light transport matrix in one pass (extra `render`)."""
+    """Render a scene's T (extra `render`).
+
+    One pass of path tracing gives the whole matrix, direct and global light apart.
+    """
     _npz(output)
     check_output(output, overwrite=overwrite)
     with progress(f"rendering {name}", "paths") as report:
@@ -229,27 +256,38 @@ def simulate(
         ),
     ] = "0.8",
     bits: Annotated[int, typer.Option(help="Bit depth: 8, 10, 12 or 16.")] = 8,
-    noise: Annotated[float, typer.Option(help="Read noise, share of the clip level.")] = 0.003,
+    noise: Annotated[
+        float, typer.Option(help="Read noise, standard deviation as a share of the clip level.")
+    ] = 0.003,
     shot_noise: Annotated[
-        float, typer.Option(help="Shot noise of a sample at the clip level, share of it.")
+        float,
+        typer.Option(help="Shot noise at the clip level, standard deviation as a share of it."),
     ] = 0.0,
     black: Annotated[float, typer.Option(help="Black level in raw levels.")] = 0.0,
     blur: Annotated[float, typer.Option(help="Projector defocus, pixels (std).")] = 0.0,
-    leak: Annotated[float, typer.Option(help="Light of a black projector pixel.")] = 0.0,
+    leak: Annotated[
+        float, typer.Option(help="Light of a black projector pixel, share of a white one.")
+    ] = 0.0,
     ambient: Annotated[
         float, typer.Option(help="Room light, share of the mean white image.")
     ] = 0.0,
-    vignetting: Annotated[float, typer.Option(help="Light lost in the camera's corners.")] = 0.0,
+    vignetting: Annotated[
+        float, typer.Option(help="Share of the light lost in the camera's corners.")
+    ] = 0.0,
     seed: Seed = 0,
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
-    """Photograph a scene with a known matrix under patterns: a capture folder to estimate from."""
+    """Photograph a scene under patterns.
+
+    The scene's matrix is known: bundled, rendered on demand, or a file. What is written is a
+    capture folder to estimate from.
+    """
     check_output(output, overwrite=overwrite)
     exposures = parse_exposures(exposure)
     shown = read_patterns(pattern_folder)
     with progress("rendering", "paths") as report:
-        truth = _truth(scene, shown.shape, report)
+        truth = known_truth(scene, shown.shape, report)
     truth = realism.vignetting(realism.defocus(truth, blur), vignetting)
     with progress("simulating", "rows") as report:
         light = irradiance(truth.matrix, shown, progress=report)
@@ -290,12 +328,6 @@ def simulate(
         )
     else:
         out.print(f"{shown.count} frames in {output}, {100 * clipped:.1f} % of the samples clipped")
-
-
-def _truth(scene: str, shape: tuple[int, int], report: Callable[[int, int], None]) -> Truth:
-    if scene.endswith(".npz"):
-        return Truth.load(Path(scene))
-    return library.truth(scene, shape, progress=report)
 
 
 def _npz(path: Path) -> None:

@@ -12,8 +12,18 @@ import typer
 
 from lightmatrix.atomic import check_output
 from lightmatrix.capture import Capture
-from lightmatrix.cli.common import Json, Overwrite, out, progress, show_json, show_table, size
-from lightmatrix.cli.results import summary
+from lightmatrix.cli.common import (
+    Clip,
+    Json,
+    Overwrite,
+    ResponseCurve,
+    out,
+    progress,
+    show_json,
+    show_table,
+    size,
+)
+from lightmatrix.cli.results import named, summary
 from lightmatrix.errors import InputError
 from lightmatrix.estimators.automatic import held_out_path
 from lightmatrix.estimators.coherent import WORTH_IT_UP_TO, CoherentEstimator
@@ -57,7 +67,10 @@ def register(app: typer.Typer) -> None:
 
 def estimate(
     capture: Annotated[
-        Path | None, typer.Argument(help="Capture folder (patterns/, images/, capture.json).")
+        Path | None,
+        typer.Argument(
+            metavar="CAPTURE", help="Capture folder (patterns/, images/, capture.json)."
+        ),
     ] = None,
     output: Annotated[
         Path, typer.Option("-o", "--output", help="The store to write, ending in .zarr.")
@@ -73,12 +86,15 @@ def estimate(
         Path | None, typer.Option(help="Photograph under a white pattern; one more sample.")
     ] = None,
     mask: Annotated[Path | None, typer.Option(help="Image; pixels at 0 are left out.")] = None,
-    clip: Annotated[float | None, typer.Option(help="Raw level at which samples clip.")] = None,
-    response: Annotated[
-        str | None, typer.Option(help="linear, gamma:2.2, srgb or curve:FILE.")
-    ] = None,
+    clip: Clip = None,
+    response: ResponseCurve = None,
     solver: Annotated[SolverName, typer.Option(help=SOLVERS_HELP)] = SolverName.ACTIVE_SET,
-    fidelity: Annotated[Fidelity | None, typer.Option(help=FIDELITY_HELP)] = None,
+    fidelity: Annotated[
+        Fidelity | None,
+        typer.Option(
+            help=FIDELITY_HELP, show_default="one-sided; linear for admm, rejection for romp"
+        ),
+    ] = None,
     regularization: Annotated[
         str,
         typer.Option(
@@ -96,7 +112,12 @@ def estimate(
     ] = None,
     iterations: Annotated[
         int | None,
-        typer.Option(help="Most iterations (rounds for romp, passes for active-set).", min=1),
+        typer.Option(
+            help="Most iterations (rounds for romp, passes for active-set).",
+            min=1,
+            show_default=f"{ActiveSet().max_passes}; {ADMM().max_iterations} for both ADMMs, "
+            "as many as its non-zeros for romp",
+        ),
     ] = None,
     signed: Annotated[bool, typer.Option(help="Allow negative light, as the paper does.")] = False,
     background: Annotated[
@@ -110,7 +131,10 @@ def estimate(
     bin_projector: Annotated[str, typer.Option(help="Projector pixels per bin, 8 or 8x8.")] = "1",
     bin_camera: Annotated[str, typer.Option(help="Camera pixels per bin, 8 or 8x8.")] = "1",
     tile_rows: Annotated[
-        int | None, typer.Option(help="Camera samples solved at a time.", min=1)
+        int | None,
+        typer.Option(
+            help="Camera samples solved at a time.", min=1, show_default="as half a gigabyte holds"
+        ),
     ] = None,
     check: Annotated[
         bool, typer.Option(help="Refuse images that do not follow the patterns.")
@@ -118,7 +142,12 @@ def estimate(
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
-    """Estimate T from patterns and photographs; an interrupted run goes on where it stopped."""
+    """Estimate T; interrupted runs go on.
+
+    Give a capture folder, or --patterns and --images. A run that was interrupted goes on where it
+    stopped if given again.
+    """
+    _check_source(capture, pattern_folder, images)
     check_output(output, overwrite=overwrite, suffixes=(".zarr",))
     if multi_scale and tile_rows is not None:
         raise InputError(
@@ -161,7 +190,7 @@ def estimate(
     if as_json:
         show_json(result)
     else:
-        show_table(f"{output}", summary(transport))
+        show_table(f"{output}", named(summary(transport)))
         unfinished = float(1 - np.mean(transport.diagnostics["converged"]))
         if unfinished > 0.01:
             out.print(
@@ -203,6 +232,19 @@ def _solver(name: SolverName, fidelity: Fidelity | None, iterations: int | None)
     return SaturationADMM(fidelity=wanted, **limit)
 
 
+def _check_source(capture: Path | None, patterns: Path | None, images: Path | None) -> None:
+    """Whether there is something to estimate from."""
+    if capture is not None or (patterns is not None and images is not None):
+        return
+    if patterns is None and images is None:
+        raise InputError(
+            "there is nothing to estimate from",
+            hint="give a capture folder, or --patterns and --images",
+        )
+    missing = "--patterns" if patterns is None else "--images"
+    raise InputError(f"{missing} is missing", hint="give both folders, or a capture folder")
+
+
 def _open(
     capture: Path | None,
     patterns: Path | None,
@@ -228,11 +270,8 @@ def _open(
                 hint="a capture folder says all that in capture.json; give one or the other",
             )
         return Capture.open(capture, check=False)
-    if patterns is None or images is None:
-        raise InputError(
-            "there is nothing to estimate from",
-            hint="give a capture folder, or --patterns and --images",
-        )
+    assert patterns is not None
+    assert images is not None
     return Capture.from_folders(
         patterns,
         images,

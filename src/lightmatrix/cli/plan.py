@@ -2,14 +2,24 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+import shlex
+from collections.abc import Sequence
 from typing import Annotated, Any
 
 import numpy as np
 import typer
 from rich.table import Table
 
-from lightmatrix.cli.common import Json, out, progress, show_json, size
+from lightmatrix.cli.common import (
+    Clip,
+    Json,
+    ResponseCurve,
+    known_truth,
+    out,
+    progress,
+    show_json,
+    size,
+)
 from lightmatrix.errors import InputError
 from lightmatrix.exposures import of_frames
 from lightmatrix.pattern_mix import FEWEST_MIXED, MixedPatterns, default_mix
@@ -23,12 +33,16 @@ from lightmatrix.plan import (
     single_clipped_share,
 )
 from lightmatrix.plan_table import counts, expectations, frames_for
-from lightmatrix.rig import library
 from lightmatrix.rig.scenes import names
-from lightmatrix.rig.truth import Truth
 from lightmatrix.white_frame import read_white_frame
 
 _NAMES = {"plain": "row by row"}
+USUAL_SIZE = (128, 128)
+_ESTIMATE_FOLDER = "lightmatrix estimate capture/ -o scene.zarr"
+
+
+def _size(shape: Sequence[int]) -> str:
+    return "x".join(map(str, shape))
 
 
 def register(app: typer.Typer) -> None:
@@ -45,7 +59,8 @@ def plan(
         ),
     ],
     shape: Annotated[
-        str | None, typer.Option("--size", help="Projector rows x columns (128x128).")
+        str | None,
+        typer.Option("--size", help="Projector rows x columns.", show_default=_size(USUAL_SIZE)),
     ] = None,
     frames: Annotated[
         int | None, typer.Option("--frames", "-k", help="Frames; else as --error asks.", min=2)
@@ -58,7 +73,10 @@ def plan(
     ] = USUAL_NOISE,
     exposure: Annotated[
         float | None,
-        typer.Option(help="Exposure of the white frame in any unit, such as ms; the answer's too."),
+        typer.Option(
+            help="Exposure of the white frame in any unit, such as ms; the answer's too.",
+            show_default="1",
+        ),
     ] = None,
     shortest: Annotated[
         float | None, typer.Option(help="The camera's shortest exposure, in the same unit.")
@@ -66,13 +84,14 @@ def plan(
     black: Annotated[
         str | None, typer.Option(help="Photograph under a black pattern, or the black level.")
     ] = None,
-    clip: Annotated[float | None, typer.Option(help="Raw level at which samples clip.")] = None,
-    response: Annotated[
-        str | None, typer.Option(help="linear, gamma:2.2, srgb or curve:FILE.")
-    ] = None,
+    clip: Clip = None,
+    response: ResponseCurve = None,
     as_json: Json = False,
 ) -> None:
-    """Advise exposures, patterns and their number, with the error to expect."""
+    """Advise exposures, patterns and frames.
+
+    With them comes the error to expect, and the commands to run.
+    """
     if not 0 < error < 1:
         raise InputError(f"an error of {error}", hint="use a relative error, such as 0.05")
     wanted = None if shape is None else size(shape)
@@ -91,12 +110,20 @@ def plan(
         if not (np.isfinite(unit) and unit > 0):
             raise InputError(f"an exposure of {exposure}", hint="use a number above 0, such as 20")
         white = _photograph(source, black, clip, response, unit)
-        projector = wanted or (128, 128)
+        projector = wanted or USUAL_SIZE
     result = advice(white, projector, frames or frames_for(error), noise, shortest)
-    result = {"source": source, **result, "commands": _commands(source, simulated, result)}
+    commands = [_make_patterns(result)]
+    if simulated:
+        commands += _simulate(source, result)
+    else:
+        commands.append(_estimate_photographs(result, black, clip, response))
+    result = {"source": source, **result, "commands": commands}
     if as_json:
         show_json(result)
     else:
+        if not simulated and wanted is None:
+            assumed = f"for a projector of {_size(USUAL_SIZE)}; say yours with --size"
+            out.print(assumed, highlight=False)
         unit_name = "exposure" if simulated or exposure else "exposure (white frame = 1)"
         _show(result, white, simulated, unit_name)
 
@@ -148,10 +175,7 @@ def advice(
 
 def _known(source: str, wanted: tuple[int, int] | None) -> tuple[WhiteFrame, tuple[int, int]]:
     with progress("rendering", "paths") as report:
-        if source.endswith(".npz"):
-            known = Truth.load(Path(source))
-        else:
-            known = library.truth(source, wanted or (128, 128), progress=report)
+        known = known_truth(source, wanted or USUAL_SIZE, report)
     if wanted not in (None, known.projector_shape):
         raise InputError(
             f"{source} has a projector of {known.projector_shape[0]} x {known.projector_shape[1]}",
@@ -165,28 +189,48 @@ def _photograph(
     source: str, black: str | None, clip: float | None, response: str | None, exposure: float
 ) -> WhiteFrame:
     level: str | float | None = black
-    if black is not None and black.replace(".", "", 1).isdecimal():
+    if black is not None and _is_number(black):
         level = float(black)
     frame = read_white_frame(source, black=level, clip=clip, response=response)
     values = frame.values[:, 0].astype(np.float64) / exposure
     return WhiteFrame(values, frame.clipped[:, 0])
 
 
-def _commands(source: str, simulated: bool, result: dict[str, Any]) -> list[str]:
-    rows, cols = result["projector"]
-    patterns = f"patterns {result['patterns']} -k {result['frames']} --size {rows}x{cols}"
+def _is_number(black: str) -> bool:
+    """Whether a black level was given, and not a file."""
+    return black.replace(".", "", 1).isdecimal()
+
+
+def _make_patterns(result: dict[str, Any]) -> str:
+    size_of = _size(result["projector"])
+    line = f"lightmatrix patterns {result['patterns']} -k {result['frames']} --size {size_of}"
     if result["density"] != DENSITY:
-        patterns += f" --density {result['density']:g}"
-    lines = [f"lightmatrix {patterns} -o patterns/"]
-    if simulated:
-        values = [(e["exposure"], e["share"]) for e in result["exposures"]]
-        shares = ",".join(f"{e:g}:{share:.6g}" for e, share in values)
-        exposure = f"{values[0][0]:g}" if len(values) == 1 else shares
-        lines.append(
-            f"lightmatrix simulate {source} --patterns patterns/ --exposure {exposure} -o capture/"
-        )
-    lines.append("lightmatrix estimate capture/ -o scene.zarr")
-    return lines
+        line += f" --density {result['density']:g}"
+    return f"{line} -o patterns/"
+
+
+def _simulate(source: str, result: dict[str, Any]) -> list[str]:
+    values = [(e["exposure"], e["share"]) for e in result["exposures"]]
+    shares = ",".join(f"{e:g}:{share:.6g}" for e, share in values)
+    exposure = f"{values[0][0]:g}" if len(values) == 1 else shares
+    return [
+        f"lightmatrix simulate {source} --patterns patterns/ --exposure {exposure} -o capture/",
+        _ESTIMATE_FOLDER,
+    ]
+
+
+def _estimate_photographs(
+    result: dict[str, Any], black: str | None, clip: float | None, response: str | None
+) -> str:
+    """From two folders; from a capture folder where only capture.json can say all."""
+    if len(result["exposures"]) > 1 or (black is not None and _is_number(black)):
+        return _ESTIMATE_FOLDER
+    line = "lightmatrix estimate --patterns patterns/ --images photos/"
+    for option, value in (("--black", black), ("--clip", clip), ("--response", response)):
+        if value is not None:
+            given = f"{value:g}" if isinstance(value, float) else shlex.quote(value)
+            line += f" {option} {given}"
+    return f"{line} -o scene.zarr"
 
 
 def _show(result: dict[str, Any], white: WhiteFrame, simulated: bool, unit: str) -> None:
@@ -214,7 +258,7 @@ def _show(result: dict[str, Any], white: WhiteFrame, simulated: bool, unit: str)
         table.add_column(name, justify="right")
     for e in result["expected"]:
         table.add_row(
-            ("> " if e["frames"] == result["frames"] else "") + str(e["frames"]),
+            f"{e['frames']} " + ("*" if e["frames"] == result["frames"] else " "),
             "mix" if e["frames"] >= FEWEST_MIXED else "all fine",
             _NAMES.get(e["estimator"], e["estimator"]) + ("" if e["measured"] else " (about)"),
             _range(e["relative_error"]),
@@ -222,15 +266,25 @@ def _show(result: dict[str, Any], white: WhiteFrame, simulated: bool, unit: str)
         )
     out.print(table)
     scenes = ", ".join(result["expected"][0]["scenes"])
-    out.print(f"measured on {scenes} at 128 x 128, all rows, exposed as advised", highlight=False)
+    out.print(
+        f"* as advised. Measured on {scenes} at 128 x 128, all rows, exposures chosen this way",
+        highlight=False,
+    )
     out.print("\nCommands", highlight=False)
     for line in result["commands"]:
         out.print(f"  {line}", highlight=False)
-    if not simulated and len(result["exposures"]) > 1:
+    if simulated:
+        return
+    if _ESTIMATE_FOLDER in result["commands"]:
         out.print(
-            "which frame gets which exposure: --json, exposure_of_frames; write it to capture.json",
+            "capture/ holds patterns/, your photographs as images/, and a capture.json that says "
+            "the black level and each frame's exposure (docs/captures.md)",
             highlight=False,
         )
+    elif "--black" in result["commands"][-1]:
+        out.print("take the black frame at the exposure of the others", highlight=False)
+    if len(result["exposures"]) > 1:
+        out.print("which frame gets which exposure: --json, exposure_of_frames", highlight=False)
 
 
 def _range(pair: tuple[float, float]) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Annotated
 
@@ -10,8 +11,16 @@ import typer
 
 from lightmatrix import store
 from lightmatrix.atomic import check_output
-from lightmatrix.cli.common import Json, Overwrite, out, show_json, show_table
-from lightmatrix.cli.results import background_share, summary
+from lightmatrix.cli.common import (
+    Json,
+    Overwrite,
+    known_truth,
+    out,
+    progress,
+    show_json,
+    show_table,
+)
+from lightmatrix.cli.results import background_share, named, summary
 from lightmatrix.errors import InputError
 from lightmatrix.evaluate import (
     diffuse_rows,
@@ -22,7 +31,7 @@ from lightmatrix.evaluate import (
     unseen_patterns,
 )
 from lightmatrix.images import read_grey, write_image
-from lightmatrix.rig.truth import Truth
+from lightmatrix.rig.scenes import scene as find_scene
 from lightmatrix.transport import LightTransport
 
 Store = Annotated[Path, typer.Argument(metavar="SCENE.zarr", help="A store made by `estimate`.")]
@@ -37,12 +46,12 @@ def register(app: typer.Typer) -> None:
 
 
 def info(scene: Store, as_json: Json = False) -> None:
-    """Tell what a store holds: shapes, clipping, gaps, provenance."""
+    """Tell what a store holds: shapes, clipping, gaps."""
     transport = store.open(scene)
     if as_json:
         show_json({**summary(transport), "provenance": transport.provenance})
         return
-    show_table(str(scene), summary(transport))
+    show_table(str(scene), named(summary(transport)))
     versions = transport.provenance.get("versions", {})
     if versions:
         made = ", ".join(f"{name} {number}" for name, number in versions.items())
@@ -51,14 +60,22 @@ def info(scene: Store, as_json: Json = False) -> None:
 
 def relight(
     scene: Store,
-    pattern: Annotated[Path, typer.Argument(help="Pattern image of the projector's size.")],
+    pattern: Annotated[
+        Path, typer.Argument(metavar="PATTERN", help="Image of the projector's size.")
+    ],
     output: Annotated[Path, typer.Option("-o", "--output", help="Image: .png, .tiff or .npy.")],
     exposure: Annotated[float, typer.Option(help="Exposure e of the image.")] = 1.0,
-    gamma: Annotated[float, typer.Option(help="Display gamma; 1 keeps it linear.")] = 1.0,
+    gamma: Annotated[
+        float, typer.Option(help="Display gamma, of PNG only; 1 keeps it linear.")
+    ] = 1.0,
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
-    """Compute the photograph under a pattern that was never projected: c = T p."""
+    """Compute the image under a new pattern.
+
+    It is c = T p for a pattern p that need not have been projected. A PNG is cut off at full
+    scale; TIFF and npy keep all values.
+    """
     check_output(output, overwrite=overwrite, suffixes=(".png", ".tif", ".tiff", ".npy"))
     if not exposure > 0 or not gamma > 0:
         raise InputError(
@@ -66,7 +83,7 @@ def relight(
         )
     transport = store.open(scene)
     image = exposure * transport.relight(read_grey(pattern))
-    clipped = float((image > 1).mean())
+    clipped, peak = float((image > 1).mean()), float(image.max())
     if output.suffix == ".png":
         image = np.clip(image, 0, 1) ** (1 / gamma)
     write_image(output, image.astype(np.float32), overwrite=overwrite)
@@ -74,22 +91,41 @@ def relight(
         show_json({"output": output, "mean": float(image.mean()), "clipped_share": clipped})
     else:
         note = f"; {100 * clipped:.1f} % of it is above full scale" if clipped else ""
+        if clipped and output.suffix == ".png":
+            note += f" and cut off; --exposure {_rounded_down(exposure / peak):g} keeps it all"
         out.print(f"{output}{note}", highlight=False)
+
+
+def _rounded_down(value: float) -> float:
+    """The number of two digits that is not above a positive one."""
+    unit = 10.0 ** (math.floor(math.log10(value)) - 1)
+    return float(f"{math.floor(value / unit) * unit:.2g}")
 
 
 def evaluate(
     scene: Store,
-    truth: Annotated[Path, typer.Option(help="T.npz from `render` or `export`.")],
+    truth: Annotated[
+        str, typer.Option(help="T.npz from `render` or `export`, or a scene, rendered if need be.")
+    ],
     exposure: Annotated[
-        float, typer.Option(help="Exposure of the capture: tells which rows clip singly.")
+        float,
+        typer.Option(
+            help="Exposure of the capture: tells which rows clip under one projector pixel."
+        ),
     ] = 1.0,
     as_json: Json = False,
 ) -> None:
-    """Compare an estimate with the truth: relative error, RMSE, relighting error."""
+    """Compare an estimate with the truth.
+
+    Gives the relative error, the RMSE and the relighting error, of all rows and of some kinds.
+    """
     if not exposure > 0:
         raise InputError(f"an exposure of {exposure}", hint="use a number above 0")
     estimate = store.open(scene)
-    known = Truth.load(truth).transport()
+    if not truth.endswith(".npz"):
+        _check_scene(scene, truth, estimate)
+    with progress("rendering", "paths") as report:
+        known = known_truth(truth, estimate.projector_shape, report).transport()
     if estimate.shape != known.shape:
         raise InputError(
             f"{scene} is {estimate.shape[0]} x {estimate.shape[1]}, "
@@ -100,7 +136,19 @@ def evaluate(
     if as_json:
         show_json({"exposure": exposure, **result})
     else:
-        show_table(f"{scene} against {truth}", {k: f"{v:.4f}" for k, v in result.items()})
+        show_table(f"{scene} against {truth}", named(result))
+
+
+def _check_scene(store_path: Path, name: str, estimate: LightTransport) -> None:
+    """Whether there is a scene of that name, at the size of the estimate."""
+    find_scene(name)
+    camera, projector = estimate.camera_shape, estimate.projector_shape
+    if camera != projector:
+        raise InputError(
+            f"{store_path} has a camera of {' x '.join(map(str, camera))} and a projector of "
+            f"{' x '.join(map(str, projector))}, {name} is rendered with both of one size",
+            hint="give the T.npz of the same rig",
+        )
 
 
 def errors_by_rows(
@@ -131,12 +179,16 @@ def export(
     output: Annotated[Path, typer.Argument(metavar="T.npz|T.mat", help="File to write.")],
     dense_background: Annotated[
         bool,
-        typer.Option(help="Spread the background over all pixels: exact, but no longer sparse."),
+        typer.Option(help="Spread the background over all pixels: T whole, but not sparse."),
     ] = False,
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
-    """Write T for other software: .npz (scipy.sparse.load_npz) or .mat (MATLAB)."""
+    """Write T for SciPy (.npz) or MATLAB (.mat).
+
+    The file holds the sparse part of T as `scipy.sparse.load_npz` reads it; the background is
+    kept beside it unless --dense-background spreads it in.
+    """
     check_output(output, overwrite=overwrite, suffixes=(".npz", ".mat"))
     transport = store.open(scene)
     store.export(output, transport, dense_background=dense_background, overwrite=overwrite)
