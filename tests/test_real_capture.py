@@ -1,7 +1,7 @@
 """A real capture: estimates against classical Gray decoding, and frames held out.
 
-42 photographs of a planar board under Gray code stripes (kamino410/procam-calibration, MIT), in
-the folder that the environment variable LIGHTMATRIX_TEST_DATA names.
+42 photographs of a planar board under Gray code stripes (kamino410/procam-calibration, MIT): a
+window of them, or the folder that the environment variable LIGHTMATRIX_BOARD names.
 """
 
 from __future__ import annotations
@@ -21,11 +21,8 @@ from lightmatrix.images import ImageStack
 from lightmatrix.solvers.active_set import ActiveSet
 from lightmatrix.solvers.problem import Problem, Result
 
-DATA = Path(os.environ.get("LIGHTMATRIX_TEST_DATA", Path(__file__).parents[2] / "shared" / "data"))
-BOARD = DATA / "graycode-board-kamino410"
-pytestmark = pytest.mark.skipif(
-    not BOARD.is_dir(), reason=f"{BOARD.name} is not in {DATA} (set LIGHTMATRIX_TEST_DATA)"
-)
+WINDOW = Path(__file__).parent / "data" / "graycode-board"
+BOARD = Path(os.environ.get("LIGHTMATRIX_BOARD", WINDOW))
 
 # Frames 0-19: ten column bits, most significant first, each with its inverse; 20-39: ten row bits.
 WHITE, BLACK, CLIP, BIN = 40, 41, 255, 8
@@ -91,9 +88,9 @@ def test_the_strongest_entry_is_where_gray_decoding_says(
     capture: Capture, photographs: NDArray[np.float32], coherent: bool
 ) -> None:
     assert capture.projector_shape == (96, 128)
-    assert capture.camera_shape == (128, 160)
     rows = lit(photographs)
-    assert len(rows) > 15000
+    assert len(rows) > 2 / 3 * capture.rows
+    assert capture.samples().clipped[rows].any()
     if coherent:
         matrix = CoherentEstimator().estimate(capture).sparse[rows]
     else:
@@ -111,7 +108,7 @@ def test_the_strongest_entry_is_where_gray_decoding_says(
         decoded = np.where(bright, bins(gray_decoded(photographs, first))[rows], np.nan)
         near &= np.abs(found - np.nanmedian(decoded, axis=1) // BIN) <= 1
     print(f"strongest entry within one bin of Gray decoding: {100 * near.mean():.2f} %")
-    assert near.mean() >= 0.95
+    assert near.mean() >= 0.98
 
 
 @pytest.mark.parametrize("held", [2, 26])
@@ -127,7 +124,7 @@ def test_a_frame_held_out_is_predicted_by_the_coherent_estimate(
     lit_range = samples.values[rows, WHITE].mean()
     error = np.sqrt(np.mean((predicted - samples.values[:, held])[rows] ** 2)) / lit_range
     print(f"frame {held} predicted to {100 * error:.2f} % RMS of the mean lit level")
-    assert error < 0.06
+    assert error < 0.03
 
 
 @pytest.mark.parametrize("held", [2, 6, 26])
@@ -135,7 +132,8 @@ def test_a_frame_held_out_is_predicted(
     capture: Capture, photographs: NDArray[np.float32], held: int
 ) -> None:
     """Its inverse, the next frame, is kept."""
-    rows = lit(photographs)[::8]
+    rows = lit(photographs)
+    rows = rows[:: -(-len(rows) // 2000)]
     rest = np.delete(np.arange(capture.count), held)
     # The board stays well below the clip level, whose 0.32 would shrink it by 7 to 10 %.
     kept = capture.select(rest)
