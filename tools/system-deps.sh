@@ -4,7 +4,8 @@
 # slower, and everything else works as it is. Does nothing where a usable LLVM is found.
 set -euo pipefail
 
-package=libllvm19
+# The tested one first; never 15 or 16.
+versions="19 20 21 18 17"
 
 usable_llvm() {
     # libLLVM 14 is refused by the renderer, 15 and 16 abort it.
@@ -28,16 +29,24 @@ if ! command -v apt-get >/dev/null; then
     echo "system-deps: or set DRJIT_LIBLLVM_PATH to its library. Rendering works without, slowly." >&2
     exit 1
 fi
-as_root=()
+as_root=
 if [ "$(id -u)" -ne 0 ]; then
-    as_root=(sudo)
+    as_root=sudo
 fi
-echo "system-deps: installing $package with apt-get"
-"${as_root[@]}" apt-get update -qq
-if ! "${as_root[@]}" env DEBIAN_FRONTEND=noninteractive \
-    apt-get install --yes --no-install-recommends -qq "$package"; then
-    echo "system-deps: apt-get has no $package here; any libllvm from 17 on will do" >&2
+$as_root apt-get update -qq
+package=
+for version in $versions; do
+    if apt-cache show "libllvm$version" >/dev/null 2>&1; then
+        package=libllvm$version
+        break
+    fi
+done
+if [ -z "$package" ]; then
+    echo "system-deps: apt-get has no libllvm of $versions; any from 17 on will do" >&2
     exit 1
 fi
+echo "system-deps: installing $package with apt-get"
+$as_root env DEBIAN_FRONTEND=noninteractive \
+    apt-get install --yes --no-install-recommends -qq "$package"
 usable_llvm >/dev/null || { echo "system-deps: $package installed, but not found" >&2; exit 1; }
 echo "system-deps: done"
