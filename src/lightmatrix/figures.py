@@ -56,12 +56,12 @@ def mark_clipped(image: NDArray[Any], clipped: NDArray[np.bool_]) -> NDArray[np.
 
 
 def panel(axes: Any, image: NDArray[Any], title: str = "", **options: Any) -> Any:
-    """Show an image without ticks; grey from 0 to 1 unless said otherwise."""
+    """Show an image in a thin frame, without ticks; grey from 0 to 1 unless said otherwise."""
     options = {"cmap": "gray", "vmin": 0, "vmax": 1, "interpolation": "nearest", **options}
     shown = axes.imshow(image, **options)
     axes.set_title(title)
     axes.set_xticks([])
     axes.set_yticks([])
     for spine in axes.spines.values():
-        spine.set_visible(False)
+        spine.set(visible=True, color="0.6", linewidth=0.5)
     return shown

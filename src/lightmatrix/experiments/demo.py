@@ -1,8 +1,8 @@
 """A first look: a scene with global light, a camera that clips, three estimators, one sheet.
 
-The corner of two white walls is photographed at 32 x 32 under 256 Bernoulli patterns by an 8-bit
-camera with noise. Interreflection fills so many patterns with light that samples clip although
-hardly any single response does.
+A pile of white blocks is photographed at 32 x 32 under 256 Bernoulli patterns by an 8-bit camera
+with noise. So many pixels are lit together that samples clip although hardly any single response
+does.
 """
 
 from __future__ import annotations
@@ -161,20 +161,23 @@ def _draw(
     panels[1, 0].set_ylabel(f"row of T, pixel {place[0]}, {place[1]}")
     panels[2, 0].set_ylabel("relit with it")
     panels[3, 0].set_ylabel("error of relighting")
-    drawing.colorbar(shown, ax=panels[3, :].tolist(), shrink=0.8, label="of full white")
+    drawing.colorbar(shown, ax=panels[3, :].tolist(), shrink=0.8, label="error, share of white")
 
 
 def _psnr(image: NDArray[np.float32], expected: NDArray[np.float32]) -> str:
     error = float(np.sqrt(np.mean((image - expected) ** 2)))
-    return f"{20 * np.log10(float(expected.max()) / max(error, 1e-12)):.1f} dB"
+    return f"PSNR {20 * np.log10(float(expected.max()) / max(error, 1e-12)):.1f} dB"
 
 
 def _interesting_row(
     stack: NDArray[Any], known: LightTransport, exposure: float
 ) -> tuple[int, int]:
-    """A camera pixel that clips often although its single responses do not."""
-    share = (stack == 255).mean(axis=0).ravel()
-    share = np.where(row_maximum(known) * exposure < 0.9, share, 0)
-    wanted = int(np.argmin(np.abs(share - 0.4)))
-    rows, cols = np.unravel_index(wanted, known.camera_shape[:2])
-    return int(rows), int(cols)
+    """A camera pixel well inside that clips often although its single responses do not."""
+    rows, cols = known.camera_shape[:2]
+    share = (stack == 255).mean(axis=0)
+    quiet = row_maximum(known).reshape(rows, cols) * exposure < 0.9
+    inside = np.zeros((rows, cols), bool)
+    inside[rows // 4 : rows - rows // 4, cols // 4 : cols - cols // 4] = True
+    distance = np.where(quiet & inside, np.abs(share - 0.4), np.inf)
+    row, col = np.unravel_index(int(np.argmin(distance)), (rows, cols))
+    return int(row), int(col)

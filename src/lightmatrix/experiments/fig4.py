@@ -46,6 +46,14 @@ METHODS: dict[str, Solver] = {
     "one-sided": SaturationADMM(Fidelity.ONE_SIDED, penalty_u=PENALTY_U, **_ADMM),
     "rejection": SaturationADMM(Fidelity.REJECTION, penalty_u=PENALTY_U, **_ADMM),
 }
+# Curves that coincide stay visible: wide and hollow below, thin and small above.
+_STYLES: dict[str, dict[str, Any]] = {
+    "romp": {"marker": "o", "markersize": 3},
+    "admm": {"marker": "s", "markersize": 6, "markerfacecolor": "white", "linewidth": 2.6},
+    "saturation-admm": {"marker": "o", "markersize": 3.5},
+    "one-sided": {"marker": "+", "markersize": 8, "linestyle": "--"},
+    "rejection": {"marker": "x", "markersize": 5, "linestyle": ":"},
+}
 SAME_WHERE_UNCLIPPED = ("one-sided", "rejection")
 LABELS = {
     "romp": "ROMP",
@@ -182,25 +190,26 @@ def _draw(out: Path, result: dict[str, Any]) -> None:
                 k = np.array([row["observations"] for row in rows])
                 mean = np.array([row["rmse_mean"] for row in rows])
                 spread = np.array([row["rmse_std"] for row in rows])
-                extra = method in ("one-sided", "rejection")
-                style = {"linestyle": "--" if extra else "-", "color": colour}
-                axes.plot(k, mean, marker="o", markersize=3, label=label, **style)
+                axes.plot(k, mean, label=label, color=colour, **_STYLES[method])
                 for place, value in zip(k[mean > _TOP], mean[mean > _TOP], strict=True):
                     axes.plot(place, 0.98 * _TOP, marker="^", color=colour)
                     where = {"xytext": (0, -12), "textcoords": "offset points", "ha": "center"}
                     text = f"{value:.1f}"
                     axes.annotate(text, (place, 0.98 * _TOP), **where, fontsize=7, color=colour)
+                if condition == "unclipped" and method in SAME_WHERE_UNCLIPPED:
+                    continue
                 low, high = np.maximum(mean - spread, 0), mean + spread
-                axes.fill_between(k, low, high, color=colour, alpha=0.12, linewidth=0)
+                axes.fill_between(k, low, high, color=colour, alpha=0.07, linewidth=0)
             axes.set_xlabel("observations K")
             axes.set_xticks(OBSERVATIONS)
-            axes.set_ylim(0, _TOP)
-        panels[0].set_ylabel("RMSE of x, mean and standard deviation")
+            axes.set_ylim(-0.01, _TOP)
+        panels[0].set_ylabel("RMSE of x")
         panels[0].set_title("(a) unclipped")
         panels[1].set_title(f"(b) clipped at Y = {CLIP_LEVEL:g}")
         panels[0].legend(loc="upper right")
         made = result["parameters"]
-        note = rf"{made['trials']} trials, $\lambda$ = {made['lambda']}, $\mu$ = {made['mu']:g}, "
+        note = f"mean and standard deviation of {made['trials']} trials, "
+        note += rf"$\lambda$ = {made['lambda']}, $\mu$ = {made['mu']:g}, "
         note += rf"$\nu$ = {made['nu']:g}, {made['iterations']} iterations, ROMP n = 10"
         drawing.supxlabel(note, fontsize=7, color="0.4")
         save(drawing, out, "fig4", ("png", "svg"))

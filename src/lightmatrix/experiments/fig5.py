@@ -99,7 +99,7 @@ def _draw_capture(out: Path, truth: Truth) -> None:
 
 
 def _draw_formulation(out: Path, truth: Truth) -> None:
-    """C = C_Y(T L) as matrices (Fig. 2), from the middle of the scene."""
+    """C = C_Y(T P') as matrices (Fig. 2), from the middle of the scene."""
     patterns = BernoulliPatterns(truth.projector_shape, 24, seed=1)
     side = truth.camera_shape[1]
     rows = (side // 2) * side + np.arange(side)
@@ -110,12 +110,15 @@ def _draw_formulation(out: Path, truth: Truth) -> None:
         left, middle, right = drawing.subplots(1, 3, width_ratios=[24, 64, 24])
         panel(left, mark_clipped(display(frames, 1.0), frames >= 1), r"$C$, clipped in red")
         part = matrix[:, columns].toarray()
-        panel(middle, display(part, float(part.max())), r"$T$ (64 of its columns)", aspect="auto")
+        panel(middle, display(part, float(part.max())), "$T$", aspect="auto")
         lit = patterns.columns(columns).T
-        panel(right, lit, r"$L$ (the same rows)")
+        panel(right, lit, "$P'$")
         left.set_ylabel("64 camera pixels")
         left.set_xlabel("24 patterns")
-        middle.set_xlabel("projector pixels")
+        shown, all_of_them = len(columns), matrix.shape[1]
+        middle.set_ylabel("64 camera pixels")
+        middle.set_xlabel(f"{shown} of {all_of_them:,} projector pixels, the others not shown")
+        right.set_ylabel(f"the same {shown} projector pixels")
         right.set_xlabel("24 patterns")
-        drawing.suptitle(r"$C = C_Y(T L)$: a clipped sample is only a lower bound", fontsize=9)
+        drawing.suptitle(r"$C = C_Y(T P')$: a clipped sample is only a lower bound", fontsize=9)
         save(drawing, out, "fig2", FORMATS)
