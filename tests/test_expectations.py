@@ -23,7 +23,11 @@ def neighbourhood(camera: Any, projector: Any, seed: int, filled: float = 0.2) -
     rows = np.prod(camera)
     dense = random.random((rows, projector[0] * projector[1])).astype(np.float32)
     dense[random.random(dense.shape) > filled] = 0
-    return Neighbourhood(csr_array(dense), 0.1 * random.random(rows), camera, projector)
+    return Neighbourhood(csr_array(dense), camera, projector)
+
+
+def backgrounds_of(rows: int, patterns: int, seed: int) -> Any:
+    return 0.1 * np.random.default_rng(seed).random((rows, patterns)).astype(np.float32)
 
 
 def samples_of(shown: PatternSet, rows: int, seed: int) -> Samples:
@@ -37,12 +41,16 @@ def samples_of(shown: PatternSet, rows: int, seed: int) -> Samples:
 
 
 def by_definition(
-    around: Neighbourhood, shown: PatternSet, unseen: PatternSet, samples: Samples, row: int
+    around: Neighbourhood,
+    shown: PatternSet,
+    unseen: PatternSet,
+    samples: Samples,
+    background: Any,
+    row: int,
 ) -> tuple[Any, Any]:
     """Mean and variance of the guesses at the samples of one row, entry by entry."""
     camera_rows, camera_cols, channels = around.camera
     images = np.concatenate([shown.images(), unseen.images()]).astype(np.float64)
-    means = images.mean(axis=(1, 2))
     assert samples.weights is not None
     y, clipped, weights = samples.values[row], samples.clipped[row], samples.weights[row]
     r, c, channel = (int(i) for i in np.unravel_index(row, around.camera))
@@ -58,7 +66,7 @@ def by_definition(
             kept = ((places >= moved) & (places < moved + around.projector)).all(axis=1)
             if other == row or not kept.any():
                 continue
-            guess = around.background[other] * means
+            guess = background[other].astype(np.float64)
             for place in places[kept]:
                 at = tuple(place - moved)
                 guess = guess + entries[tuple(place)] * images[:, *at]
@@ -88,9 +96,10 @@ def test_they_are_the_mean_of_the_guesses(camera: Any, projector: Any, k: int, s
     around = neighbourhood(camera, projector, seed)
     shown, unseen = BernoulliPatterns(projector, k, seed=seed), unseen_patterns(projector)
     samples = samples_of(shown, around.rows.shape[0], seed)
-    found = around.expected(shown, unseen, samples, samples.clipped, LEVEL, 0)
+    background = backgrounds_of(around.rows.shape[0], k + unseen.count, seed)
+    found = around.expected(shown, unseen, samples, samples.clipped, LEVEL, 0, background)
     for row in range(around.rows.shape[0]):
-        mean, variance = by_definition(around, shown, unseen, samples, row)
+        mean, variance = by_definition(around, shown, unseen, samples, background, row)
         if mean is None:
             assert not found.weights[row].any()
             continue
@@ -110,13 +119,16 @@ def test_rows_asked_for_apart_are_the_same() -> None:
     around = neighbourhood((7, 6, 1), (9, 8), 3)
     shown, unseen = BernoulliPatterns((9, 8), 20), unseen_patterns((9, 8))
     samples = samples_of(shown, 42, 1)
-    whole = around.expected(shown, unseen, samples, samples.clipped, LEVEL, 0)
+    background = backgrounds_of(42, 20 + unseen.count, 2)
+    whole = around.expected(shown, unseen, samples, samples.clipped, LEVEL, 0, background)
     part = slice(17, 30)
     assert samples.weights is not None
     some = Samples(
         samples.values[part], samples.clipped[part], samples.clip_level, samples.weights[part]
     )
-    found = around.expected(shown, unseen, some, some.clipped, LEVEL, 17)
+    first, last = around.around(17, 30)
+    near = background[first:last].copy()
+    found = around.expected(shown, unseen, some, some.clipped, LEVEL, 17, near)
     assert np.array_equal(found.values, whole.values[part])
     assert np.array_equal(found.weights, whole.weights[part])
 
@@ -129,7 +141,7 @@ def test_footprints_are_followed_however_the_projector_is_turned(turn: int, fine
     place = place[::finer, ::finer]
     rows = csr_array((np.ones(side**2, np.float32), place.ravel(), np.arange(side**2 + 1)))
     rows.resize((side**2, projector[0] * projector[1]))
-    around = Neighbourhood(rows, np.zeros(side**2), (side, side, 1), projector)
+    around = Neighbourhood(rows, (side, side, 1), projector)
     turned = {0: (1, 0, 0, 1), 1: (0, 1, -1, 0), 2: (-1, 0, 0, -1), 3: (0, -1, 1, 0)}[turn]
     movement = around.movement.reshape(side, side, 4)[3:-3, 3:-3]
     assert np.array_equal(movement, np.broadcast_to(finer * np.array(turned), movement.shape))
@@ -140,7 +152,8 @@ def test_footprints_are_followed_however_the_projector_is_turned(turn: int, fine
     clipped[:, ::2] = values[:, ::2] > 0
     seen = np.where(clipped, LEVEL, values)
     samples = Samples(seen, clipped, np.full(30, LEVEL, np.float32), None)
-    found = around.expected(shown, unseen, samples, clipped, LEVEL, 0)
+    dark = np.zeros((side**2, 30 + unseen.count), np.float32)
+    found = around.expected(shown, unseen, samples, clipped, LEVEL, 0, dark)
     inside = np.zeros((side, side), bool)
     inside[5:-5, 5:-5] = True
     middle = inside.ravel()
@@ -154,6 +167,7 @@ def test_neighbours_that_know_nothing_are_not_asked() -> None:
     dark = replace(around, rows=csr_array((16, 25), dtype=np.float32))
     shown, unseen = BernoulliPatterns((5, 5), 9), unseen_patterns((5, 5))
     samples = samples_of(shown, 16, 0)
-    found = dark.expected(shown, unseen, samples, samples.clipped, LEVEL, 0)
+    background = backgrounds_of(16, 9 + unseen.count, 0)
+    found = dark.expected(shown, unseen, samples, samples.clipped, LEVEL, 0, background)
     assert not found.weights.any()
     assert np.isfinite(found.values).all()

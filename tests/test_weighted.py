@@ -141,6 +141,39 @@ def test_expected_samples_are_further_samples(packed: bool) -> None:
     np.testing.assert_allclose(found.objective, plain.objective, rtol=1e-6)
 
 
+def test_a_background_of_its_own_replaces_the_means() -> None:
+    problem, _ = clipping_problem(rows=4)
+    random = np.random.default_rng(3)
+    own = random.random(problem.samples.shape).astype(np.float32)
+    none = Blocks.none(problem.patterns)
+    found = solve_weighted(problem, every_pixel(problem), none, SOLVER, background=own).rows
+    x, b = found.coefficients.toarray(), found.background
+    assert found.converged.all()
+    assert (b > 0).any()
+
+    def value(x: Any, b: Any) -> Any:
+        rows = [
+            objective(
+                problem.take(np.array([row])),
+                x[[row]],
+                1.0,
+                Blocks(own[[row]], np.zeros(1, np.float32)),
+                b[row].reshape(1, 1),
+                np.zeros(1),
+            )[0]
+            for row in range(4)
+        ]
+        return np.array(rows)
+
+    best = value(x, b)
+    np.testing.assert_allclose(best, found.objective, rtol=1e-5)
+    for _ in range(20):
+        step = 10.0 ** random.uniform(-4, -1)
+        other = np.maximum(x + step * random.normal(size=x.shape) * (x > 0), 0)
+        changed = value(other, np.maximum(b + step * random.normal(size=4), 0))
+        assert (changed >= best * (1 - 1e-4) - 1e-9).all()
+
+
 def test_starting_at_the_solution_leaves_only_the_certificate() -> None:
     problem, _ = clipping_problem(rows=5)
     means = problem.patterns.dense()[:, :20].mean(axis=1)[None].astype(np.float32)

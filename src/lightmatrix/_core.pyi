@@ -46,6 +46,7 @@ def solve_weighted(
     candidates: tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.float32]],
     further: tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32] | None],
     expected: tuple[PreparedPatterns, NDArray[np.float32], NDArray[np.float32]] | None,
+    row_background: NDArray[np.float32] | None,
     start: tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.float64], NDArray[np.float64]]
     | None,
     regularization: float,

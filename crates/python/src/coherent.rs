@@ -172,7 +172,7 @@ fn expected_samples<'py>(
 /// Solves rows on their candidates; see `lightmatrix.solvers.weighted`.
 #[pyfunction]
 #[pyo3(signature = (
-    prepared, samples, clipped, weights, candidates, further, expected, start, regularization, fidelity_name,
+    prepared, samples, clipped, weights, candidates, further, expected, row_background, start, regularization, fidelity_name,
     nonnegative, background, tolerance, max_passes, threads=None, progress=None
 ))]
 #[allow(clippy::too_many_arguments, clippy::type_complexity)]
@@ -197,6 +197,7 @@ fn solve_weighted<'py>(
         PyReadonlyArray2<'py, f32>,
         PyReadonlyArray2<'py, f32>,
     )>,
+    row_background: Option<PyReadonlyArray2<'py, f32>>,
     start: Option<(
         PyReadonlyArray1<'py, i64>,
         PyReadonlyArray1<'py, i32>,
@@ -242,6 +243,10 @@ fn solve_weighted<'py>(
         && weights
             .as_ref()
             .is_none_or(|w| w.shape()[1] == patterns && [1, count].contains(&w.shape()[0]));
+    let fits = fits
+        && row_background
+            .as_ref()
+            .is_none_or(|background| background.shape() == [count, all]);
     let columns = further.0.as_slice()?;
     let positive = |values: &[f32]| values.iter().all(|&v| v > 0.0 && v.is_finite());
     let sound = fits
@@ -302,6 +307,10 @@ fn solve_weighted<'py>(
         candidates,
         further,
         expected,
+        background: match &row_background {
+            None => None,
+            Some(background) => Some(background.as_slice()?),
+        },
     };
     let rows = Rows {
         count,

@@ -45,8 +45,9 @@ class CoherentEstimator:
     maximum and blurred by a window, relative to its strongest pixel. From the round on whose window
     on the projector is 3 x 3, rows have further samples, in place of clipped ones and under 64
     patterns that were never shown: what the neighbours' rows, moved along and scaled, would give
-    there. They weigh the less, the less the neighbours agree. The last round also has coarse blocks
-    of projector pixels, which hold the faint light from everywhere.
+    there. They weigh the less, the less the neighbours agree. Each row has a background, a halo
+    around what was found of it; the last round also has coarse blocks of projector pixels, for
+    faint light from elsewhere.
 
     Parameters
     ----------
@@ -158,7 +159,7 @@ class CoherentEstimator:
             self.provenance(capture, rounds.regularization),
             checkpoint=checkpoint,
             overwrite=overwrite,
-            background_grid=rounds.grid,
+            background_grid=rounds.backgrounds.grid,
             prepare=lambda running: found.append(rounds.known(rounds.before_last(running))),
         )
 

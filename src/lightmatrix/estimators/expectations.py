@@ -58,8 +58,6 @@ class Neighbourhood:
     Parameters
     ----------
     rows : (M, N) csr_array
-    background : (M,)
-        Coefficients of the patterns' means.
     camera : (int, int, int)
         Rows, columns and channels of the camera, M in all.
     projector : (int, int)
@@ -67,9 +65,14 @@ class Neighbourhood:
     """
 
     rows: csr_array
-    background: NDArray[np.floating]
     camera: tuple[int, int, int]
     projector: tuple[int, int]
+
+    def around(self, start: int, stop: int) -> tuple[int, int]:
+        """Range of the rows that start..stop have around them."""
+        _, cols, channels = self.camera
+        reach = (REACH * cols + REACH) * channels
+        return max(0, start - reach), min(self.rows.shape[0], stop + reach)
 
     def expected(
         self,
@@ -79,6 +82,7 @@ class Neighbourhood:
         clipped: NDArray[np.bool_],
         level: float,
         start: int,
+        background: NDArray[np.float32],
     ) -> Expectation:
         """Expected samples of some rows, in place of clipped ones and under unseen patterns.
 
@@ -94,12 +98,10 @@ class Neighbourhood:
             Clip level that deviations are relative to.
         start : int
             The first of the rows.
+        background : (n, K + E) float32
+            What the backgrounds of the rows `around` give under all patterns.
         """
         stop = start + len(samples.values)
-        halo = (REACH * self.camera[1] + REACH) * self.camera[2]
-        first, last = max(0, start - halo), min(len(self.background), stop + halo)
-        means = np.concatenate([shown.means, unseen.means])
-        background = np.outer(self.background[first:last], means).astype(np.float32)
         weights = samples.weights
         values, variances = _core.expected_samples(
             prepared(shown),
@@ -117,7 +119,7 @@ class Neighbourhood:
             REACH,
             self.movement[start:stop],
             background,
-            first,
+            self.around(start, stop)[0],
             start,
             level,
         )

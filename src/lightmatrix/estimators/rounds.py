@@ -13,30 +13,28 @@ from scipy.sparse import csr_array, vstack
 
 from lightmatrix import _core
 from lightmatrix.capture import Capture, Samples
+from lightmatrix.estimators.backgrounds import Backgrounds
 from lightmatrix.estimators.expectations import (
     UNSEEN,
     Neighbourhood,
     unseen_patterns,
 )
 from lightmatrix.estimators.tiles import TILE_BYTES, Progress, Tile, diagnostics
-from lightmatrix.patterns import PatternSet
 from lightmatrix.solvers.active_set import ActiveSet
 from lightmatrix.solvers.problem import Fidelity, Problem
 from lightmatrix.solvers.weighted import (
     Blocks,
     Candidates,
+    Expectation,
     Start,
     WeightedResult,
     solve_weighted,
 )
 from lightmatrix.store import Checkpoint
-from lightmatrix.transport import block_means
 
 # Of the clip level, and the gap: the first estimate, row by row, only has to show where light is.
 FIRST_REGULARIZATION = 0.32
 FIRST_TOLERANCE = 1e-2
-# Of the clip level, over the side of a block: the penalty of a block's coefficient.
-BLOCK_PENALTY = 0.01
 # What neighbours' rows give is expected from the round on whose window on the projector is this
 # narrow: then most rows are about right.
 EXPECTING = 1
@@ -76,23 +74,25 @@ class Rounds:
         """What a round knows of all rows."""
         rows, cols, *channels = self.capture.camera_shape
         camera = (rows, cols, channels[0] if channels else 1)
-        return Known(
-            found,
-            Neighbourhood(
-                found.coefficients, found.background, camera, self.capture.projector_shape
-            ),
-        )
+        return Known(found, Neighbourhood(found.coefficients, camera, self.capture.projector_shape))
 
     def last(self, known: Known, start: int, stop: int) -> Tile:
         """The rows start..stop of the last round."""
         samples = self.capture.samples(start, stop)
-        return self._tile(samples, self._solve(samples, start, stop, len(self.windows), known))
+        solved = self._solve(samples, start, stop, len(self.windows), known)
+        shares = self.backgrounds.spread(known.found.coefficients[start:stop])
+        background = solved.rows.background[:, None] * shares
+        if solved.blocks.shape[1]:
+            background += solved.blocks
+        sparse = csr_array(solved.rows.coefficients, dtype=np.float32)
+        return sparse, background.astype(np.float32), diagnostics(samples, solved.rows)
 
-    @property
-    def grid(self) -> tuple[int, int]:
+    @cached_property
+    def backgrounds(self) -> Backgrounds:
         """Blocks of the background, no more than there are pixels."""
-        rows, cols = self.capture.projector_shape
-        return min(self.background_grid[0], rows), min(self.background_grid[1], cols)
+        shape = self.capture.projector_shape
+        grid = min(self.background_grid[0], shape[0]), min(self.background_grid[1], shape[1])
+        return Backgrounds(grid, self.capture.patterns, unseen_patterns(shape))
 
     def ranges(self) -> Iterator[tuple[int, int]]:
         """Rows solved at a time."""
@@ -140,23 +140,21 @@ class Rounds:
         found = known.found
         expected = None
         if self.windows[number - 1][1] <= EXPECTING:
-            expected = known.neighbourhood.expected(
-                self.capture.patterns,
-                self._unseen,
-                samples,
-                samples.clipped & (self.solver.fidelity is not Fidelity.LINEAR),
-                self.capture.reference_level,
-                start,
-            )
-        # The faint light from everywhere joins in the last round, when it is clear where most of
-        # the light is.
-        last = number == len(self.windows)
+            expected = self._expected(samples, start, stop, known)
+        unseen = expected is not None
+        blocks = Blocks.none(self.capture.patterns, self.backgrounds.unseen if unseen else None)
+        # Blocks join in the last round, when it is clear where most of the light is.
+        if number == len(self.windows):
+            cost = self.capture.reference_level / self.regularization
+            blocks = self.backgrounds.blocks(cost, unseen=unseen)
+        background = self._halos(found, start, stop)[:, : blocks.means.shape[1]]
         return solve_weighted(
             problem,
             self._candidates(found.coefficients, number, start, stop),
-            self._blocks(last, expected is not None),
+            blocks,
             self.solver,
             expected=expected,
+            background=np.ascontiguousarray(background),
             start=Start(
                 found.coefficients[start:stop],
                 found.background[start:stop],
@@ -164,6 +162,27 @@ class Rounds:
             ),
             progress=self._report(number, start),
         )
+
+    def _expected(self, samples: Samples, start: int, stop: int, known: Known) -> Expectation:
+        """What neighbours' rows, and their backgrounds, say of the samples of start..stop."""
+        neighbourhood = known.neighbourhood
+        first, last = neighbourhood.around(start, stop)
+        halos = self._halos(known.found, first, last)
+        background = known.found.background[first:last, None].astype(np.float32) * halos
+        return neighbourhood.expected(
+            self.capture.patterns,
+            self.backgrounds.unseen,
+            samples,
+            samples.clipped & (self.solver.fidelity is not Fidelity.LINEAR),
+            self.capture.reference_level,
+            start,
+            background,
+        )
+
+    def _halos(self, found: Start, start: int, stop: int) -> NDArray[np.float32]:
+        """What the backgrounds of the rows start..stop give under shown and unseen patterns."""
+        backgrounds = self.backgrounds
+        return backgrounds.under_patterns(backgrounds.spread(found.coefficients[start:stop]))
 
     def _problem(self, samples: Samples, regularization: float) -> Problem:
         return Problem(
@@ -194,44 +213,6 @@ class Rounds:
         penalties = 2 * self.trust / (self.trust + shares)
         return Candidates(indptr, pixels, penalties.astype(np.float32))
 
-    @cached_property
-    def _unseen(self) -> PatternSet:
-        return unseen_patterns(self.capture.projector_shape)
-
-    @cached_property
-    def _pooling(self) -> csr_array:
-        return block_means(self.capture.projector_shape, self.grid)
-
-    @cached_property
-    def _block_sizes(self) -> NDArray[np.float64]:
-        return np.asarray(np.diff(self._pooling.indptr), np.float64)
-
-    def _blocks(self, some: bool, expecting: bool) -> Blocks:
-        """Coarse columns, with or without unseen patterns; or none."""
-        blocks = self._coarse
-        used = slice(None if some else 0)
-        count = None if expecting else self.capture.count
-        return Blocks(np.ascontiguousarray(blocks.means[used, :count]), blocks.penalties[used])
-
-    @cached_property
-    def _coarse(self) -> Blocks:
-        """Coarse columns; a single block would only repeat the background's own coefficient."""
-        patterns = (self.capture.patterns, self._unseen)
-        means = np.concatenate([_pattern_block_means(p, self._pooling) for p in patterns], axis=1)
-        cost = BLOCK_PENALTY * self.capture.reference_level / self.regularization
-        penalties = (cost / np.sqrt(self._block_sizes)).astype(np.float32)
-        several = slice(0 if self.grid == (1, 1) else None)
-        return Blocks(means[several], penalties[several])
-
-    def _tile(self, samples: Samples, solved: WeightedResult) -> Tile:
-        # The row's own coefficient is spread over the blocks, each by its share of the pixels.
-        shares = self._block_sizes / self._block_sizes.sum()
-        background = solved.rows.background[:, None] * shares
-        if solved.blocks.shape[1]:
-            background += solved.blocks
-        sparse = csr_array(solved.rows.coefficients, dtype=np.float32)
-        return sparse, background.astype(np.float32), diagnostics(samples, solved.rows)
-
     def _report(self, number: int, start: int) -> Progress | None:
         report = self.progress
         if report is None:
@@ -239,12 +220,6 @@ class Rounds:
         before = number * self.capture.rows + start
         total = self.capture.rows * (1 + len(self.windows))
         return lambda done, _: report(before + done, total)
-
-
-def _pattern_block_means(patterns: PatternSet, pooling: csr_array) -> NDArray[np.float32]:
-    """Mean of each pattern over each block, (B, K) float32 in [0, 1]."""
-    parts = [pooling @ block.T for _, block in patterns.blocks()]
-    return np.ascontiguousarray(np.clip(np.concatenate(parts, axis=1), 0, 1), np.float32)
 
 
 def _kept(solved: WeightedResult) -> Start:

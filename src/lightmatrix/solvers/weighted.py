@@ -59,9 +59,10 @@ class Blocks:
     penalties: NDArray[np.float32]
 
     @classmethod
-    def none(cls, patterns: PatternSet) -> Blocks:
+    def none(cls, patterns: PatternSet, unseen: PatternSet | None = None) -> Blocks:
         """No blocks."""
-        return cls(np.zeros((0, patterns.count), np.float32), np.zeros(0, np.float32))
+        count = patterns.count + (0 if unseen is None else unseen.count)
+        return cls(np.zeros((0, count), np.float32), np.zeros(0, np.float32))
 
 
 @dataclass(frozen=True)
@@ -125,6 +126,7 @@ def solve_weighted(
     solver: ActiveSet,
     *,
     expected: Expectation | None = None,
+    background: NDArray[np.float32] | None = None,
     start: Start | None = None,
     progress: Progress | None = None,
 ) -> WeightedResult:
@@ -150,6 +152,8 @@ def solve_weighted(
         Fidelity, tolerance, limit of passes, threads.
     expected : Expectation, optional
         Further samples that were not taken.
+    background : (M, K) or, with an expectation, (M, K + E) float32, optional
+        What each row's background gives under the patterns, in [0, 1], in place of their means.
     start : Start, optional
         Pixels that are no candidates are left out, and blocks if there are none.
     progress : callable, optional
@@ -183,6 +187,7 @@ def solve_weighted(
         None
         if expected is None
         else (prepared(expected.unseen), expected.values, expected.weights),
+        background,
         None if start is None else starting_rows(problem, start.coefficients, start.background),
         float(problem.regularization),
         str(solver.fidelity),

@@ -106,6 +106,7 @@ fn every_pixel_meets_the_optimality_condition_of_its_own_penalty() {
                     start: further_start,
                 },
                 expected: None,
+                background: None,
             };
             let (cancelled, finished) = (AtomicBool::new(false), AtomicUsize::new(0));
             let found = solve(

@@ -53,6 +53,9 @@ pub struct Knowledge<'a> {
     pub candidates: Candidates<'a>,
     pub further: Further<'a>,
     pub expected: Option<Expectation<'a>>,
+    /// What a row's background gives under all patterns, (rows, patterns shown and unseen), in
+    /// place of the patterns' means.
+    pub background: Option<&'a [f32]>,
 }
 
 /// One row's solution.
@@ -80,6 +83,7 @@ pub fn solve(
         candidates,
         further,
         expected,
+        background,
     } = knowledge;
     let shared = further.penalties.len();
     let patterns = dictionary.patterns + expected.map_or(0, |e| e.unseen.patterns);
@@ -93,6 +97,9 @@ pub fn solve(
         assert_eq!(expected.unseen.pixels, dictionary.pixels);
         assert_eq!(expected.values.len(), rows.count * patterns);
         assert_eq!(expected.weights.len(), rows.count * patterns);
+    }
+    if let Some(background) = background {
+        assert_eq!(background.len(), rows.count * patterns);
     }
     let mut solutions = vec![Weighted::default(); rows.count];
     solutions.par_chunks_mut(TASK).enumerate().for_each_init(
@@ -141,6 +148,7 @@ impl Work {
             candidates,
             further,
             expected,
+            background,
         } = knowledge;
         let range = candidates.indptr[row] as usize..candidates.indptr[row + 1] as usize;
         let pixels = &candidates.pixels[range.clone()];
@@ -151,6 +159,14 @@ impl Work {
         let least = self.penalties.iter().copied().fold(f32::INFINITY, f32::min);
         let least = if least.is_finite() { least } else { 1.0 };
         self.load(dictionary, rows, row, expected);
+        if let Some(background) = background {
+            let all = dictionary.patterns + expected.map_or(0, |e| e.unseen.patterns);
+            let own = &background[row * all..][..all];
+            let used = (0..dictionary.patterns).chain(self.added.iter().copied());
+            for (mean, k) in self.means.iter_mut().zip(used) {
+                *mean = f64::from(own[k]);
+            }
+        }
         let patterns = self.samples.len();
         self.gather(dictionary, expected, pixels, further, least);
         let shared = further.penalties.len();
