@@ -19,13 +19,14 @@ from typing import Any
 
 import numpy as np
 
-from lightmatrix.evaluate import benchmark_exposure, relative_error, unclipped_rows
-from lightmatrix.patterns import BernoulliPatterns
+from lightmatrix.camera.samples import Samples
+from lightmatrix.camera.sensor import Sensor
+from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.rig import library
 from lightmatrix.rig.simulate import irradiance
-from lightmatrix.sensor import Sensor
 from lightmatrix.solvers import ActiveSet, Fidelity, Problem, SaturationADMM, Solver, solve
-from lightmatrix.transport import LightTransport
+from lightmatrix.transport.matrix import LightTransport
+from lightmatrix.transport.metrics import benchmark_exposure, relative_error, unclipped_rows
 
 SIZE = (128, 128)
 PATTERNS = 256
@@ -52,7 +53,7 @@ def measure(name: str, solvers: dict[str, Solver]) -> dict[str, Any]:
     clipped = frames == 255
     samples = (frames / np.float32(255 * exposure)).astype(np.float32)
     level = np.full(PATTERNS, 1 / exposure, np.float32)
-    problem = Problem(patterns, samples, clipped, level, REGULARIZATION / exposure)
+    problem = Problem(patterns, Samples(samples, clipped, level), REGULARIZATION / exposure)
     counted = np.flatnonzero(unclipped_rows(known, exposure))
     lightly = counted[clipped[counted].mean(axis=1) <= 0.5]
     errors, half_errors, seconds = {}, {}, {}

@@ -12,15 +12,15 @@ import argparse
 
 import numpy as np
 
-import lightmatrix.capture
 from benchmarks.plan_calibration import SCENES, SIZE, photograph, some_rows
-from lightmatrix.estimators.coherent import CoherentEstimator
+from lightmatrix.camera import noise
+from lightmatrix.estimators.coherent.estimator import CoherentEstimator
 from lightmatrix.estimators.plain import PlainEstimator
-from lightmatrix.evaluate import relative_error
-from lightmatrix.patterns import BernoulliPatterns
-from lightmatrix.plan import WhiteFrame
+from lightmatrix.patterns.bits import BernoulliPatterns
+from lightmatrix.planning.advice import WhiteFrame
 from lightmatrix.rig.library import truth
 from lightmatrix.solvers import ActiveSet
+from lightmatrix.transport.metrics import relative_error
 
 PLANS: dict[str, list[tuple[float, float]]] = {
     "4 s": [(4, 1.0)],
@@ -38,15 +38,15 @@ PLANS: dict[str, list[tuple[float, float]]] = {
 def main() -> None:
     """Print a table in Markdown: a row for each plan, a column for each scene."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--noise", type=float, default=0.003)
+    parser.add_argument("--noise", type=float, default=noise.USUAL_NOISE)
     parser.add_argument("--estimator", choices=("plain", "coherent"), default="plain")
     parser.add_argument("--plans", nargs="+", default=tuple(PLANS), choices=tuple(PLANS))
     parser.add_argument("--scenes", nargs="+", default=SCENES)
     parser.add_argument("--size", type=int, default=SIZE[0])
-    parser.add_argument("--misfit", type=float, default=lightmatrix.capture.MISFIT)
+    parser.add_argument("--misfit", type=float, default=noise.MISFIT)
     arguments = parser.parse_args()
     # 0 weighs frames by noise alone, e^2; a large value weighs all alike.
-    lightmatrix.capture.MISFIT = arguments.misfit
+    noise.MISFIT = arguments.misfit
     size, scenes = (arguments.size, arguments.size), arguments.scenes
     patterns = BernoulliPatterns(size, 64)
     print("| exposures | " + " | ".join(scenes) + " |\n" + "|---" * (len(scenes) + 1) + "|")

@@ -17,12 +17,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.capture import Capture
+from lightmatrix.camera.sensor import Sensor
+from lightmatrix.capture.capture import Capture
 from lightmatrix.errors import InputError
-from lightmatrix.patterns import BernoulliPatterns, HadamardPatterns, PatternSet
+from lightmatrix.patterns.bits import BernoulliPatterns
+from lightmatrix.patterns.hadamard import HadamardPatterns
+from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.rig import library
 from lightmatrix.rig.simulate import irradiance
-from lightmatrix.sensor import Sensor
 
 COUNTS = (12, 16, 32, 64, 256)
 # Quantile of the row maxima that just does not clip, and read noise.

@@ -48,7 +48,7 @@ class Centred:
         unit = means / np.linalg.norm(means)
         self.problem = problem
         self.matrix = np.asfortranarray(dense - np.outer(unit, unit @ dense))
-        samples = problem.samples.astype(np.float64)
+        samples = problem.samples.values.astype(np.float64)
         self.samples = samples - np.outer(samples @ unit, unit)
         self.lam = problem.regularization
 

@@ -1,6 +1,6 @@
 """Errors to expect, for `lightmatrix plan`: estimates of the rendered scenes as it advises them.
 
-    python -m benchmarks.plan_calibration            makes src/lightmatrix/plan_table.json
+    python -m benchmarks.plan_calibration            makes src/lightmatrix/planning/table.json
 
 Scenes of 128 x 128 pixels (rendered on first use), an 8-bit camera with noise of 0.003 of its clip
 level, one seed. Row by row every fifth camera row counts; coherent estimates need whole frames.
@@ -19,26 +19,27 @@ from typing import Any
 import numpy as np
 from scipy.sparse import csr_array
 
-from lightmatrix.capture import Capture
-from lightmatrix.estimators.coherent import CoherentEstimator
+from lightmatrix.camera.exposures import of_frames
+from lightmatrix.camera.sensor import Sensor
+from lightmatrix.capture.capture import Capture
+from lightmatrix.estimators.coherent.estimator import CoherentEstimator
 from lightmatrix.estimators.plain import PlainEstimator
-from lightmatrix.evaluate import (
+from lightmatrix.patterns.bits import BernoulliPatterns
+from lightmatrix.patterns.mix import MixedPatterns, default_mix
+from lightmatrix.patterns.pattern_set import PatternSet
+from lightmatrix.planning.advice import WhiteFrame, advise_exposures
+from lightmatrix.rig.library import truth
+from lightmatrix.rig.simulate import irradiance
+from lightmatrix.rig.truth import Truth
+from lightmatrix.solvers import ActiveSet
+from lightmatrix.transport.metrics import (
     benchmark_exposure,
     relative_error,
     relighting_error,
     unseen_patterns,
 )
-from lightmatrix.exposures import of_frames
-from lightmatrix.pattern_mix import MixedPatterns, default_mix
-from lightmatrix.patterns import BernoulliPatterns, PatternSet
-from lightmatrix.plan import WhiteFrame, advise_exposures
-from lightmatrix.rig.library import truth
-from lightmatrix.rig.simulate import irradiance
-from lightmatrix.rig.truth import Truth
-from lightmatrix.sensor import Sensor
-from lightmatrix.solvers import ActiveSet
 
-TABLE = Path(__file__).parents[1] / "src" / "lightmatrix" / "plan_table.json"
+TABLE = Path(__file__).parents[1] / "src" / "lightmatrix" / "planning" / "table.json"
 SIZE = (128, 128)
 SCENES = ("l_objects", "gripper", "metal")
 COUNTS = (32, 64, 128, 256)

@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any
 
 from lightmatrix.experiments.fig5 import EXPOSURES, statistics
-from lightmatrix.figures import display, figure, panel, save
-from lightmatrix.patterns import BernoulliPatterns
+from lightmatrix.patterns.bits import BernoulliPatterns
+from lightmatrix.pictures.style import display, figure, panel, save
 from lightmatrix.rig import library
 from lightmatrix.rig.scenes import names
 from lightmatrix.rig.simulate import irradiance

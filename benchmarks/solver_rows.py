@@ -10,12 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from lightmatrix.evaluate import benchmark_exposure
-from lightmatrix.patterns import BernoulliPatterns, PatternSet
+from lightmatrix.camera.samples import Samples
+from lightmatrix.patterns.bits import BernoulliPatterns
+from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.rig import library
 from lightmatrix.rig.simulate import irradiance
 from lightmatrix.rig.truth import Truth
 from lightmatrix.solvers import Problem
+from lightmatrix.transport.metrics import benchmark_exposure
 
 SCENES = ("l_objects", "gripper", "metal")
 SIZE = (128, 128)
@@ -54,7 +56,7 @@ def photographed(
         samples = np.minimum(samples, 1)
     clipped = samples >= 1 if clip else np.zeros(samples.shape, bool)
     ones = np.ones(patterns.count, np.float32)
-    return Problem(patterns, samples.astype(np.float32), clipped, ones, regularization)
+    return Problem(patterns, Samples(samples.astype(np.float32), clipped, ones), regularization)
 
 
 def spread(problem: Problem, rows: int) -> Problem:

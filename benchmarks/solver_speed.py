@@ -11,7 +11,8 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from benchmarks import solver_reference, solver_rows
-from lightmatrix.patterns import HadamardPatterns, PatternSet
+from lightmatrix.patterns.hadamard import HadamardPatterns
+from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.solvers import ActiveSet, Fidelity, Problem, Result, SaturationADMM, solve
 from lightmatrix.solvers.active_set import prepare, prepared
 from lightmatrix.solvers.objective import objective
@@ -60,7 +61,7 @@ def whole_frame(problem: Problem, repeats: int = 3) -> Row:
         "worst_gap": float(result.gap.max()),
         "passes": float(result.iterations.mean()),
         "support": float(support.mean()),
-        "clipped": float(problem.clipped.mean()),
+        "clipped": float(problem.samples.clipped.mean()),
     }
 
 
@@ -90,9 +91,9 @@ def agreement(problem: Problem, rows: int) -> Row:
     beyond, apart, proof = [], [], []
     for i in range(problem.rows):
         known = solver_reference.solve_row(
-            dense, problem.samples[i], problem.clipped[i], problem.regularization
+            dense, problem.samples.values[i], problem.samples.clipped[i], problem.regularization
         )
-        scale = max(known.objective, 5e-7 * float((problem.samples[i] ** 2).sum()))
+        scale = max(known.objective, 5e-7 * float((problem.samples.values[i] ** 2).sum()))
         # How far the distance to the reference exceeds what the gap promises.
         excess = (rough.objective[i] - known.objective) / scale - rough.gap[i]
         beyond.append(excess)

@@ -9,13 +9,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from lightmatrix.evaluate import relative_error, unclipped_rows
-from lightmatrix.patterns import BernoulliPatterns
+from lightmatrix.camera.samples import Samples
+from lightmatrix.camera.sensor import Sensor
+from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.rig.procedural import ProceduralScene
 from lightmatrix.rig.simulate import irradiance
-from lightmatrix.sensor import Sensor
 from lightmatrix.solvers import ADMM, Fidelity, Problem, SaturationADMM, Solver, solve
-from lightmatrix.transport import LightTransport
+from lightmatrix.transport.matrix import LightTransport
+from lightmatrix.transport.metrics import relative_error, unclipped_rows
 
 
 def main() -> dict[str, float]:
@@ -31,7 +32,7 @@ def main() -> dict[str, float]:
     print(f"{100 * clipped.mean():.0f} % of the samples clip")
 
     level = np.full(patterns.count, 1 / exposure, np.float32)
-    problem = Problem(patterns, samples, clipped, level, regularization=0.05 / exposure)
+    problem = Problem(patterns, Samples(samples, clipped, level), 0.05 / exposure)
     known = truth.transport()
     rows = np.flatnonzero(unclipped_rows(known, exposure))
     errors = {}

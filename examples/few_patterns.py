@@ -7,16 +7,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from lightmatrix.capture import Capture
-from lightmatrix.estimators.coherent import CoherentEstimator
+from lightmatrix.camera.exposures import of_frames
+from lightmatrix.camera.sensor import Sensor
+from lightmatrix.capture.capture import Capture
+from lightmatrix.estimators.coherent.estimator import CoherentEstimator
 from lightmatrix.estimators.plain import PlainEstimator
-from lightmatrix.evaluate import benchmark_exposure, relative_error
-from lightmatrix.exposures import of_frames
-from lightmatrix.patterns import BernoulliPatterns
+from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.rig import library
 from lightmatrix.rig.simulate import irradiance
-from lightmatrix.sensor import Sensor
 from lightmatrix.solvers import ActiveSet
+from lightmatrix.transport.metrics import benchmark_exposure, relative_error
 
 
 def main() -> dict[str, float]:

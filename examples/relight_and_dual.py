@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lightmatrix.images import write_image
+from lightmatrix.files.images import write_image
 from lightmatrix.rig import library
 
 

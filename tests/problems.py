@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from lightmatrix.patterns import BernoulliPatterns
+from lightmatrix.camera.samples import Samples
+from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.solvers import Problem
 
 
@@ -32,10 +34,13 @@ def clipping_problem(
     samples = np.minimum(light + 0.003 * random.standard_normal(light.shape), clip_level)
     problem = Problem(
         patterns,
-        samples.astype(dtype),
-        samples >= clip_level,
-        np.full(count, clip_level, dtype),
+        Samples(samples.astype(dtype), samples >= clip_level, np.full(count, clip_level, dtype)),
         regularization,
         **options,
     )
     return problem, x
+
+
+def with_samples(problem: Problem, **changes: Any) -> Problem:
+    """The problem with other values, clip states, clip levels or weights of its samples."""
+    return replace(problem, samples=replace(problem.samples, **changes))

@@ -14,17 +14,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from problems import with_samples
 from scipy.optimize import minimize
 from scipy.sparse import csr_array
 
+from lightmatrix.camera.samples import Samples
 from lightmatrix.errors import InputError, SolverError
-from lightmatrix.patterns import (
-    BernoulliPatterns,
-    BlockPatterns,
-    HadamardPatterns,
-    ImagePatterns,
-    PatternSet,
-)
+from lightmatrix.patterns.bits import BernoulliPatterns
+from lightmatrix.patterns.blocks import BlockPatterns
+from lightmatrix.patterns.hadamard import HadamardPatterns
+from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
 from lightmatrix.solvers import ActiveSet, Fidelity, Problem, Result, solve
 from lightmatrix.solvers.active_set import prepare
 
@@ -54,13 +53,10 @@ def draw(
     weights = rng.random(u.shape) * (rng.random(u.shape) < 0.9) if weighted else None
     return Problem(
         patterns,
-        np.minimum(y, levels),
-        clipped,
-        levels,
+        Samples(np.minimum(y, levels), clipped, levels, weights),
         regularization,
-        weights,
-        nonnegative,
-        background,
+        nonnegative=nonnegative,
+        background=background,
     )
 
 
@@ -70,8 +66,10 @@ def dense_gap(problem: Problem, result: Result, fidelity: Fidelity) -> NDArray[n
     m = p.mean(axis=1)
     lam = problem.regularization
     gaps = np.empty(problem.rows)
-    for i, (y, clipped) in enumerate(zip(problem.samples, problem.clipped, strict=True)):
-        w = problem.sample_weights()[i].astype(np.float64)
+    for i, (y, clipped) in enumerate(
+        zip(problem.samples.values, problem.samples.clipped, strict=True)
+    ):
+        w = problem.samples.weights_of_all()[i].astype(np.float64)
         if fidelity is Fidelity.REJECTION:
             w = np.where(clipped, 0, w)
         one_sided = clipped & (fidelity is Fidelity.ONE_SIDED)
@@ -110,8 +108,8 @@ def dense_gap(problem: Problem, result: Result, fidelity: Fidelity) -> NDArray[n
 def reference(problem: Problem, row: int, fidelity: Fidelity) -> float:
     """The optimal objective of one row by SciPy's bound-constrained quasi-Newton method."""
     p = problem.patterns.dense().astype(np.float64)
-    y, clipped = problem.samples[row], problem.clipped[row]
-    w = problem.sample_weights()[row].astype(np.float64)
+    y, clipped = problem.samples.values[row], problem.samples.clipped[row]
+    w = problem.samples.weights_of_all()[row].astype(np.float64)
     if fidelity is Fidelity.REJECTION:
         w = np.where(clipped, 0, w)
     one_sided = clipped & (fidelity is Fidelity.ONE_SIDED)
@@ -186,7 +184,7 @@ def test_objective_agrees_with_an_independent_solver(fidelity: Fidelity, nonnega
         fine = solve(problem, ActiveSet(fidelity, tolerance=1e-6))
         for row in range(problem.rows):
             best = reference(problem, row, fidelity)
-            floor = max(rough.objective[row], 1e-6 * (problem.samples[row] ** 2).sum() / 2)
+            floor = max(rough.objective[row], 1e-6 * (problem.samples.values[row] ** 2).sum() / 2)
             assert rough.objective[row] - best <= (rough.gap[row] + 1e-7) * floor
             assert abs(fine.objective[row] - best) <= 1e-6 * floor
 
@@ -266,7 +264,7 @@ def test_what_patterns_cannot_tell_apart(
         background=background,
     )
     if all_clipped:
-        problem = replace(problem, clipped=np.ones_like(problem.clipped))
+        problem = with_samples(problem, clipped=np.ones_like(problem.samples.clipped))
     result = solve(problem, ActiveSet())
     assert result.converged.all()
     assert dense_gap(problem, result, Fidelity.ONE_SIDED).max() <= 1.01e-4
@@ -279,7 +277,7 @@ def test_dark_and_fully_clipped_rows() -> None:
     samples[2] = patterns.means
     clipped = np.zeros((3, 48), bool)
     clipped[1] = True
-    problem = Problem(patterns, samples, clipped, np.ones(48, np.float32), 0.3)
+    problem = Problem(patterns, Samples(samples, clipped, np.ones(48, np.float32)), 0.3)
     result = solve(problem, ActiveSet())
     assert result.converged.all()
     assert result.coefficients.nnz == 0
@@ -318,7 +316,16 @@ def test_every_instruction_set_gives_the_same_solution() -> None:
         except ValueError:
             continue
         solved = core.solve(
-            problem.samples, problem.clipped, None, None, 0.03, "one-sided", True, True, 1e-4, 99
+            problem.samples.values,
+            problem.samples.clipped,
+            None,
+            None,
+            0.03,
+            "one-sided",
+            True,
+            True,
+            1e-4,
+            99,
         )
         solutions.append(solved)
     for other in solutions[1:]:

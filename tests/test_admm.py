@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from problems import clipping_problem
+from problems import clipping_problem, with_samples
 from scipy.optimize import minimize
 from scipy.sparse import csr_array
 
 from lightmatrix.errors import InputError, SolverError
-from lightmatrix.patterns import BernoulliPatterns
+from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.solvers import ADMM, ROMP, ActiveSet, Fidelity, Problem, SaturationADMM, solve
 from lightmatrix.solvers.objective import objective, predictions, relative_gap
 from lightmatrix.solvers.system import System
@@ -56,7 +56,7 @@ def test_admm_updates_minimise_their_own_subproblems(background: bool, nonnegati
     scale = state.system.scale
     matrix, mu, lam = _augmented(problem, scale), 3.0, problem.regularization
     for row in range(problem.rows):
-        h, z, y = after.h[row], state.z[row], problem.samples[row]
+        h, z, y = after.h[row], state.z[row], problem.samples.values[row]
 
         def cost(x: Any, h: Any = h, z: Any = z, y: Any = y) -> Any:
             r = matrix @ x - y
@@ -97,9 +97,9 @@ def test_saturation_admm_updates_minimise_their_own_subproblems(
         _assert_z_is_best(after.z[row], after.x[row] + h / mu, mu, problem, scale)
         # The u-update itself is held against a grid in test_prox; here: it saw the right v.
         v = matrix @ state.x[row] + g / nu
-        free = ~problem.clipped[row] & (v < 0.9)
+        free = ~problem.samples.clipped[row] & (v < 0.9)
         lam_nu = problem.regularization * nu
-        expected = (problem.samples[row] + lam_nu * v) / (1 + lam_nu)
+        expected = (problem.samples.values[row] + lam_nu * v) / (1 + lam_nu)
         np.testing.assert_allclose(u[free], expected[free], atol=1e-9)
 
 
@@ -135,7 +135,7 @@ def _assert_z_is_best(z: Any, q: Any, mu: float, problem: Problem, scale: float)
 @pytest.mark.parametrize("background", [False, True])
 def test_two_solvers_one_problem(nonnegative: bool, background: bool) -> None:
     problem, _ = clipping_problem(nonnegative=nonnegative, background=background)
-    unclipped = replace(problem, clipped=np.zeros_like(problem.clipped))
+    unclipped = with_samples(problem, clipped=np.zeros_like(problem.samples.clipped))
     solvers = [ADMM(max_iterations=20_000, tolerance=1e-8)]
     solvers += [SaturationADMM(f, max_iterations=20_000, tolerance=1e-8) for f in CONVEX]  # type: ignore[misc]
     found = [solve(unclipped, solver) for solver in solvers]
@@ -153,7 +153,7 @@ def test_optimum_is_certified_by_its_duality_gap(
 ) -> None:
     problem, _ = clipping_problem(nonnegative=nonnegative, background=background)
     result = solve(problem, SaturationADMM(fidelity, max_iterations=20_000, tolerance=1e-9))
-    assert problem.clipped.any()
+    assert problem.samples.clipped.any()
     assert (result.gap > -1e-9).all()
     assert result.gap.max() < 1e-4
 
@@ -163,7 +163,7 @@ def test_likelihood_with_a_narrow_edge_is_one_sided() -> None:
     hard, soft = Fidelity.ONE_SIDED, Fidelity.LIKELIHOOD
     x = csr_array(np.random.default_rng(2).random((problem.rows, problem.patterns.pixels)) / 40)
     b = np.zeros(problem.rows)
-    assert (predictions(problem, x, b) < problem.samples)[problem.clipped].any()
+    assert (predictions(problem, x, b) < problem.samples.values)[problem.samples.clipped].any()
     previous = np.inf
     for edge in (0.1, 0.01, 1e-3, 1e-4):
         narrow = replace(problem, edge_noise=edge)
@@ -205,7 +205,7 @@ def test_clip_aware_estimates_are_far_better(fidelity: Fidelity) -> None:
     problem, x = clipping_problem(
         rows=20, shape=(16, 16), count=120, clip_level=1.5, regularization=0.02
     )
-    assert 0.1 < problem.clipped.mean() < 0.6
+    assert 0.1 < problem.samples.clipped.mean() < 0.6
     aware = solve(problem, SaturationADMM(fidelity)).coefficients.toarray()
     blind = solve(problem, ADMM()).coefficients.toarray()
     assert np.linalg.norm(aware - x) < 0.25 * np.linalg.norm(blind - x)
@@ -214,10 +214,10 @@ def test_clip_aware_estimates_are_far_better(fidelity: Fidelity) -> None:
 @pytest.mark.parametrize(("size", "count"), [((32, 32), 128), ((64, 64), 256)])
 def test_single_and_double_precision_agree(size: tuple[int, int], count: int) -> None:
     double, _ = clipping_problem(rows=4, shape=size, count=count, regularization=0.1)
-    single = replace(
+    single = with_samples(
         double,
-        samples=double.samples.astype(np.float32),
-        clip_level=double.clip_level.astype(np.float32),
+        values=double.samples.values.astype(np.float32),
+        clip_level=double.samples.clip_level.astype(np.float32),
     )
     for solver in (ADMM(), SaturationADMM(), SaturationADMM(Fidelity.CLIPPED)):
         one, two = solve(single, solver), solve(double, solver)
@@ -230,12 +230,12 @@ def test_single_and_double_precision_agree(size: tuple[int, int], count: int) ->
 def test_single_precision_is_safe_at_full_size() -> None:
     """N = 16,384 and K = 1,024: the factor is double, the rows are single; both answers agree."""
     double, _ = clipping_problem(rows=3, shape=(128, 128), count=1024, regularization=0.3)
-    single = replace(
+    single = with_samples(
         double,
-        samples=double.samples.astype(np.float32),
-        clip_level=double.clip_level.astype(np.float32),
+        values=double.samples.values.astype(np.float32),
+        clip_level=double.samples.clip_level.astype(np.float32),
     )
-    assert double.clipped.any()
+    assert double.samples.clipped.any()
     for solver in (ADMM(max_iterations=25), SaturationADMM(max_iterations=25)):
         one, two = solve(single, solver), solve(double, solver)
         assert one.coefficients.dtype == np.float32
@@ -303,17 +303,19 @@ def test_rows_stop_by_themselves() -> None:
 
 def test_weights_mask_and_scale() -> None:
     problem, _ = clipping_problem()
-    weights = np.ones(problem.samples.shape)
+    weights = np.ones(problem.samples.values.shape)
     weights[:, :10] = 0
-    masked = replace(problem, weights=weights)
-    spoiled = problem.samples.copy()
+    masked = with_samples(problem, weights=weights)
+    spoiled = problem.samples.values.copy()
     spoiled[:, :10] = 77.0
     exact = SaturationADMM(max_iterations=20_000, tolerance=1e-8)
     one = solve(masked, exact)
-    two = solve(replace(masked, samples=spoiled, clipped=problem.clipped), exact)
+    two = solve(with_samples(masked, values=spoiled, clipped=problem.samples.clipped), exact)
     np.testing.assert_allclose(one.objective, two.objective, rtol=1e-6)
     # Four times the weight and four times the regularization is the same problem.
-    strong = replace(problem, weights=np.full(problem.patterns.count, 4.0), regularization=0.2)
+    strong = replace(
+        with_samples(problem, weights=np.full(problem.patterns.count, 4.0)), regularization=0.2
+    )
     linear = ADMM(max_iterations=20_000, tolerance=1e-8)
     np.testing.assert_allclose(
         solve(strong, linear).objective, 4 * solve(problem, linear).objective, rtol=1e-4
@@ -322,10 +324,10 @@ def test_weights_mask_and_scale() -> None:
 
 def test_admm_refuses_weights_that_differ_between_rows() -> None:
     problem, _ = clipping_problem()
-    weights = np.ones(problem.samples.shape)
+    weights = np.ones(problem.samples.values.shape)
     weights[0, 0] = 0
     with pytest.raises(SolverError, match="Saturation ADMM"):
-        solve(replace(problem, weights=weights), ADMM())
+        solve(with_samples(problem, weights=weights), ADMM())
 
 
 @pytest.mark.parametrize("bad", [{"penalty_x": -1.0}, {"penalty_x": np.nan}, {"tolerance": 0.0}])
@@ -338,10 +340,10 @@ def test_parameters_are_checked(bad: dict[str, float]) -> None:
 
 def test_dark_rows_and_no_rows() -> None:
     problem, _ = clipping_problem()
-    dark = replace(
+    dark = with_samples(
         problem,
-        samples=np.zeros_like(problem.samples),
-        clipped=np.zeros_like(problem.clipped),
+        values=np.zeros_like(problem.samples.values),
+        clipped=np.zeros_like(problem.samples.clipped),
     )
     for solver in (ADMM(), SaturationADMM()):
         result = solve(dark, solver)

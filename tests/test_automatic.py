@@ -9,22 +9,24 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lightmatrix.capture import Capture, write_capture
+from lightmatrix.camera.sensor import Sensor
+from lightmatrix.capture.capture import Capture
+from lightmatrix.capture.folder import write_capture
 from lightmatrix.cli import main
 from lightmatrix.errors import InputError
-from lightmatrix.estimators.automatic import (
+from lightmatrix.estimators.plain import PlainEstimator
+from lightmatrix.estimators.regularization import (
     automatic_regularization,
     held_out_path,
     reached_level,
 )
-from lightmatrix.estimators.plain import PlainEstimator
-from lightmatrix.evaluate import relative_error
-from lightmatrix.patterns import BernoulliPatterns, PatternSet
+from lightmatrix.patterns.bits import BernoulliPatterns
+from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.rig.procedural import ProceduralScene
 from lightmatrix.rig.simulate import irradiance
-from lightmatrix.sensor import Sensor
 from lightmatrix.solvers import ActiveSet
 from lightmatrix.solvers.regularization import default_regularization
+from lightmatrix.transport.metrics import relative_error
 
 TRUTH = ProceduralScene((24, 24), (16, 16), seed=4, background=0.02, bounces=6).truth()
 BITS = 16

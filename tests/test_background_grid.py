@@ -15,11 +15,11 @@ from scipy.sparse import csr_array
 from lightmatrix import store
 from lightmatrix.cli import main
 from lightmatrix.errors import InputError
-from lightmatrix.evaluate import relative_error, squared_errors
-from lightmatrix.images import read_image, write_image
+from lightmatrix.files.images import read_image, write_image
 from lightmatrix.rig.truth import Truth
 from lightmatrix.store import Checkpoint
-from lightmatrix.transport import LightTransport
+from lightmatrix.transport.matrix import LightTransport
+from lightmatrix.transport.metrics import relative_error, squared_errors
 
 PROJECTOR, CAMERA, GRID = (50, 37), (6, 7), (16, 16)
 PIXELS, ROWS = 50 * 37, 42

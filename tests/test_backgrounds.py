@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.sparse import csr_array
 
-from lightmatrix.estimators.backgrounds import CORE, Backgrounds
-from lightmatrix.patterns import BernoulliPatterns
-from lightmatrix.transport import block_means
+from lightmatrix.estimators.coherent.backgrounds import CORE, Backgrounds
+from lightmatrix.patterns.bits import BernoulliPatterns
+from lightmatrix.transport.matrix import block_means
 
 
 def backgrounds(shape: tuple[int, int], grid: tuple[int, int], count: int = 5) -> Backgrounds:

@@ -19,12 +19,12 @@ from test_frame_order import CAMERA, SHAPE, scene
 from test_store import small_disk
 
 from lightmatrix import store
-from lightmatrix.capture import write_capture
+from lightmatrix.camera.sensor import Sensor
+from lightmatrix.capture.folder import write_capture
 from lightmatrix.cli import main
-from lightmatrix.images import read_image, write_image
-from lightmatrix.patterns import BernoulliPatterns
-from lightmatrix.sensor import Sensor
-from lightmatrix.transport import LightTransport
+from lightmatrix.files.images import read_image, write_image
+from lightmatrix.patterns.bits import BernoulliPatterns
+from lightmatrix.transport.matrix import LightTransport
 
 COUNT = 48
 ESTIMATE = "estimate --patterns patterns --images images -o scene.zarr"

@@ -12,24 +12,20 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from lightmatrix import capture as capture_module
-from lightmatrix import capture_folder
-from lightmatrix.capture import (
-    Capture,
-    read_patterns,
-    write_capture,
-    write_patterns,
-)
+from lightmatrix.camera.decoder import Decoder
+from lightmatrix.camera.samples import Samples
+from lightmatrix.camera.sensor import Sensor
+from lightmatrix.capture import capture as capture_module
+from lightmatrix.capture import folder as capture_folder
+from lightmatrix.capture.capture import Capture
+from lightmatrix.capture.folder import write_capture
 from lightmatrix.errors import InputError, LightMatrixWarning, OutputError
-from lightmatrix.images import write_image
-from lightmatrix.patterns import (
-    BernoulliPatterns,
-    BlockPatterns,
-    HadamardPatterns,
-    ImagePatterns,
-    PatternSet,
-)
-from lightmatrix.sensor import Decoder, Sensor
+from lightmatrix.files.images import write_image
+from lightmatrix.patterns.bits import BernoulliPatterns
+from lightmatrix.patterns.blocks import BlockPatterns
+from lightmatrix.patterns.folder import read_patterns, write_patterns
+from lightmatrix.patterns.hadamard import HadamardPatterns
+from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
 from lightmatrix.solvers.problem import Problem
 
 SHAPE = (6, 8)
@@ -151,7 +147,7 @@ def test_samples_fit_a_problem() -> None:
     sensor = Sensor(np.linspace(0.5, 1.5, COUNT))
     capture = Capture.from_arrays(SETS[0], photographs(SETS[0], sensor), sensor)
     s = capture.samples(3, 9)
-    problem = Problem(capture.patterns, s.values, s.clipped, s.clip_level, 0.3, s.weights)
+    problem = Problem(capture.patterns, Samples(s.values, s.clipped, s.clip_level, s.weights), 0.3)
     assert problem.rows == 6
 
 

@@ -15,7 +15,7 @@ from scipy.sparse import load_npz
 import lightmatrix
 from lightmatrix import store
 from lightmatrix.cli import main
-from lightmatrix.images import read_image, write_image
+from lightmatrix.files.images import read_image, write_image
 from lightmatrix.rig import library
 from lightmatrix.rig.procedural import ProceduralScene
 

@@ -8,19 +8,19 @@ import numpy as np
 import pytest
 
 from lightmatrix import store
-from lightmatrix.capture import Capture
+from lightmatrix.camera.sensor import Sensor
+from lightmatrix.capture.capture import Capture
 from lightmatrix.errors import InputError
-from lightmatrix.estimators.coherent import CoherentEstimator
+from lightmatrix.estimators.coherent.estimator import CoherentEstimator
 from lightmatrix.estimators.plain import PlainEstimator
-from lightmatrix.evaluate import relative_error, unclipped_rows
-from lightmatrix.patterns import BernoulliPatterns
+from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.rig import library
 from lightmatrix.rig.procedural import ProceduralScene
 from lightmatrix.rig.simulate import irradiance
 from lightmatrix.rig.truth import Truth
-from lightmatrix.sensor import Sensor
 from lightmatrix.solvers import ActiveSet
-from lightmatrix.transport import LightTransport
+from lightmatrix.transport.matrix import LightTransport
+from lightmatrix.transport.metrics import relative_error, unclipped_rows
 
 EXPOSURE = 2.5
 

@@ -9,7 +9,9 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from lightmatrix._core import PreparedPatterns
-from lightmatrix.patterns import BernoulliPatterns, HadamardPatterns, ImagePatterns, PatternSet
+from lightmatrix.patterns.bits import BernoulliPatterns
+from lightmatrix.patterns.hadamard import HadamardPatterns
+from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
 from lightmatrix.solvers.active_set import prepare
 
 INSTRUCTIONS = ("portable", "avx2", "avx512")

@@ -10,17 +10,18 @@ import numpy as np
 import pytest
 
 from lightmatrix import store
-from lightmatrix.capture import Capture, write_capture
+from lightmatrix.camera.sensor import Sensor
+from lightmatrix.capture.capture import Capture
+from lightmatrix.capture.folder import write_capture
 from lightmatrix.errors import InputError
 from lightmatrix.estimators import plain
 from lightmatrix.estimators.plain import PlainEstimator
-from lightmatrix.evaluate import relative_error, unclipped_rows
-from lightmatrix.patterns import BernoulliPatterns
+from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.rig.procedural import ProceduralScene
 from lightmatrix.rig.simulate import irradiance
 from lightmatrix.rig.truth import Truth
-from lightmatrix.sensor import Sensor
 from lightmatrix.solvers import ADMM, ROMP, ActiveSet, Fidelity, SaturationADMM, Solver, solve
+from lightmatrix.transport.metrics import relative_error, unclipped_rows
 
 EXPOSURE = 2.5
 

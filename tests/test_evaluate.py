@@ -9,7 +9,9 @@ from hypothesis import strategies as st
 from scipy.sparse import csr_array
 
 from lightmatrix.errors import InputError
-from lightmatrix.evaluate import (
+from lightmatrix.patterns.blocks import sampled_pixels
+from lightmatrix.transport.matrix import LightTransport
+from lightmatrix.transport.metrics import (
     benchmark_exposure,
     diffuse_rows,
     relative_error,
@@ -19,8 +21,6 @@ from lightmatrix.evaluate import (
     unclipped_rows,
     unseen_patterns,
 )
-from lightmatrix.patterns import sampled_pixels
-from lightmatrix.transport import LightTransport
 
 
 @pytest.fixture

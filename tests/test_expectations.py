@@ -11,9 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.sparse import csr_array
 
-from lightmatrix.capture import Samples
-from lightmatrix.estimators.expectations import REACH, Neighbourhood, unseen_patterns
-from lightmatrix.patterns import BernoulliPatterns, PatternSet
+from lightmatrix.camera.samples import Samples
+from lightmatrix.estimators.coherent.expectations import REACH, Neighbourhood, unseen_patterns
+from lightmatrix.patterns.bits import BernoulliPatterns
+from lightmatrix.patterns.pattern_set import PatternSet
 
 LEVEL = 0.5
 

@@ -11,21 +11,22 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lightmatrix.capture import Capture
+from lightmatrix.camera.exposures import of_frames, parse_exposures
+from lightmatrix.camera.sensor import Sensor
+from lightmatrix.capture.capture import Capture
 from lightmatrix.cli import main
 from lightmatrix.errors import InputError
 from lightmatrix.estimators.plain import PlainEstimator
-from lightmatrix.evaluate import benchmark_exposure, relative_error, unclipped_rows
-from lightmatrix.exposures import of_frames, parse_exposures
-from lightmatrix.pattern_mix import MixedPatterns, default_mix
-from lightmatrix.patterns import BernoulliPatterns, PatternSet
+from lightmatrix.patterns.bits import BernoulliPatterns
+from lightmatrix.patterns.mix import MixedPatterns, default_mix
+from lightmatrix.patterns.pattern_set import PatternSet
+from lightmatrix.patterns.shares import interleave, parse_shares
 from lightmatrix.rig.library import truth
 from lightmatrix.rig.procedural import ProceduralScene
 from lightmatrix.rig.simulate import irradiance
 from lightmatrix.rig.truth import Truth
-from lightmatrix.sensor import Sensor
-from lightmatrix.shares import interleave, parse_shares
 from lightmatrix.solvers import ActiveSet
+from lightmatrix.transport.metrics import benchmark_exposure, relative_error, unclipped_rows
 
 
 @given(st.lists(st.floats(0.01, 1), min_size=1, max_size=5), st.integers(0, 200))

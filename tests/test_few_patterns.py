@@ -13,7 +13,7 @@ from lightmatrix.cli import main
 from lightmatrix.experiments import few_patterns
 from lightmatrix.experiments.few_patterns import THREE_EXPOSURES, Case, means, measure
 from lightmatrix.experiments.measured_scene import MeasuredScene
-from lightmatrix.patterns import BernoulliPatterns
+from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.rig import library
 
 SMALL = Case("gripper", "coherent", 64, 0, size=(64, 64))

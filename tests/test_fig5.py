@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from lightmatrix.errors import MissingExtraError
 from lightmatrix.experiments import fig5
-from lightmatrix.images import read_image
+from lightmatrix.files.images import read_image
 from lightmatrix.rig import library
 from lightmatrix.rig.procedural import ProceduralScene
 from lightmatrix.rig.statistics import clipped_share, direct_share, entries_for_energy

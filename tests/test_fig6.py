@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lightmatrix.evaluate import response_rmse
 from lightmatrix.experiments import fig6, fig7
 from lightmatrix.experiments.fig6 import Case
 from lightmatrix.experiments.methods import METHODS, Reach
-from lightmatrix.patterns import sampled_pixels
+from lightmatrix.patterns.blocks import sampled_pixels
+from lightmatrix.transport.metrics import response_rmse
 
 SCENE = "gripper"
 

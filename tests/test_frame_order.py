@@ -8,17 +8,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from lightmatrix.capture import Capture
+from lightmatrix.camera.sensor import Sensor
+from lightmatrix.capture.capture import Capture
+from lightmatrix.capture.order import prediction_misses
 from lightmatrix.errors import InputError
-from lightmatrix.frame_order import prediction_misses
-from lightmatrix.patterns import (
-    BernoulliPatterns,
-    HadamardPatterns,
-    ImagePatterns,
-    PatternSet,
-    one_pixel_patterns,
-)
-from lightmatrix.sensor import Sensor
+from lightmatrix.patterns.bits import BernoulliPatterns
+from lightmatrix.patterns.blocks import one_pixel_patterns
+from lightmatrix.patterns.hadamard import HadamardPatterns
+from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
 
 SHAPE = (16, 20)
 CAMERA = (18, 22)

@@ -16,17 +16,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from lightmatrix import png16
-from lightmatrix.atomic import atomic_file, atomic_folder, check_output
 from lightmatrix.errors import InputError, OutputError
-from lightmatrix.images import (
-    ImageStack,
-    list_images,
-    nonlinear_tag,
-    read_grey,
-    read_image,
-    write_image,
-)
+from lightmatrix.files import png16
+from lightmatrix.files.images import read_grey, read_image, write_image
+from lightmatrix.files.outputs import atomic_file, atomic_folder, check_output
+from lightmatrix.files.stack import ImageStack, list_images, nonlinear_tag
 
 
 def noise(shape: tuple[int, ...], dtype: Any, seed: int = 0) -> NDArray[Any]:

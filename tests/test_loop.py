@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from problems import clipping_problem
+from problems import clipping_problem, with_samples
 
 from lightmatrix.solvers import ADMM, ROMP, Fidelity, Problem, Result, SaturationADMM, Status, solve
 from lightmatrix.solvers.objective import objective
@@ -64,15 +64,15 @@ class _Breaking(SaturationADMM):
         after = super().step(problem, state)
         broken = after.x.copy()
         if np.abs(state.h).max() > 0:
-            broken[problem.samples.max(axis=1) > 90] = np.nan
+            broken[problem.samples.values.max(axis=1) > 90] = np.nan
         return replace(after, x=broken)
 
 
 def test_a_row_that_leaves_the_finite_numbers_stops_alone() -> None:
     problem, _ = clipping_problem(rows=6)
-    samples, clipped = problem.samples.copy(), problem.clipped.copy()
+    samples, clipped = problem.samples.values.copy(), problem.samples.clipped.copy()
     samples[2], clipped[2] = 99.0, False
-    spoiled = replace(problem, samples=samples, clipped=clipped)
+    spoiled = with_samples(problem, values=samples, clipped=clipped)
     others = np.delete(np.arange(6), 2)
     result = solve(spoiled, _Breaking())
     assert result.status is Status.NOT_FINITE

@@ -11,20 +11,21 @@ from scipy.ndimage import binary_dilation
 from scipy.sparse import csr_array
 
 from lightmatrix import store
-from lightmatrix.capture import Capture
+from lightmatrix.camera.samples import Samples
+from lightmatrix.camera.sensor import Sensor
+from lightmatrix.capture.capture import Capture
 from lightmatrix.cli import main
 from lightmatrix.errors import InputError
-from lightmatrix.estimators import multiscale
-from lightmatrix.estimators.multiscale import MultiScaleEstimator
+from lightmatrix.estimators.multiscale import estimator as multiscale
+from lightmatrix.estimators.multiscale.estimator import MultiScaleEstimator
+from lightmatrix.estimators.multiscale.restricted import RestrictedPatterns
+from lightmatrix.estimators.multiscale.scales import scales, split, strongest
 from lightmatrix.estimators.plain import PlainEstimator
-from lightmatrix.estimators.restricted import RestrictedPatterns
-from lightmatrix.estimators.scales import scales, split, strongest
-from lightmatrix.evaluate import relative_error
-from lightmatrix.patterns import BernoulliPatterns, HadamardPatterns
+from lightmatrix.patterns.bits import BernoulliPatterns
+from lightmatrix.patterns.hadamard import HadamardPatterns
 from lightmatrix.rig.procedural import ProceduralScene
 from lightmatrix.rig.simulate import irradiance
 from lightmatrix.rig.truth import Truth
-from lightmatrix.sensor import Sensor
 from lightmatrix.solvers import (
     ADMM,
     ROMP,
@@ -37,6 +38,7 @@ from lightmatrix.solvers import (
 )
 from lightmatrix.solvers.objective import relative_gap
 from lightmatrix.solvers.system import System, centred_energy
+from lightmatrix.transport.metrics import relative_error
 
 SOLVERS = [ActiveSet(), SaturationADMM(), SaturationADMM(Fidelity.CLIPPED), ADMM(), ROMP()]
 
@@ -162,7 +164,7 @@ def test_restricted_problems_keep_the_means_of_whole_patterns(solver: Any) -> No
     rows = random.random((3, 6)) @ patterns.matrix.T.astype(np.float64) + 0.4 * whole.means
     level = float(np.quantile(rows, 0.9))
     samples = np.minimum(rows, level)
-    problem = Problem(patterns, samples, samples >= level, np.full(40, level), 1e-3)
+    problem = Problem(patterns, Samples(samples, samples >= level, np.full(40, level)), 1e-3)
     result = solve(problem, solver)
     fidelity = solver.fidelity if solver.fidelity.convex else Fidelity.ONE_SIDED
     _, gap = relative_gap(problem, result.coefficients, result.background, fidelity)

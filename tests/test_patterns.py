@@ -11,22 +11,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from lightmatrix.camera.samples import Samples
 from lightmatrix.errors import InputError
-from lightmatrix.pattern_folder import read_patterns, write_patterns
-from lightmatrix.pattern_kinds import from_description
-from lightmatrix.pattern_mix import MixedPatterns, default_mix, parse_mix
-from lightmatrix.patterns import (
-    BernoulliPatterns,
-    BitPatterns,
-    BlockPatterns,
-    HadamardPatterns,
-    ImagePatterns,
-    PatternSet,
-    block_mean,
-    grid_cells,
-    one_pixel_patterns,
-    sampled_pixels,
-)
+from lightmatrix.patterns.bits import BernoulliPatterns, BitPatterns
+from lightmatrix.patterns.blocks import BlockPatterns, one_pixel_patterns, sampled_pixels
+from lightmatrix.patterns.folder import read_patterns, write_patterns
+from lightmatrix.patterns.grids import block_mean, grid_cells
+from lightmatrix.patterns.hadamard import HadamardPatterns
+from lightmatrix.patterns.kinds import from_description
+from lightmatrix.patterns.mix import MixedPatterns, default_mix, parse_mix
+from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
 from lightmatrix.solvers import ActiveSet
 from lightmatrix.solvers.problem import Problem
 
@@ -205,7 +199,7 @@ def test_mix_comes_back_from_disk(tmp_path: Path) -> None:
 def test_the_fast_solver_takes_a_mix_as_bits() -> None:
     mix = MixedPatterns((12, 10), 24, parse_mix("fine:0.5,3x5:0.5", (12, 10)))
     samples = mix.forward(np.eye(1, 120, 7, np.float32))
-    problem = Problem(mix, samples, samples > 9, np.full(24, 9, np.float32), 0.01)
+    problem = Problem(mix, Samples(samples, samples > 9, np.full(24, 9, np.float32)), 0.01)
     solved = ActiveSet().solve(problem)
     assert solved.gap[0] <= 1e-4
     assert solved.coefficients.toarray()[0].argmax() == 7

@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 
 from lightmatrix.cli import main
 from lightmatrix.errors import InputError
-from lightmatrix.images import write_image
-from lightmatrix.patterns import BernoulliPatterns
-from lightmatrix.plan import (
+from lightmatrix.files.images import write_image
+from lightmatrix.patterns.bits import BernoulliPatterns
+from lightmatrix.planning.advice import (
     NOISE_LIMIT,
     WhiteFrame,
     advise_density,
@@ -22,7 +22,7 @@ from lightmatrix.plan import (
     clipped_share,
     single_clipped_share,
 )
-from lightmatrix.plan_table import counts, expectations, frames_for, table
+from lightmatrix.planning.table import counts, expectations, frames_for, table
 from lightmatrix.rig.library import truth
 from lightmatrix.rig.simulate import irradiance
 

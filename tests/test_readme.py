@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from lightmatrix.cli import main
-from lightmatrix.images import write_image
+from lightmatrix.files.images import write_image
 
 ROOT = Path(__file__).parent.parent
 # Building and testing themselves, and the shell's own.
@@ -49,7 +49,8 @@ def test_readme_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def _own_photographs(folder: Path) -> None:
-    from lightmatrix.images import list_images, read_image
+    from lightmatrix.files.images import read_image
+    from lightmatrix.files.stack import list_images
 
     total = np.zeros((32, 32))
     paths = list_images(folder / "capture" / "images")

@@ -13,11 +13,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from lightmatrix.capture import Capture
+from lightmatrix.camera.samples import Samples
+from lightmatrix.capture.capture import Capture
 from lightmatrix.errors import InputError
-from lightmatrix.estimators.automatic import automatic_regularization
-from lightmatrix.estimators.coherent import CoherentEstimator
-from lightmatrix.images import ImageStack
+from lightmatrix.estimators.coherent.estimator import CoherentEstimator
+from lightmatrix.estimators.regularization import automatic_regularization
+from lightmatrix.files.stack import ImageStack
 from lightmatrix.solvers.active_set import ActiveSet
 from lightmatrix.solvers.problem import Problem, Result
 
@@ -75,9 +76,7 @@ def estimate(capture: Capture, rows: NDArray[np.int64], regularization: float = 
     level = np.broadcast_to(samples.clip_level, samples.values.shape)
     problem = Problem(
         capture.patterns,
-        samples.values[rows],
-        samples.clipped[rows],
-        level[rows],
+        Samples(samples.values[rows], samples.clipped[rows], level[rows]),
         regularization * capture.reference_level,
     )
     return ActiveSet().solve(problem)

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
-from problems import clipping_problem
+from problems import clipping_problem, with_samples
 
 from lightmatrix.errors import InputError
-from lightmatrix.patterns import BernoulliPatterns, ImagePatterns
+from lightmatrix.patterns.bits import BernoulliPatterns
+from lightmatrix.patterns.pattern_set import ImagePatterns
 from lightmatrix.solvers import Fidelity
 from lightmatrix.solvers.active_set import ActiveSet
 from lightmatrix.solvers.regularization import (
@@ -70,7 +69,7 @@ def test_the_path_works_for_each_fidelity_and_with_weights(fidelity: Fidelity) -
     problem, _ = clipping_problem(rows=3, count=40)
     weights = np.ones(40)
     weights[::3] = 0
-    weighted = replace(problem, weights=weights)
+    weighted = with_samples(problem, weights=weights)
     path = regularization_path(weighted, solver=ActiveSet(fidelity))
     assert np.isfinite(path.errors).all()
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lightmatrix.errors import InputError
-from lightmatrix.patterns import block_mean
+from lightmatrix.patterns.grids import block_mean
 from lightmatrix.rig.coarse import coarse
 from lightmatrix.rig.procedural import ProceduralScene
 from lightmatrix.rig.truth import Truth

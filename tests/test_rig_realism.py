@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lightmatrix.errors import InputError
-from lightmatrix.patterns import BernoulliPatterns
+from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.rig import realism
 from lightmatrix.rig.procedural import ProceduralScene
 from lightmatrix.rig.truth import Truth

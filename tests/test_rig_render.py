@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from lightmatrix.errors import InputError, LightMatrixWarning, MissingExtraError
-from lightmatrix.images import read_image
+from lightmatrix.files.images import read_image
 from lightmatrix.rig import library, memory, renderer, thumbnails
 from lightmatrix.rig.llvm import load_mitsuba
 from lightmatrix.rig.memory import foreseen_bytes

@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lightmatrix.errors import InputError
-from lightmatrix.patterns import BernoulliPatterns, HadamardPatterns
+from lightmatrix.patterns.bits import BernoulliPatterns
+from lightmatrix.patterns.hadamard import HadamardPatterns
 from lightmatrix.rig import simulate
 from lightmatrix.rig.procedural import ProceduralScene
 

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from problems import clipping_problem
+from problems import clipping_problem, with_samples
 
+from lightmatrix.camera.samples import Samples
 from lightmatrix.errors import InputError, SolverError
-from lightmatrix.patterns import ImagePatterns
+from lightmatrix.patterns.pattern_set import ImagePatterns
 from lightmatrix.solvers import ROMP, Fidelity, Problem, solve
 from lightmatrix.solvers.objective import data_term, predictions
 
@@ -49,7 +49,13 @@ def test_batched_romp_is_the_literal_algorithm(seed: int, n: int, count: int) ->
     for row in x:
         row[random.permutation(60)[:4]] = random.standard_normal(4)
     y = patterns.forward(x)
-    problem = Problem(patterns, y, y > np.inf, np.full(count, np.inf), 1.0, None, False, False)
+    problem = Problem(
+        patterns,
+        Samples(y, y > np.inf, np.full(count, np.inf), None),
+        1.0,
+        nonnegative=False,
+        background=False,
+    )
     result = solve(problem, ROMP(n, Fidelity.LINEAR))
     matrix = patterns.dense().astype(np.float64)
     for index in range(4):
@@ -61,9 +67,9 @@ def test_batched_romp_is_the_literal_algorithm(seed: int, n: int, count: int) ->
 
 def test_rejection_never_looks_at_clipped_samples() -> None:
     problem, _ = clipping_problem(count=60)
-    spoiled = np.where(problem.clipped, 50.0, problem.samples)
+    spoiled = np.where(problem.samples.clipped, 50.0, problem.samples.values)
     one = solve(problem, ROMP())
-    two = solve(replace(problem, samples=spoiled), ROMP())
+    two = solve(with_samples(problem, values=spoiled), ROMP())
     np.testing.assert_array_equal(one.coefficients.toarray(), two.coefficients.toarray())
     np.testing.assert_array_equal(one.background, two.background)
 
@@ -87,9 +93,11 @@ def test_objective_is_recomputed_from_the_definition() -> None:
 
 def test_every_sample_clipped_and_dark_rows_give_nothing() -> None:
     problem, _ = clipping_problem()
-    blind = solve(replace(problem, clipped=np.ones_like(problem.clipped)), ROMP())
+    blind = solve(with_samples(problem, clipped=np.ones_like(problem.samples.clipped)), ROMP())
     assert blind.coefficients.nnz == 0
-    dark = solve(replace(problem, samples=0 * problem.samples), ROMP(fidelity=Fidelity.LINEAR))
+    dark = solve(
+        with_samples(problem, values=0 * problem.samples.values), ROMP(fidelity=Fidelity.LINEAR)
+    )
     assert dark.coefficients.nnz == 0
     empty = solve(problem.take(np.arange(0)), ROMP())
     assert empty.coefficients.shape == (0, problem.patterns.pixels)

@@ -10,8 +10,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from lightmatrix.camera.decoder import Decoder
+from lightmatrix.camera.response import Response
+from lightmatrix.camera.samples import Samples, bin_samples
+from lightmatrix.camera.sensor import Sensor
 from lightmatrix.errors import InputError
-from lightmatrix.sensor import Decoded, Decoder, Response, Sensor, bin_samples
 
 seeds = st.integers(0, 2**32)
 small = st.integers(1, 9)
@@ -203,7 +206,7 @@ def test_binning_keeps_the_truth(
     clipped = generator.random((count, frames)) < 0.2
     level = generator.random((count, 1) if per_pixel else (frames,)).astype(np.float32)
     valid = generator.random(count) < 0.7
-    binned, any_valid = bin_samples(Decoded(values, clipped, level), valid, shape, block)
+    binned, any_valid = bin_samples(Samples(values, clipped, level), valid, shape, block)
 
     grid = (*size, channels[0] if channels else 1)
     row = 0
@@ -240,7 +243,7 @@ def test_a_binned_clipped_sample_is_a_lower_bound() -> None:
     decoded = sensor.decoder().decode(sensor.expose(light))
     binned, _ = bin_samples(decoded, None, (8, 8), (2, 4))
     truth, _ = bin_samples(
-        Decoded(light.astype(np.float32), decoded.clipped, decoded.clip_level), None, (8, 8), (2, 4)
+        Samples(light.astype(np.float32), decoded.clipped, decoded.clip_level), None, (8, 8), (2, 4)
     )
     assert binned.clipped.any()
     assert not binned.clipped.all()

@@ -21,7 +21,7 @@ from scipy.sparse import csr_array
 
 from lightmatrix import store
 from lightmatrix.errors import InputError, OutputError
-from lightmatrix.transport import LightTransport
+from lightmatrix.transport.matrix import LightTransport
 
 
 def transport(

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.sparse import csr_array
 
 from lightmatrix.errors import InputError
-from lightmatrix.transport import LightTransport
+from lightmatrix.transport.matrix import LightTransport
 
 sizes = st.integers(1, 6)
 

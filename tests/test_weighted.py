@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from problems import clipping_problem
+from problems import clipping_problem, with_samples
 
+from lightmatrix.camera.samples import Samples
 from lightmatrix.errors import InputError
-from lightmatrix.patterns import BernoulliPatterns, ImagePatterns, PatternSet
+from lightmatrix.patterns.bits import BernoulliPatterns
+from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
 from lightmatrix.solvers import ActiveSet, Problem
 from lightmatrix.solvers.weighted import Blocks, Candidates, Expectation, Start, solve_weighted
 
@@ -31,9 +33,9 @@ def objective(
 ) -> Any:
     u = x @ problem.patterns.dense().T.astype(np.float64)
     u = u + coefficients @ blocks.means + background[:, None] * problem.patterns.means
-    residual = problem.samples - u
-    residual = np.where(problem.clipped, np.maximum(residual, 0), residual)
-    loss = (problem.sample_weights() * residual**2).sum(axis=1) / 2
+    residual = problem.samples.values - u
+    residual = np.where(problem.samples.clipped, np.maximum(residual, 0), residual)
+    loss = (problem.samples.weights_of_all() * residual**2).sum(axis=1) / 2
     norm = (x * weights).sum(axis=1) + coefficients @ blocks.penalties
     return problem.regularization * norm + loss
 
@@ -60,7 +62,7 @@ def test_no_change_improves_the_objective(
 ) -> None:
     random = np.random.default_rng(seed)
     problem, _ = clipping_problem(rows=3, shape=shape, count=count, seed=seed % 1000)
-    problem = replace(problem, weights=random.choice([0.0, 0.5, 1.0], (3, count)))
+    problem = with_samples(problem, weights=random.choice([0.0, 0.5, 1.0], (3, count)))
     weights = random.uniform(0.05, 3, (3, problem.patterns.pixels))
     candidates = every_pixel(problem, weights)
     weights = candidates.penalties.reshape(weights.shape).astype(np.float64)
@@ -129,11 +131,13 @@ def test_expected_samples_are_further_samples(packed: bool) -> None:
     twice = np.concatenate([problem.patterns.images(), both])
     extended = Problem(
         ImagePatterns(twice),
-        np.concatenate([problem.samples, values], axis=1).astype(np.float64),
-        np.concatenate([problem.clipped, np.zeros(values.shape, bool)], axis=1),
-        np.ones(len(twice)),
+        Samples(
+            np.concatenate([problem.samples.values, values], axis=1).astype(np.float64),
+            np.concatenate([problem.samples.clipped, np.zeros(values.shape, bool)], axis=1),
+            np.ones(len(twice)),
+            np.concatenate([np.ones(problem.samples.values.shape), weights], axis=1),
+        ),
         problem.regularization,
-        weights=np.concatenate([np.ones(problem.samples.shape), weights], axis=1),
     )
     again = np.concatenate([means[:, :count], means], axis=1)
     plain = solve_weighted(extended, every_pixel(extended), Blocks(again, penalties), SOLVER).rows
@@ -144,7 +148,7 @@ def test_expected_samples_are_further_samples(packed: bool) -> None:
 def test_a_background_of_its_own_replaces_the_means() -> None:
     problem, _ = clipping_problem(rows=4)
     random = np.random.default_rng(3)
-    own = random.random(problem.samples.shape).astype(np.float32)
+    own = random.random(problem.samples.values.shape).astype(np.float32)
     none = Blocks.none(problem.patterns)
     found = solve_weighted(problem, every_pixel(problem), none, SOLVER, background=own).rows
     x, b = found.coefficients.toarray(), found.background

@@ -9,10 +9,10 @@ from typing import Annotated, Any
 
 import typer
 
-from lightmatrix.atomic import atomic_folder, check_output
 from lightmatrix.cli.common import Json, Overwrite, out, progress, show_json
 from lightmatrix.experiments import demo as demo_report
 from lightmatrix.experiments import few_patterns, fig4, fig5, fig6, fig7
+from lightmatrix.files.outputs import atomic_folder, check_output
 
 
 class Figure(StrEnum):

@@ -10,9 +10,11 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from lightmatrix import pattern_mix
-from lightmatrix.atomic import check_output
-from lightmatrix.capture import read_patterns, write_capture, write_patterns
+from lightmatrix.camera.exposures import EXAMPLE as EXPOSURES_EXAMPLE
+from lightmatrix.camera.exposures import of_frames, parse_exposures
+from lightmatrix.camera.noise import USUAL_NOISE
+from lightmatrix.camera.sensor import Sensor
+from lightmatrix.capture.folder import write_capture
 from lightmatrix.cli.common import (
     Json,
     Overwrite,
@@ -24,21 +26,18 @@ from lightmatrix.cli.common import (
     size,
 )
 from lightmatrix.errors import InputError
-from lightmatrix.exposures import EXAMPLE as EXPOSURES_EXAMPLE
-from lightmatrix.exposures import of_frames, parse_exposures
-from lightmatrix.patterns import (
-    BernoulliPatterns,
-    BlockPatterns,
-    HadamardPatterns,
-    PatternSet,
-    one_pixel_patterns,
-)
+from lightmatrix.files.outputs import check_output
+from lightmatrix.patterns import mix as pattern_mix
+from lightmatrix.patterns.bits import BernoulliPatterns
+from lightmatrix.patterns.blocks import BlockPatterns, one_pixel_patterns
+from lightmatrix.patterns.folder import read_patterns, write_patterns
+from lightmatrix.patterns.hadamard import HadamardPatterns
+from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.rig import library, realism
 from lightmatrix.rig.renderer import render
 from lightmatrix.rig.scenes import BUILDERS, names
 from lightmatrix.rig.simulate import irradiance
 from lightmatrix.rig.thumbnails import write_thumbnails
-from lightmatrix.sensor import Sensor
 
 
 class PatternKind(StrEnum):
@@ -258,7 +257,7 @@ def simulate(
     bits: Annotated[int, typer.Option(help="Bit depth: 8, 10, 12 or 16.")] = 8,
     noise: Annotated[
         float, typer.Option(help="Read noise, standard deviation as a share of the clip level.")
-    ] = 0.003,
+    ] = USUAL_NOISE,
     shot_noise: Annotated[
         float,
         typer.Option(help="Shot noise at the clip level, standard deviation as a share of it."),

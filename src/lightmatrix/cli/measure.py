@@ -10,8 +10,7 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from lightmatrix.atomic import check_output
-from lightmatrix.capture import Capture
+from lightmatrix.capture.capture import Capture
 from lightmatrix.cli.common import (
     Clip,
     Json,
@@ -25,10 +24,11 @@ from lightmatrix.cli.common import (
 )
 from lightmatrix.cli.results import named, summary
 from lightmatrix.errors import InputError
-from lightmatrix.estimators.automatic import held_out_path
-from lightmatrix.estimators.coherent import WORTH_IT_UP_TO, CoherentEstimator
-from lightmatrix.estimators.multiscale import MultiScaleEstimator
+from lightmatrix.estimators.coherent.estimator import WORTH_IT_UP_TO, CoherentEstimator
+from lightmatrix.estimators.multiscale.estimator import MultiScaleEstimator
 from lightmatrix.estimators.plain import PlainEstimator
+from lightmatrix.estimators.regularization import held_out_path
+from lightmatrix.files.outputs import check_output
 from lightmatrix.solvers import ADMM, ROMP, ActiveSet, SaturationADMM, Solver
 from lightmatrix.solvers.problem import Fidelity
 

@@ -10,6 +10,9 @@ import numpy as np
 import typer
 from rich.table import Table
 
+from lightmatrix.camera.exposures import of_frames
+from lightmatrix.camera.noise import USUAL_NOISE
+from lightmatrix.capture.white_frame import read_white_frame
 from lightmatrix.cli.common import (
     Clip,
     Json,
@@ -21,20 +24,17 @@ from lightmatrix.cli.common import (
     size,
 )
 from lightmatrix.errors import InputError
-from lightmatrix.exposures import of_frames
-from lightmatrix.pattern_mix import FEWEST_MIXED, MixedPatterns, default_mix
-from lightmatrix.plan import (
+from lightmatrix.patterns.mix import FEWEST_MIXED, MixedPatterns, default_mix
+from lightmatrix.planning.advice import (
     DENSITY,
-    USUAL_NOISE,
     WhiteFrame,
     advise_density,
     advise_exposures,
     clipped_share,
     single_clipped_share,
 )
-from lightmatrix.plan_table import counts, expectations, frames_for
+from lightmatrix.planning.table import counts, expectations, frames_for
 from lightmatrix.rig.scenes import names
-from lightmatrix.white_frame import read_white_frame
 
 _NAMES = {"plain": "row by row"}
 USUAL_SIZE = (128, 128)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from lightmatrix.transport import LightTransport
+from lightmatrix.transport.matrix import LightTransport
 
 # What the keys of the JSON mean, where their words do not say it.
 _MEANING = {

@@ -10,7 +10,6 @@ import numpy as np
 import typer
 
 from lightmatrix import store
-from lightmatrix.atomic import check_output
 from lightmatrix.cli.common import (
     Json,
     Overwrite,
@@ -22,7 +21,11 @@ from lightmatrix.cli.common import (
 )
 from lightmatrix.cli.results import background_share, named, summary
 from lightmatrix.errors import InputError
-from lightmatrix.evaluate import (
+from lightmatrix.files.images import read_grey, write_image
+from lightmatrix.files.outputs import check_output
+from lightmatrix.rig.scenes import scene as find_scene
+from lightmatrix.transport.matrix import LightTransport
+from lightmatrix.transport.metrics import (
     diffuse_rows,
     relative_error,
     relighting_error,
@@ -30,9 +33,6 @@ from lightmatrix.evaluate import (
     unclipped_rows,
     unseen_patterns,
 )
-from lightmatrix.images import read_grey, write_image
-from lightmatrix.rig.scenes import scene as find_scene
-from lightmatrix.transport import LightTransport
 
 Store = Annotated[Path, typer.Argument(metavar="SCENE.zarr", help="A store made by `estimate`.")]
 

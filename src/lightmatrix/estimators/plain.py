@@ -10,10 +10,9 @@ from typing import Any
 import numpy as np
 from scipy.sparse import csr_array
 
-from lightmatrix.capture import Capture
+from lightmatrix.capture.capture import Capture
 from lightmatrix.errors import InputError
-from lightmatrix.estimators.automatic import automatic_regularization
-from lightmatrix.estimators.tiles import (
+from lightmatrix.estimators.join import (
     TILE_BYTES,
     Progress,
     Tile,
@@ -22,9 +21,10 @@ from lightmatrix.estimators.tiles import (
     joined,
     solver_provenance,
 )
+from lightmatrix.estimators.regularization import automatic_regularization
 from lightmatrix.solvers import Solver, solve
 from lightmatrix.solvers.problem import Problem
-from lightmatrix.transport import LightTransport
+from lightmatrix.transport.matrix import LightTransport
 
 
 @dataclass(frozen=True)
@@ -133,13 +133,10 @@ class _Tiles:
         samples = self.capture.samples(start, stop)
         problem = Problem(
             self.capture.patterns,
-            samples.values,
-            samples.clipped,
-            samples.clip_level,
+            samples,
             self.regularization,
-            samples.weights,
-            self.estimator.nonnegative,
-            self.estimator.background,
+            nonnegative=self.estimator.nonnegative,
+            background=self.estimator.background,
         )
         total = self.capture.rows
 

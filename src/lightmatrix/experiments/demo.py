@@ -17,27 +17,28 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from rich.table import Table
 
-from lightmatrix.capture import Capture, write_capture
+from lightmatrix.camera.noise import USUAL_NOISE
+from lightmatrix.camera.sensor import Sensor
+from lightmatrix.capture.capture import Capture
+from lightmatrix.capture.folder import write_capture
 from lightmatrix.estimators.plain import PlainEstimator
-from lightmatrix.evaluate import (
+from lightmatrix.patterns.bits import BernoulliPatterns
+from lightmatrix.pictures.style import display, figure, mark_clipped, panel, save
+from lightmatrix.rig import library
+from lightmatrix.rig.coarse import coarse
+from lightmatrix.rig.simulate import irradiance
+from lightmatrix.solvers import ADMM, ROMP, Fidelity, SaturationADMM, Solver
+from lightmatrix.transport.matrix import LightTransport
+from lightmatrix.transport.metrics import (
     relative_error,
     relighting_error,
     response_rmse,
     row_maximum,
     unseen_patterns,
 )
-from lightmatrix.figures import display, figure, mark_clipped, panel, save
-from lightmatrix.patterns import BernoulliPatterns
-from lightmatrix.rig import library
-from lightmatrix.rig.coarse import coarse
-from lightmatrix.rig.simulate import irradiance
-from lightmatrix.sensor import Sensor
-from lightmatrix.solvers import ADMM, ROMP, Fidelity, SaturationADMM, Solver
-from lightmatrix.transport import LightTransport
 
 SCENE = "l_objects"
 PATTERNS = 256
-NOISE = 0.003
 # The brightest single responses just reach the clip level: what clips is the sum of many.
 SOLVERS: dict[str, Solver] = {
     "ROMP": ROMP(fidelity=Fidelity.LINEAR),
@@ -60,7 +61,7 @@ def run(out: Path, *, progress: Callable[[int, int], None] | None = None) -> dic
     known = truth.transport()
     exposure = 1 / float(np.quantile(row_maximum(known), 0.98))
     patterns = BernoulliPatterns(truth.projector_shape, PATTERNS)
-    sensor = Sensor(exposure, 0.0, NOISE, 0.0, 8)
+    sensor = Sensor(exposure, 0.0, USUAL_NOISE, 0.0, 8)
     frames = sensor.expose(irradiance(truth.matrix, patterns))
     stack = np.ascontiguousarray(frames.T).reshape(PATTERNS, *truth.camera_shape)
     folder = out / "capture"
@@ -77,7 +78,7 @@ def run(out: Path, *, progress: Callable[[int, int], None] | None = None) -> dic
         "size": list(truth.camera_shape),
         "patterns": PATTERNS,
         "exposure": exposure,
-        "noise": NOISE,
+        "noise": USUAL_NOISE,
         "clipped_samples": float((frames >= sensor.clip_level).mean()),
         "clipping_responses": float((row_maximum(known) * exposure > 1).mean()),
         "methods": [

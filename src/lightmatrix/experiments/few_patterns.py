@@ -15,17 +15,18 @@ import numpy as np
 from matplotlib.ticker import FixedLocator, NullLocator
 from scipy.sparse import csr_array
 
-from lightmatrix.capture import Capture
-from lightmatrix.estimators.coherent import DEFAULT_REGULARIZATION, CoherentEstimator
+from lightmatrix.capture.capture import Capture
+from lightmatrix.estimators.coherent.estimator import DEFAULT_REGULARIZATION, CoherentEstimator
 from lightmatrix.estimators.plain import PlainEstimator
 from lightmatrix.experiments.measured_scene import ONE_EXPOSURE, Exposures, MeasuredScene
-from lightmatrix.figures import COLOURS, figure, save
-from lightmatrix.pattern_mix import MixedPatterns, default_mix
-from lightmatrix.patterns import BernoulliPatterns, PatternSet
+from lightmatrix.patterns.bits import BernoulliPatterns
+from lightmatrix.patterns.mix import MixedPatterns, default_mix
+from lightmatrix.patterns.pattern_set import PatternSet
+from lightmatrix.pictures.style import COLOURS, figure, save
 from lightmatrix.rig import library
 from lightmatrix.solvers import ActiveSet, Problem
 from lightmatrix.solvers.weighted import Blocks, Candidates, solve_weighted
-from lightmatrix.transport import LightTransport
+from lightmatrix.transport.matrix import LightTransport
 
 SCENES = {"l_objects": "L objects", "gripper": "gripper", "metal": "metallic objects"}
 SIZE = (128, 128)
@@ -185,14 +186,7 @@ def _with_known_support(scene: MeasuredScene, capture: Capture) -> LightTranspor
     support.data[support.data < KNOWN_SUPPORT * level] = 0
     support.eliminate_zeros()
     samples = capture.samples()
-    problem = Problem(
-        capture.patterns,
-        samples.values,
-        samples.clipped,
-        samples.clip_level,
-        KNOWN_PENALTY * DEFAULT_REGULARIZATION * level,
-        samples.weights,
-    )
+    problem = Problem(capture.patterns, samples, KNOWN_PENALTY * DEFAULT_REGULARIZATION * level)
     candidates = Candidates(
         support.indptr.astype(np.int64),
         support.indices.astype(np.int32),

@@ -17,9 +17,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lightmatrix.camera.samples import Samples
 from lightmatrix.experiments.trials import TrialPatterns
-from lightmatrix.figures import COLOURS, figure, save
-from lightmatrix.patterns import ImagePatterns
+from lightmatrix.patterns.pattern_set import ImagePatterns
+from lightmatrix.pictures.style import COLOURS, figure, save
 from lightmatrix.solvers import ADMM, ROMP, Fidelity, Problem, SaturationADMM, Solver, solve
 
 UNKNOWNS = 100
@@ -172,7 +173,11 @@ def _solve(
 ) -> NDArray[np.float64]:
     levels = np.full(patterns.count, clip_level)
     problem = Problem(
-        patterns, y, y >= clip_level, levels, REGULARIZATION, nonnegative=False, background=False
+        patterns,
+        Samples(y, y >= clip_level, levels),
+        REGULARIZATION,
+        nonnegative=False,
+        background=False,
     )
     return solve(problem, solver).coefficients.toarray()
 

@@ -10,16 +10,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lightmatrix.camera.sensor import Sensor
 from lightmatrix.errors import MissingExtraError
-from lightmatrix.evaluate import diffuse_rows
-from lightmatrix.figures import display, figure, mark_clipped, panel, save
-from lightmatrix.patterns import BernoulliPatterns
+from lightmatrix.patterns.bits import BernoulliPatterns
+from lightmatrix.pictures.style import display, figure, mark_clipped, panel, save
 from lightmatrix.rig import library
 from lightmatrix.rig.simulate import irradiance
 from lightmatrix.rig.statistics import clipped_share, direct_share, entries_for_energy
 from lightmatrix.rig.thumbnails import photograph, white_level
 from lightmatrix.rig.truth import Truth
-from lightmatrix.sensor import Sensor
+from lightmatrix.transport.metrics import diffuse_rows
 
 SCENES = {"l_objects": "(a) L objects", "gripper": "(b) gripper", "metal": "(c) metallic objects"}
 EXPOSURES = (0.1, 0.2, 0.4, 0.8, 1.0)

@@ -27,9 +27,10 @@ import numpy as np
 from matplotlib.ticker import LogLocator, NullLocator
 from numpy.typing import NDArray
 
-from lightmatrix.capture import Capture
-from lightmatrix.estimators.coherent import WORTH_IT_UP_TO
-from lightmatrix.experiments.measured_scene import BITS, NOISE, MeasuredScene
+from lightmatrix.camera.noise import USUAL_NOISE
+from lightmatrix.capture.capture import Capture
+from lightmatrix.estimators.coherent.estimator import WORTH_IT_UP_TO
+from lightmatrix.experiments.measured_scene import BITS, MeasuredScene
 from lightmatrix.experiments.methods import (
     BY_NAME,
     ITERATIONS,
@@ -38,8 +39,9 @@ from lightmatrix.experiments.methods import (
     ROMP_SPARSITY,
     Reach,
 )
-from lightmatrix.figures import figure, save
-from lightmatrix.patterns import BernoulliPatterns, sampled_pixels
+from lightmatrix.patterns.bits import BernoulliPatterns
+from lightmatrix.patterns.blocks import sampled_pixels
+from lightmatrix.pictures.style import figure, save
 from lightmatrix.rig import library
 
 SCENES = {"l_objects": "(a) L objects", "gripper": "(b) gripper", "metal": "(c) metallic objects"}
@@ -109,7 +111,7 @@ def write(out: Path, rows: list[dict[str, Any]]) -> dict[str, Any]:
     result: dict[str, Any] = {
         "parameters": {
             "size": rows[0]["size"],
-            "noise": NOISE,
+            "noise": USUAL_NOISE,
             "bits": BITS,
             "lambda": REGULARIZATION,
             "iterations": ITERATIONS,

@@ -20,12 +20,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 
-from lightmatrix.capture import Capture
+from lightmatrix.capture.capture import Capture
 from lightmatrix.experiments.fig6 import SCENES, captured, measured_scene
 from lightmatrix.experiments.measured_scene import Exposures
 from lightmatrix.experiments.methods import BY_NAME, REGULARIZATION
-from lightmatrix.figures import display, figure, panel, save
-from lightmatrix.pattern_mix import MixedPatterns, default_mix
+from lightmatrix.patterns.mix import MixedPatterns, default_mix
+from lightmatrix.pictures.style import display, figure, panel, save
 
 OBSERVATIONS = 256
 EXPOSURES: Exposures = ((1.0, 0.5), (0.25, 0.25), (0.0625, 0.25))

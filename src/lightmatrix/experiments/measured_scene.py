@@ -9,8 +9,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.capture import Capture
-from lightmatrix.evaluate import (
+from lightmatrix.camera.exposures import of_frames
+from lightmatrix.camera.noise import USUAL_NOISE
+from lightmatrix.camera.sensor import Sensor
+from lightmatrix.capture.capture import Capture
+from lightmatrix.patterns.pattern_set import PatternSet
+from lightmatrix.rig.simulate import irradiance
+from lightmatrix.rig.truth import Truth
+from lightmatrix.transport.matrix import LightTransport
+from lightmatrix.transport.metrics import (
     UNCLIPPED_RESPONSE,
     benchmark_exposure,
     diffuse_rows,
@@ -19,14 +26,7 @@ from lightmatrix.evaluate import (
     squared_errors,
     unseen_patterns,
 )
-from lightmatrix.exposures import of_frames
-from lightmatrix.patterns import PatternSet
-from lightmatrix.rig.simulate import irradiance
-from lightmatrix.rig.truth import Truth
-from lightmatrix.sensor import Sensor
-from lightmatrix.transport import LightTransport
 
-NOISE = 0.003
 BITS = 8
 # Neighbouring camera pixels whose strongest projector pixels are further apart than this lie on
 # two sides of a depth edge.
@@ -86,7 +86,9 @@ class MeasuredScene:
         reach = 1 if clipping else 2**HEADROOM_BITS
         bits = BITS if clipping else BITS + HEADROOM_BITS
         exposure = of_frames(exposures, patterns)
-        sensor = Sensor(np.multiply(exposure, self.exposure / reach), 0.0, NOISE / reach, 0.0, bits)
+        sensor = Sensor(
+            np.multiply(exposure, self.exposure / reach), 0.0, USUAL_NOISE / reach, 0.0, bits
+        )
         frames = sensor.expose(irradiance(self.truth.matrix, patterns), seed=seed)
         stack = np.ascontiguousarray(frames.T).reshape(patterns.count, *self.truth.camera_shape)
         capture = Capture.from_arrays(patterns, stack, sensor, check=False)

@@ -6,13 +6,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
 
-from lightmatrix.capture import Capture
-from lightmatrix.estimators.coherent import CoherentEstimator
-from lightmatrix.estimators.multiscale import MultiScaleEstimator
+from lightmatrix.capture.capture import Capture
+from lightmatrix.estimators.coherent.estimator import CoherentEstimator
+from lightmatrix.estimators.multiscale.estimator import MultiScaleEstimator
 from lightmatrix.estimators.plain import PlainEstimator
-from lightmatrix.figures import COLOURS
+from lightmatrix.pictures.style import COLOURS
 from lightmatrix.solvers import ADMM, ROMP, ActiveSet, Fidelity, SaturationADMM, Solver
-from lightmatrix.transport import LightTransport
+from lightmatrix.transport.matrix import LightTransport
 
 # The paper states none of these. lambda is 0.16 clip levels for all, n of ROMP as in Fig. 4. The
 # iterated solvers take mu and nu by rule and stop after so many iterations.

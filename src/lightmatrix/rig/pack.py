@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from lightmatrix.atomic import atomic_file
 from lightmatrix.errors import InputError
+from lightmatrix.files.outputs import atomic_file
 from lightmatrix.rig.truth import Truth
 
 FORMAT_VERSION = 1

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from lightmatrix.errors import InputError
-from lightmatrix.patterns import PatternSet
+from lightmatrix.patterns.pattern_set import PatternSet
 
 _BLOCK_ENTRIES = 1 << 22
 # Values of a block of patterns: 4 MiB, measured best at 128 x 128 (two to three times faster than

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.patterns import BernoulliPatterns
+from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.rig.simulate import irradiance
 from lightmatrix.rig.thinning import ascending_in_rows
 from lightmatrix.rig.truth import Truth

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.atomic import atomic_folder
 from lightmatrix.errors import MissingExtraError
-from lightmatrix.images import write_image
+from lightmatrix.files.images import write_image
+from lightmatrix.files.outputs import atomic_folder
 from lightmatrix.rig import library
 from lightmatrix.rig.llvm import load_mitsuba
 from lightmatrix.rig.mitsuba_scene import mitsuba_scene

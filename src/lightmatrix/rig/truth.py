@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from lightmatrix.atomic import atomic_file
 from lightmatrix.errors import InputError
-from lightmatrix.transport import LightTransport
+from lightmatrix.files.outputs import atomic_file
+from lightmatrix.transport.matrix import LightTransport
 
 FORMAT_VERSION = 1
 

@@ -12,7 +12,9 @@ from scipy.sparse import csr_array
 
 from lightmatrix import _core
 from lightmatrix.errors import InputError, SolverError
-from lightmatrix.patterns import HadamardPatterns, PackedPatterns, PatternSet
+from lightmatrix.patterns.bits import PackedPatterns
+from lightmatrix.patterns.hadamard import HadamardPatterns
+from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.solvers.loop import Progress
 from lightmatrix.solvers.problem import Fidelity, Problem, Result, Status
 
@@ -102,8 +104,8 @@ class ActiveSet:
             `iterations` are passes over all pixels; the coefficients are float64, as certified.
         """
         solved = prepared(problem.patterns).solve(
-            np.ascontiguousarray(problem.samples),
-            np.ascontiguousarray(problem.clipped),
+            np.ascontiguousarray(problem.samples.values),
+            np.ascontiguousarray(problem.samples.clipped),
             sample_weights(problem),
             None if start is None else starting_rows(problem, start.coefficients, start.background),
             float(problem.regularization),
@@ -167,9 +169,9 @@ def _bits(patterns: PatternSet) -> NDArray[np.uint8] | None:
 
 def sample_weights(problem: Problem) -> NDArray[np.float64] | None:
     """The weights as the core takes them."""
-    if problem.weights is None:
+    if problem.samples.weights is None:
         return None
-    return np.ascontiguousarray(np.atleast_2d(problem.weights), np.float64)
+    return np.ascontiguousarray(np.atleast_2d(problem.samples.weights), np.float64)
 
 
 def starting_rows(

@@ -60,11 +60,11 @@ class ADMM:
         scale = _shared_weights(problem)
         system = System(problem.patterns, mu * problem.regularization, problem.background, scale)
         y = (
-            problem.samples
+            problem.samples.values
             if scale is None
-            else problem.samples * scale.astype(problem.samples.dtype)
+            else problem.samples.values * scale.astype(problem.samples.values.dtype)
         )
-        zero = np.zeros((problem.rows, system.unknowns), problem.samples.dtype)
+        zero = np.zeros((problem.rows, system.unknowns), problem.samples.values.dtype)
         return ADMMState(zero, zero, zero, y, system, mu)
 
     def step(self, problem: Problem, state: ADMMState) -> ADMMState:
@@ -147,7 +147,7 @@ def check_count(**values: int | None) -> None:
 
 def _shared_weights(problem: Problem) -> NDArray[np.float64] | None:
     """Square roots of the patterns' weights, if all rows share them."""
-    weights = problem.weights
+    weights = problem.samples.weights
     if weights is None:
         return None
     if weights.ndim == 2:

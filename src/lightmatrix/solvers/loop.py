@@ -144,7 +144,7 @@ class _Finished:
         self.count = 0
         self.order: list[NDArray[np.integer]] = []
         self.coefficients: list[csr_array] = []
-        self.background = np.zeros(rows, self.problem.samples.dtype)
+        self.background = np.zeros(rows, self.problem.samples.values.dtype)
         self.iterations = np.zeros(rows, np.int32)
         self.converged = np.zeros(rows, bool)
         self.objective = np.zeros(rows)
@@ -177,7 +177,7 @@ class _Finished:
             stacked = csr_array(vstack(self.coefficients, format="csr"))
             stacked = stacked[np.argsort(np.concatenate(self.order))]
         else:
-            stacked = csr_array((0, pixels), dtype=self.problem.samples.dtype)
+            stacked = csr_array((0, pixels), dtype=self.problem.samples.values.dtype)
         if not np.isfinite(history["primal"] + history["dual"]).all():
             status = Status.NOT_FINITE
         elif self.converged.all():

@@ -21,7 +21,7 @@ def predictions(
     problem: Problem, coefficients: csr_array, background: NDArray[Any]
 ) -> NDArray[np.float64]:
     """A x + b m for every row, (M, K) float64."""
-    result = np.empty(problem.samples.shape)
+    result = np.empty(problem.samples.values.shape)
     size = max(1, _BLOCK_BYTES // (8 * problem.patterns.pixels))
     for start in range(0, problem.rows, size):
         rows = coefficients[start : start + size].toarray().astype(np.float64)
@@ -31,21 +31,21 @@ def predictions(
 
 def data_term(problem: Problem, u: NDArray[np.float64], fidelity: Fidelity) -> NDArray[np.float64]:
     """sum_k w_k f_k(u_k) of each row, (M,) float64."""
-    y = problem.samples.astype(np.float64)
-    weights = problem.sample_weights().astype(np.float64)
+    y = problem.samples.values.astype(np.float64)
+    weights = problem.samples.weights_of_all().astype(np.float64)
     residual = y - u
     if fidelity is Fidelity.ONE_SIDED:
-        residual = np.where(problem.clipped, np.maximum(residual, 0), residual)
+        residual = np.where(problem.samples.clipped, np.maximum(residual, 0), residual)
     elif fidelity is Fidelity.REJECTION:
-        residual = np.where(problem.clipped, 0, residual)
+        residual = np.where(problem.samples.clipped, 0, residual)
     elif fidelity is Fidelity.CLIPPED:
-        level = np.maximum(problem.clip_levels().astype(np.float64), y)
-        level = np.where(problem.clipped, y, level)
+        level = np.maximum(problem.samples.clip_levels_of_all().astype(np.float64), y)
+        level = np.where(problem.samples.clipped, y, level)
         residual = y - np.minimum(u, level)
     terms = residual**2 / 2
     if fidelity is Fidelity.LIKELIHOOD:
         width = problem.edge_widths().astype(np.float64)
-        terms = np.where(problem.clipped, -(width**2) * log_ndtr(-residual / width), terms)
+        terms = np.where(problem.samples.clipped, -(width**2) * log_ndtr(-residual / width), terms)
     return np.asarray((weights * terms).sum(axis=1))
 
 
@@ -75,7 +75,7 @@ def relative_gap(
     if not fidelity.convex:
         return primal, np.full(problem.rows, np.nan)
     dual = _dual_value(problem, u, fidelity)
-    y = problem.samples.astype(np.float64)
+    y = problem.samples.values.astype(np.float64)
     floor = 1e-6 * (y**2).sum(axis=1) / 2
     scale = np.maximum(np.maximum(primal, floor), np.finfo(np.float64).tiny)
     return primal, (primal - dual) / scale
@@ -89,21 +89,21 @@ def _norm(problem: Problem, coefficients: csr_array) -> NDArray[np.float64]:
 def _dual_value(
     problem: Problem, u: NDArray[np.float64], fidelity: Fidelity
 ) -> NDArray[np.float64]:
-    y = problem.samples.astype(np.float64)
-    weights = problem.sample_weights().astype(np.float64)
+    y = problem.samples.values.astype(np.float64)
+    weights = problem.samples.weights_of_all().astype(np.float64)
     theta = weights * (y - u)
     free = weights > 0
     if fidelity is Fidelity.ONE_SIDED:
-        theta = np.where(problem.clipped, np.maximum(theta, 0), theta)
-        free = free & ~problem.clipped
+        theta = np.where(problem.samples.clipped, np.maximum(theta, 0), theta)
+        free = free & ~problem.samples.clipped
     elif fidelity is Fidelity.REJECTION:
-        theta = np.where(problem.clipped, 0, theta)
-        free = free & ~problem.clipped
+        theta = np.where(problem.samples.clipped, 0, theta)
+        free = free & ~problem.samples.clipped
     elif fidelity is Fidelity.LIKELIHOOD:
         width = problem.edge_widths().astype(np.float64)
         slope = width * mills((u - y) / width)
-        theta = np.where(problem.clipped, weights * slope, theta)
-        free = free & ~problem.clipped
+        theta = np.where(problem.samples.clipped, weights * slope, theta)
+        free = free & ~problem.samples.clipped
     if problem.background:
         theta = _orthogonal_to_means(problem, theta, free)
     highest = np.empty(problem.rows)
@@ -129,16 +129,16 @@ def _likelihood_dual(
     problem: Problem, theta: NDArray[np.float64], highest: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """The dual value of theta, scaled down until it is feasible."""
-    weights = problem.sample_weights().astype(np.float64)
+    weights = problem.samples.weights_of_all().astype(np.float64)
     width = problem.edge_widths().astype(np.float64)
     with np.errstate(divide="ignore"):
         scaling = np.where(highest > 0, problem.regularization / highest, np.inf)
     theta = theta * np.minimum(scaling, 1)[:, None]
     share = np.divide(theta, weights, out=np.zeros_like(theta), where=weights > 0)
     cost = share**2 / 2
-    at = np.nonzero(problem.clipped)
+    at = np.nonzero(problem.samples.clipped)
     cost[at] = width[at] ** 2 * _log_ndtr_conjugate(share[at] / width[at])
-    return np.asarray((problem.samples * theta - weights * cost).sum(axis=1))
+    return np.asarray((problem.samples.values * theta - weights * cost).sum(axis=1))
 
 
 def _log_ndtr_conjugate(t: NDArray[np.float64]) -> NDArray[np.float64]:

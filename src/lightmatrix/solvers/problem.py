@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
+from lightmatrix.camera.samples import Samples
 from lightmatrix.errors import InputError
-from lightmatrix.patterns import PatternSet
+from lightmatrix.patterns.pattern_set import PatternSet
 
 
 class Fidelity(StrEnum):
@@ -65,17 +66,11 @@ class Problem:
     ----------
     patterns : PatternSet
         K patterns over N projector pixels.
-    samples : (M, K) float32 or float64
-        Camera samples, linear, black subtracted; where clipped, a lower bound.
-    clipped : (M, K) bool
-        Which samples clipped.
-    clip_level : (K,) or (M, K), same dtype as samples
-        The level Y at which the camera clips (needed by the ``clipped`` fidelity, where the
-        prediction of an unclipped sample is clipped too).
+    samples : Samples
+        Of M camera samples under K patterns: linear, black subtracted; where clipped, a lower
+        bound. The `clipped` fidelity uses the clip level of unclipped samples too.
     regularization : float
         The paper's lambda, in units of camera sample; > 0.
-    weights : (M, K) or (K,), optional
-        Weight of each sample in the data term, >= 0; 0 masks it. None means 1.
     nonnegative : bool
         Light is not negative; off only where the paper is reproduced.
     background : bool
@@ -91,51 +86,19 @@ class Problem:
     """
 
     patterns: PatternSet
-    samples: NDArray[Any]
-    clipped: NDArray[np.bool_]
-    clip_level: NDArray[Any]
+    samples: Samples
     regularization: float
-    weights: NDArray[Any] | None = None
     nonnegative: bool = True
     background: bool = True
     edge_noise: float = 0.02
 
     def __post_init__(self) -> None:
-        samples = self.samples
-        if samples.ndim != 2 or samples.shape[1] != self.patterns.count:
-            raise InputError(
-                f"samples have shape {samples.shape}, but there are {self.patterns.count} patterns",
-                hint="give samples as (camera samples, patterns)",
-            )
-        if samples.dtype not in (np.float32, np.float64):
-            raise InputError(f"samples are {samples.dtype}", hint="convert them to float32")
-        if self.clipped.shape != samples.shape or self.clipped.dtype != np.bool_:
-            raise InputError(
-                f"the clipped mask is {self.clipped.dtype} {self.clipped.shape}, "
-                f"the samples are {samples.shape}",
-                hint="give one boolean for each sample",
-            )
-        for name, value in (("clip_level", self.clip_level), ("weights", self.weights)):
-            if value is not None and value.shape not in (samples.shape, samples.shape[1:]):
-                raise InputError(
-                    f"{name} has shape {value.shape}, the samples {samples.shape}",
-                    hint=f"use {samples.shape[1:]} (one a pattern) or {samples.shape}",
-                )
-        if not np.isfinite(samples).all():
-            row, frame = np.argwhere(~np.isfinite(samples))[0]
-            raise InputError(
-                f"the sample of camera row {row}, pattern {frame} is {samples[row, frame]}",
-                hint="mask it with weight 0 and set its value to 0",
-            )
+        self.samples.check(self.patterns.count)
         if not (np.isfinite(self.regularization) and self.regularization > 0):
             raise InputError(
                 f"regularization is {self.regularization}",
                 hint="use a positive number in units of camera sample, such as 0.3",
             )
-        if self.weights is not None and not (
-            np.isfinite(self.weights).all() and (self.weights >= 0).all()
-        ):
-            raise InputError("a weight is negative or not finite", hint="use 0 to mask a sample")
         if not 1e-4 <= self.edge_noise <= 1:
             raise InputError(
                 f"edge_noise is {self.edge_noise}",
@@ -145,38 +108,19 @@ class Problem:
     @property
     def rows(self) -> int:
         """Number of camera samples M."""
-        return int(self.samples.shape[0])
+        return self.samples.count
 
     def take(self, rows: NDArray[np.integer]) -> Problem:
         """The problem of some of the rows."""
-        return replace(
-            self,
-            samples=self.samples[rows],
-            clipped=self.clipped[rows],
-            clip_level=_take(self.clip_level, rows),
-            weights=None if self.weights is None else _take(self.weights, rows),
-        )
-
-    def sample_weights(self) -> NDArray[Any]:
-        """Weights broadcast to (M, K), in the dtype of the samples."""
-        if self.weights is None:
-            return np.ones(self.samples.shape, self.samples.dtype)
-        return np.broadcast_to(self.weights, self.samples.shape).astype(self.samples.dtype)
-
-    def clip_levels(self) -> NDArray[Any]:
-        """Clip levels broadcast to (M, K), in the dtype of the samples."""
-        return np.broadcast_to(self.clip_level, self.samples.shape).astype(self.samples.dtype)
+        return replace(self, samples=self.samples.rows(rows))
 
     def edge_widths(self) -> NDArray[Any]:
         """The s of the ``likelihood`` fidelity, (M, K), in the dtype of the samples."""
         # A level of 0 (room light all over the range) leaves nothing to be wide.
-        tiny = np.finfo(self.samples.dtype).tiny
-        return np.maximum(self.edge_noise * np.abs(self.clip_levels()), np.sqrt(tiny))
-
-
-def _take(values: NDArray[Any], rows: NDArray[np.integer]) -> NDArray[Any]:
-    """Rows of a (M, K) array; a (K,) array is shared by all rows."""
-    return values[rows] if values.ndim == 2 else values
+        tiny = np.finfo(self.samples.values.dtype).tiny
+        return np.maximum(
+            self.edge_noise * np.abs(self.samples.clip_levels_of_all()), np.sqrt(tiny)
+        )
 
 
 @dataclass(frozen=True)

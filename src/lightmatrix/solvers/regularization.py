@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lightmatrix.camera.noise import USUAL_NOISE
 from lightmatrix.errors import InputError
-from lightmatrix.patterns import PatternSet
+from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.solvers.active_set import ActiveSet
 from lightmatrix.solvers.objective import predictions
 from lightmatrix.solvers.problem import Fidelity, Problem, Result
@@ -19,8 +19,6 @@ from lightmatrix.solvers.problem import Fidelity, Problem, Result
 TAIL_SHARE = 0.16
 # Of the universal threshold of the noise.
 NOISE_SHARE = 0.75
-# Of the clip level, where the noise is not known: a decent machine vision camera.
-USUAL_NOISE = 0.003
 
 
 def default_regularization(
@@ -163,27 +161,17 @@ def regularization_path(
 
 def _only(problem: Problem, index: NDArray[np.integer]) -> Problem:
     """The problem with some of its patterns."""
-
-    def chosen(values: NDArray[Any]) -> NDArray[Any]:
-        return np.ascontiguousarray(values[..., index])
-
-    return replace(
-        problem,
-        patterns=problem.patterns.subset(index),
-        samples=chosen(problem.samples),
-        clipped=chosen(problem.clipped),
-        clip_level=chosen(problem.clip_level),
-        weights=None if problem.weights is None else chosen(problem.weights),
-    )
+    patterns, samples = problem.patterns.subset(index), problem.samples.frames(index)
+    return replace(problem, patterns=patterns, samples=samples)
 
 
 def _misfit(problem: Problem, result: Result, fidelity: Fidelity) -> float:
     u = predictions(problem, result.coefficients, result.background)
-    residual = problem.samples.astype(np.float64) - u
-    weights = problem.sample_weights().astype(np.float64)
+    residual = problem.samples.values.astype(np.float64) - u
+    weights = problem.samples.weights_of_all().astype(np.float64)
     if fidelity is Fidelity.ONE_SIDED:
-        residual = np.where(problem.clipped, np.maximum(residual, 0), residual)
+        residual = np.where(problem.samples.clipped, np.maximum(residual, 0), residual)
     elif fidelity is Fidelity.REJECTION:
-        weights = np.where(problem.clipped, 0, weights)
+        weights = np.where(problem.samples.clipped, 0, weights)
     total = weights.sum()
     return float(np.sqrt((weights * residual**2).sum() / total)) if total > 0 else 0.0

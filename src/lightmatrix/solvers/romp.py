@@ -75,10 +75,10 @@ class ROMP:
 
     def _solve_group(self, problem: Problem, n: int) -> _Part:
         rows = problem.rows
-        weights = problem.sample_weights().astype(np.float64)
+        weights = problem.samples.weights_of_all().astype(np.float64)
         if self.fidelity is Fidelity.REJECTION:
-            weights = np.where(problem.clipped, 0, weights)
-        y = problem.samples.astype(np.float64)
+            weights = np.where(problem.samples.clipped, 0, weights)
+        y = problem.samples.values.astype(np.float64)
         support = _Support.empty(rows)
         x, b = np.zeros((rows, 0)), np.zeros(rows)
         least = _LeastSquares(problem, y, weights)
@@ -227,7 +227,7 @@ def _without_negative(
 
 
 def _joined(problem: Problem, parts: list[_Part], fidelity: Fidelity) -> Result:
-    dtype = problem.samples.dtype
+    dtype = problem.samples.values.dtype
     if parts:
         stacked = csr_array(vstack([p.coefficients for p in parts], format="csr"), dtype=dtype)
         background = np.concatenate([p.background for p in parts]).astype(dtype)

@@ -78,7 +78,7 @@ class SaturationADMM:
         mu = self.penalty_x or automatic_penalty_x(problem)
         nu = self.penalty_u or automatic_penalty_u(problem)
         system = System(problem.patterns, mu / nu, problem.background)
-        y = problem.samples
+        y = problem.samples.values
         x = np.zeros((problem.rows, system.unknowns), y.dtype)
         return SaturationADMMState(x, x, y, x, np.zeros_like(y), np.zeros_like(y), system, mu, nu)
 
@@ -90,10 +90,14 @@ class SaturationADMM:
         g = g + nu * (state.prediction - u)
         # Eq. 18-21
         v = state.prediction + g / nu
-        y, level, weights = problem.samples, problem.clip_levels(), problem.sample_weights()
+        y, level, weights = (
+            problem.samples.values,
+            problem.samples.clip_levels_of_all(),
+            problem.samples.weights_of_all(),
+        )
         widths = problem.edge_widths() if self.fidelity is Fidelity.LIKELIHOOD else None
         u = update_prediction(
-            v, y, problem.clipped, level, weights, lam * nu, self.fidelity, widths
+            v, y, problem.samples.clipped, level, weights, lam * nu, self.fidelity, widths
         )
         # Eq. 17
         x, prediction = state.system.solve(u - g / nu, z - h / mu)

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.patterns import PatternSet
+from lightmatrix.patterns.pattern_set import PatternSet
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,7 +11,7 @@ from scipy.sparse import csr_array
 
 from lightmatrix import _core
 from lightmatrix.errors import InputError
-from lightmatrix.patterns import PatternSet
+from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.solvers.active_set import (
     ActiveSet,
     as_result,
@@ -179,8 +179,8 @@ def solve_weighted(
         )
     solved, coefficients = _core.solve_weighted(
         prepared(problem.patterns),
-        np.ascontiguousarray(problem.samples),
-        np.ascontiguousarray(problem.clipped),
+        np.ascontiguousarray(problem.samples.values),
+        np.ascontiguousarray(problem.samples.clipped),
         sample_weights(problem),
         (candidates.indptr, candidates.pixels, candidates.penalties),
         (blocks.means, blocks.penalties, _starting_blocks(start, len(blocks.penalties))),

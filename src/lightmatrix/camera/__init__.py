@@ -1,0 +1,1 @@
+"""The camera: from light to raw levels, and back to linear samples."""

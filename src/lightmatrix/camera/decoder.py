@@ -1,0 +1,123 @@
+"""From raw levels to linear samples."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightmatrix.camera.levels import check_levels, of_frames
+from lightmatrix.camera.response import Response
+from lightmatrix.camera.samples import Samples
+from lightmatrix.errors import InputError
+
+
+@dataclass(frozen=True, eq=False)
+class Decoder:
+    """From raw levels to linear samples.
+
+    Parameters
+    ----------
+    clip : float or (K,)
+        Raw level at which each frame clips.
+    full_scale : float
+        Raw level that the response calls 1.
+    black_level : float or (K,)
+        Raw level without any light (the camera's pedestal), below `clip`.
+    response : Response
+        Undone before the black level is subtracted.
+    exposure : float or (K,)
+        Exposure of each frame; the samples are divided by it.
+    black_frame : (M,) float, optional
+        Raw levels of each camera sample under a black pattern; subtracted instead of
+        `black_level`, which still sets the scale.
+    black_exposure : float, optional
+        Exposure of the black frame; its light above `black_level` grows with the exposure. None
+        means that of the frames, which must then be one.
+
+    Raises
+    ------
+    InputError
+        On levels out of range, or a black frame without exposure where the frames' differ.
+    """
+
+    clip: float | NDArray[Any]
+    full_scale: float
+    black_level: float | NDArray[Any] = 0.0
+    response: Response = field(default_factory=Response)
+    exposure: float | NDArray[Any] = 1.0
+    black_frame: NDArray[Any] | None = None
+    black_exposure: float | None = None
+
+    def __post_init__(self) -> None:
+        check_levels(self.clip, self.black_level, self.full_scale)
+        exposure = np.asarray(self.exposure)
+        if not (np.isfinite(exposure).all() and (exposure > 0).all()):
+            raise InputError(
+                f"an exposure of {exposure.min()}", hint="use positive numbers, such as 1"
+            )
+        if self.black_frame is not None and self.black_exposure is None and np.ptp(exposure) > 0:
+            raise InputError(
+                "a black frame of unknown exposure, while the frames differ in exposure",
+                hint="give the exposure of the black frame in capture.json",
+            )
+
+    @cached_property
+    def _table(self) -> NDArray[np.float32]:
+        """Light at each of the integer levels."""
+        levels = np.arange(int(self.full_scale) + 1)
+        return self.response.linearise(levels / self.full_scale).astype(np.float32)
+
+    def _light(self, levels: float | NDArray[Any]) -> NDArray[np.float64]:
+        share = np.asarray(levels, np.float64) / self.full_scale
+        return self.response.linearise(share)
+
+    @property
+    def hot(self) -> NDArray[np.bool_] | None:
+        """Samples that clip without light and so tell nothing, (M,); None without black frame."""
+        if self.black_frame is None:
+            return None
+        return np.asarray(np.asarray(self.black_frame) >= np.min(self.clip))
+
+    def decode(self, raw: NDArray[Any], *, first_row: int = 0, first_frame: int = 0) -> Samples:
+        """Decode a tile.
+
+        Parameters
+        ----------
+        raw : (m, n) uint8, uint16 or float32
+            Raw levels of m camera samples in n frames.
+        first_row, first_frame : int
+            Where this tile begins in the whole capture.
+
+        Returns
+        -------
+        Samples
+            Samples in units of the clip level above `black_level`, at exposure 1.
+        """
+        rows, frames = raw.shape
+        stop = first_frame + frames
+        clip = of_frames(self.clip, first_frame, stop, "clip levels")
+        pedestal = self._light(of_frames(self.black_level, first_frame, stop, "black levels"))
+        exposure = of_frames(self.exposure, first_frame, stop, "exposures")
+        # The first level of the raw type that is not below the clip level.
+        if raw.dtype.kind == "u":
+            clipped = raw >= np.ceil(clip).astype(raw.dtype)
+            light = self._table[np.minimum(raw, int(self.full_scale))]
+        else:
+            clipped = raw >= clip.astype(np.float32)
+            light = self._light(raw).astype(np.float32)
+        ceiling = self._light(clip)
+        black = pedestal
+        if self.black_frame is not None:
+            dark = self._light(self.black_frame[first_row : first_row + rows])[:, None]
+            ratio = exposure / self.black_exposure if self.black_exposure else 1.0
+            black = pedestal + (dark - pedestal) * ratio
+        scale = 1 / ((ceiling - pedestal) * exposure)
+        values = (light - black.astype(np.float32)) * scale.astype(np.float32)
+        level = ((ceiling - black) * scale).astype(np.float32)
+        # Exactly the clip level, not one rounding away from it.
+        np.copyto(values, np.broadcast_to(level, values.shape), where=clipped)
+        return Samples(values, clipped, level)

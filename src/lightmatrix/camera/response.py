@@ -1,0 +1,99 @@
+"""The camera's response: which share of the full level belongs to which share of light."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightmatrix.errors import InputError
+
+
+@dataclass(frozen=True, eq=False)
+class Response:
+    """The camera's response: which share of the full level belongs to which share of light.
+
+    Parameters
+    ----------
+    levels, light : (n,) float64
+        Matching points of the curve, both from 0 to 1, levels increasing, light not decreasing;
+        straight in between. None for the linear response.
+    name : str
+        As given to `parse`.
+    """
+
+    levels: NDArray[np.float64] | None = None
+    light: NDArray[np.float64] | None = None
+    name: str = "linear"
+
+    @classmethod
+    def parse(cls, text: str, folder: Path = Path()) -> Response:
+        """Read a response: ``linear``, ``gamma:2.2``, ``srgb`` or ``curve:FILE``.
+
+        A curve is a text file (or npy) of two columns, level and light, each from 0 to its own
+        maximum; or of one column, the light at equally spaced levels. A relative FILE is looked
+        for in `folder`.
+
+        Raises
+        ------
+        InputError
+            On an unknown name, a gamma out of [0.1, 10], or a curve that does not increase.
+        """
+        kind, _, argument = text.partition(":")
+        if text == "linear":
+            return cls()
+        # Fine enough that the straight pieces are exact to 16 bits everywhere but near zero.
+        levels = np.linspace(0, 1, 65536)
+        if text == "srgb":
+            light = np.where(levels <= 0.04045, levels / 12.92, ((levels + 0.055) / 1.055) ** 2.4)
+            return cls(levels, light, text)
+        if kind == "gamma":
+            try:
+                gamma = float(argument)
+            except ValueError:
+                gamma = np.nan
+            if not 0.1 <= gamma <= 10:
+                raise InputError(f"a response of {text!r}", hint="write for example gamma:2.2")
+            return cls(levels, levels**gamma, text)
+        if kind == "curve" and argument:
+            return cls(*_read_curve(folder / argument), text)
+        raise InputError(
+            f"a response of {text!r}", hint="use linear, gamma:2.2, srgb or curve:FILE"
+        )
+
+    def linearise(self, share: NDArray[Any]) -> NDArray[np.float64]:
+        """Light, as a share of its maximum, at levels given as a share of theirs."""
+        share = np.asarray(share, np.float64)
+        if self.levels is None or self.light is None:
+            return share
+        return np.interp(share, self.levels, self.light)
+
+
+def _read_curve(file: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    try:
+        if file.suffix == ".npy":
+            table = np.load(file, allow_pickle=False)
+        else:
+            text = file.read_text().replace(",", " ").replace(";", " ")
+            rows = [line.split() for line in text.splitlines() if line.strip()]
+            table = np.array([[float(v) for v in row] for row in rows if row[0][0] != "#"])
+        table = np.asarray(table, np.float64).reshape(len(table), -1)
+    except (OSError, ValueError, TypeError) as error:
+        raise InputError(
+            f"{file}: the response curve cannot be read ({error})",
+            hint="write two columns of numbers, level and light",
+        ) from error
+    if table.shape[1] == 1:
+        table = np.column_stack([np.arange(len(table)), table[:, 0]])
+    levels, light = table[:, 0], table[:, 1]
+    increasing = len(table) > 1 and (np.diff(levels) > 0).all() and (np.diff(light) >= 0).all()
+    if table.shape[1] != 2 or not np.isfinite(table).all() or not increasing or light[-1] <= 0:
+        raise InputError(
+            f"{file}: a response curve of {table.shape[0]} x {table.shape[1]} numbers that does "
+            "not increase",
+            hint="write two columns, level and light, from dark to bright",
+        )
+    return levels / levels[-1], light / light[-1]

@@ -1,0 +1,458 @@
+"""Captures: patterns, the photographs of the scene under them, and how to read these.
+
+On disk a capture is a folder::
+
+    patterns/      one image a pattern, and patterns.json if they can be remade
+    images/        one image a frame, in the same natural order
+    capture.json   exposure, clip and black level, response, ... (all optional)
+
+or just two folders of images. Frames stay as they were stored; they become linear samples tile by
+tile, in the order (row, col, channel).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import tempfile
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightmatrix.camera.decoder import Decoder
+from lightmatrix.camera.noise import frame_weights
+from lightmatrix.camera.response import Response
+from lightmatrix.camera.samples import Samples, bin_samples
+from lightmatrix.camera.sensor import Sensor
+from lightmatrix.capture.checks import (
+    check_light,
+    check_patterns,
+    check_per_frame,
+    warn_of_hidden_clipping,
+)
+from lightmatrix.capture.folder import jsonable, read_capture, read_folders
+from lightmatrix.capture.frames import ArrayStack, Frames
+from lightmatrix.capture.order import check_order
+from lightmatrix.errors import InputError
+from lightmatrix.patterns.pattern_set import PatternSet
+
+# Raw frames up to this size are held in memory, larger ones in a temporary file.
+_MEMORY_BYTES = 2 << 30
+
+
+@dataclass(frozen=True, eq=False)
+class Capture:
+    """A pattern set and the frames taken under it.
+
+    Made by `open`, `from_folders` or `from_arrays`.
+
+    Parameters
+    ----------
+    patterns : PatternSet
+        K patterns, binned.
+    frames : Frames
+        K frames, not binned.
+    decoder : Decoder
+        From raw levels to linear samples.
+    mask : shape of a frame, bool, optional
+        Which camera samples count.
+    bin_projector, bin_camera : (int, int)
+        Rows and columns of the blocks that are averaged.
+    provenance : mapping
+        What made it, JSON-ready.
+
+    Raises
+    ------
+    InputError
+        If the numbers of patterns and frames differ.
+    """
+
+    patterns: PatternSet
+    frames: Frames
+    decoder: Decoder
+    mask: NDArray[np.bool_] | None = None
+    bin_projector: tuple[int, int] = (1, 1)
+    bin_camera: tuple[int, int] = (1, 1)
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if self.patterns.count != self.frames.count:
+            raise InputError(
+                f"{self.patterns.count} patterns, but {self.frames.count} images",
+                hint="give one image for each pattern, both in natural order; is one missing?",
+            )
+        if self.mask is not None and self.mask.shape != self.frames.shape:
+            raise InputError(
+                f"a mask of shape {self.mask.shape} for images of {self.frames.shape}",
+                hint="make the mask as large as the images",
+            )
+
+    # ---- making one
+
+    @classmethod
+    def open(
+        cls,
+        folder: str | Path,
+        *,
+        bin_projector: int | tuple[int, int] = 1,
+        bin_camera: int | tuple[int, int] = 1,
+        check: bool = True,
+        check_order: bool = True,
+    ) -> Capture:
+        """Read a capture folder.
+
+        Parameters
+        ----------
+        folder : str or Path
+            Holds patterns/, images/ and, for anything but a linear camera of exposure 1 without
+            black level, capture.json.
+        bin_projector, bin_camera : int or (int, int)
+            See `bin`.
+        check, check_order : bool
+            See `check`.
+
+        Raises
+        ------
+        InputError
+            On anything that makes the capture unusable, naming the file.
+        """
+        parts = read_capture(folder)
+        capture = cls(
+            parts.patterns, parts.frames, parts.decoder, parts.mask, provenance=parts.provenance
+        )
+        return capture._finish(bin_projector, bin_camera, check, check_order)
+
+    @classmethod
+    def from_folders(
+        cls,
+        patterns: str | Path | PatternSet,
+        images: str | Path,
+        *,
+        black: str | Path | float | None = None,
+        white: str | Path | None = None,
+        clip: float | NDArray[Any] | None = None,
+        response: Response | str | None = None,
+        exposure: float | NDArray[Any] = 1.0,
+        mask: str | Path | None = None,
+        bin_projector: int | tuple[int, int] = 1,
+        bin_camera: int | tuple[int, int] = 1,
+        check: bool = True,
+        check_order: bool = True,
+    ) -> Capture:
+        """A capture from two plain folders of images, in natural order.
+
+        Parameters
+        ----------
+        patterns : str, Path or PatternSet
+            Folder of the patterns as projected, or the set itself.
+        images : str or Path
+            Folder of the camera's frames.
+        black : str, Path or float, optional
+            Image under a black pattern, or the camera's black level in raw levels.
+        white : str or Path, optional
+            Image under a white pattern; becomes one more frame.
+        clip : float or (K,), optional
+            Raw level at which the camera clips; None means the end of the range.
+        response : Response or str, optional
+            See `Response.parse`; None means linear, and warns where the files say otherwise.
+        exposure : float or (K,)
+            Exposure of each frame.
+        mask : str or Path, optional
+            Image that is 0 where camera pixels are to be left out.
+        bin_projector, bin_camera : int or (int, int)
+            See `bin`.
+        check, check_order : bool
+            See `check`.
+
+        Raises
+        ------
+        InputError
+            On anything that makes the capture unusable, naming the file.
+        """
+        parts = read_folders(
+            patterns,
+            images,
+            black=black,
+            white=white,
+            clip=clip,
+            response=response,
+            exposure=exposure,
+            mask=mask,
+        )
+        capture = cls(parts.patterns, parts.frames, parts.decoder, parts.mask)
+        return capture._finish(bin_projector, bin_camera, check, check_order)
+
+    @classmethod
+    def from_arrays(
+        cls,
+        patterns: PatternSet,
+        frames: NDArray[Any],
+        sensor: Sensor | Decoder,
+        *,
+        mask: NDArray[np.bool_] | None = None,
+        provenance: Mapping[str, Any] | None = None,
+        check: bool = True,
+        check_order: bool = False,
+    ) -> Capture:
+        """A capture from frames in memory, (K, rows, cols[, channels]), such as simulated ones."""
+        decoder = sensor.decoder() if isinstance(sensor, Sensor) else sensor
+        capture = cls(patterns, ArrayStack(frames), decoder, mask, provenance=provenance or {})
+        return capture._finish(1, 1, check, check_order)
+
+    def _finish(
+        self,
+        bin_projector: int | tuple[int, int],
+        bin_camera: int | tuple[int, int],
+        check: bool,
+        order: bool,
+    ) -> Capture:
+        check_per_frame(self.decoder, self.count)
+        capture = self.bin(bin_projector, bin_camera)
+        if check:
+            capture.check(order=order)
+        return capture
+
+    # ---- shape
+
+    @property
+    def count(self) -> int:
+        """Number of frames K."""
+        return self.frames.count
+
+    @property
+    def projector_shape(self) -> tuple[int, int]:
+        """Projector rows and columns, binned."""
+        return self.patterns.shape
+
+    @property
+    def camera_shape(self) -> tuple[int, ...]:
+        """Camera rows, columns and, for a colour camera, channels, binned."""
+        rows, cols, *channels = self.frames.shape
+        return (-(-rows // self.bin_camera[0]), -(-cols // self.bin_camera[1]), *channels)
+
+    @property
+    def rows(self) -> int:
+        """Number of camera samples M, binned."""
+        return int(np.prod(self.camera_shape))
+
+    @property
+    def exposures(self) -> NDArray[np.float64]:
+        """Exposure of each frame, (K,)."""
+        return np.broadcast_to(np.asarray(self.decoder.exposure, np.float64), (self.count,))
+
+    @property
+    def reference_level(self) -> float:
+        """Clip level of the longest exposed frames at exposure 1: the natural unit of a row."""
+        return float(1 / self.exposures.max())
+
+    def bin(
+        self, projector: int | tuple[int, int] = 1, camera: int | tuple[int, int] = 1
+    ) -> Capture:
+        """Average blocks of projector and of camera pixels.
+
+        A camera sample is then clipped if any of its pixels is; patterns become grey.
+
+        Parameters
+        ----------
+        projector, camera : int or (int, int)
+            Rows and columns of a block; blocks at the border may be smaller.
+
+        Raises
+        ------
+        InputError
+            If a block is empty or the capture is binned already.
+        """
+        blocks = _pair(projector, "projector"), _pair(camera, "camera")
+        result = self
+        for name, block in zip(("bin_projector", "bin_camera"), blocks, strict=True):
+            if block != (1, 1) and getattr(self, name) != (1, 1):
+                raise InputError(
+                    f"the capture is binned already, {getattr(self, name)}", hint="bin it once"
+                )
+        if blocks[0] != (1, 1):
+            coarse = self.patterns.coarse(blocks[0])
+            result = replace(result, patterns=coarse, bin_projector=blocks[0])
+        if blocks[1] != (1, 1):
+            result = replace(result, bin_camera=blocks[1])
+        return result
+
+    def select(self, frames: Sequence[int] | NDArray[np.integer]) -> Capture:
+        """The capture of the frames of the given indices, such as all but one."""
+        index = np.asarray(frames, np.int64)
+        decoder = replace(
+            self.decoder,
+            **{
+                name: value[index] if np.ndim(value := getattr(self.decoder, name)) else value
+                for name in ("clip", "black_level", "exposure")
+            },
+        )
+        return replace(
+            self,
+            patterns=self.patterns.subset(index),
+            frames=self.frames.select([int(k) for k in index]),
+            decoder=decoder,
+        )
+
+    # ---- samples
+
+    def frame(self, index: int) -> NDArray[Any]:
+        """Raw levels of one frame as stored, not binned."""
+        return self.frames.read(index)
+
+    def samples(self, start: int = 0, stop: int | None = None) -> Samples:
+        """Linear samples of the camera rows start..stop, decoded from the raw frames.
+
+        Returns
+        -------
+        Samples
+            Fits `Problem`; at exposure 1, in units of the clip level.
+        """
+        end = self.rows if stop is None else min(stop, self.rows)
+        if self.bin_camera == (1, 1):
+            decoded = self.decoder.decode(self._raw[start:end], first_row=start)
+        else:
+            decoded = self._binned.rows(slice(start, end))
+        valid = self.valid[start:end]
+        weights = frame_weights(self.exposures)
+        if valid.all():
+            return Samples(decoded.values, decoded.clipped, decoded.clip_level, weights)
+        if weights is None:
+            weights = np.ones(self.count, np.float32)
+        return Samples(
+            decoded.values * valid[:, None],
+            decoded.clipped & valid[:, None],
+            decoded.clip_level,
+            valid[:, None] * weights,
+        )
+
+    @cached_property
+    def valid(self) -> NDArray[np.bool_]:
+        """Which camera samples count: not masked, and not clipped without light; (M,)."""
+        if self.bin_camera == (1, 1):
+            return self._valid_pixels
+        nothing = np.zeros((len(self._valid_pixels), 1), np.float32)
+        empty = Samples(nothing, nothing > 0, np.ones(1, np.float32))
+        return bin_samples(empty, self._valid_pixels, self.frames.shape, self.bin_camera)[1]
+
+    @cached_property
+    def _valid_pixels(self) -> NDArray[np.bool_]:
+        hot = self.decoder.hot
+        valid = np.ones(int(np.prod(self.frames.shape)), bool) if hot is None else ~hot
+        return valid if self.mask is None else valid & self.mask.ravel()
+
+    @cached_property
+    def _raw(self) -> NDArray[Any]:
+        """Raw levels (M, K), a camera sample's frames side by side as tiles need them."""
+        pixels = int(np.prod(self.frames.shape))
+        raw = _allocate((pixels, self.count), self.frames.dtype)
+        # Some frames at a time: column by column would touch every page of the array K times.
+        group = max(1, min(64, (256 << 20) // max(1, pixels * raw.itemsize)))
+        for start in range(0, self.count, group):
+            stop = min(start + group, self.count)
+            block = [self.frames.read(k).reshape(-1) for k in range(start, stop)]
+            raw[:, start:stop] = np.stack(block, axis=1)
+        return raw
+
+    @cached_property
+    def _binned(self) -> Samples:
+        """Binned samples (M, K); smaller than the raw levels for blocks of 2 x 2 and more."""
+        values = _allocate((self.rows, self.count), np.dtype(np.float32))
+        clipped = _allocate((self.rows, self.count), np.dtype(np.bool_))
+        levels = []
+        for k in range(self.count):
+            raw = self.frames.read(k).reshape(-1, 1)
+            decoded = self.decoder.decode(raw, first_frame=k)
+            binned, _ = bin_samples(decoded, self._valid_pixels, self.frames.shape, self.bin_camera)
+            values[:, k], clipped[:, k] = binned.values[:, 0], binned.clipped[:, 0]
+            levels.append(binned.clip_level)
+        if levels[0].ndim == 1:
+            level = np.concatenate(levels)
+        elif np.ptp(self.exposures) == 0 and np.ndim(self.decoder.clip) == 0:
+            level = np.broadcast_to(levels[0], values.shape)
+        else:
+            level = np.concatenate(levels, axis=1)
+        return Samples(values, clipped, level)
+
+    def tiles(self, rows: int = 4096) -> Iterable[tuple[int, Samples]]:
+        """Iterate over (first row, samples) of the whole camera."""
+        for start in range(0, self.rows, rows):
+            yield start, self.samples(start, start + rows)
+
+    @cached_property
+    def clipped_share(self) -> float:
+        """Share of the samples that count that are clipped."""
+        clipped = sum(int(tile.clipped.sum()) for _, tile in self.tiles())
+        return clipped / max(1, int(self.valid.sum()) * self.count)
+
+    @cached_property
+    def digest(self) -> str:
+        """Hash of the patterns and of all samples, 16 hex digits."""
+        hasher = hashlib.sha256(self.patterns.digest.encode())
+        hasher.update(repr((self.camera_shape, self.projector_shape)).encode())
+        for _, tile in self.tiles():
+            for array in (tile.values, tile.clipped, tile.clip_level, tile.weights):
+                if array is not None:
+                    hasher.update(np.ascontiguousarray(array).tobytes())
+        return hasher.hexdigest()[:16]
+
+    @property
+    def description(self) -> dict[str, Any]:
+        """What the capture is and how it is read, JSON-ready."""
+        return {
+            "camera_shape": list(self.camera_shape),
+            "projector_shape": list(self.projector_shape),
+            "frames": self.count,
+            "bin_camera": list(self.bin_camera),
+            "bin_projector": list(self.bin_projector),
+            "clip": jsonable(self.decoder.clip),
+            "black_level": jsonable(self.decoder.black_level),
+            "black_frame": self.decoder.black_frame is not None,
+            "exposure": jsonable(self.decoder.exposure),
+            "response": self.decoder.response.name,
+            "masked": int((~self.valid).sum()),
+            **dict(self.provenance),
+        }
+
+    # ---- checks
+
+    def check(self, *, order: bool = True) -> None:
+        """Refuse what no estimate can come from.
+
+        Parameters
+        ----------
+        order : bool
+            Also look for frames that do not follow the patterns (swapped, missing, late).
+
+        Raises
+        ------
+        InputError
+            With one frame only, a projector of one pixel, no pattern that varies, nothing but
+            dark or clipped samples, all pixels masked, or frames out of order.
+        """
+        check_patterns(self.patterns)
+        check_light(self.tiles(), int(self.valid.sum()), self.decoder)
+        if self.frames.dtype == np.uint16 and self.bin_camera == (1, 1):
+            warn_of_hidden_clipping(self._raw, self.decoder)
+        if order:
+            check_order(self.patterns, self.tiles(), self.rows, self.frames.name)
+
+
+def _allocate(shape: tuple[int, ...], dtype: np.dtype[Any]) -> NDArray[Any]:
+    if int(np.prod(shape)) * dtype.itemsize <= _MEMORY_BYTES:
+        return np.empty(shape, dtype)
+    with tempfile.TemporaryFile() as file:
+        # The mapping keeps the unnamed file alive; it vanishes with the array.
+        return np.memmap(file, dtype, "w+", shape=shape)
+
+
+def _pair(block: int | tuple[int, int], name: str) -> tuple[int, int]:
+    rows, cols = (block, block) if isinstance(block, (int, np.integer)) else block
+    if min(rows, cols) < 1:
+        raise InputError(
+            f"the {name} binned by {rows} x {cols} pixels", hint="use at least 1, such as 8"
+        )
+    return int(rows), int(cols)

@@ -1,0 +1,337 @@
+"""Captures on disk: one folder with capture.json, or two plain folders of images."""
+
+from __future__ import annotations
+
+import json
+import warnings
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightmatrix.camera.decoder import Decoder
+from lightmatrix.camera.response import Response
+from lightmatrix.camera.sensor import Sensor
+from lightmatrix.errors import InputError, LightMatrixWarning
+from lightmatrix.files.headers import read_json
+from lightmatrix.files.images import fill_image, read_image
+from lightmatrix.files.outputs import atomic_folder
+from lightmatrix.files.stack import ImageStack, nonlinear_tag
+from lightmatrix.patterns.folder import fill_pattern_folder, read_patterns
+from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
+
+DESCRIPTION = "capture.json"
+FORMAT, VERSION = "lightmatrix-capture", 1
+_KEYS = frozenset(
+    {"format", "version", "projector_shape", "camera_shape", "provenance", "mask", "black"}
+    | {"exposure", "clip", "black_level", "full_scale", "response"}
+)
+
+
+@dataclass(frozen=True, eq=False)
+class CaptureParts:
+    """What a capture is made of, as read from disk.
+
+    Parameters
+    ----------
+    patterns : PatternSet
+    frames : ImageStack
+    decoder : Decoder
+    mask : shape of a frame, bool, optional
+    provenance : mapping
+    """
+
+    patterns: PatternSet
+    frames: ImageStack
+    decoder: Decoder
+    mask: NDArray[np.bool_] | None = None
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+
+def read_capture(folder: str | Path) -> CaptureParts:
+    """Read a folder with patterns/, images/ and, perhaps, capture.json.
+
+    Raises
+    ------
+    InputError
+        On a folder that is none, or a capture.json that contradicts it.
+    """
+    place = Path(folder)
+    if not place.is_dir():
+        problem = "is a file, not a capture folder" if place.exists() else "no such folder"
+        raise InputError(f"{place}: {problem}", hint="give a folder with patterns/ and images/")
+    for name in ("patterns", "images"):
+        if not (place / name).is_dir():
+            raise InputError(
+                f"{place}: has no folder {name}/",
+                hint="give a folder with patterns/ and images/, or --patterns and --images",
+            )
+    file = place / DESCRIPTION
+    content = read_json(file, FORMAT, VERSION) if file.exists() else {}
+    unknown = sorted(set(content) - _KEYS)
+    if unknown:
+        raise InputError(
+            f"{file}: does not know {', '.join(map(repr, unknown))}",
+            hint=f"its keys are {', '.join(sorted(_KEYS))}",
+        )
+    patterns = read_patterns(place / "patterns")
+    stack = ImageStack.open(place / "images")
+    _check_counts(patterns, stack, place / "images")
+    for key, shape, what in (
+        ("projector_shape", patterns.shape, "patterns"),
+        ("camera_shape", stack.shape, "images"),
+    ):
+        if key in content and content[key] != list(shape):
+            raise InputError(
+                f"{file}: {key} is {content[key]}, but the {what} have {list(shape)}",
+                hint="correct capture.json, or restore the folder",
+            )
+    black, mask = content.get("black"), content.get("mask")
+    try:
+        decoder = make_decoder(
+            stack,
+            clip=_numbers(content.get("clip")),
+            response=_response(content.get("response"), stack, place),
+            exposure=_numbers(content.get("exposure", 1.0)),
+            black=None if black is None else place / str(black["file"]),
+            black_level=_numbers(content.get("black_level")),
+            black_exposure=None if black is None else black.get("exposure"),
+            full_scale=content.get("full_scale"),
+        )
+    except (TypeError, ValueError, KeyError, AttributeError) as error:
+        raise InputError(
+            f"{file}: cannot be understood ({error})", hint="see docs/captures.md"
+        ) from error
+    return CaptureParts(
+        patterns,
+        stack,
+        decoder,
+        None if mask is None else read_mask(place / str(mask), stack.shape),
+        dict(content.get("provenance") or {}),
+    )
+
+
+def read_folders(
+    patterns: str | Path | PatternSet,
+    images: str | Path,
+    *,
+    black: str | Path | float | None = None,
+    white: str | Path | None = None,
+    clip: float | NDArray[Any] | None = None,
+    response: Response | str | None = None,
+    exposure: float | NDArray[Any] = 1.0,
+    mask: str | Path | None = None,
+) -> CaptureParts:
+    """Read two plain folders of images; the parameters are those of `Capture.from_folders`.
+
+    Raises
+    ------
+    InputError
+        On numbers or sizes that differ, or files that cannot be read.
+    """
+    shown = patterns if isinstance(patterns, PatternSet) else read_patterns(patterns)
+    stack = ImageStack.open(images)
+    _check_counts(shown, stack, Path(images))
+    if white is not None:
+        shown = ImagePatterns(np.concatenate([shown.images(), np.ones((1, *shown.shape))]))
+        stack = ImageStack((*stack.paths, Path(white)), stack.shape, stack.dtype)
+    decoder = make_decoder(
+        stack,
+        clip=clip,
+        response=_response(response, stack, Path()),
+        exposure=exposure,
+        black=black,
+    )
+    return CaptureParts(
+        shown, stack, decoder, None if mask is None else read_mask(mask, stack.shape)
+    )
+
+
+def make_decoder(
+    stack: ImageStack,
+    *,
+    clip: float | NDArray[Any] | None,
+    response: Response,
+    exposure: float | NDArray[Any],
+    black: str | Path | float | None,
+    black_level: float | NDArray[Any] | None = None,
+    black_exposure: float | None = None,
+    full_scale: float | None = None,
+) -> Decoder:
+    """The decoder of a stack, with its black frame read and its range filled in.
+
+    Raises
+    ------
+    InputError
+        On a black frame of another size, or one that is clipped; on levels out of range.
+    """
+    if full_scale is None:
+        full_scale = 1.0 if stack.dtype.kind == "f" else float(np.iinfo(stack.dtype).max)
+    clip = full_scale if clip is None else clip
+    black_frame = None
+    if isinstance(black, (int, float)):
+        black_level = float(black)
+    elif black is not None:
+        image = read_image(black)
+        if image.shape != stack.shape:
+            raise InputError(
+                f"{black}: the black frame has shape {image.shape}, the images {stack.shape}",
+                hint="take the black frame with the same camera settings",
+            )
+        black_frame = image.ravel()
+        if black_level is None:
+            # Without a stated pedestal the scale is that of a typical pixel.
+            black_level = float(np.median(black_frame))
+            if black_level >= np.min(clip):
+                raise InputError(
+                    f"{black}: the black frame is clipped",
+                    hint="take it with the projector showing black",
+                )
+    return Decoder(
+        clip,
+        full_scale,
+        0.0 if black_level is None else black_level,
+        response,
+        exposure,
+        black_frame,
+        black_exposure,
+    )
+
+
+def read_mask(mask: str | Path, shape: tuple[int, ...]) -> NDArray[np.bool_]:
+    """Which camera samples count: those where a mask image is not 0.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read or is not as large as the images.
+    """
+    image = read_image(mask)
+    if image.ndim == 2 and len(shape) == 3 and image.shape == shape[:2]:
+        image = np.repeat(image[..., None], shape[2], axis=2)
+    if image.shape != shape:
+        raise InputError(
+            f"{mask}: the mask has shape {image.shape}, the images {shape}",
+            hint="make the mask as large as the images",
+        )
+    return np.asarray(image > 0)
+
+
+def write_capture(
+    folder: str | Path,
+    patterns: PatternSet,
+    frames: NDArray[Any] | Iterable[NDArray[Any]],
+    *,
+    sensor: Sensor,
+    camera_shape: tuple[int, ...] | None = None,
+    black: NDArray[Any] | None = None,
+    black_exposure: float | None = None,
+    provenance: Mapping[str, Any] | None = None,
+    overwrite: bool = False,
+) -> None:
+    """Write a capture folder, whole or not at all.
+
+    Parameters
+    ----------
+    folder : str or Path
+        The folder to make.
+    patterns : PatternSet
+        K patterns.
+    frames : (K, rows, cols[, channels]) array or iterable of K images
+        Raw levels, written as PNG (uint8, uint16) or npy (float32).
+    sensor : Sensor
+        The camera that took them.
+    camera_shape : tuple of int, optional
+        Shape that each frame must have.
+    black : (rows, cols[, channels]), optional
+        Raw levels under a black pattern.
+    black_exposure : float, optional
+        Its exposure; None means that of the frames, which must then be one.
+    provenance : mapping, optional
+        What made the capture, JSON-ready.
+    overwrite : bool
+        Whether an existing capture may be replaced.
+
+    Raises
+    ------
+    InputError
+        If the number or shape of the frames is wrong.
+    OutputError
+        If the folder exists or cannot be written.
+    """
+    suffix = ".png" if sensor.bits else ".npy"
+    digits = max(4, len(str(patterns.count - 1)))
+    with atomic_folder(folder, overwrite=overwrite) as part:
+        (part / "patterns").mkdir()
+        (part / "images").mkdir()
+        fill_pattern_folder(part / "patterns", patterns)
+        shape, count = camera_shape, 0
+        for count, frame in enumerate(frames, 1):
+            shape = shape or frame.shape
+            if frame.shape != shape:
+                raise InputError(
+                    f"frame {count - 1} has shape {frame.shape}, expected {shape}",
+                    hint="give frames of one shape",
+                )
+            fill_image(part / "images" / f"image_{count - 1:0{digits}d}{suffix}", frame)
+        if count != patterns.count:
+            raise InputError(
+                f"{count} frames for {patterns.count} patterns", hint="give one a pattern"
+            )
+        content: dict[str, Any] = {
+            "format": FORMAT,
+            "version": VERSION,
+            "projector_shape": list(patterns.shape),
+            "camera_shape": list(shape or ()),
+            "exposure": jsonable(sensor.exposure),
+            "clip": jsonable(sensor.decoder().clip),
+            "black_level": sensor.black_level,
+            "full_scale": sensor.full_scale,
+            "response": "linear",
+            "provenance": dict(provenance or {}),
+        }
+        if black is not None:
+            fill_image(part / f"black{suffix}", black)
+            content["black"] = {"file": f"black{suffix}"}
+            if black_exposure is not None:
+                content["black"]["exposure"] = black_exposure
+        text = json.dumps(content, indent=2, default=jsonable)
+        (part / DESCRIPTION).write_text(text + "\n")
+
+
+def jsonable(value: Any) -> Any:
+    """NumPy numbers and arrays as JSON can hold them."""
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    return value.item() if isinstance(value, np.generic) else value
+
+
+def _check_counts(patterns: PatternSet, stack: ImageStack, images: Path) -> None:
+    if patterns.count != stack.count:
+        raise InputError(
+            f"{patterns.count} patterns, but {stack.count} images in {images}",
+            hint="give one image for each pattern, both in natural order; is one missing?",
+        )
+
+
+def _response(response: Response | str | None, stack: ImageStack, folder: Path) -> Response:
+    if isinstance(response, Response):
+        return response
+    if response is not None:
+        return Response.parse(str(response), folder)
+    tag = nonlinear_tag(stack.paths[0])
+    if tag is not None:
+        warnings.warn(
+            f"{stack.paths[0]}: {tag}, so probably not linear, but no response is given; "
+            "give one (srgb, gamma:2.2, ...), or linear if it is",
+            LightMatrixWarning,
+            stacklevel=2,
+        )
+    return Response()
+
+
+def _numbers(value: Any) -> Any:
+    return np.asarray(value, np.float64) if isinstance(value, list) else value

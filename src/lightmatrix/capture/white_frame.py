@@ -1,0 +1,76 @@
+"""Reading the photograph of a white pattern as linear samples, with its clip states."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from lightmatrix.camera.response import Response
+from lightmatrix.camera.samples import Samples
+from lightmatrix.capture.folder import make_decoder
+from lightmatrix.errors import InputError
+from lightmatrix.files.stack import ImageStack
+
+# Of the clip level: bright pixels below it are black level and noise rather than light.
+_DARK = 0.02
+
+
+def read_white_frame(
+    path: str | Path,
+    *,
+    black: str | Path | float | None = None,
+    clip: float | None = None,
+    response: str | None = None,
+) -> Samples:
+    """One photograph as samples in units of the clip level, at exposure 1.
+
+    Parameters
+    ----------
+    path : str or Path
+        The image.
+    black : str, Path or float, optional
+        Photograph under a black pattern at the same exposure, or the black level.
+    clip : float, optional
+        Raw level at which the camera clips; None means the end of the range.
+    response : str, optional
+        See `Response.parse`; None means linear.
+
+    Returns
+    -------
+    Samples
+        (M, 1) each; M camera samples that do not clip without light.
+
+    Raises
+    ------
+    InputError
+        On images that cannot be read or differ in size, levels out of range, and frames that are
+        dark.
+    """
+    file = Path(path)
+    if not file.is_file():
+        problem = "is a folder" if file.is_dir() else "no such file"
+        raise InputError(
+            f"{file}: {problem}", hint="give a photograph of a white pattern, a scene, or a T.npz"
+        )
+    stack = ImageStack.open([file])
+    decoder = make_decoder(
+        stack,
+        clip=clip,
+        response=Response() if response is None else Response.parse(response),
+        exposure=1.0,
+        black=black,
+    )
+    decoded = decoder.decode(stack.read(0).reshape(-1, 1))
+    keep = slice(None) if decoder.hot is None else ~decoder.hot
+    level = decoded.clip_level if decoded.clip_level.ndim == 1 else decoded.clip_level[keep]
+    values = np.asarray(decoded.values[keep])
+    bright = float(np.quantile(values, 0.99)) if values.size else 0.0
+    if bright < _DARK:
+        raise InputError(
+            "the white frame is dark: its bright pixels are at "
+            f"{100 * max(bright, 0):.1f} % of the clip level",
+            hint="photograph the white pattern with a longer exposure; if the black level is what "
+            "is seen, say --black",
+        )
+    return Samples(values, np.asarray(decoded.clipped[keep]), level)

@@ -1,0 +1,137 @@
+"""The background of coherent estimates: faint light from everywhere, more of it from nearby.
+
+A row's sparse part holds the pixels that it sees well. What remains is spread widely, but not
+evenly: light that came by way of another surface falls off with the square of the distance. So
+the unpenalised coefficient of a row's background stands for a halo around its sparse part, and
+coarse blocks of projector pixels, penalised, for what differs from that.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import fftconvolve
+from scipy.sparse import csr_array
+
+from lightmatrix.patterns.pattern_set import PatternSet
+from lightmatrix.solvers.weighted import Blocks
+from lightmatrix.transport.matrix import block_means
+
+# Of the clip level, over the side of a block: the penalty of a block's coefficient.
+BLOCK_PENALTY = 0.05
+# Halos are computed on so many cells along the projector's longer side; the light at a distance of
+# d cells is 1 / (d^2 + CORE^2).
+CELLS = 128
+CORE = 2.0
+
+
+@dataclass(frozen=True)
+class Backgrounds:
+    """Blocks of projector pixels, their light under all patterns, and halos on them.
+
+    Parameters
+    ----------
+    grid : (int, int)
+        Rows and columns of the B blocks, no more than there are projector pixels.
+    shown, unseen : PatternSet
+        K and E patterns.
+    """
+
+    grid: tuple[int, int]
+    shown: PatternSet
+    unseen: PatternSet
+
+    def spread(self, rows: csr_array) -> NDArray[np.float32]:
+        """How the background of sparse rows (m, N) is spread over the blocks, (m, B).
+
+        Shares that sum to 1: of the halo, and of the pixels where a row is empty.
+        """
+        cells = csr_array(
+            (rows.data, self._cell[rows.indices], rows.indptr), self._cells_shape(rows)
+        )
+        shares = np.asarray(cells @ self._halos)
+        total = shares.sum(axis=1, keepdims=True)
+        even = (self._sizes / self._sizes.sum()).astype(np.float32)
+        return np.where(total > 0, shares / np.where(total > 0, total, 1), even)
+
+    def under_patterns(self, shares: NDArray[np.float32]) -> NDArray[np.float32]:
+        """What light that is spread so gives under the patterns, (m, K + E) in [0, 1]."""
+        # As a sparse product it is the same for a row by itself as among others; BLAS's is not.
+        return np.clip(csr_array(shares) @ self._means, 0, 1)
+
+    def blocks(self, cost: float, *, unseen: bool) -> Blocks:
+        """The blocks as columns, with the unseen patterns or without.
+
+        Parameters
+        ----------
+        cost : float
+            The clip level over the regularization: what a penalty is relative to.
+        """
+        if self.grid == (1, 1):
+            return Blocks.none(self.shown, self.unseen if unseen else None)
+        penalties = BLOCK_PENALTY * cost / np.sqrt(self._sizes)
+        count = None if unseen else self.shown.count
+        return Blocks(np.ascontiguousarray(self._means[:, :count]), penalties.astype(np.float32))
+
+    @cached_property
+    def _pooling(self) -> csr_array:
+        return block_means(self.shown.shape, self.grid)
+
+    @cached_property
+    def _sizes(self) -> NDArray[np.float64]:
+        return np.asarray(np.diff(self._pooling.indptr), np.float64)
+
+    @cached_property
+    def _means(self) -> NDArray[np.float32]:
+        """Mean of each pattern over each block, (B, K + E) in [0, 1]."""
+        parts = [
+            self._pooling @ block.T
+            for one in (self.shown, self.unseen)
+            for _, block in one.blocks()
+        ]
+        return np.clip(np.concatenate(parts, axis=1), 0, 1).astype(np.float32)
+
+    @cached_property
+    def _side(self) -> int:
+        """Side of a cell in pixels."""
+        return -(-max(self.shown.shape) // CELLS)
+
+    @cached_property
+    def _cells(self) -> tuple[int, int]:
+        """Rows and columns of cells."""
+        rows, cols = self.shown.shape
+        return -(-rows // self._side), -(-cols // self._side)
+
+    def _cells_shape(self, rows: csr_array) -> tuple[int, int]:
+        return rows.shape[0], self._cells[0] * self._cells[1]
+
+    @cached_property
+    def _cell(self) -> NDArray[np.int64]:
+        """The cell of each pixel, (N,)."""
+        r, c = np.indices(self.shown.shape) // self._side
+        return (r * self._cells[1] + c).ravel()
+
+    @cached_property
+    def _halos(self) -> NDArray[np.float32]:
+        """Light of each block in the halo of each cell, (cells, B)."""
+        rows, cols = self._cells
+        down, right = np.ogrid[1 - rows : rows, 1 - cols : cols]
+        kernel = 1 / (down**2 + right**2 + CORE**2)
+        result = np.empty((rows * cols, len(self._sizes)), np.float32)
+        for block, part in enumerate(self._blocks_on_cells()):
+            light = fftconvolve(part, kernel)[rows - 1 : 2 * rows - 1, cols - 1 : 2 * cols - 1]
+            result[:, block] = np.maximum(light, 0).ravel()
+        return result
+
+    def _blocks_on_cells(self) -> NDArray[Any]:
+        """Pixels that each block has in each cell, (B, rows, columns)."""
+        blocks, cells = len(self._sizes), self._cells
+        block = np.repeat(np.arange(blocks), np.diff(self._pooling.indptr))
+        cell = self._cell[self._pooling.indices]
+        place = block * (cells[0] * cells[1]) + cell
+        counts = np.bincount(place, minlength=blocks * cells[0] * cells[1])
+        return counts.reshape(blocks, *cells)

@@ -1,0 +1,185 @@
+"""Spatially coherent estimation: camera pixels learn from their neighbours where their light is.
+
+Neighbouring camera pixels look at neighbouring projector pixels. So each row is solved several
+times, each time with penalties that its neighbours' rows suggest: low where they found light, high
+where they did not. The windows in which neighbours count shrink from round to round. This is
+reweighted l1 minimisation (Candes, Wakin & Boyd 2008) with the weights of one row coming from the
+rows around it. And what neighbours' rows would give in a row's place stands in for samples that
+clip or were never taken. docs/few-patterns.md says what it is worth.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from lightmatrix.capture.capture import Capture
+from lightmatrix.errors import InputError
+from lightmatrix.estimators.coherent.rounds import Known, Rounds
+from lightmatrix.estimators.join import Progress, capture_provenance, joined, solver_provenance
+from lightmatrix.solvers.active_set import ActiveSet
+from lightmatrix.solvers.problem import Fidelity
+from lightmatrix.transport.matrix import LightTransport
+
+# Half widths of the windows of each round, in camera and in projector pixels. The first rounds
+# gather evidence, the last ones settle it.
+WINDOWS = ((2, 2), (2, 2), (2, 1), (2, 1), (1, 1), (1, 1), (1, 1), (1, 1))
+# Of the clip level.
+DEFAULT_REGULARIZATION = 0.1
+# With more patterns than this the row by row estimate is good by itself, and much faster.
+WORTH_IT_UP_TO = 256
+
+
+@dataclass(frozen=True)
+class CoherentEstimator:
+    """Estimates T with penalties from neighbouring camera pixels, from few patterns.
+
+    In each round row i is solved on its likeliest projector pixels j with the penalty
+    ``2 lambda e / (e + s_ij)``, where s_i is the sum of the neighbours' rows, each over its
+    maximum and blurred by a window, relative to its strongest pixel. From the round on whose window
+    on the projector is 3 x 3, rows have further samples, in place of clipped ones and under 64
+    patterns that were never shown: what the neighbours' rows, moved along and scaled, would give
+    there. They weigh the less, the less the neighbours agree. Each row has a background, a halo
+    around what was found of it; the last round also has coarse blocks of projector pixels, for
+    faint light from elsewhere.
+
+    Parameters
+    ----------
+    regularization : float or None
+        lambda: half the penalty of a pixel where no neighbour found light, in units of camera
+        sample at exposure 1. None: 0.1 times the clip level of the longest exposure.
+    trust : float
+        e, > 0: how little light among the neighbours makes a pixel likely. The penalty of the
+        likeliest pixel is about 2 lambda e.
+    windows : tuple of (int, int)
+        Half widths of the windows of each round, in camera and projector pixels.
+    candidates : int
+        Likeliest pixels kept of each row.
+    background_grid : (int, int)
+        Rows and columns of the coarse blocks; (1, 1) keeps one coefficient a row.
+    fidelity : Fidelity
+        one-sided, rejection or linear.
+    tolerance : float
+        Relative duality gap of the weighted problem of each row.
+    max_passes : int
+        Passes over a row's pixels, in each round, after which it is given up as it is.
+    threads : int or None
+        None takes one per core.
+    tile_rows : int or None
+        Rows solved at a time. None: as many as fit half a gigabyte. Results do not depend on it.
+
+    Raises
+    ------
+    InputError
+        On parameters out of range.
+    """
+
+    regularization: float | None = None
+    trust: float = 0.01
+    windows: tuple[tuple[int, int], ...] = WINDOWS
+    candidates: int = 250
+    background_grid: tuple[int, int] = (8, 8)
+    fidelity: Fidelity = Fidelity.ONE_SIDED
+    tolerance: float = 1e-3
+    max_passes: int = 200
+    threads: int | None = None
+    tile_rows: int | None = None
+
+    def __post_init__(self) -> None:
+        _ = self._solver  # Checks what it is given.
+        if not self.trust > 0:
+            raise InputError(f"a trust of {self.trust}", hint="use a small number such as 0.01")
+        if not self.windows or min(min(pair) for pair in self.windows) < 0:
+            raise InputError(
+                f"windows of {self.windows}", hint="give half widths of one round or more"
+            )
+        for name, value in (("candidates", self.candidates), ("tile_rows", self.tile_rows)):
+            if value is not None and value < 1:
+                raise InputError(f"{name} is {value}", hint="use at least 1")
+        if min(self.background_grid) < 1:
+            raise InputError(
+                f"a background grid of {self.background_grid}", hint="use (1, 1) or more"
+            )
+
+    def estimate(
+        self,
+        capture: Capture,
+        *,
+        checkpoint: Path | None = None,
+        overwrite: bool = False,
+        progress: Progress | None = None,
+    ) -> LightTransport:
+        """From a capture to its light transport matrix.
+
+        Parameters
+        ----------
+        capture : Capture
+            M camera samples under K patterns of N projector pixels.
+        checkpoint : Path, optional
+            The store to write. Finished rounds, and the tiles of the last one, are kept beside it,
+            so that an interrupted run goes on where it stopped.
+        overwrite : bool
+            Whether a complete store at `checkpoint` may be replaced.
+        progress : callable, optional
+            Called with (done, total) rows, over all rounds.
+
+        Returns
+        -------
+        LightTransport
+            With the diagnostics clipped_share, iterations, converged, gap and objective per row;
+            the gap is that of the weighted problem of the last round.
+
+        Raises
+        ------
+        InputError, SolverError, OutputError
+            On unusable captures or outputs that cannot be written.
+        """
+        rounds = Rounds(
+            capture,
+            self._solver,
+            self._regularization(capture),
+            self.trust,
+            self.windows,
+            self.candidates,
+            self.background_grid,
+            self.tile_rows,
+            progress,
+        )
+        found: list[Known] = []
+        return joined(
+            capture,
+            rounds.ranges(),
+            lambda start, stop: rounds.last(found[0], start, stop),
+            self.provenance(capture, rounds.regularization),
+            checkpoint=checkpoint,
+            overwrite=overwrite,
+            background_grid=rounds.backgrounds.grid,
+            prepare=lambda running: found.append(rounds.known(rounds.before_last(running))),
+        )
+
+    def provenance(self, capture: Capture, regularization: float) -> dict[str, Any]:
+        """What made the estimate, JSON-ready."""
+        made = solver_provenance(self._solver)
+        made["solver_parameters"] |= {
+            "trust": self.trust,
+            "windows": [list(pair) for pair in self.windows],
+            "candidates": self.candidates,
+        }
+        return {
+            "estimator": "coherent",
+            **made,
+            "regularization": regularization,
+            "certificate": "the weighted problem of each row on its likeliest pixels, with "
+            "expected samples",
+            **capture_provenance(capture),
+        }
+
+    @property
+    def _solver(self) -> ActiveSet:
+        return ActiveSet(self.fidelity, self.tolerance, self.max_passes, self.threads)
+
+    def _regularization(self, capture: Capture) -> float:
+        if self.regularization is not None:
+            return self.regularization
+        return DEFAULT_REGULARIZATION * capture.reference_level

@@ -1,0 +1,1 @@
+"""The multi-scale estimate: projector blocks first, then the pixels that matter."""

@@ -1,0 +1,229 @@
+"""Coarse to fine: where the light comes from is found on projector blocks, then refined."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array, vstack
+
+from lightmatrix.camera.samples import Samples
+from lightmatrix.capture.capture import Capture
+from lightmatrix.errors import InputError
+from lightmatrix.estimators.join import (
+    Progress,
+    Tile,
+    capture_provenance,
+    diagnostics,
+    joined,
+    solver_provenance,
+)
+from lightmatrix.estimators.multiscale.scales import Scale, grid_of, scales, split, strongest
+from lightmatrix.estimators.regularization import automatic_regularization
+from lightmatrix.solvers import Solver, solve
+from lightmatrix.solvers.problem import Problem, Result
+from lightmatrix.transport.matrix import LightTransport
+
+
+@dataclass(frozen=True)
+class MultiScaleEstimator:
+    """Estimates T with one solver, first on projector blocks, then inside those that matter.
+
+    Camera pixels are taken in square blocks, whose pixels look at nearly the same part of the
+    projector and share the candidates. At each scale, from `coarsest` down to single pixels, the
+    solver estimates the block's rows on the candidate projector blocks; the active ones among them,
+    by the sum over rows of each row's relative coefficients, and all blocks next to these are split
+    into four.
+    `docs/multi-scale.md` gives the reasons.
+
+    Parameters
+    ----------
+    solver : Solver
+        ADMM, SaturationADMM, ROMP or ActiveSet; for the last scale, and for all unless
+        `coarse_solver` is given.
+    regularization : float or None
+        The paper's lambda at single pixels, as for `PlainEstimator`. At coarser scales it falls
+        with the length of the patterns' columns.
+    nonnegative, background : bool
+        As for `PlainEstimator`.
+    coarsest : int
+        Pixels per side of the first scale's projector blocks, a power of two; 1 is a plain
+        estimate in camera blocks. Halved as long as the projector has no 4 x 4 blocks.
+    camera_block : int
+        Pixels per side of the camera blocks, at least 1.
+    active : float
+        A projector block is active from this share of the strongest block's score on, in [0, 1);
+        0 keeps everything.
+    coarse_solver : Solver or None
+        Solver of all scales but the last, such as the same with fewer iterations.
+
+    Raises
+    ------
+    InputError
+        On parameters out of range.
+    """
+
+    solver: Solver
+    regularization: float | None = None
+    nonnegative: bool = True
+    background: bool = True
+    coarsest: int = 8
+    camera_block: int = 8
+    active: float = 0.1
+    coarse_solver: Solver | None = None
+
+    def __post_init__(self) -> None:
+        if self.coarsest < 1 or self.coarsest & (self.coarsest - 1):
+            raise InputError(
+                f"a coarsest scale of {self.coarsest} pixels", hint="use a power of two such as 8"
+            )
+        if self.camera_block < 1:
+            raise InputError(
+                f"camera blocks of {self.camera_block} pixels", hint="use at least 1, such as 8"
+            )
+        if not 0 <= self.active < 1:
+            raise InputError(
+                f"blocks active from {self.active} of the strongest on",
+                hint="use a share from 0 to below 1, such as 0.1",
+            )
+
+    def estimate(
+        self,
+        capture: Capture,
+        *,
+        checkpoint: Path | None = None,
+        overwrite: bool = False,
+        progress: Progress | None = None,
+    ) -> LightTransport:
+        """From a capture to its light transport matrix.
+
+        Parameters, errors and checkpoints are those of `PlainEstimator.estimate`; a tile is a
+        strip of camera blocks.
+
+        Returns
+        -------
+        LightTransport
+            With the diagnostics of `PlainEstimator` for the last scale, and candidates: on how
+            many projector pixels each row was estimated. The gap is that of the restricted
+            problem: it says nothing about pixels that were given up at coarser scales.
+        """
+        regularization = self.regularization
+        if regularization is None:
+            regularization = automatic_regularization(capture)
+        run = _Run(self, capture, regularization)
+        return joined(
+            capture,
+            run.ranges(),
+            lambda start, stop: run.solve(start, stop, progress),
+            self.provenance(capture, regularization),
+            checkpoint=checkpoint,
+            overwrite=overwrite,
+        )
+
+    def provenance(self, capture: Capture, regularization: float) -> dict[str, Any]:
+        """What made the estimate, JSON-ready."""
+        coarse = solver_provenance(self.coarse_solver or self.solver)
+        return {
+            "estimator": "multi-scale",
+            **solver_provenance(self.solver),
+            "coarse_solver": coarse["solver"],
+            "coarse_solver_parameters": coarse["solver_parameters"],
+            "regularization": regularization,
+            "nonnegative": self.nonnegative,
+            "background": self.background,
+            "coarsest": self.coarsest,
+            "camera_block": self.camera_block,
+            "active": self.active,
+            **capture_provenance(capture),
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class _Run:
+    """One capture, strip by strip of camera blocks."""
+
+    estimator: MultiScaleEstimator
+    capture: Capture
+    regularization: float
+
+    def ranges(self) -> Iterator[tuple[int, int]]:
+        rows = self.capture.camera_shape[0]
+        width = self.capture.rows // rows
+        for start in range(0, rows, self.estimator.camera_block):
+            yield start * width, min(start + self.estimator.camera_block, rows) * width
+
+    def solve(self, start: int, stop: int, progress: Progress | None) -> Tile:
+        samples = self.capture.samples(start, stop)
+        patterns = self.capture.patterns
+        strip = Problem(
+            patterns,
+            samples,
+            self.regularization,
+            nonnegative=self.estimator.nonnegative,
+            background=self.estimator.background,
+        )
+        parts, order = [], []
+        for rows in self._camera_blocks(stop - start):
+            parts.append(self._solve_block(strip.take(rows), samples.rows(rows)))
+            order.append(rows)
+            if progress is not None:
+                progress(start + sum(map(len, order)), self.capture.rows)
+        place = np.argsort(np.concatenate(order))
+        return (
+            csr_array(_stacked([part[0] for part in parts])[place]),
+            np.concatenate([part[1] for part in parts])[place],
+            {k: np.concatenate([part[2][k] for part in parts])[place] for k in parts[0][2]},
+        )
+
+    def _camera_blocks(self, rows: int) -> Iterator[NDArray[np.int64]]:
+        """The rows of each camera block of a strip."""
+        _, width, *channels = self.capture.camera_shape
+        column = np.arange(rows) // (channels[0] if channels else 1) % width
+        block = column // self.estimator.camera_block
+        for number in range(int(block.max()) + 1):
+            yield np.flatnonzero(block == number)
+
+    def _solve_block(self, problem: Problem, samples: Samples) -> Tile:
+        """The rows of one camera block, from the coarsest scale to single pixels."""
+        patterns = self.capture.patterns
+        grid = grid_of(patterns.shape, self._scales[0].block)
+        candidates = np.arange(grid[0] * grid[1])
+        for scale in self._scales[:-1]:
+            result = self._solve_scale(problem, scale, candidates)
+            active = strongest(result.coefficients, candidates, grid, self.estimator.active)
+            finer = grid_of(patterns.shape, scale.block // 2)
+            candidates = split(active, finer)
+            grid = finer
+        result = self._solve_scale(problem, self._scales[-1], candidates)
+        found = result.coefficients.tocoo()
+        coefficients = csr_array(
+            (found.data.astype(np.float32), (found.row, candidates[found.col])),
+            shape=(problem.rows, patterns.pixels),
+        )
+        facts = diagnostics(samples, result)
+        facts["candidates"] = np.full(problem.rows, len(candidates), np.int32)
+        return coefficients, result.background.astype(np.float32)[:, None], facts
+
+    def _solve_scale(self, problem: Problem, scale: Scale, candidates: NDArray[np.int64]) -> Result:
+        restricted = replace(
+            problem,
+            patterns=scale.restricted(candidates, self.capture.patterns.means),
+            regularization=scale.regularization,
+        )
+        last = scale.block == 1
+        solver = self.estimator.solver if last else self.estimator.coarse_solver
+        return solve(restricted, solver or self.estimator.solver)
+
+    @cached_property
+    def _scales(self) -> list[Scale]:
+        patterns = self.capture.patterns
+        return scales(patterns, self.estimator.coarsest, self.regularization)
+
+
+def _stacked(parts: list[csr_array]) -> csr_array:
+    return csr_array(vstack(parts, format="csr"))

@@ -1,0 +1,114 @@
+"""The scales of a multi-scale estimate: patterns over projector blocks, and which blocks matter."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import binary_dilation
+from scipy.sparse import csr_array
+
+from lightmatrix.estimators.multiscale.restricted import RestrictedPatterns
+from lightmatrix.patterns.pattern_set import PatternSet
+from lightmatrix.solvers.regularization import column_length
+
+# Blocks that are always kept, if they have any light: a spot may touch four, and its halo more.
+_LEAST_KEPT = 8
+# Blocks of patterns that hardly vary would make the regularization vanish.
+_LEAST_SCALE = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Scale:
+    """The patterns at one size of projector blocks.
+
+    Parameters
+    ----------
+    block : int
+        Pixels per side.
+    patterns : PatternSet
+        Means over the blocks.
+    regularization : float
+        Of this scale.
+    """
+
+    block: int
+    patterns: PatternSet
+    regularization: float
+
+    def restricted(
+        self, candidates: NDArray[np.int64], means: NDArray[np.float64]
+    ) -> RestrictedPatterns:
+        """The patterns on some blocks, with the means of the whole patterns."""
+        return RestrictedPatterns(self.patterns.columns(candidates)[:, None, :], means)
+
+
+def scales(patterns: PatternSet, coarsest: int, regularization: float) -> list[Scale]:
+    """The scales from the coarsest to single pixels.
+
+    Parameters
+    ----------
+    coarsest : int
+        Pixels per side of the first scale's blocks, a power of two; halved as long as the
+        projector has no 4 x 4 of them.
+    regularization : float
+        At single pixels. At coarser scales it falls with the root mean square length of the
+        patterns' centred columns, so that it stands at the same height above noise.
+    """
+    length = column_length(patterns)
+    block = coarsest
+    while block > 1 and min(grid_of(patterns.shape, block)) < 4:
+        block //= 2
+    found = []
+    while block > 1:
+        coarse = patterns.coarse((block, block))
+        shorter = column_length(coarse) / length if length > 0 else 1.0
+        found.append(Scale(block, coarse, regularization * max(shorter, _LEAST_SCALE)))
+        block //= 2
+    return [*found, Scale(1, patterns, regularization)]
+
+
+def strongest(
+    coefficients: csr_array, candidates: NDArray[np.int64], grid: tuple[int, int], share: float
+) -> NDArray[np.bool_]:
+    """The projector blocks from which a camera block gets its light, and their neighbours.
+
+    Parameters
+    ----------
+    coefficients : (m, n) csr_array
+        Of the m rows of a camera block, for n candidates.
+    candidates : (n,) int64
+        Numbers of the candidates in the grid.
+    grid : (rows, cols)
+        Of the projector blocks.
+    share : float
+        Of the strongest score, from which on a block is active, in [0, 1); 0 keeps everything.
+
+    Returns
+    -------
+    grid bool
+        All candidates if no row has any light.
+    """
+    size = abs(coefficients)
+    total = np.asarray(size.sum(axis=1), np.float64).ravel()
+    # Bright rows tell no more about the places than dark ones.
+    score = size.T @ np.divide(1, total, out=np.zeros_like(total), where=total > 0)
+    wanted = (score >= share * score.max()) & ((score > 0) | (share == 0))
+    count = max(int(wanted.sum()), min(_LEAST_KEPT, int((score > 0).sum())))
+    if not score.any():
+        count = len(candidates)
+    active = np.zeros(grid, bool)
+    active.ravel()[candidates[np.argsort(-score, kind="stable")[:count]]] = True
+    return np.asarray(binary_dilation(active, np.ones((3, 3), bool)))
+
+
+def split(active: NDArray[np.bool_], finer: tuple[int, int]) -> NDArray[np.int64]:
+    """Numbers of the half as large blocks that active blocks consist of, in a grid of `finer`."""
+    children = active.repeat(2, axis=0).repeat(2, axis=1)[: finer[0], : finer[1]]
+    return np.flatnonzero(children)
+
+
+def grid_of(shape: tuple[int, int], block: int) -> tuple[int, int]:
+    """Rows and columns of blocks; those at the border may be smaller."""
+    return -(-shape[0] // block), -(-shape[1] // block)

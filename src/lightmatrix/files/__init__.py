@@ -1,0 +1,1 @@
+"""Files: images, outputs that are whole or absent, headers."""

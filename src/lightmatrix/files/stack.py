@@ -1,0 +1,156 @@
+"""Stacks of images: the image files of a folder in natural order, read one at a time."""
+
+from __future__ import annotations
+
+import re
+import struct
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightmatrix.errors import InputError
+from lightmatrix.files import png16
+from lightmatrix.files.images import FORMATS, READABLE, read_image
+
+
+def list_images(folder: str | Path) -> list[Path]:
+    """The image files of a folder in natural order (frame 2 before frame 10).
+
+    Hidden files and files that are no images are passed over.
+
+    Raises
+    ------
+    InputError
+        If the folder is missing, is a file, or holds no images or images of several formats.
+    """
+    place = Path(folder)
+    if not place.exists():
+        raise InputError(f"{place}: no such folder", hint="check the name")
+    if not place.is_dir():
+        raise InputError(
+            f"{place}: is a file, not a folder of images", hint="give the folder that holds it"
+        )
+    files = [entry for entry in place.iterdir() if entry.is_file() and entry.name[0] != "."]
+    images = sorted((file for file in files if file.suffix.lower() in READABLE), key=_natural)
+    if not images:
+        other = sorted({file.suffix for file in files if file.suffix})
+        found = f", only {', '.join(other)} files" if other else ""
+        raise InputError(f"{place}: holds no images{found}", hint=f"convert them to {FORMATS}")
+    suffixes = sorted({file.suffix.lower() for file in images})
+    if len(suffixes) > 1:
+        raise InputError(
+            f"{place}: holds images of several formats ({', '.join(suffixes)})",
+            hint="keep one image a frame, all in one format",
+        )
+    return images
+
+
+def nonlinear_tag(path: str | Path) -> str | None:
+    """Why an image file is probably not linear: "JPEG", "tagged sRGB", ...; None if it may be.
+
+    A PNG file is tagged by its sRGB, iCCP, cICP or gAMA chunk (a gamma of 1 is linear).
+    """
+    file = Path(path)
+    if file.suffix.lower() in (".jpg", ".jpeg"):
+        return "JPEG"
+    if file.suffix.lower() != ".png":
+        return None
+    try:
+        found = png16.chunks(file.read_bytes())
+    except (ValueError, OSError):
+        return None
+    for name, words in ((b"sRGB", "tagged sRGB"), (b"iCCP", "tagged with a colour profile")):
+        if name in found:
+            return words
+    if b"cICP" in found:
+        return "tagged with a video colour space"
+    gamma = found.get(b"gAMA", b"")
+    if len(gamma) == 4 and (value := struct.unpack(">I", gamma)[0]) not in (0, 100000):
+        return f"tagged with gamma {100000 / value:.2g}"
+    return None
+
+
+@dataclass(frozen=True)
+class ImageStack:
+    """Images of one shape and type, read one at a time.
+
+    Parameters
+    ----------
+    paths : tuple of Path
+        The files, in the order of the frames.
+    shape : (rows, cols) or (rows, cols, 3)
+        Of every image.
+    dtype : numpy.dtype
+        uint8, uint16 or float32.
+    """
+
+    paths: tuple[Path, ...]
+    shape: tuple[int, ...]
+    dtype: np.dtype[Any]
+
+    @classmethod
+    def open(cls, source: str | Path | Sequence[Path]) -> ImageStack:
+        """The images of a folder (natural order) or of a list of files (its order).
+
+        Raises
+        ------
+        InputError
+            If there are none or the first one cannot be read; later ones are checked when read.
+        """
+        paths = list_images(source) if isinstance(source, (str, Path)) else list(source)
+        if not paths:
+            raise InputError("an empty list of images", hint="give at least one file")
+        first = read_image(paths[0])
+        return cls(tuple(paths), first.shape, first.dtype)
+
+    @property
+    def count(self) -> int:
+        """Number of images K."""
+        return len(self.paths)
+
+    def read(self, index: int) -> NDArray[Any]:
+        """Image number `index`, of the stack's shape and dtype.
+
+        Raises
+        ------
+        InputError
+            If it cannot be read, or differs from the first image in shape or type.
+        """
+        path = self.paths[index]
+        image = read_image(path)
+        if image.shape != self.shape:
+            raise InputError(
+                f"{path}: is {_words(image.shape)}, but {self.paths[0].name} is "
+                f"{_words(self.shape)}",
+                hint="all images of a folder must have one size; move others elsewhere",
+            )
+        if image.dtype != self.dtype:
+            raise InputError(
+                f"{path}: is {image.dtype}, but {self.paths[0].name} is {self.dtype}",
+                hint="save all images of a folder with the same bit depth",
+            )
+        return image
+
+    def __iter__(self) -> Iterator[NDArray[Any]]:
+        return (self.read(index) for index in range(self.count))
+
+    def name(self, index: int) -> str:
+        """The file's name."""
+        return self.paths[index].name
+
+    def select(self, index: Sequence[int]) -> ImageStack:
+        """The stack of the images of the given indices."""
+        return ImageStack(tuple(self.paths[i] for i in index), self.shape, self.dtype)
+
+
+def _words(shape: tuple[int, ...]) -> str:
+    return f"{shape[0]} x {shape[1]}" + (f" with {shape[2]} channels" if len(shape) == 3 else "")
+
+
+def _natural(path: Path) -> tuple[list[tuple[int, int, str]], str]:
+    parts = re.split(r"(\d+)", path.name.casefold())
+    return [(0, int(p), "") if p.isdigit() else (1, 0, p) for p in parts if p], path.name

@@ -1,0 +1,1 @@
+"""Patterns as linear operators: what the projector shows."""

@@ -1,0 +1,144 @@
+"""Patterns of zeros and ones as bits: given ones, and random draws (Bernoulli)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightmatrix import _core
+from lightmatrix.errors import InputError
+from lightmatrix.patterns.pattern_set import PatternSet, check_geometry
+
+# Bernoulli patterns up to this size are also kept as floats once many rows are multiplied.
+_DENSE_BYTES = 128 << 20
+
+
+_DENSE_ROWS = 8
+
+
+class PackedPatterns(PatternSet):
+    """Patterns of zeros and ones, kept as bits: what the compiled core multiplies fastest.
+
+    Parameters
+    ----------
+    bits : (K, ceil(N / 8)) uint8
+        Lit pixels, least significant bit first.
+    """
+
+    bits: NDArray[np.uint8]
+
+    def forward(self, x: NDArray[Any]) -> NDArray[Any]:
+        if self._multiply_dense(x):
+            return np.asarray(x @ self._dense.T)
+        return _core.bits_forward(self.bits, self.pixels, np.ascontiguousarray(x))
+
+    def adjoint(self, e: NDArray[Any]) -> NDArray[Any]:
+        if self._multiply_dense(e):
+            return np.asarray(e @ self._dense)
+        return _core.bits_adjoint(self.bits, self.pixels, np.ascontiguousarray(e))
+
+    def _multiply_dense(self, rows: NDArray[Any]) -> bool:
+        # A matrix product of floats outruns sums of bits where its matrix fits, for many rows.
+        small = 4 * self.count * self.pixels <= _DENSE_BYTES
+        return small and rows.dtype == np.float32 and len(rows) >= _DENSE_ROWS
+
+    @cached_property
+    def _dense(self) -> NDArray[np.float32]:
+        return self.dense()
+
+    def columns(self, index: NDArray[np.integer]) -> NDArray[np.float32]:
+        return _core.bits_columns(self.bits, self.pixels, np.asarray(index, np.int64))
+
+    def rows(self, start: int, stop: int) -> NDArray[np.float32]:
+        lit = np.unpackbits(self.bits[start:stop], axis=1, count=self.pixels, bitorder="little")
+        return lit.astype(np.float32)
+
+    def subset(self, index: NDArray[np.integer]) -> PatternSet:
+        return BitPatterns(self.shape, self.bits[np.asarray(index)])
+
+
+@dataclass(frozen=True, eq=False)
+class BitPatterns(PackedPatterns):
+    """Patterns of zeros and ones given as bits, such as some of the patterns of another set.
+
+    Parameters
+    ----------
+    shape : (int, int)
+        Projector rows and columns.
+    bits : (K, ceil(N / 8)) uint8
+        Lit pixels, least significant bit first.
+    """
+
+    shape: tuple[int, int]
+    bits: NDArray[np.uint8]
+
+    def __post_init__(self) -> None:
+        check_geometry(self.shape, self.count)
+        if self.bits.ndim != 2 or self.bits.shape[1] != (self.pixels + 7) // 8:
+            raise InputError(
+                f"bits of shape {self.bits.shape} for a projector of shape {self.shape}",
+                hint=f"give (K, {(self.pixels + 7) // 8}) bytes",
+            )
+
+    @property
+    def count(self) -> int:  # type: ignore[override]
+        return len(self.bits)
+
+    @property
+    def description(self) -> dict[str, Any]:
+        return {"kind": "images", "shape": list(self.shape), "count": self.count}
+
+
+@dataclass(frozen=True, eq=False)
+class BernoulliPatterns(PackedPatterns):
+    """Random on/off patterns: each projector pixel is lit with probability `density`.
+
+    The patterns of the paper's experiments (after Sen & Darabi 2009), kept as bits.
+
+    Parameters
+    ----------
+    shape : (int, int)
+        Projector rows and columns.
+    count : int
+        Number of patterns K.
+    density : float
+        Probability that a pixel is lit, in (0, 1).
+    seed : int
+        Seed of the draw; the same seed gives the same patterns on every machine.
+    """
+
+    shape: tuple[int, int]
+    count: int
+    density: float = 0.5
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        check_geometry(self.shape, self.count)
+        if not 0 < self.density < 1:
+            raise InputError(
+                f"a density of {self.density}", hint="use a share between 0 and 1, such as 0.5"
+            )
+
+    @cached_property
+    def bits(self) -> NDArray[np.uint8]:  # type: ignore[override]
+        """Lit pixels, (K, ceil(N / 8)) uint8, least significant bit first."""
+        bits = np.empty((self.count, (self.pixels + 7) // 8), np.uint8)
+        # One generator a pattern: the first k patterns do not depend on how many follow.
+        for k, child in enumerate(np.random.SeedSequence(self.seed).spawn(self.count)):
+            lit = np.random.Generator(np.random.PCG64(child)).random(self.pixels) < self.density
+            bits[k] = np.packbits(lit, bitorder="little")
+        return bits
+
+    @property
+    def description(self) -> dict[str, Any]:
+        return {
+            "kind": "bernoulli",
+            "shape": list(self.shape),
+            "count": self.count,
+            "density": self.density,
+            "seed": self.seed,
+        }

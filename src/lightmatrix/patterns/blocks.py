@@ -1,0 +1,116 @@
+"""One block of projector pixels lit at a time; single pixels among them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+
+from lightmatrix.errors import InputError
+from lightmatrix.patterns.pattern_set import PatternSet, check_geometry
+
+
+@dataclass(frozen=True, eq=False)
+class BlockPatterns(PatternSet):
+    """One block of projector pixels lit at a time; blocks of 1 x 1 are the one-pixel responses.
+
+    Parameters
+    ----------
+    shape : (int, int)
+        Projector rows and columns.
+    block : (int, int)
+        Rows and columns of a block; blocks at the border may be smaller.
+    selected : (K,) int, optional
+        Which blocks, in the order (block row, block col); None means all.
+    """
+
+    shape: tuple[int, int]
+    block: tuple[int, int] = (1, 1)
+    selected: NDArray[np.int64] | None = None
+
+    def __post_init__(self) -> None:
+        if min(self.block) < 1:
+            raise InputError(f"a block of {self.block} pixels", hint="use at least 1 x 1")
+        check_geometry(self.shape, self.count)
+        index = self.index
+        total = self.grid[0] * self.grid[1]
+        if len(index) and (index.min() < 0 or index.max() >= total):
+            raise InputError(f"block {index.max()} of {total}", hint=f"use 0 to {total - 1}")
+
+    @property
+    def count(self) -> int:  # type: ignore[override]
+        return len(self.index)
+
+    @property
+    def grid(self) -> tuple[int, int]:
+        """Rows and columns of blocks."""
+        return -(-self.shape[0] // self.block[0]), -(-self.shape[1] // self.block[1])
+
+    @cached_property
+    def index(self) -> NDArray[np.int64]:
+        """The block lit by each pattern, (K,) int64."""
+        if self.selected is None:
+            return np.arange(self.grid[0] * self.grid[1], dtype=np.int64)
+        return np.asarray(self.selected, np.int64)
+
+    @cached_property
+    def _block_of_pixel(self) -> NDArray[np.int64]:
+        rows = np.arange(self.shape[0]) // self.block[0]
+        cols = np.arange(self.shape[1]) // self.block[1]
+        return (rows[:, None] * self.grid[1] + cols[None, :]).ravel().astype(np.int64)
+
+    def forward(self, x: NDArray[Any]) -> NDArray[Any]:
+        sums = self._membership(x.dtype) @ x.T
+        return np.ascontiguousarray(np.asarray(sums)[self.index].T)
+
+    def adjoint(self, e: NDArray[Any]) -> NDArray[Any]:
+        per_block = np.zeros((len(e), self.grid[0] * self.grid[1]), e.dtype)
+        np.add.at(per_block.T, self.index, e.T)
+        return per_block[:, self._block_of_pixel]
+
+    def _membership(self, dtype: np.dtype[Any]) -> csr_array:
+        pixels = np.arange(self.pixels)
+        entries = (np.ones(self.pixels, dtype), (self._block_of_pixel, pixels))
+        return csr_array(entries, shape=(self.grid[0] * self.grid[1], self.pixels))
+
+    def columns(self, index: NDArray[np.integer]) -> NDArray[np.float32]:
+        return (self.index[:, None] == self._block_of_pixel[index][None, :]).astype(np.float32)
+
+    def rows(self, start: int, stop: int) -> NDArray[np.float32]:
+        lit = self.index[start:stop, None] == self._block_of_pixel[None, :]
+        return lit.astype(np.float32)
+
+    @property
+    def description(self) -> dict[str, Any]:
+        selected = None if self.selected is None else [int(i) for i in self.index]
+        return {
+            "kind": "blocks",
+            "shape": list(self.shape),
+            "block": list(self.block),
+            "selected": selected,
+        }
+
+
+def one_pixel_patterns(
+    shape: tuple[int, int], selected: NDArray[np.integer] | None = None
+) -> BlockPatterns:
+    """One projector pixel lit at a time: the naive measurement of T, column by column."""
+    index = None if selected is None else np.asarray(selected, np.int64)
+    return BlockPatterns(shape, (1, 1), index)
+
+
+def sampled_pixels(shape: tuple[int, int], step: int = 8, offset: int = 4) -> NDArray[np.int64]:
+    """Projector pixels on a regular grid: 256 of a 128 x 128 projector, as in the paper's Fig. 6.
+
+    Returns
+    -------
+    (count,) int64
+        Flat indices of the pixels (offset + step i, offset + step j).
+    """
+    rows = np.arange(offset, shape[0], step)
+    cols = np.arange(offset, shape[1], step)
+    return (rows[:, None] * shape[1] + cols[None, :]).ravel().astype(np.int64)

@@ -1,0 +1,110 @@
+"""Pattern sets as folders of PNG files, with patterns.json to remake the operator.
+
+A Bernoulli or Hadamard set read back is the fast operator it was written from, but only if the
+images show the same patterns: the images are what was projected, so they have the last word.
+"""
+
+from __future__ import annotations
+
+import json
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lightmatrix.errors import InputError, LightMatrixWarning
+from lightmatrix.files.headers import read_json
+from lightmatrix.files.images import fill_image, read_grey
+from lightmatrix.files.outputs import atomic_folder
+from lightmatrix.files.stack import ImageStack, list_images
+from lightmatrix.patterns.kinds import from_description
+from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet, to_grey
+
+DESCRIPTION = "patterns.json"
+
+
+FORMAT, VERSION = "lightmatrix-patterns", 1
+
+
+def write_patterns(folder: str | Path, patterns: PatternSet, *, overwrite: bool = False) -> None:
+    """Write a pattern set as 8-bit PNG files and patterns.json.
+
+    Raises
+    ------
+    OutputError
+        If the folder exists, is not one of ours, or cannot be written.
+    """
+    with atomic_folder(folder, overwrite=overwrite) as part:
+        fill_pattern_folder(part, patterns)
+
+
+def fill_pattern_folder(folder: Path, patterns: PatternSet) -> None:
+    """Write the files of a pattern folder into an empty folder."""
+    digits = max(4, len(str(patterns.count - 1)))
+    for start, block in patterns.blocks():
+        for k, image in enumerate(to_grey(block.reshape(-1, *patterns.shape)), start):
+            fill_image(folder / f"pattern_{k:0{digits}d}.png", image)
+    header = {"format": FORMAT, "version": VERSION, "digest": patterns.digest}
+    content = {**header, "description": patterns.description}
+    (folder / DESCRIPTION).write_text(json.dumps(content, indent=2) + "\n")
+
+
+def read_patterns(folder: str | Path) -> PatternSet:
+    """Read a folder of pattern images in natural order.
+
+    Returns
+    -------
+    PatternSet
+        The operator that patterns.json describes if the images agree with it; else (with a
+        warning) or without patterns.json the images themselves.
+
+    Raises
+    ------
+    InputError
+        On images that cannot be read or differ in size, or a damaged patterns.json.
+    """
+    place = Path(folder)
+    paths = list_images(place)
+    description = _read_description(place / DESCRIPTION)
+    operator = None if description is None else from_description(description)
+    if operator is not None:
+        odd = _first_difference(operator, paths)
+        if odd is None:
+            return operator
+        warnings.warn(
+            f"{place}: {odd} the patterns that {DESCRIPTION} describes; the images are used",
+            LightMatrixWarning,
+            stacklevel=2,
+        )
+    stack = ImageStack.open(paths)
+    images = np.empty((len(paths), *stack.shape[:2]), np.float32)
+    for k, path in enumerate(paths):
+        # The stack names the file whose size or type differs.
+        stack.read(k)
+        images[k] = read_grey(path)
+    return ImagePatterns(images)
+
+
+def _read_description(file: Path) -> dict[str, Any] | None:
+    if not file.exists():
+        return None
+    content = read_json(file, FORMAT, VERSION)
+    if not isinstance(content.get("description"), dict):
+        raise InputError(
+            f"{file}: holds no description of the patterns",
+            hint="remove it to read the patterns from their images",
+        )
+    return dict(content["description"])
+
+
+def _first_difference(operator: PatternSet, paths: list[Path]) -> str | None:
+    """How the images differ from an operator, in words; None if they do not."""
+    if len(paths) != operator.count:
+        return f"its {len(paths)} images are not"
+    for start, block in operator.blocks():
+        expected = to_grey(block.reshape(-1, *operator.shape))
+        for path, grey in zip(paths[start : start + len(block)], expected, strict=True):
+            if not np.array_equal(to_grey(read_grey(path)), grey):
+                return f"{path.name} is not among"
+    return None

@@ -1,0 +1,145 @@
+"""Mixes of fine and coarse random patterns: sharp light and broad light from the same frames.
+
+Fine patterns tell projector pixels apart. A patch of weak light that covers hundreds of pixels
+hardly shows in them, since about half of it is lit under each; a pattern that is coarse where the
+patch is large turns it on and off.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightmatrix.errors import InputError
+from lightmatrix.patterns.bits import PackedPatterns
+from lightmatrix.patterns.grids import grid_cells
+from lightmatrix.patterns.pattern_set import check_geometry
+from lightmatrix.patterns.shares import interleave, parse_shares
+
+# Below so many patterns every one is needed to tell pixels apart.
+FEWEST_MIXED = 64
+# Grids of cells and their shares of the patterns; the rest is fine.
+COARSE = (((32, 32), 0.125), ((8, 8), 0.125))
+EXAMPLE = "fine:0.75,32x32:0.125,8x8:0.125"
+
+Mix = tuple[tuple[tuple[int, int], float], ...]
+
+
+@dataclass(frozen=True, eq=False)
+class MixedPatterns(PackedPatterns):
+    """Random on/off patterns, some lighting single pixels and some whole cells of coarse grids.
+
+    The kinds follow each other so that every prefix of the set holds about the stated shares, and
+    the first k patterns do not depend on how many follow. The fine ones are those of
+    `BernoulliPatterns` of the same seed and number.
+
+    Parameters
+    ----------
+    shape : (int, int)
+        Projector rows and columns.
+    count : int
+        Number of patterns K.
+    mix : tuple of ((int, int), float)
+        Rows and columns of a grid of cells, each lit or dark as a whole, and the share of patterns
+        on it, > 0. A grid of the projector's shape makes fine patterns.
+    density : float
+        Probability that a cell is lit, in (0, 1).
+    seed : int
+        Seed of the draw.
+
+    Raises
+    ------
+    InputError
+        On grids larger than the projector or given twice, and shares that do not sum to 1.
+    """
+
+    shape: tuple[int, int]
+    count: int
+    mix: Mix
+    density: float = 0.5
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        mix = tuple(((int(grid[0]), int(grid[1])), float(share)) for grid, share in self.mix)
+        object.__setattr__(self, "mix", mix)
+        check_geometry(self.shape, self.count)
+        if not 0 < self.density < 1:
+            raise InputError(
+                f"a density of {self.density}", hint="use a share between 0 and 1, such as 0.5"
+            )
+        shares = [share for _, share in mix]
+        if not mix or min(shares) <= 0 or abs(sum(shares) - 1) > 1e-3:
+            raise InputError(
+                f"a mix with shares {shares}", hint=f"let them sum to 1, such as {EXAMPLE}"
+            )
+        if len({grid for grid, _ in mix}) < len(mix):
+            raise InputError("a mix that names one grid twice", hint="add their shares")
+        for grid, _ in mix:
+            grid_cells(self.shape, grid)
+
+    @cached_property
+    def kinds(self) -> NDArray[np.int64]:
+        """Which entry of `mix` each pattern is made by, (K,) int64."""
+        return interleave([share for _, share in self.mix], self.count)
+
+    @cached_property
+    def bits(self) -> NDArray[np.uint8]:  # type: ignore[override]
+        """Lit pixels, (K, ceil(N / 8)) uint8, least significant bit first."""
+        bits = np.empty((self.count, (self.pixels + 7) // 8), np.uint8)
+        cells = [grid_cells(self.shape, grid) for grid, _ in self.mix]
+        children = np.random.SeedSequence(self.seed).spawn(self.count)
+        for k, (child, kind) in enumerate(zip(children, self.kinds, strict=True)):
+            grid = self.mix[kind][0]
+            draw = np.random.Generator(np.random.PCG64(child)).random(grid[0] * grid[1])
+            bits[k] = np.packbits((draw < self.density)[cells[kind]], bitorder="little")
+        return bits
+
+    @property
+    def description(self) -> dict[str, Any]:
+        return {
+            "kind": "mix",
+            "shape": list(self.shape),
+            "count": self.count,
+            "mix": [[list(grid), share] for grid, share in self.mix],
+            "density": self.density,
+            "seed": self.seed,
+        }
+
+
+def default_mix(shape: tuple[int, int], count: int) -> Mix:
+    """The mix to use for so many patterns: all fine below 64, then a quarter of them coarse.
+
+    Of 3/4 fine, 1/8 on a grid of 32 x 32 and 1/8 on 8 x 8 cells; grids that are not at least
+    twice as coarse as the projector leave their share to the fine patterns.
+    """
+    if count < FEWEST_MIXED:
+        return ((shape, 1.0),)
+    coarse = tuple(
+        (grid, share)
+        for grid, share in COARSE
+        if 2 * grid[0] <= shape[0] and 2 * grid[1] <= shape[1]
+    )
+    return ((shape, 1 - sum(share for _, share in coarse)), *coarse)
+
+
+def parse_mix(text: str, shape: tuple[int, int]) -> Mix:
+    """Read a mix such as ``fine:0.75,32x32:0.125,8x8:0.125``.
+
+    Raises
+    ------
+    InputError
+        On text that is none.
+    """
+    mix = []
+    for name, share in parse_shares(text, "a mix", EXAMPLE):
+        rows, _, cols = name.lower().partition("x")
+        if name != "fine" and not (rows.isdecimal() and cols.isdecimal()):
+            raise InputError(
+                f"a grid called {name!r} in a mix", hint=f"write for example {EXAMPLE}"
+            )
+        mix.append((shape if name == "fine" else (int(rows), int(cols)), share))
+    return tuple(mix)

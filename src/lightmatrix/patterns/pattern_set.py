@@ -1,0 +1,214 @@
+"""Pattern sets as linear operators: what the projector shows, never a dense matrix if avoidable.
+
+A set of K patterns over N projector pixels is the matrix P (K, N) with entries in [0, 1]. Rows of
+the light transport matrix are estimated in batches, so the operators act on rows:
+
+    forward:  (M, N) -> (M, K)   samples = X P'
+    adjoint:  (M, K) -> (M, N)   correlations = E P
+
+Every set knows how it was made (`description`, which `patterns.kinds` reads back) and a digest
+of its content, which ties a capture and an estimate to the patterns they belong to.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightmatrix.errors import InputError
+from lightmatrix.patterns.grids import block_mean
+
+# Patterns are unpacked in groups of this many bytes, so that memory stays bounded.
+_BLOCK_BYTES = 64 << 20
+
+
+class PatternSet(ABC):
+    """K patterns over a projector of (rows, cols) pixels.
+
+    Parameters
+    ----------
+    shape : (int, int)
+        Projector rows and columns; N = rows * cols.
+    count : int
+        Number of patterns K.
+    """
+
+    shape: tuple[int, int]
+    count: int
+
+    @property
+    def pixels(self) -> int:
+        """Number of projector pixels N."""
+        return self.shape[0] * self.shape[1]
+
+    @abstractmethod
+    def forward(self, x: NDArray[Any]) -> NDArray[Any]:
+        """Samples of rows: x (M, N) -> x P' (M, K), in the dtype of x."""
+
+    @abstractmethod
+    def adjoint(self, e: NDArray[Any]) -> NDArray[Any]:
+        """Correlations with every projector pixel: e (M, K) -> e P (M, N), in the dtype of e."""
+
+    @abstractmethod
+    def columns(self, index: NDArray[np.integer]) -> NDArray[np.float32]:
+        """Chosen columns of P: (K, len(index)) float32."""
+
+    @abstractmethod
+    def rows(self, start: int, stop: int) -> NDArray[np.float32]:
+        """Patterns start..stop of P as float32 (stop - start, N)."""
+
+    @property
+    @abstractmethod
+    def description(self) -> dict[str, Any]:
+        """What remakes the set: a JSON-ready dictionary with the key ``kind``."""
+
+    @cached_property
+    def means(self) -> NDArray[np.float64]:
+        """Mean of each pattern, (K,) float64."""
+        return np.concatenate([block.mean(axis=1, dtype=np.float64) for _, block in self.blocks()])
+
+    @property
+    def sums(self) -> NDArray[np.float64]:
+        """Sum of each pattern over its pixels, (K,) float64."""
+        return self.pixels * self.means
+
+    @cached_property
+    def digest(self) -> str:
+        """Hash of the patterns' content (8-bit grey, as projected) and shape, 16 hex digits."""
+        hasher = hashlib.sha256(repr((self.shape, self.count)).encode())
+        for _, block in self.blocks():
+            hasher.update(to_grey(block).tobytes())
+        return hasher.hexdigest()[:16]
+
+    def blocks(self, size: int | None = None) -> Any:
+        """Iterate over (start, rows of P) in blocks of bounded memory."""
+        size = size or max(1, _BLOCK_BYTES // (4 * self.pixels))
+        for start in range(0, self.count, size):
+            yield start, self.rows(start, min(start + size, self.count))
+
+    def images(self, start: int = 0, stop: int | None = None) -> NDArray[np.float32]:
+        """Patterns as images: (stop - start, rows, cols) float32 in [0, 1]."""
+        block = self.rows(start, self.count if stop is None else stop)
+        return block.reshape(-1, *self.shape)
+
+    def dense(self) -> NDArray[np.float32]:
+        """The whole of P, (K, N) float32; for small sets and tests."""
+        return self.rows(0, self.count)
+
+    @cached_property
+    def gram(self) -> NDArray[np.float64]:
+        """P P', (K, K) float64."""
+        dense = np.empty((self.count, self.count))
+        for start, block in self.blocks():
+            stop = start + len(block)
+            dense[start:stop] = self.forward(block.astype(np.float64))
+        return dense
+
+    def coarse(self, block: tuple[int, int]) -> ImagePatterns:
+        """The patterns averaged over blocks of projector pixels.
+
+        Parameters
+        ----------
+        block : (int, int)
+            Rows and columns of a block; blocks at the border may be smaller.
+
+        Returns
+        -------
+        ImagePatterns
+            Patterns of ceil(rows / block rows) x ceil(cols / block cols) pixels.
+        """
+        if min(block) < 1:
+            raise InputError(
+                f"a block of {block[0]} x {block[1]} pixels", hint="use at least 1 x 1"
+            )
+        parts = [
+            block_mean(part.reshape(-1, *self.shape), block).astype(np.float32)
+            for _, part in self.blocks()
+        ]
+        return ImagePatterns(np.concatenate(parts))
+
+    def subset(self, index: NDArray[np.integer]) -> PatternSet:
+        """The patterns of the given indices, as a set of their own."""
+        index = np.asarray(index)
+        return ImagePatterns(np.stack([self.images(int(k), int(k) + 1)[0] for k in index]))
+
+
+def to_grey(patterns: NDArray[Any]) -> NDArray[np.uint8]:
+    """Patterns in [0, 1] as the 8-bit grey values that are projected."""
+    return np.rint(np.asarray(patterns, np.float32) * 255).astype(np.uint8)
+
+
+def check_geometry(shape: tuple[int, int], count: int) -> None:
+    """Refuse projectors without pixels and sets without patterns."""
+    if len(shape) != 2 or min(shape) < 1:
+        raise InputError(f"a projector of shape {shape}", hint="give (rows, cols), both at least 1")
+    if count < 1:
+        raise InputError(f"{count} patterns", hint="ask for at least 1")
+
+
+@dataclass(frozen=True, eq=False)
+class ImagePatterns(PatternSet):
+    """Patterns given as images of any grey values: a dense matrix.
+
+    Parameters
+    ----------
+    stack : (K, rows, cols) float
+        Grey values in [0, 1].
+    """
+
+    stack: NDArray[np.float32]
+
+    def __post_init__(self) -> None:
+        stack = self.stack
+        if stack.ndim != 3:
+            raise InputError(
+                f"patterns of shape {stack.shape}", hint="give grey images as (K, rows, cols)"
+            )
+        check_geometry(stack.shape[1:], len(stack))
+        if not np.isfinite(stack).all() or stack.min() < 0 or stack.max() > 1:
+            raise InputError(
+                "pattern values are not all within 0 and 1", hint="scale the patterns to [0, 1]"
+            )
+        object.__setattr__(self, "stack", np.ascontiguousarray(stack, np.float32))
+
+    @property
+    def shape(self) -> tuple[int, int]:  # type: ignore[override]
+        return int(self.stack.shape[1]), int(self.stack.shape[2])
+
+    @property
+    def count(self) -> int:  # type: ignore[override]
+        return len(self.stack)
+
+    @property
+    def matrix(self) -> NDArray[np.float32]:
+        """P itself, (K, N) float32."""
+        return self.stack.reshape(self.count, -1)
+
+    def forward(self, x: NDArray[Any]) -> NDArray[Any]:
+        return np.asarray(x @ self._matrix_as(x.dtype).T)
+
+    def adjoint(self, e: NDArray[Any]) -> NDArray[Any]:
+        return np.asarray(e @ self._matrix_as(e.dtype))
+
+    def columns(self, index: NDArray[np.integer]) -> NDArray[np.float32]:
+        return self.matrix[:, index]
+
+    def rows(self, start: int, stop: int) -> NDArray[np.float32]:
+        return self.matrix[start:stop]
+
+    def _matrix_as(self, dtype: np.dtype[Any]) -> NDArray[Any]:
+        return self._double if dtype == np.float64 else self.matrix
+
+    @cached_property
+    def _double(self) -> NDArray[np.float64]:
+        return self.matrix.astype(np.float64)
+
+    @property
+    def description(self) -> dict[str, Any]:
+        return {"kind": "images", "shape": list(self.shape), "count": self.count}

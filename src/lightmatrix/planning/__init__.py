@@ -1,0 +1,1 @@
+"""What to photograph, and the error to expect."""

@@ -1,0 +1,165 @@
+"""What to photograph: exposures, patterns and their number, advised from a white frame.
+
+The white level w of a camera pixel, the sum of its row of T, bounds each of its entries. Most rows
+hold most of w in one spot, lit in half of the random patterns: their samples are near w then, and
+near the rest of w otherwise. So what a set of exposures will clip can be told from w alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightmatrix.camera.noise import USUAL_NOISE
+from lightmatrix.errors import InputError
+
+# Share of a row's sum in its strongest spot: medians of 0.85, 0.98, 0.89 and 0.43 on the scenes.
+SPOT_SHARE = 0.85
+# Camera pixels below this share of a bright one are not reached by the projector.
+_LIT = 0.02
+# The brightest pixels that may clip: glints of single pixels must not darken all frames.
+_GLINTS = 0.001
+# Of the light of a typical pixel: noise above it asks for a longer exposure as well.
+NOISE_LIMIT = 0.02
+# From one exposure to the next.
+STEP = 4.0
+# Of the white frame's pixels: above, the scene's range is unknown and nothing can be advised.
+_MOST_CLIPPED = 0.5
+DENSITY = 0.5
+# Measured better than 0.5 and 0.1 where single responses clip.
+DENSITY_WHERE_CLIPPED = 0.25
+# Share of lit camera pixels with a strongest response that clips: above, fewer pixels are lit.
+_CLIPPED_SINGLY = 0.01
+
+
+@dataclass(frozen=True, eq=False)
+class WhiteFrame:
+    """Camera samples under a white pattern.
+
+    Parameters
+    ----------
+    levels : (M,) float
+        Linear, black subtracted, in units of the clip level, at exposure 1; where clipped, a
+        lower bound.
+    clipped : (M,) bool
+        Which of them clipped.
+
+    Raises
+    ------
+    InputError
+        On a frame that is dark, or clipped in more than half of its lit pixels.
+    """
+
+    levels: NDArray[np.floating]
+    clipped: NDArray[np.bool_]
+
+    def __post_init__(self) -> None:
+        if not self.levels.size or np.quantile(self.levels, 0.99) <= 0:
+            raise InputError(
+                "the white frame is dark",
+                hint="photograph the white pattern with a longer exposure",
+            )
+        if self.clipped[self.lit].mean() > _MOST_CLIPPED:
+            raise InputError(
+                f"{100 * self.clipped[self.lit].mean():.0f} % of the white frame is clipped, so "
+                "the light of the scene is not known",
+                hint="photograph the white pattern with a quarter of the exposure",
+            )
+
+    @property
+    def lit(self) -> NDArray[np.bool_]:
+        """Camera pixels that the projector reaches, (M,) bool."""
+        return np.asarray(self.levels > _LIT * np.quantile(self.levels, 0.99))
+
+    @property
+    def clipped_share(self) -> float:
+        """Share of the lit pixels that clipped."""
+        return float(self.clipped[self.lit].mean())
+
+    @property
+    def brightest(self) -> float:
+        """White level of the brightest pixels, single glints apart."""
+        return float(np.quantile(self.levels[self.lit], 1 - _GLINTS))
+
+    @property
+    def typical(self) -> float:
+        """White level of the median lit pixel."""
+        return float(np.median(self.levels[self.lit]))
+
+
+def advise_exposures(
+    white: WhiteFrame, noise: float = USUAL_NOISE, shortest: float | None = None
+) -> list[tuple[float, float]]:
+    """Exposures and their shares of the frames.
+
+    The shortest puts the brightest white level at the clip level, so that no single response and
+    hardly a sum of them clips. If its noise exceeds 2 % of a typical pixel's light, longer ones
+    follow, four times each, until it does not. Where the white frame itself clips, the brightest
+    level is not known; one more exposure, a quarter of the shortest, is there for it.
+
+    Parameters
+    ----------
+    white : WhiteFrame
+    noise : float
+        Standard deviation of a sample's noise, as a share of the clip level; >= 0.
+    shortest : float, optional
+        The camera's shortest exposure, in the unit of the white frame's; > 0.
+
+    Returns
+    -------
+    list of (exposure, share)
+        From the longest to the shortest, equal shares; in the unit of the white frame's exposure.
+
+    Raises
+    ------
+    InputError
+        On a noise or a shortest exposure out of range.
+    """
+    if not (np.isfinite(noise) and 0 <= noise < 1):
+        raise InputError(f"a noise of {noise}", hint="use a share of the clip level, such as 0.003")
+    if shortest is not None and not (np.isfinite(shortest) and shortest > 0):
+        raise InputError(f"a shortest exposure of {shortest}", hint="use a number above 0")
+    ladder = [1 / white.brightest]
+    if white.clipped_share > _GLINTS:
+        ladder.append(ladder[0] / STEP)
+    while noise > NOISE_LIMIT * white.typical * ladder[0] and ladder[0] * white.typical < 1:
+        ladder.insert(0, STEP * ladder[0])
+    if shortest is not None:
+        kept = [exposure for exposure in ladder if exposure > shortest]
+        ladder = kept if len(kept) == len(ladder) else [*kept, shortest]
+    return [(float(f"{exposure:.3g}"), 1 / len(ladder)) for exposure in ladder]
+
+
+def clipped_share(white: WhiteFrame, exposure: float, density: float = DENSITY) -> float:
+    """Share of samples that will clip under random patterns, told from white levels alone.
+
+    Each row is taken for one spot of 85 % of its sum, lit in a share `density` of the patterns,
+    and a broad rest of which the same share is always lit.
+
+    Parameters
+    ----------
+    white : WhiteFrame
+    exposure : float
+        In the unit of the white frame's.
+    density : float
+        Probability that a projector pixel is lit.
+    """
+    light = exposure * white.levels[white.lit]
+    rest = (1 - SPOT_SHARE) * density
+    dark, bright = light * rest >= 1, light * (SPOT_SHARE + rest) >= 1
+    return float(np.mean((1 - density) * dark + density * bright))
+
+
+def single_clipped_share(white: WhiteFrame, exposures: Sequence[tuple[float, float]]) -> float:
+    """Share of lit camera pixels whose strongest response clips at every exposure."""
+    shortest = min(exposure for exposure, _ in exposures)
+    return float(np.mean(SPOT_SHARE * shortest * white.levels[white.lit] >= 1))
+
+
+def advise_density(white: WhiteFrame, exposures: Sequence[tuple[float, float]]) -> float:
+    """Share of projector pixels to light: a half, but a quarter where the camera must clip."""
+    clipping = single_clipped_share(white, exposures) > _CLIPPED_SINGLY
+    return DENSITY_WHERE_CLIPPED if clipping else DENSITY

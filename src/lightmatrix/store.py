@@ -1,9 +1,0 @@
-"""What lightmatrix keeps on disk: matrices, running results, and exchange with other programs."""
-
-from __future__ import annotations
-
-from lightmatrix.checkpoint import Checkpoint
-from lightmatrix.exchange import export, export_mat, export_npz, import_npz
-from lightmatrix.transport_file import open, save
-
-__all__ = ["Checkpoint", "export", "export_mat", "export_npz", "import_npz", "open", "save"]

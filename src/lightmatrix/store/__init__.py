@@ -1,0 +1,9 @@
+"""What lightmatrix keeps on disk: matrices, running results, and exchange with other programs."""
+
+from __future__ import annotations
+
+from lightmatrix.store.checkpoint import Checkpoint
+from lightmatrix.store.exchange import export, export_mat, export_npz, import_npz
+from lightmatrix.store.zarr_file import open, save
+
+__all__ = ["Checkpoint", "export", "export_mat", "export_npz", "import_npz", "open", "save"]

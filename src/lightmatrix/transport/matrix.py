@@ -1,0 +1,221 @@
+"""The light transport matrix: rows, columns, relighting, dual image."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+
+from lightmatrix.errors import InputError
+from lightmatrix.patterns.grids import check_grid, grid_cells
+
+
+@dataclass(frozen=True, eq=False)
+class LightTransport:
+    """T = S + B m: a sparse part and a low-resolution background, in camera full scale.
+
+    ``T p = S p + B m(p)`` where m(p) are the means of the pattern p over the blocks of a coarse
+    grid (DESIGN: 1 x 1 is one value per camera sample times the mean of the pattern).
+
+    Parameters
+    ----------
+    sparse : (M, N) csr_array float32
+        Sparse part S: camera full scale at exposure 1 per unit of projector pixel.
+    background : (M, B) float32
+        Background B per camera sample, for the B blocks of ``background_grid``.
+    camera_shape : (rows, cols) or (rows, cols, channels)
+        M = product; camera samples in the order (row, col, channel).
+    projector_shape : (rows, cols)
+        N = rows * cols.
+    background_grid : (int, int)
+        Rows and columns of the coarse grid; B = product.
+    diagnostics : mapping of str to (M,) array
+        Per-row facts: share of clipped samples, gap, iterations, regularization.
+    provenance : mapping
+        What made it: versions, parameters, pattern digest, seed. JSON-ready.
+
+    Raises
+    ------
+    InputError
+        On shapes that do not match.
+    """
+
+    sparse: csr_array
+    background: NDArray[np.float32]
+    camera_shape: tuple[int, ...]
+    projector_shape: tuple[int, int]
+    background_grid: tuple[int, int] = (1, 1)
+    diagnostics: Mapping[str, NDArray[Any]] = field(default_factory=dict)
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        expected = (int(np.prod(self.camera_shape)), int(np.prod(self.projector_shape)))
+        if self.sparse.shape != expected:
+            raise InputError(
+                f"a matrix of {self.sparse.shape} for camera {self.camera_shape} and "
+                f"projector {self.projector_shape}",
+                hint=f"its shape must be {expected}",
+            )
+        check_grid(self.projector_shape, self.background_grid)
+        blocks = self.background_grid[0] * self.background_grid[1]
+        if self.background.shape != (expected[0], blocks):
+            raise InputError(
+                f"a background of {self.background.shape}",
+                hint=f"its shape must be ({expected[0]}, {blocks})",
+            )
+        for name, values in self.diagnostics.items():
+            if values.shape != (expected[0],):
+                raise InputError(
+                    f"diagnostic {name!r} has shape {values.shape}", hint="give one value a row"
+                )
+
+    @classmethod
+    def from_matrix(
+        cls,
+        matrix: csr_array,
+        camera_shape: tuple[int, ...],
+        projector_shape: tuple[int, int],
+        **more: Any,
+    ) -> LightTransport:
+        """A transport without background, such as a rendered truth."""
+        background = np.zeros((matrix.shape[0], 1), np.float32)
+        return cls(
+            csr_array(matrix, dtype=np.float32),
+            background,
+            camera_shape,
+            projector_shape,
+            **more,
+        )
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Camera samples and projector pixels (M, N)."""
+        return int(self.sparse.shape[0]), int(self.sparse.shape[1])
+
+    @cached_property
+    def pooling(self) -> csr_array:
+        """The operator m: mean over each block of the background grid, (B, N)."""
+        return block_means(self.projector_shape, self.background_grid)
+
+    def relight(self, patterns: NDArray[Any]) -> NDArray[np.float32]:
+        """Camera images under patterns: c = T p, linear, not clipped.
+
+        Parameters
+        ----------
+        patterns : (rows, cols) or (K, rows, cols)
+            Projector patterns in [0, 1].
+
+        Returns
+        -------
+        camera_shape or (K, *camera_shape) float32
+            In units of camera full scale at exposure 1.
+
+        Raises
+        ------
+        InputError
+            If the patterns do not have the projector's shape.
+        """
+        stack = np.asarray(patterns, np.float32)
+        if stack.shape[-2:] != self.projector_shape or stack.ndim not in (2, 3):
+            raise InputError(
+                f"a pattern of shape {stack.shape} for a projector of "
+                f"{self.projector_shape[0]} x {self.projector_shape[1]}",
+                hint="resize the pattern to the projector",
+            )
+        p = stack.reshape(-1, self.shape[1]).T
+        camera = self.sparse @ p + self.background @ (self.pooling @ p)
+        images = np.asarray(camera.T, np.float32).reshape(-1, *self.camera_shape)
+        return images if stack.ndim == 3 else images[0]
+
+    def dual(self, lights: NDArray[Any]) -> NDArray[np.float32]:
+        """The scene seen from the projector, lit from the camera: p = T' c (Sen et al. 2005).
+
+        Parameters
+        ----------
+        lights : camera_shape
+            How strongly each camera sample acts as a light.
+
+        Returns
+        -------
+        (rows, cols) float32
+            The dual image, as the projector would see it.
+
+        Raises
+        ------
+        InputError
+            If the lights do not have the camera's shape.
+        """
+        light = np.asarray(lights, np.float32)
+        if light.shape != self.camera_shape:
+            raise InputError(
+                f"camera lights of shape {light.shape}", hint=f"give shape {self.camera_shape}"
+            )
+        flat = light.ravel()
+        image = self.sparse.T @ flat + self.pooling.T @ (self.background.T @ flat)
+        return np.asarray(image, np.float32).reshape(self.projector_shape)
+
+    def row(self, *camera_index: int) -> NDArray[np.float32]:
+        """How each projector pixel reaches one camera sample, as a projector image.
+
+        Parameters
+        ----------
+        camera_index : int
+            Row, column and, for a colour camera, channel.
+        """
+        index = int(np.ravel_multi_index(camera_index, self.camera_shape))
+        values = self.dense_rows(np.array([index]))[0]
+        return values.reshape(self.projector_shape)
+
+    def column(self, row: int, col: int) -> NDArray[np.float32]:
+        """The camera image when one projector pixel is lit (its impulse response)."""
+        index = int(np.ravel_multi_index((row, col), self.projector_shape))
+        return self.dense_columns(np.array([index]))[:, 0].reshape(self.camera_shape)
+
+    def dense_rows(self, index: NDArray[np.integer]) -> NDArray[np.float32]:
+        """Chosen rows of T, background included: (len(index), N) float32."""
+        values = self.sparse[index].toarray() + self.background[index] @ self.pooling
+        return np.asarray(values, np.float32)
+
+    def dense_columns(self, index: NDArray[np.integer]) -> NDArray[np.float32]:
+        """Chosen columns of T, background included: (M, len(index)) float32."""
+        pooled = self.pooling[:, index].toarray()
+        return np.asarray(self.sparse[:, index].toarray() + self.background @ pooled, np.float32)
+
+    def to_matrix(self, *, dense_background: bool = False) -> csr_array:
+        """T as one sparse matrix.
+
+        Parameters
+        ----------
+        dense_background : bool
+            Spread the background over all pixels: exact, but M x N entries where it is not 0.
+            Otherwise the background is left out.
+        """
+        if not dense_background:
+            return self.sparse
+        return csr_array(self.sparse + csr_array(self.background) @ self.pooling)
+
+
+def block_means(projector_shape: tuple[int, int], grid: tuple[int, int]) -> csr_array:
+    """The operator m: means of a pattern over the blocks of a coarse grid, (B, N) float32.
+
+    Parameters
+    ----------
+    projector_shape : (rows, cols)
+        N = rows * cols.
+    grid : (rows, cols)
+        B = rows * cols blocks, as equal as whole pixels allow.
+
+    Raises
+    ------
+    InputError
+        If the grid has more rows or columns than the projector, or none.
+    """
+    block = grid_cells(projector_shape, grid)
+    sizes = np.bincount(block, minlength=grid[0] * grid[1])
+    entries = ((1 / sizes[block]).astype(np.float32), (block, np.arange(len(block))))
+    return csr_array(entries, shape=(grid[0] * grid[1], len(block)))

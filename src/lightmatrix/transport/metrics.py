@@ -1,0 +1,189 @@
+"""How far an estimate is from the truth: the metrics that experiments and benchmarks share."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+
+from lightmatrix.errors import InputError
+from lightmatrix.patterns.blocks import sampled_pixels
+from lightmatrix.transport.matrix import LightTransport
+
+# A single response counts as not clipping up to this share of the clip level.
+UNCLIPPED_RESPONSE = 0.98
+_BLOCK_BYTES = 64 << 20
+
+
+def relative_error(
+    estimate: LightTransport, truth: LightTransport, rows: NDArray[np.integer] | None = None
+) -> float:
+    """||T_est - T||_F / ||T||_F over the stated rows, background included.
+
+    Parameters
+    ----------
+    rows : (R,) int, optional
+        Camera samples to count; None means all.
+    """
+    wrong, total = squared_errors(estimate, truth)
+    chosen = slice(None) if rows is None else rows
+    missed, energy = float(wrong[chosen].sum()), float(total[chosen].sum())
+    return float(np.sqrt(missed / energy if energy else missed))
+
+
+def squared_errors(
+    estimate: LightTransport, truth: LightTransport
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """||T_est - T||^2 and ||T||^2 of each row, backgrounds included, without a dense matrix.
+
+    Returns
+    -------
+    wrong, total : (M,) float64
+    """
+    _check_same_rig(estimate, truth)
+    difference = csr_array(estimate.sparse - truth.sparse, dtype=np.float64)
+    found, expected = (estimate.background, estimate.pooling), (truth.background, truth.pooling)
+    wrong = _row_energies(difference, [found, (-expected[0], expected[1])])
+    return wrong, _row_energies(csr_array(truth.sparse, dtype=np.float64), [expected])
+
+
+def _row_energies(
+    sparse: csr_array, coarse: list[tuple[NDArray[Any], csr_array]]
+) -> NDArray[np.float64]:
+    """Row by row ||S + sum B m||^2: products of the parts, each as small as its smaller one."""
+    squares = csr_array((sparse.data**2, sparse.indices, sparse.indptr), shape=sparse.shape)
+    energy = np.asarray(squares.sum(axis=1), np.float64)
+    for i, (background, means) in enumerate(coarse):
+        if not background.any():
+            continue
+        own = background.astype(np.float64)
+        energy += 2 * ((sparse @ means.T.astype(np.float64)).toarray() * own).sum(axis=1)
+        for other_background, other_means in coarse[i:]:
+            overlap = (means @ other_means.T).toarray().astype(np.float64)
+            product = ((own @ overlap) * other_background).sum(axis=1)
+            energy += product if other_background is background else 2 * product
+    return np.maximum(energy, 0)
+
+
+def response_rmse(
+    estimate: LightTransport,
+    truth: LightTransport,
+    *,
+    clip_level: float = 1.0,
+    rows: NDArray[np.integer] | None = None,
+    step: int = 8,
+    offset: int = 4,
+) -> float:
+    """RMSE against one-pixel responses of projector pixels on a grid, as in the paper's Fig. 6.
+
+    Parameters
+    ----------
+    clip_level : float
+        The unit of the result, in camera full scale at exposure 1 (1 / exposure).
+    rows : (R,) int, optional
+        Camera samples to count; None means all.
+    step, offset : int
+        The grid of projector pixels (offset + step i, offset + step j).
+    """
+    _check_same_rig(estimate, truth)
+    columns = sampled_pixels(truth.projector_shape, step, min(offset, step - 1))
+    chosen = slice(None) if rows is None else rows
+    wrong, count = 0.0, 0
+    for part in np.array_split(columns, max(1, len(columns) // 32)):
+        if len(part):
+            difference = (estimate.dense_columns(part) - truth.dense_columns(part))[chosen]
+            wrong += _energy(difference)
+            count += difference.size
+    return float(np.sqrt(wrong / max(count, 1))) / clip_level
+
+
+def relighting_error(
+    estimate: LightTransport,
+    truth: LightTransport,
+    patterns: NDArray[Any],
+    rows: NDArray[np.integer] | None = None,
+) -> float:
+    """Relative L2 error of linear, unclipped camera images, averaged over patterns.
+
+    Parameters
+    ----------
+    patterns : (K, rows, cols)
+        Unseen patterns, such as `unseen_patterns`.
+    """
+    _check_same_rig(estimate, truth)
+    chosen = slice(None) if rows is None else rows
+    expected = truth.relight(patterns).reshape(len(patterns), -1)[:, chosen].astype(np.float64)
+    images = estimate.relight(patterns).reshape(len(patterns), -1)[:, chosen]
+    norm = np.linalg.norm(expected, axis=1)
+    errors = np.linalg.norm(images - expected, axis=1)
+    return float(np.mean(np.divide(errors, norm, out=np.zeros_like(errors), where=norm > 0)))
+
+
+def unseen_patterns(shape: tuple[int, int], seed: int = 0) -> dict[str, NDArray[np.float32]]:
+    """Patterns no estimate has seen: checker, disc, gradient, stripes, random blocks."""
+    rows, cols = np.indices(shape)
+    centre = (shape[0] - 1) / 2, (shape[1] - 1) / 2
+    random = np.random.default_rng(seed).random((-(-shape[0] // 4), -(-shape[1] // 4))) < 0.5
+    patterns = {
+        "checker": (rows // 8 + cols // 8) % 2,
+        "disc": np.hypot(rows - centre[0], cols - centre[1]) < min(shape) / 3,
+        "gradient": (rows / shape[0] + 2 * cols / shape[1]) / 3,
+        "stripes": cols // 4 % 2,
+        "blocks": np.kron(random, np.ones((4, 4)))[: shape[0], : shape[1]],
+    }
+    return {name: np.asarray(image, np.float32) for name, image in patterns.items()}
+
+
+def row_maximum(transport: LightTransport) -> NDArray[np.float32]:
+    """Strongest single response of each camera sample, (M,) float32."""
+    return np.asarray(transport.sparse.max(axis=1).toarray(), np.float32).ravel()
+
+
+def benchmark_exposure(truth: LightTransport) -> float:
+    """The exposure at which a fifth of the rows have a single response that clips."""
+    level = float(np.quantile(row_maximum(truth), 0.8))
+    if level <= 0:
+        raise InputError("four fifths of the rows are dark", hint="use a scene with more light")
+    return 1 / level
+
+
+def unclipped_rows(truth: LightTransport, exposure: float) -> NDArray[np.bool_]:
+    """Rows whose single responses do not clip at this exposure, (M,) bool."""
+    return row_maximum(truth) * exposure <= UNCLIPPED_RESPONSE
+
+
+def diffuse_rows(matrix: csr_array, projector_shape: tuple[int, int]) -> NDArray[np.bool_]:
+    """Rows whose strongest 3 x 3 window of projector pixels holds less than half their sum.
+
+    Returns
+    -------
+    (M,) bool
+        False for rows without light.
+    """
+    rows, cols = projector_shape
+    result = np.zeros(matrix.shape[0], bool)
+    size = max(1, _BLOCK_BYTES // (4 * rows * cols))
+    for start in range(0, matrix.shape[0], size):
+        images = matrix[start : start + size].toarray().reshape(-1, rows, cols)
+        summed = np.pad(images, ((0, 0), (1, 1), (1, 1)))
+        summed = summed[:, :-2] + summed[:, 1:-1] + summed[:, 2:]
+        summed = summed[:, :, :-2] + summed[:, :, 1:-1] + summed[:, :, 2:]
+        window = summed.max(axis=(1, 2))
+        result[start : start + size] = window < 0.5 * images.sum(axis=(1, 2))
+    return result
+
+
+def _check_same_rig(estimate: LightTransport, truth: LightTransport) -> None:
+    for what in ("camera_shape", "projector_shape"):
+        if getattr(estimate, what) != getattr(truth, what):
+            raise InputError(
+                f"the estimate's {what.replace('_', ' ')} is {getattr(estimate, what)}, "
+                f"the truth's {getattr(truth, what)}",
+                hint="compare matrices of one rig, binned alike",
+            )
+
+
+def _energy(values: NDArray[Any]) -> float:
+    return float(np.square(values, dtype=np.float64).sum())
