@@ -96,14 +96,14 @@ def test_an_interrupted_estimate_goes_on(scene: Truth, tmp_path: Path, finished_
     assert not target.with_name("scene.zarr.partial").exists()
 
 
-def test_the_background_is_kept_in_blocks(scene: Truth) -> None:
+def test_the_background_is_kept_in_cells(scene: Truth) -> None:
     capture = photographed(scene, 64)
     found = CoherentEstimator(background_grid=(3, 4)).estimate(capture)
     assert found.background_grid == (3, 4)
     assert found.background.shape == (360, 12)
     single = CoherentEstimator(background_grid=(1, 1)).estimate(capture)
     assert single.background.shape == (360, 1)
-    # Blocks no finer than pixels.
+    # Cells no finer than pixels.
     assert CoherentEstimator(background_grid=(100, 100)).estimate(capture).background_grid == (
         24,
         20,

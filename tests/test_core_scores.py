@@ -12,7 +12,6 @@ from lightmatrix._core import PreparedPatterns
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.hadamard import HadamardPatterns
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
-from lightmatrix.solvers.active_set import prepare
 
 INSTRUCTIONS = ("portable", "avx2", "avx512")
 
@@ -21,7 +20,7 @@ def available(patterns: PatternSet) -> list[PreparedPatterns]:
     cores = []
     for name in INSTRUCTIONS:
         try:
-            cores.append(prepare(patterns, name))
+            cores.append(patterns.prepare(instructions=name))
         except ValueError:
             assert name != "portable"
     return cores
@@ -73,8 +72,8 @@ def test_instruction_sets_give_the_same_scores() -> None:
 def test_wrong_arguments_are_refused() -> None:
     patterns = BernoulliPatterns((5, 5), 9)
     with pytest.raises(ValueError, match="abacus"):
-        prepare(patterns, "abacus")
-    core = prepare(patterns)
+        patterns.prepare(instructions="abacus")
+    core = patterns.prepare()
     with pytest.raises(ValueError, match="9 patterns"):
         core.scores(np.zeros((2, 8)))
     with pytest.raises(ValueError, match="bytes a pattern"):

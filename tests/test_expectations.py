@@ -15,6 +15,7 @@ from lightmatrix.camera.samples import Samples
 from lightmatrix.estimators.coherent.expectations import REACH, Neighbourhood, unseen_patterns
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.pattern_set import PatternSet
+from lightmatrix.transport.sparse_rows import SparseRows
 
 LEVEL = 0.5
 
@@ -24,7 +25,9 @@ def neighbourhood(camera: Any, projector: Any, seed: int, filled: float = 0.2) -
     rows = np.prod(camera)
     dense = random.random((rows, projector[0] * projector[1])).astype(np.float32)
     dense[random.random(dense.shape) > filled] = 0
-    return Neighbourhood(csr_array(dense), camera, projector)
+    return Neighbourhood(
+        SparseRows(csr_array(dense), np.zeros((rows, 1), np.float32)), camera, projector
+    )
 
 
 def backgrounds_of(rows: int, patterns: int, seed: int) -> Any:
@@ -62,7 +65,7 @@ def by_definition(
             step = np.array([other_r - r, other_c - c], np.float32)
             moved = around.movement[row].reshape(2, 2) @ step
             moved = np.trunc(moved + np.copysign(0.5, moved)).astype(int)
-            entries = around.rows[[other]].toarray().reshape(around.projector)
+            entries = around.rows.coefficients[[other]].toarray().reshape(around.projector)
             places = np.argwhere(entries > 0)
             kept = ((places >= moved) & (places < moved + around.projector)).all(axis=1)
             if other == row or not kept.any():
@@ -96,10 +99,10 @@ def by_definition(
 def test_they_are_the_mean_of_the_guesses(camera: Any, projector: Any, k: int, seed: int) -> None:
     around = neighbourhood(camera, projector, seed)
     shown, unseen = BernoulliPatterns(projector, k, seed=seed), unseen_patterns(projector)
-    samples = samples_of(shown, around.rows.shape[0], seed)
-    background = backgrounds_of(around.rows.shape[0], k + unseen.count, seed)
+    samples = samples_of(shown, around.rows.count, seed)
+    background = backgrounds_of(around.rows.count, k + unseen.count, seed)
     found = around.expected(shown, unseen, samples, samples.clipped, LEVEL, 0, background)
-    for row in range(around.rows.shape[0]):
+    for row in range(around.rows.count):
         mean, variance = by_definition(around, shown, unseen, samples, background, row)
         if mean is None:
             assert not found.weights[row].any()

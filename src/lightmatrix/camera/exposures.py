@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.errors import InputError
-from lightmatrix.patterns.mix import MixedPatterns
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.patterns.shares import interleave, parse_shares
 
@@ -68,11 +67,8 @@ def of_frames(
         return exposures[0][0]
     values = np.array([exposure for exposure, _ in exposures])
     shares = [share for _, share in exposures]
-    kinds = np.zeros(patterns.count, np.int64)
-    if isinstance(patterns, MixedPatterns):
-        kinds = patterns.kinds
     result = np.empty(patterns.count)
-    for kind in np.unique(kinds):
-        frames = np.flatnonzero(kinds == kind)
+    for kind in np.unique(patterns.kinds):
+        frames = np.flatnonzero(patterns.kinds == kind)
         result[frames] = values[interleave(shares, len(frames))]
     return result

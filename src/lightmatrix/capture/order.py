@@ -189,7 +189,7 @@ def _column_scale(patterns: PatternSet) -> NDArray[np.float32]:
     """One over the standard deviation of each projector pixel over the patterns; 0 if constant."""
     total = np.zeros(patterns.pixels)
     squares = np.zeros(patterns.pixels)
-    for _, block in patterns.blocks():
+    for _, block in patterns.chunks():
         total += block.sum(axis=0, dtype=np.float64)
         squares += np.einsum("kn,kn->n", block, block)
     variance = squares / patterns.count - (total / patterns.count) ** 2

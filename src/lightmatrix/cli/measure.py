@@ -30,7 +30,7 @@ from lightmatrix.estimators.plain import PlainEstimator
 from lightmatrix.estimators.regularization import held_out_path
 from lightmatrix.files.outputs import check_output
 from lightmatrix.solvers import ADMM, ROMP, ActiveSet, SaturationADMM, Solver
-from lightmatrix.solvers.problem import Fidelity
+from lightmatrix.solvers.fidelity import Fidelity
 
 
 class SolverName(StrEnum):

@@ -4,27 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
-
-import numpy as np
-from scipy.sparse import csr_array
 
 from lightmatrix.capture.capture import Capture
 from lightmatrix.errors import InputError
 from lightmatrix.estimators.join import (
     TILE_BYTES,
     Progress,
-    Tile,
     capture_provenance,
-    diagnostics,
     joined,
+    kept,
     solver_provenance,
 )
 from lightmatrix.estimators.regularization import automatic_regularization
 from lightmatrix.solvers import Solver, solve
 from lightmatrix.solvers.problem import Problem
 from lightmatrix.transport.matrix import LightTransport
+from lightmatrix.transport.sparse_rows import SparseRows
 
 
 @dataclass(frozen=True)
@@ -93,7 +91,7 @@ class PlainEstimator:
         return joined(
             capture,
             tiles.ranges(),
-            lambda start, stop: tiles.solve(start, stop, progress),
+            lambda _: partial(tiles.solve, progress=progress),
             provenance,
             checkpoint=checkpoint,
             overwrite=overwrite,
@@ -129,7 +127,7 @@ class _Tiles:
         for start in range(0, self.capture.rows, rows):
             yield start, min(start + rows, self.capture.rows)
 
-    def solve(self, start: int, stop: int, progress: Progress | None) -> Tile:
+    def solve(self, start: int, stop: int, progress: Progress | None) -> SparseRows:
         samples = self.capture.samples(start, stop)
         problem = Problem(
             self.capture.patterns,
@@ -144,12 +142,7 @@ class _Tiles:
             if progress is not None:
                 progress(start + done, total)
 
-        result = solve(problem, self.estimator.solver, progress=report)
-        return (
-            csr_array(result.coefficients, dtype=np.float32),
-            result.background.astype(np.float32)[:, None],
-            diagnostics(samples, result),
-        )
+        return kept(samples, solve(problem, self.estimator.solver, progress=report))
 
     def _fitting_rows(self) -> int:
         patterns = self.capture.patterns

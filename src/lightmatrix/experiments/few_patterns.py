@@ -25,7 +25,7 @@ from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.pictures.style import COLOURS, figure, save
 from lightmatrix.rig import library
 from lightmatrix.solvers import ActiveSet, Problem
-from lightmatrix.solvers.weighted import Blocks, Candidates, solve_weighted
+from lightmatrix.solvers.weighted import Candidates, Cells, solve_weighted
 from lightmatrix.transport.matrix import LightTransport
 
 SCENES = {"l_objects": "L objects", "gripper": "gripper", "metal": "metallic objects"}
@@ -193,8 +193,8 @@ def _with_known_support(scene: MeasuredScene, capture: Capture) -> LightTranspor
         np.ones(support.nnz, np.float32),
     )
     found = solve_weighted(
-        problem, candidates, Blocks.none(capture.patterns), ActiveSet(tolerance=1e-3)
-    ).rows
+        problem, candidates, Cells.none(capture.patterns), ActiveSet(tolerance=1e-3)
+    )
     return LightTransport(
         csr_array(found.coefficients, dtype=np.float32),
         found.background.astype(np.float32)[:, None],

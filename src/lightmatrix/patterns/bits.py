@@ -57,6 +57,9 @@ class PackedPatterns(PatternSet):
         lit = np.unpackbits(self.bits[start:stop], axis=1, count=self.pixels, bitorder="little")
         return lit.astype(np.float32)
 
+    def packed_bits(self) -> NDArray[np.uint8]:
+        return self.bits
+
     def subset(self, index: NDArray[np.integer]) -> PatternSet:
         return BitPatterns(self.shape, self.bits[np.asarray(index)])
 

@@ -42,7 +42,7 @@ def write_patterns(folder: str | Path, patterns: PatternSet, *, overwrite: bool 
 def fill_pattern_folder(folder: Path, patterns: PatternSet) -> None:
     """Write the files of a pattern folder into an empty folder."""
     digits = max(4, len(str(patterns.count - 1)))
-    for start, block in patterns.blocks():
+    for start, block in patterns.chunks():
         for k, image in enumerate(to_grey(block.reshape(-1, *patterns.shape)), start):
             fill_image(folder / f"pattern_{k:0{digits}d}.png", image)
     header = {"format": FORMAT, "version": VERSION, "digest": patterns.digest}
@@ -102,7 +102,7 @@ def _first_difference(operator: PatternSet, paths: list[Path]) -> str | None:
     """How the images differ from an operator, in words; None if they do not."""
     if len(paths) != operator.count:
         return f"its {len(paths)} images are not"
-    for start, block in operator.blocks():
+    for start, block in operator.chunks():
         expected = to_grey(block.reshape(-1, *operator.shape))
         for path, grey in zip(paths[start : start + len(block)], expected, strict=True):
             if not np.array_equal(to_grey(read_grey(path)), grey):

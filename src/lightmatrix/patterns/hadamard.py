@@ -91,6 +91,10 @@ class HadamardPatterns(PatternSet):
             place = shuffle[place]
         return place.astype(np.int64)
 
+    @property
+    def transform(self) -> tuple[int, NDArray[np.int64], NDArray[np.int64]]:
+        return self.transform_size, self.selected, self.position
+
     def forward(self, x: NDArray[Any]) -> NDArray[Any]:
         x = np.ascontiguousarray(x)
         padded = np.zeros((len(x), self.transform_size), x.dtype)

@@ -16,12 +16,13 @@ from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array, vstack
+from scipy.sparse import csr_array
 
 from lightmatrix.errors import InputError, OutputError
 from lightmatrix.files.outputs import atomic_file, check_output, explained
 from lightmatrix.store.zarr_file import PARTIAL, SUFFIX, save
 from lightmatrix.transport.matrix import LightTransport
+from lightmatrix.transport.sparse_rows import stacked
 
 _FINGERPRINT = "fingerprint.json"
 _DIAGNOSTIC = "diagnostic_"
@@ -202,7 +203,7 @@ class Checkpoint:
                         key = name.removeprefix(_DIAGNOSTIC)
                         diagnostics.setdefault(key, []).append(tile[name])
         transport = LightTransport(
-            csr_array(vstack(sparse, format="csr")),
+            stacked(sparse),
             np.concatenate(background),
             camera_shape,
             projector_shape,

@@ -19,7 +19,7 @@ from lightmatrix.patterns.grids import check_grid, grid_cells
 class LightTransport:
     """T = S + B m: a sparse part and a low-resolution background, in camera full scale.
 
-    ``T p = S p + B m(p)`` where m(p) are the means of the pattern p over the blocks of a coarse
+    ``T p = S p + B m(p)`` where m(p) are the means of the pattern p over the cells of a coarse
     grid (DESIGN: 1 x 1 is one value per camera sample times the mean of the pattern).
 
     Parameters
@@ -27,7 +27,7 @@ class LightTransport:
     sparse : (M, N) csr_array float32
         Sparse part S: camera full scale at exposure 1 per unit of projector pixel.
     background : (M, B) float32
-        Background B per camera sample, for the B blocks of ``background_grid``.
+        Background B per camera sample, for the B cells of ``background_grid``.
     camera_shape : (rows, cols) or (rows, cols, channels)
         M = product; camera samples in the order (row, col, channel).
     projector_shape : (rows, cols)
@@ -62,11 +62,11 @@ class LightTransport:
                 hint=f"its shape must be {expected}",
             )
         check_grid(self.projector_shape, self.background_grid)
-        blocks = self.background_grid[0] * self.background_grid[1]
-        if self.background.shape != (expected[0], blocks):
+        cells = self.background_grid[0] * self.background_grid[1]
+        if self.background.shape != (expected[0], cells):
             raise InputError(
                 f"a background of {self.background.shape}",
-                hint=f"its shape must be ({expected[0]}, {blocks})",
+                hint=f"its shape must be ({expected[0]}, {cells})",
             )
         for name, values in self.diagnostics.items():
             if values.shape != (expected[0],):
@@ -99,8 +99,8 @@ class LightTransport:
 
     @cached_property
     def pooling(self) -> csr_array:
-        """The operator m: mean over each block of the background grid, (B, N)."""
-        return block_means(self.projector_shape, self.background_grid)
+        """The operator m: mean over each cell of the background grid, (B, N)."""
+        return cell_means(self.projector_shape, self.background_grid)
 
     def relight(self, patterns: NDArray[Any]) -> NDArray[np.float32]:
         """Camera images under patterns: c = T p, linear, not clipped.
@@ -200,22 +200,22 @@ class LightTransport:
         return csr_array(self.sparse + csr_array(self.background) @ self.pooling)
 
 
-def block_means(projector_shape: tuple[int, int], grid: tuple[int, int]) -> csr_array:
-    """The operator m: means of a pattern over the blocks of a coarse grid, (B, N) float32.
+def cell_means(projector_shape: tuple[int, int], grid: tuple[int, int]) -> csr_array:
+    """The operator m: means of a pattern over the cells of a coarse grid, (B, N) float32.
 
     Parameters
     ----------
     projector_shape : (rows, cols)
         N = rows * cols.
     grid : (rows, cols)
-        B = rows * cols blocks, as equal as whole pixels allow.
+        B = rows * cols cells, as equal as whole pixels allow.
 
     Raises
     ------
     InputError
         If the grid has more rows or columns than the projector, or none.
     """
-    block = grid_cells(projector_shape, grid)
-    sizes = np.bincount(block, minlength=grid[0] * grid[1])
-    entries = ((1 / sizes[block]).astype(np.float32), (block, np.arange(len(block))))
-    return csr_array(entries, shape=(grid[0] * grid[1], len(block)))
+    cell = grid_cells(projector_shape, grid)
+    sizes = np.bincount(cell, minlength=grid[0] * grid[1])
+    entries = ((1 / sizes[cell]).astype(np.float32), (cell, np.arange(len(cell))))
+    return csr_array(entries, shape=(grid[0] * grid[1], len(cell)))

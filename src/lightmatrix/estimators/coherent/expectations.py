@@ -21,8 +21,8 @@ from lightmatrix import _core
 from lightmatrix.camera.samples import Samples
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.pattern_set import PatternSet
-from lightmatrix.solvers.active_set import prepared
 from lightmatrix.solvers.weighted import Expectation
+from lightmatrix.transport.sparse_rows import SparseRows
 
 # Half width of the window of neighbours that are asked.
 REACH = 2
@@ -58,14 +58,15 @@ class Neighbourhood:
 
     Parameters
     ----------
-    rows : (M, N) csr_array
+    rows : SparseRows
+        M rows, with one background coefficient each.
     camera : (int, int, int)
         Rows, columns and channels of the camera, M in all.
     projector : (int, int)
         Rows and columns of the projector, N in all.
     """
 
-    rows: csr_array
+    rows: SparseRows
     camera: tuple[int, int, int]
     projector: tuple[int, int]
 
@@ -73,7 +74,7 @@ class Neighbourhood:
         """Range of the rows that start..stop have around them."""
         _, cols, channels = self.camera
         reach = (REACH * cols + REACH) * channels
-        return max(0, start - reach), min(self.rows.shape[0], stop + reach)
+        return max(0, start - reach), min(self.rows.count, stop + reach)
 
     def expected(
         self,
@@ -103,17 +104,17 @@ class Neighbourhood:
             What the backgrounds of the rows `around` give under all patterns.
         """
         stop = start + len(samples.values)
-        weights = samples.weights
+        weights, found = samples.weights, self.rows.coefficients
         values, variances = _core.expected_samples(
-            prepared(shown),
-            prepared(unseen),
+            shown.prepared,
+            unseen.prepared,
             samples.values,
             clipped,
             None if weights is None else np.atleast_2d(weights).astype(np.float64),
             (
-                self.rows.indptr.astype(np.int64, copy=False),
-                self.rows.indices.astype(np.int32, copy=False),
-                self.rows.data.astype(np.float32, copy=False),
+                found.indptr.astype(np.int64, copy=False),
+                found.indices.astype(np.int32, copy=False),
+                found.data.astype(np.float32, copy=False),
             ),
             self.camera,
             self.projector,
@@ -145,7 +146,7 @@ class Neighbourhood:
         shape = self.camera
         window = (MOVEMENT_WINDOW, MOVEMENT_WINDOW, 1)
         result = np.empty((*shape, 4), np.float32)
-        for i, place in enumerate(np.divmod(_strongest(self.rows), self.projector[1])):
+        for i, place in enumerate(np.divmod(_strongest(self.rows.coefficients), self.projector[1])):
             fastest = FASTEST * max(1.0, self.projector[i] / shape[i])
             for axis in (0, 1):
                 slope = _slope(place.reshape(shape), axis)
