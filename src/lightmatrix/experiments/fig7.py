@@ -178,14 +178,14 @@ def _draw(out: Path, found: list[tuple[Case, Measured]]) -> None:
     size, width = found[0][0].size, 1 + len(found) // len(SCENES)
     with figure(1.25 * width, 2.85 * len(SCENES)) as drawing:
         panels = drawing.subplots(2 * len(SCENES), width)
-        for line, (scene, title) in enumerate(LETTERED.items()):
+        for line, scene in enumerate(SCENES):
             expected = measured_scene(scene, size).known.relight(logo(size))
             white = float(np.quantile(expected, 0.98))
             upper, lower = panels[2 * line], panels[2 * line + 1]
             panel(upper[0], display(expected, white))
             if line == 0:
                 upper[0].set_title("truth", fontsize=7)
-            upper[0].set_ylabel(title)
+            upper[0].set_ylabel(LETTERED[scene])
             panel(lower[0], logo(size))
             lower[0].set_xlabel("projected", fontsize=7)
             mine = [(case, measured) for case, measured in found if case.scene == scene]
