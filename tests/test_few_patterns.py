@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 
 from lightmatrix.cli import main
+from lightmatrix.cli.experiment import EXPERIMENTS, Figure
 from lightmatrix.experiments import few_patterns
 from lightmatrix.experiments.few_patterns import THREE_EXPOSURES, Case, means, measure
+from lightmatrix.experiments.harness import Measured
 from lightmatrix.experiments.measured_scene import MeasuredScene
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.rig import library
@@ -21,7 +23,7 @@ SMALL = Case("gripper", "coherent", 64, 0, size=(64, 64))
 
 def test_coherent_is_nearly_as_good_as_knowing_where_the_light_is() -> None:
     found, row_by_row, known = (
-        measure(replace(SMALL, method=method))["relative_error"]
+        measure(replace(SMALL, method=method)).rows[0]["relative_error"]
         for method in ("coherent", "row by row", "known support")
     )
     assert found < 0.2 * row_by_row
@@ -29,8 +31,8 @@ def test_coherent_is_nearly_as_good_as_knowing_where_the_light_is() -> None:
 
 
 def test_mixed_exposures_bring_back_clipped_responses() -> None:
-    one = measure(SMALL)["all_rows"]
-    three = measure(replace(SMALL, exposures=THREE_EXPOSURES))["all_rows"]
+    one = measure(SMALL).rows[0]["all_rows"]
+    three = measure(replace(SMALL, exposures=THREE_EXPOSURES)).rows[0]["all_rows"]
     assert three < 0.3 * one
 
 
@@ -62,13 +64,14 @@ def test_means_over_seeds() -> None:
 def test_an_interrupted_experiment_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     measured = []
 
-    def record(case: Case) -> dict[str, object]:
+    def record(case: Case) -> Measured:
         measured.append(case.name)
         if len(measured) == 2:
             raise KeyboardInterrupt
-        return {**case.__dict__, "relative_error": 0.1}
+        return Measured([{**case.__dict__, "relative_error": 0.1}])
 
-    monkeypatch.setattr(few_patterns, "measure", record)
+    recording = replace(few_patterns.FEW_PATTERNS, measure=record)
+    monkeypatch.setitem(EXPERIMENTS, Figure.FEW_PATTERNS, recording)
     out = tmp_path / "out"
     command = ["experiment", "few-patterns", "--quick", "-o", str(out)]
     assert main(command) == 130

@@ -46,8 +46,9 @@ def test_files_hold_what_the_house_promises(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(fig4, "OBSERVATIONS", (10, 20))
+    monkeypatch.setattr(fig4, "QUICK_TRIALS", 2)
     seen: list[tuple[int, int]] = []
-    fig4.run(tmp_path, trials=2, progress=lambda done, total: seen.append((done, total)))
+    fig4.FIG4.run(tmp_path, quick=True, progress=lambda done, total: seen.append((done, total)))
     assert seen == [(1, 2), (2, 2)]
     result = json.loads((tmp_path / "fig4.json").read_text())
     assert {"lambda", "mu", "nu", "trials"} <= result["parameters"].keys()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,8 @@ import pytest
 
 from lightmatrix.experiments import fig6, fig7
 from lightmatrix.experiments.fig6 import Case
+from lightmatrix.experiments.harness import Measured
+from lightmatrix.experiments.measured_scene import captured, measured_scene
 from lightmatrix.experiments.methods import METHODS, Reach
 from lightmatrix.patterns.blocks import sampled_pixels
 from lightmatrix.transport.metrics import response_rmse
@@ -22,7 +25,7 @@ SCENE = "gripper"
 @pytest.fixture(scope="module")
 def rows() -> dict[str, dict[str, Any]]:
     names = ("admm", "saturation-admm", "saturation-admm-multi-scale", "coherent", "admm-iterated")
-    return {name: fig6.measure(Case(SCENE, name, 64, 64)) for name in names}
+    return {name: fig6.measure(Case(SCENE, name, 64, 64)).rows[0] for name in names}
 
 
 def test_clip_aware_beats_clip_blind_and_coherence_beats_both(
@@ -51,7 +54,7 @@ def test_every_other_block_and_two_pixels_of_each_are_judged() -> None:
     assert grid.sum() == 1024
     assert len(np.unique(few)) == 32
     assert np.isin(few, blocks).all()
-    truth = fig6.measured_scene(SCENE, 64).truth.matrix
+    truth = measured_scene(SCENE, 64).truth.matrix
     middles = sampled_pixels((64, 64), 16, 4)
     for number, block in enumerate(blocks.reshape(-1, 64)):
         strongest = block[truth[block][:, [middles[number]]].toarray().argmax()]
@@ -60,9 +63,9 @@ def test_every_other_block_and_two_pixels_of_each_are_judged() -> None:
 
 def test_the_rmse_is_the_house_metric() -> None:
     """Judged on all rows it is `response_rmse`."""
-    measured = fig6.measure(Case(SCENE, "coherent", 16, 64))
-    scene = fig6.measured_scene(SCENE, 64)
-    capture = fig6.captured(SCENE, 64, 16)
+    measured = fig6.measure(Case(SCENE, "coherent", 16, 64)).rows[0]
+    scene = measured_scene(SCENE, 64)
+    capture = captured(SCENE, 64, 16)
     estimate = METHODS[[m.name for m in METHODS].index("coherent")].estimate(
         capture, 1 / scene.exposure
     )
@@ -73,7 +76,7 @@ def test_the_rmse_is_the_house_metric() -> None:
 
 
 def test_rows_as_a_camera_of_blocks() -> None:
-    capture = fig6.captured(SCENE, 64, 16)
+    capture = captured(SCENE, 64, 16)
     blocks, few = fig6.judged_rows(SCENE, 64)
     part = fig6.of_rows(capture, blocks)
     assert part.camera_shape == (128, 8)
@@ -83,16 +86,25 @@ def test_rows_as_a_camera_of_blocks() -> None:
     )
 
 
-def test_files_and_going_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def forbidden(case: Case) -> Measured:
+    raise AssertionError(f"{case.name} was kept")
+
+
+def test_files_and_going_on(tmp_path: Path) -> None:
     chosen = [Case(SCENE, "admm", 16, 64), Case(SCENE, "admm-iterated", 16, 64)]
-    monkeypatch.setattr(fig6, "cases", lambda quick: iter(chosen))
+    experiment = replace(fig6.FIG6, cases=lambda quick: chosen)
     out, kept = tmp_path / "out", tmp_path / "kept"
     out.mkdir()
     seen: list[int] = []
-    first = fig6.run(out, kept=kept, progress=lambda done, total: seen.append(done))
+    first = experiment.run(out, kept=kept, progress=lambda done, total: seen.append(done))
     assert seen == [1, 2]
-    monkeypatch.setattr(fig6, "measure", None)
-    assert fig6.run(out, kept=kept) == first
+    going_on = replace(experiment, measure=forbidden)
+    assert going_on.run(out, kept=kept) == first
+    # What was kept and is damaged is measured again.
+    damaged = kept / f"{chosen[0].name}.npz"
+    damaged.write_bytes(damaged.read_bytes()[:50])
+    with pytest.raises(AssertionError, match="kept"):
+        going_on.run(out, kept=kept)
     assert json.loads((out / "fig6.json").read_text())["parameters"]["lambda"] == 0.16
     with open(out / "fig6.csv") as file:
         assert len(list(csv.DictReader(file))) == 2
@@ -114,14 +126,14 @@ def test_relit_images_are_judged_and_drawn(tmp_path: Path, monkeypatch: pytest.M
     monkeypatch.setattr(fig7, "METHODS", ("saturation-admm", "coherent"))
     out, kept = tmp_path / "out", tmp_path / "kept"
     out.mkdir()
-    result = fig7.run(out, quick=True, kept=kept)
+    result = fig7.FIG7.run(out, quick=True, kept=kept)
     plain, coherent, mixed = result["rows"]
     assert coherent["psnr"] > plain["psnr"] + 3
     assert coherent["ssim"] > plain["ssim"]
     # The highlights are in the shorter frames.
     assert mixed["psnr"] > coherent["psnr"] + 3
     assert len(list(kept.iterdir())) == 3
-    assert fig7.run(out, quick=True, kept=kept)["rows"] == result["rows"]
+    assert fig7.FIG7.run(out, quick=True, kept=kept)["rows"] == result["rows"]
     assert (out / "fig7.png").stat().st_size > 1000
 
 

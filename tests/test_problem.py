@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from problems import clipping_problem
+from problems import clipping_problem, with_samples
 
 from lightmatrix.errors import InputError
 from lightmatrix.solvers import SaturationADMM, Status, solve
@@ -16,21 +16,26 @@ from lightmatrix.solvers import SaturationADMM, Status, solve
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"samples": np.zeros((6, 3))}, "40 patterns"),
-        ({"samples": np.zeros((6, 40), int)}, "float32"),
-        ({"samples": np.full((6, 40), np.nan)}, "camera row 0, pattern 0"),
+        ({"values": np.zeros((6, 3))}, "40 patterns"),
+        ({"values": np.zeros((6, 40), int)}, "float32"),
+        ({"values": np.full((6, 40), np.nan)}, "camera row 0, pattern 0"),
         ({"clipped": np.zeros((6, 40))}, "one boolean for each"),
         ({"clip_level": np.ones(3)}, "clip_level"),
         ({"weights": np.ones((6, 3))}, "weights"),
         ({"weights": np.full(40, -1.0)}, "negative"),
-        ({"regularization": 0.0}, "positive"),
-        ({"regularization": float("nan")}, "positive"),
     ],
 )
-def test_bad_problems(change: dict[str, Any], message: str) -> None:
+def test_bad_samples(change: dict[str, Any], message: str) -> None:
     problem, _ = clipping_problem()
     with pytest.raises(InputError, match=message):
-        replace(problem, **change)
+        with_samples(problem, **change)
+
+
+@pytest.mark.parametrize("regularization", [0.0, float("nan"), float("inf")])
+def test_bad_regularization(regularization: float) -> None:
+    problem, _ = clipping_problem()
+    with pytest.raises(InputError, match="positive"):
+        replace(problem, regularization=regularization)
 
 
 def test_status_tells_the_remedy() -> None:

@@ -12,6 +12,7 @@ import typer
 from lightmatrix.cli.common import Json, Overwrite, out, progress, show_json
 from lightmatrix.experiments import demo as demo_report
 from lightmatrix.experiments import few_patterns, fig4, fig5, fig6, fig7
+from lightmatrix.experiments.harness import Experiment
 from lightmatrix.files.outputs import atomic_folder, check_output
 
 
@@ -25,15 +26,13 @@ class Figure(StrEnum):
     FEW_PATTERNS = "few-patterns"
 
 
-RUNS: dict[Figure, Any] = {
-    Figure.FIG4: fig4.run,
-    Figure.FIG5: fig5.run,
-    Figure.FIG6: fig6.run,
-    Figure.FIG7: fig7.run,
-    Figure.FEW_PATTERNS: few_patterns.run,
+EXPERIMENTS: dict[Figure, Experiment[Any]] = {
+    Figure.FIG4: fig4.FIG4,
+    Figure.FIG5: fig5.FIG5,
+    Figure.FIG6: fig6.FIG6,
+    Figure.FIG7: fig7.FIG7,
+    Figure.FEW_PATTERNS: few_patterns.FEW_PATTERNS,
 }
-# These take long, so that an interrupted run goes on with the cases it has.
-RESUMABLE = {Figure.FIG6, Figure.FIG7, Figure.FEW_PATTERNS}
 
 
 def register(app: typer.Typer) -> None:
@@ -76,17 +75,16 @@ def experiment(
 ) -> None:
     """Reproduce a figure: picture, CSV and JSON.
 
-    Without --quick it takes up to an hour; fig6, fig7 and few-patterns go on where they stopped if
-    run again, and need the extra `render`.
+    Without --quick it takes up to an hour and goes on where it stopped if run again; fig6, fig7 and
+    few-patterns then need the extra `render`.
     """
     check_output(output, overwrite=overwrite)
     kept = output.with_name(output.name + ".cases")
-    options = {"kept": kept} if figure in RESUMABLE else {}
     with (
         atomic_folder(output, overwrite=overwrite) as folder,
         progress(str(figure), "steps") as report,
     ):
-        result = RUNS[figure](folder, quick=quick, progress=report, **options)
+        result = EXPERIMENTS[figure].run(folder, quick=quick, progress=report, kept=kept)
     shutil.rmtree(kept, ignore_errors=True)
     if as_json:
         show_json(result)

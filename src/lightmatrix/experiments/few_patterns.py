@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +16,14 @@ from scipy.sparse import csr_array
 from lightmatrix.capture.capture import Capture
 from lightmatrix.estimators.coherent.estimator import DEFAULT_REGULARIZATION, CoherentEstimator
 from lightmatrix.estimators.plain import PlainEstimator
-from lightmatrix.experiments.measured_scene import ONE_EXPOSURE, Exposures, MeasuredScene
+from lightmatrix.experiments.harness import Experiment, Measured
+from lightmatrix.experiments.measured_scene import (
+    ONE_EXPOSURE,
+    SCENES,
+    Exposures,
+    MeasuredScene,
+    measured_scene,
+)
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.mix import MixedPatterns, default_mix
 from lightmatrix.patterns.pattern_set import PatternSet
@@ -28,7 +33,6 @@ from lightmatrix.solvers import ActiveSet, Problem
 from lightmatrix.solvers.weighted import Candidates, Cells, solve_weighted
 from lightmatrix.transport.matrix import LightTransport
 
-SCENES = {"l_objects": "L objects", "gripper": "gripper", "metal": "metallic objects"}
 SIZE = (128, 128)
 SEEDS = (0, 1, 2)
 HALF_EXPOSURE: Exposures = ((0.5, 1.0),)
@@ -97,41 +101,6 @@ def cases(quick: bool) -> Iterator[Case]:
                 yield Case(scene, "coherent", count, seed)
 
 
-def run(
-    out: Path,
-    *,
-    quick: bool = False,
-    progress: Callable[[int, int], None] | None = None,
-    kept: Path | None = None,
-) -> dict[str, Any]:
-    """Measure all cases and write few-patterns.png, .svg, .csv and .json.
-
-    Parameters
-    ----------
-    out : Path
-        An existing folder.
-    quick : bool
-        One scene at 64 x 64.
-    kept : Path, optional
-        A folder where finished cases are kept, for a run that goes on.
-    """
-    chosen = list(cases(quick))
-    rows = []
-    for done, case in enumerate(chosen, start=1):
-        rows.append(_kept(case, kept))
-        if progress is not None:
-            progress(done, len(chosen))
-    result = {"rows": rows, "means": means(rows)}
-    (out / "few-patterns.json").write_text(json.dumps(result, indent=1) + "\n")
-    with open(out / "few-patterns.csv", "w", newline="") as file:
-        table = csv.DictWriter(file, list(result["means"][0]))
-        table.writeheader()
-        table.writerows(result["means"])
-    if not quick:
-        _draw(out, result["means"])
-    return result
-
-
 def means(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """Mean over the seeds of every other combination."""
     groups: dict[str, list[dict[str, Any]]] = {}
@@ -149,9 +118,9 @@ def means(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     return result
 
 
-def measure(case: Case) -> dict[str, Any]:
+def measure(case: Case) -> Measured:
     """Errors and time of one case."""
-    scene = _scene(case.scene, case.size)
+    scene = measured_scene(case.scene, case.size[0])
     patterns = _patterns(case)
     capture = scene.capture(patterns, case.seed, case.exposures)
     started = time.perf_counter()
@@ -160,12 +129,13 @@ def measure(case: Case) -> dict[str, Any]:
     # The same rows count at every exposure.
     usual = capture if case.exposures == ONE_EXPOSURE else scene.capture(patterns, case.seed)
     certified = estimate.diagnostics.get("converged", np.array([np.nan]))
-    return {
+    row = {
         **asdict(case),
         **scene.errors(estimate, usual),
         "certified": float(np.mean(certified)),
         "seconds": seconds,
     }
+    return Measured([row])
 
 
 def _estimate(case: Case, scene: MeasuredScene, capture: Capture) -> LightTransport:
@@ -212,24 +182,11 @@ def _patterns(case: Case) -> PatternSet:
     return BernoulliPatterns(case.size, case.patterns, seed=case.seed)
 
 
-@lru_cache(maxsize=2)
-def _scene(name: str, size: tuple[int, int]) -> MeasuredScene:
-    return MeasuredScene(library.truth(name, size))
-
-
-def _kept(case: Case, folder: Path | None) -> dict[str, Any]:
-    if folder is None:
-        return measure(case)
-    file = folder / f"{case.name}.json"
-    if not file.exists():
-        folder.mkdir(parents=True, exist_ok=True)
-        part = file.with_suffix(".part")
-        part.write_text(json.dumps(measure(case)))
-        part.replace(file)
-    return dict(json.loads(file.read_text()))
-
-
-def _draw(out: Path, rows: list[dict[str, Any]]) -> None:
+def _draw(out: Path, found: list[tuple[Case, Measured]]) -> None:
+    """The full run's curves; a quick one has none."""
+    rows = means([row for _, measured in found for row in measured.rows])
+    if {row["scene"] for row in rows} != set(SCENES):
+        return
     kinds = (
         ("row by row", "row by row", COLOURS[6], "-"),
         ("coherent", "coherent", COLOURS[0], "-"),
@@ -267,3 +224,6 @@ def _draw(out: Path, rows: list[dict[str, Any]]) -> None:
         handles, labels = panels[0, 0].get_legend_handles_labels()
         drawing.legend(handles, labels, loc="outside lower center", ncols=4)
         save(drawing, out, "few-patterns", ("png", "svg"))
+
+
+FEW_PATTERNS = Experiment("few-patterns", cases, measure, _draw, summary=means)

@@ -8,9 +8,8 @@ rejection of clipped samples. As in the paper, nothing is held to be non-negativ
 
 from __future__ import annotations
 
-import csv
-import json
-from collections.abc import Callable
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.camera.samples import Samples
+from lightmatrix.experiments.harness import Experiment, Measured
 from lightmatrix.experiments.trials import TrialPatterns
 from lightmatrix.patterns.pattern_set import ImagePatterns
 from lightmatrix.pictures.style import COLOURS, figure, save
@@ -27,6 +27,9 @@ UNKNOWNS = 100
 NON_ZERO = 10
 CLIP_LEVEL = 3.0
 OBSERVATIONS = tuple(range(10, 101, 10))
+# Draws for each number of observations.
+TRIALS = 100
+QUICK_TRIALS = 20
 
 # Not stated in the paper. lambda is small because there is no noise; mu and nu change the speed
 # but not what is found.
@@ -65,73 +68,63 @@ LABELS = {
 }
 
 
-def run(
-    out: Path,
-    *,
-    trials: int = 100,
-    seed: int = 0,
-    quick: bool = False,
-    progress: Callable[[int, int], None] | None = None,
-) -> dict[str, Any]:
-    """Run the simulation and write fig4.png, .svg, .csv and .json.
+@dataclass(frozen=True)
+class Case:
+    """All methods, unclipped and clipped, at one number of observations."""
 
-    Parameters
-    ----------
-    out : Path
-        An existing folder.
-    trials : int
-        Draws for each number of observations; 20 if `quick`.
-    """
-    trials = 20 if quick else trials
-    rows: list[dict[str, Any]] = []
-    for done, observations in enumerate(OBSERVATIONS, start=1):
-        rows += _rows_of(trials, observations, seed)
-        if progress is not None:
-            progress(done, len(OBSERVATIONS))
-    result: dict[str, Any] = {
-        "parameters": {
-            "trials": trials,
-            "seed": seed,
-            "unknowns": UNKNOWNS,
-            "non_zero": NON_ZERO,
-            "clip_level": CLIP_LEVEL,
-            "lambda": REGULARIZATION,
-            "mu": PENALTY_X,
-            "nu": PENALTY_U,
-            "iterations": ITERATIONS,
-            "romp_n": NON_ZERO,
-        },
-        "rows": rows,
+    observations: int
+    trials: int
+    seed: int = 0
+
+    @property
+    def name(self) -> str:
+        """A file name."""
+        return f"k{self.observations}-{self.trials}-trials-s{self.seed}"
+
+
+def cases(quick: bool) -> Iterator[Case]:
+    """Every number of observations."""
+    for observations in OBSERVATIONS:
+        yield Case(observations, QUICK_TRIALS if quick else TRIALS)
+
+
+def parameters(quick: bool) -> dict[str, Any]:
+    """What the table was made with."""
+    return {
+        "trials": QUICK_TRIALS if quick else TRIALS,
+        "seed": 0,
+        "unknowns": UNKNOWNS,
+        "non_zero": NON_ZERO,
+        "clip_level": CLIP_LEVEL,
+        "lambda": REGULARIZATION,
+        "mu": PENALTY_X,
+        "nu": PENALTY_U,
+        "iterations": ITERATIONS,
+        "romp_n": NON_ZERO,
     }
-    (out / "fig4.json").write_text(json.dumps(result, indent=2) + "\n")
-    with open(out / "fig4.csv", "w", newline="") as file:
-        table = csv.DictWriter(file, list(rows[0]))
-        table.writeheader()
-        table.writerows(rows)
-    _draw(out, result)
-    return result
 
 
-def _rows_of(trials: int, observations: int, seed: int) -> list[dict[str, Any]]:
-    """The results of all methods, unclipped and clipped, at one number of observations."""
-    matrices, x = draw(trials, observations, seed)
+def measure(case: Case) -> Measured:
+    """Mean and standard deviation over the trials of each method's RMSE."""
+    matrices, x = draw(case.trials, case.observations, case.seed)
     rows = []
     for condition, level in (("unclipped", np.inf), ("clipped", CLIP_LEVEL)):
+        found: dict[str, NDArray[np.float64]] = {}
         for method in METHODS:
-            # Without clipped samples the last two differ from Saturation ADMM in no operation, so
-            # its errors are theirs.
-            if condition == "clipped" or method not in SAME_WHERE_UNCLIPPED:
-                rmse = errors(method, matrices, x, level)
+            # Without clipped samples they differ from Saturation ADMM in no operation.
+            same = condition == "unclipped" and method in SAME_WHERE_UNCLIPPED
+            known = found.get("saturation-admm") if same else None
+            found[method] = errors(method, matrices, x, level) if known is None else known
             rows.append(
                 {
                     "method": method,
                     "condition": condition,
-                    "observations": observations,
-                    "rmse_mean": float(rmse.mean()),
-                    "rmse_std": float(rmse.std()),
+                    "observations": case.observations,
+                    "rmse_mean": float(found[method].mean()),
+                    "rmse_std": float(found[method].std()),
                 }
             )
-    return rows
+    return Measured(rows)
 
 
 def draw(
@@ -182,14 +175,15 @@ def _solve(
     return solve(problem, solver).coefficients.toarray()
 
 
-def _draw(out: Path, result: dict[str, Any]) -> None:
+def _draw(out: Path, found: list[tuple[Case, Measured]]) -> None:
+    measured = [row for _, case in found for row in case.rows]
     with figure(6.8, 3.0) as drawing:
         panels = drawing.subplots(1, 2)
         for axes, condition in zip(panels, ("unclipped", "clipped"), strict=True):
             for colour, (method, label) in zip(COLOURS, LABELS.items(), strict=False):
                 rows = [
                     row
-                    for row in result["rows"]
+                    for row in measured
                     if row["method"] == method and row["condition"] == condition
                 ]
                 k = np.array([row["observations"] for row in rows])
@@ -212,9 +206,11 @@ def _draw(out: Path, result: dict[str, Any]) -> None:
         panels[0].set_title("(a) unclipped")
         panels[1].set_title(f"(b) clipped at Y = {CLIP_LEVEL:g}")
         panels[0].legend(loc="upper right")
-        made = result["parameters"]
-        note = f"mean and standard deviation of {made['trials']} trials, "
-        note += rf"$\lambda$ = {made['lambda']}, $\mu$ = {made['mu']:g}, "
-        note += rf"$\nu$ = {made['nu']:g}, {made['iterations']} iterations, ROMP n = 10"
+        note = f"mean and standard deviation of {found[0][0].trials} trials, "
+        note += rf"$\lambda$ = {REGULARIZATION}, $\mu$ = {PENALTY_X:g}, "
+        note += rf"$\nu$ = {PENALTY_U:g}, {ITERATIONS} iterations, ROMP n = {NON_ZERO}"
         drawing.supxlabel(note, fontsize=7, color="0.4")
         save(drawing, out, "fig4", ("png", "svg"))
+
+
+FIG4 = Experiment("fig4", cases, measure, _draw, parameters)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 
 from lightmatrix.camera.sensor import Sensor
 from lightmatrix.errors import MissingExtraError
+from lightmatrix.experiments.harness import Experiment, Measured
+from lightmatrix.experiments.measured_scene import LETTERED, SCENES
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.pictures.style import display, figure, mark_clipped, panel, save
 from lightmatrix.rig import library
@@ -21,35 +23,47 @@ from lightmatrix.rig.thumbnails import photograph, white_level
 from lightmatrix.rig.truth import Truth
 from lightmatrix.transport.metrics import diffuse_rows
 
-SCENES = {"l_objects": "(a) L objects", "gripper": "(b) gripper", "metal": "(c) metallic objects"}
 EXPOSURES = (0.1, 0.2, 0.4, 0.8, 1.0)
 FORMATS = ("png", "svg")
 
 
-def run(
-    out: Path, *, quick: bool = False, progress: Callable[[int, int], None] | None = None
-) -> dict[str, Any]:
-    """Draw fig5, fig1 and fig2 and tabulate the scenes' statistics in fig5.json.
+@dataclass(frozen=True)
+class Case:
+    """A bundled scene."""
 
-    Parameters
-    ----------
-    out : Path
-        An existing folder.
-    quick : bool
-        Pictures of 128 x 128 instead of 512 x 512.
-    """
-    report = progress or (lambda done, total: None)
-    truths = {name: library.truth(name) for name in library.BUNDLED}
-    report(1, 4)
-    _draw_scenes(out, truths, 128 if quick else 512)
-    report(2, 4)
-    _draw_capture(out, truths["l_objects"])
-    _draw_formulation(out, truths["l_objects"])
-    report(3, 4)
-    result = {"exposures": EXPOSURES, "rows": [statistics(n, t) for n, t in truths.items()]}
-    (out / "fig5.json").write_text(json.dumps(result, indent=2) + "\n")
-    report(4, 4)
-    return result
+    scene: str
+    # Pixels per side of its photograph.
+    size: int
+
+    @property
+    def name(self) -> str:
+        """A file name."""
+        return f"{self.scene}-{self.size}"
+
+
+def cases(quick: bool) -> Iterator[Case]:
+    """All bundled scenes."""
+    for scene in library.BUNDLED:
+        yield Case(scene, 128 if quick else 512)
+
+
+def parameters(quick: bool) -> dict[str, Any]:
+    """At which exposures the clipped share of random patterns' samples is told."""
+    return {"exposures": EXPOSURES}
+
+
+def measure(case: Case) -> Measured:
+    """A scene's line of the table, and its photograph where the figure shows it."""
+    truth = library.truth(case.scene)
+    photos = {"photograph": _photograph(case, truth)} if case.scene in SCENES else {}
+    return Measured([statistics(case.scene, truth)], photos)
+
+
+def _photograph(case: Case, truth: Truth) -> NDArray[np.float32]:
+    try:
+        return photograph(case.scene, (case.size, case.size), samples=256)
+    except MissingExtraError:
+        return _white(truth)
 
 
 def statistics(name: str, truth: Truth) -> dict[str, Any]:
@@ -69,13 +83,17 @@ def _white(truth: Truth) -> NDArray[np.float32]:
     return np.asarray(truth.matrix.sum(axis=1), np.float32).reshape(truth.camera_shape)
 
 
-def _draw_scenes(out: Path, truths: dict[str, Truth], size: int) -> None:
+def _draw(out: Path, found: list[tuple[Case, Measured]]) -> None:
+    truth = library.truth("l_objects")
+    _draw_scenes(out, {case.scene: measured.arrays for case, measured in found})
+    _draw_capture(out, truth)
+    _draw_formulation(out, truth)
+
+
+def _draw_scenes(out: Path, images: dict[str, Mapping[str, NDArray[Any]]]) -> None:
     with figure(6.6, 2.4) as drawing:
-        for axes, (name, title) in zip(drawing.subplots(1, 3), SCENES.items(), strict=True):
-            try:
-                image = photograph(name, (size, size), samples=256)
-            except MissingExtraError:
-                image = _white(truths[name])
+        for axes, (name, title) in zip(drawing.subplots(1, 3), LETTERED.items(), strict=True):
+            image = images[name]["photograph"]
             panel(axes, display(image, white_level(image)))
             axes.set_xlabel(title)
         save(drawing, out, "fig5", FORMATS)
@@ -122,3 +140,6 @@ def _draw_formulation(out: Path, truth: Truth) -> None:
         right.set_xlabel("24 patterns")
         drawing.suptitle(r"$C = C_Y(T P')$: a clipped sample is only a lower bound", fontsize=9)
         save(drawing, out, "fig2", FORMATS)
+
+
+FIG5 = Experiment("fig5", cases, measure, _draw, parameters)

@@ -14,10 +14,8 @@ projector pixel lights most, and a random one.
 
 from __future__ import annotations
 
-import csv
-import json
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -30,7 +28,8 @@ from numpy.typing import NDArray
 from lightmatrix.camera.noise import USUAL_NOISE
 from lightmatrix.capture.capture import Capture
 from lightmatrix.estimators.coherent.estimator import WORTH_IT_UP_TO
-from lightmatrix.experiments.measured_scene import BITS, MeasuredScene
+from lightmatrix.experiments.harness import Experiment, Measured
+from lightmatrix.experiments.measured_scene import BITS, LETTERED, SCENES, captured, measured_scene
 from lightmatrix.experiments.methods import (
     BY_NAME,
     ITERATIONS,
@@ -39,15 +38,14 @@ from lightmatrix.experiments.methods import (
     ROMP_SPARSITY,
     Reach,
 )
-from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.blocks import sampled_pixels
 from lightmatrix.pictures.style import figure, save
-from lightmatrix.rig import library
 
-SCENES = {"l_objects": "(a) L objects", "gripper": "(b) gripper", "metal": "(c) metallic objects"}
 # In the order in which they are measured, so that a run in progress spans the whole range.
 OBSERVATIONS = (16, 64, 256, 1024, 32, 128, 512)
 QUICK_OBSERVATIONS = (16, 64)
+# Pixels per side of camera and projector.
+SIZE, QUICK_SIZE = 128, 64
 # Camera blocks, and the distance of sampled projector pixels.
 BLOCK = 8
 
@@ -59,17 +57,17 @@ class Case:
     scene: str
     method: str
     observations: int
-    size: int = 128
+    size: int = SIZE
 
     @property
-    def file(self) -> str:
+    def name(self) -> str:
         """A file name."""
-        return f"{self.scene}-{self.size}-{self.method}-k{self.observations}.json"
+        return f"{self.scene}-{self.size}-{self.method}-k{self.observations}"
 
 
 def cases(quick: bool) -> Iterator[Case]:
     """What is measured."""
-    counts, size = (QUICK_OBSERVATIONS, 64) if quick else (OBSERVATIONS, 128)
+    counts, size = (QUICK_OBSERVATIONS, QUICK_SIZE) if quick else (OBSERVATIONS, SIZE)
     for count in counts:
         for reach in Reach:
             for scene in SCENES:
@@ -79,57 +77,20 @@ def cases(quick: bool) -> Iterator[Case]:
                         yield Case(scene, method.name, count, size)
 
 
-def run(
-    out: Path,
-    *,
-    quick: bool = False,
-    progress: Callable[[int, int], None] | None = None,
-    kept: Path | None = None,
-) -> dict[str, Any]:
-    """Run all methods and write fig6.png, .svg, .csv and .json.
-
-    Parameters
-    ----------
-    out : Path
-        An existing folder.
-    quick : bool
-        64 x 64 and two numbers of patterns.
-    kept : Path, optional
-        A folder where finished cases are kept, for a run that goes on.
-    """
-    chosen = list(cases(quick))
-    rows = []
-    for done, case in enumerate(chosen, start=1):
-        rows.append(_kept(case, kept))
-        if progress is not None:
-            progress(done, len(chosen))
-    return write(out, rows)
-
-
-def write(out: Path, rows: list[dict[str, Any]]) -> dict[str, Any]:
-    """The table and the figure of measured cases."""
-    result: dict[str, Any] = {
-        "parameters": {
-            "size": rows[0]["size"],
-            "noise": USUAL_NOISE,
-            "bits": BITS,
-            "lambda": REGULARIZATION,
-            "iterations": ITERATIONS,
-            "romp_n": ROMP_SPARSITY,
-            "seed": 0,
-        },
-        "rows": rows,
+def parameters(quick: bool) -> dict[str, Any]:
+    """What the table was made with."""
+    return {
+        "size": QUICK_SIZE if quick else SIZE,
+        "noise": USUAL_NOISE,
+        "bits": BITS,
+        "lambda": REGULARIZATION,
+        "iterations": ITERATIONS,
+        "romp_n": ROMP_SPARSITY,
+        "seed": 0,
     }
-    (out / "fig6.json").write_text(json.dumps(result, indent=1) + "\n")
-    with open(out / "fig6.csv", "w", newline="") as file:
-        table = csv.DictWriter(file, list(rows[0]))
-        table.writeheader()
-        table.writerows(rows)
-    _draw(out, rows)
-    return result
 
 
-def measure(case: Case) -> dict[str, Any]:
+def measure(case: Case) -> Measured:
     """RMSE of one case over all judged pixels and over the few, in units of the clip level."""
     scene = measured_scene(case.scene, case.size)
     capture = captured(case.scene, case.size, case.observations)
@@ -147,7 +108,7 @@ def measure(case: Case) -> dict[str, Any]:
         found, rows = found[blocks], blocks
     squares = np.square((found - known[rows]) * scene.exposure, dtype=np.float64)
     whole = method.reach is not Reach.ROWS
-    return {
+    row = {
         **asdict(case),
         "rmse": float(np.sqrt(squares.mean())) if whole else None,
         "rmse_few": float(np.sqrt(squares[np.isin(rows, few)].mean())),
@@ -156,6 +117,7 @@ def measure(case: Case) -> dict[str, Any]:
         "seconds": round(seconds, 2),
         "rows": len(rows) if method.reach is not Reach.CAMERA else capture.rows,
     }
+    return Measured([row])
 
 
 def of_rows(capture: Capture, rows: NDArray[np.integer]) -> Capture:
@@ -182,34 +144,11 @@ def judged_rows(name: str, size: int) -> tuple[NDArray[np.int64], NDArray[np.int
     return blocks.ravel(), np.sort(np.array(few))
 
 
-@lru_cache(maxsize=3)
-def measured_scene(name: str, size: int) -> MeasuredScene:
-    """A scene of the figure."""
-    return MeasuredScene(library.truth(name, (size, size)))
-
-
-@lru_cache(maxsize=1)
-def captured(name: str, size: int, count: int) -> Capture:
-    """Its frames under so many patterns."""
-    return measured_scene(name, size).capture(BernoulliPatterns((size, size), count), 0)
-
-
-def _kept(case: Case, folder: Path | None) -> dict[str, Any]:
-    if folder is None:
-        return measure(case)
-    file = folder / case.file
-    if not file.exists():
-        folder.mkdir(parents=True, exist_ok=True)
-        part = file.with_suffix(".part")
-        part.write_text(json.dumps(measure(case)))
-        part.replace(file)
-    return dict(json.loads(file.read_text()))
-
-
-def _draw(out: Path, rows: list[dict[str, Any]]) -> None:
+def _draw(out: Path, found: list[tuple[Case, Measured]]) -> None:
+    rows = [row for _, measured in found for row in measured.rows]
     with figure(7.2, 4.9) as drawing:
         panels = drawing.subplots(2, len(SCENES), sharex=True, sharey="row")
-        for column, (scene, title) in enumerate(SCENES.items()):
+        for column, (scene, title) in enumerate(LETTERED.items()):
             for line, what in enumerate(("rmse", "rmse_few")):
                 axes = panels[line, column]
                 for method in METHODS:
@@ -256,3 +195,6 @@ def _draw(out: Path, rows: list[dict[str, Any]]) -> None:
 def _left_out(name: str) -> bool:
     """The lower panels show what the upper ones do not: the iterated solvers and their minima."""
     return not name.startswith(("admm", "saturation-admm")) or name.endswith("multi-scale")
+
+
+FIG6 = Experiment("fig6", cases, measure, _draw, parameters)

@@ -8,11 +8,9 @@ half of the frames shorter, as `lightmatrix plan` advises for highlights.
 
 from __future__ import annotations
 
-import csv
-import json
 import time
-from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +19,14 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 
 from lightmatrix.capture.capture import Capture
-from lightmatrix.experiments.fig6 import SCENES, captured, measured_scene
-from lightmatrix.experiments.measured_scene import Exposures
+from lightmatrix.experiments.harness import Experiment, Measured
+from lightmatrix.experiments.measured_scene import (
+    LETTERED,
+    SCENES,
+    Exposures,
+    captured,
+    measured_scene,
+)
 from lightmatrix.experiments.methods import BY_NAME, REGULARIZATION
 from lightmatrix.patterns.mix import MixedPatterns, default_mix
 from lightmatrix.pictures.style import display, figure, panel, save
@@ -62,12 +66,20 @@ LOGO = (
 
 
 @dataclass(frozen=True)
-class Column:
+class Case:
     """A method and the frames it is given: fine patterns at one exposure, or both mixed."""
 
+    scene: str
     method: str
     observations: int
+    size: int
     mixed: bool = False
+
+    @property
+    def name(self) -> str:
+        """A file name."""
+        kind = "-mixed" * self.mixed
+        return f"{self.scene}-{self.size}-{self.method}-k{self.observations}{kind}"
 
     @property
     def label(self) -> str:
@@ -76,71 +88,53 @@ class Column:
         frames = f"K = {self.observations}"
         return f"{name}\n{frames}, mixed" if self.mixed else f"{name}\n{frames}"
 
-    def capture(self, scene: str, size: int) -> Capture:
+    def capture(self) -> Capture:
         """Its frames."""
         if not self.mixed:
-            return captured(scene, size, self.observations)
-        shape = (size, size)
+            return captured(self.scene, self.size, self.observations)
+        shape = (self.size, self.size)
         mix = default_mix(shape, self.observations)
         patterns = MixedPatterns(shape, self.observations, mix)
-        return measured_scene(scene, size).capture(patterns, 0, EXPOSURES)
+        return measured_scene(self.scene, self.size).capture(patterns, 0, EXPOSURES)
 
 
-def run(
-    out: Path,
-    *,
-    quick: bool = False,
-    progress: Callable[[int, int], None] | None = None,
-    kept: Path | None = None,
-) -> dict[str, Any]:
-    """Relight all scenes with all methods and write fig7.png, .svg, .csv and .json.
-
-    Parameters
-    ----------
-    out : Path
-        An existing folder.
-    quick : bool
-        64 x 64 and 64 patterns.
-    kept : Path, optional
-        A folder where finished images are kept, for a run that goes on.
-    """
+def cases(quick: bool) -> Iterator[Case]:
+    """All columns of every scene."""
     size, count = (64, 64) if quick else (128, OBSERVATIONS)
-    columns = [Column(name, count) for name in METHODS]
-    columns += [Column("coherent", FEW)] * (not quick) + [Column("coherent", FEW, mixed=True)]
-    report = progress or (lambda done, total: None)
-    images: dict[tuple[str, Column], NDArray[np.float32]] = {}
-    rows = []
     for scene in SCENES:
-        truth = measured_scene(scene, size)
-        expected = truth.known.relight(logo(size))
-        for column in columns:
-            image, seconds = _relit(scene, size, column, kept)
-            images[scene, column] = image
-            rows.append(
-                {
-                    "scene": scene,
-                    **asdict(column),
-                    **quality(image, expected),
-                    "seconds": round(seconds, 1),
-                }
-            )
-            report(len(rows), len(SCENES) * len(columns))
-    result: dict[str, Any] = {
-        "parameters": {
-            "size": size,
-            "lambda": REGULARIZATION,
-            "seed": 0,
-            "mixed exposures and shares": EXPOSURES,
-        },
-        "rows": rows,
+        for method in METHODS:
+            yield Case(scene, method, count, size)
+        if not quick:
+            yield Case(scene, "coherent", FEW, size)
+        yield Case(scene, "coherent", FEW, size, mixed=True)
+
+
+def parameters(quick: bool) -> dict[str, Any]:
+    """What the table was made with."""
+    return {
+        "size": 64 if quick else 128,
+        "lambda": REGULARIZATION,
+        "seed": 0,
+        "mixed exposures and shares": EXPOSURES,
     }
-    (out / "fig7.json").write_text(json.dumps(result, indent=1) + "\n")
-    with open(out / "fig7.csv", "w", newline="") as file:
-        table = csv.DictWriter(file, list(rows[0]))
-        table.writeheader()
-        table.writerows(rows)
-    _draw(out, size, columns, images, rows)
-    return result
+
+
+def measure(case: Case) -> Measured:
+    """The relit image of a case and how good it is."""
+    scene, capture = measured_scene(case.scene, case.size), case.capture()
+    started = time.perf_counter()
+    estimate = BY_NAME[case.method].estimate(capture, 1 / scene.exposure)
+    seconds = time.perf_counter() - started
+    image = estimate.relight(logo(case.size))
+    row = {
+        "scene": case.scene,
+        "method": case.method,
+        "observations": case.observations,
+        "mixed": case.mixed,
+        **quality(image, scene.known.relight(logo(case.size))),
+        "seconds": round(seconds, 1),
+    }
+    return Measured([row], {"image": image})
 
 
 def logo(size: int) -> NDArray[np.float32]:
@@ -179,62 +173,30 @@ def quality(image: NDArray[Any], expected: NDArray[Any]) -> dict[str, float]:
     }
 
 
-def _relit(
-    scene: str, size: int, column: Column, kept: Path | None
-) -> tuple[NDArray[np.float32], float]:
-    name = f"{scene}-{size}-{column.method}-k{column.observations}{'-mixed' * column.mixed}.npz"
-    file = None if kept is None else kept / name
-    if file is not None and file.exists():
-        with np.load(file) as found:
-            return found["image"], float(found["seconds"])
-    measured = measured_scene(scene, size)
-    capture = column.capture(scene, size)
-    started = time.perf_counter()
-    estimate = BY_NAME[column.method].estimate(capture, 1 / measured.exposure)
-    seconds = time.perf_counter() - started
-    image = estimate.relight(logo(size))
-    if file is not None:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        part = file.with_suffix(".part.npz")
-        np.savez(part, image=image, seconds=seconds)
-        part.replace(file)
-    return image, seconds
-
-
-def _draw(
-    out: Path,
-    size: int,
-    columns: list[Column],
-    images: dict[tuple[str, Column], NDArray[np.float32]],
-    rows: list[dict[str, Any]],
-) -> None:
+def _draw(out: Path, found: list[tuple[Case, Measured]]) -> None:
     """Two lines a scene: relit images, and their errors under them."""
-    measures = {
-        (row["scene"], Column(row["method"], row["observations"], row["mixed"])): row
-        for row in rows
-    }
-    width = len(columns) + 1
+    size, width = found[0][0].size, 1 + len(found) // len(SCENES)
     with figure(1.25 * width, 2.85 * len(SCENES)) as drawing:
         panels = drawing.subplots(2 * len(SCENES), width)
-        for line, (scene, title) in enumerate(SCENES.items()):
+        for line, scene in enumerate(SCENES):
             expected = measured_scene(scene, size).known.relight(logo(size))
             white = float(np.quantile(expected, 0.98))
             upper, lower = panels[2 * line], panels[2 * line + 1]
             panel(upper[0], display(expected, white))
             if line == 0:
                 upper[0].set_title("truth", fontsize=7)
-            upper[0].set_ylabel(title)
+            upper[0].set_ylabel(LETTERED[scene])
             panel(lower[0], logo(size))
             lower[0].set_xlabel("projected", fontsize=7)
-            for place, column in enumerate(columns, start=1):
-                image = images[scene, column]
+            mine = [(case, measured) for case, measured in found if case.scene == scene]
+            for place, (case, measured) in enumerate(mine, start=1):
+                image, row = measured.arrays["image"], measured.rows[0]
                 panel(upper[place], display(image, white))
                 if line == 0:
-                    upper[place].set_title(column.label, fontsize=7)
+                    upper[place].set_title(case.label, fontsize=7)
                 limits: dict[str, Any] = {"vmin": -ERROR_RANGE, "vmax": ERROR_RANGE}
                 shown = panel(lower[place], (image - expected) / white, cmap="RdBu_r", **limits)
-                made = measures[scene, column]
-                text = f"{made['psnr_shown']:.1f} dB, {made['ssim']:.2f}"
+                text = f"{row['psnr_shown']:.1f} dB, {row['ssim']:.2f}"
                 lower[place].set_xlabel(text, fontsize=7)
         drawing.colorbar(
             shown,
@@ -245,3 +207,6 @@ def _draw(
             label="error / white (98th percentile of the truth); PSNR, SSIM as on a screen",
         )
         save(drawing, out, "fig7", ("png", "svg"))
+
+
+FIG7 = Experiment("fig7", cases, measure, _draw, parameters)

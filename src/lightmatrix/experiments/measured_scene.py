@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,9 @@ from lightmatrix.camera.exposures import of_frames
 from lightmatrix.camera.noise import USUAL_NOISE
 from lightmatrix.camera.sensor import Sensor
 from lightmatrix.capture.capture import Capture
+from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.pattern_set import PatternSet
+from lightmatrix.rig import library
 from lightmatrix.rig.simulate import irradiance
 from lightmatrix.rig.truth import Truth
 from lightmatrix.transport.matrix import LightTransport
@@ -33,6 +35,10 @@ BITS = 8
 EDGE_STEP = 3
 # How far beyond its clip level a camera would reach that does not clip: a power of two.
 HEADROOM_BITS = 8
+
+# Scenes of the paper's figures, and what stands above their panels.
+SCENES = {"l_objects": "L objects", "gripper": "gripper", "metal": "metallic objects"}
+LETTERED = {name: f"({'abc'[k]}) {title}" for k, (name, title) in enumerate(SCENES.items())}
 
 Exposures = tuple[tuple[float, float], ...]
 ONE_EXPOSURE: Exposures = ((1.0, 1.0),)
@@ -159,3 +165,15 @@ class MeasuredScene:
             "edge_all_rows": relative(self.edges),
             "rows": int(exposed.sum()),
         }
+
+
+@lru_cache(maxsize=3)
+def measured_scene(name: str, size: int) -> MeasuredScene:
+    """A scene with as many camera as projector pixels per side."""
+    return MeasuredScene(library.truth(name, (size, size)))
+
+
+@lru_cache(maxsize=1)
+def captured(name: str, size: int, count: int) -> Capture:
+    """Its frames under so many Bernoulli patterns, at the benchmark exposure."""
+    return measured_scene(name, size).capture(BernoulliPatterns((size, size), count), 0)
