@@ -25,9 +25,11 @@ def neighbourhood(camera: Any, projector: Any, seed: int, filled: float = 0.2) -
     rows = np.prod(camera)
     dense = random.random((rows, projector[0] * projector[1])).astype(np.float32)
     dense[random.random(dense.shape) > filled] = 0
-    return Neighbourhood(
-        SparseRows(csr_array(dense), np.zeros((rows, 1), np.float32)), camera, projector
-    )
+    return Neighbourhood(without_background(csr_array(dense)), camera, projector)
+
+
+def without_background(rows: csr_array) -> SparseRows:
+    return SparseRows(rows, np.zeros((rows.shape[0], 1), np.float32))
 
 
 def backgrounds_of(rows: int, patterns: int, seed: int) -> Any:
@@ -145,7 +147,7 @@ def test_footprints_are_followed_however_the_projector_is_turned(turn: int, fine
     place = place[::finer, ::finer]
     rows = csr_array((np.ones(side**2, np.float32), place.ravel(), np.arange(side**2 + 1)))
     rows.resize((side**2, projector[0] * projector[1]))
-    around = Neighbourhood(rows, (side, side, 1), projector)
+    around = Neighbourhood(without_background(rows), (side, side, 1), projector)
     turned = {0: (1, 0, 0, 1), 1: (0, 1, -1, 0), 2: (-1, 0, 0, -1), 3: (0, -1, 1, 0)}[turn]
     movement = around.movement.reshape(side, side, 4)[3:-3, 3:-3]
     assert np.array_equal(movement, np.broadcast_to(finer * np.array(turned), movement.shape))
@@ -168,7 +170,7 @@ def test_footprints_are_followed_however_the_projector_is_turned(turn: int, fine
 
 def test_neighbours_that_know_nothing_are_not_asked() -> None:
     around = neighbourhood((4, 4, 1), (5, 5), 0)
-    dark = replace(around, rows=csr_array((16, 25), dtype=np.float32))
+    dark = replace(around, rows=without_background(csr_array((16, 25), dtype=np.float32)))
     shown, unseen = BernoulliPatterns((5, 5), 9), unseen_patterns((5, 5))
     samples = samples_of(shown, 16, 0)
     background = backgrounds_of(16, 9 + unseen.count, 0)

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 from lightmatrix.capture.capture import Capture
-from lightmatrix.errors import InputError
 from lightmatrix.estimators.join import (
     TILE_BYTES,
     Progress,
@@ -20,6 +19,7 @@ from lightmatrix.estimators.join import (
 )
 from lightmatrix.estimators.regularization import automatic_regularization
 from lightmatrix.solvers import Solver, solve
+from lightmatrix.solvers.parameters import check_count
 from lightmatrix.solvers.problem import Problem
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.transport.sparse_rows import SparseRows
@@ -51,8 +51,7 @@ class PlainEstimator:
     tile_rows: int | None = None
 
     def __post_init__(self) -> None:
-        if self.tile_rows is not None and self.tile_rows < 1:
-            raise InputError(f"tiles of {self.tile_rows} rows", hint="use at least 1")
+        check_count(tile_rows=self.tile_rows)
 
     def estimate(
         self,

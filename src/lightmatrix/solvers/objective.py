@@ -12,8 +12,8 @@ from scipy.sparse import csr_array
 from lightmatrix.solvers.fidelity import DataTerm, Fidelity, Observed
 from lightmatrix.solvers.problem import Problem
 
-# Rows are made dense in chunks of so many bytes.
-_CHUNK_BYTES = 128 << 20
+# Rows are treated in chunks of so many bytes.
+CHUNK_BYTES = 128 << 20
 
 
 def predictions(
@@ -68,7 +68,7 @@ def relative_gap(
 
 def _chunks(problem: Problem) -> Iterator[slice]:
     """The rows of a problem, so many at a time as are made dense."""
-    size = max(1, _CHUNK_BYTES // (8 * problem.patterns.pixels))
+    size = max(1, CHUNK_BYTES // (8 * problem.patterns.pixels))
     for start in range(0, problem.rows, size):
         yield slice(start, start + size)
 

@@ -11,13 +11,10 @@ from scipy.sparse import csr_array
 
 from lightmatrix.errors import SolverError
 from lightmatrix.solvers.fidelity import Fidelity
-from lightmatrix.solvers.objective import relative_gap
+from lightmatrix.solvers.objective import CHUNK_BYTES, relative_gap
 from lightmatrix.solvers.parameters import check_count
 from lightmatrix.solvers.problem import Problem, Result, Status, no_rows, solved_rows
 from lightmatrix.transport.sparse_rows import SparseRows
-
-# Rows are solved in groups whose gathered columns stay below this.
-_GROUP_BYTES = 128 << 20
 
 
 @dataclass(frozen=True)
@@ -59,14 +56,15 @@ class ROMP:
         check_count(sparsity=self.sparsity, max_iterations=self.max_iterations)
 
     def solve(self, problem: Problem, progress: Callable[[int, int], None] | None = None) -> Result:
-        """Solve all rows, a group at a time."""
+        """Solve all rows, a chunk at a time."""
         n = self.sparsity or max(1, min(32, problem.patterns.count // 8))
         n = min(n, problem.patterns.pixels)
-        size = max(1, _GROUP_BYTES // (8 * 3 * n * problem.patterns.count))
+        # By what the gathered columns take.
+        size = max(1, CHUNK_BYTES // (8 * 3 * n * problem.patterns.count))
         parts = []
         for start in range(0, problem.rows, size):
             rows = np.arange(start, min(start + size, problem.rows))
-            parts.append(self._solve_group(problem.take(rows), n))
+            parts.append(self._solve_chunk(problem.take(rows), n))
             if progress is not None:
                 progress(int(rows[-1]) + 1, problem.rows)
         return self._joined(problem, parts)
@@ -94,8 +92,8 @@ class ROMP:
         )
         return Result(rows, Status.CONVERGED if met.all() else Status.ITERATION_LIMIT)
 
-    def _solve_group(self, problem: Problem, n: int) -> SparseRows:
-        """Rows, rounds and whether they have met their aim, of a group."""
+    def _solve_chunk(self, problem: Problem, n: int) -> SparseRows:
+        """Rows, rounds and whether they have met their aim, of a chunk."""
         rows = problem.rows
         seen = problem.observed.astype(np.float64)
         # Samples that say nothing weigh nothing.

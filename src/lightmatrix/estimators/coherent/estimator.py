@@ -20,6 +20,7 @@ from lightmatrix.estimators.coherent.rounds import Rounds
 from lightmatrix.estimators.join import Progress, capture_provenance, joined, solver_provenance
 from lightmatrix.solvers.active_set import ActiveSet
 from lightmatrix.solvers.fidelity import Fidelity
+from lightmatrix.solvers.parameters import check_count
 from lightmatrix.transport.matrix import LightTransport
 
 # Half widths of the windows of each round, in camera and in projector pixels. The first rounds
@@ -95,9 +96,7 @@ class CoherentEstimator:
             raise InputError(
                 f"windows of {self.windows}", hint="give half widths of one round or more"
             )
-        for name, value in (("candidates", self.candidates), ("tile_rows", self.tile_rows)):
-            if value is not None and value < 1:
-                raise InputError(f"{name} is {value}", hint="use at least 1")
+        check_count(candidates=self.candidates, tile_rows=self.tile_rows)
         if min(self.background_grid) < 1:
             raise InputError(
                 f"a background grid of {self.background_grid}", hint="use (1, 1) or more"
