@@ -1,10 +1,10 @@
 //! Sweeps against the definition of coordinate descent, on every instruction set.
 
 use super::*;
-use crate::active_set::Dictionary;
 use crate::bits::Bits;
 use crate::columns::{BitColumns, Columns};
 use crate::correlate::Correlator;
+use crate::problem::Dictionary;
 use crate::vector::{padded, DataTerm};
 
 const PATTERNS: usize = 90;
