@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from lightmatrix import _core
+from lightmatrix.capture import Samples
 from lightmatrix.errors import InputError, SolverError
 from lightmatrix.patterns import HadamardPatterns, PackedPatterns, PatternSet
 from lightmatrix.solvers.loop import Progress
@@ -101,21 +102,23 @@ class ActiveSet:
         Result
             `iterations` are passes over all pixels; the coefficients are float64, as certified.
         """
+        check_start(problem, start)
         solved = prepared(problem.patterns).solve(
-            np.ascontiguousarray(problem.samples),
-            np.ascontiguousarray(problem.clipped),
-            sample_weights(problem),
-            None if start is None else starting_rows(problem, start.coefficients, start.background),
-            float(problem.regularization),
-            str(self.fidelity),
-            problem.nonnegative,
-            problem.background,
-            self.tolerance,
-            self.max_passes,
-            self.threads,
-            progress,
+            samples_of(problem), self.settings(problem), start=start, progress=progress
         )
         return as_result(solved, problem)
+
+    def settings(self, problem: Problem) -> _core.Settings:
+        """The settings as the core takes them."""
+        return _core.Settings(
+            regularization=problem.regularization,
+            fidelity=str(self.fidelity),
+            nonnegative=problem.nonnegative,
+            background=problem.background,
+            tolerance=self.tolerance,
+            max_passes=self.max_passes,
+            threads=self.threads,
+        )
 
     def row_bytes(self, patterns: int, pixels: int) -> int:
         """Samples as they come and as solved, scores of a row, and a generous support."""
@@ -165,26 +168,16 @@ def _bits(patterns: PatternSet) -> NDArray[np.uint8] | None:
     return np.concatenate(packed)
 
 
-def sample_weights(problem: Problem) -> NDArray[np.float64] | None:
-    """The weights as the core takes them."""
-    if problem.weights is None:
-        return None
-    return np.ascontiguousarray(np.atleast_2d(problem.weights), np.float64)
+def samples_of(problem: Problem) -> Samples:
+    """The samples as the core takes them."""
+    return Samples(problem.samples, problem.clipped, problem.clip_level, problem.weights)
 
 
-def starting_rows(
-    problem: Problem, coefficients: Any, background: NDArray[Any]
-) -> tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.float64], NDArray[np.float64]]:
-    """A start as the core takes it."""
+def check_start(problem: Problem, start: Any) -> None:
+    """Refuse a start of other rows or pixels than the problem's; None is none."""
     shape = (problem.rows, problem.patterns.pixels)
-    if coefficients.shape != shape:
-        raise InputError(f"a start of shape {coefficients.shape} for a problem of {shape}")
-    return (
-        np.ascontiguousarray(coefficients.indptr, np.int64),
-        np.ascontiguousarray(coefficients.indices, np.int32),
-        np.ascontiguousarray(coefficients.data, np.float64),
-        np.ascontiguousarray(background, np.float64),
-    )
+    if start is not None and start.coefficients.shape != shape:
+        raise InputError(f"a start of shape {start.coefficients.shape} for a problem of {shape}")
 
 
 def as_result(solved: _core.Solved, problem: Problem) -> Result:

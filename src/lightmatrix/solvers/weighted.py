@@ -15,9 +15,9 @@ from lightmatrix.patterns import PatternSet
 from lightmatrix.solvers.active_set import (
     ActiveSet,
     as_result,
+    check_start,
     prepared,
-    sample_weights,
-    starting_rows,
+    samples_of,
 )
 from lightmatrix.solvers.loop import Progress
 from lightmatrix.solvers.problem import Problem, Result
@@ -31,15 +31,15 @@ class Candidates:
     ----------
     indptr : (M + 1,) int64
         Where each row's entries begin.
-    pixels : (E,) int32
+    indices : (E,) int32
         Projector pixels, ascending within a row.
-    penalties : (E,) float32
+    data : (E,) float32
         Penalties relative to the problem's regularization, > 0.
     """
 
     indptr: NDArray[np.int64]
-    pixels: NDArray[np.int32]
-    penalties: NDArray[np.float32]
+    indices: NDArray[np.int32]
+    data: NDArray[np.float32]
 
 
 @dataclass(frozen=True)
@@ -177,31 +177,16 @@ def solve_weighted(
         raise InputError(
             f"candidates of {len(candidates.indptr) - 1} rows for a problem of {problem.rows}"
         )
+    check_start(problem, start)
     solved, coefficients = _core.solve_weighted(
         prepared(problem.patterns),
-        np.ascontiguousarray(problem.samples),
-        np.ascontiguousarray(problem.clipped),
-        sample_weights(problem),
-        (candidates.indptr, candidates.pixels, candidates.penalties),
-        (blocks.means, blocks.penalties, _starting_blocks(start, len(blocks.penalties))),
-        None
-        if expected is None
-        else (prepared(expected.unseen), expected.values, expected.weights),
-        background,
-        None if start is None else starting_rows(problem, start.coefficients, start.background),
-        float(problem.regularization),
-        str(solver.fidelity),
-        True,
-        problem.background,
-        solver.tolerance,
-        solver.max_passes,
-        solver.threads,
-        progress,
+        samples_of(problem),
+        solver.settings(problem),
+        candidates,
+        blocks=blocks,
+        expected=None if expected is None else (prepared(expected.unseen), expected),
+        background=background,
+        start=start,
+        progress=progress,
     )
     return WeightedResult(as_result(solved, problem), coefficients.astype(np.float32))
-
-
-def _starting_blocks(start: Start | None, count: int) -> NDArray[np.float32] | None:
-    if start is None or start.blocks.shape[1] != count:
-        return None
-    return np.ascontiguousarray(start.blocks)

@@ -137,7 +137,8 @@ multiversion! {
         inverse: &[f64],
     ) {
         let size = inverse.len();
-        for (i, out) in matrix.chunks_exact_mut(size).enumerate() {
+        // No pixel may take part.
+        for (i, out) in matrix.chunks_exact_mut(size.max(1)).enumerate() {
             let Some(&j) = set.get(i) else {
                 break;
             };
