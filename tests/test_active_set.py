@@ -314,19 +314,8 @@ def test_every_instruction_set_gives_the_same_solution() -> None:
             core = patterns.prepare(instructions=name)
         except ValueError:
             continue
-        solved = core.solve(
-            problem.samples.values,
-            problem.samples.clipped,
-            None,
-            None,
-            0.03,
-            "one-sided",
-            True,
-            True,
-            1e-4,
-            99,
-        )
-        solutions.append(solved)
+        settings = ActiveSet(tolerance=1e-4, max_passes=99).settings(problem)
+        solutions.append(core.solve(problem.samples, settings))
     for other in solutions[1:]:
         np.testing.assert_array_equal(other.indices, solutions[0].indices)
         np.testing.assert_allclose(other.values, solutions[0].values, rtol=1e-9, atol=1e-12)

@@ -63,7 +63,7 @@ def test_no_change_improves_the_objective(
     problem = with_samples(problem, weights=random.choice([0.0, 0.5, 1.0], (3, count)))
     weights = random.uniform(0.05, 3, (3, problem.patterns.pixels))
     candidates = every_pixel(problem, weights)
-    weights = candidates.penalties.reshape(weights.shape).astype(np.float64)
+    weights = candidates.data.reshape(weights.shape).astype(np.float64)
     means = random.random((cells_count, count)).astype(np.float32)
     cells = Cells(means, random.uniform(0.1, 2, cells_count).astype(np.float32))
     found = solve_weighted(problem, candidates, cells, SOLVER)

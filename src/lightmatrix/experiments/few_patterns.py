@@ -155,6 +155,7 @@ def _with_known_support(scene: MeasuredScene, capture: Capture) -> LightTranspor
     support = scene.truth.matrix.copy()
     support.data[support.data < KNOWN_SUPPORT * level] = 0
     support.eliminate_zeros()
+    support.sort_indices()
     samples = capture.samples()
     problem = Problem(capture.patterns, samples, KNOWN_PENALTY * DEFAULT_REGULARIZATION * level)
     candidates = Candidates(

@@ -93,21 +93,23 @@ class ActiveSet:
         Result
             `iterations` are passes over all pixels; the coefficients are float64, as certified.
         """
+        check_start(problem, start)
         solved = prepared(problem).solve(
-            np.ascontiguousarray(problem.samples.values),
-            np.ascontiguousarray(problem.samples.clipped),
-            sample_weights(problem),
-            None if start is None else starting_rows(problem, start),
-            float(problem.regularization),
-            Fidelity(self.fidelity).term.name,
-            problem.nonnegative,
-            problem.background,
-            self.tolerance,
-            self.max_passes,
-            self.threads,
-            progress,
+            problem.samples, self.settings(problem), start=start, progress=progress
         )
         return as_result(solved, problem)
+
+    def settings(self, problem: Problem) -> _core.Settings:
+        """The settings as the core takes them."""
+        return _core.Settings(
+            regularization=float(problem.regularization),
+            fidelity=Fidelity(self.fidelity).term.name,
+            nonnegative=problem.nonnegative,
+            background=problem.background,
+            tolerance=self.tolerance,
+            max_passes=self.max_passes,
+            threads=self.threads,
+        )
 
     def row_bytes(self, patterns: int, pixels: int) -> int:
         """Samples as they come and as solved, scores of a row, and a generous support."""
@@ -121,27 +123,11 @@ def prepared(problem: Problem) -> _core.PreparedPatterns:
     return problem.patterns.prepare(problem.background_column)
 
 
-def sample_weights(problem: Problem) -> NDArray[np.float64] | None:
-    """The weights as the core takes them."""
-    if problem.samples.weights is None:
-        return None
-    return np.ascontiguousarray(np.atleast_2d(problem.samples.weights), np.float64)
-
-
-def starting_rows(
-    problem: Problem, start: SparseRows
-) -> tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.float64], NDArray[np.float64]]:
-    """A start as the core takes it: pixels, and the coefficient of the background's column."""
-    coefficients = start.coefficients
+def check_start(problem: Problem, start: SparseRows | None) -> None:
+    """Refuse a start of other rows or pixels than the problem's; None is none."""
     shape = (problem.rows, problem.patterns.pixels)
-    if coefficients.shape != shape:
-        raise InputError(f"a start of shape {coefficients.shape} for a problem of {shape}")
-    return (
-        np.ascontiguousarray(coefficients.indptr, np.int64),
-        np.ascontiguousarray(coefficients.indices, np.int32),
-        np.ascontiguousarray(coefficients.data, np.float64),
-        np.ascontiguousarray(start.background[:, 0], np.float64),
-    )
+    if start is not None and start.coefficients.shape != shape:
+        raise InputError(f"a start of shape {start.coefficients.shape} for a problem of {shape}")
 
 
 def as_result(

@@ -13,11 +13,9 @@ from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.solvers.active_set import (
     ActiveSet,
     as_result,
+    check_start,
     prepared,
-    sample_weights,
-    starting_rows,
 )
-from lightmatrix.solvers.fidelity import Fidelity
 from lightmatrix.solvers.loop import Progress
 from lightmatrix.solvers.problem import Problem, Result
 from lightmatrix.transport.sparse_rows import SparseRows
@@ -31,15 +29,15 @@ class Candidates:
     ----------
     indptr : (M + 1,) int64
         Where each row's entries begin.
-    pixels : (E,) int32
+    indices : (E,) int32
         Projector pixels, ascending within a row.
-    penalties : (E,) float32
+    data : (E,) float32
         Penalties relative to the problem's regularization, > 0.
     """
 
     indptr: NDArray[np.int64]
-    pixels: NDArray[np.int32]
-    penalties: NDArray[np.float32]
+    indices: NDArray[np.int32]
+    data: NDArray[np.float32]
 
 
 @dataclass(frozen=True)
@@ -145,29 +143,16 @@ def solve_weighted(
         raise InputError(
             f"candidates of {len(candidates.indptr) - 1} rows for a problem of {problem.rows}"
         )
+    check_start(problem, start)
     solved, coefficients = _core.solve_weighted(
         prepared(problem),
-        np.ascontiguousarray(problem.samples.values),
-        np.ascontiguousarray(problem.samples.clipped),
-        sample_weights(problem),
-        (candidates.indptr, candidates.pixels, candidates.penalties),
-        (cells.means, cells.penalties, _starting_cells(start, len(cells.penalties))),
-        None if expected is None else (expected.unseen.prepared, expected.values, expected.weights),
-        background,
-        None if start is None else starting_rows(problem, start),
-        float(problem.regularization),
-        Fidelity(solver.fidelity).term.name,
-        True,
-        problem.background,
-        solver.tolerance,
-        solver.max_passes,
-        solver.threads,
-        progress,
+        problem.samples,
+        solver.settings(problem),
+        candidates,
+        cells=cells,
+        expected=None if expected is None else (expected.unseen.prepared, expected),
+        background=background,
+        start=start,
+        progress=progress,
     )
     return as_result(solved, problem, coefficients.astype(np.float32))
-
-
-def _starting_cells(start: SparseRows | None, count: int) -> NDArray[np.float32] | None:
-    if start is None or start.background.shape[1] != 1 + count:
-        return None
-    return np.ascontiguousarray(start.background[:, 1:], np.float32)

@@ -1,6 +1,6 @@
 //! The look-up pass with AVX-512: tables of six patterns, 64 sums in two registers, one permute.
 
-use super::Scores;
+use super::scores::Scores;
 use crate::simd::{Kind, Level};
 use std::arch::x86_64::*;
 

@@ -9,7 +9,7 @@ never shown (`docs/few-patterns.md`).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -103,27 +103,16 @@ class Neighbourhood:
         background : (n, K + E) float32
             What the backgrounds of the rows `around` give under all patterns.
         """
-        stop = start + len(samples.values)
-        weights, found = samples.weights, self.rows.coefficients
+        weights = samples.weights
         values, variances = _core.expected_samples(
             shown.prepared,
             unseen.prepared,
-            samples.values,
-            clipped,
-            None if weights is None else np.atleast_2d(weights).astype(np.float64),
-            (
-                found.indptr.astype(np.int64, copy=False),
-                found.indices.astype(np.int32, copy=False),
-                found.data.astype(np.float32, copy=False),
-            ),
-            self.camera,
-            self.projector,
-            REACH,
-            self.movement[start:stop],
+            replace(samples, clipped=clipped),
+            self,
             background,
-            self.around(start, stop)[0],
-            start,
-            level,
+            reach=REACH,
+            start=start,
+            level=level,
         )
         count = shown.count
         np.maximum(values[:, :count], samples.clip_level, out=values[:, :count], where=clipped)

@@ -186,9 +186,7 @@ class Rounds:
         # Footprints of neighbours lie further apart where the projector is the finer one.
         finer = max(1.0, projector[0] / camera_rows, projector[1] / camera_cols)
         indptr, pixels, shares = _core.likely_pixels(
-            rows.indptr.astype(np.int64, copy=False),
-            rows.indices.astype(np.int32, copy=False),
-            rows.data.astype(np.float32, copy=False),
+            rows,
             (camera_rows, camera_cols, channels[0] if channels else 1),
             projector,
             (camera_reach, round(projector_reach * finer)),
