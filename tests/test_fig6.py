@@ -13,6 +13,7 @@ import pytest
 from lightmatrix.experiments import fig6, fig7
 from lightmatrix.experiments.fig6 import Case
 from lightmatrix.experiments.methods import METHODS, Reach
+from lightmatrix.files.running import RunningFolder
 from lightmatrix.patterns.blocks import sampled_pixels
 from lightmatrix.transport.metrics import response_rmse
 
@@ -86,7 +87,7 @@ def test_rows_as_a_camera_of_blocks() -> None:
 def test_files_and_going_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     chosen = [Case(SCENE, "admm", 16, 64), Case(SCENE, "admm-iterated", 16, 64)]
     monkeypatch.setattr(fig6, "cases", lambda quick: iter(chosen))
-    out, kept = tmp_path / "out", tmp_path / "kept"
+    out, kept = tmp_path / "out", RunningFolder.open(tmp_path / "out", ".cases")
     out.mkdir()
     seen: list[int] = []
     first = fig6.run(out, kept=kept, progress=lambda done, total: seen.append(done))
@@ -112,7 +113,7 @@ def test_the_full_run_measures_every_method_everywhere() -> None:
 def test_relit_images_are_judged_and_drawn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(fig7, "SCENES", {SCENE: "gripper"})
     monkeypatch.setattr(fig7, "METHODS", ("saturation-admm", "coherent"))
-    out, kept = tmp_path / "out", tmp_path / "kept"
+    out, kept = tmp_path / "out", RunningFolder.open(tmp_path / "out", ".cases")
     out.mkdir()
     result = fig7.run(out, quick=True, kept=kept)
     plain, coherent, mixed = result["rows"]
@@ -120,7 +121,7 @@ def test_relit_images_are_judged_and_drawn(tmp_path: Path, monkeypatch: pytest.M
     assert coherent["ssim"] > plain["ssim"]
     # The highlights are in the shorter frames.
     assert mixed["psnr"] > coherent["psnr"] + 3
-    assert len(list(kept.iterdir())) == 3
+    assert len(kept.names) == 3
     assert fig7.run(out, quick=True, kept=kept)["rows"] == result["rows"]
     assert (out / "fig7.png").stat().st_size > 1000
 

@@ -13,7 +13,6 @@ tile, in the order (row, col, channel).
 from __future__ import annotations
 
 import hashlib
-import tempfile
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -38,10 +37,8 @@ from lightmatrix.capture.folder import jsonable, read_capture, read_folders
 from lightmatrix.capture.frames import ArrayStack, Frames
 from lightmatrix.capture.order import check_order
 from lightmatrix.errors import InputError
+from lightmatrix.files.scratch import scratch_array
 from lightmatrix.patterns.pattern_set import PatternSet
-
-# Raw frames up to this size are held in memory, larger ones in a temporary file.
-_MEMORY_BYTES = 2 << 30
 
 
 @dataclass(frozen=True, eq=False)
@@ -348,7 +345,7 @@ class Capture:
     def _raw(self) -> NDArray[Any]:
         """Raw levels (M, K), a camera sample's frames side by side as tiles need them."""
         pixels = int(np.prod(self.frames.shape))
-        raw = _allocate((pixels, self.count), self.frames.dtype)
+        raw = scratch_array((pixels, self.count), self.frames.dtype)
         # Some frames at a time: column by column would touch every page of the array K times.
         group = max(1, min(64, (256 << 20) // max(1, pixels * raw.itemsize)))
         for start in range(0, self.count, group):
@@ -360,8 +357,8 @@ class Capture:
     @cached_property
     def _binned(self) -> Samples:
         """Binned samples (M, K); smaller than the raw levels for blocks of 2 x 2 and more."""
-        values = _allocate((self.rows, self.count), np.dtype(np.float32))
-        clipped = _allocate((self.rows, self.count), np.dtype(np.bool_))
+        values = scratch_array((self.rows, self.count), np.dtype(np.float32))
+        clipped = scratch_array((self.rows, self.count), np.dtype(np.bool_))
         levels = []
         for k in range(self.count):
             raw = self.frames.read(k).reshape(-1, 1)
@@ -439,14 +436,6 @@ class Capture:
             warn_of_hidden_clipping(self._raw, self.decoder)
         if order:
             check_order(self.patterns, self.tiles(), self.rows, self.frames.name)
-
-
-def _allocate(shape: tuple[int, ...], dtype: np.dtype[Any]) -> NDArray[Any]:
-    if int(np.prod(shape)) * dtype.itemsize <= _MEMORY_BYTES:
-        return np.empty(shape, dtype)
-    with tempfile.TemporaryFile() as file:
-        # The mapping keeps the unnamed file alive; it vanishes with the array.
-        return np.memmap(file, dtype, "w+", shape=shape)
 
 
 def _pair(block: int | tuple[int, int], name: str) -> tuple[int, int]:

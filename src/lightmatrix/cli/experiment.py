@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-import shutil
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from lightmatrix.cli.common import Json, Overwrite, out, progress, show_json
+from lightmatrix.cli.common import Json, Overwrite, claim, out, progress, show_json
 from lightmatrix.experiments import demo as demo_report
 from lightmatrix.experiments import few_patterns, fig4, fig5, fig6, fig7
-from lightmatrix.files.outputs import atomic_folder, check_output
+from lightmatrix.files.markers import FolderKind
+from lightmatrix.files.outputs import atomic_folder
+from lightmatrix.files.running import RunningFolder
 
 
 class Figure(StrEnum):
@@ -34,6 +35,10 @@ RUNS: dict[Figure, Any] = {
 }
 # These take long, so that an interrupted run goes on with the cases it has.
 RESUMABLE = {Figure.FIG6, Figure.FIG7, Figure.FEW_PATTERNS}
+CASES = ".cases"
+REPORT = FolderKind("demo report")
+FIGURE = FolderKind("figure")
+RESUMABLE_FIGURE = FolderKind("figure", running=CASES)
 
 
 def register(app: typer.Typer) -> None:
@@ -48,9 +53,8 @@ def demo(
     as_json: Json = False,
 ) -> None:
     """Simulate and estimate a scene; write a picture report."""
-    check_output(output, overwrite=overwrite)
     with (
-        atomic_folder(output, overwrite=overwrite) as folder,
+        atomic_folder(output, REPORT, overwrite=overwrite) as folder,
         progress("demo", "steps") as report,
     ):
         result = demo_report.run(folder, progress=report)
@@ -79,15 +83,17 @@ def experiment(
     Without --quick it takes up to an hour; fig6, fig7 and few-patterns go on where they stopped if
     run again, and need the extra `render`.
     """
-    check_output(output, overwrite=overwrite)
-    kept = output.with_name(output.name + ".cases")
-    options = {"kept": kept} if figure in RESUMABLE else {}
+    kind = RESUMABLE_FIGURE if figure in RESUMABLE else FIGURE
+    target = claim(output, kind, overwrite=overwrite)
+    kept = RunningFolder.open(target, CASES) if kind.running else None
+    options = {} if kept is None else {"kept": kept}
     with (
-        atomic_folder(output, overwrite=overwrite) as folder,
+        atomic_folder(output, kind, overwrite=overwrite) as folder,
         progress(str(figure), "steps") as report,
     ):
         result = RUNS[figure](folder, quick=quick, progress=report, **options)
-    shutil.rmtree(kept, ignore_errors=True)
+    if kept is not None:
+        kept.discard()
     if as_json:
         show_json(result)
     else:

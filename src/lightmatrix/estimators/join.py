@@ -17,7 +17,7 @@ import lightmatrix
 from lightmatrix.camera.samples import Samples
 from lightmatrix.capture.capture import Capture
 from lightmatrix.solvers import Solver
-from lightmatrix.solvers.problem import Result
+from lightmatrix.solvers.problem import Result, check_regularization
 from lightmatrix.store import Checkpoint
 from lightmatrix.transport.matrix import LightTransport
 
@@ -49,7 +49,7 @@ def joined(
     solve_tile : callable
         Gives the tile of the rows start..stop.
     provenance : mapping
-        What made the estimate, JSON-ready.
+        What made the estimate, JSON-ready; its regularization is checked before anything is made.
     checkpoint : Path or None
         The store to write. Finished tiles are kept beside it, so that an interrupted run goes on
         where it stopped.
@@ -63,9 +63,12 @@ def joined(
 
     Raises
     ------
+    InputError
+        On a regularization that is none.
     OutputError
         On outputs that cannot be written.
     """
+    check_regularization(provenance["regularization"])
     shapes: dict[str, Any] = {
         "camera_shape": capture.camera_shape,
         "projector_shape": capture.projector_shape,

@@ -19,6 +19,7 @@ from lightmatrix.capture.capture import Capture
 from lightmatrix.estimators.coherent.estimator import DEFAULT_REGULARIZATION, CoherentEstimator
 from lightmatrix.estimators.plain import PlainEstimator
 from lightmatrix.experiments.measured_scene import ONE_EXPOSURE, Exposures, MeasuredScene
+from lightmatrix.files.running import RunningFolder
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.mix import MixedPatterns, default_mix
 from lightmatrix.patterns.pattern_set import PatternSet
@@ -102,7 +103,7 @@ def run(
     *,
     quick: bool = False,
     progress: Callable[[int, int], None] | None = None,
-    kept: Path | None = None,
+    kept: RunningFolder | None = None,
 ) -> dict[str, Any]:
     """Measure all cases and write few-patterns.png, .svg, .csv and .json.
 
@@ -112,8 +113,8 @@ def run(
         An existing folder.
     quick : bool
         One scene at 64 x 64.
-    kept : Path, optional
-        A folder where finished cases are kept, for a run that goes on.
+    kept : RunningFolder, optional
+        Where finished cases are kept, for a run that goes on.
     """
     chosen = list(cases(quick))
     rows = []
@@ -217,16 +218,15 @@ def _scene(name: str, size: tuple[int, int]) -> MeasuredScene:
     return MeasuredScene(library.truth(name, size))
 
 
-def _kept(case: Case, folder: Path | None) -> dict[str, Any]:
-    if folder is None:
+def _kept(case: Case, kept: RunningFolder | None) -> dict[str, Any]:
+    if kept is None:
         return measure(case)
-    file = folder / f"{case.name}.json"
-    if not file.exists():
-        folder.mkdir(parents=True, exist_ok=True)
-        part = file.with_suffix(".part")
-        part.write_text(json.dumps(measure(case)))
-        part.replace(file)
-    return dict(json.loads(file.read_text()))
+    name = f"{case.name}.json"
+    if not kept.has(name):
+        result = json.dumps(measure(case))
+        with kept.keep(name) as part:
+            part.write_text(result)
+    return dict(json.loads(kept.file(name).read_text()))
 
 
 def _draw(out: Path, rows: list[dict[str, Any]]) -> None:

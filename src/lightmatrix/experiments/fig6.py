@@ -39,6 +39,7 @@ from lightmatrix.experiments.methods import (
     ROMP_SPARSITY,
     Reach,
 )
+from lightmatrix.files.running import RunningFolder
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.blocks import sampled_pixels
 from lightmatrix.pictures.style import figure, save
@@ -84,7 +85,7 @@ def run(
     *,
     quick: bool = False,
     progress: Callable[[int, int], None] | None = None,
-    kept: Path | None = None,
+    kept: RunningFolder | None = None,
 ) -> dict[str, Any]:
     """Run all methods and write fig6.png, .svg, .csv and .json.
 
@@ -94,8 +95,8 @@ def run(
         An existing folder.
     quick : bool
         64 x 64 and two numbers of patterns.
-    kept : Path, optional
-        A folder where finished cases are kept, for a run that goes on.
+    kept : RunningFolder, optional
+        Where finished cases are kept, for a run that goes on.
     """
     chosen = list(cases(quick))
     rows = []
@@ -194,16 +195,15 @@ def captured(name: str, size: int, count: int) -> Capture:
     return measured_scene(name, size).capture(BernoulliPatterns((size, size), count), 0)
 
 
-def _kept(case: Case, folder: Path | None) -> dict[str, Any]:
-    if folder is None:
+def _kept(case: Case, kept: RunningFolder | None) -> dict[str, Any]:
+    if kept is None:
         return measure(case)
-    file = folder / case.file
-    if not file.exists():
-        folder.mkdir(parents=True, exist_ok=True)
-        part = file.with_suffix(".part")
-        part.write_text(json.dumps(measure(case)))
-        part.replace(file)
-    return dict(json.loads(file.read_text()))
+    name = case.file
+    if not kept.has(name):
+        result = json.dumps(measure(case))
+        with kept.keep(name) as part:
+            part.write_text(result)
+    return dict(json.loads(kept.file(name).read_text()))
 
 
 def _draw(out: Path, rows: list[dict[str, Any]]) -> None:

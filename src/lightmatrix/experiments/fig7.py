@@ -24,6 +24,7 @@ from lightmatrix.capture.capture import Capture
 from lightmatrix.experiments.fig6 import SCENES, captured, measured_scene
 from lightmatrix.experiments.measured_scene import Exposures
 from lightmatrix.experiments.methods import BY_NAME, REGULARIZATION
+from lightmatrix.files.running import RunningFolder
 from lightmatrix.patterns.mix import MixedPatterns, default_mix
 from lightmatrix.pictures.style import display, figure, panel, save
 
@@ -91,7 +92,7 @@ def run(
     *,
     quick: bool = False,
     progress: Callable[[int, int], None] | None = None,
-    kept: Path | None = None,
+    kept: RunningFolder | None = None,
 ) -> dict[str, Any]:
     """Relight all scenes with all methods and write fig7.png, .svg, .csv and .json.
 
@@ -101,8 +102,8 @@ def run(
         An existing folder.
     quick : bool
         64 x 64 and 64 patterns.
-    kept : Path, optional
-        A folder where finished images are kept, for a run that goes on.
+    kept : RunningFolder, optional
+        Where finished images are kept, for a run that goes on.
     """
     size, count = (64, 64) if quick else (128, OBSERVATIONS)
     columns = [Column(name, count) for name in METHODS]
@@ -180,12 +181,11 @@ def quality(image: NDArray[Any], expected: NDArray[Any]) -> dict[str, float]:
 
 
 def _relit(
-    scene: str, size: int, column: Column, kept: Path | None
+    scene: str, size: int, column: Column, kept: RunningFolder | None
 ) -> tuple[NDArray[np.float32], float]:
     name = f"{scene}-{size}-{column.method}-k{column.observations}{'-mixed' * column.mixed}.npz"
-    file = None if kept is None else kept / name
-    if file is not None and file.exists():
-        with np.load(file) as found:
+    if kept is not None and kept.has(name):
+        with np.load(kept.file(name)) as found:
             return found["image"], float(found["seconds"])
     measured = measured_scene(scene, size)
     capture = column.capture(scene, size)
@@ -193,11 +193,9 @@ def _relit(
     estimate = BY_NAME[column.method].estimate(capture, 1 / measured.exposure)
     seconds = time.perf_counter() - started
     image = estimate.relight(logo(size))
-    if file is not None:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        part = file.with_suffix(".part.npz")
-        np.savez(part, image=image, seconds=seconds)
-        part.replace(file)
+    if kept is not None:
+        with kept.keep(name) as part:
+            np.savez(part, image=image, seconds=seconds)
     return image, seconds
 
 
