@@ -141,7 +141,7 @@ def _acquire(target: Path) -> _Held:
             # Its owner may have removed the file between our opening and locking it.
             if firm is not None and _is_there(path, file):
                 _check_ours(path, file)
-                _sign(file)
+                _sign(path, file)
                 return _Held(file, threading.get_ident(), firm)
         except BaseException:
             os.close(file)
@@ -186,7 +186,7 @@ def _check_ours(path: Path, file: int) -> None:
         )
 
 
-def _sign(file: int) -> None:
+def _sign(path: Path, file: int) -> None:
     content = {
         "format": FORMAT,
         "version": VERSION,
@@ -195,8 +195,12 @@ def _sign(file: int) -> None:
         "since": datetime.now().astimezone().isoformat(timespec="seconds"),
         "command": shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])[:500],
     }
-    os.ftruncate(file, 0)
-    os.pwrite(file, (json.dumps(content) + "\n").encode(), 0)
+    try:
+        os.ftruncate(file, 0)
+        os.pwrite(file, (json.dumps(content) + "\n").encode(), 0)
+    except OSError:
+        path.unlink(missing_ok=True)
+        raise
 
 
 def _read(file: int) -> dict[str, object] | None:

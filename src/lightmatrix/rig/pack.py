@@ -51,9 +51,12 @@ def pack(path: Path, truth: Truth, *, overwrite: bool = False) -> None:
     mask[row[kept], matrix.indices[kept]] = True
     level = level[kept]
     share = np.rint(truth.direct_data[kept] / matrix.data[kept] * _DIRECT_LEVELS).astype(np.uint8)
-    with atomic_file(path, PACKED, overwrite=overwrite) as part:
+    with (
+        atomic_file(path, PACKED, overwrite=overwrite) as temporary,
+        open(temporary, "wb") as stream,
+    ):
         np.savez_compressed(
-            part,
+            stream,
             lightmatrix_packed=np.array(FORMAT_VERSION),
             mask=np.packbits(mask),
             level_low=level.astype(np.uint8),

@@ -70,9 +70,12 @@ class Truth:
     def save(self, path: Path, *, overwrite: bool = False) -> None:
         """Write T.npz, which `scipy.sparse.load_npz` reads too; whole or not at all."""
         matrix = self.matrix
-        with atomic_file(path, TRUTH, overwrite=overwrite) as part:
+        with (
+            atomic_file(path, TRUTH, overwrite=overwrite) as temporary,
+            open(temporary, "wb") as stream,
+        ):
             np.savez_compressed(
-                part,
+                stream,
                 # First, so that even a file that was cut off is known as ours.
                 lightmatrix_truth=np.array(FORMAT_VERSION),
                 format=np.array("csr").astype("S"),

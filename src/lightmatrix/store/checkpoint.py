@@ -267,7 +267,8 @@ def _tile(file: Path, span: _Span) -> dict[str, NDArray[Any]] | None:
 def _arrays(file: Path) -> dict[str, NDArray[Any]] | None:
     """The arrays of an npz file; None if it is damaged."""
     try:
-        with np.load(file, allow_pickle=False) as found:
+        # Opened here, since np.load leaves damaged archives open.
+        with file.open("rb") as opened, np.load(opened, allow_pickle=False) as found:
             return {name: found[name] for name in found.files}
     # Damaged archives raise nearly anything.
     except Exception:
