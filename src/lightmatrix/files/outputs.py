@@ -159,10 +159,22 @@ def _workplace(shown: str | Path, target: Path) -> Iterator[Path]:
 
 def _removed(place: Path) -> str:
     """Remove a temporary folder and say whether that went well."""
-    shutil.rmtree(place, ignore_errors=True)
+    with suppress(OSError):
+        # The marker last: whatever is left of a temporary folder is known as one.
+        for name in set(os.listdir(place)) - {MARKER}:
+            _remove(place / name)
+        (place / MARKER).unlink(missing_ok=True)
+        place.rmdir()
     if os.path.lexists(place):
         return f"{place} could not be removed, the next run of this output will try again; "
     return "nothing was left behind; "
+
+
+def _remove(path: Path) -> None:
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path)
+    else:
+        path.unlink()
 
 
 def _put(part: Path, target: Path, old: Path) -> None:
@@ -190,7 +202,7 @@ def _tidy(target: Path) -> None:
         )
     if os.path.lexists(place / _OLD) and not os.path.lexists(target):
         os.rename(place / _OLD, target)
-    shutil.rmtree(place)
+    _removed(place)
 
 
 def _is_temporary(place: Path) -> bool:

@@ -51,7 +51,10 @@ def final_target(path: str | Path) -> Path:
         try:
             found = os.stat(given)
         except FileNotFoundError:
-            return target
+            # Of new/.. too, which is there once new has been made.
+            if not os.path.lexists(target):
+                return target
+            found = os.lstat(target)
         _check_kind(given, target, found)
         _check_place(given, target)
     return target
