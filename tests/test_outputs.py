@@ -495,6 +495,8 @@ def test_running_results_are_kept_found_and_removed(tmp_path: Path) -> None:
     again = RunningFolder.open(tmp_path / "out", ".cases")
     assert again.names == ["a.json", "c.json"]
     assert not again.has("d.json")
+    again.forget("d.json")
+    assert again.file("d.json").exists()
     with pytest.raises(OutputError, match="not written by lightmatrix"), again.keep("d.json"):
         pass
     with pytest.warns(LightMatrixWarning, match=r"holds d\.json"):
