@@ -16,10 +16,10 @@ from lightmatrix.camera.decoder import Decoder
 from lightmatrix.camera.samples import Samples
 from lightmatrix.camera.sensor import Sensor
 from lightmatrix.capture import folder as capture_folder
-from lightmatrix.capture import reader
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.folder import write_capture
 from lightmatrix.errors import InputError, LightMatrixWarning, OutputError
+from lightmatrix.files import scratch as scratch_module
 from lightmatrix.files.images import write_image
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.blocks import BlockPatterns
@@ -292,7 +292,7 @@ def test_large_captures_are_held_in_a_file(monkeypatch: pytest.MonkeyPatch) -> N
     sensor = Sensor()
     frames = photographs(SETS[0], sensor)
     expected = Capture.from_arrays(SETS[0], frames, sensor)
-    monkeypatch.setattr(reader, "_MEMORY_BYTES", 0)
+    monkeypatch.setattr(scratch_module, "MEMORY_BYTES", 0)
     mapped = Capture.from_arrays(SETS[0], frames, sensor)
     assert isinstance(mapped.reader.raw, np.memmap)
     assert mapped.digest == expected.digest

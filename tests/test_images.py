@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from lightmatrix.errors import InputError, OutputError
 from lightmatrix.files import png16
 from lightmatrix.files.images import read_grey, read_image, write_image
-from lightmatrix.files.outputs import atomic_file, atomic_folder, check_output
 from lightmatrix.files.stack import ImageStack, list_images, nonlinear_tag
 
 
@@ -284,44 +283,3 @@ def test_a_failing_write_leaves_nothing_and_spares_the_old_file(tmp_path: Path) 
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
     assert [entry.name for entry in tmp_path.iterdir()] == ["a.npy"]
     assert file.read_bytes() == before
-
-
-def test_outputs_below_a_file_cannot_be_written(tmp_path: Path) -> None:
-    (tmp_path / "file").touch()
-    with pytest.raises(OutputError, match="cannot be written"):
-        check_output(tmp_path / "file" / "a.png")
-
-
-def interrupted_folder(target: Path) -> None:
-    with atomic_folder(target, overwrite=True) as part:
-        (part / "capture.json").write_text("new")
-        raise RuntimeError("stop")
-
-
-def interrupted_file(target: Path) -> None:
-    with atomic_file(target) as part:
-        part.write_bytes(b"half")
-        raise RuntimeError("stop")
-
-
-def test_folders_are_replaced_whole_and_only_ours(tmp_path: Path) -> None:
-    target = tmp_path / "capture"
-    with atomic_folder(target) as part:
-        (part / "capture.json").write_text("old")
-    with pytest.raises(RuntimeError, match="stop"):
-        interrupted_folder(target)
-    assert (target / "capture.json").read_text() == "old"
-    with atomic_folder(target, overwrite=True) as part:
-        (part / "capture.json").write_text("new")
-    assert (target / "capture.json").read_text() == "new"
-    (tmp_path / "photos").mkdir()
-    (tmp_path / "photos" / "holiday.jpg").touch()
-    with pytest.raises(OutputError, match="not written by lightmatrix"):
-        check_output(tmp_path / "photos", overwrite=True)
-    assert sorted(entry.name for entry in tmp_path.iterdir()) == ["capture", "photos"]
-
-
-def test_an_interrupted_file_never_appears(tmp_path: Path) -> None:
-    with pytest.raises(RuntimeError, match="stop"):
-        interrupted_file(tmp_path / "a.bin")
-    assert not list(tmp_path.iterdir())

@@ -18,12 +18,14 @@ from lightmatrix.camera.sensor import Sensor
 from lightmatrix.errors import InputError, LightMatrixWarning
 from lightmatrix.files.headers import read_json
 from lightmatrix.files.images import fill_image, read_image
+from lightmatrix.files.markers import FolderKind
 from lightmatrix.files.outputs import atomic_folder
 from lightmatrix.files.stack import ImageStack, nonlinear_tag
 from lightmatrix.patterns.folder import fill_pattern_folder, read_patterns
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
 
 DESCRIPTION = "capture.json"
+CAPTURE = FolderKind("capture")
 FORMAT, VERSION = "lightmatrix-capture", 1
 _KEYS = frozenset(
     {"format", "version", "projector_shape", "camera_shape", "provenance", "mask", "black"}
@@ -264,7 +266,7 @@ def write_capture(
     """
     suffix = ".png" if sensor.bits else ".npy"
     digits = max(4, len(str(patterns.count - 1)))
-    with atomic_folder(folder, overwrite=overwrite) as part:
+    with atomic_folder(folder, CAPTURE, overwrite=overwrite) as part:
         (part / "patterns").mkdir()
         (part / "images").mkdir()
         fill_pattern_folder(part / "patterns", patterns)

@@ -12,7 +12,7 @@ import typer
 
 import lightmatrix
 from lightmatrix.cli import experiment, make, measure, plan, use
-from lightmatrix.cli.common import err, out
+from lightmatrix.cli.common import err, out, outputs
 from lightmatrix.errors import LightMatrixError, LightMatrixWarning
 
 app = typer.Typer(
@@ -49,9 +49,10 @@ def main(argv: list[str] | None = None) -> int:
         warnings.simplefilter("always", LightMatrixWarning)
         warnings.showwarning = _show_warning
         try:
-            code = typer.main.get_command(app).main(
-                args=arguments, prog_name="lightmatrix", standalone_mode=False
-            )
+            with outputs:
+                code = typer.main.get_command(app).main(
+                    args=arguments, prog_name="lightmatrix", standalone_mode=False
+                )
             return code if isinstance(code, int) else 0
         except LightMatrixError as error:
             err.print(f"error: {error.message}", style="red", markup=False, highlight=False)

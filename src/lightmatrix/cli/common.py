@@ -7,7 +7,7 @@ import math
 import re
 import sys
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -27,6 +27,8 @@ from rich.table import Table
 from rich.text import Text
 
 from lightmatrix.errors import InputError
+from lightmatrix.files.markers import OutputKind
+from lightmatrix.files.outputs import claimed
 from lightmatrix.rig import library
 from lightmatrix.rig.truth import Truth
 
@@ -62,9 +64,24 @@ def size(text: str) -> tuple[int, int]:
     return rows, cols
 
 
+# Outputs of the command that runs, locked until it ends (`main` closes it).
+outputs = ExitStack()
+
+
+def claim(output: Path, kind: OutputKind, *, overwrite: bool) -> Path:
+    """Check an output before any work, and hold its lock until the command ends.
+
+    Returns
+    -------
+    Path
+        Where it will be written: links are followed to their end.
+    """
+    return outputs.enter_context(claimed(output, kind, overwrite=overwrite))
+
+
 def known_truth(source: str, shape: tuple[int, int], report: Callable[[int, int], None]) -> Truth:
     """The matrix of a truth file (.npz), or of a scene at a size, rendered if need be."""
-    if source.endswith(".npz"):
+    if source.lower().endswith(".npz"):
         return Truth.load(Path(source))
     return library.truth(source, shape, progress=report)
 

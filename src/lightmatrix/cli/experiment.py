@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-import shutil
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from lightmatrix.cli.common import Json, Overwrite, out, progress, show_json
+from lightmatrix.cli.common import Json, Overwrite, claim, out, progress, show_json
 from lightmatrix.experiments import demo as demo_report
 from lightmatrix.experiments import few_patterns, fig4, fig5, fig6, fig7
-from lightmatrix.experiments.harness import Experiment
-from lightmatrix.files.outputs import atomic_folder, check_output
+from lightmatrix.experiments.harness import CASES, FIGURE, Experiment
+from lightmatrix.files.markers import FolderKind
+from lightmatrix.files.outputs import atomic_folder
+from lightmatrix.files.running import RunningFolder
 
 
 class Figure(StrEnum):
@@ -33,6 +34,7 @@ EXPERIMENTS: dict[Figure, Experiment[Any]] = {
     Figure.FIG7: fig7.FIG7,
     Figure.FEW_PATTERNS: few_patterns.FEW_PATTERNS,
 }
+REPORT = FolderKind("demo report")
 
 
 def register(app: typer.Typer) -> None:
@@ -47,9 +49,8 @@ def demo(
     as_json: Json = False,
 ) -> None:
     """Simulate and estimate a scene; write a picture report."""
-    check_output(output, overwrite=overwrite)
     with (
-        atomic_folder(output, overwrite=overwrite) as folder,
+        atomic_folder(output, REPORT, overwrite=overwrite) as folder,
         progress("demo", "steps") as report,
     ):
         result = demo_report.run(folder, progress=report)
@@ -78,14 +79,14 @@ def experiment(
     Without --quick it takes up to an hour and goes on where it stopped if run again; fig6, fig7 and
     few-patterns then need the extra `render`.
     """
-    check_output(output, overwrite=overwrite)
-    kept = output.with_name(output.name + ".cases")
+    target = claim(output, FIGURE, overwrite=overwrite)
+    kept = RunningFolder.open(target, CASES)
     with (
-        atomic_folder(output, overwrite=overwrite) as folder,
+        atomic_folder(output, FIGURE, overwrite=overwrite) as folder,
         progress(str(figure), "steps") as report,
     ):
         result = EXPERIMENTS[figure].run(folder, quick=quick, progress=report, kept=kept)
-    shutil.rmtree(kept, ignore_errors=True)
+    kept.discard()
     if as_json:
         show_json(result)
     else:

@@ -14,11 +14,12 @@ from lightmatrix.camera.exposures import EXAMPLE as EXPOSURES_EXAMPLE
 from lightmatrix.camera.exposures import of_frames, parse_exposures
 from lightmatrix.camera.noise import USUAL_NOISE
 from lightmatrix.camera.sensor import Sensor
-from lightmatrix.capture.folder import write_capture
+from lightmatrix.capture.folder import CAPTURE, write_capture
 from lightmatrix.cli.common import (
     Json,
     Overwrite,
     Seed,
+    claim,
     known_truth,
     out,
     progress,
@@ -26,18 +27,18 @@ from lightmatrix.cli.common import (
     size,
 )
 from lightmatrix.errors import InputError
-from lightmatrix.files.outputs import check_output
 from lightmatrix.patterns import mix as pattern_mix
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.blocks import BlockPatterns, one_pixel_patterns
-from lightmatrix.patterns.folder import read_patterns, write_patterns
+from lightmatrix.patterns.folder import PATTERNS, read_patterns, write_patterns
 from lightmatrix.patterns.hadamard import HadamardPatterns
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.rig import library, realism
 from lightmatrix.rig.renderer import render
 from lightmatrix.rig.scenes import BUILDERS, names
 from lightmatrix.rig.simulate import irradiance
-from lightmatrix.rig.thumbnails import write_thumbnails
+from lightmatrix.rig.thumbnails import THUMBNAILS, write_thumbnails
+from lightmatrix.rig.truth import TRUTH
 
 
 class PatternKind(StrEnum):
@@ -101,7 +102,7 @@ def patterns(
     as_json: Json = False,
 ) -> None:
     """Write projection patterns as a folder of PNG files."""
-    check_output(output, overwrite=overwrite)
+    claim(output, PATTERNS, overwrite=overwrite)
     if mix is not None and kind is not PatternKind.MIX:
         raise InputError(f"--mix for {kind} patterns", hint="write `lightmatrix patterns mix`")
     projector = size(shape)
@@ -163,7 +164,7 @@ def scenes(
     `render`: other sizes, and the scenes translucent and wall.
     """
     if thumbnails is not None:
-        check_output(thumbnails, overwrite=overwrite)
+        claim(thumbnails, THUMBNAILS, overwrite=overwrite)
         with progress("drawing", "scenes") as report:
             write_thumbnails(thumbnails, overwrite=overwrite, progress=report)
     described = {name: BUILDERS[name]().description for name in names()}
@@ -206,8 +207,7 @@ def render_scene(
 
     One pass of path tracing gives the whole matrix, direct and global light apart.
     """
-    _npz(output)
-    check_output(output, overwrite=overwrite)
+    claim(output, TRUTH, overwrite=overwrite)
     with progress(f"rendering {name}", "paths") as report:
         truth = render(
             name,
@@ -282,8 +282,8 @@ def simulate(
     The scene's matrix is known: bundled, rendered on demand, or a file. What is written is a
     capture folder to estimate from.
     """
-    check_output(output, overwrite=overwrite)
     exposures = parse_exposures(exposure)
+    claim(output, CAPTURE, overwrite=overwrite)
     shown = read_patterns(pattern_folder)
     with progress("rendering", "paths") as report:
         truth = known_truth(scene, shown.shape, report)
@@ -327,8 +327,3 @@ def simulate(
         )
     else:
         out.print(f"{shown.count} frames in {output}, {100 * clipped:.1f} % of the samples clipped")
-
-
-def _npz(path: Path) -> None:
-    if path.suffix != ".npz":
-        raise InputError(f"{path} does not end in .npz", hint="name the output T.npz, for example")

@@ -16,6 +16,7 @@ from lightmatrix.cli.common import (
     Json,
     Overwrite,
     ResponseCurve,
+    claim,
     out,
     progress,
     show_json,
@@ -28,9 +29,10 @@ from lightmatrix.estimators.coherent.estimator import WORTH_IT_UP_TO, CoherentEs
 from lightmatrix.estimators.multiscale.estimator import MultiScaleEstimator
 from lightmatrix.estimators.plain import PlainEstimator
 from lightmatrix.estimators.regularization import held_out_path
-from lightmatrix.files.outputs import check_output
 from lightmatrix.solvers import ADMM, ROMP, ActiveSet, SaturationADMM, Solver
 from lightmatrix.solvers.fidelity import Fidelity
+from lightmatrix.solvers.problem import check_regularization
+from lightmatrix.store.zarr_file import STORE
 
 
 class SolverName(StrEnum):
@@ -148,7 +150,6 @@ def estimate(
     stopped if given again.
     """
     _check_source(capture, pattern_folder, images)
-    check_output(output, overwrite=overwrite, suffixes=(".zarr",))
     if multi_scale and tile_rows is not None:
         raise InputError(
             "--tile-rows with --multi-scale, which solves strips of camera blocks",
@@ -159,6 +160,8 @@ def estimate(
     if coherent and fitting is not None:
         raise InputError(f"--coherent {fitting}", hint="leave out one of the two")
     chosen = _solver(solver, fidelity, iterations)
+    given = _given_regularization(regularization)
+    claim(output, STORE, overwrite=overwrite)
     opened = _open(capture, pattern_folder, images, black, white, mask, clip, response)
     opened = opened.bin(projector=size(bin_projector), camera=size(bin_camera))
     opened.check(order=check)
@@ -171,7 +174,7 @@ def estimate(
         coherent = False
     if coherent is None:
         coherent = fitting is None and opened.count <= WORTH_IT_UP_TO
-    value = _regularization(regularization, opened)
+    value = held_out_path(opened).best if regularization == "path" else given
     estimator: PlainEstimator | CoherentEstimator | MultiScaleEstimator
     if multi_scale:
         estimator = MultiScaleEstimator(chosen, value, not signed, background)
@@ -284,14 +287,15 @@ def _open(
     )
 
 
-def _regularization(text: str, capture: Capture) -> float | None:
-    if text == "auto":
+def _given_regularization(text: str) -> float | None:
+    """The number that was given; None for auto and path."""
+    if text in ("auto", "path"):
         return None
-    if text == "path":
-        return held_out_path(capture).best
     try:
-        return float(text)
+        value = float(text)
     except ValueError:
         raise InputError(
             f"a regularization of {text!r}", hint="use auto, path or a number such as 0.3"
         ) from None
+    check_regularization(value)
+    return value

@@ -13,6 +13,7 @@ from lightmatrix import store
 from lightmatrix.cli.common import (
     Json,
     Overwrite,
+    claim,
     known_truth,
     out,
     progress,
@@ -21,9 +22,9 @@ from lightmatrix.cli.common import (
 )
 from lightmatrix.cli.results import background_share, named, summary
 from lightmatrix.errors import InputError
-from lightmatrix.files.images import read_grey, write_image
-from lightmatrix.files.outputs import check_output
+from lightmatrix.files.images import IMAGE, read_grey, write_image
 from lightmatrix.rig.scenes import scene as find_scene
+from lightmatrix.store.exchange import export_kind
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.transport.metrics import (
     diffuse_rows,
@@ -76,22 +77,22 @@ def relight(
     It is c = T p for a pattern p that need not have been projected. A PNG is cut off at full
     scale; TIFF and npy keep all values.
     """
-    check_output(output, overwrite=overwrite, suffixes=(".png", ".tif", ".tiff", ".npy"))
     if not exposure > 0 or not gamma > 0:
         raise InputError(
             f"an exposure of {exposure} with gamma {gamma}", hint="both must be above 0"
         )
+    claim(output, IMAGE, overwrite=overwrite)
     transport = store.open(scene)
     image = exposure * transport.relight(read_grey(pattern))
     clipped, peak = float((image > 1).mean()), float(image.max())
-    if output.suffix == ".png":
+    if output.suffix.lower() == ".png":
         image = np.clip(image, 0, 1) ** (1 / gamma)
     write_image(output, image.astype(np.float32), overwrite=overwrite)
     if as_json:
         show_json({"output": output, "mean": float(image.mean()), "clipped_share": clipped})
     else:
         note = f"; {100 * clipped:.1f} % of it is above full scale" if clipped else ""
-        if clipped and output.suffix == ".png":
+        if clipped and output.suffix.lower() == ".png":
             note += f" and cut off; --exposure {_rounded_down(exposure / peak):g} keeps it all"
         out.print(f"{output}{note}", highlight=False)
 
@@ -122,7 +123,7 @@ def evaluate(
     if not exposure > 0:
         raise InputError(f"an exposure of {exposure}", hint="use a number above 0")
     estimate = store.open(scene)
-    if not truth.endswith(".npz"):
+    if not truth.lower().endswith(".npz"):
         _check_scene(scene, truth, estimate)
     with progress("rendering", "paths") as report:
         known = known_truth(truth, estimate.projector_shape, report).transport()
@@ -189,7 +190,7 @@ def export(
     The file holds the sparse part of T as `scipy.sparse.load_npz` reads it; the background is
     kept beside it unless --dense-background spreads it in.
     """
-    check_output(output, overwrite=overwrite, suffixes=(".npz", ".mat"))
+    claim(output, export_kind(output), overwrite=overwrite)
     transport = store.open(scene)
     store.export(output, transport, dense_background=dense_background, overwrite=overwrite)
     left_out = 0.0 if dense_background else background_share(transport)

@@ -16,7 +16,7 @@ import lightmatrix
 from lightmatrix.camera.samples import Samples
 from lightmatrix.capture.capture import Capture
 from lightmatrix.solvers import Solver
-from lightmatrix.solvers.problem import Result
+from lightmatrix.solvers.problem import Result, check_regularization
 from lightmatrix.store import Checkpoint
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.transport.sparse_rows import SparseRows
@@ -50,7 +50,7 @@ def joined(
         keep what it has found in the checkpoint it is given, and is not called if all tiles are
         there.
     provenance : mapping
-        What made the estimate, JSON-ready.
+        What made the estimate, JSON-ready; its regularization is checked before anything is made.
     checkpoint : Path or None
         The store to write. Finished tiles are kept beside it, so that an interrupted run goes on
         where it stopped.
@@ -61,9 +61,12 @@ def joined(
 
     Raises
     ------
+    InputError
+        On a regularization that is none.
     OutputError
         On outputs that cannot be written.
     """
+    check_regularization(provenance["regularization"])
     shapes: dict[str, Any] = {
         "camera_shape": capture.camera_shape,
         "projector_shape": capture.projector_shape,

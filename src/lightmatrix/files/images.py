@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from lightmatrix.errors import InputError
 from lightmatrix.files import png16
-from lightmatrix.files.outputs import atomic_file, check_output
+from lightmatrix.files.markers import FileKind
+from lightmatrix.files.outputs import atomic_file
 
 READABLE = (".png", ".tif", ".tiff", ".npy", ".jpg", ".jpeg", ".bmp")
 
@@ -26,6 +27,23 @@ WRITABLE = (".png", ".tif", ".tiff", ".npy")
 
 
 FORMATS = "PNG, TIFF, npy, JPEG or BMP"
+# What the files of each format begin with.
+_BEGINNINGS = {
+    ".png": (png16.SIGNATURE,),
+    ".npy": (b"\x93NUMPY",),
+    ".tif": (b"II*\0", b"MM\0*"),
+    ".tiff": (b"II*\0", b"MM\0*"),
+}
+
+
+def _is_writable_image(file: Path) -> bool:
+    with file.open("rb") as opened:
+        start = opened.read(8)
+    return any(start.startswith(known) for kinds in _BEGINNINGS.values() for known in kinds)
+
+
+# Images say nothing of who wrote them: one may take the place of another.
+IMAGE = FileKind("image", WRITABLE, _is_writable_image)
 
 
 def read_image(path: str | Path) -> NDArray[Any]:
@@ -120,10 +138,9 @@ def write_image(
     InputError
         If the image is not an image or not finite.
     OutputError
-        If the file exists, has another ending or cannot be written.
+        If the file exists, is no image, has another ending or cannot be written.
     """
-    check_output(path, overwrite=overwrite, suffixes=WRITABLE)
-    with atomic_file(path, overwrite=overwrite) as part:
+    with atomic_file(path, IMAGE, overwrite=overwrite) as part:
         fill_image(part, image, bits=bits)
 
 

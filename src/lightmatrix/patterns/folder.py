@@ -16,12 +16,14 @@ import numpy as np
 from lightmatrix.errors import InputError, LightMatrixWarning
 from lightmatrix.files.headers import read_json
 from lightmatrix.files.images import fill_image, read_grey
+from lightmatrix.files.markers import FolderKind
 from lightmatrix.files.outputs import atomic_folder
 from lightmatrix.files.stack import ImageStack, list_images
 from lightmatrix.patterns.kinds import from_description
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet, to_grey
 
 DESCRIPTION = "patterns.json"
+PATTERNS = FolderKind("folder of patterns")
 
 
 FORMAT, VERSION = "lightmatrix-patterns", 1
@@ -35,7 +37,7 @@ def write_patterns(folder: str | Path, patterns: PatternSet, *, overwrite: bool 
     OutputError
         If the folder exists, is not one of ours, or cannot be written.
     """
-    with atomic_folder(folder, overwrite=overwrite) as part:
+    with atomic_folder(folder, PATTERNS, overwrite=overwrite) as part:
         fill_pattern_folder(part, patterns)
 
 

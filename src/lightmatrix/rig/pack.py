@@ -16,10 +16,13 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from lightmatrix.errors import InputError
+from lightmatrix.files.markers import FileKind, holds_member
 from lightmatrix.files.outputs import atomic_file
 from lightmatrix.rig.truth import Truth
 
 FORMAT_VERSION = 1
+_MARK = "lightmatrix_packed"
+PACKED = FileKind("packed scene", (".npz",), lambda file: holds_member(file, _MARK))
 _LEVELS = 511
 _DIRECT_LEVELS = 255
 # Entries of the dense matrix whose places fit the bit mask held in memory (128 MiB).
@@ -48,7 +51,10 @@ def pack(path: Path, truth: Truth, *, overwrite: bool = False) -> None:
     mask[row[kept], matrix.indices[kept]] = True
     level = level[kept]
     share = np.rint(truth.direct_data[kept] / matrix.data[kept] * _DIRECT_LEVELS).astype(np.uint8)
-    with atomic_file(path, overwrite=overwrite) as temporary, open(temporary, "wb") as stream:
+    with (
+        atomic_file(path, PACKED, overwrite=overwrite) as temporary,
+        open(temporary, "wb") as stream,
+    ):
         np.savez_compressed(
             stream,
             lightmatrix_packed=np.array(FORMAT_VERSION),

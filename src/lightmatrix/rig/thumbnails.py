@@ -10,12 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.errors import MissingExtraError
-from lightmatrix.files.images import write_image
+from lightmatrix.files.images import fill_image
+from lightmatrix.files.markers import FolderKind
 from lightmatrix.files.outputs import atomic_folder
 from lightmatrix.rig import library
 from lightmatrix.rig.llvm import load_mitsuba
 from lightmatrix.rig.mitsuba_scene import mitsuba_scene
 from lightmatrix.rig.scenes import names, scene
+
+THUMBNAILS = FolderKind("folder of scene pictures")
 
 
 def photograph(
@@ -50,7 +53,7 @@ def write_thumbnails(
     Without the renderer the bundled scenes are drawn from their matrices, at 64 x 64.
     """
     written = []
-    with atomic_folder(folder, overwrite=overwrite) as temporary:
+    with atomic_folder(folder, THUMBNAILS, overwrite=overwrite) as temporary:
         for done, name in enumerate(names(), start=1):
             try:
                 image = photograph(name, size)
@@ -60,7 +63,7 @@ def write_thumbnails(
                 known = library.truth(name)
                 image = np.asarray(known.matrix.sum(axis=1), np.float32).reshape(known.camera_shape)
             shown = np.clip(image / white_level(image), 0, 1) ** (1 / 2.2)
-            write_image(temporary / f"{name}.png", shown.astype(np.float32))
+            fill_image(temporary / f"{name}.png", shown.astype(np.float32))
             written.append(folder / f"{name}.png")
             if progress is not None:
                 progress(done, len(names()))

@@ -16,10 +16,13 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from lightmatrix.errors import InputError
+from lightmatrix.files.markers import FileKind, holds_member
 from lightmatrix.files.outputs import atomic_file
 from lightmatrix.transport.matrix import LightTransport
 
 FORMAT_VERSION = 1
+_MARK = "lightmatrix_truth"
+TRUTH = FileKind("rendered matrix", (".npz",), lambda file: holds_member(file, _MARK))
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,9 +70,14 @@ class Truth:
     def save(self, path: Path, *, overwrite: bool = False) -> None:
         """Write T.npz, which `scipy.sparse.load_npz` reads too; whole or not at all."""
         matrix = self.matrix
-        with atomic_file(path, overwrite=overwrite) as temporary, open(temporary, "wb") as stream:
+        with (
+            atomic_file(path, TRUTH, overwrite=overwrite) as temporary,
+            open(temporary, "wb") as stream,
+        ):
             np.savez_compressed(
                 stream,
+                # First, so that even a file that was cut off is known as ours.
+                lightmatrix_truth=np.array(FORMAT_VERSION),
                 format=np.array("csr").astype("S"),
                 # scipy writes this key for arrays, as against matrices.
                 _is_array=np.array(True),
@@ -77,7 +85,6 @@ class Truth:
                 data=matrix.data,
                 indices=matrix.indices,
                 indptr=matrix.indptr,
-                lightmatrix_truth=np.array(FORMAT_VERSION),
                 camera_shape=np.array(self.camera_shape),
                 projector_shape=np.array(self.projector_shape),
                 direct_data=self.direct_data,

@@ -72,11 +72,7 @@ class Problem:
 
     def __post_init__(self) -> None:
         self.samples.check(self.patterns.count)
-        if not (np.isfinite(self.regularization) and self.regularization > 0):
-            raise InputError(
-                f"regularization is {self.regularization}",
-                hint="use a positive number in units of camera sample, such as 0.3",
-            )
+        check_regularization(self.regularization)
         column = self.background_column
         if column is not None and (
             column.shape != (self.patterns.count,) or not np.isfinite(column).all()
@@ -135,6 +131,21 @@ class Problem:
         tiny = np.finfo(self.samples.values.dtype).tiny
         return np.maximum(
             self.edge_noise * np.abs(self.samples.clip_levels_of_all()), np.sqrt(tiny)
+        )
+
+
+def check_regularization(value: float) -> None:
+    """Whether a regularization is one.
+
+    Raises
+    ------
+    InputError
+        If it is not a positive number.
+    """
+    if not (np.isfinite(value) and value > 0):
+        raise InputError(
+            f"regularization is {value}",
+            hint="use a positive number in units of camera sample, such as 0.3",
         )
 
 

@@ -10,16 +10,47 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
-from scipy.io import savemat
+from scipy.io import savemat, whosmat
 from scipy.sparse import csr_array
 
 from lightmatrix.errors import InputError, OutputError
+from lightmatrix.files.markers import FileKind, holds_member
 from lightmatrix.files.outputs import atomic_file, check_output
 from lightmatrix.transport.matrix import LightTransport
 
 VERSION = 1
 # MATLAB's level-5 files count the bytes of a variable in 32 bits.
 _MAT_BYTES = 2**31
+
+
+def _is_npz(file: Path) -> bool:
+    return holds_member(file, "lightmatrix_transport")
+
+
+def _is_mat(file: Path) -> bool:
+    return any(name == "lightmatrix_version" for name, *_ in whosmat(file))
+
+
+NPZ = FileKind("exported matrix", (".npz",), _is_npz)
+MAT = FileKind("exported matrix", (".mat",), _is_mat)
+
+
+def export_kind(path: str | Path) -> FileKind:
+    """The kind of file that `export` writes at a path, by its ending.
+
+    Raises
+    ------
+    OutputError
+        If it ends neither in .npz nor in .mat.
+    """
+    suffix = Path(path).suffix
+    for kind in (NPZ, MAT):
+        if suffix.lower() in kind.suffixes:
+            return kind
+    raise OutputError(
+        f"{path}: the name of the output ends in {suffix or 'nothing'}",
+        hint="end it in .npz or .mat",
+    )
 
 
 def export(
@@ -36,9 +67,8 @@ def export(
     OutputError
         If the file exists, ends otherwise, or cannot be written.
     """
-    target = check_output(path, overwrite=overwrite, suffixes=(".npz", ".mat"))
-    write = export_mat if target.suffix.lower() == ".mat" else export_npz
-    write(target, transport, dense_background=dense_background, overwrite=overwrite)
+    write = export_mat if export_kind(path) is MAT else export_npz
+    write(path, transport, dense_background=dense_background, overwrite=overwrite)
 
 
 def export_npz(
@@ -71,20 +101,21 @@ def export_npz(
     OutputError
         If the file exists, ends otherwise, or cannot be written.
     """
-    check_output(path, overwrite=overwrite, suffixes=(".npz",))
+    check_output(path, NPZ, overwrite=overwrite)
     matrix, background = _parts(transport, dense_background)
     # Dense entries hardly compress, and gigabytes of them take minutes.
     write = np.savez if dense_background else np.savez_compressed
-    with atomic_file(path, overwrite=overwrite) as part:
+    with atomic_file(path, NPZ, overwrite=overwrite) as part:
         write(
             part,
+            # First, so that even a file that was cut off is known as ours.
+            lightmatrix_transport=np.array(VERSION),
             format=np.array(b"csr"),
             _is_array=np.array(True),
             shape=np.array(matrix.shape),
             data=matrix.data,
             indices=matrix.indices,
             indptr=matrix.indptr,
-            lightmatrix_transport=np.array(VERSION),
             camera_shape=np.array(transport.camera_shape),
             projector_shape=np.array(transport.projector_shape),
             background=background,
@@ -110,7 +141,7 @@ def export_mat(
     OutputError
         If the file exists, ends otherwise, is too large for the format, or cannot be written.
     """
-    check_output(path, overwrite=overwrite, suffixes=(".mat",))
+    check_output(path, MAT, overwrite=overwrite)
     matrix, background = _parts(transport, dense_background)
     if 8 * matrix.nnz >= _MAT_BYTES:
         raise OutputError(
@@ -126,7 +157,7 @@ def export_mat(
         "projector_shape": np.array(transport.projector_shape, np.float64),
         "lightmatrix_version": float(VERSION),
     }
-    with atomic_file(path, overwrite=overwrite) as part:
+    with atomic_file(path, MAT, overwrite=overwrite) as part:
         savemat(part, content, appendmat=False, do_compression=True)
 
 

@@ -17,13 +17,18 @@ from scipy.sparse import csr_array
 from zarr.codecs import BloscCodec, Crc32cCodec
 
 from lightmatrix.errors import InputError
-from lightmatrix.files.outputs import atomic_folder, check_output
+from lightmatrix.files.markers import FolderKind
+from lightmatrix.files.outputs import atomic_folder
 from lightmatrix.transport.matrix import LightTransport
 
 FORMAT, VERSION = "lightmatrix-transport", 1
 SUFFIX = ".zarr"
 # Beside an output, its running results (see `lightmatrix.store.checkpoint`).
 PARTIAL = ".partial"
+# The marker is an attribute of the group, since Zarr warns of files that are none of its own.
+STORE = FolderKind(
+    "light transport matrix", (SUFFIX,), ("zarr.json", "attributes", "output"), running=PARTIAL
+)
 _CHUNK = 1 << 20
 
 
@@ -44,8 +49,7 @@ def save(path: str | Path, transport: LightTransport, *, overwrite: bool = False
     OutputError
         If it exists, ends otherwise, or cannot be written.
     """
-    check_output(path, overwrite=overwrite, suffixes=(SUFFIX,))
-    with atomic_folder(path, overwrite=overwrite) as part:
+    with atomic_folder(path, STORE, overwrite=overwrite) as part:
         group = zarr.open_group(part, mode="w", zarr_format=3)
         sparse = transport.sparse
         arrays: dict[str, NDArray[Any]] = {
