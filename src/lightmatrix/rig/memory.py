@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 
 from lightmatrix.errors import InputError
+from lightmatrix.files.memory import available_bytes
 
 # Paths in flight. Each holds its ray, throughput and random state, and at each of its points, in
 # the renderer and in NumPy, a place, a value and the key they are sorted by.
@@ -66,15 +66,3 @@ def check_memory(
         f"pixels needs about {needed / 2**30:.1f} GiB, {available / 2**30:.1f} GiB are free",
         hint=hint,
     )
-
-
-def available_bytes() -> int:
-    """Memory that is free on this machine."""
-    try:
-        with open("/proc/meminfo") as file:
-            for line in file:
-                if line.startswith("MemAvailable:"):
-                    return int(line.split()[1]) * 1024
-    except OSError:
-        pass
-    return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
