@@ -210,7 +210,7 @@ def test_npz_of_others(tmp_path: Path) -> None:
     whole = (tmp_path / "half.npz").read_bytes()
     (tmp_path / "half.npz").write_bytes(whole[: len(whole) // 2])
     for name in ("other.npz", "text.npz", "half.npz"):
-        with pytest.raises(InputError, match="cannot be read as a sparse matrix"):
+        with pytest.raises(InputError, match="cannot be read as npz"):
             store.import_npz(tmp_path / name)
     with pytest.raises(InputError, match="no such file"):
         store.import_npz(tmp_path / "none.npz")

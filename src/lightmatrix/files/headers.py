@@ -32,8 +32,8 @@ def read_json(file: Path, kind: str, version: int) -> dict[str, Any]:
     return content
 
 
-def parse_json(text: str, name: str) -> Any:
-    """Parse JSON strictly: no NaN, no infinite number, no key twice, no endless nesting.
+def parse_json(text: str, name: str, *, finite: bool = True) -> Any:
+    """Parse JSON strictly: no key twice, no endless nesting, and only finite numbers.
 
     Parameters
     ----------
@@ -41,6 +41,8 @@ def parse_json(text: str, name: str) -> Any:
         What to parse.
     name : str
         What messages call it.
+    finite : bool
+        False permits NaN and infinite numbers, which Python writes: in what is only kept.
 
     Raises
     ------
@@ -50,8 +52,8 @@ def parse_json(text: str, name: str) -> Any:
     try:
         return json.loads(
             text,
-            parse_constant=_refuse_constant,
-            parse_float=_finite,
+            parse_constant=_refuse_constant if finite else None,
+            parse_float=_finite if finite else None,
             object_pairs_hook=_distinct,
         )
     except RecursionError as error:

@@ -7,9 +7,10 @@ when whole, and the fingerprint of what is being computed. A run that was killed
 from __future__ import annotations
 
 import json
+import re
 import shutil
-import zipfile
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -19,12 +20,17 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array, vstack
 
 from lightmatrix.errors import InputError, OutputError
+from lightmatrix.files.headers import parse_json
+from lightmatrix.files.npz import read_npz
 from lightmatrix.files.outputs import atomic_file, check_output, explained
+from lightmatrix.files.reading import read_text
+from lightmatrix.store.checked import checked_diagnostics, checked_matrix, finite, shape_of
 from lightmatrix.store.zarr_file import PARTIAL, SUFFIX, save
 from lightmatrix.transport.matrix import LightTransport
 
 _FINGERPRINT = "fingerprint.json"
 _DIAGNOSTIC = "diagnostic_"
+_NAME = re.compile(r"rows-([0-9]{1,18})-([0-9]{1,18})\.npz")
 
 
 class Checkpoint:
@@ -158,11 +164,10 @@ class Checkpoint:
 
     def recall(self, name: str) -> dict[str, NDArray[Any]] | None:
         """What was kept under a name; None if nothing whole is there."""
-        file = self._folder / f"{name}.npz"
-        if not zipfile.is_zipfile(file):
+        try:
+            return read_npz(self._folder / f"{name}.npz")
+        except InputError:
             return None
-        with np.load(file, allow_pickle=False) as arrays:
-            return {key: arrays[key] for key in arrays.files}
 
     def forget(self, name: str) -> None:
         """Throw away what was kept under a name, if anything."""
@@ -193,14 +198,11 @@ class Checkpoint:
         sparse, background = [], []
         diagnostics: dict[str, list[NDArray[Any]]] = {}
         for start, stop in tiles:
-            with np.load(self._file(start, stop), allow_pickle=False) as tile:
-                parts = (tile["data"], tile["indices"], tile["indptr"])
-                sparse.append(csr_array(parts, shape=tuple(tile["shape"])))
-                background.append(tile["background"])
-                for name in tile.files:
-                    if name.startswith(_DIAGNOSTIC):
-                        key = name.removeprefix(_DIAGNOSTIC)
-                        diagnostics.setdefault(key, []).append(tile[name])
+            found = _read_tile(self._file(start, stop))
+            sparse.append(found.sparse)
+            background.append(found.background)
+            for name, values in found.diagnostics.items():
+                diagnostics.setdefault(name, []).append(values)
         transport = LightTransport(
             csr_array(vstack(sparse, format="csr")),
             np.concatenate(background),
@@ -218,19 +220,74 @@ class Checkpoint:
         return self._folder / f"rows-{start}-{stop}.npz"
 
 
+@dataclass(frozen=True, eq=False)
+class _Tile:
+    """A finished tile as it was written."""
+
+    sparse: csr_array
+    background: NDArray[np.float32]
+    diagnostics: Mapping[str, NDArray[Any]]
+
+
 def _whole(file: Path) -> tuple[int, int] | None:
-    """The rows of a tile's file; None if it is damaged."""
-    if not zipfile.is_zipfile(file):
+    """The rows of a tile's file; None if it is damaged, so that it is solved again."""
+    rows = _rows(file)
+    if rows is None:
         return None
-    start, stop = file.stem.split("-")[1:]
-    return int(start), int(stop)
+    try:
+        _read_tile(file)
+    except InputError:
+        return None
+    return rows
+
+
+def _rows(file: Path) -> tuple[int, int] | None:
+    """The rows that a tile's name tells."""
+    named = _NAME.fullmatch(file.name)
+    if named is None or int(named[2]) <= int(named[1]):
+        return None
+    return int(named[1]), int(named[2])
+
+
+def _read_tile(file: Path) -> _Tile:
+    """A finished tile, checked whole.
+
+    Raises
+    ------
+    InputError
+        If it is damaged.
+    """
+    content = read_npz(file)
+    start, stop = _rows(file) or (0, 0)
+    try:
+        rows, cols = shape_of(content["shape"], (2,), "the tile")
+        if rows != stop - start:
+            raise ValueError(f"{rows} rows")
+        matrix = checked_matrix(
+            content["data"], content["indices"], content["indptr"], (rows, cols)
+        )
+        background = finite(content["background"], "the background")
+        if background.ndim != 2 or len(background) != rows:
+            raise ValueError(f"a background of {background.shape}")
+        named = {
+            name.removeprefix(_DIAGNOSTIC): values
+            for name, values in content.items()
+            if name.startswith(_DIAGNOSTIC)
+        }
+        return _Tile(matrix, background, checked_diagnostics(named, rows))
+    except (KeyError, ValueError) as error:
+        raise InputError(
+            f"{file}: is damaged ({error})", hint="remove it; its rows are then solved again"
+        ) from error
 
 
 def _differing(file: Path, wanted: Mapping[str, Any]) -> str | None:
     """Which keys of a stored fingerprint differ, in words; None if none does."""
     try:
-        found = json.loads(file.read_text())
-    except (OSError, ValueError):
+        found = parse_json(read_text(file), str(file), finite=False)
+    except InputError:
+        return "unknown ones"
+    if not isinstance(found, dict):
         return "unknown ones"
     if found == wanted:
         return None
