@@ -16,8 +16,8 @@ from lightmatrix.camera.decoder import Decoder
 from lightmatrix.camera.samples import Samples
 from lightmatrix.camera.sensor import Sensor
 from lightmatrix.capture import capture as capture_module
-from lightmatrix.capture import folder as capture_folder
 from lightmatrix.capture.capture import Capture
+from lightmatrix.capture.description import KEYS
 from lightmatrix.capture.folder import write_capture
 from lightmatrix.errors import InputError, LightMatrixWarning, OutputError
 from lightmatrix.files.images import write_image
@@ -436,6 +436,6 @@ def test_patterns_that_binning_makes_constant_are_no_error_unless_all_are() -> N
 def test_the_documented_description_is_the_one_that_is_read() -> None:
     page = (Path(__file__).parents[1] / "docs" / "captures.md").read_text()
     example = json.loads(page.split("```json")[1].split("```")[0])
-    assert set(example) == capture_folder._KEYS
+    assert set(example) == KEYS
     for key in set(example) - {"format", "version"}:
         assert f"`{key}`" in page

@@ -86,6 +86,10 @@ def estimate(
         Path | None, typer.Option(help="Photograph under a white pattern; one more sample.")
     ] = None,
     mask: Annotated[Path | None, typer.Option(help="Image; pixels at 0 are left out.")] = None,
+    black_level: Annotated[
+        float | None,
+        typer.Option(help="Raw level without any light.", show_default="0"),
+    ] = None,
     clip: Clip = None,
     response: ResponseCurve = None,
     solver: Annotated[SolverName, typer.Option(help=SOLVERS_HELP)] = SolverName.ACTIVE_SET,
@@ -159,7 +163,7 @@ def estimate(
     if coherent and fitting is not None:
         raise InputError(f"--coherent {fitting}", hint="leave out one of the two")
     chosen = _solver(solver, fidelity, iterations)
-    opened = _open(capture, pattern_folder, images, black, white, mask, clip, response)
+    opened = _open(capture, pattern_folder, images, black, white, mask, black_level, clip, response)
     opened = opened.bin(projector=size(bin_projector), camera=size(bin_camera))
     opened.check(order=check)
     if regularization == "path":
@@ -252,6 +256,7 @@ def _open(
     black: Path | None,
     white: Path | None,
     mask: Path | None,
+    black_level: float | None,
     clip: float | None,
     response: str | None,
 ) -> Capture:
@@ -262,7 +267,8 @@ def _open(
             "--black": black,
             "--white": white,
         }
-        extras |= {"--mask": mask, "--clip": clip, "--response": response}
+        extras |= {"--mask": mask, "--black-level": black_level}
+        extras |= {"--clip": clip, "--response": response}
         given = [name for name, value in extras.items() if value is not None]
         if given:
             raise InputError(
@@ -278,6 +284,7 @@ def _open(
         black=black,
         white=white,
         mask=mask,
+        black_level=black_level,
         clip=clip,
         response=response,
         check=False,
