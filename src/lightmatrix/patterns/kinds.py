@@ -37,7 +37,7 @@ def from_description(description: Mapping[str, Any]) -> PatternSet | None:
             return BlockPatterns(**parameters)
         if kind == "images":
             return None
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise InputError(
             f"a description of {kind} patterns that cannot be read: {error}",
             hint="remove patterns.json to read the patterns from their images",
