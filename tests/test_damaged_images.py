@@ -108,6 +108,21 @@ def test_checksums_of_pixels_are_verified(tmp_path: Path, bits: int, colour: int
             read_image(file)
 
 
+def test_checksums_of_all_chunks_are_verified(tmp_path: Path) -> None:
+    """A bit of the palette changes colours, and of the header the size, without harm to pixels."""
+    header = struct.pack(">IIBBBBB", 8, 9, 8, png.PALETTE, 0, 0, 0)
+    palette = bytes(range(256)) * 3
+    data = a_png(header, zlib.compress(bytes(9 * 9)), PLTE=palette)
+    file = tmp_path / "a.png"
+    file.write_bytes(data)
+    assert read_image(file).shape == (9, 8, 3)
+    for at in (data.index(b"PLTE") + 4, data.index(b"IHDR") + 8, len(data) - 1):
+        file.write_bytes(data)
+        flip(file, 8 * at)
+        with pytest.raises(InputError, match="a checksum does not fit"):
+            read_image(file)
+
+
 def test_interlaced_png_is_read_whole(tmp_path: Path) -> None:
     """Written pass by pass as the specification says."""
     for rows, cols in ((1, 1), (3, 2), (5, 9), (8, 8)):
@@ -221,6 +236,30 @@ def test_short_strips_of_tiff(tmp_path: Path, compression: str | None) -> None:
     patched(file, bad, "StripOffsets", 1 << 30 if compression is None else 60000)
     with pytest.raises(InputError, match="damaged or truncated"):
         read_image(bad)
+
+
+def test_a_strip_that_is_whole_but_holds_too_few_lines(tmp_path: Path) -> None:
+    image = picture((20, 30), np.uint16)
+    tifffile.imwrite(tmp_path / "a.tif", image, compression="zlib", rowsperstrip=8)
+    with tifffile.TiffFile(tmp_path / "a.tif") as tiff:
+        page = tiff.pages.first
+        offset = page.dataoffsets[0]
+    short = zlib.compress(image[:7].tobytes(), 9)
+    data = bytearray((tmp_path / "a.tif").read_bytes())
+    data[offset : offset + len(short)] = short
+    (tmp_path / "a.tif").write_bytes(data)
+    patched(tmp_path / "a.tif", tmp_path / "bad.tif", "StripByteCounts", len(short))
+    with pytest.raises(InputError, match="damaged or truncated"):
+        read_image(tmp_path / "bad.tif")
+
+
+def test_strips_of_other_compressions(tmp_path: Path) -> None:
+    image = picture((20, 30), np.uint8)
+    imageio.imwrite(tmp_path / "a.tif", image, plugin="pillow", compression="tiff_lzw")
+    np.testing.assert_array_equal(read_image(tmp_path / "a.tif"), image)
+    patched(tmp_path / "a.tif", tmp_path / "bad.tif", "StripByteCounts", 0)
+    with pytest.raises(InputError, match="a strip of 0 bytes"):
+        read_image(tmp_path / "bad.tif")
 
 
 @pytest.mark.parametrize("options", [{"tile": (16, 16)}, {"rowsperstrip": 7}, {"predictor": True}])
