@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from lightmatrix.errors import InputError, OutputError
-from lightmatrix.files import png16
+from lightmatrix.files import png, png16
 from lightmatrix.files.images import read_grey, read_image, write_image
 from lightmatrix.files.stack import ImageStack, list_images, nonlinear_tag
 
@@ -76,15 +76,14 @@ def test_every_line_filter_of_16_bit_colour_png(rows: int, cols: int, kind: int,
             predicted = (0, left, up, (left + up) // 2, nearest)[lines[r, 0]]
             lines[r, 1 + c] = (plain[r, c] - predicted) % 256
     header = struct.pack(">IIBBBBB", cols, rows, 16, 2, 0, 0, 0)
-    data = png16.SIGNATURE
-    for name, content in (
-        (b"IHDR", header),
-        (b"IDAT", zlib.compress(lines.tobytes())),
-        (b"IEND", b""),
-    ):
-        data += struct.pack(">I", len(content)) + name + content + bytes(4)
-    assert png16.is_colour16(data[:33])
-    np.testing.assert_array_equal(png16.read(data), image)
+    data = png.write_chunks((b"IHDR", header), (b"IDAT", zlib.compress(lines.tobytes())))
+    chunks = png.read_chunks(data)
+    assert png16.is_deep_colour(png.read_header(chunks))
+    # As a whole, and some lines at a time, each of which needs the line before it.
+    for at_once in (1 << 25, 12 * cols + 2):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(png16, "_BYTES_AT_ONCE", at_once)
+            np.testing.assert_array_equal(png16.decode(chunks), image)
 
 
 def test_black_and_white_and_opaque_alpha(tmp_path: Path) -> None:

@@ -27,6 +27,7 @@ from lightmatrix.camera.response import Response
 from lightmatrix.camera.samples import Samples
 from lightmatrix.camera.sensor import Sensor
 from lightmatrix.capture.checks import (
+    check_depth,
     check_light,
     check_patterns,
     check_per_frame,
@@ -98,6 +99,7 @@ class Capture:
         bin_camera: int | tuple[int, int] = 1,
         check: bool = True,
         check_order: bool = True,
+        allow_outside: bool = False,
     ) -> Capture:
         """Read a capture folder.
 
@@ -110,13 +112,15 @@ class Capture:
             See `bin`.
         check, check_order : bool
             See `check`.
+        allow_outside : bool
+            Whether files that capture.json names may lie outside the folder.
 
         Raises
         ------
         InputError
             On anything that makes the capture unusable, naming the file.
         """
-        parts = read_capture(folder)
+        parts = read_capture(folder, allow_outside=allow_outside)
         capture = cls(
             parts.patterns, parts.frames, parts.decoder, parts.mask, provenance=parts.provenance
         )
@@ -132,6 +136,7 @@ class Capture:
         white: str | Path | None = None,
         clip: float | NDArray[Any] | None = None,
         response: Response | str | None = None,
+        black_level: float | NDArray[Any] | None = None,
         exposure: float | NDArray[Any] = 1.0,
         mask: str | Path | None = None,
         bin_projector: int | tuple[int, int] = 1,
@@ -148,13 +153,16 @@ class Capture:
         images : str or Path
             Folder of the camera's frames.
         black : str, Path or float, optional
-            Image under a black pattern, or the camera's black level in raw levels.
+            Image under a black pattern, which is subtracted; or a number, as `black_level`.
         white : str or Path, optional
             Image under a white pattern; becomes one more frame.
         clip : float or (K,), optional
             Raw level at which the camera clips; None means the end of the range.
         response : Response or str, optional
             See `Response.parse`; None means linear, and warns where the files say otherwise.
+        black_level : float or (K,), optional
+            Raw level without any light, the camera's electronic pedestal; None means 0. It sets
+            the unit of T, which the room light in a black frame does not change.
         exposure : float or (K,)
             Exposure of each frame.
         mask : str or Path, optional
@@ -176,6 +184,7 @@ class Capture:
             white=white,
             clip=clip,
             response=response,
+            black_level=black_level,
             exposure=exposure,
             mask=mask,
         )
@@ -373,9 +382,11 @@ class Capture:
         ------
         InputError
             With one frame only, a projector of one pixel, no pattern that varies, nothing but
-            dark or clipped samples, all pixels masked, or frames out of order.
+            dark or clipped samples, all pixels masked, 16-bit files of fewer bits without a stated
+            clip level, or frames out of order.
         """
         check_patterns(self.patterns)
+        check_depth(self.frames, self.decoder)
         check_light(self.tiles(), int(self.valid.sum()), self.decoder)
         if self.frames.dtype == np.uint16 and self.bin_camera == (1, 1):
             warn_of_hidden_clipping(self.reader.raw, self.decoder)

@@ -88,6 +88,10 @@ def estimate(
         Path | None, typer.Option(help="Photograph under a white pattern; one more sample.")
     ] = None,
     mask: Annotated[Path | None, typer.Option(help="Image; pixels at 0 are left out.")] = None,
+    black_level: Annotated[
+        float | None,
+        typer.Option(help="Raw level without any light.", show_default="0"),
+    ] = None,
     clip: Clip = None,
     response: ResponseCurve = None,
     solver: Annotated[SolverName, typer.Option(help=SOLVERS_HELP)] = SolverName.ACTIVE_SET,
@@ -162,7 +166,7 @@ def estimate(
     chosen = _solver(solver, fidelity, iterations)
     given = _given_regularization(regularization)
     claim(output, STORE, overwrite=overwrite)
-    opened = _open(capture, pattern_folder, images, black, white, mask, clip, response)
+    opened = _open(capture, pattern_folder, images, black, white, mask, black_level, clip, response)
     opened = opened.bin(projector=size(bin_projector), camera=size(bin_camera))
     opened.check(order=check)
     if regularization == "path":
@@ -255,6 +259,7 @@ def _open(
     black: Path | None,
     white: Path | None,
     mask: Path | None,
+    black_level: float | None,
     clip: float | None,
     response: str | None,
 ) -> Capture:
@@ -265,7 +270,8 @@ def _open(
             "--black": black,
             "--white": white,
         }
-        extras |= {"--mask": mask, "--clip": clip, "--response": response}
+        extras |= {"--mask": mask, "--black-level": black_level}
+        extras |= {"--clip": clip, "--response": response}
         given = [name for name, value in extras.items() if value is not None]
         if given:
             raise InputError(
@@ -281,6 +287,7 @@ def _open(
         black=black,
         white=white,
         mask=mask,
+        black_level=black_level,
         clip=clip,
         response=response,
         check=False,

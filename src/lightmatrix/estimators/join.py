@@ -85,8 +85,7 @@ def joined(
         if missing:
             solve_tile = begin(running)
         for start, stop in missing:
-            tile = solve_tile(start, stop)
-            running.write(start, stop, tile.coefficients, tile.background, tile.diagnostics)
+            running.write(start, stop, solve_tile(start, stop))
         return running.finish(**shapes)
 
 

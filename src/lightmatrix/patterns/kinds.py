@@ -44,7 +44,7 @@ def from_description(description: Mapping[str, Any]) -> PatternSet | None:
             if key in parameters:
                 parameters[key] = tuple(int(v) for v in parameters[key])
         return KINDS[kind](**parameters)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise InputError(
             f"a description of {kind} patterns that cannot be read: {error}",
             hint="remove patterns.json to read the patterns from their images",

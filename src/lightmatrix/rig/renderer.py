@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from lightmatrix.errors import InputError
+from lightmatrix.files.memory import available_bytes
 from lightmatrix.rig.llvm import load_mitsuba
-from lightmatrix.rig.memory import WAVEFRONT, available_bytes, check_memory, foreseen_bytes
+from lightmatrix.rig.memory import WAVEFRONT, check_memory, foreseen_bytes
 from lightmatrix.rig.mitsuba_scene import mitsuba_scene
 from lightmatrix.rig.scenes import scene as find_scene
 from lightmatrix.rig.thinning import stacked, thinned_in_steps

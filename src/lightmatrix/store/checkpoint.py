@@ -16,19 +16,17 @@ from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.sparse import csr_array
 
 from lightmatrix.errors import InputError, LightMatrixError, OutputError
 from lightmatrix.files.markers import read_object
+from lightmatrix.files.npz import read_npz
 from lightmatrix.files.outputs import claimed
 from lightmatrix.files.running import RunningFolder
 from lightmatrix.store.zarr_file import PARTIAL, STORE, save
 from lightmatrix.transport.matrix import LightTransport
-from lightmatrix.transport.sparse_rows import stacked
+from lightmatrix.transport.sparse_rows import SparseRows
 
 _FINGERPRINT = "fingerprint.json"
-_DIAGNOSTIC = "diagnostic_"
 # First row of a tile, and the row after its last.
 _Span = tuple[int, int]
 
@@ -47,7 +45,8 @@ class Checkpoint:
         self._claim = claim
         self._used: set[_Span] = set()
         spans = [span for name in kept.names if (span := _span(name)) is not None]
-        self._found = {span for span in spans if _tile(kept.file(_name(*span)), span) is not None}
+        # Damaged tiles are solved again.
+        self._found = {span for span in spans if _tile(kept, span) is not None}
 
     @classmethod
     def open(
@@ -104,43 +103,18 @@ class Checkpoint:
         self._used.add((start, stop))
         return True
 
-    def write(
-        self,
-        start: int,
-        stop: int,
-        sparse: csr_array,
-        background: NDArray[Any],
-        diagnostics: Mapping[str, NDArray[Any]],
-    ) -> None:
-        """Keep a finished tile.
-
-        Parameters
-        ----------
-        start, stop : int
-            Its rows; m = stop - start.
-        sparse : (m, N) csr_array
-        background : (m, B)
-        diagnostics : mapping of str to (m,) array
+    def write(self, start: int, stop: int, rows: SparseRows) -> None:
+        """Keep a finished tile, the rows start..stop.
 
         Raises
         ------
         OutputError
             If the disk fails; tiles that were written remain.
         """
-        named: dict[str, Any] = {_DIAGNOSTIC + name: v for name, v in diagnostics.items()}
-        with self._kept.keep(_name(start, stop)) as part:
-            np.savez(
-                part,
-                data=sparse.data.astype(np.float32, copy=False),
-                indices=sparse.indices.astype(np.int32, copy=False),
-                indptr=sparse.indptr.astype(np.int64, copy=False),
-                shape=np.array(sparse.shape),
-                background=background.astype(np.float32, copy=False),
-                **named,
-            )
+        self._keep(_name(start, stop), rows)
         self._used.add((start, stop))
 
-    def remember(self, name: str, arrays: Mapping[str, NDArray[Any]]) -> None:
+    def remember(self, name: str, rows: SparseRows) -> None:
         """Keep what an estimator needs to go on, under a name that does not begin with rows.
 
         Raises
@@ -148,12 +122,11 @@ class Checkpoint:
         OutputError
             If the disk fails; what was kept before remains.
         """
-        with self._kept.keep(f"{name}.npz") as part:
-            np.savez(part, **dict(arrays))  # type: ignore[arg-type]
+        self._keep(f"{name}.npz", rows)
 
-    def recall(self, name: str) -> dict[str, NDArray[Any]] | None:
+    def recall(self, name: str) -> SparseRows | None:
         """What was kept under a name; None if nothing whole is there."""
-        return _arrays(self._kept.file(f"{name}.npz")) if self._kept.has(f"{name}.npz") else None
+        return _read(self._kept, f"{name}.npz")
 
     def forget(self, name: str) -> None:
         """Throw away what was kept under a name, if anything."""
@@ -181,32 +154,32 @@ class Checkpoint:
         rows = int(np.prod(camera_shape))
         if [start for start, _ in spans] != edges[:-1] or edges[-1] != rows:
             raise InputError(f"{self._kept.path}: the tiles do not cover all {rows} rows once")
-        sparse, background = [], []
-        diagnostics: dict[str, list[NDArray[Any]]] = {}
-        for span in spans:
-            tile = _tile(self._kept.file(_name(*span)), span)
-            if tile is None or tile["shape"][1] != np.prod(projector_shape):
-                raise InputError(
-                    f"{self._kept.path}: the tile {_name(*span)} was damaged meanwhile",
-                    hint="run the same estimate again; it computes that tile anew",
-                )
-            parts = (tile.pop("data"), tile.pop("indices"), tile.pop("indptr"))
-            sparse.append(csr_array(parts, shape=tuple(tile.pop("shape"))))
-            background.append(tile.pop("background"))
-            for name, values in tile.items():
-                diagnostics.setdefault(name.removeprefix(_DIAGNOSTIC), []).append(values)
+        tiles = [_tile(self._kept, span) for span in spans]
+        whole = [tile for tile in tiles if tile is not None]
+        if len(whole) < len(tiles):
+            damaged = _name(*spans[tiles.index(None)])
+            raise InputError(
+                f"{self._kept.path}: the tile {damaged} was damaged meanwhile",
+                hint="run the same estimate again; it computes that tile anew",
+            )
+        found = SparseRows.joined(whole)
         transport = LightTransport(
-            stacked(sparse),
-            np.concatenate(background),
+            found.coefficients,
+            found.background,
             camera_shape,
             projector_shape,
             background_grid,
-            {name: np.concatenate(parts) for name, parts in diagnostics.items()},
+            found.diagnostics,
             dict(provenance or {}),
         )
         save(self._path, transport, overwrite=self._overwrite)
         self._kept.discard()
         return transport
+
+    def _keep(self, name: str, rows: SparseRows) -> None:
+        with self._kept.keep(name) as part:
+            arrays: dict[str, Any] = rows.arrays()
+            np.savez(part, **arrays)
 
 
 def _begun(target: Path, wanted: Mapping[str, Any], overwrite: bool) -> RunningFolder:
@@ -242,37 +215,23 @@ def _name(start: int, stop: int) -> str:
 
 def _span(name: str) -> _Span | None:
     """The rows of a tile by its file's name; None if it is no tile's."""
-    match = re.fullmatch(r"rows-(\d+)-(\d+)\.npz", name, re.ASCII)
+    match = re.fullmatch(r"rows-([0-9]{1,18})-([0-9]{1,18})\.npz", name)
     return None if match is None else (int(match[1]), int(match[2]))
 
 
-def _tile(file: Path, span: _Span) -> dict[str, NDArray[Any]] | None:
-    """The arrays of a tile; None if it is damaged."""
-    arrays = _arrays(file)
-    if arrays is None:
-        return None
-    rows = span[1] - span[0]
-    try:
-        parts = (arrays["data"], arrays["indices"], arrays["indptr"])
-        sparse = csr_array(parts, shape=tuple(arrays["shape"]))
-        sparse.check_format(full_check=True)
-        finite = np.isfinite(arrays["data"]).all() and np.isfinite(arrays["background"]).all()
-        per_row = [a for n, a in arrays.items() if n == "background" or n.startswith(_DIAGNOSTIC)]
-        whole = sparse.shape[0] == rows and all(len(values) == rows for values in per_row)
-    # Whatever SciPy makes of arrays that do not fit each other.
-    except Exception:
-        return None
-    return arrays if finite and whole else None
+def _tile(kept: RunningFolder, span: _Span) -> SparseRows | None:
+    """A finished tile; None if it is damaged."""
+    rows = _read(kept, _name(*span))
+    return rows if rows is not None and rows.count == span[1] - span[0] else None
 
 
-def _arrays(file: Path) -> dict[str, NDArray[Any]] | None:
-    """The arrays of an npz file; None if it is damaged."""
+def _read(kept: RunningFolder, name: str) -> SparseRows | None:
+    """Rows that were kept under a file name; None if there are none, or not whole."""
+    if not kept.has(name):
+        return None
     try:
-        # Opened here, since np.load leaves damaged archives open.
-        with file.open("rb") as opened, np.load(opened, allow_pickle=False) as found:
-            return {name: found[name] for name in found.files}
-    # Damaged archives raise nearly anything.
-    except Exception:
+        return SparseRows.from_arrays(read_npz(kept.file(name)))
+    except InputError:
         return None
 
 

@@ -108,7 +108,7 @@ class LightTransport:
         Parameters
         ----------
         patterns : (rows, cols) or (K, rows, cols)
-            Projector patterns in [0, 1].
+            Projector patterns in [0, 1]; whole numbers can only be 0 and 1.
 
         Returns
         -------
@@ -118,9 +118,10 @@ class LightTransport:
         Raises
         ------
         InputError
-            If the patterns do not have the projector's shape.
+            If the patterns do not have the projector's shape, or values outside [0, 1], such as
+            the raw levels of an image.
         """
-        stack = np.asarray(patterns, np.float32)
+        stack = _light(patterns)
         if stack.shape[-2:] != self.projector_shape or stack.ndim not in (2, 3):
             raise InputError(
                 f"a pattern of shape {stack.shape} for a projector of "
@@ -198,6 +199,22 @@ class LightTransport:
         if not dense_background:
             return self.sparse
         return csr_array(self.sparse + csr_array(self.background) @ self.pooling)
+
+
+def _light(patterns: NDArray[Any]) -> NDArray[np.float32]:
+    """Patterns as light, float32 in [0, 1]."""
+    given = np.asarray(patterns)
+    if given.dtype.kind not in "bfiu":
+        raise InputError(f"a pattern of {given.dtype} values", hint="give values in [0, 1]")
+    # Written so that NaN is refused too.
+    if given.size and not (given.min() >= 0 and given.max() <= 1):
+        raw = given.dtype.kind in "iu"
+        raise InputError(
+            f"a pattern with values from {given.min():g} to {given.max():g}",
+            hint="light is in [0, 1]"
+            + (": divide raw levels by their largest one, such as 255" if raw else ""),
+        )
+    return np.asarray(given, np.float32)
 
 
 def cell_means(projector_shape: tuple[int, int], grid: tuple[int, int]) -> csr_array:

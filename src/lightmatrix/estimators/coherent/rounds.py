@@ -13,7 +13,6 @@ from scipy.sparse import csr_array
 from lightmatrix import _core
 from lightmatrix.camera.samples import Samples
 from lightmatrix.capture.capture import Capture
-from lightmatrix.errors import InputError
 from lightmatrix.estimators.coherent.backgrounds import Backgrounds
 from lightmatrix.estimators.coherent.expectations import UNSEEN, Neighbourhood, unseen_patterns
 from lightmatrix.estimators.join import TILE_BYTES, Progress, SolveTile, kept
@@ -83,11 +82,7 @@ class Rounds:
 
     def _recalled(self, running: Checkpoint, number: int) -> SparseRows | None:
         """What a checkpoint remembers of a round; None if nothing whole."""
-        if (arrays := running.recall(f"round-{number}")) is None:
-            return None
-        try:
-            found = SparseRows.from_arrays(arrays)
-        except InputError:
+        if (found := running.recall(f"round-{number}")) is None:
             return None
         shape = (self.capture.rows, self.capture.patterns.pixels)
         fits = found.coefficients.shape == shape and found.background.shape[1] == 1
@@ -97,7 +92,7 @@ class Rounds:
         """A round over all rows; the checkpoint remembers it instead of the one before."""
         found = SparseRows.joined([solve(start, stop) for start, stop in self.ranges()])
         if running is not None:
-            running.remember(f"round-{number}", found.arrays())
+            running.remember(f"round-{number}", found)
             running.forget(f"round-{number - 1}")
         return found
 
