@@ -73,7 +73,7 @@ class System:
         if self._wide:
             square = self.patterns.gram
             if column is not None:
-                crossed = np.outer(self.patterns.sums, column)
+                crossed = np.outer(_sums(self.patterns, column), column)
                 change = self.scale**2 + self.patterns.pixels
                 square = square - crossed - crossed.T + change * np.outer(column, column)
             square = square * np.outer(rows, rows)
@@ -153,8 +153,15 @@ def system_of(
 
 def centred_energy(patterns: PatternSet, column: NDArray[np.float64]) -> NDArray[np.float64]:
     """Squared lengths of the centred patterns P - m 1', (K,): N / 4 for 0/1 at density 0.5."""
-    energy = np.diagonal(patterns.gram) - 2 * patterns.sums * column
+    energy = np.diagonal(patterns.gram) - 2 * _sums(patterns, column) * column
     return np.maximum(energy + patterns.pixels * column**2, 0)
+
+
+def _sums(patterns: PatternSet, column: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Sum of each pattern over its pixels, (K,)."""
+    # Where the column is the patterns' own means, all terms of the centred Gram matrix are made of
+    # it, and rounded alike.
+    return patterns.pixels * column if column is patterns.means else patterns.sums
 
 
 def _each_by(rows: NDArray[np.float64], matrix: NDArray[np.float64]) -> NDArray[np.float64]:
