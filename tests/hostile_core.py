@@ -203,7 +203,7 @@ def hostile_products() -> dict[str, Call]:
         "forward: pixels below 0": lambda: _core.bits_forward(BITS, -1, x),
         "forward: pixels huge": lambda: _core.bits_forward(BITS, 2**64, x),
         "forward: pixels of more bytes": lambda: _core.bits_forward(BITS, 8 * stride + 1, x),
-        "forward: bits of int8": lambda: _core.bits_forward(BITS.astype(np.int8), PIXELS, x),  # type: ignore[arg-type]
+        "forward: bits of int8": lambda: _core.bits_forward(BITS.astype(np.int8), PIXELS, x),
         "forward: bits of one axis": lambda: _core.bits_forward(BITS[0], PIXELS, x),
         "forward: a product of 2^60 numbers": lambda: _core.bits_forward(
             np.zeros((2**30, 0), np.uint8), 0, np.zeros((2**30, 0), np.float32)
@@ -265,7 +265,7 @@ def hostile_patterns() -> dict[str, Call]:
         "dense: above 1": lambda: dense(matrix * 1.5, MEANS),
         "dense: below 0": lambda: dense(-matrix, MEANS),
         "dense: NaN": lambda: dense(matrix * np.float32(NAN), MEANS),
-        "dense: float64": lambda: dense(matrix.astype(float), MEANS),  # type: ignore[arg-type]
+        "dense: float64": lambda: dense(matrix.astype(float), MEANS),
         "dense: no pixels": lambda: dense(matrix[:, :0], MEANS),
         "dense: one axis": lambda: dense(matrix[0], MEANS),
         "scores: one pattern too few": lambda: SHOWN.scores(np.ones((2, PATTERNS - 1))),

@@ -52,7 +52,7 @@ pub fn run(
     }
 }
 
-/// Sums over all subsets of six values: entry i sums the values of i's bits.
+/// `subsets::subset_sums` of six values, whose table is two registers.
 #[target_feature(enable = "avx512f,avx512bw")]
 fn subset_sums(values: [i16; 6], table: &mut [i16]) {
     let lanes = [
