@@ -53,7 +53,7 @@ def run(*arguments: str) -> subprocess.CompletedProcess[str]:
     """What a Python of its own says."""
     command = [sys.executable, "-W", "ignore", *arguments]
     return subprocess.run(
-        command, capture_output=True, text=True, check=False, cwd=TESTS, timeout=120
+        command, capture_output=True, text=True, check=False, cwd=TESTS, timeout=300
     )
 
 

@@ -17,6 +17,7 @@ import tempfile
 import threading
 from collections.abc import Iterator
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +27,7 @@ from hypothesis import strategies as st
 
 from lightmatrix.cli import experiment, main
 from lightmatrix.errors import LightMatrixError, LightMatrixWarning, OutputError
+from lightmatrix.experiments.harness import Experiment, Measured
 from lightmatrix.files import outputs, scratch, targets
 from lightmatrix.files.images import IMAGE, read_image, write_image
 from lightmatrix.files.markers import FileKind, FolderKind, OutputKind
@@ -243,6 +245,7 @@ KILLED = """
 import os, signal, sys
 from pathlib import Path
 from lightmatrix.files import outputs
+from lightmatrix.experiments.harness import Experiment, Measured
 from lightmatrix.files.markers import FileKind, FolderKind
 
 folder, mode = Path(sys.argv[1]), sys.argv[2]
@@ -393,6 +396,7 @@ def test_endings_in_capitals(tmp_path: Path) -> None:
 
 HOLDER = """
 import sys
+from lightmatrix.experiments.harness import Experiment, Measured
 from lightmatrix.files.markers import FolderKind
 from lightmatrix.files.outputs import claimed
 with claimed(sys.argv[1], FolderKind("capture")):
@@ -521,28 +525,33 @@ def test_running_folders_of_others_are_refused_at_once(tmp_path: Path) -> None:
         check_output(tmp_path / "out", kind)
 
 
-def draw(out: Path, *, kept: RunningFolder | None = None, **_: object) -> dict[str, object]:
-    (out / "figure.json").write_text("{}")
-    if kept is not None:
-        with kept.keep("case.json") as part:
-            part.write_text("{}")
-    return {}
+@dataclass(frozen=True)
+class Case:
+    name: str = "one"
+
+
+DRAWN = Experiment(
+    "figure",
+    lambda quick: [Case()],
+    lambda case: Measured([{"name": case.name}]),
+    lambda out, found: None,
+)
 
 
 def test_experiments_touch_nothing_but_their_own(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(experiment, "RUNS", dict.fromkeys(experiment.Figure, draw))
+    monkeypatch.setattr(experiment, "EXPERIMENTS", dict.fromkeys(experiment.Figure, DRAWN))
     Path("out.cases").mkdir()
     Path("out.cases/mine").touch()
-    assert main(["experiment", "fig4", "-o", "out"]) == 0
+    assert main(["experiment", "fig4", "-o", "out"]) == 2
     assert Path("out.cases/mine").exists()
-    assert main(["experiment", "few-patterns", "-o", "out", "--overwrite"]) == 2
+    assert not Path("out").exists()
     assert main(["experiment", "few-patterns", "-o", "few"]) == 0
     assert main(["experiment", "few-patterns", "-o", "few"]) == 2
     assert main(["experiment", "few-patterns", "-o", "few", "--overwrite"]) == 0
-    assert sorted(os.listdir()) == ["few", "out", "out.cases"]
+    assert sorted(os.listdir()) == ["few", "out.cases"]
 
 
 # ---- the command line

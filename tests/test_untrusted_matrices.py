@@ -120,6 +120,12 @@ def edit(file: Path, change: Callable[[dict[str, Any]], object]) -> None:
     file.write_text(json.dumps(content))
 
 
+def save_anew(place: Path) -> None:
+    """A store in place of one that was edited, which `save` would not touch."""
+    shutil.rmtree(place, ignore_errors=True)
+    store.save(place, transport())
+
+
 def test_other_codecs_and_other_versions_of_zarr_are_not_let_in(tmp_path: Path) -> None:
     place = tmp_path / "scene.zarr"
     changes: list[Callable[[dict[str, Any]], object]] = [
@@ -132,12 +138,12 @@ def test_other_codecs_and_other_versions_of_zarr_are_not_let_in(tmp_path: Path) 
         lambda c: c.update(shape=[10**15]),
     ]
     for change in changes:
-        store.save(place, transport(), overwrite=True)
+        save_anew(place)
         edit(place / "data" / "zarr.json", change)
         with pytest.raises(InputError, match="is damaged"):
             store.open(place)
     # What consolidated metadata says of the arrays is not believed.
-    store.save(place, transport(), overwrite=True)
+    save_anew(place)
     with pytest.warns(UserWarning, match="Consolidated metadata"):
         zarr.consolidate_metadata(place)
     edit(
@@ -158,18 +164,17 @@ def test_other_codecs_and_other_versions_of_zarr_are_not_let_in(tmp_path: Path) 
 def test_a_store_of_pipes_links_and_bombs(tmp_path: Path) -> None:
     place = tmp_path / "scene.zarr"
     for name in ("zarr.json", "data/zarr.json", "data/c/0"):
-        store.save(place, transport(), overwrite=True)
+        save_anew(place)
         (place / name).unlink()
         os.mkfifo(place / name)
         with pytest.raises(InputError):
             store.open(place)
-    shutil.rmtree(place)
-    store.save(place, transport())
+    save_anew(place)
     (place / "zarr.json").write_text("[" * 100_000)
     with pytest.raises(InputError, match="is not a light transport matrix"):
         store.open(place)
     # A chunk that says that it inflates to 2 GiB.
-    store.save(place, transport(), overwrite=True)
+    save_anew(place)
     chunk = place / "data" / "c" / "0"
     data = bytearray(chunk.read_bytes())
     data[4:8] = (2**31 - 1).to_bytes(4, "little")
