@@ -72,7 +72,8 @@ class Limits:
     environment: tuple[tuple[str, str], ...] = ()
 
 
-Prepare = Callable[[Path], None]
+# What it gives back is of no matter.
+Prepare = Callable[[Path], object]
 # Looks at the work folder after the run; says what is wrong, or None.
 Check = Callable[[Path, Ran], str | None]
 # Runs whatever it likes in the work folder, by the given runner of one command.
@@ -160,7 +161,8 @@ def judge(case: Case, ran: Ran, before: Snapshot, after: Snapshot) -> tuple[Outc
     accepted = ran.code == 0
     refused = ran.code in (REFUSED, OUT_OF_MEMORY)
     allowed = tuple(
-        f"outer/work/{name}" for name in (*case.leaves, *(() if refused else case.made))
+        f"outer/work/{name}"
+        for name in (*case.leaves, *(case.made if ran.code in case.codes and not refused else ()))
     )
     changed, new = differences(before, after, allowed)
     words = ran.err.strip().splitlines()

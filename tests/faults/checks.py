@@ -50,8 +50,8 @@ def near_matrix(store: str, other: str, tolerance: float = 1e-3) -> Check:
             return str(error)
         if found.shape != wanted.shape:
             return f"{store} has {found.shape}, {other} {wanted.shape}"
-        error = float(np.linalg.norm(found - wanted) / np.linalg.norm(wanted))
-        return None if error <= tolerance else f"{store} is {100 * error:.1f} % off {other}"
+        off = float(np.linalg.norm(found - wanted) / np.linalg.norm(wanted))
+        return None if off <= tolerance else f"{store} is {100 * off:.1f} % off {other}"
 
     return check
 

@@ -72,7 +72,7 @@ def copy(source: str, target: str) -> Prepare:
 
 def move(source: str, target: str) -> Prepare:
     """Another name."""
-    return lambda folder: (folder / source).rename(folder / target) and None
+    return lambda folder: (folder / source).rename(folder / target)
 
 
 def folder_at(name: str) -> Prepare:

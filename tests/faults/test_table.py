@@ -19,7 +19,7 @@ Answers = dict[str, Future[dict[str, Any]]]
 def answers(request: pytest.FixtureRequest) -> Iterator[Answers]:
     """The answers to all cases that were chosen, worked out ahead by two processes."""
     wanted = [
-        item.callspec.params["name"]
+        str(item.callspec.params["name"])
         for item in request.session.items
         if isinstance(item, pytest.Function)
         and item.originalname == "test_a_fault_is_borne"

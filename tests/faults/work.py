@@ -13,9 +13,15 @@ from scipy.sparse import csr_array
 from .zygote import run_command
 
 SHAPE = (8, 8)
-COUNT = 16
+COUNT = 32
 # The estimate that cases use: row by row, as it says what it holds most directly.
 PLAIN = "estimate capture --no-coherent --tile-rows 16"
+# One whose T is so dense that eight tiles are small beside the whole: a full disk then stops the
+# run with all its tiles on disk.
+TILED = (
+    "estimate capture --no-coherent --solver admm --signed --regularization 1e-6 --iterations 3 "
+    "--tile-rows 8"
+)
 
 _COMMANDS = (
     f"patterns bernoulli -k {COUNT} --size 8x8 -o patterns",
@@ -24,6 +30,7 @@ _COMMANDS = (
     "simulate T.npz --patterns patterns --bits 16 --leak 0.05 --ambient 0.3 -o lit",
     "estimate capture -o scene.zarr",
     f"{PLAIN} -o plain.zarr",
+    f"{TILED} -o dense.zarr",
     "export plain.zarr plain.npz",
     # A T that is the identity, from one-pixel patterns that are their own photographs.
     "patterns onepixel --size 8x8 -o single",
@@ -35,9 +42,9 @@ _COMMANDS = (
 def make_work(folder: Path) -> None:
     """Make the work folder.
 
-    T.npz, patterns/, capture/, lit/ (with a black frame), scene.zarr, plain.zarr, plain.npz;
-    one.zarr (the identity); photos/ and projected/ (the frames and patterns as a user would have
-    them), black.png, white.png, shown.png, holiday.jpg.
+    T.npz, patterns/, capture/, lit/ (with a black frame), scene.zarr, plain.zarr, plain.npz,
+    dense.zarr, one.zarr (the identity); photos/ and projected/ (the frames and patterns as a user
+    would have them), black.png, white.png, shown.png, holiday.jpg.
     """
     folder.mkdir(parents=True)
     write_truth(folder / "T.npz", matrix())

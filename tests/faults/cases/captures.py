@@ -29,7 +29,7 @@ MANY = 10**400  # JSON knows such numbers
 
 # Key of capture.json -> values that it cannot have.
 VALUES: dict[str, tuple[Any, ...]] = {
-    "exposure": (0, -1, "a", "0.8", None, [], [1, 2], [1] * 15, [[1] * 16], True, {"a": 1}, MANY),
+    "exposure": (0, -1, "a", "0.8", None, [], [1, 2], [1] * 31, [[1] * 32], True, {"a": 1}, MANY),
     "clip": ("x", -1, 0, [], {}, 1e300, 300, [255] * 5, True),
     "black_level": ("2", -1e300, 1e300, 255, 300, [], {}, [0] * 5, True),
     "full_scale": (1e300, 0, -1, "255", [], {}, True),
@@ -48,7 +48,7 @@ BLACK: tuple[dict[str, Any], ...] = (
     {"exposure": 0},
     {"exposure": "0.8"},
     {"exposure": []},
-    {"exposure": [0.8] * 16},
+    {"exposure": [0.8] * 32},
     {"exposure": float("nan")},
     {"exposure": float("inf")},
     {"exposures": 0.8},
@@ -67,7 +67,7 @@ def _values() -> list[Case]:
                 Case(
                     f"capture.json: {key} is {shown} ({number})",
                     ESTIMATE,
-                    "capture.json|" + key.replace("_", " "),
+                    f"capture.json|capture/|{key.replace('_', ' ')}",
                     described(**{key: value}),
                 )
             )
@@ -77,7 +77,7 @@ def _values() -> list[Case]:
                 Case(
                     f"capture.json: {key} is {value} ({number})",
                     ESTIMATE,
-                    "capture.json|" + key.replace("_", " "),
+                    f"capture.json|capture/|{key.replace('_', ' ')}",
                     described(**{key: value}),
                 )
             )
@@ -154,9 +154,8 @@ def _file() -> list[Case]:
             "capture.json with a byte order mark",
             ESTIMATE,
             "capture.json",
-            lambda folder: (
-                (folder / HEADER).write_bytes(b"\xef\xbb\xbf" + (folder / HEADER).read_bytes())
-                and None
+            lambda folder: (folder / HEADER).write_bytes(
+                b"\xef\xbb\xbf" + (folder / HEADER).read_bytes()
             ),
             code=(0, 2),
         ),
@@ -310,7 +309,7 @@ def _patterns() -> list[Case]:
     header = "capture/patterns/patterns.json"
     values: dict[str, tuple[Any, ...]] = {
         "kind": ("noise", None, 5, []),
-        "count": (-1, 0, "16", 2**70, None, 1e300, [16]),
+        "count": (-1, 0, "32", 2**70, None, 1e300, [32]),
         "shape": ([0, 8], [-8, 8], [10**9, 10**9], "8x8", 64, [8], [8, 8, 8], [8.5, 8], None),
         "seed": (-1, "0", 2**64, 1.5, None, []),
         "density": (2, float("nan"), "half", None, -1),
@@ -362,7 +361,7 @@ def _patterns() -> list[Case]:
             json_at(
                 header,
                 "description",
-                value={"kind": "mix", "shape": [8, 8], "count": 16, "mix": [["a"], 5]},
+                value={"kind": "mix", "shape": [8, 8], "count": 32, "mix": [["a"], 5]},
             ),
         ),
     ]
@@ -392,15 +391,8 @@ def _frames() -> list[Case]:
             "an image with a huge number",
             ESTIMATE,
             (),
-            move("capture/images/image_0015.png", "capture/images/image_" + "9" * 200 + ".png"),
+            move("capture/images/image_0031.png", "capture/images/image_" + "9" * 200 + ".png"),
             code=0,
-        ),
-        Case(
-            "an image called x[/y].png that is broken",
-            ESTIMATE,
-            "[/y].png",
-            both(move(first, "capture/images/[/y].png".replace("/y", "y"))),
-            code=(0, 2),
         ),
         Case(
             "a broken image called [b].png",
@@ -408,11 +400,11 @@ def _frames() -> list[Case]:
             "[b].png",
             both(move(first, "capture/images/[b].png"), cut("capture/images/[b].png", 60)),
         ),
-        Case("an image that is a pipe", ESTIMATE, "image_0000.png|15 images", pipe(first)),
+        Case("an image that is a pipe", ESTIMATE, "image_0000.png|31 images", pipe(first)),
         Case(
             "an image that is a link to nowhere",
             ESTIMATE,
-            "image_0000.png|15 images",
+            "image_0000.png|31 images",
             link(first, "gone.png"),
         ),
         Case(
@@ -428,7 +420,7 @@ def _frames() -> list[Case]:
         Case("a capture that is a pipe", "estimate in -o new.zarr", "in", pipe("in")),
         Case("a capture that is a store", "estimate plain.zarr -o new.zarr", "plain.zarr"),
         Case("info of a capture", "info capture", "capture"),
-        Case("a lost last frame", ESTIMATE, "15 images", remove("capture/images/image_0015.png")),
+        Case("a lost last frame", ESTIMATE, "31 images", remove("capture/images/image_0031.png")),
     ]
 
 

@@ -49,9 +49,11 @@ def _not_files() -> list[Case]:
     for name in ("patterns", "simulate", "relight png", "export npz"):
         command, ending = WRITERS[name]
         output = f"out{ending}"
-        put = both(device("node"), link(output, "node"))
+        linked = both(device("node"), link(output, "node"))
         cases.append(
-            Case(f"{name} over a link to a device", f"{command} {output} --overwrite", "out", put)
+            Case(
+                f"{name} over a link to a device", f"{command} {output} --overwrite", "out", linked
+            )
         )
     return cases
 

@@ -15,7 +15,7 @@ import zarr
 from scipy import sparse
 
 from ..checks import whole_matrix
-from ..work import PLAIN
+from ..work import TILED
 from ..zygote import run_command
 from .mutate import (
     BYTES,
@@ -105,7 +105,8 @@ def _capture(draw: Generator, folder: Path) -> str:
 
 
 def _images(draw: Generator, folder: Path) -> str:
-    pixels = np.arange(64, dtype=np.uint8).reshape(8, 8) * 4
+    # Noise, so that every bit of the file counts.
+    pixels = draw.integers(0, 256, (8, 8), dtype=np.uint8)
     kind = int(draw.integers(12))
     deep = pixels.astype(np.uint16) * 257
     colour = np.repeat(pixels[..., None], 3, axis=2)
@@ -217,7 +218,7 @@ def _whole(folder: Path, words: str) -> str | None:
     found = whole_matrix(folder / "new.zarr")
     if not np.isfinite(found).all():
         return "the estimate is not finite"
-    if _of_bytes(words) and not np.array_equal(found, whole_matrix(folder / "plain.zarr")):
+    if _of_bytes(words) and not np.array_equal(found, whole_matrix(folder / "dense.zarr")):
         return "a damaged tile was taken as it is"
     return None
 
@@ -262,9 +263,9 @@ SUBJECTS: dict[str, Subject] = {
         _finite,
     ),
     "partial": Subject(
-        ("capture", "plain.zarr"),
+        ("capture", "dense.zarr"),
         _partial,
-        (f"{PLAIN} -o new.zarr",),
+        (f"{TILED} -o new.zarr",),
         ("new.zarr", "new.zarr.partial"),
         _whole,
     ),
