@@ -160,9 +160,9 @@ def judge(case: Case, ran: Ran, before: Snapshot, after: Snapshot) -> tuple[Outc
     """What became of a case, and why."""
     accepted = ran.code == 0
     refused = ran.code in (REFUSED, OUT_OF_MEMORY)
+    may_make = not refused and (ran.code in case.codes or 0 in case.codes)
     allowed = tuple(
-        f"outer/work/{name}"
-        for name in (*case.leaves, *(case.made if ran.code in case.codes and not refused else ()))
+        f"outer/work/{name}" for name in (*case.leaves, *(case.made if may_make else ()))
     )
     changed, new = differences(before, after, allowed)
     words = ran.err.strip().splitlines()

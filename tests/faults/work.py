@@ -23,6 +23,9 @@ TILED = (
     "--tile-rows 8"
 )
 
+# Slow enough to be caught at work: tiles of one row, each on disk before the next.
+SLOWLY = "--no-coherent --solver admm --iterations 400 --tile-rows 1"
+
 _COMMANDS = (
     f"patterns bernoulli -k {COUNT} --size 8x8 -o patterns",
     "simulate T.npz --patterns patterns --seed 1 -o capture",
@@ -31,6 +34,7 @@ _COMMANDS = (
     "estimate capture -o scene.zarr",
     f"{PLAIN} -o plain.zarr",
     f"{TILED} -o dense.zarr",
+    f"estimate capture {SLOWLY} -o slow.zarr",
     "export plain.zarr plain.npz",
     # A T that is the identity, from one-pixel patterns that are their own photographs.
     "patterns onepixel --size 8x8 -o single",
@@ -43,8 +47,8 @@ def make_work(folder: Path) -> None:
     """Make the work folder.
 
     T.npz, patterns/, capture/, lit/ (with a black frame), scene.zarr, plain.zarr, plain.npz,
-    dense.zarr, one.zarr (the identity); photos/ and projected/ (the frames and patterns as a user
-    would have them), black.png, white.png, shown.png, holiday.jpg.
+    dense.zarr, slow.zarr, one.zarr (the identity); photos/ and projected/ (frames and patterns as
+    a user would have them), black.png, white.png, shown.png, holiday.jpg.
     """
     folder.mkdir(parents=True)
     write_truth(folder / "T.npz", matrix())

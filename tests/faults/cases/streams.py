@@ -250,6 +250,6 @@ def _interrupts() -> list[Case]:
 
 
 # What of the work folder its cases are given.
-NEEDS = "scene.zarr"
+NEEDS: tuple[str, ...] = ("scene.zarr",)
 
 CASES = [*_streams(), *_interrupts()]

@@ -14,11 +14,10 @@ from pathlib import Path
 from ..case import Case, Command, Ran, Scenario
 from ..checks import every, holds, same_matrix
 from ..put import copy, text
-from ..work import PLAIN
+from ..work import PLAIN, SLOWLY
 
-# Slow enough to be caught at work: tiles of one row, each on disk before the next.
-SLOW = "estimate capture --no-coherent --tile-rows 1 -o new.zarr"
-OTHER = "estimate lit --no-coherent --tile-rows 1 -o new.zarr"
+SLOW = f"estimate capture {SLOWLY} -o new.zarr"
+OTHER = f"estimate lit {SLOWLY} -o new.zarr"
 PARTIAL = "new.zarr.partial"
 # What a run is stopped at.
 TILES, ANYTHING = "tiles", "anything"
@@ -119,21 +118,21 @@ def _at_once(folder: Path, run: Command) -> Ran:
 
 
 def _either(folder: Path, ran: Ran) -> str | None:
-    mine = same_matrix("new.zarr", "plain.zarr")(folder, ran)
+    mine = same_matrix("new.zarr", "slow.zarr")(folder, ran)
     return mine and same_matrix("new.zarr", "lit.zarr")(folder, ran)
 
 
 def _of_lit(folder: Path) -> None:
     from ..zygote import run_command
 
-    run_command("estimate lit --no-coherent -o lit.zarr", folder)
+    run_command(f"estimate lit {SLOWLY} -o lit.zarr", folder)
 
 
-SAME = same_matrix("new.zarr", "plain.zarr")
+SAME = same_matrix("new.zarr", "slow.zarr")
 MADE = ("new.zarr", PARTIAL)
 
 # What of the work folder its cases are given.
-NEEDS = ("T.npz", "patterns", "capture", "lit", "plain.zarr", "scene.zarr")
+NEEDS = ("T.npz", "patterns", "capture", "lit", "slow.zarr", "scene.zarr")
 
 CASES = [
     Case(
