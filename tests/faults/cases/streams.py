@@ -16,6 +16,7 @@ INFO = "info scene.zarr"
 _SCRIPT = Path(sys.executable).with_name("lightmatrix")
 _INTERRUPTED = """
 import os, runpy, signal, sys, threading
+signal.signal(signal.SIGINT, signal.default_int_handler)
 threading.Timer(float(sys.argv[1]), os.kill, (os.getpid(), signal.SIGINT)).start()
 sys.argv[:] = sys.argv[2:]
 runpy.run_path(sys.argv[0], run_name="__main__")

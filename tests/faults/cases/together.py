@@ -23,7 +23,13 @@ PARTIAL = "new.zarr.partial"
 TILES, ANYTHING = "tiles", "anything"
 # A write that stops in the middle: many patterns.
 LONG = "patterns bernoulli -k 4000 --size 32x32 -o new"
-_RUN = "import sys; from lightmatrix.cli import main; sys.exit(main())"
+# Runs in the background of a shell ignore Ctrl-C, and what they start inherits that.
+_RUN = """
+import signal, sys
+signal.signal(signal.SIGINT, signal.default_int_handler)
+from lightmatrix.cli import main
+sys.exit(main())
+"""
 
 
 @contextmanager
@@ -45,7 +51,7 @@ def started(folder: Path, command: str) -> Iterator[subprocess.Popen[str]]:
 def _stopped_at_work(process: subprocess.Popen[str], folder: Path, sign: str) -> None:
     """Stop a run as soon as it has finished tiles, or anything new lies there."""
     before = set(_names(folder))
-    end = time.monotonic() + 30
+    end = time.monotonic() + 90
     while time.monotonic() < end and process.poll() is None:
         begun = len(_names(folder / PARTIAL)) > 5 if sign == TILES else set(_names(folder)) - before
         if begun:
