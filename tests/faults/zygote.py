@@ -10,6 +10,7 @@ import ctypes
 import io
 import os
 import resource
+import select
 import shlex
 import signal
 import sys
@@ -24,8 +25,6 @@ from .case import Limits, Ran, SkipError
 # Exit code of a child that let an exception out.
 _ESCAPED = 99
 _MOST_WORDS = 200_000
-# Where our own temporary files lie; those of commands have a folder a case.
-_WORDS = tempfile.gettempdir()
 
 
 def run_command(
@@ -55,36 +54,51 @@ def run_command(
         If the system cannot give the limits.
     """
     argv = shlex.split(words) if isinstance(words, str) else words
-    with tempfile.TemporaryFile(dir=_WORDS) as out, tempfile.TemporaryFile(dir=_WORDS) as err:
-        started = time.perf_counter()
-        child = os.fork()
-        if child == 0:
-            _child(argv, folder, out.fileno(), err.fileno(), limits or Limits(), before)
-        code = _wait(child, seconds)
-        passed = time.perf_counter() - started
-        for stream in (out, err):
-            stream.seek(0)
-        said = out.read(_MOST_WORDS).decode("utf-8", "replace")
-        words_err = err.read(_MOST_WORDS).decode("utf-8", "replace")
+    # Pipes, since limits on the size of files would hold for files of words too.
+    (out, to_out), (err, to_err) = os.pipe(), os.pipe()
+    started = time.perf_counter()
+    child = os.fork()
+    if child == 0:
+        _child(argv, folder, to_out, to_err, limits or Limits(), before)
+    os.close(to_out)
+    os.close(to_err)
+    try:
+        code, said, words_err = _wait(child, seconds, out, err)
+    finally:
+        os.close(out)
+        os.close(err)
+    passed = time.perf_counter() - started
     if code == _ESCAPED and words_err.startswith("skip: "):
         raise SkipError(words_err.removeprefix("skip: ").strip())
     return Ran(code, said, words_err, passed)
 
 
-def _wait(child: int, seconds: float) -> int | None:
-    """The exit code, negative for a signal; None if it had to be killed."""
+def _wait(child: int, seconds: float, out: int, err: int) -> tuple[int | None, str, str]:
+    """The exit code, negative for a signal, None if it had to be killed; and the words."""
     end = time.monotonic() + seconds
-    pause = 0.001
+    words: dict[int, list[bytes]] = {out: [], err: []}
+    open_ends = {out, err}
+    code: int | None = None
     while True:
+        ready, _, _ = select.select(list(open_ends), [], [], 0.02 if open_ends else 0.001)
+        for stream in ready:
+            piece = os.read(stream, 1 << 16)
+            if not piece:
+                open_ends.discard(stream)
+            elif sum(map(len, words[stream])) < _MOST_WORDS:
+                words[stream].append(piece)
+        if ready and time.monotonic() < end:
+            continue
         done, status = os.waitpid(child, os.WNOHANG)
         if done:
-            return os.waitstatus_to_exitcode(status)
+            code = os.waitstatus_to_exitcode(status)
+            break
         if time.monotonic() > end:
             os.kill(child, signal.SIGKILL)
             os.waitpid(child, 0)
-            return None
-        time.sleep(pause)
-        pause = min(0.02, pause * 1.5)
+            break
+    said, told = (b"".join(words[stream]).decode("utf-8", "replace") for stream in (out, err))
+    return code, said, told
 
 
 def _child(
