@@ -78,7 +78,7 @@ def _second_beside(second: str, sign: str = TILES) -> Scenario:
             first.send_signal(signal.SIGCONT)
             _, words = first.communicate(timeout=60)
             if first.returncode != 0:
-                return Ran(first.returncode, "", f"the first run: {words}")
+                return Ran(1, "", f"the first run ended with {first.returncode}: {words}")
             named = str(first.pid) in ran.err
         note = "" if named else " [the holder's process is not named]"
         return Ran(ran.code, ran.out, ran.err.replace("error: ", f"error:{note} ", 1), ran.seconds)
@@ -247,7 +247,7 @@ CASES = [
         "a replacement interrupted at work leaves the old",
         f"{LONG} --overwrite",
         code=0,
-        prepare=copy("patterns", ANYTHING),
+        prepare=copy("patterns", "new"),
         scenario=_killed(
             f"{LONG} --overwrite", "simulate T.npz --patterns new -o shown", ANYTHING, signal.SIGINT
         ),
