@@ -6,8 +6,8 @@ VENV := .venv
 BIN := $(VENV)/bin
 CORE := $(shell find crates -name '*.rs' -o -name Cargo.toml) Cargo.toml pyproject.toml
 
-.PHONY: help install demo test test-install lint types rust-test py-test format bench experiments \
-	system-deps clean
+.PHONY: help install demo test test-install lint types rust-test py-test fuzz faults format bench \
+	experiments system-deps clean
 
 help:
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 16
@@ -48,6 +48,13 @@ rust-test:
 
 py-test:
 	$(BIN)/python -m pytest
+
+faults: test-install ## the table of faults, counted by what became of each
+	$(BIN)/python -m tests.faults.table -v
+
+N := 20000
+fuzz: test-install ## N damaged inputs, 20,000 unless said: make fuzz N=500
+	$(BIN)/python -m tests.faults.fuzz --count $(N)
 
 format: test-install ## rewrite the sources in the house format
 	$(BIN)/ruff check --fix .
