@@ -16,6 +16,7 @@ FLOORS = [
     {
         "pattern_folder",
         "frames",
+        "frame_prediction",
         "frame_order",
         "capture",
         "capture_checks",
