@@ -1,21 +1,18 @@
 """How often frames out of order are noticed, and how often good captures are accused.
 
-    python benchmarks/frame_order.py [--scenes l_objects corner ...] [--counts 32 64 ...]
-        [--patterns "Bernoulli 0.5" ...] [--exposures one two three] [--seeds 1] [--intact 0]
-        [-o order.json]
+    python benchmarks/frame_order.py [--draws 50] [--seeds 2] [--intact 200] [-o order.json]
 
-Each of the bundled 64 x 64 scenes is photographed (8 bits, noise 0.003) under several pattern
-sets, at the exposure of the benchmark and at that of `plan`, with one exposure or several. Each
-capture is checked as it is, and with each of the faults below at a random place: once with the
-files renamed, which carries each file's exposure along, and, where exposures differ, once with the
-projector at fault, while the camera kept to its own list of exposures. `--intact 200` draws so many
-more captures in order, of all kinds of patterns, 12 to 256 frames, grey and in colour.
+Captures are drawn at random: one of the bundled 64 x 64 scenes, photographed (8 bits, noise 0.003)
+at the exposure of the benchmark or that of `plan`, with one exposure or several, under 32 to 128
+Bernoulli patterns or the default mix. Each is checked with four of the faults below, at random
+places. The files are renamed, which carries each file's exposure along, or, where exposures differ,
+the projector is at fault in one half of the cases and the camera keeps to its list of exposures.
+`--intact` draws captures in order, of all kinds of patterns, 12 to 256 frames, grey and in colour.
 """
 
 from __future__ import annotations
 
 import argparse
-import itertools
 import json
 from collections.abc import Iterator
 from pathlib import Path
@@ -59,6 +56,11 @@ def cameras(truth: library.Truth) -> dict[str, float]:
         "benchmark": float(1 / np.quantile(strongest, 0.8)),
         "planned": float(1 / np.quantile(white, 0.999)),
     }
+
+
+def exposure_list(name: str, unit: float, patterns: PatternSet) -> NDArray[np.float64]:
+    relative = of_frames(parse_exposures(EXPOSURES[name]), patterns)
+    return np.asarray(unit * np.broadcast_to(relative, (patterns.count,)))
 
 
 def faults(count: int, generator: np.random.Generator) -> Iterator[tuple[str, Order]]:
@@ -121,64 +123,57 @@ def right(fault: str, order: Order, said: str) -> bool:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--scenes", nargs="+", default=list(library.BUNDLED))
-    parser.add_argument("--counts", nargs="*", type=int, default=list(COUNTS))
-    parser.add_argument("--patterns", nargs="+", default=["Bernoulli 0.5"], choices=PATTERNS)
-    parser.add_argument("--exposures", nargs="+", default=list(EXPOSURES), choices=EXPOSURES)
-    parser.add_argument("--seeds", type=int, default=1)
-    parser.add_argument("--intact", type=int, default=0)
+    parser.add_argument("--draws", type=int, default=50, help="captures with faults, for each seed")
+    parser.add_argument("--seeds", type=int, default=2)
+    parser.add_argument("--intact", type=int, default=200, help="captures in order")
     parser.add_argument("-o", "--output", type=Path)
     options = parser.parse_args()
-    rows: list[dict[str, object]] = []
-    for name, count, kind, seed in itertools.product(
-        options.scenes, options.counts, options.patterns, range(options.seeds)
-    ):
-        truth = library.truth(name)
-        patterns = pattern_set(kind, count, seed)
-        light = irradiance(truth.matrix, patterns)
-        for exposures, (camera, unit) in itertools.product(
-            options.exposures, cameras(truth).items()
-        ):
-            several = parse_exposures(EXPOSURES[exposures])
-            exposure = unit * np.broadcast_to(of_frames(several, patterns), (count,))
-            generator = np.random.default_rng([seed, count, *f"{name} {camera}".encode()])
-            intact = [("in order", np.arange(count))]
-            for fault, order in [*intact, *faults(count, generator)]:
-                for renamed in (True,) if exposures == "one" or fault == "in order" else (1, 0):
-                    said = complaint(
-                        patterns,
-                        light,
-                        exposure,
-                        order,
-                        renamed=bool(renamed),
-                        shape=truth.camera_shape,
-                        seed=seed,
-                    )
-                    rows.append(
-                        {
-                            "scene": name,
-                            "camera": camera,
-                            "patterns": kind,
-                            "count": count,
-                            "exposures": exposures,
-                            "fault": fault,
-                            "renamed": bool(renamed),
-                            "noticed": said is not None,
-                            "right": said is not None and right(fault, order, said)
-                            if fault != "in order"
-                            else said is None,
-                            "said": said,
-                        }
-                    )
-    if rows:
-        print(table(rows))
-    if options.intact:
-        accused = [said for said in intact_captures(options.intact) if said is not None]
-        print(f"{len(accused)} of {options.intact} captures in order were accused")
-        for said in accused:
-            print(f"  {said}")
+    rows = [row for seed in range(options.seeds) for row in faulty_captures(options.draws, seed)]
+    print(table(rows))
+    accused = [said for said in intact_captures(options.intact) if said is not None]
+    print(f"{len(accused)} of {options.intact} captures in order were accused")
+    for said in accused:
+        print(f"  {said}")
     if options.output:
-        options.output.write_text(json.dumps({"rows": rows}, indent=2) + "\n")
+        options.output.write_text(json.dumps({"rows": rows, "accused": accused}, indent=2) + "\n")
+
+
+def faulty_captures(number: int, seed: int) -> Iterator[dict[str, object]]:
+    """What is said of captures out of order, drawn at random."""
+    generator = np.random.default_rng(1001 + seed)
+    for _ in range(number):
+        name = str(generator.choice(library.BUNDLED))
+        count = int(generator.choice(COUNTS))
+        exposures = str(generator.choice(list(EXPOSURES)))
+        camera = str(generator.choice(["benchmark", "planned"]))
+        draw = int(generator.integers(1000))
+        wrong = list(faults(count, generator))
+        for index in generator.permutation(len(wrong))[:4]:
+            fault, order = wrong[index]
+            renamed = exposures == "one" or bool(generator.integers(2))
+            mixed = count >= 64 and bool(generator.integers(2))
+            truth = library.truth(name)
+            patterns = pattern_set("mix" if mixed else "Bernoulli 0.5", count, draw)
+            said = complaint(
+                patterns,
+                irradiance(truth.matrix, patterns),
+                exposure_list(exposures, cameras(truth)[camera], patterns),
+                order,
+                renamed=renamed,
+                shape=truth.camera_shape,
+                seed=draw,
+            )
+            yield {
+                "scene": name,
+                "camera": camera,
+                "count": count,
+                "exposures": exposures,
+                "fault": fault,
+                "renamed": renamed,
+                "noticed": said is not None,
+                "right": said is not None and right(fault, order, said),
+                "said": said,
+            }
 
 
 def intact_captures(number: int) -> Iterator[str | None]:
@@ -192,8 +187,7 @@ def intact_captures(number: int) -> Iterator[str | None]:
         truth = library.truth(name)
         unit = float(generator.choice(list(cameras(truth).values())))
         patterns = pattern_set(kind, count, seed)
-        several = parse_exposures(EXPOSURES[exposures])
-        exposure = unit * np.broadcast_to(of_frames(several, patterns), (count,))
+        exposure = exposure_list(exposures, unit, patterns)
         light, shape = irradiance(truth.matrix, patterns), truth.camera_shape
         if generator.random() < 0.25:
             # Three channels of one surface, coloured at random.
@@ -206,26 +200,24 @@ def intact_captures(number: int) -> Iterator[str | None]:
 
 
 def table(rows: list[dict[str, object]]) -> str:
-    """Noticed (of them named right) / tried, by fault and by number of frames and exposures."""
-    keys = [(row["patterns"], row["exposures"], row["count"]) for row in rows]
-    columns = list(dict.fromkeys(keys))
-    names = list(dict.fromkeys((row["fault"], row["renamed"]) for row in rows))
+    """Tried, noticed and named rightly, by fault and by exposures and number of frames."""
+    columns = [(several, count) for several in (False, True) for count in COUNTS]
     lines = [
-        "| fault | " + " | ".join(f"{p}, {e}, {k}" for p, e, k in columns) + " |",
+        "| fault | " + " | ".join(f"{'several' if s else 'one'}, {k}" for s, k in columns) + " |",
         "|" + "---|" * (len(columns) + 1),
     ]
-    for fault, renamed in names:
+    for fault in dict.fromkeys(str(row["fault"]) for row in rows):
         cells = []
         for column in columns:
             some = [
                 row
-                for row, key in zip(rows, keys, strict=True)
-                if key == column and (row["fault"], row["renamed"]) == (fault, renamed)
+                for row in rows
+                if row["fault"] == fault and (row["exposures"] != "one", row["count"]) == column
             ]
             noticed = sum(bool(row["noticed"]) for row in some)
-            named = sum(bool(row["noticed"] and row["right"]) for row in some)
-            cells.append(f"{noticed} ({named}) / {len(some)}" if some else "")
-        lines.append(f"| {fault}{'' if renamed else ', shown'} | " + " | ".join(cells) + " |")
+            named = sum(bool(row["right"]) for row in some)
+            cells.append(f"{noticed} ({named}) of {len(some)}")
+        lines.append(f"| {fault} | " + " | ".join(cells) + " |")
     return "\n".join(lines)
 
 
