@@ -8,7 +8,7 @@ A lost frame displaces all later ones, so that few frames are left to explain a 
 frames displaced by one up to or from some place on, and frames in reverse, are assumed first, and
 pixels explained from the frames as the likeliest assumption has them.
 
-Diffuse scenes and very few patterns predict nothing, and then nothing is claimed.
+Diffuse scenes and very few patterns predict no frame, and then nothing is claimed.
 """
 
 from __future__ import annotations
@@ -45,6 +45,8 @@ _RUN_SUM = 2.5
 _SHORTEST_RUN = 3
 # No frame says more than this, for or against.
 _MOST_SAID = 1.5
+# Predictions that miss the usual frame by more than this share of its variance accuse none.
+_PREDICTED = 0.8
 _FEWEST_FRAMES = 12
 _MOST_ROWS = 200
 # Multiplications spent on predictions from one assumption; about a second.
@@ -101,7 +103,7 @@ def _complaint(patterns: PatternSet, rows: Rows, name: Callable[[int], str]) -> 
         other = prediction_misses(patterns, rows, guess, scale)
         gain = np.minimum(plain.own, other.own) - other.logarithms[frames, guess.order]
         gain[alike[frames, guess.order] | ~plain.telling] = 0
-        if _supported(gain, 0, count):
+        if _predictive(other, guess.order) and _supported(gain, 0, count):
             return "the images do not follow the patterns: the images follow the patterns backwards"
     for first in (guess, as_named):
         found = first and _displaced_run(patterns, rows, first, plain, alike, scale)
@@ -125,13 +127,14 @@ def _displaced_run(
         if not (assumption.order == frames).all():
             misses = prediction_misses(patterns, rows, assumption, scale)
         own = np.minimum(plain.own, misses.own)
+        predictive = _predictive(misses, assumption.order)
         best: tuple[float, int, int, int] = (0.0, 0, 0, 0)
         for step in (1, -1):
             shown = np.clip(frames + step, 0, patterns.count - 1)
             gain = own - misses.logarithms[frames, shown]
             gain[(shown == frames) | alike[frames, shown] | ~plain.telling] = 0
             start, stop = _richest_run(np.clip(gain, -_MOST_SAID, _MOST_SAID) - 0.1)
-            if _supported(gain, start, stop) or not last_look:
+            if not last_look or (predictive and _supported(gain, start, stop)):
                 best = max(best, (float(gain[start:stop].sum()), start, stop, step))
         _, start, stop, step = best
         if stop - start < _SHORTEST_RUN:
@@ -161,6 +164,12 @@ def _supported(gain: NDArray[np.float64], start: int, stop: int) -> bool:
     return len(some) >= _SHORTEST_RUN and some.mean() > _RUN_MEAN and some.sum() > _RUN_SUM
 
 
+def _predictive(misses: Misses, order: NDArray[np.int64]) -> bool:
+    """Whether most frames are met by the predictions for the patterns they are taken to show."""
+    met = misses.logarithms[np.arange(len(order)), order]
+    return bool(np.median(met[(order >= 0) & misses.telling]) < np.log(_PREDICTED))
+
+
 def _displaced_singly(
     patterns: PatternSet,
     rows: Rows,
@@ -179,6 +188,8 @@ def _displaced_singly(
     order = frames.copy()
     order[suspects] = -1
     misses = prediction_misses(patterns, rows, Assumption(order, frames), scale)
+    if not _predictive(misses, order):
+        return {}
     others = _others(misses, alike)
     own = np.minimum(plain.own, misses.own)
     nearest = others.argmin(axis=1)
