@@ -13,6 +13,7 @@ from lightmatrix.camera.levels import check_levels, of_frames
 from lightmatrix.camera.response import Response
 from lightmatrix.camera.samples import Samples
 from lightmatrix.errors import InputError
+from lightmatrix.reprs import short_repr
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,6 +52,8 @@ class Decoder:
     exposure: float | NDArray[Any] = 1.0
     black_frame: NDArray[Any] | None = None
     black_exposure: float | None = None
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         check_levels(self.clip, self.black_level, self.full_scale)

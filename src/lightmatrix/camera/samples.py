@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.errors import InputError
+from lightmatrix.reprs import short_repr
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,6 +33,8 @@ class Samples:
     clipped: NDArray[np.bool_]
     clip_level: NDArray[Any]
     weights: NDArray[Any] | None = None
+
+    __repr__ = short_repr
 
     @property
     def count(self) -> int:

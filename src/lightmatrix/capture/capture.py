@@ -39,6 +39,7 @@ from lightmatrix.capture.frames import ArrayStack, Frames
 from lightmatrix.capture.order import check_order
 from lightmatrix.errors import InputError
 from lightmatrix.patterns.pattern_set import PatternSet
+from lightmatrix.reprs import html_table
 
 # Raw frames up to this size are held in memory, larger ones in a temporary file.
 _MEMORY_BYTES = 2 << 30
@@ -78,6 +79,28 @@ class Capture:
     bin_projector: tuple[int, int] = (1, 1)
     bin_camera: tuple[int, int] = (1, 1)
     provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        return f"Capture({', '.join(f'{name}={value}' for name, value in self._told.items())})"
+
+    def _repr_html_(self) -> str:
+        return html_table("Capture", self._told)
+
+    @property
+    def _told(self) -> dict[str, Any]:
+        """What is said of a capture in one line; decodes nothing."""
+        exposures = np.unique(self.exposures)
+        told: dict[str, Any] = {
+            "frames": self.count,
+            "camera": " x ".join(map(str, self.camera_shape)),
+            "projector": " x ".join(map(str, self.projector_shape)),
+            "patterns": type(self.patterns).__name__,
+            "levels": str(self.frames.dtype),
+            "exposure": ", ".join(f"{exposure:g}" for exposure in exposures[:4]),
+        }
+        if len(exposures) > 4:
+            told["exposure"] += f" and {len(exposures) - 4} more"
+        return told
 
     def __post_init__(self) -> None:
         if self.patterns.count != self.frames.count:

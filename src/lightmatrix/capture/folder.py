@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import warnings
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -230,6 +230,7 @@ def write_capture(
     black: NDArray[Any] | None = None,
     black_exposure: float | None = None,
     provenance: Mapping[str, Any] | None = None,
+    beside: Callable[[Path], None] | None = None,
     overwrite: bool = False,
 ) -> None:
     """Write a capture folder, whole or not at all.
@@ -252,6 +253,8 @@ def write_capture(
         Its exposure; None means that of the frames, which must then be one.
     provenance : mapping, optional
         What made the capture, JSON-ready.
+    beside : callable, optional
+        Given the folder before it is whole, writes what else belongs into it.
     overwrite : bool
         Whether an existing capture may be replaced.
 
@@ -300,6 +303,8 @@ def write_capture(
                 content["black"]["exposure"] = black_exposure
         text = json.dumps(content, indent=2, default=jsonable)
         (part / DESCRIPTION).write_text(text + "\n")
+        if beside is not None:
+            beside(part)
 
 
 def jsonable(value: Any) -> Any:

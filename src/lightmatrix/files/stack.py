@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from lightmatrix.errors import InputError
 from lightmatrix.files import png16
 from lightmatrix.files.images import FORMATS, READABLE, read_image
+from lightmatrix.reprs import short_repr
 
 
 def list_images(folder: str | Path) -> list[Path]:
@@ -91,6 +92,8 @@ class ImageStack:
     paths: tuple[Path, ...]
     shape: tuple[int, ...]
     dtype: np.dtype[Any]
+
+    __repr__ = short_repr
 
     @classmethod
     def open(cls, source: str | Path | Sequence[Path]) -> ImageStack:

@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from lightmatrix import _core
 from lightmatrix.errors import InputError
 from lightmatrix.patterns.pattern_set import PatternSet, check_geometry
+from lightmatrix.ranges import check_seed
+from lightmatrix.reprs import short_repr
 
 # Bernoulli patterns up to this size are also kept as floats once many rows are multiplied.
 _DENSE_BYTES = 128 << 20
@@ -76,6 +78,8 @@ class BitPatterns(PackedPatterns):
     shape: tuple[int, int]
     bits: NDArray[np.uint8]
 
+    __repr__ = short_repr
+
     def __post_init__(self) -> None:
         check_geometry(self.shape, self.count)
         if self.bits.ndim != 2 or self.bits.shape[1] != (self.pixels + 7) // 8:
@@ -118,6 +122,7 @@ class BernoulliPatterns(PackedPatterns):
 
     def __post_init__(self) -> None:
         check_geometry(self.shape, self.count)
+        check_seed(self.seed)
         if not 0 < self.density < 1:
             raise InputError(
                 f"a density of {self.density}", hint="use a share between 0 and 1, such as 0.5"

@@ -17,6 +17,7 @@ from scipy.sparse import csr_array
 
 from lightmatrix.errors import InputError
 from lightmatrix.files.outputs import atomic_file
+from lightmatrix.reprs import short_repr
 from lightmatrix.transport.matrix import LightTransport
 
 FORMAT_VERSION = 1
@@ -43,6 +44,8 @@ class Truth:
     camera_shape: tuple[int, ...]
     projector_shape: tuple[int, int]
     metadata: Mapping[str, Any] = field(default_factory=dict)
+
+    __repr__ = short_repr
 
     @property
     def direct(self) -> csr_array:

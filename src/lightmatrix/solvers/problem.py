@@ -13,6 +13,7 @@ from scipy.sparse import csr_array
 from lightmatrix.camera.samples import Samples
 from lightmatrix.errors import InputError
 from lightmatrix.patterns.pattern_set import PatternSet
+from lightmatrix.reprs import short_repr
 
 
 class Fidelity(StrEnum):
@@ -91,6 +92,8 @@ class Problem:
     nonnegative: bool = True
     background: bool = True
     edge_noise: float = 0.02
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         self.samples.check(self.patterns.count)
