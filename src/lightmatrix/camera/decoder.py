@@ -43,6 +43,13 @@ class Decoder:
     ------
     InputError
         On levels out of range, or a black frame without exposure where the frames' differ.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> samples = lm.Decoder(clip=255, full_scale=255).decode(np.array([[0, 51, 255]], np.uint8))
+    >>> samples.values.tolist(), samples.clipped.tolist()
+    ([[0.0, 0.20000000298023224, 1.0]], [[False, False, True]])
     """
 
     clip: float | NDArray[Any]

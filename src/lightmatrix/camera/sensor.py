@@ -54,6 +54,12 @@ class Sensor:
     ------
     InputError
         On values out of range.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> lm.Sensor(exposure=2.0, bits=8).expose(np.array([[0.1, 0.25, 0.9]]))
+    array([[ 51, 128, 255]], dtype=uint8)
     """
 
     exposure: float | NDArray[Any] = 1.0

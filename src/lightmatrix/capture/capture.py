@@ -70,6 +70,14 @@ class Capture:
     ------
     InputError
         If the numbers of patterns and frames differ.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> patterns, camera = lm.BernoulliPatterns((8, 8), 16), lm.Sensor()
+    >>> frames = np.random.default_rng(0).integers(0, 255, (16, 6, 5)).astype(np.uint8)
+    >>> lm.Capture.from_arrays(patterns, frames, camera).bin(camera=2).camera_shape
+    (3, 3)
     """
 
     patterns: PatternSet

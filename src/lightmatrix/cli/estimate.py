@@ -12,7 +12,6 @@ import lightmatrix as lm
 from lightmatrix.cli.options import (
     ADMM_ITERATIONS,
     COHERENT_UP_TO,
-    MOST_ITERATIONS,
     PASSES,
     Clip,
     Json,
@@ -94,8 +93,6 @@ def estimate(
         typer.Option(
             help="Most iterations (rounds for romp, passes for active-set).",
             min=1,
-            max=MOST_ITERATIONS,
-            metavar="INTEGER",
             show_default=f"{PASSES}; {ADMM_ITERATIONS} for both ADMMs, "
             "as many as its non-zeros for romp",
         ),

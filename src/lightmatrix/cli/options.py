@@ -9,7 +9,6 @@ from typing import Annotated
 import typer
 
 from lightmatrix.errors import InputError
-from lightmatrix.ranges import LARGEST_SEED
 
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace an output that exists.")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")]
@@ -25,9 +24,7 @@ ResponseCurve = Annotated[
         "--response", help="linear, gamma:2.2, srgb or curve:FILE.", show_default="linear"
     ),
 ]
-Seed = Annotated[
-    int, typer.Option(help="Seed of everything random.", min=0, max=LARGEST_SEED, metavar="INTEGER")
-]
+Seed = Annotated[int, typer.Option(help="Seed of everything random.", min=0)]
 Store = Annotated[
     Path, typer.Argument(metavar="SCENE.zarr", help="A store made by `estimate`, or a T.npz.")
 ]
@@ -37,7 +34,6 @@ Store = Annotated[
 USUAL_NOISE = 0.003
 USUAL_COUNT = 256
 USUAL_SAMPLES = 16_384
-MOST_ITERATIONS = 1_000_000_000
 EXPOSURES_EXAMPLE = "1:0.75,0.25:0.25"
 MIX_EXAMPLE = "fine:0.75,32x32:0.125,8x8:0.125"
 FEWEST_MIXED = 64

@@ -46,6 +46,13 @@ def read_image(path: str | Path) -> NDArray[Any]:
     ------
     InputError
         If the file is missing, a folder, empty, truncated, not an image, not 2-D, or not finite.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> lm.write_image("image.png", np.eye(3, dtype=np.uint8))
+    >>> lm.read_image("image.png")[0]
+    array([1, 0, 0], dtype=uint8)
     """
     file = Path(path)
     _check_file(file)
@@ -79,6 +86,13 @@ def read_grey(path: str | Path) -> NDArray[np.float32]:
     ------
     InputError
         As for `read_image`, and for coloured images or float values outside [0, 1].
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> lm.write_image("grey.png", np.array([[0, 51, 255]], np.uint8))
+    >>> lm.read_grey("grey.png")
+    array([[0. , 0.2, 1. ]], dtype=float32)
     """
     image = read_image(path)
     if image.ndim == 3:
@@ -121,6 +135,13 @@ def write_image(
         If the image is not an image or not finite.
     OutputError
         If the file exists, has another ending or cannot be written.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> lm.write_image("half.png", np.full((2, 2), 0.5))
+    >>> lm.read_image("half.png")[0]
+    array([128, 128], dtype=uint8)
     """
     check_output(path, overwrite=overwrite, suffixes=WRITABLE)
     with atomic_file(path, overwrite=overwrite) as part:

@@ -73,6 +73,13 @@ class BitPatterns(PackedPatterns):
         Projector rows and columns.
     bits : (K, ceil(N / 8)) uint8
         Lit pixels, least significant bit first.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> lm.BitPatterns((2, 4), np.array([[0b00001111], [0b01010101]], np.uint8)).images()[0]
+    array([[1., 1., 1., 1.],
+           [0., 0., 0., 0.]], dtype=float32)
     """
 
     shape: tuple[int, int]
@@ -113,6 +120,13 @@ class BernoulliPatterns(PackedPatterns):
         Probability that a pixel is lit, in (0, 1).
     seed : int
         Seed of the draw; the same seed gives the same patterns on every machine.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> patterns = lm.BernoulliPatterns((16, 24), count=32)
+    >>> patterns.images().shape, patterns.pixels
+    ((32, 16, 24), 384)
     """
 
     shape: tuple[int, int]

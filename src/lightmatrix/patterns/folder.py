@@ -34,6 +34,11 @@ def write_patterns(folder: str | Path, patterns: PatternSet, *, overwrite: bool 
     ------
     OutputError
         If the folder exists, is not one of ours, or cannot be written.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> lm.write_patterns("written", lm.BernoulliPatterns((8, 8), 4))
     """
     with atomic_folder(folder, overwrite=overwrite) as part:
         fill_pattern_folder(part, patterns)
@@ -63,6 +68,13 @@ def read_patterns(folder: str | Path) -> PatternSet:
     ------
     InputError
         On images that cannot be read or differ in size, or a damaged patterns.json.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> lm.write_patterns("patterns", lm.BernoulliPatterns((8, 8), 4))
+    >>> lm.read_patterns("patterns")
+    BernoulliPatterns(shape=(8, 8), count=4, density=0.5, seed=0)
     """
     place = Path(folder)
     paths = list_images(place)

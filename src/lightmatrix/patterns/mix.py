@@ -56,6 +56,13 @@ class MixedPatterns(PackedPatterns):
     ------
     InputError
         On grids larger than the projector or given twice, and shares that do not sum to 1.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> mix = (((16, 16), 0.75), ((4, 4), 0.25))
+    >>> lm.MixedPatterns((16, 16), count=8, mix=mix).kinds
+    array([0, 0, 1, 0, 0, 0, 1, 0])
     """
 
     shape: tuple[int, int]

@@ -40,6 +40,13 @@ class PatternSet(ABC):
         Projector rows and columns; N = rows * cols.
     count : int
         Number of patterns K.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> patterns = lm.BernoulliPatterns((8, 8), 4)
+    >>> isinstance(patterns, lm.PatternSet), patterns.forward(np.ones((1, 64))).shape
+    (True, (1, 4))
     """
 
     shape: tuple[int, int]
@@ -169,6 +176,12 @@ class ImagePatterns(PatternSet):
     ----------
     stack : (K, rows, cols) float
         Grey values in [0, 1].
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> lm.ImagePatterns(np.linspace(0, 1, 24).reshape(2, 3, 4))
+    ImagePatterns(stack=<2 x 3 x 4 float32>)
     """
 
     stack: NDArray[np.float32]

@@ -256,12 +256,14 @@ def show_gaps(transport: LightTransport) -> Picture:
 def _faint(image: NDArray[Any], title: str) -> Picture:
     """An image of one bright spot and faint light, with the scale of its colours."""
     # Negative light, which some estimates allow, is as dark as none.
-    norm = PowerNorm(_FAINT, 0, max(float(image.max()), 1e-12), clip=True)
+    brightest = max(float(image.max()), 1e-12)
+    norm = PowerNorm(_FAINT, 0, brightest, clip=True)
     with mpl.rc_context(STYLE):
         drawing = Picture(figsize=(4.6, 3.6), layout="constrained")
         axes = drawing.subplots()
         drawn = panel(axes, image, title, cmap="inferno", norm=norm, vmin=None, vmax=None)
-        drawing.colorbar(drawn, ax=axes, label=_UNIT)
+        ticks = [share * brightest for share in (0, 0.01, 0.05, 0.2, 0.5, 1)]
+        drawing.colorbar(drawn, ax=axes, label=_UNIT, ticks=ticks, format="%.2g")
     return drawing
 
 

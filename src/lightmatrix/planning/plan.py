@@ -91,6 +91,13 @@ class Advice:
         Errors measured with this and with other numbers of frames.
     commands : tuple of str
         What to type.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> advice = lm.plan("metal", size=(64, 64), error=0.02)
+    >>> advice.frames, advice.exposure, advice.make_patterns().count
+    (64, 0.239, 64)
     """
 
     source: str

@@ -38,6 +38,15 @@ class SimulatedCapture(Capture):
         neither binned nor under the room's light.
     sensor : Sensor
         The camera that took the frames.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> capture = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 8), leak=0.1)
+    >>> white = np.ones((64, 64))
+    >>> shown = capture.truth.transport().relight(white).sum()
+    >>> round(float(shown / lm.truth("metal").transport().relight(white).sum()), 3)
+    0.9
     """
 
     truth: Truth = field(kw_only=True)

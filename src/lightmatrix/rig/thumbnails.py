@@ -48,6 +48,11 @@ def write_thumbnails(
     """Write NAME.png for every scene and a list, scenes.json.
 
     Without the renderer the bundled scenes are drawn from their matrices, at 64 x 64.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> paths = lm.write_thumbnails("thumbnails")  # doctest: +SKIP
     """
     written = []
     with atomic_folder(folder, overwrite=overwrite) as temporary:

@@ -33,6 +33,12 @@ class Fidelity(StrEnum):
     ``rejection`` is Laska et al. 2009, ``likelihood`` is the probability that a sample with noise
     of standard deviation s clips (Banerjee et al. 2021), Phi the normal distribution function, in
     the unit in which (y - u)^2 / 2 is that of the others. For s to 0 it becomes ``one-sided``.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> lm.ActiveSet(lm.Fidelity.REJECTION).fidelity.convex
+    True
     """
 
     LINEAR = "linear"
@@ -84,6 +90,16 @@ class Problem:
     ------
     InputError
         On mismatched shapes, samples that are not finite, or values out of range.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> patterns = lm.BernoulliPatterns((4, 4), 24)
+    >>> lit = np.eye(16)[[5]]
+    >>> values = patterns.forward(lit)
+    >>> samples = lm.Samples(values, values > 2, np.full(24, 2.0))
+    >>> lm.Problem(patterns, samples, regularization=0.01).rows
+    1
     """
 
     patterns: PatternSet
@@ -149,6 +165,17 @@ class Result:
         The worst over the rows.
     history : dict of str to list of float
         Per-iteration residuals or counts, for plots; empty if the solver keeps none.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> patterns = lm.BernoulliPatterns((4, 4), 24)
+    >>> lit = np.eye(16)[[5]]
+    >>> values = patterns.forward(lit)
+    >>> samples = lm.Samples(values, values > 2, np.full(24, 2.0))
+    >>> result = lm.solve(lm.Problem(patterns, samples, regularization=0.01), lm.ActiveSet())
+    >>> result.converged
+    array([ True])
     """
 
     coefficients: csr_array

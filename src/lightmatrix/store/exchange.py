@@ -35,6 +35,11 @@ def export(
     ------
     OutputError
         If the file exists, ends otherwise, or cannot be written.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> lm.export("T_of_metal.npz", lm.truth("metal").transport())
     """
     target = check_output(path, overwrite=overwrite, suffixes=(".npz", ".mat"))
     write = export_mat if target.suffix.lower() == ".mat" else export_npz

@@ -43,6 +43,11 @@ def save(path: str | Path, transport: LightTransport, *, overwrite: bool = False
     ------
     OutputError
         If it exists, ends otherwise, or cannot be written.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> lm.save("saved.zarr", lm.truth("metal").transport())
     """
     check_output(path, overwrite=overwrite, suffixes=(SUFFIX,))
     with atomic_folder(path, overwrite=overwrite) as part:

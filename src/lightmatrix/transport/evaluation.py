@@ -42,6 +42,13 @@ class Errors:
         The same errors over the rows that do not clip under a single projector pixel.
     relative_error_diffuse, relighting_error_diffuse : float
         The same errors over diffuse rows.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> known = lm.truth("metal")
+    >>> lm.evaluate(known.transport(), known).relative_error
+    0.0
     """
 
     exposure: float

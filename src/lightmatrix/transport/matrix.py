@@ -48,6 +48,17 @@ class LightTransport:
     ------
     InputError
         On shapes that do not match.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> transport = lm.truth("metal").transport()
+    >>> stripes = np.zeros(transport.projector_shape)
+    >>> stripes[:, ::8] = 1
+    >>> transport.relight(stripes).shape, transport.dual(np.ones((64, 64))).shape
+    ((64, 64), (64, 64))
+    >>> transport.row(20, 30).shape, transport.column(10, 10).shape
+    ((64, 64), (64, 64))
     """
 
     sparse: csr_array
