@@ -41,10 +41,11 @@ class AutoEstimator:
     Examples
     --------
     >>> import lightmatrix as lm
-    >>> lm.AutoEstimator(solver="romp").estimator(
-    ...     lm.simulate("metal", lm.BernoulliPatterns((64, 64), 8))
-    ... ).solver
-    ROMP(fidelity=<Fidelity.REJECTION: 'rejection'>, max_iterations=None, threshold=2.5)
+    >>> capture = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 8))
+    >>> type(lm.AutoEstimator().estimator(capture)).__name__
+    'CoherentEstimator'
+    >>> type(lm.AutoEstimator(solver="romp").estimator(capture)).__name__
+    'PlainEstimator'
     """
 
     solver: str = "active-set"

@@ -97,7 +97,7 @@ class Advice:
     >>> import lightmatrix as lm
     >>> advice = lm.plan("metal", size=(64, 64), error=0.02)
     >>> advice.frames, advice.exposure, advice.make_patterns().count
-    (64, 0.239, 64)
+    (128, '0.529:0.5,0.132:0.5', 128)
     """
 
     source: str
@@ -227,9 +227,10 @@ def plan(
     Advice
       projector                  64 x 64
       patterns                   32, random, all fine, 50 % lit
-      exposure 0.239             32 frames, 0.0 % of their samples will clip
-      error to expect, plain     0.131 to 0.253
-      error to expect, coherent  0.013 to 0.037
+      exposure 0.529             16 frames, 3.6 % of their samples will clip
+      exposure 0.132             16 frames, 0.0 % of their samples will clip
+      error to expect, plain     0.206 to 0.354
+      error to expect, coherent  0.011 to 0.032
     >>> capture = lm.simulate("metal", advice.make_patterns(), exposure=advice.exposure)
     """
     if not 0 < error < 1:

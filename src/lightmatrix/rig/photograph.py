@@ -177,7 +177,7 @@ def simulate(
     check_seed(seed)
     exposures = parse_exposures(exposure if isinstance(exposure, str) else repr(float(exposure)))
     shown = patterns if isinstance(patterns, PatternSet) else read_patterns(patterns)
-    sensor = Sensor(of_frames(exposures, shown), black_level, noise, shot_noise, bits)
+    sensor = Sensor(of_frames(exposures, shown), float(black_level), noise, shot_noise, bits)
     realism.check_realism(shown.shape, blur=blur, vignetting=vignetting, leak=leak, ambient=ambient)
     truth = library.truth(scene, shown.shape, progress=progress)
     truth = realism.vignetting(realism.defocus(truth, blur), vignetting)

@@ -45,7 +45,7 @@ class Truth:
     >>> 0 < known.direct_data.sum() < known.matrix.sum()
     np.True_
     >>> known.save("T.npz")
-    >>> lm.Truth.load("T.npz").camera_shape
+    >>> lm.truth("T.npz").camera_shape
     (64, 64)
     """
 

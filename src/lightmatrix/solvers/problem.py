@@ -186,3 +186,5 @@ class Result:
     gap: NDArray[np.float64]
     status: Status
     history: dict[str, list[float]] = field(default_factory=dict)
+
+    __repr__ = short_repr

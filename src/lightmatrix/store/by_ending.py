@@ -30,7 +30,7 @@ def open(path: str | Path) -> LightTransport:
     >>> import lightmatrix as lm
     >>> lm.save("scene.zarr", lm.truth("metal").transport())
     >>> lm.open("scene.zarr")
-    LightTransport(camera 64 x 64, projector 64 x 64, 352862 entries, metal)
+    LightTransport(camera 64 x 64, projector 64 x 64, 1922182 entries, metal)
     """
     if Path(path).suffix.lower() == ".npz":
         return exchange.import_npz(path)
