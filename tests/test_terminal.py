@@ -19,6 +19,7 @@ from lightmatrix import cli
 from lightmatrix.cli import info as info_module
 from lightmatrix.cli import main
 from lightmatrix.estimators import plain
+from lightmatrix.rig.procedural import ProceduralScene
 
 COMMAND = str(Path(sys.executable).with_name("lightmatrix"))
 
@@ -40,6 +41,19 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ),
     )  # fmt: skip
     return path
+
+
+@pytest.fixture(scope="module")
+def inputs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What every command needs, so that nothing but its numbers is wrong."""
+    folder = tmp_path_factory.mktemp("inputs")
+    known = ProceduralScene((6, 6), (64, 64)).truth()
+    patterns = lm.BernoulliPatterns((64, 64), 2)
+    lm.write_patterns(folder / "p", patterns)
+    lm.write_image(folder / "p.png", np.zeros((64, 64), np.uint8))
+    lm.simulate(known, patterns).save(folder / "capture")
+    lm.save(folder / "s.zarr", known.transport())
+    return folder
 
 
 def _shell(line: str, **settings: str) -> subprocess.CompletedProcess[bytes]:
@@ -209,12 +223,12 @@ def test_every_end_has_one_message_and_a_code(
     ],
 )
 def test_numbers_out_of_range_leave_nothing_behind(
-    line: str, capsys: pytest.CaptureFixture[str]
+    line: str,
+    inputs: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    lm.write_patterns("p", lm.BernoulliPatterns((64, 64), 2))
-    lm.write_image("p.png", np.zeros((64, 64), np.uint8))
-    lm.simulate("metal", lm.BernoulliPatterns((64, 64), 2)).save("capture")
-    lm.save("s.zarr", lm.truth("metal").transport())
+    monkeypatch.chdir(inputs)
     before = {path.name for path in Path().iterdir()}
     assert main(line.split()) == 2
     told = capsys.readouterr().err

@@ -50,5 +50,6 @@ def _open_standard_streams() -> None:
     """
     for number, name in enumerate(("stdin", "stdout", "stderr")):
         if getattr(sys, name) is None:
-            stream = open(os.devnull, "r" if number == 0 else "w")
+            # Open as long as the program runs.
+            stream = open(os.devnull, "r" if number == 0 else "w")  # noqa: SIM115
             setattr(sys, name, stream)

@@ -28,7 +28,7 @@ from rich.text import Text
 from lightmatrix.reprs import shown_value
 
 # What would move the cursor or change colours; tabs and ends of lines are fine.
-_CONTROLS = {code: "\N{REPLACEMENT CHARACTER}" for code in (*range(9), *range(11, 32), 127)}
+_CONTROLS = dict.fromkeys((*range(9), *range(11, 32), 127), "\N{REPLACEMENT CHARACTER}")
 
 
 class Stopped(KeyboardInterrupt):

@@ -23,6 +23,7 @@ from lightmatrix.planning.advice import (
     WhiteFrame,
     advise_density,
     advise_exposures,
+    check_camera,
     clipped_share,
     single_clipped_share,
 )
@@ -237,6 +238,7 @@ def plan(
         raise InputError(f"an error of {error}", hint="use a relative error, such as 0.05")
     if frames is not None and not 2 <= frames <= 1_000_000:
         raise InputError(f"{frames} frames", hint="use 2 to 1000000")
+    check_camera(noise, shortest)
     simulated = isinstance(white, Truth) or str(white).endswith(".npz") or str(white) in names()
     if isinstance(white, WhiteFrame):
         frame, projector = white, size or USUAL_SIZE
