@@ -86,7 +86,7 @@ def test_nothing_dumps_its_arrays() -> None:
     result = lm.solve(
         lm.Problem(capture.patterns, capture.samples(0, 4), 0.1), lm.ROMP(max_iterations=1)
     )
-    patterns = lm.ImagePatterns(np.zeros((2, 40, 50)))
+    patterns = lm.ImagePatterns(np.zeros((2, 40, 50), np.float32))
     things = [capture, capture.truth, capture.sensor, capture.decoder, capture.samples()]
     things += [transport, patterns, result, lm.Problem(capture.patterns, capture.samples(), 0.1)]
     things += [lm.BlockPatterns((64, 64), (8, 8), np.arange(40)), capture.frames]
@@ -172,7 +172,7 @@ def test_a_chosen_estimator_is_the_one_that_was_asked_for() -> None:
     few = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 8))
     assert isinstance(lm.AutoEstimator().estimator(few), lm.CoherentEstimator)
     for settings in ({"coherent": False}, {"signed": True}, {"solver": "romp"}):
-        assert isinstance(lm.AutoEstimator(**settings).estimator(few), lm.PlainEstimator)  # type: ignore[arg-type]
+        assert isinstance(lm.AutoEstimator(**settings).estimator(few), lm.PlainEstimator)
     scaled = lm.AutoEstimator(multi_scale=True).estimator(few)
     assert isinstance(scaled, lm.MultiScaleEstimator)
     many = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 257))

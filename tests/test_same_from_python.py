@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import pytest
@@ -281,7 +281,7 @@ def test_what_runs_long_is_passed_on_as_it_was_said(
         asked.append(options)
         return {"rows": [1, float("nan")]}
 
-    monkeypatch.setattr(run.demo_report, "run", stand_in)
+    monkeypatch.setattr("lightmatrix.experiments.demo.run", stand_in)
     monkeypatch.setitem(run.EXPERIMENTS, "fig4", stand_in)
     words = "demo" if command == "demo" else "experiment fig4 --quick"
     told = _run(f"{words} -o {tmp_path}/shown", capsys)
@@ -314,7 +314,7 @@ def test_help_texts_say_what_the_code_does() -> None:
     assert lm.SaturationADMM().max_iterations == options.ADMM_ITERATIONS
     assert options.size(options.USUAL_SIZE) == USUAL_SIZE
     assert estimate_command.PARTIAL == PARTIAL
-    assert set(estimate_command.SolverName.__args__) == set(auto.SOLVERS)
-    assert set(estimate_command.FidelityName.__args__) == set(lm.Fidelity)
-    assert set(patterns_command.Kind.__args__) == set(making.KINDS)
-    assert set(experiment_command.Figure.__args__) == set(run.EXPERIMENTS)
+    assert set(get_args(estimate_command.SolverName)) == set(auto.SOLVERS)
+    assert set(get_args(estimate_command.FidelityName)) == set(lm.Fidelity)
+    assert set(get_args(patterns_command.Kind)) == set(making.KINDS)
+    assert set(get_args(experiment_command.Figure)) == set(run.EXPERIMENTS)
