@@ -25,15 +25,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lightmatrix.cli import experiment, main
+from lightmatrix.cli import main
 from lightmatrix.errors import LightMatrixError, LightMatrixWarning, OutputError
+from lightmatrix.experiments import run
 from lightmatrix.experiments.harness import Experiment, Measured
 from lightmatrix.files import outputs, scratch, targets
-from lightmatrix.files.images import IMAGE, read_image, write_image
+from lightmatrix.files.kinds import IMAGE, MAT, NPZ, read_image, write_image
 from lightmatrix.files.markers import FileKind, FolderKind, OutputKind
 from lightmatrix.files.outputs import atomic_file, atomic_folder, check_output, claimed
 from lightmatrix.files.running import RunningFolder
-from lightmatrix.store.exchange import MAT, NPZ
 
 CAPTURE = FolderKind("capture")
 TEXT = FileKind("text", (), lambda file: file.read_text().startswith("ours"))
@@ -245,7 +245,6 @@ KILLED = """
 import os, signal, sys
 from pathlib import Path
 from lightmatrix.files import outputs
-from lightmatrix.experiments.harness import Experiment, Measured
 from lightmatrix.files.markers import FileKind, FolderKind
 
 folder, mode = Path(sys.argv[1]), sys.argv[2]
@@ -396,7 +395,6 @@ def test_endings_in_capitals(tmp_path: Path) -> None:
 
 HOLDER = """
 import sys
-from lightmatrix.experiments.harness import Experiment, Measured
 from lightmatrix.files.markers import FolderKind
 from lightmatrix.files.outputs import claimed
 with claimed(sys.argv[1], FolderKind("capture")):
@@ -542,7 +540,7 @@ def test_experiments_touch_nothing_but_their_own(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(experiment, "EXPERIMENTS", dict.fromkeys(experiment.Figure, DRAWN))
+    monkeypatch.setattr(run, "EXPERIMENTS", dict.fromkeys(run.EXPERIMENTS, DRAWN))
     Path("out.cases").mkdir()
     Path("out.cases/mine").touch()
     assert main(["experiment", "fig4", "-o", "out"]) == 2

@@ -13,6 +13,7 @@ from lightmatrix.camera.levels import check_levels, of_frames
 from lightmatrix.camera.response import Response
 from lightmatrix.camera.samples import Samples
 from lightmatrix.errors import InputError
+from lightmatrix.reprs import short_repr
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +45,13 @@ class Decoder:
     ------
     InputError
         On levels out of range, or a black frame without exposure where the frames' differ.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> samples = lm.Decoder(clip=255, full_scale=255).decode(np.array([[0, 51, 255]], np.uint8))
+    >>> samples.values.tolist(), samples.clipped.tolist()
+    ([[0.0, 0.20000000298023224, 1.0]], [[False, False, True]])
     """
 
     clip: float | NDArray[Any]
@@ -54,6 +62,8 @@ class Decoder:
     black_frame: NDArray[Any] | None = None
     black_exposure: float | None = None
     clip_assumed: bool = False
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         check_levels(self.clip, self.black_level, self.full_scale)

@@ -28,6 +28,12 @@ class Response:
         straight in between. None for the linear response.
     name : str
         As given to `parse`.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> lm.Response.parse("gamma:2.2").name
+    'gamma:2.2'
     """
 
     levels: NDArray[np.float64] | None = None

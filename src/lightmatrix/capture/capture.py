@@ -39,6 +39,7 @@ from lightmatrix.capture.order import check_order
 from lightmatrix.capture.reader import Reader
 from lightmatrix.errors import InputError
 from lightmatrix.patterns.pattern_set import PatternSet
+from lightmatrix.reprs import html_table
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,6 +67,14 @@ class Capture:
     ------
     InputError
         If the numbers of patterns and frames differ.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> patterns, camera = lm.BernoulliPatterns((8, 8), 16), lm.Sensor()
+    >>> frames = np.random.default_rng(0).integers(0, 255, (16, 6, 5)).astype(np.uint8)
+    >>> lm.Capture.from_arrays(patterns, frames, camera).bin(camera=2).camera_shape
+    (3, 3)
     """
 
     patterns: PatternSet
@@ -75,6 +84,28 @@ class Capture:
     bin_projector: tuple[int, int] = (1, 1)
     bin_camera: tuple[int, int] = (1, 1)
     provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        return f"Capture({', '.join(f'{name}={value}' for name, value in self._told.items())})"
+
+    def _repr_html_(self) -> str:
+        return html_table("Capture", self._told)
+
+    @property
+    def _told(self) -> dict[str, Any]:
+        """What is said of a capture in one line; decodes nothing."""
+        exposures = np.unique(self.exposures)
+        told: dict[str, Any] = {
+            "frames": self.count,
+            "camera": " x ".join(map(str, self.camera_shape)),
+            "projector": " x ".join(map(str, self.projector_shape)),
+            "patterns": type(self.patterns).__name__,
+            "levels": str(self.frames.dtype),
+            "exposure": ", ".join(f"{exposure:g}" for exposure in exposures[:4]),
+        }
+        if len(exposures) > 4:
+            told["exposure"] += f" and {len(exposures) - 4} more"
+        return told
 
     def __post_init__(self) -> None:
         if self.patterns.count != self.frames.count:

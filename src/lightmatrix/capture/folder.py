@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import warnings
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -19,13 +19,11 @@ from lightmatrix.camera.sensor import Sensor
 from lightmatrix.capture.description import FORMAT, NAME, VERSION, Description, read_description
 from lightmatrix.errors import InputError, LightMatrixWarning
 from lightmatrix.files.images import READABLE, fill_image, read_image
-from lightmatrix.files.markers import FolderKind
+from lightmatrix.files.kinds import CAPTURE
 from lightmatrix.files.outputs import atomic_folder
 from lightmatrix.files.stack import ImageStack, nonlinear_tag
 from lightmatrix.patterns.folder import fill_pattern_folder, read_patterns
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
-
-CAPTURE = FolderKind("capture")
 
 
 @dataclass(frozen=True, eq=False)
@@ -282,6 +280,7 @@ def write_capture(
     black: NDArray[Any] | None = None,
     black_exposure: float | None = None,
     provenance: Mapping[str, Any] | None = None,
+    beside: Callable[[Path], None] | None = None,
     overwrite: bool = False,
 ) -> None:
     """Write a capture folder, whole or not at all.
@@ -304,6 +303,8 @@ def write_capture(
         Its exposure; None means that of the frames, which must then be one.
     provenance : mapping, optional
         What made the capture, JSON-ready.
+    beside : callable, optional
+        Given the folder before it is whole, writes what else belongs into it.
     overwrite : bool
         Whether an existing capture may be replaced.
 
@@ -352,6 +353,8 @@ def write_capture(
                 content["black"]["exposure"] = black_exposure
         text = json.dumps(content, indent=2, default=jsonable)
         (part / NAME).write_text(text + "\n")
+        if beside is not None:
+            beside(part)
 
 
 def jsonable(value: Any) -> Any:

@@ -12,7 +12,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-import lightmatrix
+from lightmatrix._version import __version__
 from lightmatrix.camera.samples import Samples
 from lightmatrix.capture.capture import Capture
 from lightmatrix.solvers import Solver
@@ -119,7 +119,7 @@ def capture_provenance(capture: Capture) -> dict[str, Any]:
         "pattern_digest": capture.patterns.digest,
         "capture_description": capture.description,
         "versions": {
-            "lightmatrix": lightmatrix.__version__,
+            "lightmatrix": __version__,
             "numpy": np.__version__,
             "scipy": scipy.__version__,
             "python": platform.python_version(),

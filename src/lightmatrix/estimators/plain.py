@@ -42,6 +42,13 @@ class PlainEstimator:
         Whether each camera sample has a coefficient of the patterns' means (diffuse light).
     tile_rows : int or None
         Rows solved at a time. None: as many as fit half a gigabyte. Results do not depend on it.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> capture = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 8))
+    >>> lm.PlainEstimator(lm.ROMP(max_iterations=2)).estimate(capture).camera_shape
+    (64, 64)
     """
 
     solver: Solver

@@ -13,11 +13,7 @@ from typing import Any, Generic, Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.files.markers import FolderKind
 from lightmatrix.files.running import RunningFolder
-
-CASES = ".cases"
-FIGURE = FolderKind("figure", running=CASES)
 
 Row = dict[str, Any]
 C = TypeVar("C", bound="Case")

@@ -18,33 +18,16 @@ from numpy.typing import NDArray
 
 from lightmatrix.errors import InputError
 from lightmatrix.files import png, png16
+from lightmatrix.files.kinds import IMAGE
 from lightmatrix.files.limits import check_size
-from lightmatrix.files.markers import FileKind
 from lightmatrix.files.npy import as_float32, read_npy
 from lightmatrix.files.outputs import atomic_file
 from lightmatrix.files.reading import regular_file
 from lightmatrix.files.tiff import read_tiff
 
 READABLE = (".png", ".tif", ".tiff", ".npy", ".jpg", ".jpeg", ".bmp")
-WRITABLE = (".png", ".tif", ".tiff", ".npy")
+WRITABLE = IMAGE.suffixes
 FORMATS = "PNG, TIFF, npy, JPEG or BMP"
-# What the files of each format begin with.
-_BEGINNINGS = {
-    ".png": (png.SIGNATURE,),
-    ".npy": (b"\x93NUMPY",),
-    ".tif": (b"II*\0", b"MM\0*"),
-    ".tiff": (b"II*\0", b"MM\0*"),
-}
-
-
-def _is_writable_image(file: Path) -> bool:
-    with file.open("rb") as opened:
-        start = opened.read(8)
-    return any(start.startswith(known) for kinds in _BEGINNINGS.values() for known in kinds)
-
-
-# Images say nothing of who wrote them: one may take the place of another.
-IMAGE = FileKind("image", WRITABLE, _is_writable_image)
 
 
 def read_image(path: str | Path) -> NDArray[Any]:
@@ -66,6 +49,13 @@ def read_image(path: str | Path) -> NDArray[Any]:
     InputError
         If the file is missing, no regular file, empty, truncated, damaged (checksums of PNG are
         verified), not an image, larger than 2^28 values, not 2-D, or not finite in float32.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> lm.write_image("image.png", np.eye(3, dtype=np.uint8))
+    >>> lm.read_image("image.png")[0]
+    array([1, 0, 0], dtype=uint8)
     """
     file = Path(path)
     _check_file(file)
@@ -99,6 +89,13 @@ def read_grey(path: str | Path) -> NDArray[np.float32]:
     ------
     InputError
         As for `read_image`, and for coloured images or float values outside [0, 1].
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> lm.write_image("grey.png", np.array([[0, 51, 255]], np.uint8))
+    >>> lm.read_grey("grey.png")
+    array([[0. , 0.2, 1. ]], dtype=float32)
     """
     image = read_image(path)
     if image.ndim == 3:
@@ -141,6 +138,13 @@ def write_image(
         If the image is not an image or not finite.
     OutputError
         If the file exists, is no image, has another ending or cannot be written.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> lm.write_image("half.png", np.full((2, 2), 0.5))
+    >>> lm.read_image("half.png")[0]
+    array([128, 128], dtype=uint8)
     """
     with atomic_file(path, IMAGE, overwrite=overwrite) as part:
         fill_image(part, image, bits=bits)

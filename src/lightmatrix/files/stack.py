@@ -16,6 +16,7 @@ from lightmatrix.errors import InputError
 from lightmatrix.files import png
 from lightmatrix.files.images import FORMATS, READABLE, read_image
 from lightmatrix.files.reading import regular_file
+from lightmatrix.reprs import short_repr
 
 
 def list_images(folder: str | Path) -> list[Path]:
@@ -96,6 +97,8 @@ class ImageStack:
     paths: tuple[Path, ...]
     shape: tuple[int, ...]
     dtype: np.dtype[Any]
+
+    __repr__ = short_repr
 
     @classmethod
     def open(cls, source: str | Path | Sequence[Path]) -> ImageStack:

@@ -17,7 +17,7 @@ import numpy as np
 from lightmatrix.errors import InputError, LightMatrixWarning
 from lightmatrix.files.headers import read_json
 from lightmatrix.files.images import fill_image, read_grey, read_image
-from lightmatrix.files.markers import FolderKind
+from lightmatrix.files.kinds import PATTERNS
 from lightmatrix.files.memory import check_room
 from lightmatrix.files.outputs import atomic_folder
 from lightmatrix.files.stack import ImageStack, list_images
@@ -25,7 +25,6 @@ from lightmatrix.patterns.kinds import from_description
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet, to_grey
 
 DESCRIPTION = "patterns.json"
-PATTERNS = FolderKind("folder of patterns")
 
 
 FORMAT, VERSION = "lightmatrix-patterns", 1
@@ -38,6 +37,11 @@ def write_patterns(folder: str | Path, patterns: PatternSet, *, overwrite: bool 
     ------
     OutputError
         If the folder exists, is not one of ours, or cannot be written.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> lm.write_patterns("written", lm.BernoulliPatterns((8, 8), 4))
     """
     with atomic_folder(folder, PATTERNS, overwrite=overwrite) as part:
         fill_pattern_folder(part, patterns)
@@ -67,6 +71,13 @@ def read_patterns(folder: str | Path) -> PatternSet:
     ------
     InputError
         On images that cannot be read or differ in size, or a damaged patterns.json.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> lm.write_patterns("patterns", lm.BernoulliPatterns((8, 8), 4))
+    >>> lm.read_patterns("patterns")
+    BernoulliPatterns(shape=(8, 8), count=4, density=0.5, seed=0)
     """
     place = Path(folder)
     paths = list_images(place)

@@ -24,9 +24,12 @@ from numpy.typing import NDArray
 from lightmatrix import _core
 from lightmatrix.errors import InputError
 from lightmatrix.patterns.grids import block_mean
+from lightmatrix.reprs import short_repr
 
 # Patterns are unpacked in chunks of this many bytes, so that memory stays bounded.
 _CHUNK_BYTES = 64 << 20
+# Pixels are numbered in 32 bits. Nobody takes so many photographs.
+_MOST_PIXELS, _MOST_PATTERNS = 2**31 - 1, 1_000_000
 
 
 class PatternSet(ABC):
@@ -38,6 +41,13 @@ class PatternSet(ABC):
         Projector rows and columns; N = rows * cols.
     count : int
         Number of patterns K.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> patterns = lm.BernoulliPatterns((8, 8), 4)
+    >>> isinstance(patterns, lm.PatternSet), patterns.forward(np.ones((1, 64))).shape
+    (True, (1, 4))
     """
 
     shape: tuple[int, int]
@@ -201,8 +211,14 @@ def check_geometry(shape: tuple[int, int], count: int) -> None:
     """Refuse projectors without pixels and sets without patterns."""
     if len(shape) != 2 or min(shape) < 1:
         raise InputError(f"a projector of shape {shape}", hint="give (rows, cols), both at least 1")
+    if shape[0] * shape[1] > _MOST_PIXELS:
+        raise InputError(
+            f"a projector of {shape[0]} x {shape[1]} pixels", hint="2147483647 in all is the most"
+        )
     if count < 1:
         raise InputError(f"{count} patterns", hint="ask for at least 1")
+    if count > _MOST_PATTERNS:
+        raise InputError(f"{count} patterns", hint=f"ask for at most {_MOST_PATTERNS}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,9 +229,17 @@ class ImagePatterns(PatternSet):
     ----------
     stack : (K, rows, cols) float
         Grey values in [0, 1].
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> lm.ImagePatterns(np.linspace(0, 1, 24).reshape(2, 3, 4))
+    ImagePatterns(stack=<2 x 3 x 4 float32>)
     """
 
     stack: NDArray[np.float32]
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         stack = self.stack

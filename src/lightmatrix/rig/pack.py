@@ -15,14 +15,12 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from lightmatrix.errors import InputError
-from lightmatrix.files.markers import FileKind, holds_member
+from lightmatrix.files.kinds import PACKED
 from lightmatrix.files.npz import read_npz
 from lightmatrix.files.outputs import atomic_file
 from lightmatrix.rig.truth import Truth
 
 FORMAT_VERSION = 1
-_MARK = "lightmatrix_packed"
-PACKED = FileKind("packed scene", (".npz",), lambda file: holds_member(file, _MARK))
 _LEVELS = 511
 _DIRECT_LEVELS = 255
 # Entries of the dense matrix whose places fit the bit mask held in memory (128 MiB).

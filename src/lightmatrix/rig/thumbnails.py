@@ -11,14 +11,12 @@ from numpy.typing import NDArray
 
 from lightmatrix.errors import MissingExtraError
 from lightmatrix.files.images import fill_image
-from lightmatrix.files.markers import FolderKind
+from lightmatrix.files.kinds import THUMBNAILS
 from lightmatrix.files.outputs import atomic_folder
 from lightmatrix.rig import library
 from lightmatrix.rig.llvm import load_mitsuba
 from lightmatrix.rig.mitsuba_scene import mitsuba_scene
 from lightmatrix.rig.scenes import names, scene
-
-THUMBNAILS = FolderKind("folder of scene pictures")
 
 
 def photograph(
@@ -51,6 +49,11 @@ def write_thumbnails(
     """Write NAME.png for every scene and a list, scenes.json.
 
     Without the renderer the bundled scenes are drawn from their matrices, at 64 x 64.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> paths = lm.write_thumbnails("thumbnails")  # doctest: +SKIP
     """
     written = []
     with atomic_folder(folder, THUMBNAILS, overwrite=overwrite) as temporary:

@@ -13,13 +13,11 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from lightmatrix.errors import InputError
-from lightmatrix.files.markers import FileKind, holds_member
+from lightmatrix.files.kinds import TRUTH
 from lightmatrix.files.outputs import atomic_file
+from lightmatrix.reprs import short_repr
 from lightmatrix.store.sparse_npz import VERSION, read_sparse_npz
 from lightmatrix.transport.matrix import LightTransport
-
-_MARK = "lightmatrix_truth"
-TRUTH = FileKind("rendered matrix", (".npz",), lambda file: holds_member(file, _MARK))
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,6 +34,16 @@ class Truth:
     projector_shape : (rows, cols)
     metadata : mapping
         JSON-ready: scene, samples per pixel, seed, noise estimate, versions.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> known = lm.truth("metal")
+    >>> 0 < known.direct_data.sum() < known.matrix.sum()
+    np.True_
+    >>> known.save("T.npz")
+    >>> lm.truth("T.npz").camera_shape
+    (64, 64)
     """
 
     matrix: csr_array
@@ -43,6 +51,8 @@ class Truth:
     camera_shape: tuple[int, ...]
     projector_shape: tuple[int, int]
     metadata: Mapping[str, Any] = field(default_factory=dict)
+
+    __repr__ = short_repr
 
     @property
     def direct(self) -> csr_array:

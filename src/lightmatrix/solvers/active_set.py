@@ -50,6 +50,17 @@ class ActiveSet:
         For the fidelities `clipped` and `likelihood`.
     InputError
         On parameters out of range.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> patterns = lm.BernoulliPatterns((4, 4), 24)
+    >>> lit = np.eye(16)[[5]]
+    >>> values = patterns.forward(lit)
+    >>> samples = lm.Samples(values, values > 2, np.full(24, 2.0))
+    >>> result = lm.solve(lm.Problem(patterns, samples, regularization=0.01), lm.ActiveSet())
+    >>> int(result.coefficients.toarray().argmax())
+    5
     """
 
     fidelity: Fidelity | str = Fidelity.ONE_SIDED

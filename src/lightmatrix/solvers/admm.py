@@ -45,6 +45,17 @@ class ADMM:
         Iterations after which a row is given up as it is, at least 1.
     tolerance : float
         A row stops when its relative primal and dual residuals are at most this, > 0.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> patterns = lm.BernoulliPatterns((4, 4), 24)
+    >>> lit = np.eye(16)[[5]]
+    >>> values = patterns.forward(lit)
+    >>> samples = lm.Samples(values, values > 2, np.full(24, 2.0))
+    >>> result = lm.solve(lm.Problem(patterns, samples, regularization=0.01), lm.ADMM())
+    >>> int(result.coefficients.toarray().argmax())
+    5
     """
 
     penalty_x: float | None = None

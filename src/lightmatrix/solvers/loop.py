@@ -89,6 +89,17 @@ def solve(problem: Problem, solver: Solver, *, progress: Progress | None = None)
     ------
     SolverError
         If the solver cannot treat the problem.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> patterns = lm.BernoulliPatterns((4, 4), 24)
+    >>> lit = np.eye(16)[[5]]
+    >>> values = patterns.forward(lit)
+    >>> samples = lm.Samples(values, values > 2, np.full(24, 2.0))
+    >>> result = lm.solve(lm.Problem(patterns, samples, regularization=0.01), lm.ActiveSet())
+    >>> int(result.coefficients.toarray().argmax())
+    5
     """
     if isinstance(solver, DirectSolver):
         return solver.solve(problem, progress)

@@ -14,6 +14,7 @@ from scipy.sparse import csr_array
 from lightmatrix.camera.samples import Samples
 from lightmatrix.errors import InputError
 from lightmatrix.patterns.pattern_set import PatternSet
+from lightmatrix.reprs import short_repr
 from lightmatrix.solvers.fidelity import Observed
 from lightmatrix.transport.sparse_rows import SparseRows
 
@@ -60,6 +61,16 @@ class Problem:
     ------
     InputError
         On mismatched shapes, samples that are not finite, or values out of range.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> patterns = lm.BernoulliPatterns((4, 4), 24)
+    >>> lit = np.eye(16)[[5]]
+    >>> values = patterns.forward(lit)
+    >>> samples = lm.Samples(values, values > 2, np.full(24, 2.0))
+    >>> lm.Problem(patterns, samples, regularization=0.01).rows
+    1
     """
 
     patterns: PatternSet
@@ -69,6 +80,8 @@ class Problem:
     background: bool = True
     background_column: NDArray[Any] | None = None
     edge_noise: float = 0.02
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         self.samples.check(self.patterns.count)
@@ -161,11 +174,24 @@ class Result:
         The worst over the rows.
     history : dict of str to list of float
         Per-iteration residuals or counts, for plots; empty if the solver keeps none.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> patterns = lm.BernoulliPatterns((4, 4), 24)
+    >>> lit = np.eye(16)[[5]]
+    >>> values = patterns.forward(lit)
+    >>> samples = lm.Samples(values, values > 2, np.full(24, 2.0))
+    >>> result = lm.solve(lm.Problem(patterns, samples, regularization=0.01), lm.ActiveSet())
+    >>> result.converged
+    array([ True])
     """
 
     rows: SparseRows
     status: Status
     history: dict[str, list[float]] = field(default_factory=dict)
+
+    __repr__ = short_repr
 
     @property
     def coefficients(self) -> csr_array:

@@ -39,6 +39,17 @@ class ROMP:
         Rounds. None: n, as in the paper by Needell and Vershynin.
     tolerance : float
         A row stops when its residual falls below this share of its samples.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> patterns = lm.BernoulliPatterns((4, 4), 24)
+    >>> lit = np.eye(16)[[5]]
+    >>> values = patterns.forward(lit)
+    >>> samples = lm.Samples(values, values > 2, np.full(24, 2.0))
+    >>> result = lm.solve(lm.Problem(patterns, samples, regularization=0.01), lm.ROMP())
+    >>> int(result.coefficients.toarray().argmax())
+    5
     """
 
     sparsity: int | None = None

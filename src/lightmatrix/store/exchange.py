@@ -9,47 +9,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
-from scipy.io import savemat, whosmat
+from scipy.io import savemat
 from scipy.sparse import csr_array
 
 from lightmatrix.errors import InputError, OutputError
-from lightmatrix.files.markers import FileKind, holds_member
+from lightmatrix.files.kinds import MAT, MAT_MARK, NPZ, export_kind
 from lightmatrix.files.outputs import atomic_file, check_output
 from lightmatrix.store.sparse_npz import VERSION, read_sparse_npz
 from lightmatrix.transport.matrix import LightTransport
 
 # MATLAB's level-5 files count the bytes of a variable in 32 bits.
 _MAT_BYTES = 2**31
-
-
-def _is_npz(file: Path) -> bool:
-    return holds_member(file, "lightmatrix_transport")
-
-
-def _is_mat(file: Path) -> bool:
-    return any(name == "lightmatrix_version" for name, *_ in whosmat(file))
-
-
-NPZ = FileKind("exported matrix", (".npz",), _is_npz)
-MAT = FileKind("exported matrix", (".mat",), _is_mat)
-
-
-def export_kind(path: str | Path) -> FileKind:
-    """The kind of file that `export` writes at a path, by its ending.
-
-    Raises
-    ------
-    OutputError
-        If it ends neither in .npz nor in .mat.
-    """
-    suffix = Path(path).suffix
-    for kind in (NPZ, MAT):
-        if suffix.lower() in kind.suffixes:
-            return kind
-    raise OutputError(
-        f"{path}: the name of the output ends in {suffix or 'nothing'}",
-        hint="end it in .npz or .mat",
-    )
 
 
 def export(
@@ -65,6 +35,11 @@ def export(
     ------
     OutputError
         If the file exists, ends otherwise, or cannot be written.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> lm.export("T_of_metal.npz", lm.truth("metal").transport())
     """
     write = export_mat if export_kind(path) is MAT else export_npz
     write(path, transport, dense_background=dense_background, overwrite=overwrite)
@@ -159,6 +134,9 @@ def export_mat(
     }
     with atomic_file(path, MAT, overwrite=overwrite) as part:
         savemat(part, content, appendmat=False, do_compression=True)
+        with part.open("r+b") as written:
+            # 116 bytes of free text begin the format.
+            written.write(MAT_MARK.encode().ljust(116))
 
 
 def import_npz(

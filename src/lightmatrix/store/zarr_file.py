@@ -22,7 +22,7 @@ from zarr.codecs import BloscCodec, Crc32cCodec
 
 from lightmatrix.errors import InputError
 from lightmatrix.files.headers import parse_json
-from lightmatrix.files.markers import FolderKind
+from lightmatrix.files.kinds import PARTIAL, STORE
 from lightmatrix.files.memory import check_room
 from lightmatrix.files.npy import Header
 from lightmatrix.files.outputs import atomic_folder
@@ -31,13 +31,6 @@ from lightmatrix.store.checked import checked_diagnostics, checked_matrix, finit
 from lightmatrix.transport.matrix import LightTransport
 
 FORMAT, VERSION = "lightmatrix-transport", 1
-SUFFIX = ".zarr"
-# Beside an output, its running results (see `lightmatrix.store.checkpoint`).
-PARTIAL = ".partial"
-# The marker is an attribute of the group, since Zarr warns of files that are none of its own.
-STORE = FolderKind(
-    "light transport matrix", (SUFFIX,), ("zarr.json", "attributes", "output"), running=PARTIAL
-)
 _CHUNK = 1 << 20
 _HEADER, _DIAGNOSTICS = "zarr.json", "diagnostics"
 _ARRAYS = ("indptr", "indices", "data", "background")
@@ -63,6 +56,11 @@ def save(path: str | Path, transport: LightTransport, *, overwrite: bool = False
     ------
     OutputError
         If it exists, ends otherwise, or cannot be written.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> lm.save("saved.zarr", lm.truth("metal").transport())
     """
     with atomic_folder(path, STORE, overwrite=overwrite) as part:
         group = zarr.open_group(part, mode="w", zarr_format=3)

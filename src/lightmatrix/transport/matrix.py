@@ -13,6 +13,11 @@ from scipy.sparse import csr_array
 
 from lightmatrix.errors import InputError
 from lightmatrix.patterns.grids import check_grid, grid_cells
+from lightmatrix.reprs import html_table
+from lightmatrix.transport.words import named
+
+# Of the provenance, what a summary repeats.
+_TOLD = ("estimator", "solver", "regularization", "certificate", "pattern_digest", "scene")
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +48,17 @@ class LightTransport:
     ------
     InputError
         On shapes that do not match.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> transport = lm.truth("metal").transport()
+    >>> stripes = np.zeros(transport.projector_shape)
+    >>> stripes[:, ::8] = 1
+    >>> transport.relight(stripes).shape, transport.dual(np.ones((64, 64))).shape
+    ((64, 64), (64, 64))
+    >>> transport.row(20, 30).shape, transport.column(10, 10).shape
+    ((64, 64), (64, 64))
     """
 
     sparse: csr_array
@@ -52,6 +68,19 @@ class LightTransport:
     background_grid: tuple[int, int] = (1, 1)
     diagnostics: Mapping[str, NDArray[Any]] = field(default_factory=dict)
     provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        camera, projector = (
+            " x ".join(map(str, shape)) for shape in (self.camera_shape, self.projector_shape)
+        )
+        made = self.provenance.get("estimator") or self.provenance.get("scene")
+        by = f", {made}" if made else ""
+        return (
+            f"LightTransport(camera {camera}, projector {projector}, {self.sparse.nnz} entries{by})"
+        )
+
+    def _repr_html_(self) -> str:
+        return html_table("Light transport matrix", named(self.summary()))
 
     def __post_init__(self) -> None:
         expected = (int(np.prod(self.camera_shape)), int(np.prod(self.projector_shape)))
@@ -186,6 +215,49 @@ class LightTransport:
         """Chosen columns of T, background included: (M, len(index)) float32."""
         pooled = self.pooling[:, index].toarray()
         return np.asarray(self.sparse[:, index].toarray() + self.background @ pooled, np.float32)
+
+    def summary(self) -> dict[str, Any]:
+        """Shapes, sparsity, clipping, convergence and gaps, as names and values; JSON-ready.
+
+        Returns
+        -------
+        dict
+            What `lightmatrix info --json` prints, provenance apart.
+        """
+        entries = np.diff(self.sparse.indptr)
+        result: dict[str, Any] = {
+            "camera": " x ".join(map(str, self.camera_shape)),
+            "projector": " x ".join(map(str, self.projector_shape)),
+            "entries": int(entries.sum()),
+            "entries_per_row": float(entries.mean()),
+            "background_grid": " x ".join(map(str, self.background_grid)),
+            "background_share": self.background_share,
+        }
+        diagnostics = self.diagnostics
+        if "clipped_share" in diagnostics:
+            shares = diagnostics["clipped_share"]
+            result["clipped_samples"] = float(np.mean(shares))
+            result["rows_half_clipped"] = float(np.mean(shares > 0.5))
+        if "iterations" in diagnostics:
+            result["iterations_median"] = float(np.median(diagnostics["iterations"]))
+        if "converged" in diagnostics:
+            result["converged_rows"] = float(np.mean(diagnostics["converged"]))
+        if "gap" in diagnostics and np.isfinite(diagnostics["gap"]).any():
+            result["gap_median"] = float(np.nanmedian(diagnostics["gap"]))
+            result["gap_max"] = float(np.nanmax(diagnostics["gap"]))
+        result |= {name: self.provenance[name] for name in _TOLD if name in self.provenance}
+        parameters = self.provenance.get("solver_parameters")
+        if isinstance(parameters, Mapping) and "fidelity" in parameters:
+            result["fidelity"] = parameters["fidelity"]
+        return result
+
+    @property
+    def background_share(self) -> float:
+        """Share of the white image's light that the background holds."""
+        # Under white the mean of every block is 1.
+        diffuse = float(self.background.sum(dtype=np.float64))
+        total = diffuse + float(self.sparse.sum())
+        return diffuse / total if total else 0.0
 
     def to_matrix(self, *, dense_background: bool = False) -> csr_array:
         """T as one sparse matrix.

@@ -74,6 +74,13 @@ class CoherentEstimator:
     ------
     InputError
         On parameters out of range.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> capture = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 8))
+    >>> lm.CoherentEstimator(windows=((1, 1),), candidates=20).estimate(capture).camera_shape
+    (64, 64)
     """
 
     regularization: float | None = None

@@ -66,6 +66,13 @@ class MultiScaleEstimator:
     ------
     InputError
         On parameters out of range.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> capture = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 8))
+    >>> lm.MultiScaleEstimator(lm.ROMP(max_iterations=2)).estimate(capture).camera_shape
+    (64, 64)
     """
 
     solver: Solver

@@ -3,47 +3,33 @@
 from __future__ import annotations
 
 import time
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
-import numpy as np
 import typer
 
-from lightmatrix.capture.capture import Capture
-from lightmatrix.cli.common import (
+import lightmatrix as lm
+from lightmatrix.cli.claims import claim
+from lightmatrix.cli.options import (
+    ADMM_ITERATIONS,
+    COHERENT_UP_TO,
+    PASSES,
     Clip,
     Json,
     Overwrite,
     ResponseCurve,
-    claim,
-    out,
-    progress,
-    show_json,
-    show_table,
     size,
 )
-from lightmatrix.cli.results import named, summary
+from lightmatrix.cli.terminal import Stopped, progress, say, show_json, show_table
 from lightmatrix.errors import InputError
-from lightmatrix.estimators.coherent.estimator import WORTH_IT_UP_TO, CoherentEstimator
-from lightmatrix.estimators.multiscale.estimator import MultiScaleEstimator
-from lightmatrix.estimators.plain import PlainEstimator
-from lightmatrix.estimators.regularization import held_out_path
-from lightmatrix.solvers import ADMM, ROMP, ActiveSet, SaturationADMM, Solver
-from lightmatrix.solvers.fidelity import Fidelity
-from lightmatrix.solvers.problem import check_regularization
-from lightmatrix.store.zarr_file import STORE
+from lightmatrix.files.kinds import PARTIAL, STORE
+from lightmatrix.transport.words import named
 
+if TYPE_CHECKING:
+    from lightmatrix import Capture
 
-class SolverName(StrEnum):
-    """Solvers of `lightmatrix estimate`."""
-
-    ACTIVE_SET = "active-set"
-    SATURATION_ADMM = "saturation-admm"
-    ADMM = "admm"
-    ROMP = "romp"
-
-
+SolverName = Literal["active-set", "saturation-admm", "admm", "romp"]
+FidelityName = Literal["linear", "one-sided", "clipped", "rejection", "likelihood"]
 SOLVERS_HELP = (
     "active-set (one-sided, rejection, linear; certifies a duality gap), "
     "saturation-admm (clipped, one-sided, likelihood, rejection, linear), admm (linear), "
@@ -54,17 +40,6 @@ FIDELITY_HELP = (
     "likelihood (a lower bound with a soft edge), rejection (left out), "
     "linear (taken at their value)."
 )
-DEFAULT_FIDELITY = {
-    SolverName.ACTIVE_SET: Fidelity.ONE_SIDED,
-    SolverName.SATURATION_ADMM: Fidelity.ONE_SIDED,
-    SolverName.ADMM: Fidelity.LINEAR,
-    SolverName.ROMP: Fidelity.REJECTION,
-}
-
-
-def register(app: typer.Typer) -> None:
-    """Add the commands of this file."""
-    app.command("estimate")(estimate)
 
 
 def estimate(
@@ -94,9 +69,9 @@ def estimate(
     ] = None,
     clip: Clip = None,
     response: ResponseCurve = None,
-    solver: Annotated[SolverName, typer.Option(help=SOLVERS_HELP)] = SolverName.ACTIVE_SET,
+    solver: Annotated[SolverName, typer.Option(help=SOLVERS_HELP)] = "active-set",
     fidelity: Annotated[
-        Fidelity | None,
+        FidelityName | None,
         typer.Option(
             help=FIDELITY_HELP, show_default="one-sided; linear for admm, rejection for romp"
         ),
@@ -113,7 +88,7 @@ def estimate(
         typer.Option(
             "--coherent/--no-coherent",
             help="Learn from neighbouring camera pixels where light is likely; by default with the "
-            f"active-set solver and up to {WORTH_IT_UP_TO} patterns.",
+            f"active-set solver and up to {COHERENT_UP_TO} patterns.",
         ),
     ] = None,
     iterations: Annotated[
@@ -121,7 +96,7 @@ def estimate(
         typer.Option(
             help="Most iterations (rounds for romp, passes for active-set).",
             min=1,
-            show_default=f"{ActiveSet().max_passes}; {ADMM().max_iterations} for both ADMMs, "
+            show_default=f"{PASSES}; {ADMM_ITERATIONS} for both ADMMs, "
             "as many as its non-zeros for romp",
         ),
     ] = None,
@@ -154,89 +129,44 @@ def estimate(
     stopped if given again.
     """
     _check_source(capture, pattern_folder, images)
-    if multi_scale and tile_rows is not None:
-        raise InputError(
-            "--tile-rows with --multi-scale, which solves strips of camera blocks",
-            hint="leave out one of the two",
-        )
     started = time.perf_counter()
-    fitting = _why_not_coherent(solver, signed, background, multi_scale)
-    if coherent and fitting is not None:
-        raise InputError(f"--coherent {fitting}", hint="leave out one of the two")
-    chosen = _solver(solver, fidelity, iterations)
-    given = _given_regularization(regularization)
+    estimator = lm.AutoEstimator(
+        solver=solver,
+        fidelity=fidelity,
+        regularization=_regularization(regularization),
+        coherent=coherent,
+        multi_scale=multi_scale,
+        background=background,
+        signed=signed,
+        iterations=iterations,
+        tile_rows=tile_rows,
+    )
     claim(output, STORE, overwrite=overwrite)
     opened = _open(capture, pattern_folder, images, black, white, mask, black_level, clip, response)
     opened = opened.bin(projector=size(bin_projector), camera=size(bin_camera))
     opened.check(order=check)
-    if regularization == "path":
-        if coherent:
-            raise InputError(
-                "--regularization path chooses for rows by themselves, not with --coherent",
-                hint="leave out one of the two",
+    try:
+        with progress("estimating", "rows") as report:
+            transport = estimator.estimate(
+                opened, checkpoint=output, overwrite=overwrite, progress=report
             )
-        coherent = False
-    if coherent is None:
-        coherent = fitting is None and opened.count <= WORTH_IT_UP_TO
-    value = held_out_path(opened).best if regularization == "path" else given
-    estimator: PlainEstimator | CoherentEstimator | MultiScaleEstimator
-    if multi_scale:
-        estimator = MultiScaleEstimator(chosen, value, not signed, background)
-    elif coherent and isinstance(chosen, ActiveSet):
-        estimator = CoherentEstimator(
-            value, fidelity=chosen.fidelity, max_passes=chosen.max_passes, tile_rows=tile_rows
-        )
-    else:
-        estimator = PlainEstimator(chosen, value, not signed, background, tile_rows)
-    with progress("estimating", "rows") as report:
-        transport = estimator.estimate(
-            opened, checkpoint=output, overwrite=overwrite, progress=report
-        )
-    result = {"output": str(output), "seconds": round(time.perf_counter() - started, 2)}
-    result |= summary(transport)
+    except KeyboardInterrupt:
+        kept = output.with_name(output.name + PARTIAL).exists()
+        note = "finished tiles are kept, run again to go on" if kept else "nothing was finished yet"
+        raise Stopped(note) from None
+    summary = transport.summary()
     if as_json:
-        show_json(result)
-    else:
-        show_table(f"{output}", named(summary(transport)))
-        unfinished = float(1 - np.mean(transport.diagnostics["converged"]))
-        if unfinished > 0.01:
-            out.print(
-                f"{100 * unfinished:.0f} % of the rows reached the iteration limit; "
-                "raise it with --iterations",
-                style="yellow",
-            )
-
-
-def _why_not_coherent(
-    solver: SolverName, signed: bool, background: bool, multi_scale: bool
-) -> str | None:
-    """What the coherent estimate does not go with, if anything."""
-    if multi_scale:
-        return "looks for light in a way of its own, without --multi-scale"
-    if solver is not SolverName.ACTIVE_SET:
-        return f"needs --solver active-set, not {solver}"
-    if signed:
-        return "needs light that is not negative, without --signed"
-    if not background:
-        return "needs the background, without --no-background"
-    return None
-
-
-def _solver(name: SolverName, fidelity: Fidelity | None, iterations: int | None) -> Solver:
-    wanted = fidelity or DEFAULT_FIDELITY[name]
-    limit: dict[str, int] = {} if iterations is None else {"max_iterations": iterations}
-    if name is SolverName.ACTIVE_SET:
-        return ActiveSet(wanted) if iterations is None else ActiveSet(wanted, max_passes=iterations)
-    if name is SolverName.ADMM:
-        if wanted is not Fidelity.LINEAR:
-            raise InputError(
-                f"the solver admm cannot use the fidelity {wanted}",
-                hint="use --solver saturation-admm, or --fidelity linear",
-            )
-        return ADMM(**limit)
-    if name is SolverName.ROMP:
-        return ROMP(fidelity=wanted, **limit)
-    return SaturationADMM(fidelity=wanted, **limit)
+        seconds = round(time.perf_counter() - started, 2)
+        show_json({"output": str(output), "seconds": seconds, **summary})
+        return
+    show_table(str(output), named(summary))
+    unfinished = 1 - summary["converged_rows"]
+    if unfinished > 0.01:
+        say(
+            f"{100 * unfinished:.0f} % of the rows reached the iteration limit; "
+            "raise it with --iterations",
+            style="yellow",
+        )
 
 
 def _check_source(capture: Path | None, patterns: Path | None, images: Path | None) -> None:
@@ -269,19 +199,21 @@ def _open(
             "--images": images,
             "--black": black,
             "--white": white,
+            "--mask": mask,
+            "--clip": clip,
+            "--black-level": black_level,
+            "--response": response,
         }
-        extras |= {"--mask": mask, "--black-level": black_level}
-        extras |= {"--clip": clip, "--response": response}
         given = [name for name, value in extras.items() if value is not None]
         if given:
             raise InputError(
                 f"a capture folder and {', '.join(given)} were given",
                 hint="a capture folder says all that in capture.json; give one or the other",
             )
-        return Capture.open(capture, check=False)
+        return lm.Capture.open(capture, check=False)
     assert patterns is not None
     assert images is not None
-    return Capture.from_folders(
+    return lm.Capture.from_folders(
         patterns,
         images,
         black=black,
@@ -294,15 +226,9 @@ def _open(
     )
 
 
-def _given_regularization(text: str) -> float | None:
-    """The number that was given; None for auto and path."""
-    if text in ("auto", "path"):
-        return None
+def _regularization(text: str) -> str | float:
+    """A number, or the word as it is."""
     try:
-        value = float(text)
+        return float(text)
     except ValueError:
-        raise InputError(
-            f"a regularization of {text!r}", hint="use auto, path or a number such as 0.3"
-        ) from None
-    check_regularization(value)
-    return value
+        return text
