@@ -7,8 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from problems import clipping_problem, with_samples
 from scipy.optimize import minimize
 from scipy.sparse import csr_array

@@ -42,6 +42,8 @@ HEAVY = (
 # Of a mutant's tests, in seconds as recorded; the share of it that a mutant may take in reality.
 BUDGET = 60.0
 PATIENCE, GRACE = 4.0, 60.0
+# Exit code of a child in which pytest could not be started.
+BROKEN = 97
 
 
 def main() -> int:
@@ -65,6 +67,7 @@ def main() -> int:
         recorded = recording(copies[0])
         for module in HEAVY.split():
             importlib.import_module(module)
+        control(mutants, recorded, copies[0])
         fates = run(mutants, recorded, copies, arguments.budget)
     return report(mutants, fates, arguments.least)
 
@@ -202,6 +205,17 @@ def tests_of(mutant: Mutant, recorded: dict[str, Any], budget: float) -> tuple[l
 # --- running
 
 
+def control(mutants: list[Mutant], recorded: dict[str, Any], tree: Path) -> None:
+    """See the tests pass while nothing is broken: else each mutant would count as killed."""
+    tests = {t for m in mutants[:50] for t in tests_of(m, recorded, 1.0)[0]}
+    child = os.fork()
+    if child == 0:
+        attempt(tree, sorted(tests))
+    code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    if code:
+        raise SystemExit(f"tests fail though nothing is broken (pytest's code {code}): run them")
+
+
 @dataclass
 class Worker:
     """A copy of the tree in which one mutant at a time is tried."""
@@ -263,7 +277,7 @@ def start(
 
 def attempt(tree: Path, tests: list[str]) -> None:
     """In the child: run the tests, leave with pytest's code."""
-    code = 1
+    code = BROKEN
     try:
         silent = os.open(os.devnull, os.O_WRONLY)
         os.dup2(silent, 1)
@@ -275,7 +289,10 @@ def attempt(tree: Path, tests: list[str]) -> None:
         sys.dont_write_bytecode = True
         import pytest
 
-        code = int(pytest.main(["-x", "-p", "no:cacheprovider", "-p", "no:faulthandler", *tests]))
+        # Plugins that are imported already are not rewritten, which pytest warns of.
+        options = ["-x", "-p", "no:cacheprovider", "-p", "no:faulthandler"]
+        options += ["-W", "ignore::pytest.PytestAssertRewriteWarning"]
+        code = int(pytest.main([*options, *tests]))
     finally:
         os._exit(code)
 
@@ -291,7 +308,10 @@ def fate_of(worker: Worker) -> str | None:
     """What became of the child, None while it runs."""
     done, status = os.waitpid(worker.child, os.WNOHANG)
     if done:
-        return "survived" if os.waitstatus_to_exitcode(status) == 0 else "killed"
+        code = os.waitstatus_to_exitcode(status)
+        if code == BROKEN:
+            raise SystemExit("the tests could not be started")
+        return "survived" if code == 0 else "killed"
     if time.monotonic() > worker.deadline:
         os.killpg(worker.child, signal.SIGKILL)
         os.waitpid(worker.child, 0)
