@@ -6,8 +6,8 @@ VENV := .venv
 BIN := $(VENV)/bin
 CORE := $(shell find crates -name '*.rs' -o -name Cargo.toml) Cargo.toml pyproject.toml
 
-.PHONY: help install demo test test-install lint types rust-test py-test format bench experiments \
-	system-deps clean
+.PHONY: help install demo test test-install lint types rust-test py-test mutants format bench \
+	experiments system-deps clean
 
 help:
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 16
@@ -49,6 +49,9 @@ rust-test:
 py-test:
 	$(BIN)/python -m pytest
 
+mutants: test-install ## break 200 things in solvers, estimators, capture: how many do tests notice?
+	$(BIN)/python tools/mutants.py --count 200 --least 0.8
+
 format: test-install ## rewrite the sources in the house format
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
@@ -67,4 +70,4 @@ system-deps: ## optional system packages (the renderer's LLVM)
 	bash tools/system-deps.sh
 
 clean: ## remove what make made
-	rm -rf $(VENV) target report bench-out experiments-out src/lightmatrix/_core*.so
+	rm -rf $(VENV) target report bench-out experiments-out mutants-out src/lightmatrix/_core*.so

@@ -151,7 +151,7 @@ def test_the_structural_similarity_is_that_of_scikit_image(noise: float) -> None
     image = np.maximum(expected + noise * random.standard_normal(expected.shape), 0)
     shown = [np.clip(part / np.quantile(expected, 0.99), 0, 1) for part in (image, expected)]
     # The mean of the whole map, margins too, which scikit-image leaves out.
-    _, similarity = structural_similarity(
+    _, similarity = structural_similarity(  # type: ignore[no-untyped-call]
         *shown, win_size=7, data_range=1, use_sample_covariance=False, full=True
     )
     assert fig7.quality(image, expected)["ssim"] == pytest.approx(similarity.mean(), rel=1e-9)
