@@ -6,7 +6,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 CORE := $(shell find crates -name '*.rs' -o -name Cargo.toml) Cargo.toml pyproject.toml
 
-.PHONY: help install demo test test-install lint types rust-test py-test fuzz faults format bench \
+.PHONY: help install demo test test-install lint types rust-test py-test faults fuzz mutants format bench \
 	experiments system-deps clean
 
 help:
@@ -56,6 +56,9 @@ N := 20000
 fuzz: test-install ## N damaged inputs, 20,000 unless said: make fuzz N=500
 	$(BIN)/python -m tests.faults.fuzz --count $(N)
 
+mutants: test-install ## break 200 things in solvers, estimators, capture: how many do tests notice?
+	$(BIN)/python tools/mutants.py --count 200 --least 0.8
+
 format: test-install ## rewrite the sources in the house format
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
@@ -74,4 +77,4 @@ system-deps: ## optional system packages (the renderer's LLVM)
 	bash tools/system-deps.sh
 
 clean: ## remove what make made
-	rm -rf $(VENV) target report bench-out experiments-out src/lightmatrix/_core*.so
+	rm -rf $(VENV) target report bench-out experiments-out mutants-out src/lightmatrix/_core*.so

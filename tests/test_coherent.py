@@ -6,11 +6,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
 from lightmatrix import store
 from lightmatrix.camera.sensor import Sensor
 from lightmatrix.capture.capture import Capture
 from lightmatrix.errors import InputError
+from lightmatrix.estimators.coherent import rounds
+from lightmatrix.estimators.coherent.backgrounds import Backgrounds
 from lightmatrix.estimators.coherent.estimator import CoherentEstimator
 from lightmatrix.estimators.plain import PlainEstimator
 from lightmatrix.patterns.bits import BernoulliPatterns
@@ -46,18 +50,48 @@ def same(one: LightTransport, other: LightTransport) -> bool:
     )
 
 
-@pytest.mark.parametrize("name", ["l_objects", "gripper", "metal", "corner"])
-def test_few_patterns_do_what_row_by_row_takes_many_for(name: str) -> None:
+def rendered(name: str) -> tuple[Capture, LightTransport, NDArray[np.int64]]:
+    """A bundled scene under 32 patterns, its T, and the rows whose single responses do not clip."""
     truth = library.truth(name)
     known = truth.transport()
     exposure = 0.8 / float(np.quantile(known.sparse.max(axis=1).toarray(), 0.8))
-    capture = photographed(truth, 32, exposure)
     rows = np.flatnonzero(unclipped_rows(known, exposure))
+    return photographed(truth, 32, exposure), known, rows
+
+
+# Measured: .0187, .0136, .0318, .0335; row by row .43, .14, .21, .52.
+@pytest.mark.parametrize(
+    ("name", "most"),
+    [("l_objects", 0.0205), ("gripper", 0.015), ("metal", 0.035), ("corner", 0.037)],
+)
+def test_few_patterns_do_what_row_by_row_takes_many_for(name: str, most: float) -> None:
+    capture, known, rows = rendered(name)
     plain = relative_error(PlainEstimator(ActiveSet()).estimate(capture), known, rows)
     coherent = CoherentEstimator().estimate(capture)
-    assert relative_error(coherent, known, rows) < 0.5 * plain
+    found = relative_error(coherent, known, rows)
+    assert found < most
+    assert found < 0.2 * plain
     assert (coherent.diagnostics["gap"][coherent.diagnostics["converged"]] <= 1e-3).all()
     assert coherent.diagnostics["converged"].mean() > 0.99
+
+
+def test_expected_samples_and_halos_are_worth_something(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Left out, the error is 1.14 and 1.05 times what it is with them."""
+    capture, known, rows = rendered("l_objects")
+    whole = relative_error(CoherentEstimator().estimate(capture), known, rows)
+    with monkeypatch.context() as patch:
+        patch.setattr(rounds, "EXPECTING", -1)
+        unexpecting = relative_error(CoherentEstimator().estimate(capture), known, rows)
+    assert whole < 0.9 * unexpecting
+
+    def evenly(backgrounds: Backgrounds, rows: csr_array) -> NDArray[np.float32]:
+        blocks = backgrounds.grid[0] * backgrounds.grid[1]
+        return np.full((rows.shape[0], blocks), 1 / blocks, np.float32)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Backgrounds, "spread", evenly)
+        even = relative_error(CoherentEstimator().estimate(capture), known, rows)
+    assert whole < 0.97 * even
 
 
 def test_tiles_and_threads_do_not_matter(scene: Truth) -> None:

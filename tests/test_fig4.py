@@ -42,6 +42,22 @@ def test_clipped_only_the_clip_aware_estimates_converge() -> None:
     assert _mean("one-sided", 100, fig4.CLIP_LEVEL) <= 0.02
 
 
+def test_unclipped_the_other_fidelities_are_saturation_admm() -> None:
+    """Which is why `measure` does not solve them again."""
+    matrices, x = fig4.draw(3, 40, seed=0)
+    expected = fig4.errors("saturation-admm", matrices, x, np.inf)
+    for name in fig4.SAME_WHERE_UNCLIPPED:
+        np.testing.assert_array_equal(fig4.errors(name, matrices, x, np.inf), expected)
+
+
+def test_the_order_of_methods_does_not_matter(monkeypatch: pytest.MonkeyPatch) -> None:
+    case = fig4.Case(30, trials=3)
+    expected = {(row["method"], row["condition"]): row for row in fig4.measure(case).rows}
+    monkeypatch.setattr(fig4, "METHODS", dict(reversed(fig4.METHODS.items())))
+    found = {(row["method"], row["condition"]): row for row in fig4.measure(case).rows}
+    assert found == expected
+
+
 def test_files_hold_what_the_house_promises(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -10,6 +10,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy import ndimage
+from skimage.metrics import structural_similarity
 
 from lightmatrix.experiments import fig6, fig7
 from lightmatrix.experiments.fig6 import Case
@@ -25,7 +27,8 @@ SCENE = "gripper"
 
 @pytest.fixture(scope="module")
 def rows() -> dict[str, dict[str, Any]]:
-    names = ("admm", "saturation-admm", "saturation-admm-multi-scale", "coherent", "admm-iterated")
+    names = ["admm", "saturation-admm", "saturation-admm-multi-scale", "coherent"]
+    names += ["admm-iterated", "saturation-admm-iterated"]
     return {name: fig6.measure(Case(SCENE, name, 64, 64)).rows[0] for name in names}
 
 
@@ -37,12 +40,15 @@ def test_clip_aware_beats_clip_blind_and_coherence_beats_both(
     assert rows["coherent"]["rmse"] < 0.5 * rows["saturation-admm"]["rmse"]
 
 
+@pytest.mark.parametrize("name", ["admm", "saturation-admm"])
 def test_the_iterated_solver_comes_to_the_minimum_that_stands_for_it(
-    rows: dict[str, dict[str, Any]],
+    rows: dict[str, dict[str, Any]], name: str
 ) -> None:
-    assert rows["admm-iterated"]["rmse"] is None
-    assert rows["admm-iterated"]["rmse_few"] == pytest.approx(rows["admm"]["rmse_few"], rel=0.05)
-    assert rows["admm-iterated"]["rows"] == 32
+    """To 0.02 % for ADMM; 0.5 % for Saturation ADMM, whose stand-in is the convex form."""
+    iterated = rows[f"{name}-iterated"]
+    assert iterated["rmse"] is None
+    assert iterated["rmse_few"] == pytest.approx(rows[name]["rmse_few"], rel=0.007)
+    assert iterated["rows"] == 32
 
 
 def test_every_other_block_and_two_pixels_of_each_are_judged() -> None:
@@ -136,6 +142,20 @@ def test_relit_images_are_judged_and_drawn(tmp_path: Path, monkeypatch: pytest.M
     assert len(kept.names) == 3
     assert fig7.FIG7.run(out, quick=True, kept=kept)["rows"] == result["rows"]
     assert (out / "fig7.png").stat().st_size > 1000
+
+
+@pytest.mark.parametrize("noise", [0.01, 0.1, 0.5])
+def test_the_structural_similarity_is_that_of_scikit_image(noise: float) -> None:
+    random = np.random.default_rng(0)
+    expected = ndimage.gaussian_filter(random.random((40, 30)), 2)
+    expected[5:9, 6:20] += 0.5
+    image = np.maximum(expected + noise * random.standard_normal(expected.shape), 0)
+    shown = [np.clip(part / np.quantile(expected, 0.99), 0, 1) for part in (image, expected)]
+    # The mean of the whole map, margins too, which scikit-image leaves out.
+    _, similarity = structural_similarity(  # type: ignore[no-untyped-call]
+        *shown, win_size=7, data_range=1, use_sample_covariance=False, full=True
+    )
+    assert fig7.quality(image, expected)["ssim"] == pytest.approx(similarity.mean(), rel=1e-9)
 
 
 def test_image_quality_from_its_definition() -> None:

@@ -36,7 +36,7 @@ from lightmatrix.solvers import (
     Solver,
     solve,
 )
-from lightmatrix.solvers.objective import relative_gap
+from lightmatrix.solvers.objective import objective, relative_gap
 from lightmatrix.solvers.system import System, centred_energy
 from lightmatrix.transport.metrics import relative_error
 
@@ -169,12 +169,16 @@ def test_problems_on_some_pixels_keep_the_means_of_whole_patterns(solver: Any) -
     seen = Samples(samples, samples >= level, np.full(40, level))
     problem = Problem(patterns, seen, 1e-3, background_column=whole.means)
     result = solve(problem, solver)
-    fidelity = solver.fidelity if solver.fidelity.convex else "one-sided"
-    _, gap = relative_gap(problem, result.coefficients, result.background, fidelity)
-    if isinstance(solver, ActiveSet):
-        assert gap.max() < 1.1e-4
-    if not isinstance(solver, ROMP | ADMM):
-        np.testing.assert_allclose(result.background, 0.4, atol=0.05)
+    # Equation 6 is not convex; what is near its minimum is near that of the one-sided fidelity too.
+    fidelity = solver.fidelity if solver.fidelity.convex else Fidelity.ONE_SIDED
+    best = solve(problem, ActiveSet(fidelity, tolerance=1e-8))
+    _, gap = relative_gap(problem, best.coefficients, best.background, fidelity)
+    assert gap.max() < 1e-7
+    reached = objective(problem, result.coefficients, result.background, fidelity)
+    assert (reached > best.objective * (1 - 1e-7)).all()
+    assert (reached < best.objective * 1.012).all()
+    if fidelity is not Fidelity.LINEAR:  # which takes clipped samples for what they are not
+        np.testing.assert_allclose(result.background, 0.4, atol=0.01)
 
 
 def test_wide_systems_of_restricted_patterns() -> None:

@@ -30,7 +30,8 @@ from lightmatrix.errors import LightMatrixError, LightMatrixWarning, OutputError
 from lightmatrix.experiments import run
 from lightmatrix.experiments.harness import Experiment, Measured
 from lightmatrix.files import outputs, scratch, targets
-from lightmatrix.files.kinds import IMAGE, MAT, NPZ, read_image, write_image
+from lightmatrix.files.images import read_image, write_image
+from lightmatrix.files.kinds import IMAGE, MAT, NPZ
 from lightmatrix.files.markers import FileKind, FolderKind, OutputKind
 from lightmatrix.files.outputs import atomic_file, atomic_folder, check_output, claimed
 from lightmatrix.files.running import RunningFolder

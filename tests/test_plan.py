@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from test_rig_render import needs_llvm
 
+from benchmarks import plan_calibration
 from lightmatrix.cli import main
 from lightmatrix.errors import InputError
 from lightmatrix.files.images import write_image
@@ -24,6 +27,7 @@ from lightmatrix.planning.advice import (
 )
 from lightmatrix.planning.table import counts, expectations, frames_for, table
 from lightmatrix.rig.library import truth
+from lightmatrix.rig.renderer import render
 from lightmatrix.rig.simulate import irradiance
 
 
@@ -65,19 +69,35 @@ def test_clipped_highlights_get_a_shorter_exposure() -> None:
     assert advise_density(_white(levels), known) == 0.5
 
 
-@pytest.mark.parametrize("scene", ["l_objects", "gripper", "metal"])
-@pytest.mark.parametrize("density", [0.5, 0.25])
-def test_clipping_is_told_from_the_white_frame(scene: str, density: float) -> None:
+# Shares of samples that clip at 1, 2, 4 and 8 times the shortest advised exposure, as told from the
+# white frame; how far from the real ones, at most, and at twice the exposure (measured: .123, .008,
+# .117, .088, .138, .090 and .045, .005, .004, .039, .000, .003).
+@pytest.mark.parametrize(
+    ("scene", "density", "most", "at_twice"),
+    [
+        ("l_objects", 0.5, 0.14, 0.055),
+        ("gripper", 0.5, 0.012, 0.008),
+        ("metal", 0.5, 0.14, 0.008),
+        ("l_objects", 0.25, 0.11, 0.047),
+        ("gripper", 0.25, 0.16, 0.003),
+        ("metal", 0.25, 0.11, 0.005),
+    ],
+)
+def test_clipping_is_told_from_the_white_frame(
+    scene: str, density: float, most: float, at_twice: float
+) -> None:
     known = truth(scene)
     white = _white(known.matrix.sum(axis=1))
     light = irradiance(known.matrix, BernoulliPatterns((64, 64), 32, density))[white.lit]
     shortest = advise_exposures(white)[-1][0]
-    assert float((shortest * light >= 1).mean()) < 0.001
-    shares = [clipped_share(white, factor * shortest, density) for factor in (1, 2, 4, 8)]
-    for factor, share in zip((1, 2, 4, 8), shares, strict=True):
-        found = float((factor * shortest * light >= 1).mean())
-        assert share == pytest.approx(found, abs=0.15)
-    assert shares == sorted(shares)
+    factors = (1, 2, 4, 8)
+    told = np.array([clipped_share(white, factor * shortest, density) for factor in factors])
+    real = np.array([float((factor * shortest * light >= 1).mean()) for factor in factors])
+    assert real[0] < 0.001
+    assert told[0] < 0.001
+    assert abs(told[1] - real[1]) < at_twice
+    assert np.abs(told - real).max() < most
+    assert (np.diff(told) >= 0).all()
 
 
 def test_pixels_the_projector_does_not_reach_do_not_count() -> None:
@@ -108,6 +128,21 @@ def test_the_table_is_whole_and_improves_with_frames() -> None:
     assert min(e.relative_error[1] for e in expectations(few)) <= 0.05
 
 
+@needs_llvm
+def test_the_table_is_what_the_calibration_measures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two of its rows, on a scene rendered with 512 paths a pixel instead of 16,384."""
+    known = render("gripper", plan_calibration.SIZE, samples=512)
+    monkeypatch.setattr(plan_calibration, "truth", lambda scene, size: known)
+    for patterns, exposures in (("fine", "advised"), ("mix", "long")):
+        case: dict[str, Any] = {"estimator": "plain", "scene": "gripper", "frames": 64}
+        case |= {"patterns": patterns, "exposures": exposures, "density": 0.5}
+        (row,) = [r for r in table() if case.items() <= r.items()]
+        found = plan_calibration.run(**case)
+        for name in ("relative_error", "relighting_error", "clipped_share"):
+            # The noise of the rendering: 1 to 4.4 %.
+            assert found[name] == pytest.approx(row[name], rel=0.055, abs=2e-4)
+
+
 def test_advice_comes_true(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The advised commands, run: the error is about what was said, at a quarter of the size too."""
     assert main(["plan", "metal", "--size", "64", "--frames", "64", "--json"]) == 0
@@ -127,8 +162,13 @@ def test_advice_comes_true(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
     truth("metal").save(save)
     assert main(["evaluate", plain, "--truth", str(save), "--json"]) == 0
     found = json.loads(capsys.readouterr().out)["relative_error"]
-    worst = max(e["relative_error"][1] for e in advice["expected"] if e["frames"] == 64)
-    assert found < 2 * worst
+    (least, worst) = next(
+        e["relative_error"]
+        for e in advice["expected"]
+        if e["frames"] == 64 and e["estimator"] == "coherent"
+    )
+    # .0207, and .0100 to .0236 are expected.
+    assert 0.9 * least < found < 1.05 * worst
 
 
 def test_a_photograph_is_read_with_its_black_and_clip(

@@ -1,4 +1,4 @@
-"""A real capture: estimates against classical Gray decoding, and frames held out.
+"""A real capture: estimates against classical Gray decoding, and the frames they are made from.
 
 42 photographs of a planar board under Gray code stripes (kamino410/procam-calibration, MIT): a
 window of them, or the folder that the environment variable LIGHTMATRIX_BOARD names.
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -107,46 +108,70 @@ def test_the_strongest_entry_is_where_gray_decoding_says(
         decoded = np.where(bright, bins(gray_decoded(photographs, first))[rows], np.nan)
         near &= np.abs(found - np.nanmedian(decoded, axis=1) // BIN) <= 1
     print(f"strongest entry within one bin of Gray decoding: {100 * near.mean():.2f} %")
-    assert near.mean() >= 0.98
+    # Of the window 100 and 99.91 %, of the whole board 99.0 %.
+    assert near.mean() >= (0.998 if BOARD == WINDOW else 0.988)
 
 
-@pytest.mark.parametrize("held", [2, 26])
-def test_a_frame_held_out_is_predicted_by_the_coherent_estimate(
-    capture: Capture, photographs: NDArray[np.float32], held: int
+def residuals(
+    capture: Capture, rows: NDArray[np.int64], predicted: NDArray[Any]
+) -> NDArray[np.float64]:
+    """RMS of what each frame shows beyond what is predicted of it, of the mean lit level, (K,)."""
+    samples = capture.samples().rows(rows)
+    wrong = samples.values - predicted
+    wrong = np.where(samples.clipped, np.maximum(wrong, 0), wrong)
+    return np.sqrt((wrong**2).mean(axis=0)) / samples.values[:, WHITE].mean()
+
+
+# Frames whose stripes are at least two bins wide, and their inverses: what 8 x 8 bins can show.
+RESOLVED = np.r_[0:14, 20:34, WHITE]
+
+
+def test_the_estimate_explains_the_frames_it_was_made_from(
+    capture: Capture, photographs: NDArray[np.float32]
 ) -> None:
-    rest = np.delete(np.arange(capture.count), held)
-    found = CoherentEstimator().estimate(capture.select(rest))
-    predicted = found.relight(capture.patterns.images(held, held + 1)).reshape(-1)
-    samples = capture.samples()
+    """Which says that it fits, not that it would fit other frames: see the test below."""
     rows = lit(photographs)
-    rows = rows[~samples.clipped[rows, held]]
-    lit_range = samples.values[rows, WHITE].mean()
-    error = np.sqrt(np.mean((predicted - samples.values[:, held])[rows] ** 2)) / lit_range
-    print(f"frame {held} predicted to {100 * error:.2f} % RMS of the mean lit level")
-    assert error < 0.03
+    relit = CoherentEstimator().estimate(capture).relight(capture.patterns.images())
+    coherent = residuals(capture, rows, relit.reshape(capture.count, -1).T[rows])
+    rows = rows[:: -(-len(rows) // 2000)]
+    # The board stays well below the clip level, whose 0.32 would shrink it by 7 to 10 %.
+    result = estimate(capture, rows, automatic_regularization(capture))
+    shown = capture.patterns.dense()
+    predicted = result.coefficients @ shown.T + np.outer(result.background, shown.mean(axis=1))
+    plain = residuals(capture, rows, predicted)
+    print(f"coherent {coherent[RESOLVED].max():.4f}, plain {plain[RESOLVED].max():.4f} at most")
+    # Of the window: .0101 and .0517.
+    assert coherent[RESOLVED].max() < 0.0125
+    assert plain[RESOLVED].max() < 0.062
+    # Finer stripes are grey to the binned projector, and not so to the camera.
+    fine = np.setdiff1d(np.arange(WHITE), RESOLVED)
+    assert coherent[fine].max() > 0.2
 
 
 @pytest.mark.parametrize("held", [2, 6, 26])
-def test_a_frame_held_out_is_predicted(
+def test_gray_codes_cannot_show_that_an_estimate_generalises(
     capture: Capture, photographs: NDArray[np.float32], held: int
 ) -> None:
-    """Its inverse, the next frame, is kept."""
+    """A frame held out is white less its inverse, if that is kept; without it nothing tells it.
+
+    So no test here holds frames out: scenes whose T is known do (`test_coherent.py`).
+    """
+    samples = capture.samples()
     rows = lit(photographs)
-    rows = rows[:: -(-len(rows) // 2000)]
-    rest = np.delete(np.arange(capture.count), held)
-    # The board stays well below the clip level, whose 0.32 would shrink it by 7 to 10 %.
+    rows = rows[~samples.clipped[rows][:, [held, held + 1, WHITE]].any(axis=1)]
+    frame, inverse, white = samples.values[rows][:, [held, held + 1, WHITE]].T
+    by_formula = np.sqrt(np.mean((white - inverse - frame) ** 2)) / white.mean()
+    assert by_formula < 0.011
+    rest = np.delete(np.arange(capture.count), [held, held + 1])
+    rows = rows[:: -(-len(rows) // 500)]
     kept = capture.select(rest)
     result = estimate(kept, rows, automatic_regularization(kept))
     shown = capture.patterns.rows(held, held + 1)[0]
     predicted = result.coefficients @ shown + result.background * shown.mean()
-    samples = capture.samples()
-    observed, unclipped = samples.values[rows, held], ~samples.clipped[rows, held]
-    # Of the mean light of the lit pixels, which is stricter than of their whole range.
-    lit_range = samples.values[rows, WHITE].mean()
-    error = np.sqrt(np.mean((predicted - observed)[unclipped] ** 2)) / lit_range
-    print(f"frame {held} predicted to {100 * error:.2f} % RMS of the mean lit level")
-    assert observed.std() > 0.3 * lit_range
-    assert error < 0.06
+    observed = samples.values[rows, held]
+    error = np.sqrt(np.mean((predicted - observed) ** 2)) / white.mean()
+    print(f"frame {held}: formula {by_formula:.4f}, estimate without both {error:.3f}")
+    assert error > 0.3
 
 
 def test_stripes_finer_than_a_bin_become_constant_without_error(capture: Capture) -> None:
