@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import resource
 import struct
 import subprocess
 import sys
@@ -160,6 +159,9 @@ try:
     read_image(sys.argv[1])
 except InputError as error:
     print(error.message)
+# The peak of this program alone; getrusage tells that of the one it was started from.
+status = open('/proc/self/status').read()
+print(status.split('VmHWM:')[1].split()[0])
 """
 
 
@@ -200,7 +202,7 @@ def test_what_is_too_large_is_refused_before_it_is_inflated(tmp_path: Path) -> N
             [sys.executable, "-c", BOMB, str(file)], capture_output=True, text=True, check=False
         )
         assert message in done.stdout, (file, done.stdout, done.stderr)
-        peak = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
+        peak = int(done.stdout.split()[-1])
         assert peak < 500 << 10, f"{file.name} took {peak >> 10} MiB"
 
 

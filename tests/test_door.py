@@ -118,7 +118,7 @@ def test_names_in_a_notebook_are_text() -> None:
 
 def test_raw_levels_are_no_pattern() -> None:
     transport = lm.truth("metal").transport()
-    with pytest.raises(lm.InputError, match="whole numbers up to 255"):
+    with pytest.raises(lm.InputError, match="divide raw levels by their largest one, such as 255"):
         transport.relight(np.full((64, 64), 255, np.uint8))
     lit = transport.relight(np.ones((64, 64), bool))
     np.testing.assert_array_equal(lit, transport.relight(np.ones((64, 64))))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, get_args
 
 import numpy as np
@@ -277,11 +278,13 @@ def test_what_runs_long_is_passed_on_as_it_was_said(
 
     def stand_in(folder: Path, **options: Any) -> dict[str, Any]:
         (folder / "demo.json").write_text("{}")
+        options.pop("kept", None)
         asked.append(options)
         return {"rows": [1, float("nan")]}
 
     monkeypatch.setattr("lightmatrix.experiments.demo.run", stand_in)
-    monkeypatch.setitem(run.EXPERIMENTS, "fig4", stand_in)
+    drawn = SimpleNamespace(run=stand_in)
+    monkeypatch.setitem(run.EXPERIMENTS, "fig4", drawn)
     words = "demo" if command == "demo" else "experiment fig4 --quick"
     told = _run(f"{words} -o {tmp_path}/shown", capsys)
     if command == "demo":

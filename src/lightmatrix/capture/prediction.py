@@ -187,6 +187,7 @@ def likeliest_assumption(patterns: PatternSet, rows: Rows) -> Assumption | None:
     frames = np.arange(count)
     some = int(np.clip(_SCAN_WORK / (count * patterns.pixels), 24, _SCAN_ROWS))
     rows = Rows(rows.shares[:some], rows.levels[:some])
+    some = len(rows.shares)
     cuts = np.unique(np.linspace(0, count, _SCAN_PLACES + 1).astype(int))
     parts = list(itertools.pairwise(cuts))
     ways = [Assumption(frames, frames)]

@@ -103,7 +103,7 @@ def estimate(
     signed: Annotated[bool, typer.Option(help="Allow negative light, as the paper does.")] = False,
     background: Annotated[
         bool,
-        typer.Option(help="Diffuse light: a coefficient, or coarse blocks, per camera sample."),
+        typer.Option(help="Diffuse light: a coefficient, or coarse cells, per camera sample."),
     ] = True,
     multi_scale: Annotated[
         bool,

@@ -238,7 +238,7 @@ def estimate(
     multi_scale : bool
         Projector blocks first, then the pixels that matter.
     background : bool
-        Whether diffuse light has a coefficient, or coarse blocks, per camera sample.
+        Whether diffuse light has a coefficient, or coarse cells, per camera sample.
     signed : bool
         Allow negative light, as the paper does.
     iterations : int, optional

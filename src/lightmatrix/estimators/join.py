@@ -128,4 +128,5 @@ def capture_provenance(capture: Capture) -> dict[str, Any]:
 
 
 def _plain(value: Any) -> Any:
-    return value if isinstance(value, (bool, int, float, str, type(None))) else str(value)
+    # Names from enumerations become strings like any other.
+    return value if isinstance(value, (bool, int, float, type(None))) else str(value)

@@ -33,6 +33,12 @@ class Fidelity(StrEnum):
     the unit in which (y - u)^2 / 2 is that of the others. For s to 0 it becomes ``one-sided``.
 
     Wherever a fidelity is asked for its name will do: ``ActiveSet(fidelity="linear")``.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> lm.Fidelity("rejection").convex, lm.Fidelity.CLIPPED.convex
+    (True, False)
     """
 
     LINEAR = "linear"
