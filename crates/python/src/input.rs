@@ -13,7 +13,7 @@ use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
 
 /// More threads than any machine has cores would only fail later, and slower.
-const MOST_THREADS: usize = 1024;
+pub const MOST_THREADS: usize = 1024;
 
 const FIDELITIES: [(&str, Fidelity); 3] = [
     ("linear", Fidelity::Linear),

@@ -1,5 +1,6 @@
 //! The threads that the core works on, started where a failure can still be said.
 
+use crate::input::MOST_THREADS;
 use pyo3::exceptions::PyOSError;
 use pyo3::prelude::*;
 use rayon::{ThreadPool, ThreadPoolBuilder};
@@ -20,10 +21,7 @@ fn start(threads: usize) -> PyResult<Arc<ThreadPool>> {
     let pool = ThreadPoolBuilder::new().num_threads(threads).build();
     pool.map(Arc::new).map_err(|error| {
         let why = error.source().map_or(error.to_string(), |e| e.to_string());
-        PyOSError::new_err(match threads {
-            0 => format!("cannot start one thread a core: {why}"),
-            _ => format!("cannot start {threads} threads: {why}"),
-        })
+        PyOSError::new_err(format!("cannot start {threads} threads: {why}"))
     })
 }
 
@@ -34,12 +32,20 @@ fn shared() -> PyResult<Arc<ThreadPool>> {
     match &*shared {
         Some((owner, pool)) if *owner == process => Ok(pool.clone()),
         _ => {
-            let pool = start(0)?;
+            let pool = start(usual_threads())?;
             // To end the threads of another process is to wait for them for ever.
             std::mem::forget(shared.replace((process, pool.clone())));
             Ok(pool)
         }
     }
+}
+
+/// One thread a core, or as many as the environment asks for, within reason.
+fn usual_threads() -> usize {
+    let asked = std::env::var("RAYON_NUM_THREADS").ok();
+    let asked = asked.and_then(|text| text.parse::<usize>().ok());
+    let threads = asked.filter(|&threads| threads > 0);
+    threads.unwrap_or_else(|| count_of(None)).min(MOST_THREADS)
 }
 
 /// How many threads None or a number of them stands for.

@@ -70,7 +70,12 @@ class Response:
                 raise InputError(f"a response of {text!r}", hint="write for example gamma:2.2")
             return cls(levels, levels**gamma, text)
         if kind == "curve" and argument:
-            return cls(*_read_curve(folder / argument), text)
+            try:
+                return cls(*_read_curve(folder / argument), text)
+            except InputError as error:
+                # Which file is meant is clear from what it was asked for.
+                message = f"the response curve {error.message}"
+                raise InputError(message, hint=error.hint) from error
         raise InputError(
             f"a response of {text!r}", hint="use linear, gamma:2.2, srgb or curve:FILE"
         )
@@ -100,7 +105,7 @@ def _as_columns(values: Any) -> NDArray[np.float64]:
 def _read_curve(file: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     # The message must not quote the file, which may be any of the system.
     unreadable = InputError(
-        f"{file}: the response curve cannot be read: no table of numbers",
+        f"{file}: cannot be read: no table of numbers",
         hint="write two columns of numbers, level and light",
     )
     try:
@@ -124,8 +129,7 @@ def _read_curve(file: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         or light[-1] <= 0
     ):
         raise InputError(
-            f"{file}: a response curve of {table.shape[0]} x {table.shape[1]} numbers that does "
-            "not increase",
+            f"{file}: {table.shape[0]} x {table.shape[1]} numbers that do not increase",
             hint="write two columns, level and light, from dark to bright",
         )
     return levels / levels[-1], light / light[-1]

@@ -41,6 +41,9 @@ from lightmatrix.errors import InputError
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.reprs import html_table
 
+# Pixels per side of a bin: more than any camera or projector has.
+_LARGEST_BLOCK = 1 << 20
+
 
 @dataclass(frozen=True, eq=False)
 class Capture:
@@ -427,8 +430,9 @@ class Capture:
 
 def _pair(block: int | tuple[int, int], name: str) -> tuple[int, int]:
     rows, cols = (block, block) if isinstance(block, (int, np.integer)) else block
-    if min(rows, cols) < 1:
+    if not 1 <= min(rows, cols) <= max(rows, cols) <= _LARGEST_BLOCK:
         raise InputError(
-            f"the {name} binned by {rows} x {cols} pixels", hint="use at least 1, such as 8"
+            f"the {name} binned by {rows} x {cols} pixels",
+            hint=f"use 1 to {_LARGEST_BLOCK}, such as 8",
         )
     return int(rows), int(cols)

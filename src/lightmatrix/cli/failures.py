@@ -52,12 +52,16 @@ def _explain(error: BaseException) -> tuple[int, list[str]]:
         return BAD, [f"error: {message}", hint]
     if isinstance(error, MemoryError) or "can't start new thread" in str(error):
         return NO_MEMORY, ["error: not enough memory", "use a smaller size or --tile-rows"]
+    if isinstance(error, OSError) and str(error).startswith("cannot start"):
+        return NO_MEMORY, [f"error: {error}", "free some memory, or set RAYON_NUM_THREADS to fewer"]
     if isinstance(error, OSError) and error.filename is None and error.errno in _STREAM_ERRORS:
         _give_up_output()
         why = error.strerror or str(error)
-        return BAD, [f"error: standard output cannot be written ({why})"]
+        hint = "free some space, or send what is printed elsewhere"
+        return BAD, [f"error: standard output cannot be written ({why})", hint]
     if isinstance(error, OSError) and error.filename is not None:
-        return BAD, [f"error: {error.filename}: {error.strerror or error}"]
+        hint = "check the name, its permissions and the free space"
+        return BAD, [f"error: {error.filename}: {error.strerror or error}", hint]
     if os.environ.get(DEBUG):
         with suppress(OSError, ValueError):
             traceback.print_exception(error)

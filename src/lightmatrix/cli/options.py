@@ -40,6 +40,7 @@ FEWEST_MIXED = 64
 COHERENT_UP_TO = 256
 PASSES, ADMM_ITERATIONS = 200, 1000
 USUAL_SIZE = "128x128"
+MOST_PIXELS = 2**31 - 1
 
 
 def size(text: str) -> tuple[int, int]:
@@ -49,6 +50,8 @@ def size(text: str) -> tuple[int, int]:
         raise InputError(f"a size of {text!r}", hint="write rows x columns, such as 128x128")
     rows = int(match[1])
     cols = int(match[2] or rows)
-    if rows < 1 or cols < 1:
-        raise InputError(f"a size of {text!r}", hint="use at least 1x1")
+    if rows < 1 or cols < 1 or rows * cols > MOST_PIXELS:
+        raise InputError(
+            f"a size of {text!r}", hint=f"use at least 1x1 and at most {MOST_PIXELS:,} pixels"
+        )
     return rows, cols

@@ -37,7 +37,7 @@ def relight(
     exposure : float
         Exposure e of the image, > 0.
     gamma : float
-        Display gamma of a PNG, > 0; 1 keeps it linear.
+        Display gamma of a PNG, 0.1 to 10; 1 keeps it linear.
     output : str or Path, optional
         An image to write as well: .png (8 bits, cut off at full scale), .tiff or .npy (all values).
     overwrite : bool
@@ -63,9 +63,9 @@ def relight(
     >>> lm.read_image("white.png").shape
     (64, 64)
     """
-    for what, value in (("an exposure", exposure), ("a gamma", gamma)):
-        hint = "use a number above 0, such as 1"
-        check_number(what, value, most=1e9, above=True, hint=hint)
+    hint = "use a number above 0, such as 1"
+    check_number("an exposure", exposure, most=1e9, above=True, hint=hint)
+    check_number("a gamma", gamma, least=0.1, most=10, hint="use 0.1 to 10, such as 2.2")
     if output is not None:
         target = check_output(output, IMAGE, overwrite=overwrite)
         if gamma != 1 and target.suffix.lower() != ".png":

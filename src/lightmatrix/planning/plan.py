@@ -239,7 +239,9 @@ def plan(
     if frames is not None and not 2 <= frames <= 1_000_000:
         raise InputError(f"{frames} frames", hint="use 2 to 1000000")
     check_camera(noise, shortest)
-    simulated = isinstance(white, Truth) or str(white).endswith(".npz") or str(white) in names()
+    simulated = (
+        isinstance(white, Truth) or str(white).lower().endswith(".npz") or str(white) in names()
+    )
     if isinstance(white, WhiteFrame):
         frame, projector = white, size or USUAL_SIZE
     elif simulated:

@@ -73,7 +73,7 @@ def _known(
     truth: Truth | str | Path,
     progress: Callable[[int, int], None] | None,
 ) -> LightTransport:
-    if isinstance(truth, str) and not truth.endswith(".npz"):
+    if isinstance(truth, str) and not truth.lower().endswith(".npz"):
         _check_scene(estimate, truth)
     return library.truth(truth, estimate.projector_shape, progress=progress).transport()
 

@@ -59,7 +59,7 @@ def truth(
     """
     if isinstance(name, Truth):
         return name
-    if str(name).endswith(".npz"):
+    if str(name).lower().endswith(".npz"):
         return Truth.load(Path(name))
     name = str(name)
     described = scene(name)

@@ -45,7 +45,7 @@ def check_realism(
     if not 0 <= vignetting < 1:
         raise InputError(f"a vignetting of {vignetting}", hint="use a share from 0 to below 1")
     if not 0 <= leak < 1:
-        raise InputError(f"a projector black level of {leak}", hint="use a share such as 0.001")
+        raise InputError(f"a leak of {leak}", hint="use a share from 0 to below 1, such as 0.001")
     hint = "use a share of the white image, from 0 to 1000"
     check_number("an ambient level", ambient, most=1000, hint=hint)
 

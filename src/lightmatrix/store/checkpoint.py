@@ -173,7 +173,14 @@ class Checkpoint:
             found.diagnostics,
             dict(provenance or {}),
         )
-        save(self._path, transport, overwrite=self._overwrite)
+        try:
+            save(self._path, transport, overwrite=self._overwrite)
+        except OutputError as error:
+            raise OutputError(
+                error.message,
+                hint=f"the finished tiles are kept in {self._kept.path}: check the folder, its "
+                "permissions and the free space, and run the same estimate again",
+            ) from error
         self._kept.discard()
         return transport
 

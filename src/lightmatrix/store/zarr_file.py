@@ -138,6 +138,8 @@ def _damage_explained(place: Path) -> Iterator[None]:
         raise
     # The codecs raise nearly anything on damaged chunks.
     except Exception as error:
+        if "can't start new thread" in str(error):
+            raise MemoryError(str(error)) from error
         words = " ".join(str(getattr(error, "message", error)).split())[:120]
         raise InputError(
             f"{place}: is damaged ({type(error).__name__}: {words})",
