@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from lightmatrix.camera.decoder import Decoder
 from lightmatrix.camera.samples import Samples
 from lightmatrix.camera.sensor import Sensor
-from lightmatrix.capture import capture as capture_module
 from lightmatrix.capture import folder as capture_folder
+from lightmatrix.capture import reader
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.folder import write_capture
 from lightmatrix.errors import InputError, LightMatrixWarning, OutputError
@@ -292,9 +292,9 @@ def test_large_captures_are_held_in_a_file(monkeypatch: pytest.MonkeyPatch) -> N
     sensor = Sensor()
     frames = photographs(SETS[0], sensor)
     expected = Capture.from_arrays(SETS[0], frames, sensor)
-    monkeypatch.setattr(capture_module, "_MEMORY_BYTES", 0)
+    monkeypatch.setattr(reader, "_MEMORY_BYTES", 0)
     mapped = Capture.from_arrays(SETS[0], frames, sensor)
-    assert isinstance(mapped._raw, np.memmap)
+    assert isinstance(mapped.reader.raw, np.memmap)
     assert mapped.digest == expected.digest
     assert mapped.bin(camera=2).digest == expected.bin(camera=2).digest
 

@@ -13,7 +13,6 @@ tile, in the order (row, col, channel).
 from __future__ import annotations
 
 import hashlib
-import tempfile
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -24,9 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.camera.decoder import Decoder
-from lightmatrix.camera.noise import frame_weights
 from lightmatrix.camera.response import Response
-from lightmatrix.camera.samples import Samples, bin_samples
+from lightmatrix.camera.samples import Samples
 from lightmatrix.camera.sensor import Sensor
 from lightmatrix.capture.checks import (
     check_light,
@@ -37,11 +35,9 @@ from lightmatrix.capture.checks import (
 from lightmatrix.capture.folder import jsonable, read_capture, read_folders
 from lightmatrix.capture.frames import ArrayStack, Frames
 from lightmatrix.capture.order import check_order
+from lightmatrix.capture.reader import Reader
 from lightmatrix.errors import InputError
 from lightmatrix.patterns.pattern_set import PatternSet
-
-# Raw frames up to this size are held in memory, larger ones in a temporary file.
-_MEMORY_BYTES = 2 << 30
 
 
 @dataclass(frozen=True, eq=False)
@@ -231,18 +227,17 @@ class Capture:
     @property
     def camera_shape(self) -> tuple[int, ...]:
         """Camera rows, columns and, for a colour camera, channels, binned."""
-        rows, cols, *channels = self.frames.shape
-        return (-(-rows // self.bin_camera[0]), -(-cols // self.bin_camera[1]), *channels)
+        return self.reader.camera_shape
 
     @property
     def rows(self) -> int:
         """Number of camera samples M, binned."""
-        return int(np.prod(self.camera_shape))
+        return self.reader.rows
 
     @property
     def exposures(self) -> NDArray[np.float64]:
         """Exposure of each frame, (K,)."""
-        return np.broadcast_to(np.asarray(self.decoder.exposure, np.float64), (self.count,))
+        return self.reader.exposures
 
     @property
     def reference_level(self) -> float:
@@ -312,70 +307,17 @@ class Capture:
             Fits `Problem`; at exposure 1, in units of the clip level.
         """
         end = self.rows if stop is None else min(stop, self.rows)
-        if self.bin_camera == (1, 1):
-            decoded = self.decoder.decode(self._raw[start:end], first_row=start)
-        else:
-            decoded = self._binned.rows(slice(start, end))
-        valid = self.valid[start:end]
-        weights = frame_weights(self.exposures)
-        if valid.all():
-            return Samples(decoded.values, decoded.clipped, decoded.clip_level, weights)
-        if weights is None:
-            weights = np.ones(self.count, np.float32)
-        return Samples(
-            decoded.values * valid[:, None],
-            decoded.clipped & valid[:, None],
-            decoded.clip_level,
-            valid[:, None] * weights,
-        )
+        return self.reader.samples(start, end)
 
     @cached_property
+    def reader(self) -> Reader:
+        """What decodes the frames, and keeps what it has read of them."""
+        return Reader(self.frames, self.decoder, self.mask, self.bin_camera)
+
+    @property
     def valid(self) -> NDArray[np.bool_]:
         """Which camera samples count: not masked, and not clipped without light; (M,)."""
-        if self.bin_camera == (1, 1):
-            return self._valid_pixels
-        nothing = np.zeros((len(self._valid_pixels), 1), np.float32)
-        empty = Samples(nothing, nothing > 0, np.ones(1, np.float32))
-        return bin_samples(empty, self._valid_pixels, self.frames.shape, self.bin_camera)[1]
-
-    @cached_property
-    def _valid_pixels(self) -> NDArray[np.bool_]:
-        hot = self.decoder.hot
-        valid = np.ones(int(np.prod(self.frames.shape)), bool) if hot is None else ~hot
-        return valid if self.mask is None else valid & self.mask.ravel()
-
-    @cached_property
-    def _raw(self) -> NDArray[Any]:
-        """Raw levels (M, K), a camera sample's frames side by side as tiles need them."""
-        pixels = int(np.prod(self.frames.shape))
-        raw = _allocate((pixels, self.count), self.frames.dtype)
-        # Some frames at a time: column by column would touch every page of the array K times.
-        group = max(1, min(64, (256 << 20) // max(1, pixels * raw.itemsize)))
-        for start in range(0, self.count, group):
-            stop = min(start + group, self.count)
-            block = [self.frames.read(k).reshape(-1) for k in range(start, stop)]
-            raw[:, start:stop] = np.stack(block, axis=1)
-        return raw
-
-    @cached_property
-    def _binned(self) -> Samples:
-        """Binned samples (M, K); smaller than the raw levels for blocks of 2 x 2 and more."""
-        values = _allocate((self.rows, self.count), np.dtype(np.float32))
-        clipped = _allocate((self.rows, self.count), np.dtype(np.bool_))
-        levels = []
-        for k in range(self.count):
-            raw = self.frames.read(k).reshape(-1, 1)
-            decoded = self.decoder.decode(raw, first_frame=k)
-            binned, _ = bin_samples(decoded, self._valid_pixels, self.frames.shape, self.bin_camera)
-            values[:, k], clipped[:, k] = binned.values[:, 0], binned.clipped[:, 0]
-            levels.append(binned.clip_level)
-        if levels[0].ndim == 1:
-            level = np.concatenate(levels)
-        elif np.ptp(self.exposures) == 0 and np.ndim(self.decoder.clip) == 0:
-            level = np.broadcast_to(levels[0], values.shape)
-        else:
-            level = np.concatenate(levels, axis=1)
-        return Samples(values, clipped, level)
+        return self.reader.valid
 
     def tiles(self, rows: int = 4096) -> Iterable[tuple[int, Samples]]:
         """Iterate over (first row, samples) of the whole camera."""
@@ -436,17 +378,9 @@ class Capture:
         check_patterns(self.patterns)
         check_light(self.tiles(), int(self.valid.sum()), self.decoder)
         if self.frames.dtype == np.uint16 and self.bin_camera == (1, 1):
-            warn_of_hidden_clipping(self._raw, self.decoder)
+            warn_of_hidden_clipping(self.reader.raw, self.decoder)
         if order:
             check_order(self.patterns, self.tiles(), self.rows, self.frames.name)
-
-
-def _allocate(shape: tuple[int, ...], dtype: np.dtype[Any]) -> NDArray[Any]:
-    if int(np.prod(shape)) * dtype.itemsize <= _MEMORY_BYTES:
-        return np.empty(shape, dtype)
-    with tempfile.TemporaryFile() as file:
-        # The mapping keeps the unnamed file alive; it vanishes with the array.
-        return np.memmap(file, dtype, "w+", shape=shape)
 
 
 def _pair(block: int | tuple[int, int], name: str) -> tuple[int, int]:

@@ -1,0 +1,132 @@
+"""From frames to linear samples: decoded tile by tile, binned where asked, and kept."""
+
+from __future__ import annotations
+
+import tempfile
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightmatrix.camera.decoder import Decoder
+from lightmatrix.camera.noise import frame_weights
+from lightmatrix.camera.samples import Samples, bin_samples
+from lightmatrix.capture.frames import Frames
+
+# Raw frames up to this size are held in memory, larger ones in a temporary file.
+_MEMORY_BYTES = 2 << 30
+
+
+@dataclass(frozen=True, eq=False)
+class Reader:
+    """Linear samples of frames.
+
+    Parameters
+    ----------
+    frames : Frames
+        K frames.
+    decoder : Decoder
+        From raw levels to linear samples.
+    mask : shape of a frame, bool, optional
+        Which camera samples count.
+    block : (int, int)
+        Rows and columns of the blocks of camera pixels that are averaged.
+    """
+
+    frames: Frames
+    decoder: Decoder
+    mask: NDArray[np.bool_] | None
+    block: tuple[int, int]
+
+    @property
+    def camera_shape(self) -> tuple[int, ...]:
+        """Camera rows, columns and, for a colour camera, channels, binned."""
+        rows, cols, *channels = self.frames.shape
+        return (-(-rows // self.block[0]), -(-cols // self.block[1]), *channels)
+
+    @property
+    def rows(self) -> int:
+        """Number of camera samples M, binned."""
+        return int(np.prod(self.camera_shape))
+
+    @property
+    def exposures(self) -> NDArray[np.float64]:
+        """Exposure of each frame, (K,)."""
+        return np.broadcast_to(np.asarray(self.decoder.exposure, np.float64), (self.frames.count,))
+
+    def samples(self, start: int, stop: int) -> Samples:
+        """Samples of the camera rows start..stop; those that do not count are 0 and weigh 0."""
+        if self.block == (1, 1):
+            decoded = self.decoder.decode(self.raw[start:stop], first_row=start)
+        else:
+            decoded = self._binned.rows(slice(start, stop))
+        valid = self.valid[start:stop]
+        weights = frame_weights(self.exposures)
+        if valid.all():
+            return Samples(decoded.values, decoded.clipped, decoded.clip_level, weights)
+        if weights is None:
+            weights = np.ones(self.frames.count, np.float32)
+        return Samples(
+            decoded.values * valid[:, None],
+            decoded.clipped & valid[:, None],
+            decoded.clip_level,
+            valid[:, None] * weights,
+        )
+
+    @cached_property
+    def valid(self) -> NDArray[np.bool_]:
+        """Which camera samples count: not masked, and not clipped without light; (M,)."""
+        if self.block == (1, 1):
+            return self._valid_pixels
+        nothing = np.zeros((len(self._valid_pixels), 1), np.float32)
+        empty = Samples(nothing, nothing > 0, np.ones(1, np.float32))
+        return bin_samples(empty, self._valid_pixels, self.frames.shape, self.block)[1]
+
+    @cached_property
+    def _valid_pixels(self) -> NDArray[np.bool_]:
+        hot = self.decoder.hot
+        valid = np.ones(int(np.prod(self.frames.shape)), bool) if hot is None else ~hot
+        return valid if self.mask is None else valid & self.mask.ravel()
+
+    @cached_property
+    def raw(self) -> NDArray[Any]:
+        """Raw levels (M, K), a camera sample's frames side by side as tiles need them."""
+        pixels = int(np.prod(self.frames.shape))
+        raw = _allocate((pixels, self.frames.count), self.frames.dtype)
+        # Some frames at a time: column by column would touch every page of the array K times.
+        group = max(1, min(64, (256 << 20) // max(1, pixels * raw.itemsize)))
+        for start in range(0, self.frames.count, group):
+            stop = min(start + group, self.frames.count)
+            block = [self.frames.read(k).reshape(-1) for k in range(start, stop)]
+            raw[:, start:stop] = np.stack(block, axis=1)
+        return raw
+
+    @cached_property
+    def _binned(self) -> Samples:
+        """Binned samples (M, K); smaller than the raw levels for blocks of 2 x 2 and more."""
+        values = _allocate((self.rows, self.frames.count), np.dtype(np.float32))
+        clipped = _allocate((self.rows, self.frames.count), np.dtype(np.bool_))
+        levels = []
+        for k in range(self.frames.count):
+            raw = self.frames.read(k).reshape(-1, 1)
+            decoded = self.decoder.decode(raw, first_frame=k)
+            binned, _ = bin_samples(decoded, self._valid_pixels, self.frames.shape, self.block)
+            values[:, k], clipped[:, k] = binned.values[:, 0], binned.clipped[:, 0]
+            levels.append(binned.clip_level)
+        if levels[0].ndim == 1:
+            level = np.concatenate(levels)
+        elif np.ptp(self.exposures) == 0 and np.ndim(self.decoder.clip) == 0:
+            level = np.broadcast_to(levels[0], values.shape)
+        else:
+            level = np.concatenate(levels, axis=1)
+        return Samples(values, clipped, level)
+
+
+def _allocate(shape: tuple[int, ...], dtype: np.dtype[Any]) -> NDArray[Any]:
+    if int(np.prod(shape)) * dtype.itemsize <= _MEMORY_BYTES:
+        return np.empty(shape, dtype)
+    with tempfile.TemporaryFile() as file:
+        # The mapping keeps the unnamed file alive; it vanishes with the array.
+        return np.memmap(file, dtype, "w+", shape=shape)
