@@ -6,7 +6,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 CORE := $(shell find crates -name '*.rs' -o -name Cargo.toml) Cargo.toml pyproject.toml
 
-.PHONY: help install demo test test-install lint types rust-test py-test mutants format bench \
+.PHONY: help install demo test test-install lint types rust-test py-test faults fuzz mutants format bench \
 	experiments system-deps clean
 
 help:
@@ -48,6 +48,13 @@ rust-test:
 
 py-test:
 	$(BIN)/python -m pytest
+
+faults: test-install ## the table of faults, counted by what became of each
+	$(BIN)/python -m tests.faults.table -v
+
+N := 20000
+fuzz: test-install ## N damaged inputs, 20,000 unless said: make fuzz N=500
+	$(BIN)/python -m tests.faults.fuzz --count $(N)
 
 mutants: test-install ## break 200 things in solvers, estimators, capture: how many do tests notice?
 	$(BIN)/python tools/mutants.py --count 200 --least 0.8

@@ -34,7 +34,6 @@ from benchmarks import (
     solver_speed,
     solver_tables,
 )
-from lightmatrix.solvers.active_set import prepare
 
 Row = dict[str, Any]
 
@@ -158,7 +157,7 @@ def _single_core() -> Any:
 
 
 def _machine() -> Row:
-    core = prepare(solver_rows.bernoulli(8, (8, 8)))
+    core = solver_rows.bernoulli(8, (8, 8)).prepared
     known = Path("/proc/cpuinfo")
     lines = known.read_text().splitlines() if known.exists() else []
     model = next((line.split(":")[1].strip() for line in lines if "model name" in line), "")

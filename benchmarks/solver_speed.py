@@ -14,7 +14,7 @@ from benchmarks import solver_reference, solver_rows
 from lightmatrix.patterns.hadamard import HadamardPatterns
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.solvers import ActiveSet, Fidelity, Problem, Result, SaturationADMM, solve
-from lightmatrix.solvers.active_set import prepare, prepared
+from lightmatrix.solvers.active_set import prepared
 from lightmatrix.solvers.objective import objective
 
 Row = dict[str, Any]
@@ -46,7 +46,7 @@ def sgemm_seconds(patterns: PatternSet, rows: int, repeats: int = 5, clock: Cloc
 
 def whole_frame(problem: Problem, repeats: int = 3) -> Row:
     """Every row of a frame, certified, on all cores; beside it one SGEMM pass on all cores."""
-    prepared(problem.patterns)
+    prepared(problem)
     seconds, result = best_of(repeats, lambda: solve(problem, ActiveSet()))
     sgemm = sgemm_seconds(problem.patterns, min(2048, problem.rows)) * problem.rows
     support = np.diff(result.coefficients.indptr)
@@ -120,7 +120,7 @@ def passes(count: int, repeats: int = 7) -> list[Row]:
     table = []
     for name, patterns, instructions in sets:
         try:
-            core = prepare(patterns, instructions)
+            core = patterns.prepare(instructions=instructions)
         except ValueError:
             continue
         seconds, _ = best_of(repeats, partial(core.pass_only, e), CORE)
@@ -156,7 +156,7 @@ def scaling_rows(size: int, count: int, rows: tuple[int, ...]) -> list[Row]:
 
 
 def _scaling_row(problem: Problem, size: int) -> Row:
-    prepared(problem.patterns)
+    prepared(problem)
     seconds, result = best_of(3, lambda: solve(problem, ActiveSet(threads=1)), CORE)
     count = problem.patterns.count
     return {

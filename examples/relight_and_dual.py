@@ -13,25 +13,20 @@ from pathlib import Path
 
 import numpy as np
 
-from lightmatrix.files.images import write_image
-from lightmatrix.rig import library
+import lightmatrix as lm
 
 
 def main(out: Path) -> None:
     """Write the three pictures."""
-    transport = library.truth("l_objects").transport()
+    transport = lm.truth("l_objects").transport()
 
     stripes = np.zeros(transport.projector_shape, np.float32)
     stripes[:, ::8] = 1
-    relit = transport.relight(stripes)
-    write_image(out / "relit.png", np.clip(relit, 0, 1))
+    lm.relight(transport, stripes, gamma=2.2, output=out / "relit.png")
 
     # Every camera pixel a light: the dual image shows what the projector would photograph.
-    dual = transport.dual(np.ones(transport.camera_shape, np.float32))
-    write_image(out / "dual.png", np.clip(dual / np.quantile(dual, 0.99), 0, 1))
-
-    row = transport.row(40, 30)
-    write_image(out / "row.png", np.clip(row / row.max(), 0, 1) ** 0.25)
+    lm.show_dual(transport).savefig(out / "dual.png")
+    lm.show_row(transport, 40, 30).savefig(out / "row.png")
 
 
 if __name__ == "__main__":

@@ -25,7 +25,6 @@ from lightmatrix.patterns.blocks import BlockPatterns
 from lightmatrix.patterns.hadamard import HadamardPatterns
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
 from lightmatrix.solvers import ActiveSet, Fidelity, Problem, Result, active_set, solve
-from lightmatrix.solvers.active_set import prepare
 
 CONVEX = [Fidelity.ONE_SIDED, Fidelity.REJECTION, Fidelity.LINEAR]
 
@@ -315,7 +314,7 @@ def test_every_instruction_set_gives_the_same_solution(
     solutions = []
     for instructions in ("portable", name):
         try:
-            core = prepare(patterns, instructions)
+            core = patterns.prepare(instructions=instructions)
         except ValueError as error:
             pytest.skip(f"nothing to compare the portable code with: {error}")
         monkeypatch.setattr(active_set, "prepared", lambda _, core=core: core)
@@ -340,11 +339,11 @@ def test_hadamard_by_transform_agrees_with_the_same_patterns_as_images() -> None
 def test_a_start_saves_passes_and_changes_nothing_else() -> None:
     problem = draw(BernoulliPatterns((20, 20), 90), 30, regularization=0.02)
     cold = solve(problem, ActiveSet(tolerance=1e-6))
-    again = ActiveSet(tolerance=1e-6).solve(problem, start=cold)
+    again = ActiveSet(tolerance=1e-6).solve(problem, start=cold.rows)
     assert again.iterations.max() <= 1
     np.testing.assert_allclose(again.objective, cold.objective, rtol=2e-6)
     path = replace(problem, regularization=0.01)
-    warm = ActiveSet().solve(path, start=cold)
+    warm = ActiveSet().solve(path, start=cold.rows)
     assert warm.converged.all()
     assert dense_gap(path, warm, Fidelity.ONE_SIDED).max() <= 1.01e-4
 
@@ -353,9 +352,9 @@ def test_a_start_of_another_shape_or_with_invalid_values() -> None:
     problem = draw(BernoulliPatterns((6, 6), 20), 3)
     result = solve(problem, ActiveSet())
     with pytest.raises(InputError, match="start of shape"):
-        ActiveSet().solve(problem.take(np.arange(2)), start=result)
+        ActiveSet().solve(problem.take(np.arange(2)), start=result.rows)
     negative = csr_array(np.full((3, 36), -1.0))
-    restarted = ActiveSet().solve(problem, start=replace(result, coefficients=negative))
+    restarted = ActiveSet().solve(problem, start=replace(result.rows, coefficients=negative))
     assert restarted.converged.all()
     assert restarted.coefficients.data.min() >= 0
 

@@ -93,7 +93,7 @@ def test_saturation_admm_updates_minimise_their_own_subproblems(
 
         np.testing.assert_allclose(after.x[row], _brute_force(cost, len(z)), atol=1e-5)
         _assert_z_is_best(after.z[row], after.x[row] + h / mu, mu, problem, scale)
-        # The u-update itself is held against a grid in test_prox; here: it saw the right v.
+        # The u-update itself is held against a grid in test_fidelity; here: it saw the right v.
         v = matrix @ state.x[row] + g / nu
         free = ~problem.samples.clipped[row] & (v < 0.9)
         lam_nu = problem.regularization * nu
@@ -273,7 +273,9 @@ def test_system_solves_wide_and_tall_problems_alike() -> None:
     for shape, count in (((3, 4), 40), ((7, 8), 20)):
         for background in (False, True):
             scale = random.random(count) + 0.5
-            system = System(BernoulliPatterns(shape, count), 0.3, background, scale)
+            patterns = BernoulliPatterns(shape, count)
+            column = patterns.means if background else None
+            system = System(patterns, 0.3, column, scale)
             target = random.standard_normal((5, count))
             point = random.standard_normal((5, system.unknowns))
             x, prediction = system.solve(target, point)
@@ -288,7 +290,7 @@ def test_background_is_the_light_that_pixels_do_not_explain() -> None:
     """What the system's unknowns predict is P x + b m, with m the patterns' means."""
     random = np.random.default_rng(2)
     patterns = BernoulliPatterns((5, 6), 12)
-    system = System(patterns, 1.0, background=True)
+    system = System(patterns, 1.0, patterns.means)
     unknowns = random.random((3, system.unknowns))
     x, b = system.split(unknowns)
     expected = patterns.forward(np.ascontiguousarray(x)) + np.outer(b, patterns.means)

@@ -20,6 +20,7 @@ from lightmatrix.rig.truth import Truth
 from lightmatrix.store import Checkpoint
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.transport.metrics import relative_error, squared_errors
+from lightmatrix.transport.sparse_rows import SparseRows
 
 PROJECTOR, CAMERA, GRID = (50, 37), (6, 7), (16, 16)
 PIXELS, ROWS = 50 * 37, 42
@@ -64,7 +65,8 @@ def test_store_and_running_results(fine: LightTransport, tmp_path: Path) -> None
     store.save(tmp_path / "one.zarr", fine)
     with Checkpoint.open(tmp_path / "two.zarr", {"a": 1}) as running:
         for start, stop in ((0, 20), (20, 42)):
-            running.write(start, stop, fine.sparse[start:stop], fine.background[start:stop], {})
+            part = SparseRows(fine.sparse, fine.background).rows(slice(start, stop))
+            running.write(start, stop, part)
         running.finish(camera_shape=CAMERA, projector_shape=PROJECTOR, background_grid=GRID)
     for name in ("one", "two"):
         found = store.open(tmp_path / f"{name}.zarr")

@@ -1,4 +1,4 @@
-"""Backgrounds: halos fall off with distance, shares sum to one, blocks are means of patterns."""
+"""Backgrounds: halos fall off with distance, shares sum to one, cells are means of patterns."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from scipy.sparse import csr_array
 
 from lightmatrix.estimators.coherent.backgrounds import CORE, Backgrounds
 from lightmatrix.patterns.bits import BernoulliPatterns
-from lightmatrix.transport.matrix import block_means
+from lightmatrix.transport.matrix import cell_means
 
 
 def backgrounds(shape: tuple[int, int], grid: tuple[int, int], count: int = 5) -> Backgrounds:
@@ -23,7 +23,7 @@ def backgrounds(shape: tuple[int, int], grid: tuple[int, int], count: int = 5) -
     st.tuples(st.integers(1, 6), st.integers(1, 6)),
     st.integers(0, 2**16),
 )
-def test_halos_are_the_kernel_summed_over_blocks(
+def test_halos_are_the_kernel_summed_over_cells(
     shape: tuple[int, int], grid: tuple[int, int], seed: int
 ) -> None:
     grid = min(grid[0], shape[0]), min(grid[1], shape[1])
@@ -34,7 +34,7 @@ def test_halos_are_the_kernel_summed_over_blocks(
     found = backgrounds(shape, grid).spread(csr_array(rows.astype(np.float32)))
     place = np.indices(shape).reshape(2, -1).astype(float)
     distance = ((place[:, :, None] - place[:, None, :]) ** 2).sum(axis=0)
-    inside = block_means(shape, grid).toarray() > 0
+    inside = cell_means(shape, grid).toarray() > 0
     light = rows @ (1 / (distance + CORE**2)) @ inside.T
     light[~rows.any(axis=1)] = inside.sum(axis=1)
     np.testing.assert_allclose(found, light / light.sum(axis=1, keepdims=True), rtol=2e-4)
@@ -48,7 +48,7 @@ def test_most_of_a_halo_is_near() -> None:
 
 
 @pytest.mark.parametrize("shape", [(300, 200), (128, 256)])
-def test_large_projectors_are_halved_to_cells(shape: tuple[int, int]) -> None:
+def test_large_projectors_are_halved_to_squares(shape: tuple[int, int]) -> None:
     pixels = shape[0] * shape[1]
     rows = csr_array(([1.0], ([0], [pixels - 1])), shape=(1, pixels), dtype=np.float32)
     shares = backgrounds(shape, (4, 4)).spread(rows)
@@ -61,17 +61,17 @@ def test_light_under_the_patterns() -> None:
     random = np.random.default_rng(1)
     shares = random.dirichlet(np.ones(6), 4).astype(np.float32)
     images = np.concatenate([made.shown.images(), made.unseen.images()]).reshape(8, -1)
-    expected = shares @ block_means((9, 7), (3, 2)).toarray() @ images.T
+    expected = shares @ cell_means((9, 7), (3, 2)).toarray() @ images.T
     np.testing.assert_allclose(made.under_patterns(shares), expected, rtol=1e-5, atol=1e-6)
-    assert made.blocks(1.0, unseen=True).means.shape == (6, 8)
-    assert made.blocks(1.0, unseen=False).means.shape == (6, 5)
-    assert backgrounds((9, 7), (1, 1)).blocks(1.0, unseen=True).means.shape == (0, 8)
+    assert made.cells(1.0, unseen=True).means.shape == (6, 8)
+    assert made.cells(1.0, unseen=False).means.shape == (6, 5)
+    assert backgrounds((9, 7), (1, 1)).cells(1.0, unseen=True).means.shape == (0, 8)
 
 
-def test_a_block_costs_the_less_the_larger_it_is() -> None:
-    """0.05 of the clip level over the regularization, over the side of a block in pixels."""
+def test_a_cell_costs_the_less_the_larger_it_is() -> None:
+    """0.05 of the clip level over the regularization, over the side of a cell in pixels."""
     made = backgrounds((9, 7), (3, 2))
-    sizes = block_means((9, 7), (3, 2)).toarray().astype(bool).sum(axis=1)
+    sizes = cell_means((9, 7), (3, 2)).toarray().astype(bool).sum(axis=1)
     assert len(np.unique(sizes)) > 1
-    found = made.blocks(10.0, unseen=False).penalties
+    found = made.cells(10.0, unseen=False).penalties
     np.testing.assert_allclose(found, 0.05 * 10 / np.sqrt(sizes), rtol=1e-6)

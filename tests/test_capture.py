@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 from lightmatrix.camera.decoder import Decoder
 from lightmatrix.camera.samples import Samples
 from lightmatrix.camera.sensor import Sensor
-from lightmatrix.capture import folder as capture_folder
-from lightmatrix.capture import reader
 from lightmatrix.capture.capture import Capture
+from lightmatrix.capture.description import KEYS
 from lightmatrix.capture.folder import write_capture
 from lightmatrix.errors import InputError, LightMatrixWarning, OutputError
+from lightmatrix.files import scratch as scratch_module
 from lightmatrix.files.images import write_image
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.blocks import BlockPatterns
@@ -181,6 +181,7 @@ def test_options_of_plain_folders(tmp_path: Path) -> None:
         black=tmp_path / "black.png",
         white=tmp_path / "white.png",
         mask=tmp_path / "mask.png",
+        black_level=20,
         clip=200,
     )
     assert found.count == COUNT + 1
@@ -292,7 +293,7 @@ def test_large_captures_are_held_in_a_file(monkeypatch: pytest.MonkeyPatch) -> N
     sensor = Sensor()
     frames = photographs(SETS[0], sensor)
     expected = Capture.from_arrays(SETS[0], frames, sensor)
-    monkeypatch.setattr(reader, "_MEMORY_BYTES", 0)
+    monkeypatch.setattr(scratch_module, "MEMORY_BYTES", 0)
     mapped = Capture.from_arrays(SETS[0], frames, sensor)
     assert isinstance(mapped.reader.raw, np.memmap)
     assert mapped.digest == expected.digest
@@ -329,14 +330,14 @@ def write_plain(place: Path) -> Path:
         ({"camera_shape": [5, 8]}, r"camera_shape is \[5, 8\], but the images have \[5, 7\]"),
         ({"projector_shape": [8, 6]}, "projector_shape is"),
         ({"exposure": [1, 2]}, "exposure has 2 values for 9 frames"),
-        ({"exposure": "long"}, "cannot be understood"),
-        ({"exposure": -1}, "an exposure of -1"),
-        ({"clip": 0}, "a clip level of 0"),
+        ({"exposure": "long"}, "\"exposure\" cannot be 'long'"),
+        ({"exposure": -1}, '"exposure" cannot be -1'),
+        ({"clip": 0}, '"clip" cannot be 0'),
         ({"clip": 256}, "a clip level of 256"),
         ({"black_level": 255}, "a black level of 255"),
         ({"response": "film"}, "a response of 'film'"),
         ({"black": {"file": "none.png"}}, r"none\.png: no such file"),
-        ({"black": "black.png"}, "cannot be understood"),
+        ({"black": "black.png"}, "\"black\" cannot be 'black.png'"),
         ({"mask": "none.png"}, r"none\.png: no such file"),
         ({"version": 2}, "format version 2"),
         ({"format": "other"}, "is not a lightmatrix-capture file"),
@@ -371,14 +372,19 @@ def test_a_capture_is_written_whole_or_not_at_all(tmp_path: Path) -> None:
     np.testing.assert_array_equal(Capture.open(tmp_path / "c").frame(0), frames[-1])
 
 
-def test_suspicious_input_is_warned_about(tmp_path: Path) -> None:
-    # 12-bit levels in 16-bit files, with no word of the clip level.
-    frames = photographs(SETS[0], Sensor(bits=12))
+@pytest.mark.parametrize("bits", [10, 12])
+def test_fewer_bits_than_the_files_have(tmp_path: Path, bits: int) -> None:
+    # No word of the clip level, and nothing above a sixteenth of that of the files.
+    frames = photographs(SETS[0], Sensor(bits=bits))
     for k, frame in enumerate(frames):
         write_image(tmp_path / "photos" / f"{k}.png", frame)
-    with pytest.warns(LightMatrixWarning, match="samples are exactly 4095"):
-        Capture.from_folders(SETS[0], tmp_path / "photos")
-    Capture.from_folders(SETS[0], tmp_path / "photos", clip=4095)
+    for block in (1, 2):
+        with pytest.raises(InputError, match=f"no level above {2**bits - 1}.*\n.*--clip"):
+            Capture.from_folders(SETS[0], tmp_path / "photos", bin_camera=block)
+    Capture.from_folders(SETS[0], tmp_path / "photos", clip=2**bits - 1)
+    # Who insists that they are just dark is still told that they end where many cameras clip.
+    with pytest.warns(LightMatrixWarning, match=f"samples are exactly {2**bits - 1}"):
+        Capture.from_folders(SETS[0], tmp_path / "photos", clip=65535)
 
 
 def test_jpeg_without_a_response_is_warned_about(tmp_path: Path) -> None:
@@ -436,7 +442,7 @@ def test_patterns_that_binning_makes_constant_are_no_error_unless_all_are() -> N
 def test_the_documented_description_is_the_one_that_is_read() -> None:
     page = (Path(__file__).parents[1] / "docs" / "captures.md").read_text()
     example = json.loads(page.split("```json")[1].split("```")[0])
-    assert set(example) == capture_folder._KEYS
+    assert set(example) == KEYS
     for key in set(example) - {"format", "version"}:
         assert f"`{key}`" in page
 

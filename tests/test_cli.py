@@ -16,7 +16,8 @@ from scipy.sparse import load_npz
 
 import lightmatrix
 from lightmatrix import store
-from lightmatrix.cli import app, main
+from lightmatrix.cli import main
+from lightmatrix.cli.app import app
 from lightmatrix.files.images import read_image, write_image
 from lightmatrix.patterns.folder import read_patterns
 from lightmatrix.rig import library

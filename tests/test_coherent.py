@@ -130,14 +130,37 @@ def test_an_interrupted_estimate_goes_on(scene: Truth, tmp_path: Path, finished_
     assert not target.with_name("scene.zarr.partial").exists()
 
 
-def test_the_background_is_kept_in_blocks(scene: Truth) -> None:
+@pytest.mark.parametrize("name", ["indices", "background", "shape"])
+def test_a_damaged_round_is_done_again(scene: Truth, tmp_path: Path, name: str) -> None:
+    capture = photographed(scene, 24)
+    estimator = CoherentEstimator(tile_rows=90)
+    target = tmp_path / "scene.zarr"
+
+    def interrupt(done: int, total: int) -> None:
+        if done > 3 * 360:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        estimator.estimate(capture, checkpoint=target, progress=interrupt)
+    (round_file,) = (tmp_path / "scene.zarr.partial").glob("round-*.npz")
+    with np.load(round_file) as arrays:
+        damaged = dict(arrays)
+    damaged[name] = damaged[name] + 1_000_000
+    if name == "background":
+        damaged[name][0] = np.nan
+    np.savez(round_file, **damaged)
+    again = estimator.estimate(capture, checkpoint=target)
+    assert same(again, CoherentEstimator().estimate(capture))
+
+
+def test_the_background_is_kept_in_cells(scene: Truth) -> None:
     capture = photographed(scene, 64)
     found = CoherentEstimator(background_grid=(3, 4)).estimate(capture)
     assert found.background_grid == (3, 4)
     assert found.background.shape == (360, 12)
     single = CoherentEstimator(background_grid=(1, 1)).estimate(capture)
     assert single.background.shape == (360, 1)
-    # Blocks no finer than pixels.
+    # Cells no finer than pixels.
     assert CoherentEstimator(background_grid=(100, 100)).estimate(capture).background_grid == (
         24,
         20,

@@ -12,7 +12,6 @@ from lightmatrix._core import PreparedPatterns
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.hadamard import HadamardPatterns
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
-from lightmatrix.solvers.active_set import prepare
 
 INSTRUCTIONS = ("portable", "avx2", "avx512")
 
@@ -20,7 +19,7 @@ INSTRUCTIONS = ("portable", "avx2", "avx512")
 def prepared(patterns: PatternSet, instructions: str) -> PreparedPatterns:
     """Patterns for some instructions; skips the test, and says so, where the CPU has none such."""
     try:
-        return prepare(patterns, instructions)
+        return patterns.prepare(instructions=instructions)
     except ValueError as error:
         assert instructions != "portable"
         pytest.skip(str(error))
@@ -73,18 +72,18 @@ def test_instruction_sets_give_the_same_scores(instructions: str) -> None:
 def test_wrong_arguments_are_refused() -> None:
     patterns = BernoulliPatterns((5, 5), 9)
     with pytest.raises(ValueError, match="abacus"):
-        prepare(patterns, "abacus")
-    core = prepare(patterns)
+        patterns.prepare(instructions="abacus")
+    core = patterns.prepare()
     with pytest.raises(ValueError, match="9 patterns"):
         core.scores(np.zeros((2, 8)))
     with pytest.raises(ValueError, match="bytes a pattern"):
         PreparedPatterns.from_bits(patterns.bits, 99, patterns.means)
-    with pytest.raises(ValueError, match="3 means"):
+    with pytest.raises(ValueError, match="means has shape"):
         PreparedPatterns.from_bits(patterns.bits, 25, np.zeros(3))
     with pytest.raises(ValueError, match="outside"):
         PreparedPatterns.from_dense(np.full((2, 3), 1.5, np.float32), np.zeros(2))
     index = np.arange(9, dtype=np.int64)
-    with pytest.raises(ValueError, match="transform of length"):
+    with pytest.raises(ValueError, match="transform of length 24"):
         PreparedPatterns.from_bits(
             patterns.bits, 25, patterns.means, (24, index, np.arange(24, dtype=np.int64))
         )

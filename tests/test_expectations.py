@@ -15,6 +15,7 @@ from lightmatrix.camera.samples import Samples
 from lightmatrix.estimators.coherent.expectations import REACH, Neighbourhood, unseen_patterns
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.pattern_set import PatternSet
+from lightmatrix.transport.sparse_rows import SparseRows
 
 LEVEL = 0.5
 
@@ -24,7 +25,11 @@ def neighbourhood(camera: Any, projector: Any, seed: int, filled: float = 0.2) -
     rows = np.prod(camera)
     dense = random.random((rows, projector[0] * projector[1])).astype(np.float32)
     dense[random.random(dense.shape) > filled] = 0
-    return Neighbourhood(csr_array(dense), camera, projector)
+    return Neighbourhood(without_background(csr_array(dense)), camera, projector)
+
+
+def without_background(rows: csr_array) -> SparseRows:
+    return SparseRows(rows, np.zeros((rows.shape[0], 1), np.float32))
 
 
 def backgrounds_of(rows: int, patterns: int, seed: int) -> Any:
@@ -62,7 +67,7 @@ def by_definition(
             step = np.array([other_r - r, other_c - c], np.float32)
             moved = around.movement[row].reshape(2, 2) @ step
             moved = np.trunc(moved + np.copysign(0.5, moved)).astype(int)
-            entries = around.rows[[other]].toarray().reshape(around.projector)
+            entries = around.rows.coefficients[[other]].toarray().reshape(around.projector)
             places = np.argwhere(entries > 0)
             kept = ((places >= moved) & (places < moved + around.projector)).all(axis=1)
             if other == row or not kept.any():
@@ -96,10 +101,10 @@ def by_definition(
 def test_they_are_the_mean_of_the_guesses(camera: Any, projector: Any, k: int, seed: int) -> None:
     around = neighbourhood(camera, projector, seed)
     shown, unseen = BernoulliPatterns(projector, k, seed=seed), unseen_patterns(projector)
-    samples = samples_of(shown, around.rows.shape[0], seed)
-    background = backgrounds_of(around.rows.shape[0], k + unseen.count, seed)
+    samples = samples_of(shown, around.rows.count, seed)
+    background = backgrounds_of(around.rows.count, k + unseen.count, seed)
     found = around.expected(shown, unseen, samples, samples.clipped, LEVEL, 0, background)
-    for row in range(around.rows.shape[0]):
+    for row in range(around.rows.count):
         mean, variance = by_definition(around, shown, unseen, samples, background, row)
         if mean is None:
             assert not found.weights[row].any()
@@ -142,7 +147,7 @@ def test_footprints_are_followed_however_the_projector_is_turned(turn: int, fine
     place = place[::finer, ::finer]
     rows = csr_array((np.ones(side**2, np.float32), place.ravel(), np.arange(side**2 + 1)))
     rows.resize((side**2, projector[0] * projector[1]))
-    around = Neighbourhood(rows, (side, side, 1), projector)
+    around = Neighbourhood(without_background(rows), (side, side, 1), projector)
     turned = {0: (1, 0, 0, 1), 1: (0, 1, -1, 0), 2: (-1, 0, 0, -1), 3: (0, -1, 1, 0)}[turn]
     movement = around.movement.reshape(side, side, 4)[3:-3, 3:-3]
     assert np.array_equal(movement, np.broadcast_to(finer * np.array(turned), movement.shape))
@@ -165,7 +170,7 @@ def test_footprints_are_followed_however_the_projector_is_turned(turn: int, fine
 
 def test_neighbours_that_know_nothing_are_not_asked() -> None:
     around = neighbourhood((4, 4, 1), (5, 5), 0)
-    dark = replace(around, rows=csr_array((16, 25), dtype=np.float32))
+    dark = replace(around, rows=without_background(csr_array((16, 25), dtype=np.float32)))
     shown, unseen = BernoulliPatterns((5, 5), 9), unseen_patterns((5, 5))
     samples = samples_of(shown, 16, 0)
     background = backgrounds_of(16, 9 + unseen.count, 0)

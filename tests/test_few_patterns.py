@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from lightmatrix.cli import main
-from lightmatrix.cli.experiment import EXPERIMENTS, Figure
 from lightmatrix.experiments import few_patterns
 from lightmatrix.experiments.few_patterns import THREE_EXPOSURES, Case, means, measure
 from lightmatrix.experiments.harness import Measured
 from lightmatrix.experiments.measured_scene import MeasuredScene
+from lightmatrix.experiments.run import EXPERIMENTS
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.rig import library
 
@@ -71,7 +71,7 @@ def test_an_interrupted_experiment_goes_on(tmp_path: Path, monkeypatch: pytest.M
         return Measured([{**case.__dict__, "relative_error": 0.1}])
 
     recording = replace(few_patterns.FEW_PATTERNS, measure=record)
-    monkeypatch.setitem(EXPERIMENTS, Figure.FEW_PATTERNS, recording)
+    monkeypatch.setitem(EXPERIMENTS, "few-patterns", recording)
     out = tmp_path / "out"
     command = ["experiment", "few-patterns", "--quick", "-o", str(out)]
     assert main(command) == 130

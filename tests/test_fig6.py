@@ -18,6 +18,7 @@ from lightmatrix.experiments.fig6 import Case
 from lightmatrix.experiments.harness import Measured
 from lightmatrix.experiments.measured_scene import captured, measured_scene
 from lightmatrix.experiments.methods import METHODS, Reach
+from lightmatrix.files.running import RunningFolder
 from lightmatrix.patterns.blocks import sampled_pixels
 from lightmatrix.transport.metrics import response_rmse
 
@@ -99,7 +100,7 @@ def forbidden(case: Case) -> Measured:
 def test_files_and_going_on(tmp_path: Path) -> None:
     chosen = [Case(SCENE, "admm", 16, 64), Case(SCENE, "admm-iterated", 16, 64)]
     experiment = replace(fig6.FIG6, cases=lambda quick: chosen)
-    out, kept = tmp_path / "out", tmp_path / "kept"
+    out, kept = tmp_path / "out", RunningFolder.open(tmp_path / "out", ".cases")
     out.mkdir()
     seen: list[int] = []
     first = experiment.run(out, kept=kept, progress=lambda done, total: seen.append(done))
@@ -107,7 +108,7 @@ def test_files_and_going_on(tmp_path: Path) -> None:
     going_on = replace(experiment, measure=forbidden)
     assert going_on.run(out, kept=kept) == first
     # What was kept and is damaged is measured again.
-    damaged = kept / f"{chosen[0].name}.npz"
+    damaged = kept.file(f"{chosen[0].name}.npz")
     damaged.write_bytes(damaged.read_bytes()[:50])
     with pytest.raises(AssertionError, match="kept"):
         going_on.run(out, kept=kept)
@@ -130,7 +131,7 @@ def test_the_full_run_measures_every_method_everywhere() -> None:
 def test_relit_images_are_judged_and_drawn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(fig7, "SCENES", {SCENE: "gripper"})
     monkeypatch.setattr(fig7, "METHODS", ("saturation-admm", "coherent"))
-    out, kept = tmp_path / "out", tmp_path / "kept"
+    out, kept = tmp_path / "out", RunningFolder.open(tmp_path / "out", ".cases")
     out.mkdir()
     result = fig7.FIG7.run(out, quick=True, kept=kept)
     plain, coherent, mixed = result["rows"]
@@ -138,7 +139,7 @@ def test_relit_images_are_judged_and_drawn(tmp_path: Path, monkeypatch: pytest.M
     assert coherent["ssim"] > plain["ssim"]
     # The highlights are in the shorter frames.
     assert mixed["psnr"] > coherent["psnr"] + 3
-    assert len(list(kept.iterdir())) == 3
+    assert len(kept.names) == 3
     assert fig7.FIG7.run(out, quick=True, kept=kept)["rows"] == result["rows"]
     assert (out / "fig7.png").stat().st_size > 1000
 

@@ -12,7 +12,8 @@ ROOT = Path(__file__).parent.parent / "src" / "lightmatrix"
 # From the ground up; a module may import from its own folder and from lower floors. The folders of
 # one floor do not know each other.
 FLOORS = [
-    {"errors", "_core"},
+    {"errors", "reprs", "_version", "_core"},
+    {"ranges"},
     {"files"},
     {"patterns"},
     {"camera", "transport"},
@@ -24,6 +25,8 @@ FLOORS = [
 ]
 # Extras are imported inside the functions that need them, and nowhere else.
 EXTRAS = {"mitsuba", "drjit"}
+# Loads all else within the `try` that waits for a Ctrl-C.
+ENTRY = ROOT / "cli" / "__init__.py"
 
 
 def _floor(module: str) -> int:
@@ -38,7 +41,7 @@ def _modules() -> list[Path]:
 
 
 def _imports(tree: ast.AST) -> set[str]:
-    """Names of our own modules that a file imports, such as 'rig.truth'."""
+    """Names of our own modules that a file imports, such as 'rig.truth'; not the door's names."""
     found = set()
     for node in ast.walk(tree):
         if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("lightmatrix"):
@@ -68,6 +71,18 @@ def test_imports_point_down(path: Path) -> None:
 
 
 @pytest.mark.parametrize("path", _modules(), ids=lambda path: str(path.relative_to(ROOT)))
+def test_nothing_imports_the_door_but_the_command_line_above_it(path: Path) -> None:
+    if path.relative_to(ROOT).parts[0] == "cli":
+        return
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            assert all(alias.name != "lightmatrix" for alias in node.names), f"{path}: the door"
+        elif isinstance(node, ast.ImportFrom) and node.module == "lightmatrix":
+            names = {alias.name for alias in node.names}
+            assert all(map(_is_module, names)), f"{path} takes {names} from the door"
+
+
+@pytest.mark.parametrize("path", _modules(), ids=lambda path: str(path.relative_to(ROOT)))
 def test_only_extras_are_imported_inside_functions(path: Path) -> None:
     tree = ast.parse(path.read_text())
     top = {id(node) for node in tree.body}
@@ -82,7 +97,7 @@ def test_only_extras_are_imported_inside_functions(path: Path) -> None:
         extra = any(name.split(".")[0] in EXTRAS for name in names)
         if id(node) in top:
             assert not extra, f"{path} imports an extra at its top"
-        elif not _under_main(tree, node):
+        elif not _under_main(tree, node) and path != ENTRY:
             assert extra, f"{path}:{node.lineno} imports {names} inside a function"
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from lightmatrix.camera.sensor import Sensor
 from lightmatrix.capture.capture import Capture
-from lightmatrix.capture.order import prediction_misses
+from lightmatrix.capture.prediction import Assumption, Rows, column_scale, prediction_misses
 from lightmatrix.errors import InputError
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.blocks import one_pixel_patterns
@@ -121,7 +121,9 @@ def test_two_swapped_frames_are_named(count: int, exposure: float) -> None:
 
 def test_swapped_stripes_of_different_width_are_noticed() -> None:
     patterns = gray_code()
-    with pytest.raises(InputError, match=r"frame (10 shows the pattern of frame 0|0 and frame 10)"):
+    with pytest.raises(
+        InputError, match=r"frame (10 shows .* frame 0|0 shows .* frame 10|0 and frame 10)"
+    ):
         capture(patterns, swapped(patterns.count, 0, 10)).check()
 
 
@@ -155,15 +157,59 @@ def test_a_repeated_frame_is_named() -> None:
         capture(patterns, order).check()
 
 
+def lost(count: int, place: int) -> NDArray[np.int64]:
+    """The frames when one is missing and the last is there twice."""
+    return np.append(np.delete(np.arange(count), place), count - 1)
+
+
+@pytest.mark.parametrize("count", [32, 48])
+def test_a_frame_missing_in_the_middle_of_few_is_noticed(count: int) -> None:
+    """Neither half of the frames is enough by itself."""
+    for seed in range(3):
+        place = count // 2 + seed - 1
+        patterns = BernoulliPatterns(SHAPE, count, seed=seed)
+        with pytest.raises(InputError, match=r"from frame \d+ to .* after its own") as caught:
+            capture(patterns, lost(count, place), seed=seed).check()
+        first = int(caught.value.message.split()[2])
+        assert abs(first - place) <= 1
+
+
+@pytest.mark.parametrize("renamed", [True, False], ids=["files renamed", "projector late"])
+def test_displaced_frames_of_several_exposures_are_noticed(renamed: bool) -> None:
+    """Their exposure goes with them where files were renamed, else it is that of their place."""
+    count = 48
+    exposure = np.tile([2.0, 0.5, 2.0, 0.125], count // 4)
+    frames = np.arange(count)
+    patterns = BernoulliPatterns(SHAPE, count)
+    light = patterns.forward(scene())
+    for order, words in (
+        (frames, None),
+        (swapped(count, 4, 15), "frame 4 and frame 15 look swapped"),
+        (lost(count, 22), "from frame 2[123] to .* after its own"),
+        (np.append(frames[1:], count - 1), "each image shows the pattern after its own"),
+        (np.append(0, frames[:-1]), "each image shows the pattern before its own"),
+        (frames[::-1], "backwards"),
+    ):
+        sensor = Sensor(exposure[order] if renamed else exposure, read_noise=0.003)
+        raw = sensor.expose(np.ascontiguousarray(light[:, order])).T.reshape(count, *CAMERA)
+        found = Capture.from_arrays(patterns, raw, Sensor(exposure), check=False)
+        if words is None:
+            found.check()
+            continue
+        with pytest.raises(InputError, match=words):
+            found.check()
+
+
 def test_predictions_never_use_the_frame_they_predict() -> None:
     patterns = BernoulliPatterns(SHAPE, 32)
-    values = patterns.forward(scene()).astype(np.float32)[::5]
-    ceiling = np.full((len(values), 1), np.inf, np.float32)
-    order = np.arange(32)
-    before, _ = prediction_misses(patterns, values, ceiling, order)
-    assert np.diag(before).max() < 0.3
+    values = np.asarray(patterns.forward(scene())[::5] / 10, np.float32)
+    frames = np.arange(32)
+    as_named, scale = Assumption(frames, frames), column_scale(patterns)
+    levels = np.full(values.shape, 10, np.float32)
+    before = prediction_misses(patterns, Rows(values, levels), as_named, scale)
+    assert before.own.max() < np.log(0.3)
     # Noise in place of one frame: its own miss is that of noise, not fitted away.
     noisy = values.copy()
     noisy[:, 7] = np.random.default_rng(0).permutation(values[:, 7])
-    after, blind = prediction_misses(patterns, noisy, ceiling, order)
-    assert after[7, 7] > blind[7]
+    after = prediction_misses(patterns, Rows(noisy, levels), as_named, scale)
+    assert after.own[7] > 0

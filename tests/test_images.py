@@ -17,9 +17,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from lightmatrix.errors import InputError, OutputError
-from lightmatrix.files import png16
+from lightmatrix.files import png, png16
 from lightmatrix.files.images import read_grey, read_image, write_image
-from lightmatrix.files.outputs import atomic_file, atomic_folder, check_output
 from lightmatrix.files.stack import ImageStack, list_images, nonlinear_tag
 
 
@@ -77,15 +76,14 @@ def test_every_line_filter_of_16_bit_colour_png(rows: int, cols: int, kind: int,
             predicted = (0, left, up, (left + up) // 2, nearest)[lines[r, 0]]
             lines[r, 1 + c] = (plain[r, c] - predicted) % 256
     header = struct.pack(">IIBBBBB", cols, rows, 16, 2, 0, 0, 0)
-    data = png16.SIGNATURE
-    for name, content in (
-        (b"IHDR", header),
-        (b"IDAT", zlib.compress(lines.tobytes())),
-        (b"IEND", b""),
-    ):
-        data += struct.pack(">I", len(content)) + name + content + bytes(4)
-    assert png16.is_colour16(data[:33])
-    np.testing.assert_array_equal(png16.read(data), image)
+    data = png.write_chunks((b"IHDR", header), (b"IDAT", zlib.compress(lines.tobytes())))
+    chunks = png.read_chunks(data)
+    assert png16.is_deep_colour(png.read_header(chunks))
+    # As a whole, and some lines at a time, each of which needs the line before it.
+    for at_once in (1 << 25, 12 * cols + 2):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(png16, "_BYTES_AT_ONCE", at_once)
+            np.testing.assert_array_equal(png16.decode(chunks), image)
 
 
 def test_black_and_white_and_opaque_alpha(tmp_path: Path) -> None:
@@ -284,44 +282,3 @@ def test_a_failing_write_leaves_nothing_and_spares_the_old_file(tmp_path: Path) 
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
     assert [entry.name for entry in tmp_path.iterdir()] == ["a.npy"]
     assert file.read_bytes() == before
-
-
-def test_outputs_below_a_file_cannot_be_written(tmp_path: Path) -> None:
-    (tmp_path / "file").touch()
-    with pytest.raises(OutputError, match="cannot be written"):
-        check_output(tmp_path / "file" / "a.png")
-
-
-def interrupted_folder(target: Path) -> None:
-    with atomic_folder(target, overwrite=True) as part:
-        (part / "capture.json").write_text("new")
-        raise RuntimeError("stop")
-
-
-def interrupted_file(target: Path) -> None:
-    with atomic_file(target) as part:
-        part.write_bytes(b"half")
-        raise RuntimeError("stop")
-
-
-def test_folders_are_replaced_whole_and_only_ours(tmp_path: Path) -> None:
-    target = tmp_path / "capture"
-    with atomic_folder(target) as part:
-        (part / "capture.json").write_text("old")
-    with pytest.raises(RuntimeError, match="stop"):
-        interrupted_folder(target)
-    assert (target / "capture.json").read_text() == "old"
-    with atomic_folder(target, overwrite=True) as part:
-        (part / "capture.json").write_text("new")
-    assert (target / "capture.json").read_text() == "new"
-    (tmp_path / "photos").mkdir()
-    (tmp_path / "photos" / "holiday.jpg").touch()
-    with pytest.raises(OutputError, match="not written by lightmatrix"):
-        check_output(tmp_path / "photos", overwrite=True)
-    assert sorted(entry.name for entry in tmp_path.iterdir()) == ["capture", "photos"]
-
-
-def test_an_interrupted_file_never_appears(tmp_path: Path) -> None:
-    with pytest.raises(RuntimeError, match="stop"):
-        interrupted_file(tmp_path / "a.bin")
-    assert not list(tmp_path.iterdir())

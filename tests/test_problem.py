@@ -10,7 +10,7 @@ import pytest
 from problems import clipping_problem, with_samples
 
 from lightmatrix.errors import InputError
-from lightmatrix.solvers import SaturationADMM, Status, solve
+from lightmatrix.solvers import ADMM, ROMP, ActiveSet, SaturationADMM, Status, solve
 
 
 @pytest.mark.parametrize(
@@ -60,3 +60,34 @@ def test_history_is_kept() -> None:
     result = solve(problem, SaturationADMM())
     assert len(result.history["primal"]) == result.iterations.max()
     assert result.history["rows"][0] == problem.rows
+
+
+def test_the_column_of_the_background_is_the_means_unless_it_is_given() -> None:
+    problem, _ = clipping_problem()
+    means = problem.patterns.means
+    np.testing.assert_array_equal(problem.column, means)
+    same = replace(problem, background_column=means)
+    for solver in (ActiveSet(), SaturationADMM(), ADMM(), ROMP()):
+        one, other = solve(problem, solver), solve(same, solver)
+        np.testing.assert_array_equal(one.objective, other.objective)
+        np.testing.assert_array_equal(one.background, other.background)
+        # Twice the column takes half the coefficient.
+        double = solve(replace(problem, background_column=2 * means), solver)
+        np.testing.assert_allclose(2 * double.background, one.background, rtol=0.05, atol=5e-3)
+
+
+def test_some_patterns_keep_their_part_of_the_column() -> None:
+    problem, _ = clipping_problem()
+    column = np.linspace(0, 1, 40)
+    some = replace(problem, background_column=column).frames(np.array([3, 17, 5]))
+    np.testing.assert_array_equal(some.column, column[[3, 17, 5]])
+    np.testing.assert_array_equal(some.samples.values, problem.samples.values[:, [3, 17, 5]])
+    own = problem.frames(np.array([3, 17, 5]))
+    np.testing.assert_array_equal(own.column, problem.patterns.means[[3, 17, 5]])
+
+
+@pytest.mark.parametrize("column", [np.zeros(3), np.zeros((40, 1)), np.full(40, np.nan)])
+def test_bad_columns(column: Any) -> None:
+    problem, _ = clipping_problem()
+    with pytest.raises(InputError, match="background column"):
+        replace(problem, background_column=column)

@@ -120,7 +120,7 @@ def test_a_response_curve_from_a_file(tmp_path: Path, text: str | None) -> None:
         ("gamma:0", "a response of 'gamma:0'"),
         ("gamma:two", "a response of 'gamma:two'"),
         ("rec709", "a response of 'rec709'"),
-        ("curve:nothing.txt", "cannot be read"),
+        ("curve:nothing.txt", "no such file"),
     ],
 )
 def test_unknown_responses(text: str, message: str) -> None:

@@ -22,6 +22,7 @@ from scipy.sparse import csr_array
 from lightmatrix import store
 from lightmatrix.errors import InputError, OutputError
 from lightmatrix.transport.matrix import LightTransport
+from lightmatrix.transport.sparse_rows import SparseRows
 
 
 def transport(
@@ -210,7 +211,7 @@ def test_npz_of_others(tmp_path: Path) -> None:
     whole = (tmp_path / "half.npz").read_bytes()
     (tmp_path / "half.npz").write_bytes(whole[: len(whole) // 2])
     for name in ("other.npz", "text.npz", "half.npz"):
-        with pytest.raises(InputError, match="cannot be read as a sparse matrix"):
+        with pytest.raises(InputError, match="cannot be read as npz"):
             store.import_npz(tmp_path / name)
     with pytest.raises(InputError, match="no such file"):
         store.import_npz(tmp_path / "none.npz")
@@ -224,13 +225,8 @@ FINGERPRINT = {"capture": "0123", "regularization": 0.3}
 
 def write_tile(running: store.Checkpoint, start: int, stop: int) -> None:
     whole = transport()
-    running.write(
-        start,
-        stop,
-        whole.sparse[start:stop],
-        whole.background[start:stop],
-        {name: values[start:stop] for name, values in whole.diagnostics.items()},
-    )
+    rows = SparseRows(whole.sparse, whole.background, whole.diagnostics)
+    running.write(start, stop, rows.rows(slice(start, stop)))
 
 
 def finish(running: store.Checkpoint) -> LightTransport:

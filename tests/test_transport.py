@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from lightmatrix.errors import InputError
@@ -100,3 +103,24 @@ def test_bad_shapes_are_refused() -> None:
     ):
         with pytest.raises(InputError, match=message):
             call()
+
+
+@pytest.mark.parametrize(
+    "pattern",
+    [
+        np.full((6, 7), 255, np.uint8),
+        np.full((6, 7), 2, np.int64),
+        np.full((6, 7), -1, np.int16),
+        np.full((6, 7), 1.5),
+        np.full((6, 7), -0.1, np.float32),
+        np.full((6, 7), np.nan),
+        np.full((6, 7), 1j),
+    ],
+)
+def test_raw_levels_are_no_pattern(pattern: NDArray[Any]) -> None:
+    matrix = LightTransport.from_matrix(csr_array(np.ones((4, 42))), (2, 2), (6, 7))
+    with pytest.raises(InputError, match=r"a pattern (with values|of complex)"):
+        matrix.relight(pattern)
+    lit = np.ones((6, 7))
+    for kind in (np.uint8, np.bool_, np.int64, np.float64):
+        np.testing.assert_array_equal(matrix.relight(lit.astype(kind)), matrix.relight(lit))

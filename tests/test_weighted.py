@@ -16,7 +16,7 @@ from lightmatrix.errors import InputError
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
 from lightmatrix.solvers import ActiveSet, Problem
-from lightmatrix.solvers.weighted import Blocks, Candidates, Expectation, Start, solve_weighted
+from lightmatrix.solvers.weighted import Candidates, Cells, Expectation, solve_weighted
 
 SOLVER = ActiveSet(tolerance=1e-8)
 
@@ -29,22 +29,20 @@ def every_pixel(problem: Problem, penalties: Any = 1.0) -> Candidates:
 
 
 def objective(
-    problem: Problem, x: Any, weights: Any, blocks: Blocks, coefficients: Any, background: Any
+    problem: Problem, x: Any, weights: Any, cells: Cells, coefficients: Any, background: Any
 ) -> Any:
     u = x @ problem.patterns.dense().T.astype(np.float64)
-    u = u + coefficients @ blocks.means + background[:, None] * problem.patterns.means
+    u = u + coefficients @ cells.means + background[:, None] * problem.patterns.means
     residual = problem.samples.values - u
     residual = np.where(problem.samples.clipped, np.maximum(residual, 0), residual)
     loss = (problem.samples.weights_of_all() * residual**2).sum(axis=1) / 2
-    norm = (x * weights).sum(axis=1) + coefficients @ blocks.penalties
+    norm = (x * weights).sum(axis=1) + coefficients @ cells.penalties
     return problem.regularization * norm + loss
 
 
 def test_equal_weights_are_the_plain_problem() -> None:
     problem, _ = clipping_problem()
-    found = solve_weighted(
-        problem, every_pixel(problem), Blocks.none(problem.patterns), SOLVER
-    ).rows
+    found = solve_weighted(problem, every_pixel(problem), Cells.none(problem.patterns), SOLVER)
     plain = SOLVER.solve(problem)
     assert found.converged.all()
     np.testing.assert_allclose(found.objective, plain.objective, rtol=1e-6)
@@ -58,28 +56,28 @@ def test_equal_weights_are_the_plain_problem() -> None:
     st.integers(0, 2**16),
 )
 def test_no_change_improves_the_objective(
-    count: int, shape: tuple[int, int], blocks_count: int, seed: int
+    count: int, shape: tuple[int, int], cells_count: int, seed: int
 ) -> None:
     random = np.random.default_rng(seed)
     problem, _ = clipping_problem(rows=3, shape=shape, count=count, seed=seed % 1000)
     problem = with_samples(problem, weights=random.choice([0.0, 0.5, 1.0], (3, count)))
     weights = random.uniform(0.05, 3, (3, problem.patterns.pixels))
     candidates = every_pixel(problem, weights)
-    weights = candidates.penalties.reshape(weights.shape).astype(np.float64)
-    means = random.random((blocks_count, count)).astype(np.float32)
-    blocks = Blocks(means, random.uniform(0.1, 2, blocks_count).astype(np.float32))
-    found = solve_weighted(problem, candidates, blocks, SOLVER)
-    x = found.rows.coefficients.toarray()
-    given = (weights, blocks)
-    best = objective(problem, x, *given, found.blocks.astype(float), found.rows.background)
-    np.testing.assert_allclose(best, found.rows.objective, rtol=1e-4, atol=1e-9)
+    weights = candidates.data.reshape(weights.shape).astype(np.float64)
+    means = random.random((cells_count, count)).astype(np.float32)
+    cells = Cells(means, random.uniform(0.1, 2, cells_count).astype(np.float32))
+    found = solve_weighted(problem, candidates, cells, SOLVER)
+    x = found.coefficients.toarray()
+    given = (weights, cells)
+    best = objective(problem, x, *given, found.cells.astype(float), found.background)
+    np.testing.assert_allclose(best, found.objective, rtol=1e-4, atol=1e-9)
     for _ in range(20):
         step = 10.0 ** random.uniform(-4, 0)
         other = np.maximum(
             x + step * random.normal(size=x.shape) * (random.random(x.shape) < 0.2), 0
         )
-        g = np.maximum(found.blocks + step * random.normal(size=found.blocks.shape), 0)
-        b = np.maximum(found.rows.background + step * random.normal(size=3), 0)
+        g = np.maximum(found.cells + step * random.normal(size=found.cells.shape), 0)
+        b = np.maximum(found.background + step * random.normal(size=3), 0)
         changed = objective(problem, other, *given, g, b)
         assert (changed >= best * (1 - 1e-4) - 1e-9).all()
 
@@ -95,14 +93,14 @@ def test_only_candidates_are_used() -> None:
     candidates = Candidates(
         np.array(indptr, np.int64), np.array(pixels, np.int32), np.ones(len(pixels), np.float32)
     )
-    found = solve_weighted(problem, candidates, Blocks.none(problem.patterns), SOLVER)
-    x = found.rows.coefficients.toarray()
+    found = solve_weighted(problem, candidates, Cells.none(problem.patterns), SOLVER)
+    x = found.coefficients.toarray()
     assert not x[truth == 0].any()
     assert not x[3].any()
     # With the support known, forty samples suffice for any row.
     error = np.linalg.norm(x[:3] - truth[:3]) / np.linalg.norm(truth[:3])
     assert error < 0.1
-    assert found.rows.background[3] > 0
+    assert found.background[3] > 0
 
 
 @pytest.mark.parametrize("packed", [False, True])
@@ -123,10 +121,10 @@ def test_expected_samples_are_further_samples(packed: bool) -> None:
     found = solve_weighted(
         problem,
         every_pixel(problem),
-        Blocks(means, penalties),
+        Cells(means, penalties),
         SOLVER,
         expected=Expectation(unseen, values, weights),
-    ).rows
+    )
     # The same with the patterns shown twice.
     twice = np.concatenate([problem.patterns.images(), both])
     extended = Problem(
@@ -140,7 +138,7 @@ def test_expected_samples_are_further_samples(packed: bool) -> None:
         problem.regularization,
     )
     again = np.concatenate([means[:, :count], means], axis=1)
-    plain = solve_weighted(extended, every_pixel(extended), Blocks(again, penalties), SOLVER).rows
+    plain = solve_weighted(extended, every_pixel(extended), Cells(again, penalties), SOLVER)
     assert found.converged.all()
     np.testing.assert_allclose(found.objective, plain.objective, rtol=1e-6)
 
@@ -149,8 +147,8 @@ def test_a_background_of_its_own_replaces_the_means() -> None:
     problem, _ = clipping_problem(rows=4)
     random = np.random.default_rng(3)
     own = random.random(problem.samples.values.shape).astype(np.float32)
-    none = Blocks.none(problem.patterns)
-    found = solve_weighted(problem, every_pixel(problem), none, SOLVER, background=own).rows
+    none = Cells.none(problem.patterns)
+    found = solve_weighted(problem, every_pixel(problem), none, SOLVER, background=own)
     x, b = found.coefficients.toarray(), found.background
     assert found.converged.all()
     assert (b > 0).any()
@@ -161,7 +159,7 @@ def test_a_background_of_its_own_replaces_the_means() -> None:
                 problem.take(np.array([row])),
                 x[[row]],
                 1.0,
-                Blocks(own[[row]], np.zeros(1, np.float32)),
+                Cells(own[[row]], np.zeros(1, np.float32)),
                 b[row].reshape(1, 1),
                 np.zeros(1),
             )[0]
@@ -181,14 +179,13 @@ def test_a_background_of_its_own_replaces_the_means() -> None:
 def test_starting_at_the_solution_leaves_only_the_certificate() -> None:
     problem, _ = clipping_problem(rows=5)
     means = problem.patterns.dense()[:, :20].mean(axis=1)[None].astype(np.float32)
-    blocks = Blocks(means, np.array([0.2], np.float32))
+    cells = Cells(means, np.array([0.2], np.float32))
     candidates = every_pixel(problem)
-    first = solve_weighted(problem, candidates, blocks, SOLVER)
-    start = Start(first.rows.coefficients, first.rows.background, first.blocks)
-    again = solve_weighted(problem, candidates, blocks, SOLVER, start=start)
-    assert (again.rows.iterations <= first.rows.iterations).all()
-    assert again.rows.iterations.sum() < first.rows.iterations.sum()
-    np.testing.assert_allclose(again.rows.objective, first.rows.objective, rtol=1e-6)
+    first = solve_weighted(problem, candidates, cells, SOLVER)
+    again = solve_weighted(problem, candidates, cells, SOLVER, start=first.rows)
+    assert (again.iterations <= first.iterations).all()
+    assert again.iterations.sum() < first.iterations.sum()
+    np.testing.assert_allclose(again.objective, first.objective, rtol=1e-6)
 
 
 def test_threads_do_not_matter() -> None:
@@ -197,9 +194,9 @@ def test_threads_do_not_matter() -> None:
         solve_weighted(
             problem,
             every_pixel(problem),
-            Blocks.none(problem.patterns),
+            Cells.none(problem.patterns),
             replace(SOLVER, threads=threads),
-        ).rows.coefficients
+        ).coefficients
         for threads in (1, 3)
     ]
     assert (found[0] != found[1]).nnz == 0
@@ -207,7 +204,7 @@ def test_threads_do_not_matter() -> None:
 
 def test_signed_light_and_foreign_candidates_are_refused() -> None:
     problem, _ = clipping_problem()
-    none = Blocks.none(problem.patterns)
+    none = Cells.none(problem.patterns)
     with pytest.raises(InputError, match="not negative"):
         solve_weighted(replace(problem, nonnegative=False), every_pixel(problem), none, SOLVER)
     with pytest.raises(InputError, match="candidates of 6 rows for a problem of 2"):

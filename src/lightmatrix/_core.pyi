@@ -1,7 +1,7 @@
 """The compiled core: pattern products on packed bits, a fast transform, the active-set solver."""
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,9 +13,7 @@ def bits_columns(
 ) -> NDArray[np.float32]: ...
 def hadamard(x: NDArray[Any]) -> NDArray[Any]: ...
 def likely_pixels(
-    indptr: NDArray[np.int64],
-    indices: NDArray[np.int32],
-    values: NDArray[np.float32],
+    rows: SparseRows,
     camera: tuple[int, int, int],
     projector: tuple[int, int],
     reach: tuple[int, int],
@@ -25,39 +23,108 @@ def likely_pixels(
 def expected_samples(
     shown: PreparedPatterns,
     unseen: PreparedPatterns,
-    samples: NDArray[Any],
-    clipped: NDArray[np.bool_],
-    weights: NDArray[np.float64] | None,
-    matrix: tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.float32]],
-    camera: tuple[int, int, int],
-    projector: tuple[int, int],
-    reach: int,
-    movement: NDArray[np.float32],
+    samples: Samples,
+    neighbourhood: Neighbourhood,
     background: NDArray[np.float32],
-    first: int,
+    *,
+    reach: int,
     start: int,
     level: float,
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]: ...
 def solve_weighted(
     prepared: PreparedPatterns,
-    samples: NDArray[Any],
-    clipped: NDArray[np.bool_],
-    weights: NDArray[np.float64] | None,
-    candidates: tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.float32]],
-    further: tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32] | None],
-    expected: tuple[PreparedPatterns, NDArray[np.float32], NDArray[np.float32]] | None,
-    row_background: NDArray[np.float32] | None,
-    start: tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.float64], NDArray[np.float64]]
-    | None,
-    regularization: float,
-    fidelity_name: str,
-    nonnegative: bool,
-    background: bool,
-    tolerance: float,
-    max_passes: int,
-    threads: int | None = None,
+    samples: Samples,
+    settings: Settings,
+    candidates: SparseRows,
+    *,
+    cells: Cells | None = None,
+    expected: tuple[PreparedPatterns, Expected] | None = None,
+    background: NDArray[np.float32] | None = None,
+    start: Start | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> tuple[Solved, NDArray[np.float64]]: ...
+
+# What the core reads of the objects that it is given. Arrays in another order than C are copied;
+# a TypeError or ValueError names the attribute that does not fit.
+
+class Samples(Protocol):
+    """(M, K) float32 or float64, (M, K) bool, and None, (K,) or (M, K) float32 or float64."""
+
+    @property
+    def values(self) -> NDArray[Any]: ...
+    @property
+    def clipped(self) -> NDArray[np.bool_]: ...
+    @property
+    def weights(self) -> NDArray[Any] | None: ...
+
+class SparseRows(Protocol):
+    """The parts of a CSR matrix: int32 or int64, int32 or int64, float32 or float64."""
+
+    @property
+    def indptr(self) -> Any: ...
+    @property
+    def indices(self) -> Any: ...
+    @property
+    def data(self) -> Any: ...
+
+class Start(Protocol):
+    """(M, N) sparse rows, none with a pixel twice, and (M, 1 + C): background and cells."""
+
+    @property
+    def coefficients(self) -> SparseRows: ...
+    @property
+    def background(self) -> NDArray[Any]: ...
+
+class Cells(Protocol):
+    """(C, K + E) in [0, 1] and (C,) > 0."""
+
+    @property
+    def means(self) -> NDArray[np.float32]: ...
+    @property
+    def penalties(self) -> NDArray[np.float32]: ...
+
+class Expected(Protocol):
+    """(M, K + E) and (M, K + E) >= 0."""
+
+    @property
+    def values(self) -> NDArray[np.float32]: ...
+    @property
+    def weights(self) -> NDArray[np.float32]: ...
+
+class Neighbourhood(Protocol):
+    """Rows with (M, N) coefficients, the two grids, and (M, 4)."""
+
+    @property
+    def rows(self) -> Start: ...
+    @property
+    def camera(self) -> tuple[int, int, int]: ...
+    @property
+    def projector(self) -> tuple[int, int]: ...
+    @property
+    def movement(self) -> NDArray[np.float32]: ...
+
+class Settings:
+    """How rows are solved; the core checks each value and names the one that is wrong."""
+
+    regularization: float
+    fidelity: str
+    nonnegative: bool
+    background: bool
+    tolerance: float
+    max_passes: int
+    threads: int | None
+
+    def __init__(
+        self,
+        *,
+        regularization: float,
+        fidelity: str,
+        nonnegative: bool,
+        background: bool,
+        tolerance: float,
+        max_passes: int,
+        threads: int | None = None,
+    ) -> None: ...
 
 class PreparedPatterns:
     """Patterns prepared for the solver: packed columns and what the correlation pass needs."""
@@ -94,18 +161,10 @@ class PreparedPatterns:
 
     def solve(
         self,
-        samples: NDArray[Any],
-        clipped: NDArray[np.bool_],
-        weights: NDArray[np.float64] | None,
-        start: tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.float64], NDArray[np.float64]]
-        | None,
-        regularization: float,
-        fidelity: str,
-        nonnegative: bool,
-        background: bool,
-        tolerance: float,
-        max_passes: int,
-        threads: int | None = None,
+        samples: Samples,
+        settings: Settings,
+        *,
+        start: Start | None = None,
         progress: Callable[[int, int], None] | None = None,
     ) -> Solved: ...
 

@@ -12,6 +12,15 @@ class LightMatrixError(Exception):
         What was wrong and where (file, frame, row).
     hint : str, optional
         What would work. Shown on its own line by the command line.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> try:
+    ...     lm.BernoulliPatterns((8, 8), count=0)
+    ... except lm.InputError as error:
+    ...     print(error.message, "-", error.hint)
+    0 patterns - ask for at least 1
     """
 
     def __init__(self, message: str, *, hint: str | None = None) -> None:

@@ -4,6 +4,7 @@
 //! of 256 sums, so a table costs 256 additions and saves eight per use.
 
 use crate::float::Float;
+use crate::subsets::subset_sums;
 use rayon::prelude::*;
 
 /// K patterns over N pixels, each pattern in `stride = ceil(N / 8)` bytes.
@@ -46,17 +47,6 @@ impl<'a> Bits<'a> {
     /// Whether a pattern lights a pixel.
     pub fn lit(&self, k: usize, pixel: usize) -> bool {
         self.pattern(k)[pixel / 8] >> (pixel % 8) & 1 == 1
-    }
-}
-
-/// Sums over all subsets of up to eight values: entry `b` is the sum of the values whose bit is set.
-fn subset_sums<T: Float>(values: &[T], table: &mut [T; 256]) {
-    table[0] = T::default();
-    for (bit, &value) in values.iter().enumerate() {
-        let half = 1 << bit;
-        for low in 0..half {
-            table[half + low] = table[low] + value;
-        }
     }
 }
 

@@ -8,5 +8,7 @@ pub mod correlate;
 pub mod float;
 pub mod hadamard;
 mod octet;
+pub mod problem;
 pub mod simd;
+mod subsets;
 pub mod vector;

@@ -1,5 +1,8 @@
 //! Eight float64 numbers at a time, for loops that compilers do not make vectors of by themselves.
 
+/// Numbers in an octet.
+pub const WIDTH: usize = 8;
+
 /// Eight numbers: an array, or a register.
 ///
 /// # Safety

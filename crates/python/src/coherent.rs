@@ -1,14 +1,17 @@
 //! Likely pixels of every row, and rows solved on given pixels.
 
-use crate::solver::{checked_start, fidelity, run_interruptibly, Floats, PreparedPatterns, Solved};
-use lightmatrix_core::active_set::{Rows, Settings, Start, Values};
+use crate::arrays::{attribute, check_shape, grid, positive, room, whole, Values};
+use crate::input::{Samples, Settings, SparseRows, Start};
+use crate::solver::{PreparedPatterns, Solved};
+use crate::threads::{count_of, on_all_cores, run_interruptibly};
 use lightmatrix_core::coherent::{
-    self, Candidates, Expectation, Expected, Further, Knowledge, Neighbours, Sparse, Weighted,
-    Windows,
+    self, Expectation, Expected, Further, Knowledge, Neighbours, Weighted, Windows,
 };
-use numpy::{IntoPyArray, PyArray1, PyReadonlyArray1, PyReadonlyArray2, PyUntypedArrayMethods};
+use lightmatrix_core::vector::padded;
+use numpy::{IntoPyArray, PyArray1};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
+use std::ops::Range;
 
 type Csr<'py> = (
     Bound<'py, PyArray1<i64>>,
@@ -16,58 +19,42 @@ type Csr<'py> = (
     Bound<'py, PyArray1<f32>>,
 );
 
-/// The parts of a sparse matrix of `rows` rows whose indices are below `size`, after checking them.
-fn checked(
-    indptr: &[i64],
-    indices: &[i32],
-    values: &[f32],
-    rows: usize,
-    size: usize,
-) -> PyResult<()> {
-    let sound = indptr.len() == rows + 1
-        && indptr.first() == Some(&0)
-        && indptr.last() == Some(&(indices.len() as i64))
-        && indptr.windows(2).all(|w| w[0] <= w[1])
-        && indices.len() == values.len()
-        && indices.iter().all(|&i| i >= 0 && (i as usize) < size);
-    if sound {
-        Ok(())
-    } else {
-        Err(PyValueError::new_err("a sparse matrix that does not fit"))
-    }
+const NUMBERS: usize = i32::MAX as usize;
+
+/// A range (start, stop) of rows.
+fn range(value: (Bound<'_, PyAny>, Bound<'_, PyAny>), rows: usize) -> PyResult<Range<usize>> {
+    let stop = whole(&value.1, "the end of the range", 0..=rows)?;
+    let start = whole(&value.0, "the start of the range", 0..=stop)?;
+    Ok(start..stop)
 }
 
+/// The pixels that each row of a range (start, stop) probably holds, as the parts of a CSR matrix.
 #[pyfunction]
-#[allow(clippy::too_many_arguments)]
 fn likely_pixels<'py>(
     py: Python<'py>,
-    indptr: PyReadonlyArray1<'py, i64>,
-    indices: PyReadonlyArray1<'py, i32>,
-    values: PyReadonlyArray1<'py, f32>,
-    camera: [usize; 3],
-    projector: [usize; 2],
-    reach: [usize; 2],
-    most: usize,
-    range: [usize; 2],
+    rows: &Bound<'py, PyAny>,
+    camera: &Bound<'py, PyAny>,
+    projector: &Bound<'py, PyAny>,
+    reach: (Bound<'py, PyAny>, Bound<'py, PyAny>),
+    most: &Bound<'py, PyAny>,
+    range: (Bound<'py, PyAny>, Bound<'py, PyAny>),
 ) -> PyResult<Csr<'py>> {
-    let matrix = Sparse {
-        indptr: indptr.as_slice()?,
-        indices: indices.as_slice()?,
-        values: values.as_slice()?,
-    };
+    let (camera, count) = grid(camera, "camera")?;
+    let (projector, pixels) = grid(projector, "projector")?;
     let windows = Windows {
         camera,
         projector,
-        camera_reach: reach[0],
-        projector_reach: reach[1],
-        most,
+        camera_reach: whole(&reach.0, "the reach in the camera", 0..=NUMBERS)?,
+        projector_reach: whole(&reach.1, "the reach in the projector", 0..=NUMBERS)?,
+        most: whole(most, "most", 1..=NUMBERS)?,
     };
-    let (rows, pixels) = (camera.iter().product(), projector.iter().product());
-    checked(matrix.indptr, matrix.indices, matrix.values, rows, pixels)?;
-    if range[0] > range[1] || range[1] > rows {
-        return Err(PyValueError::new_err(format!("rows {range:?} of {rows}")));
-    }
-    let found = py.detach(|| coherent::likely(matrix, windows, range[0]..range[1]));
+    let range = self::range(range, count)?;
+    let rows = SparseRows::<f32>::read(rows, "rows", (count, pixels))?;
+    let matrix = rows.view()?;
+    room::<f32>(&[count_of(None), pixels], "sums over the pixels")?;
+    let most = windows.most.min(pixels);
+    room::<(i32, f32)>(&[range.len(), most], "the likely pixels")?;
+    let found = on_all_cores(py, || coherent::likely(matrix, windows, range))?;
     let mut indptr = vec![0i64];
     let (mut indices, mut values) = (Vec::new(), Vec::new());
     for (pixels, shares) in found {
@@ -82,85 +69,84 @@ fn likely_pixels<'py>(
     ))
 }
 
-/// Expected samples and their variances; see `lightmatrix.estimators.expectations`.
+/// Refuses patterns of other pixels than there are.
+fn check_pixels(prepared: &PreparedPatterns, pixels: usize, what: &str) -> PyResult<()> {
+    match prepared.dictionary.pixels {
+        own if own == pixels => Ok(()),
+        own => Err(PyValueError::new_err(format!(
+            "{what} has patterns of {own} pixels, expected {pixels}"
+        ))),
+    }
+}
+
+/// Expected samples and their variances, each (m, K + E); see `lightmatrix.estimators.expectations`.
 #[pyfunction]
-#[allow(clippy::too_many_arguments, clippy::type_complexity)]
+#[pyo3(signature = (shown, unseen, samples, neighbourhood, background, *, reach, start, level))]
+// The last three are numbers with names; a group of them would have none.
+#[allow(clippy::too_many_arguments)]
 fn expected_samples<'py>(
     py: Python<'py>,
     shown: &PreparedPatterns,
     unseen: &PreparedPatterns,
     samples: &Bound<'py, PyAny>,
-    clipped: PyReadonlyArray2<'py, bool>,
-    weights: Option<PyReadonlyArray2<'py, f64>>,
-    matrix: (
-        PyReadonlyArray1<'py, i64>,
-        PyReadonlyArray1<'py, i32>,
-        PyReadonlyArray1<'py, f32>,
-    ),
-    camera: [usize; 3],
-    projector: [usize; 2],
-    reach: usize,
-    movement: PyReadonlyArray2<'py, f32>,
-    background: PyReadonlyArray2<'py, f32>,
-    first: usize,
-    start: usize,
-    level: f64,
+    neighbourhood: &Bound<'py, PyAny>,
+    background: &Bound<'py, PyAny>,
+    reach: &Bound<'py, PyAny>,
+    start: &Bound<'py, PyAny>,
+    level: &Bound<'py, PyAny>,
 ) -> PyResult<(Bound<'py, PyAny>, Bound<'py, PyAny>)> {
-    let (shown, unseen) = (&shown.dictionary, &unseen.dictionary);
-    let floats = Floats::of(samples)?;
-    let (shape, values) = floats.view()?;
-    let (count, patterns) = (shape[0], shape[1]);
-    let all = patterns + unseen.patterns;
-    let (rows, pixels) = (camera.iter().product(), projector.iter().product());
-    let matrix = Sparse {
-        indptr: matrix.0.as_slice()?,
-        indices: matrix.1.as_slice()?,
-        values: matrix.2.as_slice()?,
-    };
-    checked(matrix.indptr, matrix.indices, matrix.values, rows, pixels)?;
-    // The rows that the first and the last row asked for have around them.
-    let halo = (reach * camera[1] + reach) * camera[2];
-    let around = start.saturating_sub(halo)..(start + count + halo).min(rows);
-    let sound = patterns == shown.patterns
-        && shown.pixels == pixels
-        && unseen.pixels == pixels
-        && start + count <= rows
-        && clipped.shape() == [count, patterns]
-        && movement.shape() == [count, 4]
-        && background.shape()[1] == all
-        && first <= around.start
-        && first + background.shape()[0] >= around.end
-        && level > 0.0
-        && weights
-            .as_ref()
-            .is_none_or(|w| w.shape()[1] == patterns && [1, count].contains(&w.shape()[0]));
-    if !sound {
-        return Err(PyValueError::new_err(
-            "the neighbours do not fit the samples",
-        ));
+    let part = |name| attribute(neighbourhood, name, "neighbourhood");
+    let (camera, total) = grid(&part("camera")?, "neighbourhood.camera")?;
+    let (projector, pixels) = grid(&part("projector")?, "neighbourhood.projector")?;
+    check_pixels(shown, pixels, "shown")?;
+    check_pixels(unseen, pixels, "unseen")?;
+    let rows = attribute(&part("rows")?, "coefficients", "neighbourhood.rows")?;
+    let rows = SparseRows::read(&rows, "neighbourhood.rows", (total, pixels))?;
+    let samples = Samples::read(samples, shown.dictionary.patterns)?;
+    let count = samples.count;
+    if count > total {
+        return Err(PyValueError::new_err(format!(
+            "samples of {count} rows for a camera of {total}"
+        )));
     }
+    let start = whole(start, "start", 0..=total - count)?;
+    let level = positive(level, "level")?;
+    let farthest = camera[0].max(camera[1]);
+    let reach = whole(reach, "reach", 0..=NUMBERS)?.min(farthest);
+
+    let movement = Values::<f32>::reals(&part("movement")?, "neighbourhood.movement")?;
+    let why = "rows and columns, by rows and columns, for each row";
+    let shape = [Some(total), Some(4)];
+    check_shape("neighbourhood.movement", movement.shape(), &shape, why)?;
+    let movement = &movement.as_slice()?[4 * start..][..4 * count];
+
+    // The rows that the first and the last row asked for have around them.
+    let halo = reach
+        .saturating_mul(camera[1] + 1)
+        .saturating_mul(camera[2]);
+    let first = start.saturating_sub(halo);
+    let around = (start + count).saturating_add(halo).min(total) - first;
+    let all = shown.dictionary.patterns + unseen.dictionary.patterns;
+    let background = Values::<f32>::reals(background, "background")?;
+    let why = "of the rows around, under the patterns shown and the unseen ones";
+    let shape = [Some(around), Some(all)];
+    check_shape("background", background.shape(), &shape, why)?;
+
     let neighbours = Neighbours {
-        matrix,
+        matrix: rows.view()?,
         camera,
         projector,
         reach,
-        movement: movement.as_slice()?,
+        movement,
         background: background.as_slice()?,
         first,
     };
-    let rows = Rows {
-        count,
-        samples: values,
-        clipped: clipped.as_slice()?,
-        weights: match &weights {
-            None => None,
-            Some(weights) => Some(Values::F64(weights.as_slice()?)),
-        },
-        start: None,
-    };
-    let Expected { values, variances } = py.detach(|| {
+    let rows = samples.rows(None)?;
+    room::<[f32; 2]>(&[count, all], "the expected samples")?;
+    let (shown, unseen) = (&shown.dictionary, &unseen.dictionary);
+    let Expected { values, variances } = on_all_cores(py, || {
         coherent::expected(shown, unseen, neighbours, rows, level, start..start + count)
-    });
+    })?;
     let shaped = |values: Vec<f32>| {
         values
             .into_pyarray(py)
@@ -169,167 +155,159 @@ fn expected_samples<'py>(
     Ok((shaped(values)?, shaped(variances)?))
 }
 
+/// Columns that all rows share: an object with `means` (C, K + E) in [0, 1] and `penalties` (C,).
+struct Cells<'py> {
+    means: Values<'py, f32>,
+    penalties: Values<'py, f32>,
+    count: usize,
+}
+
+impl<'py> Cells<'py> {
+    fn read(object: &Bound<'py, PyAny>, all: usize) -> PyResult<Self> {
+        let part = |name| attribute(object, name, "cells");
+        let means = Values::reals(&part("means")?, "cells.means")?;
+        let why = format!("cells, and {all} patterns shown and unseen");
+        check_shape("cells.means", means.shape(), &[None, Some(all)], &why)?;
+        let count = means.shape()[0];
+        if !means.as_slice()?.iter().all(|v| (0.0..=1.0).contains(v)) {
+            return Err(PyValueError::new_err(
+                "cells.means holds a value outside [0, 1]",
+            ));
+        }
+        let penalties = Values::reals(&part("penalties")?, "cells.penalties")?;
+        let shape = [Some(count)];
+        check_shape("cells.penalties", penalties.shape(), &shape, "one a cell")?;
+        check_penalties(penalties.as_slice()?, "cells.penalties")?;
+        Ok(Cells {
+            means,
+            penalties,
+            count,
+        })
+    }
+}
+
+fn check_penalties(penalties: &[f32], what: &str) -> PyResult<()> {
+    match penalties.iter().find(|&&p| p <= 0.0) {
+        None => Ok(()),
+        Some(odd) => Err(PyValueError::new_err(format!(
+            "{what} holds {odd}, expected penalties above 0"
+        ))),
+    }
+}
+
+/// Further samples of little weight: the patterns that were not shown, prepared, and an object with
+/// `values` and `weights`, each (M, K + E).
+struct FurtherSamples<'py> {
+    unseen: PyRef<'py, PreparedPatterns>,
+    values: Values<'py, f32>,
+    weights: Values<'py, f32>,
+}
+
+impl<'py> FurtherSamples<'py> {
+    fn read(
+        (unseen, object): (PyRef<'py, PreparedPatterns>, Bound<'py, PyAny>),
+        count: usize,
+        shown: &PreparedPatterns,
+    ) -> PyResult<Self> {
+        check_pixels(&unseen, shown.dictionary.pixels, "expected")?;
+        let all = shown.dictionary.patterns + unseen.dictionary.patterns;
+        let part = |name, what| {
+            let values = Values::<f32>::reals(&attribute(&object, name, "expected")?, what)?;
+            let why = "rows, and patterns shown and unseen";
+            check_shape(what, values.shape(), &[Some(count), Some(all)], why)?;
+            PyResult::Ok(values)
+        };
+        let values = part("values", "expected.values")?;
+        let weights = part("weights", "expected.weights")?;
+        if let Some(odd) = weights.as_slice()?.iter().find(|&&w| w < 0.0) {
+            return Err(PyValueError::new_err(format!(
+                "expected.weights holds {odd}, expected 0 or more"
+            )));
+        }
+        Ok(FurtherSamples {
+            unseen,
+            values,
+            weights,
+        })
+    }
+
+    fn view(&self) -> PyResult<Expectation<'_>> {
+        Ok(Expectation {
+            unseen: &self.unseen.dictionary,
+            values: self.values.as_slice()?,
+            weights: self.weights.as_slice()?,
+        })
+    }
+}
+
 /// Solves rows on their candidates; see `lightmatrix.solvers.weighted`.
 #[pyfunction]
 #[pyo3(signature = (
-    prepared, samples, clipped, weights, candidates, further, expected, row_background, start, regularization, fidelity_name,
-    nonnegative, background, tolerance, max_passes, threads=None, progress=None
+    prepared, samples, settings, candidates, *,
+    cells=None, expected=None, background=None, start=None, progress=None
 ))]
-#[allow(clippy::too_many_arguments, clippy::type_complexity)]
+// Four that are needed; what may be left out has names.
+#[allow(clippy::too_many_arguments)]
 fn solve_weighted<'py>(
     py: Python<'py>,
     prepared: &PreparedPatterns,
     samples: &Bound<'py, PyAny>,
-    clipped: PyReadonlyArray2<'py, bool>,
-    weights: Option<PyReadonlyArray2<'py, f64>>,
-    candidates: (
-        PyReadonlyArray1<'py, i64>,
-        PyReadonlyArray1<'py, i32>,
-        PyReadonlyArray1<'py, f32>,
-    ),
-    further: (
-        PyReadonlyArray2<'py, f32>,
-        PyReadonlyArray1<'py, f32>,
-        Option<PyReadonlyArray2<'py, f32>>,
-    ),
-    expected: Option<(
-        PyRef<'py, PreparedPatterns>,
-        PyReadonlyArray2<'py, f32>,
-        PyReadonlyArray2<'py, f32>,
-    )>,
-    row_background: Option<PyReadonlyArray2<'py, f32>>,
-    start: Option<(
-        PyReadonlyArray1<'py, i64>,
-        PyReadonlyArray1<'py, i32>,
-        PyReadonlyArray1<'py, f64>,
-        PyReadonlyArray1<'py, f64>,
-    )>,
-    regularization: f64,
-    fidelity_name: &str,
-    nonnegative: bool,
-    background: bool,
-    tolerance: f64,
-    max_passes: u32,
-    threads: Option<usize>,
-    progress: Option<Bound<'py, PyAny>>,
+    settings: &Settings,
+    candidates: &Bound<'py, PyAny>,
+    cells: Option<&Bound<'py, PyAny>>,
+    expected: Option<(PyRef<'py, PreparedPatterns>, Bound<'py, PyAny>)>,
+    background: Option<&Bound<'py, PyAny>>,
+    start: Option<&Bound<'py, PyAny>>,
+    progress: Option<&Bound<'py, PyAny>>,
 ) -> PyResult<(Solved, Bound<'py, PyAny>)> {
     let dictionary = &prepared.dictionary;
-    let floats = Floats::of(samples)?;
-    let (shape, values) = floats.view()?;
-    let (count, patterns) = (shape[0], shape[1]);
-    let candidates = Candidates {
-        indptr: candidates.0.as_slice()?,
-        pixels: candidates.1.as_slice()?,
-        penalties: candidates.2.as_slice()?,
-    };
-    let pixels = dictionary.pixels;
-    checked(
-        candidates.indptr,
-        candidates.pixels,
-        candidates.penalties,
-        count,
-        pixels,
-    )?;
-    let shared = further.1.len();
-    let unseen = expected.as_ref().map(|(unseen, ..)| &unseen.dictionary);
-    let all = patterns + unseen.map_or(0, |unseen| unseen.patterns);
-    let fits = patterns == dictionary.patterns
-        && clipped.shape() == [count, patterns]
-        && further.0.shape() == [shared, all]
-        && further
-            .2
-            .as_ref()
-            .is_none_or(|start| start.shape() == [count, shared])
-        && weights
-            .as_ref()
-            .is_none_or(|w| w.shape()[1] == patterns && [1, count].contains(&w.shape()[0]));
-    let fits = fits
-        && row_background
-            .as_ref()
-            .is_none_or(|background| background.shape() == [count, all]);
-    let columns = further.0.as_slice()?;
-    let positive = |values: &[f32]| values.iter().all(|&v| v > 0.0 && v.is_finite());
-    let sound = fits
-        && columns.iter().all(|v| (0.0..=1.0).contains(v))
-        && positive(candidates.penalties)
-        && positive(further.1.as_slice()?)
-        && regularization > 0.0
-        && regularization.is_finite()
-        && tolerance > 0.0;
-    if !sound {
-        return Err(PyValueError::new_err(
-            "the weighted problem's parts do not fit",
-        ));
-    }
-    let further = Further {
-        columns,
-        penalties: further.1.as_slice()?,
-        start: match &further.2 {
-            None => None,
-            Some(start) => Some(start.as_slice()?),
-        },
-    };
-    let start = match &start {
+    let samples = Samples::read(samples, dictionary.patterns)?;
+    let count = samples.count;
+    let shape = (count, dictionary.pixels);
+    let candidates = SparseRows::<f32>::read(candidates, "candidates", shape)?;
+    candidates.check_ascending()?;
+    let candidates = candidates.view()?;
+    check_penalties(candidates.values, "candidates.data")?;
+    let expected = expected.map(|parts| FurtherSamples::read(parts, count, prepared));
+    let expected = expected.transpose()?;
+    let unseen = expected.as_ref().map(|e| e.unseen.dictionary.patterns);
+    let all = dictionary.patterns + unseen.unwrap_or(0);
+    let cells = cells.map(|cells| Cells::read(cells, all)).transpose()?;
+    let shared = cells.as_ref().map_or(0, |cells| cells.count);
+    let start = Start::read(start, shape)?;
+    let starting_cells = start.as_ref().and_then(|start| start.cells(shared));
+    let start = start.as_ref().map(Start::view).transpose()?;
+    let background = match background {
         None => None,
-        Some((indptr, indices, values, background)) => Some(checked_start(
-            Start {
-                indptr: indptr.as_slice()?,
-                indices: indices.as_slice()?,
-                values: values.as_slice()?,
-                background: background.as_slice()?,
-            },
-            count,
-            pixels,
-        )?),
-    };
-    let expected = match (&expected, unseen) {
-        (Some((_, values, weights)), Some(unseen)) => {
-            let values_and_weights = (values.as_slice()?, weights.as_slice()?);
-            let sound = unseen.pixels == pixels
-                && values.shape() == [count, all]
-                && weights.shape() == [count, all]
-                && values_and_weights.0.iter().all(|v| v.is_finite())
-                && (values_and_weights.1.iter()).all(|v| v.is_finite() && *v >= 0.0);
-            if !sound {
-                return Err(PyValueError::new_err(
-                    "the expected samples do not fit the problem",
-                ));
-            }
-            Some(Expectation {
-                unseen,
-                values: values_and_weights.0,
-                weights: values_and_weights.1,
-            })
+        Some(background) => {
+            let background = Values::<f32>::reals(background, "background")?;
+            let why = "rows, and patterns shown and unseen";
+            let shape = [Some(count), Some(all)];
+            check_shape("background", background.shape(), &shape, why)?;
+            Some(background)
         }
-        _ => None,
     };
     let knowledge = Knowledge {
         candidates,
-        further,
-        expected,
-        background: match &row_background {
-            None => None,
-            Some(background) => Some(background.as_slice()?),
+        further: Further {
+            columns: cells.as_ref().map_or(Ok(&[][..]), |b| b.means.as_slice())?,
+            penalties: cells
+                .as_ref()
+                .map_or(Ok(&[][..]), |b| b.penalties.as_slice())?,
+            start: starting_cells,
         },
+        expected: expected.as_ref().map(FurtherSamples::view).transpose()?,
+        background: background.as_ref().map(Values::as_slice).transpose()?,
     };
-    let rows = Rows {
-        count,
-        samples: values,
-        clipped: clipped.as_slice()?,
-        weights: match &weights {
-            None => None,
-            Some(weights) => Some(Values::F64(weights.as_slice()?)),
-        },
-        start,
-    };
-    let settings = Settings {
-        regularization,
-        fidelity: fidelity(fidelity_name)?,
-        nonnegative,
-        background,
-        tolerance,
-        max_passes,
-    };
+    let rows = samples.rows(start)?;
+    let threads = settings.threads;
+    prepared.check_room(count, threads)?;
+    let most = candidates.indptr.windows(2).map(|w| w[1] - w[0]).max();
+    let columns = most.unwrap_or(0) as usize + shared;
+    let sides = [count_of(threads), columns, padded(all)];
+    room::<f32>(&sides, "the columns of the candidates")?;
+    room::<f64>(&[count, shared], "the cells' coefficients")?;
+    let settings = settings.view();
     let solutions = run_interruptibly(py, count, threads, progress, |cancelled, finished| {
         coherent::solve(dictionary, rows, knowledge, settings, cancelled, finished)
     })?;
@@ -342,7 +320,7 @@ fn solve_weighted<'py>(
     let shares = shares
         .into_pyarray(py)
         .call_method1("reshape", (count, shared))?;
-    Ok((Solved::new(py, found), shares))
+    Ok((Solved::new(py, found)?, shares))
 }
 
 pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {

@@ -1,8 +1,11 @@
 //! `lightmatrix._core`: casts, checks and releases the GIL; no arithmetic.
 
+mod arrays;
 mod coherent;
+mod input;
 mod products;
 mod solver;
+mod threads;
 
 use pyo3::prelude::*;
 

@@ -1,132 +1,149 @@
 //! Pattern products and transforms.
 
+use crate::arrays::{array, check_shape, long_or_short, room, whole, Floats};
+use crate::threads::on_all_cores;
 use lightmatrix_core::bits::{self, Bits};
 use lightmatrix_core::float::Float;
 use lightmatrix_core::hadamard;
-use numpy::{
-    Element, IntoPyArray, PyArray2, PyReadonlyArray1, PyReadonlyArray2, PyUntypedArrayMethods,
-};
-use pyo3::exceptions::{PyTypeError, PyValueError};
+use numpy::{Element, IntoPyArray, PyReadonlyArrayDyn, PyUntypedArrayMethods};
+use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
-/// Views the packed bits after checking their shape.
-pub fn checked_bits<'a>(packed: &'a PyReadonlyArray2<'_, u8>, pixels: usize) -> PyResult<Bits<'a>> {
-    let (patterns, stride) = (packed.shape()[0], packed.shape()[1]);
-    if stride != pixels.div_ceil(8) {
-        return Err(PyValueError::new_err(format!(
-            "bits have {stride} bytes a pattern, {pixels} pixels need {}",
-            pixels.div_ceil(8)
-        )));
-    }
-    Ok(Bits::new(packed.as_slice()?, patterns, pixels))
+/// Pixels are counted in int32.
+pub const MOST_PIXELS: usize = i32::MAX as usize;
+
+/// Patterns as packed bits, (K, ceil(N / 8)).
+pub struct Packed<'py> {
+    bytes: PyReadonlyArrayDyn<'py, u8>,
+    pixels: usize,
 }
 
+impl<'py> Packed<'py> {
+    pub fn read(packed: &Bound<'py, PyAny>, pixels: &Bound<'py, PyAny>) -> PyResult<Self> {
+        let pixels = whole(pixels, "pixels", 0..=MOST_PIXELS)?;
+        let bytes = array::<u8>(packed, "packed")?;
+        let stride = pixels.div_ceil(8);
+        let why = format!("{stride} bytes a pattern hold {pixels} pixels");
+        check_shape("packed", bytes.shape(), &[None, Some(stride)], &why)?;
+        Ok(Packed { bytes, pixels })
+    }
+
+    pub fn view(&self) -> PyResult<Bits<'_>> {
+        let patterns = self.bytes.shape()[0];
+        Ok(Bits::new(self.bytes.as_slice()?, patterns, self.pixels))
+    }
+}
+
+/// `compute(rows, input, output)` with rows of `widths` (input, output) values.
 fn product<'py, T: Float + Element>(
     py: Python<'py>,
-    rows: &PyReadonlyArray2<'py, T>,
+    rows: &PyReadonlyArrayDyn<'py, T>,
     widths: (usize, usize),
     compute: impl Fn(usize, &[T], &mut [T]) + Send + Sync,
 ) -> PyResult<Bound<'py, PyAny>> {
+    let why = format!("each row has {} values", widths.0);
+    check_shape("rows", rows.shape(), &[None, Some(widths.0)], &why)?;
     let count = rows.shape()[0];
-    if rows.shape()[1] != widths.0 {
-        return Err(PyValueError::new_err(format!(
-            "rows have {} values, the patterns need {}",
-            rows.shape()[1],
-            widths.0
-        )));
-    }
     let input = rows.as_slice()?;
-    let output = py.detach(|| {
-        let mut output = vec![T::default(); count * widths.1];
+    let length = room::<T>(&[count, widths.1], "the product")?;
+    let output = on_all_cores(py, || {
+        let mut output = vec![T::default(); length];
         compute(count, input, &mut output);
         output
-    });
+    })?;
     output
         .into_pyarray(py)
         .call_method1("reshape", (count, widths.1))
 }
 
-/// Calls `$body` with `$rows` as float32 or float64, whichever it is.
-macro_rules! for_either_float {
-    ($value:expr, $rows:ident => $body:expr) => {
-        if let Ok($rows) = $value.extract::<PyReadonlyArray2<f32>>() {
-            $body
-        } else if let Ok($rows) = $value.extract::<PyReadonlyArray2<f64>>() {
-            $body
-        } else {
-            Err(PyTypeError::new_err(
-                "expected a two-dimensional float32 or float64 array",
-            ))
+/// Calls `product` on rows of float32 or float64, whichever they are.
+macro_rules! product_of_either {
+    ($py:expr, $rows:expr, $widths:expr, $compute:expr) => {
+        match &Floats::unchecked($rows, "rows")? {
+            Floats::Single(rows) => product($py, rows, $widths, $compute),
+            Floats::Double(rows) => product($py, rows, $widths, $compute),
         }
     };
 }
 
+/// Rows of x, (M, N), times the transposed patterns: (M, K).
 #[pyfunction]
 fn bits_forward<'py>(
     py: Python<'py>,
-    packed: PyReadonlyArray2<'py, u8>,
-    pixels: usize,
+    packed: &Bound<'py, PyAny>,
+    pixels: &Bound<'py, PyAny>,
     x: &Bound<'py, PyAny>,
 ) -> PyResult<Bound<'py, PyAny>> {
-    let bits = checked_bits(&packed, pixels)?;
-    let widths = (pixels, bits.patterns());
-    for_either_float!(x, rows => product(py, &rows, widths, |n, x, out| bits::forward(bits, n, x, out)))
+    let packed = Packed::read(packed, pixels)?;
+    let bits = packed.view()?;
+    let widths = (bits.pixels(), bits.patterns());
+    product_of_either!(py, x, widths, |n, x, out| bits::forward(bits, n, x, out))
 }
 
+/// Rows of e, (M, K), times the patterns: (M, N).
 #[pyfunction]
 fn bits_adjoint<'py>(
     py: Python<'py>,
-    packed: PyReadonlyArray2<'py, u8>,
-    pixels: usize,
+    packed: &Bound<'py, PyAny>,
+    pixels: &Bound<'py, PyAny>,
     e: &Bound<'py, PyAny>,
 ) -> PyResult<Bound<'py, PyAny>> {
-    let bits = checked_bits(&packed, pixels)?;
-    let widths = (bits.patterns(), pixels);
-    for_either_float!(e, rows => product(py, &rows, widths, |n, e, out| bits::adjoint(bits, n, e, out)))
+    let packed = Packed::read(packed, pixels)?;
+    let bits = packed.view()?;
+    let widths = (bits.patterns(), bits.pixels());
+    room::<u8>(&[bits.patterns().div_ceil(8), bits.pixels()], "the columns")?;
+    product_of_either!(py, e, widths, |n, e, out| bits::adjoint(bits, n, e, out))
 }
 
+/// Columns of the patterns, (K, index.size) float32.
 #[pyfunction]
 fn bits_columns<'py>(
     py: Python<'py>,
-    packed: PyReadonlyArray2<'py, u8>,
-    pixels: usize,
-    index: PyReadonlyArray1<'py, i64>,
-) -> PyResult<Bound<'py, PyArray2<f32>>> {
-    let bits = checked_bits(&packed, pixels)?;
-    let index = index
-        .as_slice()?
-        .iter()
-        .map(|&i| {
-            usize::try_from(i)
-                .ok()
-                .filter(|&i| i < pixels)
-                .ok_or_else(|| {
-                    PyValueError::new_err(format!("pixel {i} of a projector of {pixels}"))
-                })
-        })
-        .collect::<PyResult<Vec<_>>>()?;
-    let mut out = vec![0f32; bits.patterns() * index.len()];
+    packed: &Bound<'py, PyAny>,
+    pixels: &Bound<'py, PyAny>,
+    index: &Bound<'py, PyAny>,
+) -> PyResult<Bound<'py, PyAny>> {
+    let packed = Packed::read(packed, pixels)?;
+    let bits = packed.view()?;
+    let index = long_or_short(index, "index")?;
+    check_shape("index", index.shape(), &[None], "pixels")?;
+    let index = below(index.as_slice()?, bits.pixels(), "index")?;
+    let length = room::<f32>(&[bits.patterns(), index.len()], "the columns")?;
+    let mut out = vec![0f32; length];
     bits::columns(bits, &index, &mut out);
     let shape = (bits.patterns(), index.len());
-    Ok(out
-        .into_pyarray(py)
-        .call_method1("reshape", shape)?
-        .extract()?)
+    out.into_pyarray(py).call_method1("reshape", shape)
 }
 
+/// Indices as the core takes them, each below `size`.
+pub fn below<T: TryFrom<i64>>(values: &[i64], size: usize, what: &str) -> PyResult<Vec<T>> {
+    let outside =
+        |value| PyValueError::new_err(format!("{what} holds {value}, expected 0 to below {size}"));
+    room::<T>(&[values.len()], what)?;
+    values
+        .iter()
+        .map(|&value| {
+            let within = usize::try_from(value).is_ok_and(|value| value < size);
+            let value_or_none = within.then(|| T::try_from(value).ok()).flatten();
+            value_or_none.ok_or_else(|| outside(value))
+        })
+        .collect()
+}
+
+/// The fast Walsh-Hadamard transform of each row, (M, a power of two).
 #[pyfunction(name = "hadamard")]
 fn hadamard_rows<'py>(py: Python<'py>, x: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
-    for_either_float!(x, rows => {
-        let length = rows.shape()[1];
-        if !length.is_power_of_two() {
-            return Err(PyValueError::new_err(format!(
-                "rows have {length} values, the transform needs a power of two"
-            )));
-        }
-        product(py, &rows, (length, length), |_, x, out| {
-            out.copy_from_slice(x);
-            hadamard::transform(out, length);
-        })
+    let floats = Floats::unchecked(x, "rows")?;
+    check_shape("rows", floats.shape(), &[None, None], "rows to transform")?;
+    let length = floats.shape()[1];
+    if !length.is_power_of_two() {
+        return Err(PyValueError::new_err(format!(
+            "rows have {length} values, the transform needs a power of two"
+        )));
+    }
+    product_of_either!(py, x, (length, length), |_, x, out| {
+        out.copy_from_slice(x);
+        hadamard::transform(out, length);
     })
 }
 

@@ -13,6 +13,7 @@ from lightmatrix.camera.levels import check_levels, of_frames
 from lightmatrix.camera.response import Response
 from lightmatrix.camera.samples import Samples
 from lightmatrix.errors import InputError
+from lightmatrix.reprs import short_repr
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,11 +38,20 @@ class Decoder:
     black_exposure : float, optional
         Exposure of the black frame; its light above `black_level` grows with the exposure. None
         means that of the frames, which must then be one.
+    clip_assumed : bool
+        Whether nobody stated the clip level, so that it is the end of the range of the files.
 
     Raises
     ------
     InputError
         On levels out of range, or a black frame without exposure where the frames' differ.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> samples = lm.Decoder(clip=255, full_scale=255).decode(np.array([[0, 51, 255]], np.uint8))
+    >>> samples.values.tolist(), samples.clipped.tolist()
+    ([[0.0, 0.20000000298023224, 1.0]], [[False, False, True]])
     """
 
     clip: float | NDArray[Any]
@@ -51,6 +61,9 @@ class Decoder:
     exposure: float | NDArray[Any] = 1.0
     black_frame: NDArray[Any] | None = None
     black_exposure: float | None = None
+    clip_assumed: bool = False
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         check_levels(self.clip, self.black_level, self.full_scale)
@@ -58,6 +71,11 @@ class Decoder:
         if not (np.isfinite(exposure).all() and (exposure > 0).all()):
             raise InputError(
                 f"an exposure of {exposure.min()}", hint="use positive numbers, such as 1"
+            )
+        if self.black_exposure is not None and not 0 < self.black_exposure < np.inf:
+            raise InputError(
+                f"a black frame of exposure {self.black_exposure}",
+                hint="use a positive number, in the unit of the frames' exposures",
             )
         if self.black_frame is not None and self.black_exposure is None and np.ptp(exposure) > 0:
             raise InputError(
@@ -113,7 +131,7 @@ class Decoder:
         black = pedestal
         if self.black_frame is not None:
             dark = self._light(self.black_frame[first_row : first_row + rows])[:, None]
-            ratio = exposure / self.black_exposure if self.black_exposure else 1.0
+            ratio = 1.0 if self.black_exposure is None else exposure / self.black_exposure
             black = pedestal + (dark - pedestal) * ratio
         scale = 1 / ((ceiling - pedestal) * exposure)
         values = (light - black.astype(np.float32)) * scale.astype(np.float32)

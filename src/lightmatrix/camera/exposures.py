@@ -9,11 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.errors import InputError
-from lightmatrix.patterns.mix import MixedPatterns
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.patterns.shares import interleave, parse_shares
 
 EXAMPLE = "1:0.75,0.25:0.25"
+# In any unit that a camera is set in; float32 samples keep their digits.
+_SHORTEST, _LONGEST = 1e-12, 1e12
 
 
 def parse_exposures(text: str) -> list[tuple[float, float]]:
@@ -27,7 +28,7 @@ def parse_exposures(text: str) -> list[tuple[float, float]]:
     Raises
     ------
     InputError
-        On exposures that are no positive numbers, and shares that do not sum to 1.
+        On exposures that are no positive numbers or beyond 1e12, and shares that do not sum to 1.
     """
     result = []
     for name, share in parse_shares(text, "an exposure", EXAMPLE):
@@ -35,7 +36,7 @@ def parse_exposures(text: str) -> list[tuple[float, float]]:
             exposure = float(name)
         except ValueError:
             exposure = math.nan
-        if not (math.isfinite(exposure) and exposure > 0):
+        if not _SHORTEST <= exposure <= _LONGEST:
             raise InputError(
                 f"an exposure of {name!r}",
                 hint=f"use positive numbers, such as 1, or several: {EXAMPLE}",
@@ -68,11 +69,8 @@ def of_frames(
         return exposures[0][0]
     values = np.array([exposure for exposure, _ in exposures])
     shares = [share for _, share in exposures]
-    kinds = np.zeros(patterns.count, np.int64)
-    if isinstance(patterns, MixedPatterns):
-        kinds = patterns.kinds
     result = np.empty(patterns.count)
-    for kind in np.unique(kinds):
-        frames = np.flatnonzero(kinds == kind)
+    for kind in np.unique(patterns.kinds):
+        frames = np.flatnonzero(patterns.kinds == kind)
         result[frames] = values[interleave(shares, len(frames))]
     return result

@@ -9,6 +9,9 @@ from numpy.typing import NDArray
 
 from lightmatrix.errors import InputError
 
+# No camera counts further; beyond it, numbers are slips of the pen.
+MOST_LEVEL = 2.0**32
+
 
 def of_frames(value: float | NDArray[Any], start: int, stop: int, name: str) -> NDArray[np.float64]:
     """The values of the frames start..stop: one for all, or a list of one each."""
@@ -28,8 +31,13 @@ def check_levels(
     Raises
     ------
     InputError
-        Unless 0 <= black level < clip level <= full scale in every frame.
+        Unless 0 <= black level < clip level <= full scale <= 2^32 in every frame.
     """
+    if not 0 < full_scale <= MOST_LEVEL:
+        raise InputError(
+            f"a full scale of {full_scale:g}",
+            hint=f"use the highest raw level, such as 255; at most {MOST_LEVEL:g}",
+        )
     clips, blacks = np.asarray(clip, np.float64), np.asarray(black_level, np.float64)
     if not (np.isfinite(clips).all() and (clips > 0).all() and (clips <= full_scale).all()):
         raise InputError(

@@ -10,6 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.errors import InputError
+from lightmatrix.files.npy import read_npy
+from lightmatrix.files.reading import read_text
+
+# 65,536 levels of two numbers come to less than a tenth of it.
+_MOST_CURVE = 16 << 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,6 +28,12 @@ class Response:
         straight in between. None for the linear response.
     name : str
         As given to `parse`.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> lm.Response.parse("gamma:2.2").name
+    'gamma:2.2'
     """
 
     levels: NDArray[np.float64] | None = None
@@ -72,25 +83,46 @@ class Response:
         return np.interp(share, self.levels, self.light)
 
 
+def _as_columns(values: Any) -> NDArray[np.float64]:
+    """A table of points, (n, columns).
+
+    Raises
+    ------
+    ValueError
+        If it is empty, no numbers, or no table.
+    """
+    table = np.asarray(values)
+    if table.dtype.kind not in "fiu" or table.ndim not in (1, 2) or table.size == 0:
+        raise ValueError("no table of numbers")
+    return table.astype(np.float64).reshape(len(table), -1)
+
+
 def _read_curve(file: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    # The message must not quote the file, which may be any of the system.
+    unreadable = InputError(
+        f"{file}: the response curve cannot be read: no table of numbers",
+        hint="write two columns of numbers, level and light",
+    )
     try:
-        if file.suffix == ".npy":
-            table = np.load(file, allow_pickle=False)
+        if file.suffix.lower() == ".npy":
+            table = _as_columns(read_npy(file))
         else:
-            text = file.read_text().replace(",", " ").replace(";", " ")
+            text = read_text(file, _MOST_CURVE).replace(",", " ").replace(";", " ")
             rows = [line.split() for line in text.splitlines() if line.strip()]
-            table = np.array([[float(v) for v in row] for row in rows if row[0][0] != "#"])
-        table = np.asarray(table, np.float64).reshape(len(table), -1)
-    except (OSError, ValueError, TypeError) as error:
-        raise InputError(
-            f"{file}: the response curve cannot be read ({error})",
-            hint="write two columns of numbers, level and light",
-        ) from error
+            table = _as_columns([[float(v) for v in row] for row in rows if row[0][0] != "#"])
+    except (OSError, EOFError, ValueError, TypeError) as error:
+        raise unreadable from error
     if table.shape[1] == 1:
         table = np.column_stack([np.arange(len(table)), table[:, 0]])
-    levels, light = table[:, 0], table[:, 1]
+    levels, light = table[:, 0], table[:, -1]
     increasing = len(table) > 1 and (np.diff(levels) > 0).all() and (np.diff(light) >= 0).all()
-    if table.shape[1] != 2 or not np.isfinite(table).all() or not increasing or light[-1] <= 0:
+    if (
+        table.shape[1] != 2
+        or not np.isfinite(table).all()
+        or not increasing
+        or levels[-1] <= 0
+        or light[-1] <= 0
+    ):
         raise InputError(
             f"{file}: a response curve of {table.shape[0]} x {table.shape[1]} numbers that does "
             "not increase",

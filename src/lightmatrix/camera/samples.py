@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.errors import InputError
+from lightmatrix.reprs import short_repr
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,12 +27,21 @@ class Samples:
     weights : (K,) or (m, K) float, optional
         Weight of each sample in the data term, >= 0; 0 masks it, and frames of much lower
         exposure weigh less. None means 1.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> values = np.array([[0.2, 1.0]], np.float32)
+    >>> lm.Samples(values, clipped=values >= 1, clip_level=np.ones(2, np.float32)).count
+    1
     """
 
     values: NDArray[Any]
     clipped: NDArray[np.bool_]
     clip_level: NDArray[Any]
     weights: NDArray[Any] | None = None
+
+    __repr__ = short_repr
 
     @property
     def count(self) -> int:

@@ -24,6 +24,8 @@ from scipy.special import ndtri
 from lightmatrix.camera.decoder import Decoder
 from lightmatrix.camera.levels import check_levels, of_frames
 from lightmatrix.errors import InputError
+from lightmatrix.ranges import check_number, check_seed
+from lightmatrix.reprs import short_repr
 
 BIT_DEPTHS = (8, 10, 12, 16)
 
@@ -52,6 +54,12 @@ class Sensor:
     ------
     InputError
         On values out of range.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> lm.Sensor(exposure=2.0, bits=8).expose(np.array([[0.1, 0.25, 0.9]]))
+    array([[ 51, 128, 255]], dtype=uint8)
     """
 
     exposure: float | NDArray[Any] = 1.0
@@ -60,6 +68,8 @@ class Sensor:
     shot_noise: float = 0.0
     bits: int | None = 8
     clip: float | None = None
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         if self.bits is not None and self.bits not in BIT_DEPTHS:
@@ -73,11 +83,12 @@ class Sensor:
                 f"an exposure of {self.exposure}", hint="use positive numbers, such as 1"
             )
         for name in ("read_noise", "shot_noise"):
-            if not 0 <= getattr(self, name) < np.inf:
-                raise InputError(
-                    f"{name.replace('_', ' ')} of {getattr(self, name)}",
-                    hint="use a share of the clip level, such as 0.003",
-                )
+            check_number(
+                f"a {name.replace('_', ' ')}",
+                getattr(self, name),
+                most=1,
+                hint="use a share of the clip level from 0 to 1, such as 0.003",
+            )
         check_levels(self.clip_level, self.black_level, self.full_scale)
 
     @property
@@ -129,6 +140,7 @@ class Sensor:
         InputError
             If there are more frames than exposures.
         """
+        check_seed(seed)
         rows, frames = irradiance.shape
         exposure = of_frames(self.exposure, first_frame, first_frame + frames, "exposures")
         sample = np.asarray(irradiance, np.float64) * exposure

@@ -27,6 +27,7 @@ from lightmatrix.camera.response import Response
 from lightmatrix.camera.samples import Samples
 from lightmatrix.camera.sensor import Sensor
 from lightmatrix.capture.checks import (
+    check_depth,
     check_light,
     check_patterns,
     check_per_frame,
@@ -38,6 +39,7 @@ from lightmatrix.capture.order import check_order
 from lightmatrix.capture.reader import Reader
 from lightmatrix.errors import InputError
 from lightmatrix.patterns.pattern_set import PatternSet
+from lightmatrix.reprs import html_table
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,6 +67,14 @@ class Capture:
     ------
     InputError
         If the numbers of patterns and frames differ.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> patterns, camera = lm.BernoulliPatterns((8, 8), 16), lm.Sensor()
+    >>> frames = np.random.default_rng(0).integers(0, 255, (16, 6, 5)).astype(np.uint8)
+    >>> lm.Capture.from_arrays(patterns, frames, camera).bin(camera=2).camera_shape
+    (3, 3)
     """
 
     patterns: PatternSet
@@ -74,6 +84,28 @@ class Capture:
     bin_projector: tuple[int, int] = (1, 1)
     bin_camera: tuple[int, int] = (1, 1)
     provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        return f"Capture({', '.join(f'{name}={value}' for name, value in self._told.items())})"
+
+    def _repr_html_(self) -> str:
+        return html_table("Capture", self._told)
+
+    @property
+    def _told(self) -> dict[str, Any]:
+        """What is said of a capture in one line; decodes nothing."""
+        exposures = np.unique(self.exposures)
+        told: dict[str, Any] = {
+            "frames": self.count,
+            "camera": " x ".join(map(str, self.camera_shape)),
+            "projector": " x ".join(map(str, self.projector_shape)),
+            "patterns": type(self.patterns).__name__,
+            "levels": str(self.frames.dtype),
+            "exposure": ", ".join(f"{exposure:g}" for exposure in exposures[:4]),
+        }
+        if len(exposures) > 4:
+            told["exposure"] += f" and {len(exposures) - 4} more"
+        return told
 
     def __post_init__(self) -> None:
         if self.patterns.count != self.frames.count:
@@ -98,6 +130,7 @@ class Capture:
         bin_camera: int | tuple[int, int] = 1,
         check: bool = True,
         check_order: bool = True,
+        allow_outside: bool = False,
     ) -> Capture:
         """Read a capture folder.
 
@@ -110,13 +143,15 @@ class Capture:
             See `bin`.
         check, check_order : bool
             See `check`.
+        allow_outside : bool
+            Whether files that capture.json names may lie outside the folder.
 
         Raises
         ------
         InputError
             On anything that makes the capture unusable, naming the file.
         """
-        parts = read_capture(folder)
+        parts = read_capture(folder, allow_outside=allow_outside)
         capture = cls(
             parts.patterns, parts.frames, parts.decoder, parts.mask, provenance=parts.provenance
         )
@@ -132,6 +167,7 @@ class Capture:
         white: str | Path | None = None,
         clip: float | NDArray[Any] | None = None,
         response: Response | str | None = None,
+        black_level: float | NDArray[Any] | None = None,
         exposure: float | NDArray[Any] = 1.0,
         mask: str | Path | None = None,
         bin_projector: int | tuple[int, int] = 1,
@@ -148,13 +184,16 @@ class Capture:
         images : str or Path
             Folder of the camera's frames.
         black : str, Path or float, optional
-            Image under a black pattern, or the camera's black level in raw levels.
+            Image under a black pattern, which is subtracted; or a number, as `black_level`.
         white : str or Path, optional
             Image under a white pattern; becomes one more frame.
         clip : float or (K,), optional
             Raw level at which the camera clips; None means the end of the range.
         response : Response or str, optional
             See `Response.parse`; None means linear, and warns where the files say otherwise.
+        black_level : float or (K,), optional
+            Raw level without any light, the camera's electronic pedestal; None means 0. It sets
+            the unit of T, which the room light in a black frame does not change.
         exposure : float or (K,)
             Exposure of each frame.
         mask : str or Path, optional
@@ -176,6 +215,7 @@ class Capture:
             white=white,
             clip=clip,
             response=response,
+            black_level=black_level,
             exposure=exposure,
             mask=mask,
         )
@@ -373,9 +413,11 @@ class Capture:
         ------
         InputError
             With one frame only, a projector of one pixel, no pattern that varies, nothing but
-            dark or clipped samples, all pixels masked, or frames out of order.
+            dark or clipped samples, all pixels masked, 16-bit files of fewer bits without a stated
+            clip level, or frames out of order.
         """
         check_patterns(self.patterns)
+        check_depth(self.frames, self.decoder)
         check_light(self.tiles(), int(self.valid.sum()), self.decoder)
         if self.frames.dtype == np.uint16 and self.bin_camera == (1, 1):
             warn_of_hidden_clipping(self.reader.raw, self.decoder)

@@ -10,11 +10,14 @@ from numpy.typing import NDArray
 
 from lightmatrix.camera.decoder import Decoder
 from lightmatrix.camera.samples import Samples
+from lightmatrix.capture.frames import Frames
 from lightmatrix.errors import InputError, LightMatrixWarning
 from lightmatrix.patterns.pattern_set import PatternSet
 
 # Ends of the range of cameras whose levels are stored in 16 bits, low or high aligned.
 _TOPS_IN_16_BITS = (1023, 4095, 16383, 65472, 65520, 65532)
+# Of 8, 10, 12 and 14 bits.
+_TOPS = (255, 1023, 4095, 16383)
 
 
 def check_patterns(patterns: PatternSet) -> None:
@@ -37,7 +40,7 @@ def check_patterns(patterns: PatternSet) -> None:
         )
     first = patterns.rows(0, 1)[0]
     alike, flat = True, True
-    for _, block in patterns.blocks():
+    for _, block in patterns.chunks():
         # After binning, equal pixels may differ in the last bit.
         flat = flat and bool((np.ptp(block, axis=1) < 1e-6).all())
         alike = alike and bool((np.abs(block - first) < 1e-6).all())
@@ -89,6 +92,31 @@ def check_light(tiles: Iterable[tuple[int, Samples]], valid: int, decoder: Decod
             f"{100 * clipped / total:.1f} % of the samples are clipped",
             hint="expose so that most samples stay below the clip level; 1 to 20 % may clip",
         )
+
+
+def check_depth(frames: Frames, decoder: Decoder) -> None:
+    """Refuse 16-bit files that hold fewer bits, while their full range was assumed.
+
+    A camera of 12 bits clips at 4095: with 65535 in its place all samples are below 1/16, none is
+    clipped, and an estimate finds nothing without a sign that it is wrong.
+
+    Raises
+    ------
+    InputError
+        Naming the clip level that is probably meant.
+    """
+    if not decoder.clip_assumed or frames.dtype != np.uint16:
+        return
+    top = 0
+    for k in range(frames.count):
+        top = max(top, int(frames.read(k).max()))
+        if top > _TOPS[-1]:
+            return
+    likely = next(level for level in _TOPS if level >= top)
+    raise InputError(
+        f"the images have 16 bits, but no level above {top}: a camera that clips at {likely}?",
+        hint=f'say --clip {likely}, or "clip" in capture.json; --clip 65535 if they are just dark',
+    )
 
 
 def warn_of_hidden_clipping(raw: NDArray[np.integer], decoder: Decoder) -> None:

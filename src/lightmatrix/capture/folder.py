@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 import warnings
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,20 +16,14 @@ from numpy.typing import NDArray
 from lightmatrix.camera.decoder import Decoder
 from lightmatrix.camera.response import Response
 from lightmatrix.camera.sensor import Sensor
+from lightmatrix.capture.description import FORMAT, NAME, VERSION, Description, read_description
 from lightmatrix.errors import InputError, LightMatrixWarning
-from lightmatrix.files.headers import read_json
-from lightmatrix.files.images import fill_image, read_image
+from lightmatrix.files.images import READABLE, fill_image, read_image
+from lightmatrix.files.kinds import CAPTURE
 from lightmatrix.files.outputs import atomic_folder
 from lightmatrix.files.stack import ImageStack, nonlinear_tag
 from lightmatrix.patterns.folder import fill_pattern_folder, read_patterns
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
-
-DESCRIPTION = "capture.json"
-FORMAT, VERSION = "lightmatrix-capture", 1
-_KEYS = frozenset(
-    {"format", "version", "projector_shape", "camera_shape", "provenance", "mask", "black"}
-    | {"exposure", "clip", "black_level", "full_scale", "response"}
-)
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,8 +46,15 @@ class CaptureParts:
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
 
-def read_capture(folder: str | Path) -> CaptureParts:
+def read_capture(folder: str | Path, *, allow_outside: bool = False) -> CaptureParts:
     """Read a folder with patterns/, images/ and, perhaps, capture.json.
+
+    Parameters
+    ----------
+    folder : str or Path
+        The folder.
+    allow_outside : bool
+        Whether the files that capture.json names may lie outside the folder.
 
     Raises
     ------
@@ -69,49 +71,71 @@ def read_capture(folder: str | Path) -> CaptureParts:
                 f"{place}: has no folder {name}/",
                 hint="give a folder with patterns/ and images/, or --patterns and --images",
             )
-    file = place / DESCRIPTION
-    content = read_json(file, FORMAT, VERSION) if file.exists() else {}
-    unknown = sorted(set(content) - _KEYS)
-    if unknown:
-        raise InputError(
-            f"{file}: does not know {', '.join(map(repr, unknown))}",
-            hint=f"its keys are {', '.join(sorted(_KEYS))}",
-        )
+    file = place / NAME
+    # A link that leads nowhere is a description that is missing, not none.
+    described = os.path.lexists(file)
+    told = read_description(file, allow_outside=allow_outside) if described else Description()
+    told = _with_files_beside(place, told, described)
     patterns = read_patterns(place / "patterns")
     stack = ImageStack.open(place / "images")
     _check_counts(patterns, stack, place / "images")
-    for key, shape, what in (
-        ("projector_shape", patterns.shape, "patterns"),
-        ("camera_shape", stack.shape, "images"),
+    for key, wanted, shape, what in (
+        ("projector_shape", told.projector_shape, patterns.shape, "patterns"),
+        ("camera_shape", told.camera_shape, stack.shape, "images"),
     ):
-        if key in content and content[key] != list(shape):
+        if wanted is not None and wanted != shape:
             raise InputError(
-                f"{file}: {key} is {content[key]}, but the {what} have {list(shape)}",
+                f"{file}: {key} is {list(wanted)}, but the {what} have {list(shape)}",
                 hint="correct capture.json, or restore the folder",
             )
-    black, mask = content.get("black"), content.get("mask")
-    try:
-        decoder = make_decoder(
-            stack,
-            clip=_numbers(content.get("clip")),
-            response=_response(content.get("response"), stack, place),
-            exposure=_numbers(content.get("exposure", 1.0)),
-            black=None if black is None else place / str(black["file"]),
-            black_level=_numbers(content.get("black_level")),
-            black_exposure=None if black is None else black.get("exposure"),
-            full_scale=content.get("full_scale"),
-        )
-    except (TypeError, ValueError, KeyError, AttributeError) as error:
-        raise InputError(
-            f"{file}: cannot be understood ({error})", hint="see docs/captures.md"
-        ) from error
+    decoder = make_decoder(
+        stack,
+        clip=told.clip,
+        response=_response(told.response, stack, place),
+        exposure=told.exposure,
+        black=told.black,
+        black_level=told.black_level,
+        black_exposure=told.black_exposure,
+        full_scale=told.full_scale,
+    )
     return CaptureParts(
         patterns,
         stack,
         decoder,
-        None if mask is None else read_mask(place / str(mask), stack.shape),
-        dict(content.get("provenance") or {}),
+        None if told.mask is None else read_mask(told.mask, stack.shape),
+        dict(told.provenance),
     )
+
+
+def _with_files_beside(place: Path, told: Description, described: bool) -> Description:
+    """The description with a black frame or mask that lies in the folder without being named.
+
+    Without capture.json it is used, and with one it is not; either way that is said.
+    """
+    for key, what in (("black", "the black frame"), ("mask", "the mask")):
+        if described and key not in told.silent_of:
+            continue
+        found = [
+            entry
+            for entry in sorted(place.iterdir())
+            if entry.stem.lower() == key and entry.suffix.lower() in READABLE
+        ]
+        if not found:
+            continue
+        if described:
+            said = f"{found[0]}: is not used, since {NAME} does not name it"
+            said += f'; add "{key}" to it, or "{key}": null to leave it out'
+        elif len(found) > 1:
+            raise InputError(
+                f"{place}: holds {found[0].name} and {found[1].name}",
+                hint=f"keep the one that is {what}",
+            )
+        else:
+            said = f"{found[0]}: is taken for {what}, for want of a {NAME} that says so"
+            black, mask = (found[0], told.mask) if key == "black" else (told.black, found[0])
+            told = replace(told, black=black, mask=mask)
+        warnings.warn(said, LightMatrixWarning, stacklevel=2)
+    return told
 
 
 def read_folders(
@@ -122,6 +146,7 @@ def read_folders(
     white: str | Path | None = None,
     clip: float | NDArray[Any] | None = None,
     response: Response | str | None = None,
+    black_level: float | NDArray[Any] | None = None,
     exposure: float | NDArray[Any] = 1.0,
     mask: str | Path | None = None,
 ) -> CaptureParts:
@@ -144,6 +169,7 @@ def read_folders(
         response=_response(response, stack, Path()),
         exposure=exposure,
         black=black,
+        black_level=black_level,
     )
     return CaptureParts(
         shown, stack, decoder, None if mask is None else read_mask(mask, stack.shape)
@@ -163,16 +189,31 @@ def make_decoder(
 ) -> Decoder:
     """The decoder of a stack, with its black frame read and its range filled in.
 
+    The black level, the camera's electronic pedestal, is 0 unless it is stated: a black frame holds
+    room light too, and must not change the unit of the samples.
+
     Raises
     ------
     InputError
-        On a black frame of another size, or one that is clipped; on levels out of range.
+        On a black frame of another size, one that is clipped, or one of another exposure than the
+        frames where no black level is stated; on levels out of range.
     """
+    top = 1.0 if stack.dtype.kind == "f" else float(np.iinfo(stack.dtype).max)
     if full_scale is None:
-        full_scale = 1.0 if stack.dtype.kind == "f" else float(np.iinfo(stack.dtype).max)
+        full_scale = top
+    elif stack.dtype.kind == "u" and full_scale > top:
+        raise InputError(
+            f"a full scale of {full_scale:g} for images of {stack.dtype}",
+            hint=f"use a raw level of at most {top:g}",
+        )
+    assumed = clip is None
     clip = full_scale if clip is None else clip
     black_frame = None
     if isinstance(black, (int, float)):
+        if black_level is not None:
+            raise InputError(
+                f"black levels of {black:g} and {black_level}", hint="give the black level once"
+            )
         black_level = float(black)
     elif black is not None:
         image = read_image(black)
@@ -182,14 +223,17 @@ def make_decoder(
                 hint="take the black frame with the same camera settings",
             )
         black_frame = image.ravel()
-        if black_level is None:
-            # Without a stated pedestal the scale is that of a typical pixel.
-            black_level = float(np.median(black_frame))
-            if black_level >= np.min(clip):
-                raise InputError(
-                    f"{black}: the black frame is clipped",
-                    hint="take it with the projector showing black",
-                )
+        if float(np.median(black_frame)) >= np.min(clip):
+            raise InputError(
+                f"{black}: the black frame is clipped",
+                hint="take it with the projector showing black",
+            )
+        if black_level is None and _differs(black_exposure, exposure):
+            raise InputError(
+                f"{black}: its light is to be scaled to other exposures, but not its pedestal, and "
+                "no black level is given",
+                hint='give "black_level" in capture.json, 0 for a camera without pedestal',
+            )
     return Decoder(
         clip,
         full_scale,
@@ -198,7 +242,13 @@ def make_decoder(
         exposure,
         black_frame,
         black_exposure,
+        assumed,
     )
+
+
+def _differs(black_exposure: float | None, exposure: float | NDArray[Any]) -> bool:
+    """Whether a black frame's exposure is another than that of some frame."""
+    return black_exposure is not None and bool((np.asarray(exposure) != black_exposure).any())
 
 
 def read_mask(mask: str | Path, shape: tuple[int, ...]) -> NDArray[np.bool_]:
@@ -230,6 +280,7 @@ def write_capture(
     black: NDArray[Any] | None = None,
     black_exposure: float | None = None,
     provenance: Mapping[str, Any] | None = None,
+    beside: Callable[[Path], None] | None = None,
     overwrite: bool = False,
 ) -> None:
     """Write a capture folder, whole or not at all.
@@ -252,6 +303,8 @@ def write_capture(
         Its exposure; None means that of the frames, which must then be one.
     provenance : mapping, optional
         What made the capture, JSON-ready.
+    beside : callable, optional
+        Given the folder before it is whole, writes what else belongs into it.
     overwrite : bool
         Whether an existing capture may be replaced.
 
@@ -264,7 +317,7 @@ def write_capture(
     """
     suffix = ".png" if sensor.bits else ".npy"
     digits = max(4, len(str(patterns.count - 1)))
-    with atomic_folder(folder, overwrite=overwrite) as part:
+    with atomic_folder(folder, CAPTURE, overwrite=overwrite) as part:
         (part / "patterns").mkdir()
         (part / "images").mkdir()
         fill_pattern_folder(part / "patterns", patterns)
@@ -299,7 +352,9 @@ def write_capture(
             if black_exposure is not None:
                 content["black"]["exposure"] = black_exposure
         text = json.dumps(content, indent=2, default=jsonable)
-        (part / DESCRIPTION).write_text(text + "\n")
+        (part / NAME).write_text(text + "\n")
+        if beside is not None:
+            beside(part)
 
 
 def jsonable(value: Any) -> Any:
@@ -331,7 +386,3 @@ def _response(response: Response | str | None, stack: ImageStack, folder: Path) 
             stacklevel=2,
         )
     return Response()
-
-
-def _numbers(value: Any) -> Any:
-    return np.asarray(value, np.float64) if isinstance(value, list) else value

@@ -9,6 +9,8 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from lightmatrix.reprs import short_repr
+
 
 class Frames(Protocol):
     """A stack of frames of one shape and type, read one at a time."""
@@ -45,6 +47,8 @@ class ArrayStack:
     """
 
     array: NDArray[Any]
+
+    __repr__ = short_repr
 
     @property
     def count(self) -> int:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -14,9 +13,7 @@ from lightmatrix.camera.decoder import Decoder
 from lightmatrix.camera.noise import frame_weights
 from lightmatrix.camera.samples import Samples, bin_samples
 from lightmatrix.capture.frames import Frames
-
-# Raw frames up to this size are held in memory, larger ones in a temporary file.
-_MEMORY_BYTES = 2 << 30
+from lightmatrix.files.scratch import scratch_array
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +91,7 @@ class Reader:
     def raw(self) -> NDArray[Any]:
         """Raw levels (M, K), a camera sample's frames side by side as tiles need them."""
         pixels = int(np.prod(self.frames.shape))
-        raw = _allocate((pixels, self.frames.count), self.frames.dtype)
+        raw = scratch_array((pixels, self.frames.count), self.frames.dtype)
         # Some frames at a time: column by column would touch every page of the array K times.
         group = max(1, min(64, (256 << 20) // max(1, pixels * raw.itemsize)))
         for start in range(0, self.frames.count, group):
@@ -106,8 +103,8 @@ class Reader:
     @cached_property
     def _binned(self) -> Samples:
         """Binned samples (M, K); smaller than the raw levels for blocks of 2 x 2 and more."""
-        values = _allocate((self.rows, self.frames.count), np.dtype(np.float32))
-        clipped = _allocate((self.rows, self.frames.count), np.dtype(np.bool_))
+        values = scratch_array((self.rows, self.frames.count), np.dtype(np.float32))
+        clipped = scratch_array((self.rows, self.frames.count), np.dtype(np.bool_))
         levels = []
         for k in range(self.frames.count):
             raw = self.frames.read(k).reshape(-1, 1)
@@ -122,11 +119,3 @@ class Reader:
         else:
             level = np.concatenate(levels, axis=1)
         return Samples(values, clipped, level)
-
-
-def _allocate(shape: tuple[int, ...], dtype: np.dtype[Any]) -> NDArray[Any]:
-    if int(np.prod(shape)) * dtype.itemsize <= _MEMORY_BYTES:
-        return np.empty(shape, dtype)
-    with tempfile.TemporaryFile() as file:
-        # The mapping keeps the unnamed file alive; it vanishes with the array.
-        return np.memmap(file, dtype, "w+", shape=shape)

@@ -8,6 +8,7 @@ import numpy as np
 
 from lightmatrix.camera.response import Response
 from lightmatrix.camera.samples import Samples
+from lightmatrix.capture.checks import check_depth
 from lightmatrix.capture.folder import make_decoder
 from lightmatrix.errors import InputError
 from lightmatrix.files.stack import ImageStack
@@ -20,6 +21,7 @@ def read_white_frame(
     path: str | Path,
     *,
     black: str | Path | float | None = None,
+    black_level: float | None = None,
     clip: float | None = None,
     response: str | None = None,
 ) -> Samples:
@@ -30,7 +32,9 @@ def read_white_frame(
     path : str or Path
         The image.
     black : str, Path or float, optional
-        Photograph under a black pattern at the same exposure, or the black level.
+        Photograph under a black pattern at the same exposure; or a number, as `black_level`.
+    black_level : float, optional
+        Raw level without any light; None means 0.
     clip : float, optional
         Raw level at which the camera clips; None means the end of the range.
     response : str, optional
@@ -44,11 +48,11 @@ def read_white_frame(
     Raises
     ------
     InputError
-        On images that cannot be read or differ in size, levels out of range, and frames that are
-        dark.
+        On images that cannot be read or differ in size, levels out of range, 16-bit files of fewer
+        bits without a clip level, and frames that are dark.
     """
     file = Path(path)
-    if not file.is_file():
+    if not file.exists() or file.is_dir():
         problem = "is a folder" if file.is_dir() else "no such file"
         raise InputError(
             f"{file}: {problem}", hint="give a photograph of a white pattern, a scene, or a T.npz"
@@ -60,7 +64,9 @@ def read_white_frame(
         response=Response() if response is None else Response.parse(response),
         exposure=1.0,
         black=black,
+        black_level=black_level,
     )
+    check_depth(stack, decoder)
     decoded = decoder.decode(stack.read(0).reshape(-1, 1))
     keep = slice(None) if decoder.hot is None else ~decoder.hot
     level = decoded.clip_level if decoded.clip_level.ndim == 1 else decoded.clip_level[keep]

@@ -1,63 +1,17 @@
-"""Commands that show: the demo and the paper's figures."""
+"""`lightmatrix experiment`: the paper's figures, and claims of ours."""
 
 from __future__ import annotations
 
-import shutil
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Literal
 
 import typer
 
-from lightmatrix.cli.common import Json, Overwrite, out, progress, show_json
-from lightmatrix.experiments import demo as demo_report
-from lightmatrix.experiments import few_patterns, fig4, fig5, fig6, fig7
-from lightmatrix.experiments.harness import Experiment
-from lightmatrix.files.outputs import atomic_folder, check_output
+import lightmatrix as lm
+from lightmatrix.cli.options import Json, Overwrite
+from lightmatrix.cli.terminal import progress, say, show_json
 
-
-class Figure(StrEnum):
-    """Figures of the paper that can be drawn, and claims of ours."""
-
-    FIG4 = "fig4"
-    FIG5 = "fig5"
-    FIG6 = "fig6"
-    FIG7 = "fig7"
-    FEW_PATTERNS = "few-patterns"
-
-
-EXPERIMENTS: dict[Figure, Experiment[Any]] = {
-    Figure.FIG4: fig4.FIG4,
-    Figure.FIG5: fig5.FIG5,
-    Figure.FIG6: fig6.FIG6,
-    Figure.FIG7: fig7.FIG7,
-    Figure.FEW_PATTERNS: few_patterns.FEW_PATTERNS,
-}
-
-
-def register(app: typer.Typer) -> None:
-    """Add the commands of this file."""
-    app.command("demo")(demo)
-    app.command("experiment")(experiment)
-
-
-def demo(
-    output: Annotated[Path, typer.Option("-o", "--output", help="Report folder.")] = Path("report"),
-    overwrite: Overwrite = False,
-    as_json: Json = False,
-) -> None:
-    """Simulate and estimate a scene; write a picture report."""
-    check_output(output, overwrite=overwrite)
-    with (
-        atomic_folder(output, overwrite=overwrite) as folder,
-        progress("demo", "steps") as report,
-    ):
-        result = demo_report.run(folder, progress=report)
-    if as_json:
-        show_json({**result, "output": output})
-        return
-    out.print(demo_report.table(result))
-    out.print(f"pictures: {output / 'report.png'}", highlight=False)
+Figure = Literal["fig4", "fig5", "fig6", "fig7", "few-patterns"]
 
 
 def experiment(
@@ -78,15 +32,9 @@ def experiment(
     Without --quick it takes up to an hour and goes on where it stopped if run again; fig6, fig7 and
     few-patterns then need the extra `render`.
     """
-    check_output(output, overwrite=overwrite)
-    kept = output.with_name(output.name + ".cases")
-    with (
-        atomic_folder(output, overwrite=overwrite) as folder,
-        progress(str(figure), "steps") as report,
-    ):
-        result = EXPERIMENTS[figure].run(folder, quick=quick, progress=report, kept=kept)
-    shutil.rmtree(kept, ignore_errors=True)
+    with progress(figure, "steps") as report:
+        result = lm.experiment(figure, output, quick=quick, overwrite=overwrite, progress=report)
     if as_json:
         show_json(result)
     else:
-        out.print(f"{figure}: see {output}", highlight=False)
+        say(f"{figure}: see {output}")

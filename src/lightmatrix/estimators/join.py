@@ -4,26 +4,26 @@ from __future__ import annotations
 
 import platform
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
 import scipy
 from numpy.typing import NDArray
-from scipy.sparse import csr_array, vstack
 
-import lightmatrix
+from lightmatrix._version import __version__
 from lightmatrix.camera.samples import Samples
 from lightmatrix.capture.capture import Capture
 from lightmatrix.solvers import Solver
-from lightmatrix.solvers.problem import Result
+from lightmatrix.solvers.problem import Result, check_regularization
 from lightmatrix.store import Checkpoint
 from lightmatrix.transport.matrix import LightTransport
+from lightmatrix.transport.sparse_rows import SparseRows
 
 Progress = Callable[[int, int], None]
-# Sparse rows (m, N), background (m, B) and diagnostics (m,) each.
-Tile = tuple[csr_array, NDArray[np.float32], dict[str, NDArray[Any]]]
+# Solves the rows start..stop.
+SolveTile = Callable[[int, int], SparseRows]
 
 # Working memory of one tile of rows, well below the 4 GiB that any estimate may take.
 TILE_BYTES = 512 << 20
@@ -32,13 +32,12 @@ TILE_BYTES = 512 << 20
 def joined(
     capture: Capture,
     ranges: Iterable[tuple[int, int]],
-    solve_tile: Callable[[int, int], Tile],
+    begin: Callable[[Checkpoint | None], SolveTile],
     provenance: Mapping[str, Any],
     *,
     checkpoint: Path | None,
     overwrite: bool,
     background_grid: tuple[int, int] = (1, 1),
-    prepare: Callable[[Checkpoint | None], None] | None = None,
 ) -> LightTransport:
     """Solve tiles one after the other and join them.
 
@@ -46,26 +45,28 @@ def joined(
     ----------
     ranges : iterable of (start, stop)
         Rows of each tile; together all rows of the capture, in order.
-    solve_tile : callable
-        Gives the tile of the rows start..stop.
+    begin : callable
+        Does what comes before the first tile, and gives what solves the rows start..stop. It may
+        keep what it has found in the checkpoint it is given, and is not called if all tiles are
+        there.
     provenance : mapping
-        What made the estimate, JSON-ready.
+        What made the estimate, JSON-ready; its regularization is checked before anything is made.
     checkpoint : Path or None
         The store to write. Finished tiles are kept beside it, so that an interrupted run goes on
         where it stopped.
     overwrite : bool
         Whether a complete store at `checkpoint` may be replaced.
     background_grid : (int, int)
-        Blocks of the tiles' background.
-    prepare : callable, optional
-        What comes before the first tile, unless all are there; it may keep what it has found in
-        the checkpoint it is given.
+        Cells of the tiles' background.
 
     Raises
     ------
+    InputError
+        On a regularization that is none.
     OutputError
         On outputs that cannot be written.
     """
+    check_regularization(provenance["regularization"])
     shapes: dict[str, Any] = {
         "camera_shape": capture.camera_shape,
         "projector_shape": capture.projector_shape,
@@ -73,35 +74,36 @@ def joined(
         "provenance": dict(provenance),
     }
     if checkpoint is None:
-        if prepare is not None:
-            prepare(None)
-        parts = [solve_tile(start, stop) for start, stop in ranges]
-        names = parts[0][2]
+        solve_tile = begin(None)
+        rows = SparseRows.joined([solve_tile(start, stop) for start, stop in ranges])
         return LightTransport(
-            csr_array(vstack([part[0] for part in parts], format="csr")),
-            np.concatenate([part[1] for part in parts]),
-            diagnostics={n: np.concatenate([part[2][n] for part in parts]) for n in names},
-            **shapes,
+            rows.coefficients, rows.background, diagnostics=rows.diagnostics, **shapes
         )
     fingerprint = {**provenance, "capture": capture.digest}
     with Checkpoint.open(checkpoint, fingerprint, overwrite=overwrite) as running:
         missing = [(start, stop) for start, stop in ranges if not running.has(start, stop)]
-        if missing and prepare is not None:
-            prepare(running)
+        if missing:
+            solve_tile = begin(running)
         for start, stop in missing:
-            running.write(start, stop, *solve_tile(start, stop))
+            running.write(start, stop, solve_tile(start, stop))
         return running.finish(**shapes)
 
 
-def diagnostics(samples: Samples, result: Result) -> dict[str, NDArray[Any]]:
-    """What is kept of every row beside its estimate, (m,) each."""
-    return {
+def kept(samples: Samples, result: Result, **more: NDArray[Any]) -> SparseRows:
+    """What is kept of solved rows: in single precision, and with the share of clipped samples.
+
+    Parameters
+    ----------
+    more : (m,) arrays
+        Further diagnostics.
+    """
+    diagnostics = {
         "clipped_share": samples.clipped.mean(axis=1, dtype=np.float32),
-        "iterations": result.iterations,
-        "converged": result.converged,
+        **result.rows.diagnostics,
         "gap": result.gap.astype(np.float32),
-        "objective": result.objective,
+        **more,
     }
+    return replace(result.rows.single(), diagnostics=diagnostics)
 
 
 def solver_provenance(solver: Solver) -> dict[str, Any]:
@@ -117,7 +119,7 @@ def capture_provenance(capture: Capture) -> dict[str, Any]:
         "pattern_digest": capture.patterns.digest,
         "capture_description": capture.description,
         "versions": {
-            "lightmatrix": lightmatrix.__version__,
+            "lightmatrix": __version__,
             "numpy": np.__version__,
             "scipy": scipy.__version__,
             "python": platform.python_version(),
@@ -126,4 +128,5 @@ def capture_provenance(capture: Capture) -> dict[str, Any]:
 
 
 def _plain(value: Any) -> Any:
-    return value if isinstance(value, (bool, int, float, str, type(None))) else str(value)
+    # Names from enumerations become strings like any other.
+    return value if isinstance(value, (bool, int, float, type(None))) else str(value)

@@ -4,27 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from scipy.sparse import csr_array
-
 from lightmatrix.capture.capture import Capture
-from lightmatrix.errors import InputError
 from lightmatrix.estimators.join import (
     TILE_BYTES,
     Progress,
-    Tile,
     capture_provenance,
-    diagnostics,
     joined,
+    kept,
     solver_provenance,
 )
 from lightmatrix.estimators.regularization import automatic_regularization
 from lightmatrix.solvers import Solver, solve
+from lightmatrix.solvers.parameters import check_count
 from lightmatrix.solvers.problem import Problem
 from lightmatrix.transport.matrix import LightTransport
+from lightmatrix.transport.sparse_rows import SparseRows
 
 
 @dataclass(frozen=True)
@@ -44,6 +42,13 @@ class PlainEstimator:
         Whether each camera sample has a coefficient of the patterns' means (diffuse light).
     tile_rows : int or None
         Rows solved at a time. None: as many as fit half a gigabyte. Results do not depend on it.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> capture = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 8))
+    >>> lm.PlainEstimator(lm.ROMP(max_iterations=2)).estimate(capture).camera_shape
+    (64, 64)
     """
 
     solver: Solver
@@ -53,8 +58,7 @@ class PlainEstimator:
     tile_rows: int | None = None
 
     def __post_init__(self) -> None:
-        if self.tile_rows is not None and self.tile_rows < 1:
-            raise InputError(f"tiles of {self.tile_rows} rows", hint="use at least 1")
+        check_count(tile_rows=self.tile_rows)
 
     def estimate(
         self,
@@ -93,7 +97,7 @@ class PlainEstimator:
         return joined(
             capture,
             tiles.ranges(),
-            lambda start, stop: tiles.solve(start, stop, progress),
+            lambda _: partial(tiles.solve, progress=progress),
             provenance,
             checkpoint=checkpoint,
             overwrite=overwrite,
@@ -129,7 +133,7 @@ class _Tiles:
         for start in range(0, self.capture.rows, rows):
             yield start, min(start + rows, self.capture.rows)
 
-    def solve(self, start: int, stop: int, progress: Progress | None) -> Tile:
+    def solve(self, start: int, stop: int, progress: Progress | None) -> SparseRows:
         samples = self.capture.samples(start, stop)
         problem = Problem(
             self.capture.patterns,
@@ -144,12 +148,7 @@ class _Tiles:
             if progress is not None:
                 progress(start + done, total)
 
-        result = solve(problem, self.estimator.solver, progress=report)
-        return (
-            csr_array(result.coefficients, dtype=np.float32),
-            result.background.astype(np.float32)[:, None],
-            diagnostics(samples, result),
-        )
+        return kept(samples, solve(problem, self.estimator.solver, progress=report))
 
     def _fitting_rows(self) -> int:
         patterns = self.capture.patterns

@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
-from rich.table import Table
 
 from lightmatrix.camera.noise import USUAL_NOISE
 from lightmatrix.camera.sensor import Sensor
@@ -91,28 +90,6 @@ def run(out: Path, *, progress: Callable[[int, int], None] | None = None) -> dic
         save(drawing, out, "report")
     report(steps, steps)
     return result
-
-
-def table(result: Mapping[str, Any]) -> Table:
-    """The errors, for the terminal."""
-    rows, cols = result["size"]
-    title = (
-        f"{result['scene']}, {rows} x {cols}, {result['patterns']} Bernoulli patterns, 8 bits: "
-        f"{100 * result['clipped_samples']:.0f} % of the samples clip, "
-        f"{100 * result['clipping_responses']:.0f} % of the single responses"
-    )
-    drawn = Table(title=title, title_justify="left")
-    drawn.add_column("method")
-    for head in ("RMSE", "relative error", "relighting error"):
-        drawn.add_column(head, justify="right")
-    for row in result["methods"]:
-        drawn.add_row(
-            row["method"],
-            f"{row['rmse']:.4f}",
-            f"{row['relative_error']:.3f}",
-            f"{row['relighting_error']:.3f}",
-        )
-    return drawn
 
 
 def _errors(

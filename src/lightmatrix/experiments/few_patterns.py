@@ -30,7 +30,7 @@ from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.pictures.style import COLOURS, figure, save
 from lightmatrix.rig import library
 from lightmatrix.solvers import ActiveSet, Problem
-from lightmatrix.solvers.weighted import Blocks, Candidates, solve_weighted
+from lightmatrix.solvers.weighted import Candidates, Cells, solve_weighted
 from lightmatrix.transport.matrix import LightTransport
 
 SIZE = (128, 128)
@@ -155,6 +155,7 @@ def _with_known_support(scene: MeasuredScene, capture: Capture) -> LightTranspor
     support = scene.truth.matrix.copy()
     support.data[support.data < KNOWN_SUPPORT * level] = 0
     support.eliminate_zeros()
+    support.sort_indices()
     samples = capture.samples()
     problem = Problem(capture.patterns, samples, KNOWN_PENALTY * DEFAULT_REGULARIZATION * level)
     candidates = Candidates(
@@ -163,8 +164,8 @@ def _with_known_support(scene: MeasuredScene, capture: Capture) -> LightTranspor
         np.ones(support.nnz, np.float32),
     )
     found = solve_weighted(
-        problem, candidates, Blocks.none(capture.patterns), ActiveSet(tolerance=1e-3)
-    ).rows
+        problem, candidates, Cells.none(capture.patterns), ActiveSet(tolerance=1e-3)
+    )
     return LightTransport(
         csr_array(found.coefficients, dtype=np.float32),
         found.background.astype(np.float32)[:, None],

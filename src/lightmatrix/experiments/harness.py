@@ -13,6 +13,8 @@ from typing import Any, Generic, Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from lightmatrix.files.running import RunningFolder
+
 Row = dict[str, Any]
 C = TypeVar("C", bound="Case")
 
@@ -74,7 +76,7 @@ class Experiment(Generic[C]):
         *,
         quick: bool = False,
         progress: Callable[[int, int], None] | None = None,
-        kept: Path | None = None,
+        kept: RunningFolder | None = None,
     ) -> dict[str, Any]:
         """Measure all cases and write the table as JSON and CSV, and the figure.
 
@@ -86,8 +88,8 @@ class Experiment(Generic[C]):
             Few small cases, for a first look.
         progress : callable, optional
             Called with (done, all) cases.
-        kept : Path, optional
-            A folder where finished cases are kept, for a run that goes on.
+        kept : RunningFolder, optional
+            Where finished cases are kept, for a run that goes on.
 
         Returns
         -------
@@ -112,15 +114,14 @@ class Experiment(Generic[C]):
         self.draw(out, found)
         return result
 
-    def _measured(self, case: C, folder: Path | None) -> Measured:
-        if folder is None:
-            return self.measure(case)
-        file = folder / f"{case.name}.npz"
-        known = _read(file)
+    def _measured(self, case: C, kept: RunningFolder | None) -> Measured:
+        name = f"{case.name}.npz"
+        known = _read(kept.file(name)) if kept is not None and kept.has(name) else None
         if known is None:
             known = self.measure(case)
-            folder.mkdir(parents=True, exist_ok=True)
-            _write(file, known)
+            if kept is not None:
+                with kept.keep(name) as part:
+                    _write(part, known)
         return known
 
 
@@ -133,10 +134,8 @@ def write_table(file: Path, rows: Sequence[Row]) -> None:
 
 
 def _write(file: Path, measured: Measured) -> None:
-    part = file.with_suffix(".part.npz")
     arrays: dict[str, Any] = {**measured.arrays, "rows": np.array(json.dumps(measured.rows))}
-    np.savez(part, **arrays)
-    part.replace(file)
+    np.savez(file, **arrays)
 
 
 def _read(file: Path) -> Measured | None:

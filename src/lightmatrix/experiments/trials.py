@@ -37,11 +37,6 @@ class TrialPatterns(PatternSet):
         return int(self.stack.shape[1])
 
     @cached_property
-    def means(self) -> NDArray[np.float64]:
-        """Zero: the trials share no means, and the experiment has no background."""
-        return np.zeros(self.count)
-
-    @cached_property
     def gram(self) -> NDArray[np.float64]:
         """A A' of every trial, (trials, K, K) float64."""
         stack = self.stack.astype(np.float64)

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 from typing import Any
 
 from lightmatrix.errors import InputError
+from lightmatrix.files.reading import read_text
 
 
 def read_json(file: Path, kind: str, version: int) -> dict[str, Any]:
@@ -15,20 +17,68 @@ def read_json(file: Path, kind: str, version: int) -> dict[str, Any]:
     Raises
     ------
     InputError
-        If it cannot be read, is of another format, or of a later version.
+        If it cannot be read (see `parse_json`), is of another format, or of another version.
     """
-    try:
-        content = json.loads(file.read_text())
-    except (OSError, ValueError) as error:
-        raise InputError(
-            f"{file}: cannot be read ({error})", hint="restore it, or remove it"
-        ) from error
+    content = parse_json(read_text(file), str(file))
     if not isinstance(content, dict) or content.get("format") != kind:
         raise InputError(f"{file}: is not a {kind} file", hint=f'its "format" must be "{kind}"')
     found = content.get("version")
-    if found != version:
+    # True == 1, but is no version.
+    if type(found) is not int or found != version:
         raise InputError(
-            f"{file}: has format version {found}, this lightmatrix reads {version}",
+            f"{file}: has format version {str(found)[:20]}, this lightmatrix reads {version}",
             hint="update lightmatrix, or write the file again",
         )
+    return content
+
+
+def parse_json(text: str, name: str, *, finite: bool = True) -> Any:
+    """Parse JSON strictly: no key twice, no endless nesting, and only finite numbers.
+
+    Parameters
+    ----------
+    text : str
+        What to parse.
+    name : str
+        What messages call it.
+    finite : bool
+        False permits NaN and infinite numbers, which Python writes: in what is only kept.
+
+    Raises
+    ------
+    InputError
+        If it is not JSON, or one of these.
+    """
+    try:
+        return json.loads(
+            text,
+            parse_constant=_refuse_constant if finite else None,
+            parse_float=_finite if finite else None,
+            object_pairs_hook=_distinct,
+        )
+    except RecursionError as error:
+        raise InputError(
+            f"{name}: cannot be read (nested too deeply)", hint="restore it, or remove it"
+        ) from error
+    except ValueError as error:
+        raise InputError(
+            f"{name}: cannot be read ({str(error)[:120]})", hint="restore it, or remove it"
+        ) from error
+
+
+def _refuse_constant(word: str) -> float:
+    raise ValueError(f"{word} is not a number in JSON")
+
+
+def _finite(digits: str) -> float:
+    value = float(digits)
+    if not math.isfinite(value):
+        raise ValueError("a number beyond all bounds")
+    return value
+
+
+def _distinct(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    content = dict(pairs)
+    if len(content) < len(pairs):
+        raise ValueError("a key stands there twice")
     return content

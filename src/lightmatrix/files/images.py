@@ -7,6 +7,7 @@ Pixels come back as they were stored (uint8, uint16 or float32); what they mean 
 from __future__ import annotations
 
 import struct
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -16,15 +17,16 @@ import tifffile
 from numpy.typing import NDArray
 
 from lightmatrix.errors import InputError
-from lightmatrix.files import png16
-from lightmatrix.files.outputs import atomic_file, check_output
+from lightmatrix.files import png, png16
+from lightmatrix.files.kinds import IMAGE
+from lightmatrix.files.limits import check_size
+from lightmatrix.files.npy import as_float32, read_npy
+from lightmatrix.files.outputs import atomic_file
+from lightmatrix.files.reading import regular_file
+from lightmatrix.files.tiff import read_tiff
 
 READABLE = (".png", ".tif", ".tiff", ".npy", ".jpg", ".jpeg", ".bmp")
-
-
-WRITABLE = (".png", ".tif", ".tiff", ".npy")
-
-
+WRITABLE = IMAGE.suffixes
 FORMATS = "PNG, TIFF, npy, JPEG or BMP"
 
 
@@ -45,13 +47,21 @@ def read_image(path: str | Path) -> NDArray[Any]:
     Raises
     ------
     InputError
-        If the file is missing, a folder, empty, truncated, not an image, not 2-D, or not finite.
+        If the file is missing, no regular file, empty, truncated, damaged (checksums of PNG are
+        verified), not an image, larger than 2^28 values, not 2-D, or not finite in float32.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> lm.write_image("image.png", np.eye(3, dtype=np.uint8))
+    >>> lm.read_image("image.png")[0]
+    array([1, 0, 0], dtype=uint8)
     """
     file = Path(path)
     _check_file(file)
     try:
-        image = _READERS.get(file.suffix.lower(), _read_common)(file)
-    except InputError:
+        image = _READERS[file.suffix.lower()](file)
+    except (InputError, MemoryError):
         raise
     # Image libraries raise nearly anything on damaged files, among them SyntaxError.
     except Exception as error:
@@ -79,6 +89,13 @@ def read_grey(path: str | Path) -> NDArray[np.float32]:
     ------
     InputError
         As for `read_image`, and for coloured images or float values outside [0, 1].
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> lm.write_image("grey.png", np.array([[0, 51, 255]], np.uint8))
+    >>> lm.read_grey("grey.png")
+    array([[0. , 0.2, 1. ]], dtype=float32)
     """
     image = read_image(path)
     if image.ndim == 3:
@@ -120,10 +137,16 @@ def write_image(
     InputError
         If the image is not an image or not finite.
     OutputError
-        If the file exists, has another ending or cannot be written.
+        If the file exists, is no image, has another ending or cannot be written.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> lm.write_image("half.png", np.full((2, 2), 0.5))
+    >>> lm.read_image("half.png")[0]
+    array([128, 128], dtype=uint8)
     """
-    check_output(path, overwrite=overwrite, suffixes=WRITABLE)
-    with atomic_file(path, overwrite=overwrite) as part:
+    with atomic_file(path, IMAGE, overwrite=overwrite) as part:
         fill_image(part, image, bits=bits)
 
 
@@ -143,12 +166,14 @@ def fill_image(path: Path, image: NDArray[Any], *, bits: int = 8) -> None:
             f"an image of shape {pixels.shape}", hint="give (rows, cols) or (rows, cols, 3)"
         )
     if pixels.dtype not in (np.uint8, np.uint16):
-        pixels = pixels.astype(np.float32)
+        pixels = as_float32(pixels)
         if not np.isfinite(pixels).all():
             raise InputError("the image has values that are not finite")
     suffix = path.suffix.lower()
     if suffix == ".npy":
-        np.save(path, pixels)
+        # By name, NumPy would add its own ending to one in capitals.
+        with path.open("wb") as stream:
+            np.save(stream, pixels)
     elif suffix in (".tif", ".tiff"):
         tifffile.imwrite(path, pixels, photometric="rgb" if pixels.ndim == 3 else "minisblack")
     else:
@@ -162,10 +187,9 @@ def fill_image(path: Path, image: NDArray[Any], *, bits: int = 8) -> None:
 
 
 def _check_file(file: Path) -> None:
-    if not file.exists():
-        raise InputError(f"{file}: no such file", hint="check the name")
     if file.is_dir():
         raise InputError(f"{file}: is a folder, not an image file", hint="give one image file")
+    regular_file(file)
     if file.suffix.lower() not in READABLE:
         raise InputError(
             f"{file}: files ending in {file.suffix or 'nothing'} are not read",
@@ -175,44 +199,51 @@ def _check_file(file: Path) -> None:
         raise InputError(f"{file}: is empty (0 bytes)", hint="copy or export the file again")
 
 
-def _read_common(file: Path) -> NDArray[Any]:
-    with file.open("rb") as opened:
-        header = opened.read(33)
-    if png16.is_colour16(header):
-        return png16.read(file.read_bytes())
-    return np.asarray(imageio.imread(file, plugin="pillow", index=0))
+def _read_png(file: Path) -> NDArray[Any]:
+    data = file.read_bytes()
+    chunks = png.read_chunks(data)
+    header = png.read_header(chunks)
+    check_size(file, (header.rows, header.cols, png.CHANNELS[header.colour]))
+    if png16.is_deep_colour(header):
+        return png16.decode(chunks)
+    # Pillow stops at the last pixel and never asks for the checksum behind it.
+    png.verify_pixels(chunks.get(b"IDAT", b""), header.inflated_bytes)
+    return _read_by_pillow(file, data)
 
 
-def _read_npy(file: Path) -> NDArray[Any]:
-    return np.asarray(np.load(file, allow_pickle=False))
+def _read_jpeg(file: Path) -> NDArray[Any]:
+    return _read_signed(file, b"\xff\xd8\xff", "JPEG")
 
 
-def _read_tiff(file: Path) -> NDArray[Any]:
-    with tifffile.TiffFile(file) as tiff:
-        if len(tiff.pages) != 1:
-            raise InputError(f"{file}: holds {len(tiff.pages)} pages", hint="save one image a file")
-        page = tiff.pages.first
-        # tifffile fills what is missing with zeros; a truncated image must not look dark.
-        ends = [o + n for o, n in zip(page.dataoffsets, page.databytecounts, strict=True)]
-        if not ends or max(ends) > file.stat().st_size:
-            raise ValueError("the file ends early")
-        if page.compression == 1 or page.compression in (8, 32946):
-            image = np.asarray(page.asarray())
-        else:
-            # Other compressions are Pillow's, as far as it keeps the depth.
-            image = np.asarray(imageio.imread(file, plugin="pillow"))
-            if image.dtype != page.dtype:
-                kind = int(page.compression)
-                raise InputError(
-                    f"{file}: {page.dtype} values with compression {kind} are not read",
-                    hint="save it uncompressed or as PNG",
-                )
-        if page.photometric == 0 and image.dtype.kind == "u":
-            image = np.iinfo(image.dtype).max - image
-        return image
+def _read_bmp(file: Path) -> NDArray[Any]:
+    return _read_signed(file, b"BM", "BMP")
 
 
-_READERS = {".npy": _read_npy, ".tif": _read_tiff, ".tiff": _read_tiff}
+def _read_signed(file: Path, signature: bytes, kind: str) -> NDArray[Any]:
+    """An image in the format that its name says, so that no other reader is let at it."""
+    data = file.read_bytes()
+    if not data.startswith(signature):
+        raise ValueError(f"not a {kind} file")
+    check_size(file, imageio.improps(data, plugin="pillow", index=0).shape)
+    return _read_by_pillow(file, data)
+
+
+def _read_by_pillow(file: Path, data: bytes) -> NDArray[Any]:
+    with warnings.catch_warnings():
+        # Of large images; their size was checked.
+        warnings.filterwarnings("ignore", message=".*decompression bomb", category=Warning)
+        return np.asarray(imageio.imread(data, plugin="pillow", index=0))
+
+
+_READERS = {
+    ".png": _read_png,
+    ".tif": read_tiff,
+    ".tiff": read_tiff,
+    ".npy": read_npy,
+    ".jpg": _read_jpeg,
+    ".jpeg": _read_jpeg,
+    ".bmp": _read_bmp,
+}
 
 
 def _as_stored(file: Path, image: NDArray[Any]) -> NDArray[Any]:
@@ -228,13 +259,14 @@ def _as_stored(file: Path, image: NDArray[Any]) -> NDArray[Any]:
             hint="save one image a file, (rows, cols) or (rows, cols, 3)",
         )
     if image.dtype.kind == "f":
-        if not np.isfinite(image).all():
-            at = tuple(int(i) for i in np.argwhere(~np.isfinite(image))[0])
+        values = as_float32(image)
+        if not np.isfinite(values).all():
+            at = tuple(int(i) for i in np.argwhere(~np.isfinite(values))[0])
             raise InputError(
                 f"{file}: the value at {at} is {image[at]}",
                 hint="replace it, and mask the pixel if it is broken in every frame",
             )
-        return image.astype(np.float32)
+        return np.ascontiguousarray(values)
     if image.dtype == np.int32 and image.min() >= 0 and image.max() <= 65535:
         # How Pillow hands over some 16-bit images.
         return image.astype(np.uint16)

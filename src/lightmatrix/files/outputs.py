@@ -1,166 +1,245 @@
-"""Outputs that are either whole or absent: write to a temporary sibling, then rename."""
+"""Outputs that are either whole or absent, and replace nothing but what lightmatrix wrote.
+
+An output is written in a temporary folder beside it, ``.NAME.part``, and renamed into place when it
+is whole. An old one stays until then: a file is replaced in one step, a folder changes places with
+the new one in one step, or is moved into the temporary folder first where the file system cannot do
+that. While it is written, the output is locked (`lightmatrix.files.locks`). What a killed run left
+in ``.NAME.part`` is put back (an old folder that was moved aside) or swept by the next run that
+writes the same output.
+"""
 
 from __future__ import annotations
 
+import json
 import os
-import secrets
 import shutil
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from lightmatrix.errors import OutputError
+from lightmatrix.files.locks import check_unlocked, locked
+from lightmatrix.files.markers import MARKER, FolderKind, OutputKind, read_object
+from lightmatrix.files.running import check_running
+from lightmatrix.files.swap import exchange
+from lightmatrix.files.targets import explained, failure, final_target
 
-# A folder that holds one of these was written by us and may be replaced by us.
-MARKERS = frozenset(
-    {
-        "capture.json",
-        "patterns.json",
-        "zarr.json",
-        "scenes.json",
-        "demo.json",
-        "fig4.json",
-        "fig5.json",
-        "fig6.json",
-        "fig7.json",
-    }
-)
+TEMPORARY = "lightmatrix-temporary"
+_OLD = "old"
 
 
-def check_output(
-    path: str | Path,
-    *,
-    overwrite: bool = False,
-    suffixes: tuple[str, ...] | None = None,
-) -> Path:
-    """Whether an output may be written, asked before any work is done.
+def check_output(path: str | Path, kind: OutputKind, *, overwrite: bool = False) -> Path:
+    """Whether an output may be written; makes nothing.
 
     Parameters
     ----------
     path : str or Path
-        The output, a file or a folder. Missing parent folders are created.
+        The output, a file or a folder. Its parent folders need not exist.
+    kind : FolderKind or FileKind
+        What it is to be.
     overwrite : bool
-        Whether an existing output may be replaced. Of folders only our own are (and empty ones,
-        in any case), so that no slip of the pen deletes a folder of photographs.
-    suffixes : tuple of str, optional
-        Permitted endings, such as (".npz", ".mat").
+        Whether an existing output of this kind may be replaced. An empty folder may in any case.
 
     Returns
     -------
     Path
-        The output.
+        Where it would be written: links are followed to their end.
 
     Raises
     ------
     OutputError
-        If it ends otherwise, exists, or its folder cannot be written to.
+        If its name ends otherwise, what exists there may not be replaced, somebody else is writing
+        it, or its folder cannot be written to.
     """
-    target = Path(path)
-    if suffixes is not None and target.suffix.lower() not in suffixes:
+    given = Path(path)
+    if kind.suffixes and given.suffix.lower() not in kind.suffixes:
         raise OutputError(
-            f"{target}: the name of the output ends in {target.suffix or 'nothing'}",
-            hint=f"end it in {' or '.join(suffixes)}",
+            f"{given}: the name of the output ends in {given.suffix or 'nothing'}",
+            hint=f"end it in {' or '.join(kind.suffixes)}",
         )
-    with explained(target):
-        _check_existing(target, overwrite)
-        target.parent.mkdir(parents=True, exist_ok=True)
-        # Only trying tells: permissions, read-only disks and quotas differ between systems.
-        probe = _sibling(target)
-        probe.mkdir()
-        probe.rmdir()
+    target = final_target(given)
+    with explained(given):
+        check_unlocked(target)
+        if os.path.lexists(target) and kind.check_replaceable(given, target) and not overwrite:
+            raise OutputError(
+                f"{given}: exists already",
+                hint="add --overwrite to replace it, or choose a new name",
+            )
+        if kind.running:
+            check_running(target, kind.running)
+        _check_parent(given, target)
     return target
 
 
 @contextmanager
-def atomic_file(path: str | Path, *, overwrite: bool = False) -> Iterator[Path]:
-    """Write a file at a temporary sibling path, which becomes `path` on success.
+def claimed(path: str | Path, kind: OutputKind, *, overwrite: bool = False) -> Iterator[Path]:
+    """Hold an output for this thread: checked, its parent folders made, locked.
+
+    What killed runs left of it is put back or swept. Parent folders that were made are removed
+    again if they are empty in the end. Parameters and errors are those of `check_output`.
+
+    Yields
+    ------
+    Path
+        Where it is to be written.
+    """
+    target = check_output(path, kind, overwrite=overwrite)
+    made: list[Path] = []
+    try:
+        with explained(path):
+            _make_parents(target.parent, made)
+        with locked(target) as first:
+            if first:
+                with explained(path):
+                    _tidy(target)
+                # Another run may have come between the check and the lock.
+                check_output(path, kind, overwrite=overwrite)
+            yield target
+    finally:
+        for folder in reversed(made):
+            with suppress(OSError):
+                folder.rmdir()
+
+
+@contextmanager
+def atomic_file(path: str | Path, kind: OutputKind, *, overwrite: bool = False) -> Iterator[Path]:
+    """Write a file at a temporary path with the same ending, which becomes `path` on success.
 
     Raises
     ------
     OutputError
-        If the output exists without `overwrite`, or on any failure of the disk.
+        As `check_output`, or on any failure of the disk.
     """
-    target = check_output(path, overwrite=overwrite)
-    # The suffix stays last, for writers that choose the format by it.
-    part = _sibling(target)
-    try:
-        with explained(target):
-            yield part
-            with part.open("rb") as written:
-                os.fsync(written.fileno())
-            os.replace(part, target)
-    finally:
-        part.unlink(missing_ok=True)
+    with claimed(path, kind, overwrite=overwrite) as target, _workplace(path, target) as place:
+        # In lower case, for writers that choose the format by it or append their own.
+        part = place / f"new{Path(path).suffix.lower()}"
+        yield part
+        with part.open("rb") as written:
+            os.fsync(written.fileno())
+        check_output(path, kind, overwrite=overwrite)
+        os.replace(part, target)
 
 
 @contextmanager
-def atomic_folder(path: str | Path, *, overwrite: bool = False) -> Iterator[Path]:
-    """Fill a temporary sibling folder, which becomes `path` on success.
+def atomic_folder(path: str | Path, kind: FolderKind, *, overwrite: bool = False) -> Iterator[Path]:
+    """Fill a temporary folder, which is marked as ours and becomes `path` on success.
 
     A folder that is replaced stays in place until the new one is whole.
 
     Raises
     ------
     OutputError
-        If the output exists without `overwrite`, or on any failure of the disk.
+        As `check_output`, or on any failure of the disk.
     """
-    target = check_output(path, overwrite=overwrite)
-    part = _sibling(target)
-    try:
-        with explained(target):
-            part.mkdir()
-            yield part
-            _replace_folder(part, target)
-    finally:
-        shutil.rmtree(part, ignore_errors=True)
+    with claimed(path, kind, overwrite=overwrite) as target, _workplace(path, target) as place:
+        part = place / "new"
+        part.mkdir()
+        yield part
+        kind.mark(part)
+        # Somebody may have put a file into the old one meanwhile.
+        check_output(path, kind, overwrite=overwrite)
+        _put(part, target, place / _OLD)
 
 
 @contextmanager
-def explained(target: Path) -> Iterator[None]:
-    """Turn the failures of the disk into an OutputError that names the output."""
+def _workplace(shown: str | Path, target: Path) -> Iterator[Path]:
+    """The temporary folder of an output, marked as such and removed in any case."""
+    place = _part_of(target)
+    with explained(shown):
+        place.mkdir()
     try:
-        yield
+        content = {"format": TEMPORARY, "version": 1, "output": target.name}
+        (place / MARKER).write_text(json.dumps(content) + "\n")
+        yield place
     except OSError as error:
-        raise OutputError(
-            f"{target}: cannot be written ({error.strerror or error})",
-            hint="nothing was left behind; check the folder, its permissions and the free space",
-        ) from error
+        raise failure(shown, error, _removed(place)) from error
+    finally:
+        _removed(place)
 
 
-def _replace_folder(part: Path, target: Path) -> None:
-    if not target.exists():
-        os.rename(part, target)
-        return
-    old = _sibling(target)
-    os.rename(target, old)
-    try:
-        os.rename(part, target)
-    except OSError:
-        os.rename(old, target)
-        raise
-    if old.is_dir():
-        shutil.rmtree(old, ignore_errors=True)
+def _removed(place: Path) -> str:
+    """Remove a temporary folder and say whether that went well."""
+    with suppress(OSError):
+        # The marker last: whatever is left of a temporary folder is known as one.
+        for name in set(os.listdir(place)) - {MARKER}:
+            _remove(place / name)
+        (place / MARKER).unlink(missing_ok=True)
+        place.rmdir()
+    if os.path.lexists(place):
+        return f"{place} could not be removed, the next run of this output will try again; "
+    return "nothing was left behind; "
+
+
+def _remove(path: Path) -> None:
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path)
     else:
-        old.unlink()
+        path.unlink()
 
 
-def _check_existing(target: Path, overwrite: bool) -> None:
-    if not target.exists():
+def _put(part: Path, target: Path, old: Path) -> None:
+    """Let a whole folder take the place of the output."""
+    if not os.path.lexists(target) or not any(target.iterdir()):
+        os.rename(part, target)
+    elif not exchange(part, target):
+        os.rename(target, old)
+        try:
+            os.rename(part, target)
+        except OSError:
+            os.rename(old, target)
+            raise
+
+
+def _tidy(target: Path) -> None:
+    """Put back or sweep what a killed run left beside an output; its lock is ours."""
+    place = _part_of(target)
+    if not os.path.lexists(place):
         return
-    if target.is_dir():
-        content = {entry.name for entry in target.iterdir()}
-        if not content:
-            return
-        if not content & MARKERS:
-            raise OutputError(
-                f"{target}: is a folder that was not written by lightmatrix",
-                hint="choose another name for the output",
-            )
-    if not overwrite:
+    if not _is_temporary(place):
         raise OutputError(
-            f"{target}: exists already", hint="add --overwrite to replace it, or choose a new name"
+            f"{place}: is in the way and was not made by lightmatrix",
+            hint="move it elsewhere, or choose another name for the output",
+        )
+    if os.path.lexists(place / _OLD) and not os.path.lexists(target):
+        os.rename(place / _OLD, target)
+    _removed(place)
+
+
+def _is_temporary(place: Path) -> bool:
+    if place.is_symlink() or not place.is_dir():
+        return False
+    content = read_object(place / MARKER)
+    if content is None:
+        # A run that was killed before the marker was whole had written nothing else.
+        inside = list(place.iterdir())
+        return not inside or (inside == [place / MARKER] and not inside[0].stat().st_size)
+    return content.get("format") == TEMPORARY
+
+
+def _part_of(target: Path) -> Path:
+    return target.with_name(f".{target.name}.part")
+
+
+def _check_parent(given: Path, target: Path) -> None:
+    """Whether the first folder that exists above an output can be written to."""
+    parent = next(folder for folder in target.parents if os.path.lexists(folder))
+    if not parent.is_dir():
+        raise OutputError(f"{given}: cannot be written ({parent} is not a folder)")
+    if not os.access(parent, os.W_OK | os.X_OK):
+        raise OutputError(
+            f"{given}: cannot be written (no permission to write in {parent})",
+            hint="choose another folder, or change its permissions",
         )
 
 
-def _sibling(target: Path) -> Path:
-    return target.with_name(f".{target.stem}.{secrets.token_hex(4)}.part{target.suffix}")
+def _make_parents(folder: Path, made: list[Path]) -> None:
+    missing = []
+    while not os.path.lexists(folder):
+        missing.append(folder)
+        folder = folder.parent
+    for place in reversed(missing):
+        try:
+            place.mkdir()
+        except FileExistsError:
+            continue  # by another run, just now
+        made.append(place)

@@ -1,4 +1,10 @@
-"""16-bit colour PNG, which Pillow reads as 8 bit without a word and cannot write."""
+"""16-bit PNG with colour or alpha, which Pillow reads as 8 bit without a word and cannot write.
+
+By hand because it is measurably better: 1,280 x 1,024 pixels of the Paeth filter, which cameras and
+most programs write, take 0.45 s here and 2.5 s in pypng (0.20220715.0), which decodes byte by byte
+in Python; writing takes 0.27 s against 0.54 s. OpenCV and imagecodecs would be faster, but each is
+larger than all that lightmatrix needs otherwise.
+"""
 
 from __future__ import annotations
 
@@ -9,76 +15,57 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-SIGNATURE = b"\x89PNG\r\n\x1a\n"
-_RGB, _RGBA = 2, 6
+from lightmatrix.files import png
+
+# Decoding holds several bytes for one of the image: lines are decoded some at a time, of which so
+# many bytes make diagonals of the length that is fastest.
+_BYTES_AT_ONCE = 1 << 25
 
 
-def chunks(data: bytes) -> dict[bytes, bytes]:
-    """The chunks of a PNG file by name, those of the same name joined (IDAT).
-
-    Raises
-    ------
-    ValueError
-        If the file is not a PNG file or ends early.
-    """
-    if not data.startswith(SIGNATURE):
-        raise ValueError("not a PNG file")
-    found: dict[bytes, bytes] = {}
-    at = len(SIGNATURE)
-    while at < len(data):
-        if at + 8 > len(data):
-            raise ValueError("the file ends early")
-        length, name = struct.unpack(">I4s", data[at : at + 8])
-        if at + 12 + length > len(data):
-            raise ValueError("the file ends early")
-        found[name] = found.get(name, b"") + data[at + 8 : at + 8 + length]
-        at += 12 + length
-        if name == b"IEND":
-            return found
-    raise ValueError("the file ends early")
+def is_deep_colour(header: png.Header) -> bool:
+    """Whether Pillow would reduce such a file to 8 bits: 16 bits and more than one channel."""
+    return header.bits == 16 and header.colour in (png.RGB, png.RGBA, png.GREY_ALPHA)
 
 
-def is_colour16(header: bytes) -> bool:
-    """Whether the first 33 bytes of a PNG file announce 16-bit colour."""
-    return header.startswith(SIGNATURE) and header[24] == 16 and header[25] in (_RGB, _RGBA)
-
-
-def read(data: bytes) -> NDArray[np.uint16]:
-    """Decode a 16-bit colour PNG file: (rows, cols, 3 or 4) uint16.
+def decode(chunks: dict[bytes, bytes]) -> NDArray[np.uint16]:
+    """Decode the chunks of a 16-bit PNG file: (rows, cols, 2, 3 or 4) uint16.
 
     Raises
     ------
     ValueError
-        If the file is damaged or interlaced.
+        If the pixel data is damaged or interlaced.
     """
-    found = chunks(data)
-    cols, rows, _, colour, _, _, interlaced = struct.unpack(">IIBBBBB", found[b"IHDR"])
-    if interlaced:
+    header = png.read_header(chunks)
+    if header.interlaced:
         raise ValueError("interlaced 16-bit colour PNG is not supported")
-    channels = 3 if colour == _RGB else 4
-    try:
-        raw = zlib.decompress(found.get(b"IDAT", b""))
-    except zlib.error as error:
-        raise ValueError(f"damaged pixel data: {error}") from error
-    stride = 1 + cols * channels * 2
-    if len(raw) != rows * stride:
-        raise ValueError("damaged pixel data: its length does not fit")
-    lines = np.frombuffer(raw, np.uint8).reshape(rows, stride)
-    pixels = _unfilter(lines[:, 0], lines[:, 1:].reshape(rows, cols, channels * 2))
-    return pixels.reshape(rows, cols, channels, 2).copy().view(">u2")[..., 0].astype(np.uint16)
+    rows, cols, channels = header.rows, header.cols, png.CHANNELS[header.colour]
+    raw = png.inflate(chunks.get(b"IDAT", b""), header.inflated_bytes)
+    lines = np.frombuffer(raw, np.uint8).reshape(rows, -1)
+    pixels = np.empty((rows, cols, channels * 2), np.uint8)
+    above = np.zeros((cols, channels * 2), np.uint8)
+    step = max(1, _BYTES_AT_ONCE // lines.shape[1])
+    for start in range(0, rows, step):
+        some = lines[start : start + step]
+        coded = some[:, 1:].reshape(len(some), cols, channels * 2)
+        pixels[start : start + step] = _unfilter(some[:, 0], coded, above)
+        above = pixels[start + len(some) - 1]
+    return pixels.reshape(rows, cols, channels, 2).view(">u2")[..., 0].astype(np.uint16)
 
 
-def _unfilter(kind: NDArray[np.uint8], coded: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def _unfilter(
+    kind: NDArray[np.uint8], coded: NDArray[np.uint8], above: NDArray[np.uint8]
+) -> NDArray[np.uint8]:
     """Undo the line filters (PNG specification, section 9): coded (rows, cols, bytes).
 
     A pixel needs the ones to its left, above, and above left, so all pixels of an antidiagonal
-    are decoded at once.
+    are decoded at once. `above` is the line before the first one, (cols, bytes).
     """
     rows, cols, depth = coded.shape
     if kind.max(initial=0) > 4:
         raise ValueError("damaged pixel data: unknown line filter")
-    # One line and column of zeros before the image, as the specification asks.
+    # A column of zeros before the image, as the specification asks.
     pixels = np.zeros((rows + 1, cols + 1, depth), np.int16)
+    pixels[0, 1:] = above
     for diagonal in range(rows + cols - 1):
         r = np.arange(max(0, diagonal - cols + 1), min(rows, diagonal + 1))
         c = diagonal - r
@@ -101,13 +88,7 @@ def write(path: Path, image: NDArray[np.uint16]) -> None:
     rows, cols, _ = image.shape
     lines = np.zeros((rows, 1 + cols * 6), np.uint8)
     lines[:, 1:] = image.astype(">u2").view(np.uint8).reshape(rows, -1)
-    header = struct.pack(">IIBBBBB", cols, rows, 16, _RGB, 0, 0, 0)
-    with path.open("wb") as file:
-        file.write(SIGNATURE)
-        for name, content in (
-            (b"IHDR", header),
-            (b"IDAT", zlib.compress(lines.tobytes(), 6)),
-            (b"IEND", b""),
-        ):
-            file.write(struct.pack(">I", len(content)) + name + content)
-            file.write(struct.pack(">I", zlib.crc32(name + content)))
+    header = struct.pack(">IIBBBBB", cols, rows, 16, png.RGB, 0, 0, 0)
+    path.write_bytes(
+        png.write_chunks((b"IHDR", header), (b"IDAT", zlib.compress(lines.tobytes(), 6)))
+    )

@@ -13,8 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.errors import InputError
-from lightmatrix.files import png16
+from lightmatrix.files import png
 from lightmatrix.files.images import FORMATS, READABLE, read_image
+from lightmatrix.files.reading import regular_file
+from lightmatrix.reprs import short_repr
 
 
 def list_images(folder: str | Path) -> list[Path]:
@@ -25,7 +27,8 @@ def list_images(folder: str | Path) -> list[Path]:
     Raises
     ------
     InputError
-        If the folder is missing, is a file, or holds no images or images of several formats.
+        If the folder is missing, is a file, or holds no images, images of several formats, or
+        links that lead nowhere, pipes or devices that are named like images.
     """
     place = Path(folder)
     if not place.exists():
@@ -34,8 +37,11 @@ def list_images(folder: str | Path) -> list[Path]:
         raise InputError(
             f"{place}: is a file, not a folder of images", hint="give the folder that holds it"
         )
-    files = [entry for entry in place.iterdir() if entry.is_file() and entry.name[0] != "."]
+    files = [entry for entry in place.iterdir() if not entry.is_dir() and entry.name[0] != "."]
     images = sorted((file for file in files if file.suffix.lower() in READABLE), key=_natural)
+    for file in images:
+        # A link that leads nowhere is a frame that is missing, not a file to pass over.
+        regular_file(file)
     if not images:
         other = sorted({file.suffix for file in files if file.suffix})
         found = f", only {', '.join(other)} files" if other else ""
@@ -60,7 +66,7 @@ def nonlinear_tag(path: str | Path) -> str | None:
     if file.suffix.lower() != ".png":
         return None
     try:
-        found = png16.chunks(file.read_bytes())
+        found = png.read_chunks(file.read_bytes())
     except (ValueError, OSError):
         return None
     for name, words in ((b"sRGB", "tagged sRGB"), (b"iCCP", "tagged with a colour profile")):
@@ -91,6 +97,8 @@ class ImageStack:
     paths: tuple[Path, ...]
     shape: tuple[int, ...]
     dtype: np.dtype[Any]
+
+    __repr__ = short_repr
 
     @classmethod
     def open(cls, source: str | Path | Sequence[Path]) -> ImageStack:
@@ -152,5 +160,7 @@ def _words(shape: tuple[int, ...]) -> str:
 
 
 def _natural(path: Path) -> tuple[list[tuple[int, int, str]], str]:
-    parts = re.split(r"(\d+)", path.name.casefold())
-    return [(0, int(p), "") if p.isdigit() else (1, 0, p) for p in parts if p], path.name
+    # ASCII digits only: others, such as a superscript two, are digits to some functions of Python.
+    parts = re.split(r"([0-9]+)", path.name.casefold())
+    key = [(0, int(p), "") if p[0] in "0123456789" else (1, 0, p) for p in parts if p]
+    return key, path.name

@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from lightmatrix import _core
 from lightmatrix.errors import InputError
 from lightmatrix.patterns.pattern_set import PatternSet, check_geometry
+from lightmatrix.ranges import check_seed
+from lightmatrix.reprs import short_repr
 
 # Bernoulli patterns up to this size are also kept as floats once many rows are multiplied.
 _DENSE_BYTES = 128 << 20
@@ -57,6 +59,9 @@ class PackedPatterns(PatternSet):
         lit = np.unpackbits(self.bits[start:stop], axis=1, count=self.pixels, bitorder="little")
         return lit.astype(np.float32)
 
+    def packed_bits(self) -> NDArray[np.uint8]:
+        return self.bits
+
     def subset(self, index: NDArray[np.integer]) -> PatternSet:
         return BitPatterns(self.shape, self.bits[np.asarray(index)])
 
@@ -71,10 +76,19 @@ class BitPatterns(PackedPatterns):
         Projector rows and columns.
     bits : (K, ceil(N / 8)) uint8
         Lit pixels, least significant bit first.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> lm.BitPatterns((2, 4), np.array([[0b00001111], [0b01010101]], np.uint8)).images()[0]
+    array([[1., 1., 1., 1.],
+           [0., 0., 0., 0.]], dtype=float32)
     """
 
     shape: tuple[int, int]
     bits: NDArray[np.uint8]
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         check_geometry(self.shape, self.count)
@@ -109,6 +123,13 @@ class BernoulliPatterns(PackedPatterns):
         Probability that a pixel is lit, in (0, 1).
     seed : int
         Seed of the draw; the same seed gives the same patterns on every machine.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> patterns = lm.BernoulliPatterns((16, 24), count=32)
+    >>> patterns.images().shape, patterns.pixels
+    ((32, 16, 24), 384)
     """
 
     shape: tuple[int, int]
@@ -118,6 +139,7 @@ class BernoulliPatterns(PackedPatterns):
 
     def __post_init__(self) -> None:
         check_geometry(self.shape, self.count)
+        check_seed(self.seed)
         if not 0 < self.density < 1:
             raise InputError(
                 f"a density of {self.density}", hint="use a share between 0 and 1, such as 0.5"

@@ -12,6 +12,7 @@ from scipy.sparse import csr_array
 
 from lightmatrix.errors import InputError
 from lightmatrix.patterns.pattern_set import PatternSet, check_geometry
+from lightmatrix.reprs import short_repr
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,11 +27,22 @@ class BlockPatterns(PatternSet):
         Rows and columns of a block; blocks at the border may be smaller.
     selected : (K,) int, optional
         Which blocks, in the order (block row, block col); None means all.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> lm.BlockPatterns((4, 4), block=(2, 2)).images()[1]
+    array([[0., 0., 1., 1.],
+           [0., 0., 1., 1.],
+           [0., 0., 0., 0.],
+           [0., 0., 0., 0.]], dtype=float32)
     """
 
     shape: tuple[int, int]
     block: tuple[int, int] = (1, 1)
     selected: NDArray[np.int64] | None = None
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         if min(self.block) < 1:
@@ -98,7 +110,14 @@ class BlockPatterns(PatternSet):
 def one_pixel_patterns(
     shape: tuple[int, int], selected: NDArray[np.integer] | None = None
 ) -> BlockPatterns:
-    """One projector pixel lit at a time: the naive measurement of T, column by column."""
+    """One projector pixel lit at a time: the naive measurement of T, column by column.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> lm.one_pixel_patterns((4, 6)).count
+    24
+    """
     index = None if selected is None else np.asarray(selected, np.int64)
     return BlockPatterns(shape, (1, 1), index)
 

@@ -7,6 +7,7 @@ images show the same patterns: the images are what was projected, so they have t
 from __future__ import annotations
 
 import json
+import os
 import warnings
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,9 @@ import numpy as np
 
 from lightmatrix.errors import InputError, LightMatrixWarning
 from lightmatrix.files.headers import read_json
-from lightmatrix.files.images import fill_image, read_grey
+from lightmatrix.files.images import fill_image, read_grey, read_image
+from lightmatrix.files.kinds import PATTERNS
+from lightmatrix.files.memory import check_room
 from lightmatrix.files.outputs import atomic_folder
 from lightmatrix.files.stack import ImageStack, list_images
 from lightmatrix.patterns.kinds import from_description
@@ -34,15 +37,20 @@ def write_patterns(folder: str | Path, patterns: PatternSet, *, overwrite: bool 
     ------
     OutputError
         If the folder exists, is not one of ours, or cannot be written.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> lm.write_patterns("written", lm.BernoulliPatterns((8, 8), 4))
     """
-    with atomic_folder(folder, overwrite=overwrite) as part:
+    with atomic_folder(folder, PATTERNS, overwrite=overwrite) as part:
         fill_pattern_folder(part, patterns)
 
 
 def fill_pattern_folder(folder: Path, patterns: PatternSet) -> None:
     """Write the files of a pattern folder into an empty folder."""
     digits = max(4, len(str(patterns.count - 1)))
-    for start, block in patterns.blocks():
+    for start, block in patterns.chunks():
         for k, image in enumerate(to_grey(block.reshape(-1, *patterns.shape)), start):
             fill_image(folder / f"pattern_{k:0{digits}d}.png", image)
     header = {"format": FORMAT, "version": VERSION, "digest": patterns.digest}
@@ -63,21 +71,33 @@ def read_patterns(folder: str | Path) -> PatternSet:
     ------
     InputError
         On images that cannot be read or differ in size, or a damaged patterns.json.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> lm.write_patterns("patterns", lm.BernoulliPatterns((8, 8), 4))
+    >>> lm.read_patterns("patterns")
+    BernoulliPatterns(shape=(8, 8), count=4, density=0.5, seed=0)
     """
     place = Path(folder)
     paths = list_images(place)
     description = _read_description(place / DESCRIPTION)
-    operator = None if description is None else from_description(description)
-    if operator is not None:
-        odd = _first_difference(operator, paths)
-        if odd is None:
-            return operator
+    odd = None
+    if description is not None:
+        odd = _misfit(description, paths)
+        operator = None if odd else from_description(description)
+        if operator is not None:
+            odd = _first_difference(operator, paths)
+            if odd is None:
+                return operator
+    if odd is not None:
         warnings.warn(
             f"{place}: {odd} the patterns that {DESCRIPTION} describes; the images are used",
             LightMatrixWarning,
             stacklevel=2,
         )
     stack = ImageStack.open(paths)
+    check_room(place, 4 * len(paths) * stack.shape[0] * stack.shape[1])
     images = np.empty((len(paths), *stack.shape[:2]), np.float32)
     for k, path in enumerate(paths):
         # The stack names the file whose size or type differs.
@@ -87,7 +107,8 @@ def read_patterns(folder: str | Path) -> PatternSet:
 
 
 def _read_description(file: Path) -> dict[str, Any] | None:
-    if not file.exists():
+    # A link that leads nowhere is a description that is missing, not none.
+    if not os.path.lexists(file):
         return None
     content = read_json(file, FORMAT, VERSION)
     if not isinstance(content.get("description"), dict):
@@ -98,11 +119,27 @@ def _read_description(file: Path) -> dict[str, Any] | None:
     return dict(content["description"])
 
 
+def _misfit(description: dict[str, Any], paths: list[Path]) -> str | None:
+    """How a description differs in numbers from the images; None if it does not.
+
+    Asked before anything is made of it: it may announce more pixels than there is memory.
+    """
+    if description.get("kind") == "images":
+        return None
+    count, shape = description.get("count"), description.get("shape")
+    if count is not None and count != len(paths):
+        return f"its {len(paths)} images are not"
+    rows, cols = read_image(paths[0]).shape[:2]
+    if shape is not None and shape != [rows, cols]:
+        return f"{paths[0].name} is not among"
+    return None
+
+
 def _first_difference(operator: PatternSet, paths: list[Path]) -> str | None:
     """How the images differ from an operator, in words; None if they do not."""
     if len(paths) != operator.count:
         return f"its {len(paths)} images are not"
-    for start, block in operator.blocks():
+    for start, block in operator.chunks():
         expected = to_grey(block.reshape(-1, *operator.shape))
         for path, grey in zip(paths[start : start + len(block)], expected, strict=True):
             if not np.array_equal(to_grey(read_grey(path)), grey):

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from lightmatrix import _core
 from lightmatrix.errors import InputError
 from lightmatrix.patterns.pattern_set import PatternSet, check_geometry
+from lightmatrix.ranges import check_seed
 
 HADAMARD_ORDERS = ("natural", "sequency", "random")
 
@@ -37,6 +38,15 @@ class HadamardPatterns(PatternSet):
         incoherent with the blocks and edges of a scene.
     seed : int
         Seed of the random choice and of the shuffle.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> lm.HadamardPatterns((2, 2), count=4).dense()
+    array([[1., 1., 1., 1.],
+           [1., 0., 1., 0.],
+           [1., 1., 0., 0.],
+           [1., 0., 0., 1.]], dtype=float32)
     """
 
     shape: tuple[int, int]
@@ -47,6 +57,7 @@ class HadamardPatterns(PatternSet):
 
     def __post_init__(self) -> None:
         check_geometry(self.shape, self.count)
+        check_seed(self.seed)
         if self.order not in HADAMARD_ORDERS:
             raise InputError(
                 f"an order called {self.order!r}", hint=f"use one of {', '.join(HADAMARD_ORDERS)}"
@@ -90,6 +101,10 @@ class HadamardPatterns(PatternSet):
             shuffle = np.random.Generator(np.random.PCG64(child)).permutation(self.transform_size)
             place = shuffle[place]
         return place.astype(np.int64)
+
+    @property
+    def transform(self) -> tuple[int, NDArray[np.int64], NDArray[np.int64]]:
+        return self.transform_size, self.selected, self.position
 
     def forward(self, x: NDArray[Any]) -> NDArray[Any]:
         x = np.ascontiguousarray(x)

@@ -19,6 +19,7 @@ from lightmatrix.patterns.bits import PackedPatterns
 from lightmatrix.patterns.grids import grid_cells
 from lightmatrix.patterns.pattern_set import check_geometry
 from lightmatrix.patterns.shares import interleave, parse_shares
+from lightmatrix.ranges import check_seed
 
 # Below so many patterns every one is needed to tell pixels apart.
 FEWEST_MIXED = 64
@@ -55,6 +56,13 @@ class MixedPatterns(PackedPatterns):
     ------
     InputError
         On grids larger than the projector or given twice, and shares that do not sum to 1.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> mix = (((16, 16), 0.75), ((4, 4), 0.25))
+    >>> lm.MixedPatterns((16, 16), count=8, mix=mix).kinds
+    array([0, 0, 1, 0, 0, 0, 1, 0])
     """
 
     shape: tuple[int, int]
@@ -67,6 +75,7 @@ class MixedPatterns(PackedPatterns):
         mix = tuple(((int(grid[0]), int(grid[1])), float(share)) for grid, share in self.mix)
         object.__setattr__(self, "mix", mix)
         check_geometry(self.shape, self.count)
+        check_seed(self.seed)
         if not 0 < self.density < 1:
             raise InputError(
                 f"a density of {self.density}", hint="use a share between 0 and 1, such as 0.5"

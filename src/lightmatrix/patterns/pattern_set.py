@@ -21,11 +21,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lightmatrix import _core
 from lightmatrix.errors import InputError
 from lightmatrix.patterns.grids import block_mean
+from lightmatrix.reprs import short_repr
 
-# Patterns are unpacked in groups of this many bytes, so that memory stays bounded.
-_BLOCK_BYTES = 64 << 20
+# Patterns are unpacked in chunks of this many bytes, so that memory stays bounded.
+_CHUNK_BYTES = 64 << 20
+# Pixels are numbered in 32 bits. Nobody takes so many photographs.
+_MOST_PIXELS, _MOST_PATTERNS = 2**31 - 1, 1_000_000
 
 
 class PatternSet(ABC):
@@ -37,6 +41,13 @@ class PatternSet(ABC):
         Projector rows and columns; N = rows * cols.
     count : int
         Number of patterns K.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> patterns = lm.BernoulliPatterns((8, 8), 4)
+    >>> isinstance(patterns, lm.PatternSet), patterns.forward(np.ones((1, 64))).shape
+    (True, (1, 4))
     """
 
     shape: tuple[int, int]
@@ -69,33 +80,38 @@ class PatternSet(ABC):
         """What remakes the set: a JSON-ready dictionary with the key ``kind``."""
 
     @cached_property
-    def means(self) -> NDArray[np.float64]:
-        """Mean of each pattern, (K,) float64."""
-        return np.concatenate([block.mean(axis=1, dtype=np.float64) for _, block in self.blocks()])
-
-    @property
     def sums(self) -> NDArray[np.float64]:
         """Sum of each pattern over its pixels, (K,) float64."""
-        return self.pixels * self.means
+        return np.concatenate([chunk.sum(axis=1, dtype=np.float64) for _, chunk in self.chunks()])
+
+    @cached_property
+    def means(self) -> NDArray[np.float64]:
+        """Mean of each pattern, (K,) float64."""
+        return self.sums / self.pixels
+
+    @cached_property
+    def kinds(self) -> NDArray[np.int64]:
+        """Which kind each pattern is of, (K,) int64: all of one, but in a mix."""
+        return np.zeros(self.count, np.int64)
 
     @cached_property
     def digest(self) -> str:
         """Hash of the patterns' content (8-bit grey, as projected) and shape, 16 hex digits."""
         hasher = hashlib.sha256(repr((self.shape, self.count)).encode())
-        for _, block in self.blocks():
-            hasher.update(to_grey(block).tobytes())
+        for _, chunk in self.chunks():
+            hasher.update(to_grey(chunk).tobytes())
         return hasher.hexdigest()[:16]
 
-    def blocks(self, size: int | None = None) -> Any:
-        """Iterate over (start, rows of P) in blocks of bounded memory."""
-        size = size or max(1, _BLOCK_BYTES // (4 * self.pixels))
+    def chunks(self, size: int | None = None) -> Any:
+        """Iterate over (start, rows of P) in chunks of bounded memory."""
+        size = size or max(1, _CHUNK_BYTES // (4 * self.pixels))
         for start in range(0, self.count, size):
             yield start, self.rows(start, min(start + size, self.count))
 
     def images(self, start: int = 0, stop: int | None = None) -> NDArray[np.float32]:
         """Patterns as images: (stop - start, rows, cols) float32 in [0, 1]."""
-        block = self.rows(start, self.count if stop is None else stop)
-        return block.reshape(-1, *self.shape)
+        rows = self.rows(start, self.count if stop is None else stop)
+        return rows.reshape(-1, *self.shape)
 
     def dense(self) -> NDArray[np.float32]:
         """The whole of P, (K, N) float32; for small sets and tests."""
@@ -105,9 +121,9 @@ class PatternSet(ABC):
     def gram(self) -> NDArray[np.float64]:
         """P P', (K, K) float64."""
         dense = np.empty((self.count, self.count))
-        for start, block in self.blocks():
-            stop = start + len(block)
-            dense[start:stop] = self.forward(block.astype(np.float64))
+        for start, chunk in self.chunks():
+            stop = start + len(chunk)
+            dense[start:stop] = self.forward(chunk.astype(np.float64))
         return dense
 
     def coarse(self, block: tuple[int, int]) -> ImagePatterns:
@@ -129,9 +145,56 @@ class PatternSet(ABC):
             )
         parts = [
             block_mean(part.reshape(-1, *self.shape), block).astype(np.float32)
-            for _, part in self.blocks()
+            for _, part in self.chunks()
         ]
         return ImagePatterns(np.concatenate(parts))
+
+    @property
+    def transform(self) -> tuple[int, NDArray[np.int64], NDArray[np.int64]] | None:
+        """The fast transform that multiplies by P, if there is one.
+
+        Its length, which of its rows the patterns are, (K,), and where in it each pixel sits, (N,).
+        """
+        return None
+
+    def packed_bits(self) -> NDArray[np.uint8] | None:
+        """Patterns of zeros and ones only as bits, (K, ceil(N / 8)) uint8; None for others.
+
+        Least significant bit first.
+        """
+        packed = []
+        for _, chunk in self.chunks():
+            lit = chunk == 1
+            if not (lit | (chunk == 0)).all():
+                return None
+            packed.append(np.packbits(lit, axis=1, bitorder="little"))
+        return np.concatenate(packed)
+
+    @cached_property
+    def prepared(self) -> _core.PreparedPatterns:
+        """The set as the compiled solver works on it, made once for all tiles of a capture."""
+        return self.prepare()
+
+    def prepare(
+        self, column: NDArray[Any] | None = None, instructions: str | None = None
+    ) -> _core.PreparedPatterns:
+        """The set as the compiled solver works on it.
+
+        Parameters
+        ----------
+        column : (K,), optional
+            What the background gives under each pattern. None: its mean.
+        instructions : {"portable", "avx2", "avx512"}, optional
+            None takes the best this CPU has; all give the same scores.
+        """
+        means = np.ascontiguousarray(self.means if column is None else column, np.float64)
+        bits = self.packed_bits()
+        if bits is None:
+            matrix = np.ascontiguousarray(self.dense())
+            return _core.PreparedPatterns.from_dense(matrix, means, instructions)
+        return _core.PreparedPatterns.from_bits(
+            bits, self.pixels, means, self.transform, instructions
+        )
 
     def subset(self, index: NDArray[np.integer]) -> PatternSet:
         """The patterns of the given indices, as a set of their own."""
@@ -148,8 +211,14 @@ def check_geometry(shape: tuple[int, int], count: int) -> None:
     """Refuse projectors without pixels and sets without patterns."""
     if len(shape) != 2 or min(shape) < 1:
         raise InputError(f"a projector of shape {shape}", hint="give (rows, cols), both at least 1")
+    if shape[0] * shape[1] > _MOST_PIXELS:
+        raise InputError(
+            f"a projector of {shape[0]} x {shape[1]} pixels", hint="2147483647 in all is the most"
+        )
     if count < 1:
         raise InputError(f"{count} patterns", hint="ask for at least 1")
+    if count > _MOST_PATTERNS:
+        raise InputError(f"{count} patterns", hint=f"ask for at most {_MOST_PATTERNS}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,9 +229,17 @@ class ImagePatterns(PatternSet):
     ----------
     stack : (K, rows, cols) float
         Grey values in [0, 1].
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> lm.ImagePatterns(np.linspace(0, 1, 24).reshape(2, 3, 4))
+    ImagePatterns(stack=<2 x 3 x 4 float32>)
     """
 
     stack: NDArray[np.float32]
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         stack = self.stack

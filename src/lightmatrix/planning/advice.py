@@ -118,10 +118,7 @@ def advise_exposures(
     InputError
         On a noise or a shortest exposure out of range.
     """
-    if not (np.isfinite(noise) and 0 <= noise < 1):
-        raise InputError(f"a noise of {noise}", hint="use a share of the clip level, such as 0.003")
-    if shortest is not None and not (np.isfinite(shortest) and shortest > 0):
-        raise InputError(f"a shortest exposure of {shortest}", hint="use a number above 0")
+    check_camera(noise, shortest)
     ladder = [1 / white.brightest]
     if white.clipped_share > _GLINTS:
         ladder.append(ladder[0] / STEP)
@@ -131,6 +128,20 @@ def advise_exposures(
         kept = [exposure for exposure in ladder if exposure > shortest]
         ladder = kept if len(kept) == len(ladder) else [*kept, shortest]
     return [(float(f"{exposure:.3g}"), 1 / len(ladder)) for exposure in ladder]
+
+
+def check_camera(noise: float, shortest: float | None) -> None:
+    """Refuse what no camera is like, before a scene is rendered for it.
+
+    Raises
+    ------
+    InputError
+        On a noise outside of [0, 1), or a shortest exposure that is not above 0.
+    """
+    if not (np.isfinite(noise) and 0 <= noise < 1):
+        raise InputError(f"a noise of {noise}", hint="use a share of the clip level, such as 0.003")
+    if shortest is not None and not (np.isfinite(shortest) and shortest > 0):
+        raise InputError(f"a shortest exposure of {shortest}", hint="use a number above 0")
 
 
 def clipped_share(white: WhiteFrame, exposure: float, density: float = DENSITY) -> float:

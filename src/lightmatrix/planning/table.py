@@ -18,7 +18,7 @@ _FEWEST_MIXED = 64
 
 
 @dataclass(frozen=True)
-class Expectation:
+class ExpectedErrors:
     """Errors measured on the rendered scenes under one plan.
 
     Parameters
@@ -43,7 +43,7 @@ class Expectation:
     measured: bool
 
 
-def expectations(frames: int, *, exposures: str = "advised") -> list[Expectation]:
+def expectations(frames: int, *, exposures: str = "advised") -> list[ExpectedErrors]:
     """What each estimator reached with so many frames, patterns mixed from 64 on.
 
     Between numbers of frames that were measured errors follow a power law; beyond them the
@@ -69,7 +69,7 @@ def expectations(frames: int, *, exposures: str = "advised") -> list[Expectation
         mine = [row for row in rows if row["estimator"] == estimator]
         scenes = tuple(sorted({row["scene"] for row in mine}))
         result.append(
-            Expectation(
+            ExpectedErrors(
                 estimator,
                 frames,
                 _range(mine, scenes, frames, "relative_error"),

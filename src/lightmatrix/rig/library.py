@@ -5,13 +5,14 @@ from __future__ import annotations
 import warnings
 from importlib.resources import as_file, files
 from pathlib import Path
+from typing import NamedTuple
 
 import platformdirs
 
 from lightmatrix.errors import InputError, LightMatrixWarning, OutputError
 from lightmatrix.rig.pack import pack, unpack
 from lightmatrix.rig.renderer import Progress, render
-from lightmatrix.rig.scenes import scene
+from lightmatrix.rig.scenes import names, scene
 from lightmatrix.rig.truth import Truth
 
 BUNDLED = ("l_objects", "gripper", "metal", "corner")
@@ -22,7 +23,7 @@ DEFAULT_SAMPLES = 16_384
 
 
 def truth(
-    name: str,
+    name: str | Path | Truth,
     size: tuple[int, int] = BUNDLED_SIZE,
     *,
     samples: int | None = None,
@@ -31,22 +32,36 @@ def truth(
 ) -> Truth:
     """The light transport matrix of a scene: bundled, from the cache, or rendered and cached.
 
+    Or that of a truth file, wherever one of either is asked for.
+
     Parameters
     ----------
-    name : str
-        A scene; `lightmatrix.rig.scenes.names` lists them.
+    name : str, Path or Truth
+        A scene, which `scenes` lists; a truth file, T.npz; or a truth, given back as it is.
     size : (rows, cols)
-        Camera and projector size. The bundled scenes come at 64 x 64.
+        Of a scene, camera and projector size. The bundled scenes come at 64 x 64.
     samples : int, optional
         Paths per camera pixel; None takes the bundled file, or 16,384 where there is none.
 
     Raises
     ------
     InputError
-        On an unknown scene or an impossible size.
+        On an unknown scene, an impossible size, or a file that is no truth.
     MissingExtraError
         If it has to be rendered and Mitsuba is not installed.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> known = lm.truth("corner")
+    >>> known.matrix.shape, known.camera_shape
+    ((4096, 4096), (64, 64))
     """
+    if isinstance(name, Truth):
+        return name
+    if str(name).endswith(".npz"):
+        return Truth.load(Path(name))
+    name = str(name)
     described = scene(name)
     if name in BUNDLED and size == BUNDLED_SIZE and samples is None and seed == 0:
         with as_file(files("lightmatrix.rig") / "data" / f"{name}.npz") as path:
@@ -66,6 +81,32 @@ def truth(
     except OutputError as error:
         warnings.warn(f"not cached: {error.message}", LightMatrixWarning, stacklevel=2)
     return rendered
+
+
+class SceneSummary(NamedTuple):
+    """A scene of the simulated rig: its name, what it shows, and whether it comes at 64 x 64."""
+
+    name: str
+    description: str
+    bundled: bool
+
+
+def scenes() -> tuple[SceneSummary, ...]:
+    """The scenes of the simulated rig.
+
+    Returns
+    -------
+    tuple of SceneSummary
+        Name, description, and whether the scene is bundled at 64 x 64; others are rendered on
+        first use and kept, which needs the extra `render`.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> [scene.name for scene in lm.scenes() if scene.bundled]
+    ['l_objects', 'gripper', 'metal', 'corner']
+    """
+    return tuple(SceneSummary(name, scene(name).description, name in BUNDLED) for name in names())
 
 
 def cache_folder() -> Path:

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-import psutil
-
 from lightmatrix.errors import InputError
+from lightmatrix.files.memory import available_bytes
 
 # Paths in flight. Each holds its ray, throughput and random state, and at each of its points, in
 # the renderer and in NumPy, a place, a value and the key they are sorted by.
@@ -67,8 +66,3 @@ def check_memory(
         f"pixels needs about {needed / 2**30:.1f} GiB, {available / 2**30:.1f} GiB are free",
         hint=hint,
     )
-
-
-def available_bytes() -> int:
-    """Memory that is free on this machine."""
-    return int(psutil.virtual_memory().available)

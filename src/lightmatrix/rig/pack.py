@@ -8,7 +8,6 @@ renderer's own noise at 65,536 paths a pixel. Rows keep their sums exactly, to s
 from __future__ import annotations
 
 import json
-import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +15,8 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from lightmatrix.errors import InputError
+from lightmatrix.files.kinds import PACKED
+from lightmatrix.files.npz import read_npz
 from lightmatrix.files.outputs import atomic_file
 from lightmatrix.rig.truth import Truth
 
@@ -48,7 +49,10 @@ def pack(path: Path, truth: Truth, *, overwrite: bool = False) -> None:
     mask[row[kept], matrix.indices[kept]] = True
     level = level[kept]
     share = np.rint(truth.direct_data[kept] / matrix.data[kept] * _DIRECT_LEVELS).astype(np.uint8)
-    with atomic_file(path, overwrite=overwrite) as temporary, open(temporary, "wb") as stream:
+    with (
+        atomic_file(path, PACKED, overwrite=overwrite) as temporary,
+        open(temporary, "wb") as stream,
+    ):
         np.savez_compressed(
             stream,
             lightmatrix_packed=np.array(FORMAT_VERSION),
@@ -73,14 +77,11 @@ def unpack(path: Path) -> Truth:
     InputError
         If the file is missing, damaged or of a newer format.
     """
+    content = read_npz(path)
     try:
-        with open(path, "rb") as stream, np.load(stream) as file:
-            content = {key: file[key] for key in file.files}
         version = int(content["lightmatrix_packed"])
-    except (ValueError, KeyError, OSError, EOFError, zipfile.BadZipFile) as error:
-        raise InputError(
-            f"{path} is no packed scene: {error}", hint="install lightmatrix again"
-        ) from error
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(f"{path} is no packed scene", hint="install lightmatrix again") from error
     if version > FORMAT_VERSION:
         raise InputError(
             f"{path} has packed format {version}, this version reads {FORMAT_VERSION}",

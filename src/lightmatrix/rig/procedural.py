@@ -12,10 +12,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array, vstack
+from scipy.sparse import csr_array
 
 from lightmatrix.errors import InputError
 from lightmatrix.rig.truth import Truth
+from lightmatrix.transport.sparse_rows import stacked
 
 
 @dataclass(frozen=True)
@@ -117,7 +118,7 @@ class ProceduralScene:
     def truth(self) -> Truth:
         """The whole matrix."""
         parts = list(self.blocks())
-        matrix = csr_array(vstack([part for _, part, _ in parts], format="csr"))
+        matrix = stacked([part for _, part, _ in parts])
         direct = np.concatenate([straight for _, _, straight in parts])
         metadata = {"scene": "procedural", "seed": self.seed}
         return Truth(matrix, direct, self.camera_shape, self.projector_shape, metadata)

@@ -13,6 +13,7 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.sparse import csr_array
 
 from lightmatrix.errors import InputError
+from lightmatrix.ranges import check_number
 from lightmatrix.rig.thinning import sparse_rows, stacked
 from lightmatrix.rig.truth import Truth
 
@@ -20,6 +21,33 @@ from lightmatrix.rig.truth import Truth
 _KEEP = 0.9995
 # Places of dense rows that are blurred at once.
 _BLOCK_PLACES = 1 << 23
+
+
+def check_realism(
+    projector_shape: tuple[int, int],
+    *,
+    blur: float = 0.0,
+    vignetting: float = 0.0,
+    leak: float = 0.0,
+    ambient: float = 0.0,
+) -> None:
+    """Refuse numbers out of range, before a scene is rendered for them.
+
+    Raises
+    ------
+    InputError
+        On a blur wider than the projector, a vignetting or leak outside of [0, 1), or room light
+        that is negative or a thousand times the projector's.
+    """
+    widest = max(projector_shape)
+    hint = f"use projector pixels from 0 to {widest}, as many as the projector has"
+    check_number("a blur", blur, most=widest, hint=hint)
+    if not 0 <= vignetting < 1:
+        raise InputError(f"a vignetting of {vignetting}", hint="use a share from 0 to below 1")
+    if not 0 <= leak < 1:
+        raise InputError(f"a projector black level of {leak}", hint="use a share such as 0.001")
+    hint = "use a share of the white image, from 0 to 1000"
+    check_number("an ambient level", ambient, most=1000, hint=hint)
 
 
 def defocus(truth: Truth, sigma: float) -> Truth:
@@ -30,11 +58,10 @@ def defocus(truth: Truth, sigma: float) -> Truth:
     sigma : float
         Standard deviation in projector pixels, >= 0; light is conserved, also at the border.
     """
-    if not sigma >= 0:
-        raise InputError(f"a blur of {sigma} projector pixels", hint="use 0 or more")
+    rows, cols = truth.projector_shape
+    check_realism((rows, cols), blur=sigma)
     if sigma == 0:
         return truth
-    rows, cols = truth.projector_shape
     across, along = _blur_matrix(rows, sigma), _blur_matrix(cols, sigma)
 
     def blurred(part: csr_array) -> NDArray[np.float32]:
@@ -62,8 +89,7 @@ def vignetting(truth: Truth, strength: float) -> Truth:
     strength : float
         Light lost in the corners, in [0, 1).
     """
-    if not 0 <= strength < 1:
-        raise InputError(f"a vignetting of {strength}", hint="use a share from 0 to below 1")
+    check_realism(truth.projector_shape, vignetting=strength)
     rows, cols = truth.camera_shape[:2]
     y = np.linspace(-1, 1, rows)[:, None]
     x = np.linspace(-1, 1, cols)[None, :]
@@ -87,8 +113,7 @@ def leak(patterns: NDArray[np.floating], level: float) -> NDArray[np.float32]:
     level : float
         Light of a black pixel as a share of a white one (1 / contrast), in [0, 1).
     """
-    if not 0 <= level < 1:
-        raise InputError(f"a projector black level of {level}", hint="use a share such as 0.001")
+    check_realism((1, 1), leak=level)
     return np.asarray(level + (1 - level) * patterns, np.float32)
 
 
@@ -100,8 +125,7 @@ def ambient(truth: Truth, level: float) -> NDArray[np.float32]:
     level : float
         Its mean as a share of the mean image under a white pattern, >= 0.
     """
-    if not level >= 0:
-        raise InputError(f"an ambient level of {level}", hint="use 0 or more")
+    check_realism(truth.projector_shape, ambient=level)
     white = np.asarray(truth.matrix.sum(axis=1), np.float64).reshape(*truth.camera_shape[:2], -1)
     # Room light comes from all sides, so it knows no shadow edges of the projector.
     smooth = gaussian_filter1d(gaussian_filter1d(white, 6, axis=0), 6, axis=1)

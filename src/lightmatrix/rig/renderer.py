@@ -11,8 +11,10 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from lightmatrix.errors import InputError
+from lightmatrix.files.memory import available_bytes
+from lightmatrix.ranges import check_seed
 from lightmatrix.rig.llvm import load_mitsuba
-from lightmatrix.rig.memory import WAVEFRONT, available_bytes, check_memory, foreseen_bytes
+from lightmatrix.rig.memory import WAVEFRONT, check_memory, foreseen_bytes
 from lightmatrix.rig.mitsuba_scene import mitsuba_scene
 from lightmatrix.rig.scenes import scene as find_scene
 from lightmatrix.rig.thinning import stacked, thinned_in_steps
@@ -78,10 +80,15 @@ def render(
         On unknown scenes, sizes below 1 or more memory than there is.
     MissingExtraError
         If Mitsuba is not installed.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> known = lm.render("wall", (32, 32), samples=64)  # doctest: +SKIP
     """
     scene = find_scene(name)
     projector = projector_size or size
-    _check(size, projector, samples, keep, colour)
+    _check(size, projector, samples, keep, colour, seed)
     mi, fast = load_mitsuba(scalar=scalar)
     loaded = mitsuba_scene(mi, scene, size, projector)
     channels = 3 if colour else 1
@@ -165,11 +172,17 @@ def render(
 
 
 def _check(
-    size: tuple[int, int], projector: tuple[int, int], samples: int, keep: float, colour: bool
+    size: tuple[int, int],
+    projector: tuple[int, int],
+    samples: int,
+    keep: float,
+    colour: bool,
+    seed: int,
 ) -> None:
     for what, shape in (("camera", size), ("projector", projector)):
         if min(shape) < 1:
             raise InputError(f"a {what} of {shape[0]} x {shape[1]} pixels", hint="use at least 1x1")
+    check_seed(seed)
     if samples < 2:
         raise InputError(f"{samples} samples a pixel", hint="use at least 2, better 1024 or more")
     if not 0 < keep <= 1:

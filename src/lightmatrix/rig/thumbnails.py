@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.errors import MissingExtraError
-from lightmatrix.files.images import write_image
+from lightmatrix.files.images import fill_image
+from lightmatrix.files.kinds import THUMBNAILS
 from lightmatrix.files.outputs import atomic_folder
 from lightmatrix.rig import library
 from lightmatrix.rig.llvm import load_mitsuba
@@ -48,9 +49,14 @@ def write_thumbnails(
     """Write NAME.png for every scene and a list, scenes.json.
 
     Without the renderer the bundled scenes are drawn from their matrices, at 64 x 64.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> paths = lm.write_thumbnails("thumbnails")  # doctest: +SKIP
     """
     written = []
-    with atomic_folder(folder, overwrite=overwrite) as temporary:
+    with atomic_folder(folder, THUMBNAILS, overwrite=overwrite) as temporary:
         for done, name in enumerate(names(), start=1):
             try:
                 image = photograph(name, size)
@@ -60,7 +66,7 @@ def write_thumbnails(
                 known = library.truth(name)
                 image = np.asarray(known.matrix.sum(axis=1), np.float32).reshape(known.camera_shape)
             shown = np.clip(image / white_level(image), 0, 1) ** (1 / 2.2)
-            write_image(temporary / f"{name}.png", shown.astype(np.float32))
+            fill_image(temporary / f"{name}.png", shown.astype(np.float32))
             written.append(folder / f"{name}.png")
             if progress is not None:
                 progress(done, len(names()))

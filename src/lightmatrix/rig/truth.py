@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
-import zipfile
-import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,10 +13,11 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from lightmatrix.errors import InputError
+from lightmatrix.files.kinds import TRUTH
 from lightmatrix.files.outputs import atomic_file
+from lightmatrix.reprs import short_repr
+from lightmatrix.store.sparse_npz import VERSION, read_sparse_npz
 from lightmatrix.transport.matrix import LightTransport
-
-FORMAT_VERSION = 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,6 +34,16 @@ class Truth:
     projector_shape : (rows, cols)
     metadata : mapping
         JSON-ready: scene, samples per pixel, seed, noise estimate, versions.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> known = lm.truth("metal")
+    >>> 0 < known.direct_data.sum() < known.matrix.sum()
+    np.True_
+    >>> known.save("T.npz")
+    >>> lm.truth("T.npz").camera_shape
+    (64, 64)
     """
 
     matrix: csr_array
@@ -43,6 +51,8 @@ class Truth:
     camera_shape: tuple[int, ...]
     projector_shape: tuple[int, int]
     metadata: Mapping[str, Any] = field(default_factory=dict)
+
+    __repr__ = short_repr
 
     @property
     def direct(self) -> csr_array:
@@ -67,9 +77,14 @@ class Truth:
     def save(self, path: Path, *, overwrite: bool = False) -> None:
         """Write T.npz, which `scipy.sparse.load_npz` reads too; whole or not at all."""
         matrix = self.matrix
-        with atomic_file(path, overwrite=overwrite) as temporary, open(temporary, "wb") as stream:
+        with (
+            atomic_file(path, TRUTH, overwrite=overwrite) as temporary,
+            open(temporary, "wb") as stream,
+        ):
             np.savez_compressed(
                 stream,
+                # First, so that even a file that was cut off is known as ours.
+                lightmatrix_truth=np.array(VERSION),
                 format=np.array("csr").astype("S"),
                 # scipy writes this key for arrays, as against matrices.
                 _is_array=np.array(True),
@@ -77,7 +92,6 @@ class Truth:
                 data=matrix.data,
                 indices=matrix.indices,
                 indptr=matrix.indptr,
-                lightmatrix_truth=np.array(FORMAT_VERSION),
                 camera_shape=np.array(self.camera_shape),
                 projector_shape=np.array(self.projector_shape),
                 direct_data=self.direct_data,
@@ -91,84 +105,25 @@ class Truth:
         Raises
         ------
         InputError
-            If the file is missing, is no npz, or lacks the shapes that lightmatrix adds.
+            If the file is missing, is no npz, contradicts itself, lacks the shapes that
+            lightmatrix adds, or is of a later format version.
         """
-        if path.is_dir() or not path.exists():
-            kind = "a folder" if path.is_dir() else "missing"
+        found = read_sparse_npz(path)
+        if found.camera_shape is None or found.projector_shape is None:
             raise InputError(
-                f"{path} is {kind}", hint="give a T.npz file from `lightmatrix render`"
-            )
-        try:
-            with open(path, "rb") as stream, np.load(stream) as file:
-                content = {key: file[key] for key in file.files}
-        except (ValueError, OSError, EOFError, zipfile.BadZipFile, zlib.error) as error:
-            raise InputError(
-                f"{path} cannot be read as npz: {error}",
-                hint="give a T.npz file from `lightmatrix render` or `lightmatrix export`",
-            ) from error
-        needed = {"data", "indices", "indptr", "shape"}
-        if not needed <= content.keys():
-            lacking = ", ".join(sorted(needed - content.keys()))
-            raise InputError(
-                f"{path} holds no sparse matrix: {lacking} missing",
-                hint="give a file that scipy.sparse.load_npz reads",
-            )
-        if "camera_shape" not in content or "projector_shape" not in content:
-            raise InputError(
-                f"{path} does not say the camera's and projector's shapes",
+                f"{path}: does not say the shapes of camera and projector",
                 hint="give a T.npz file from `lightmatrix render` or `lightmatrix export`",
             )
-        if int(content.get("lightmatrix_truth", FORMAT_VERSION)) > FORMAT_VERSION:
-            raise InputError(
-                f"{path} has truth format {content['lightmatrix_truth']}, this version reads "
-                f"{FORMAT_VERSION}",
-                hint="install a newer lightmatrix",
-            )
-        if "background" in content and content["background"].any():
+        if found.background is not None and found.background.any():
             raise InputError(
                 f"{path} keeps its background apart, so its matrix is not the whole of T",
                 hint="export it with --dense-background",
             )
-        matrix = _checked_matrix(path, content)
-        camera_shape = tuple(int(v) for v in content["camera_shape"])
-        projector_shape = tuple(int(v) for v in content["projector_shape"])
-        for what, shape, length in (
-            ("camera", camera_shape, matrix.shape[0]),
-            ("projector", projector_shape, matrix.shape[1]),
-        ):
-            if math.prod(shape) != length or min(shape) < 1:
-                raise InputError(
-                    f"{path} says its {what} has {' x '.join(map(str, shape))} pixels, its matrix "
-                    f"has {length}",
-                    hint="write it again with `lightmatrix render` or `lightmatrix export`",
-                )
-        direct = content.get("direct_data", np.zeros_like(matrix.data))
-        if direct.shape != matrix.data.shape:
-            raise InputError(
-                f"{path} has {len(direct)} direct parts for {matrix.nnz} entries",
-                hint="write it again with `lightmatrix render`",
-            )
+        direct = found.direct_data
         return cls(
-            matrix,
-            direct.astype(np.float32),
-            camera_shape,
-            (projector_shape[0], projector_shape[1]),
-            json.loads(str(content.get("metadata", "{}"))),
+            found.matrix,
+            np.zeros_like(found.matrix.data) if direct is None else direct,
+            found.camera_shape,
+            found.projector_shape,
+            dict(found.metadata),
         )
-
-
-def _checked_matrix(path: Path, content: Mapping[str, NDArray[Any]]) -> csr_array:
-    data = content["data"].astype(np.float32)
-    if not np.isfinite(data).all():
-        raise InputError(
-            f"{path} holds values that are not finite", hint="a truth has finite entries only"
-        )
-    try:
-        rows, cols = (int(v) for v in content["shape"])
-        matrix = csr_array((data, content["indices"], content["indptr"]), shape=(rows, cols))
-        matrix.check_format(full_check=True)
-    except (ValueError, TypeError) as error:
-        raise InputError(
-            f"{path} contradicts itself: {error}", hint="the file is damaged; write it again"
-        ) from error
-    return matrix

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
-from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,14 +10,11 @@ from scipy.sparse import csr_array
 
 from lightmatrix import _core
 from lightmatrix.errors import InputError, SolverError
-from lightmatrix.patterns.bits import PackedPatterns
-from lightmatrix.patterns.hadamard import HadamardPatterns
-from lightmatrix.patterns.pattern_set import PatternSet
+from lightmatrix.solvers.fidelity import Fidelity
 from lightmatrix.solvers.loop import Progress
-from lightmatrix.solvers.problem import Fidelity, Problem, Result, Status
-
-# Patterns are prepared once for all tiles of a capture; the entry goes with the pattern set.
-_prepared: WeakKeyDictionary[PatternSet, _core.PreparedPatterns] = WeakKeyDictionary()
+from lightmatrix.solvers.parameters import check_count
+from lightmatrix.solvers.problem import Problem, Result, Status, solved_rows
+from lightmatrix.transport.sparse_rows import SparseRows
 
 
 @dataclass(frozen=True)
@@ -55,37 +50,43 @@ class ActiveSet:
         For the fidelities `clipped` and `likelihood`.
     InputError
         On parameters out of range.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> patterns = lm.BernoulliPatterns((4, 4), 24)
+    >>> lit = np.eye(16)[[5]]
+    >>> values = patterns.forward(lit)
+    >>> samples = lm.Samples(values, values > 2, np.full(24, 2.0))
+    >>> result = lm.solve(lm.Problem(patterns, samples, regularization=0.01), lm.ActiveSet())
+    >>> int(result.coefficients.toarray().argmax())
+    5
     """
 
-    fidelity: Fidelity = Fidelity.ONE_SIDED
+    fidelity: Fidelity | str = Fidelity.ONE_SIDED
     tolerance: float = 1e-4
     max_passes: int = 200
     threads: int | None = None
 
     def __post_init__(self) -> None:
-        if self.fidelity is Fidelity.LIKELIHOOD:
+        object.__setattr__(self, "fidelity", Fidelity(self.fidelity))
+        term = Fidelity(self.fidelity).term
+        if not (term.convex and term.quadratic):
+            reason = "it is not convex, so no row could be certified"
+            if term.convex:
+                reason = "its steps are exact for quadratic terms only"
             raise SolverError(
-                "the active-set solver cannot use the fidelity likelihood: its steps are exact for "
-                "quadratic terms only",
-                hint="use one-sided, or the solver saturation-admm",
-            )
-        if not self.fidelity.convex:
-            raise SolverError(
-                f"the active-set solver cannot use the fidelity {self.fidelity}: it is not convex, "
-                "so no row could be certified",
+                f"the active-set solver cannot use the fidelity {self.fidelity}: {reason}",
                 hint="use one-sided, or the solver saturation-admm",
             )
         if not 0 < self.tolerance < 1:
             raise InputError(
                 f"a tolerance of {self.tolerance}", hint="use a relative gap such as 1e-4"
             )
-        if self.max_passes < 1:
-            raise InputError(f"max_passes is {self.max_passes}", hint="use at least 1")
-        if self.threads is not None and self.threads < 1:
-            raise InputError(f"{self.threads} threads", hint="use at least 1")
+        check_count(max_passes=self.max_passes, threads=self.threads)
 
     def solve(
-        self, problem: Problem, progress: Progress | None = None, *, start: Result | None = None
+        self, problem: Problem, progress: Progress | None = None, *, start: SparseRows | None = None
     ) -> Result:
         """Solve all rows.
 
@@ -95,7 +96,7 @@ class ActiveSet:
             M rows.
         progress : callable, optional
             Called with (finished, all) rows.
-        start : Result, optional
+        start : SparseRows, optional
             Where to start, such as the solution at another regularization. None: from nothing.
 
         Returns
@@ -103,104 +104,57 @@ class ActiveSet:
         Result
             `iterations` are passes over all pixels; the coefficients are float64, as certified.
         """
-        solved = prepared(problem.patterns).solve(
-            np.ascontiguousarray(problem.samples.values),
-            np.ascontiguousarray(problem.samples.clipped),
-            sample_weights(problem),
-            None if start is None else starting_rows(problem, start.coefficients, start.background),
-            float(problem.regularization),
-            str(self.fidelity),
-            problem.nonnegative,
-            problem.background,
-            self.tolerance,
-            self.max_passes,
-            self.threads,
-            progress,
+        check_start(problem, start)
+        solved = prepared(problem).solve(
+            problem.samples, self.settings(problem), start=start, progress=progress
         )
         return as_result(solved, problem)
+
+    def settings(self, problem: Problem) -> _core.Settings:
+        """The settings as the core takes them."""
+        return _core.Settings(
+            regularization=float(problem.regularization),
+            fidelity=Fidelity(self.fidelity).term.name,
+            nonnegative=problem.nonnegative,
+            background=problem.background,
+            tolerance=self.tolerance,
+            max_passes=self.max_passes,
+            threads=self.threads,
+        )
 
     def row_bytes(self, patterns: int, pixels: int) -> int:
         """Samples as they come and as solved, scores of a row, and a generous support."""
         return 24 * patterns + 2 * pixels + 16 * 512
 
 
-def prepared(patterns: PatternSet) -> _core.PreparedPatterns:
-    """Patterns in the form the core works on, made once for each set."""
-    known = _prepared.get(patterns)
-    if known is None:
-        known = _prepared[patterns] = prepare(patterns)
-    return known
+def prepared(problem: Problem) -> _core.PreparedPatterns:
+    """The patterns of a problem, and the column of its background, as the core works on them."""
+    if problem.background_column is None:
+        return problem.patterns.prepared
+    return problem.patterns.prepare(problem.background_column)
 
 
-def prepare(patterns: PatternSet, instructions: str | None = None) -> _core.PreparedPatterns:
-    """Patterns in the form the core works on.
-
-    Parameters
-    ----------
-    patterns : PatternSet
-        Sets of zeros and ones are kept as bits, all others as float32.
-    instructions : {"portable", "avx2", "avx512"}, optional
-        None takes the best this CPU has; all give the same scores.
-    """
-    means = np.ascontiguousarray(patterns.means, np.float64)
-    pixels = patterns.pixels
-    transform = None
-    if isinstance(patterns, HadamardPatterns):
-        transform = (patterns.transform_size, patterns.selected, patterns.position)
-    bits = _bits(patterns)
-    if bits is None:
-        matrix = np.ascontiguousarray(patterns.dense())
-        return _core.PreparedPatterns.from_dense(matrix, means, instructions)
-    return _core.PreparedPatterns.from_bits(bits, pixels, means, transform, instructions)
-
-
-def _bits(patterns: PatternSet) -> NDArray[np.uint8] | None:
-    """Patterns of zeros and ones only as packed bits, (K, ceil(N / 8)); None for others."""
-    if isinstance(patterns, PackedPatterns):
-        return patterns.bits
-    packed = []
-    for _, block in patterns.blocks():
-        lit = block == 1
-        if not (lit | (block == 0)).all():
-            return None
-        packed.append(np.packbits(lit, axis=1, bitorder="little"))
-    return np.concatenate(packed)
-
-
-def sample_weights(problem: Problem) -> NDArray[np.float64] | None:
-    """The weights as the core takes them."""
-    if problem.samples.weights is None:
-        return None
-    return np.ascontiguousarray(np.atleast_2d(problem.samples.weights), np.float64)
-
-
-def starting_rows(
-    problem: Problem, coefficients: Any, background: NDArray[Any]
-) -> tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.float64], NDArray[np.float64]]:
-    """A start as the core takes it."""
+def check_start(problem: Problem, start: SparseRows | None) -> None:
+    """Refuse a start of other rows or pixels than the problem's; None is none."""
     shape = (problem.rows, problem.patterns.pixels)
-    if coefficients.shape != shape:
-        raise InputError(f"a start of shape {coefficients.shape} for a problem of {shape}")
-    return (
-        np.ascontiguousarray(coefficients.indptr, np.int64),
-        np.ascontiguousarray(coefficients.indices, np.int32),
-        np.ascontiguousarray(coefficients.data, np.float64),
-        np.ascontiguousarray(background, np.float64),
-    )
+    if start is not None and start.coefficients.shape != shape:
+        raise InputError(f"a start of shape {start.coefficients.shape} for a problem of {shape}")
 
 
-def as_result(solved: _core.Solved, problem: Problem) -> Result:
-    """What the core has solved."""
+def as_result(
+    solved: _core.Solved, problem: Problem, cells: NDArray[np.float32] | None = None
+) -> Result:
+    """What the core has solved, with the coefficients of a weighted problem's cells."""
     shape = (problem.rows, problem.patterns.pixels)
     narrow = solved.indptr[-1] <= np.iinfo(np.int32).max
     indptr = solved.indptr.astype(np.int32) if narrow else solved.indptr
-    converged = solved.converged
-    return Result(
+    background = solved.background
+    rows = solved_rows(
         csr_array((solved.values, solved.indices, indptr), shape=shape),
-        solved.background,
-        solved.passes,
-        converged,
-        solved.objective,
-        solved.gap,
-        Status.CONVERGED if converged.all() else Status.ITERATION_LIMIT,
+        background if cells is None else np.column_stack([background, cells]),
+        iterations=solved.passes,
+        converged=solved.converged,
+        gap=solved.gap,
+        objective=solved.objective,
     )
+    return Result(rows, Status.CONVERGED if solved.converged.all() else Status.ITERATION_LIMIT)

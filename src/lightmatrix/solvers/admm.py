@@ -8,10 +8,12 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.errors import InputError, SolverError
-from lightmatrix.solvers.problem import Fidelity, Problem
+from lightmatrix.errors import SolverError
+from lightmatrix.solvers.fidelity import Fidelity
+from lightmatrix.solvers.parameters import check_count, check_positive
+from lightmatrix.solvers.problem import Problem
 from lightmatrix.solvers.prox import capped_soft_threshold, soft_threshold
-from lightmatrix.solvers.system import System, centred_energy
+from lightmatrix.solvers.system import System, centred_energy, system_of
 
 
 @dataclass(frozen=True)
@@ -43,6 +45,17 @@ class ADMM:
         Iterations after which a row is given up as it is, at least 1.
     tolerance : float
         A row stops when its relative primal and dual residuals are at most this, > 0.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> patterns = lm.BernoulliPatterns((4, 4), 24)
+    >>> lit = np.eye(16)[[5]]
+    >>> values = patterns.forward(lit)
+    >>> samples = lm.Samples(values, values > 2, np.full(24, 2.0))
+    >>> result = lm.solve(lm.Problem(patterns, samples, regularization=0.01), lm.ADMM())
+    >>> int(result.coefficients.toarray().argmax())
+    5
     """
 
     penalty_x: float | None = None
@@ -58,7 +71,7 @@ class ADMM:
     def init(self, problem: Problem) -> ADMMState:
         mu = self.penalty_x or automatic_penalty_x(problem)
         scale = _shared_weights(problem)
-        system = System(problem.patterns, mu * problem.regularization, problem.background, scale)
+        system = system_of(problem, mu * problem.regularization, scale)
         y = (
             problem.samples.values
             if scale is None
@@ -126,23 +139,9 @@ def automatic_penalty_x(problem: Problem) -> float:
     entries, which grow by at most 1 / mu a step.
     """
     patterns = problem.patterns
-    total = float(centred_energy(patterns).sum())
+    total = float(centred_energy(patterns, problem.column).sum())
     typical = total / np.sqrt(patterns.count * patterns.pixels) if total > 0 else 1.0
     return float(typical / (6 * problem.regularization))
-
-
-def check_positive(**values: float | None) -> None:
-    """Refuse parameters that are not positive; None means automatic."""
-    for name, value in values.items():
-        if value is not None and not (np.isfinite(value) and value > 0):
-            raise InputError(f"{name} is {value}", hint="use a positive number")
-
-
-def check_count(**values: int | None) -> None:
-    """Refuse counts below 1; None means automatic."""
-    for name, value in values.items():
-        if value is not None and value < 1:
-            raise InputError(f"{name} is {value}", hint="use at least 1")
 
 
 def _shared_weights(problem: Problem) -> NDArray[np.float64] | None:

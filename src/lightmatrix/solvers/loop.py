@@ -8,10 +8,12 @@ from typing import Any, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array, vstack
+from scipy.sparse import csr_array
 
+from lightmatrix.solvers.fidelity import Fidelity
 from lightmatrix.solvers.objective import relative_gap
-from lightmatrix.solvers.problem import Fidelity, Problem, Result, Status
+from lightmatrix.solvers.problem import Problem, Result, Status, no_rows, solved_rows
+from lightmatrix.transport.sparse_rows import SparseRows
 
 Progress = Callable[[int, int], None]
 S = TypeVar("S")
@@ -24,7 +26,7 @@ class IterativeSolver(Protocol):
     """What the loop needs of a solver; states are frozen dataclasses of arrays with M rows."""
 
     @property
-    def fidelity(self) -> Fidelity:
+    def fidelity(self) -> Fidelity | str:
         """The data term that it minimises."""
 
     @property
@@ -87,6 +89,17 @@ def solve(problem: Problem, solver: Solver, *, progress: Progress | None = None)
     ------
     SolverError
         If the solver cannot treat the problem.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> patterns = lm.BernoulliPatterns((4, 4), 24)
+    >>> lit = np.eye(16)[[5]]
+    >>> values = patterns.forward(lit)
+    >>> samples = lm.Samples(values, values > 2, np.full(24, 2.0))
+    >>> result = lm.solve(lm.Problem(patterns, samples, regularization=0.01), lm.ActiveSet())
+    >>> int(result.coefficients.toarray().argmax())
+    5
     """
     if isinstance(solver, DirectSolver):
         return solver.solve(problem, progress)
@@ -140,15 +153,12 @@ class _Finished:
     solver: IterativeSolver
 
     def __post_init__(self) -> None:
-        rows = self.problem.rows
-        self.count = 0
         self.order: list[NDArray[np.integer]] = []
-        self.coefficients: list[csr_array] = []
-        self.background = np.zeros(rows, self.problem.samples.values.dtype)
-        self.iterations = np.zeros(rows, np.int32)
-        self.converged = np.zeros(rows, bool)
-        self.objective = np.zeros(rows)
-        self.gap = np.full(rows, np.nan)
+        self.parts: list[SparseRows] = []
+
+    @property
+    def count(self) -> int:
+        return sum(map(len, self.order))
 
     def add(
         self,
@@ -161,36 +171,27 @@ class _Finished:
         coefficients, background = self.solver.solution(problem, state)
         x = csr_array(np.where(np.isfinite(coefficients), coefficients, 0))
         background = np.where(np.isfinite(background), background, 0)
-        self.order.append(rows)
-        self.coefficients.append(x)
-        self.background[rows] = background
-        self.iterations[rows] = iteration
-        self.converged[rows] = met
-        self.objective[rows], self.gap[rows] = relative_gap(
-            problem, x, background, self.solver.fidelity
+        objective, gap = relative_gap(problem, x, background, self.solver.fidelity)
+        part = solved_rows(
+            x,
+            background,
+            iterations=np.full(len(rows), iteration, np.int32),
+            converged=met,
+            gap=gap,
+            objective=objective,
         )
-        self.count += len(rows)
+        self.order.append(rows)
+        self.parts.append(part)
 
     def result(self, history: dict[str, list[float]]) -> Result:
-        pixels = self.problem.patterns.pixels
-        if self.coefficients:
-            stacked = csr_array(vstack(self.coefficients, format="csr"))
-            stacked = stacked[np.argsort(np.concatenate(self.order))]
-        else:
-            stacked = csr_array((0, pixels), dtype=self.problem.samples.values.dtype)
+        rows = no_rows(self.problem)
+        if self.parts:
+            place = np.argsort(np.concatenate(self.order))
+            rows = SparseRows.joined(self.parts).rows(place)
         if not np.isfinite(history["primal"] + history["dual"]).all():
             status = Status.NOT_FINITE
-        elif self.converged.all():
+        elif rows.diagnostics["converged"].all():
             status = Status.CONVERGED
         else:
             status = Status.ITERATION_LIMIT
-        return Result(
-            stacked,
-            self.background,
-            self.iterations,
-            self.converged,
-            self.objective,
-            self.gap,
-            status,
-            history,
-        )
+        return Result(rows, status, history)

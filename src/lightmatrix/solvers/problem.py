@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -13,37 +14,9 @@ from scipy.sparse import csr_array
 from lightmatrix.camera.samples import Samples
 from lightmatrix.errors import InputError
 from lightmatrix.patterns.pattern_set import PatternSet
-
-
-class Fidelity(StrEnum):
-    """How a sample y is compared with the prediction u (Y is the clip level).
-
-    ========== ===================================== ============================ =======
-    name       unclipped samples                     clipped samples              convex
-    ========== ===================================== ============================ =======
-    linear     (y - u)^2 / 2                         (y - u)^2 / 2                yes
-    one-sided  (y - u)^2 / 2                         max(0, y - u)^2 / 2          yes
-    clipped    (y - min(u, Y))^2 / 2                 the same; convex at y = Y    no
-    rejection  (y - u)^2 / 2                         nothing                      yes
-    likelihood (y - u)^2 / 2                         -s^2 log Phi((u - y) / s)    yes
-    ========== ===================================== ============================ =======
-
-    ``clipped`` is the paper's Eq. 6, ``one-sided`` is Rencker et al. 2018 (declipping),
-    ``rejection`` is Laska et al. 2009, ``likelihood`` is the probability that a sample with noise
-    of standard deviation s clips (Banerjee et al. 2021), Phi the normal distribution function, in
-    the unit in which (y - u)^2 / 2 is that of the others. For s to 0 it becomes ``one-sided``.
-    """
-
-    LINEAR = "linear"
-    ONE_SIDED = "one-sided"
-    CLIPPED = "clipped"
-    REJECTION = "rejection"
-    LIKELIHOOD = "likelihood"
-
-    @property
-    def convex(self) -> bool:
-        """Whether the data term is convex in the prediction."""
-        return self is not Fidelity.CLIPPED
+from lightmatrix.reprs import short_repr
+from lightmatrix.solvers.fidelity import Observed
+from lightmatrix.transport.sparse_rows import SparseRows
 
 
 class Status(StrEnum):
@@ -59,8 +32,9 @@ class Problem:
     """Estimate M rows of the light transport matrix from K samples each.
 
     For each row: min_{x, b} regularization * ||x||_1 + sum_k w_k f_k(a_k . x + b m_k), with a_k
-    pattern k, m_k its mean and f_k the solver's fidelity. This is the paper's Eq. 2 and 6 times
-    lambda. With ``nonnegative``, x >= 0 and b >= 0; without ``background``, b = 0.
+    pattern k, m the column of the background and f_k the solver's fidelity. This is the paper's
+    Eq. 2 and 6 times lambda. With ``nonnegative``, x >= 0 and b >= 0; without ``background``,
+    b = 0.
 
     Parameters
     ----------
@@ -74,7 +48,11 @@ class Problem:
     nonnegative : bool
         Light is not negative; off only where the paper is reproduced.
     background : bool
-        Whether the row has an unpenalised coefficient b of the pattern means (diffuse light).
+        Whether the row has an unpenalised coefficient b of the background (diffuse light).
+    background_column : (K,) float, optional
+        m: what light from the whole projector gives under each pattern. None: the means of the
+        patterns. Patterns of some of the projector's pixels need it, since diffuse light comes
+        from the others too.
     edge_noise : float
         The s of the ``likelihood`` fidelity as a share of each sample's clip level, from 1e-4 to 1:
         how far below it the prediction of a clipped sample is likely. Noise and misfit together.
@@ -83,6 +61,16 @@ class Problem:
     ------
     InputError
         On mismatched shapes, samples that are not finite, or values out of range.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> patterns = lm.BernoulliPatterns((4, 4), 24)
+    >>> lit = np.eye(16)[[5]]
+    >>> values = patterns.forward(lit)
+    >>> samples = lm.Samples(values, values > 2, np.full(24, 2.0))
+    >>> lm.Problem(patterns, samples, regularization=0.01).rows
+    1
     """
 
     patterns: PatternSet
@@ -90,14 +78,21 @@ class Problem:
     regularization: float
     nonnegative: bool = True
     background: bool = True
+    background_column: NDArray[Any] | None = None
     edge_noise: float = 0.02
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         self.samples.check(self.patterns.count)
-        if not (np.isfinite(self.regularization) and self.regularization > 0):
+        check_regularization(self.regularization)
+        column = self.background_column
+        if column is not None and (
+            column.shape != (self.patterns.count,) or not np.isfinite(column).all()
+        ):
             raise InputError(
-                f"regularization is {self.regularization}",
-                hint="use a positive number in units of camera sample, such as 0.3",
+                f"a background column of {column.shape} for {self.patterns.count} patterns",
+                hint="give one finite number a pattern, such as its mean",
             )
         if not 1e-4 <= self.edge_noise <= 1:
             raise InputError(
@@ -110,9 +105,38 @@ class Problem:
         """Number of camera samples M."""
         return self.samples.count
 
+    @property
+    def column(self) -> NDArray[np.float64]:
+        """m, (K,) float64: what the background gives under each pattern."""
+        if self.background_column is None:
+            return self.patterns.means
+        return np.asarray(self.background_column, np.float64)
+
     def take(self, rows: NDArray[np.integer]) -> Problem:
         """The problem of some of the rows."""
         return replace(self, samples=self.samples.rows(rows))
+
+    def frames(self, index: NDArray[np.integer]) -> Problem:
+        """The problem with some of its patterns."""
+        column = self.background_column
+        return replace(
+            self,
+            patterns=self.patterns.subset(index),
+            samples=self.samples.frames(index),
+            background_column=None if column is None else column[index],
+        )
+
+    @cached_property
+    def observed(self) -> Observed:
+        """The samples as a fidelity sees them, in their own precision."""
+        samples = self.samples
+        return Observed(
+            samples.values,
+            samples.clipped,
+            samples.clip_levels_of_all(),
+            samples.weights_of_all(),
+            self.edge_widths(),
+        )
 
     def edge_widths(self) -> NDArray[Any]:
         """The s of the ``likelihood`` fidelity, (M, K), in the dtype of the samples."""
@@ -123,36 +147,126 @@ class Problem:
         )
 
 
+def check_regularization(value: float) -> None:
+    """Whether a regularization is one.
+
+    Raises
+    ------
+    InputError
+        If it is not a positive number.
+    """
+    if not (np.isfinite(value) and value > 0):
+        raise InputError(
+            f"regularization is {value}",
+            hint="use a positive number in units of camera sample, such as 0.3",
+        )
+
+
 @dataclass(frozen=True)
 class Result:
     """What a solver found, row by row.
 
     Parameters
     ----------
-    coefficients : (M, N) csr_array
-        The sparse rows x, in units of camera sample per unit of projector pixel.
-    background : (M,) float32 or float64
-        The coefficient b of the pattern means; 0 where the problem has none.
-    iterations : (M,) int32
-        Iterations (ADMM), rounds (ROMP) or passes (active set) spent on each row.
-    converged : (M,) bool
-        Whether the row met its stopping rule.
-    objective : (M,) float64
-        The problem's objective in the solver's fidelity, recomputed from the definition.
-    gap : (M,) float64
-        Relative duality gap (P - D) / max(P, 1e-6 ||y||^2 / 2); NaN where none is computed or
-        the fidelity is not convex.
+    rows : SparseRows
+        With the diagnostics of `solved_rows`.
     status : Status
         The worst over the rows.
     history : dict of str to list of float
         Per-iteration residuals or counts, for plots; empty if the solver keeps none.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> patterns = lm.BernoulliPatterns((4, 4), 24)
+    >>> lit = np.eye(16)[[5]]
+    >>> values = patterns.forward(lit)
+    >>> samples = lm.Samples(values, values > 2, np.full(24, 2.0))
+    >>> result = lm.solve(lm.Problem(patterns, samples, regularization=0.01), lm.ActiveSet())
+    >>> result.converged
+    array([ True])
     """
 
-    coefficients: csr_array
-    background: NDArray[Any]
-    iterations: NDArray[np.int32]
-    converged: NDArray[np.bool_]
-    objective: NDArray[np.float64]
-    gap: NDArray[np.float64]
+    rows: SparseRows
     status: Status
     history: dict[str, list[float]] = field(default_factory=dict)
+
+    __repr__ = short_repr
+
+    @property
+    def coefficients(self) -> csr_array:
+        """The sparse rows x, (M, N), in units of camera sample per unit of projector pixel."""
+        return self.rows.coefficients
+
+    @property
+    def background(self) -> NDArray[Any]:
+        """The coefficient b of the background's column, (M,); 0 where the problem has none."""
+        return self.rows.background[:, 0]
+
+    @property
+    def cells(self) -> NDArray[Any]:
+        """Coefficients of the coarse cells of a weighted problem, (M, C); others have none."""
+        return self.rows.background[:, 1:]
+
+    @property
+    def iterations(self) -> NDArray[np.int32]:
+        """Iterations (ADMM), rounds (ROMP) or passes (active set) spent on each row, (M,)."""
+        return self.rows.diagnostics["iterations"]
+
+    @property
+    def converged(self) -> NDArray[np.bool_]:
+        """Whether each row met its stopping rule, (M,)."""
+        return self.rows.diagnostics["converged"]
+
+    @property
+    def gap(self) -> NDArray[np.float64]:
+        """Relative duality gap (P - D) / max(P, 1e-6 ||y||^2 / 2), (M,).
+
+        NaN where none is computed or the fidelity is not convex.
+        """
+        return self.rows.diagnostics["gap"]
+
+    @property
+    def objective(self) -> NDArray[np.float64]:
+        """The problem's objective in the solver's fidelity, recomputed by definition, (M,)."""
+        return self.rows.diagnostics["objective"]
+
+
+def solved_rows(
+    coefficients: csr_array,
+    background: NDArray[Any],
+    *,
+    iterations: NDArray[np.int32],
+    converged: NDArray[np.bool_],
+    gap: NDArray[np.float64],
+    objective: NDArray[np.float64],
+) -> SparseRows:
+    """Rows as every solver returns them; what the parts are, `Result` says.
+
+    Parameters
+    ----------
+    coefficients : (m, N) csr_array
+    background : (m,) or (m, 1 + C)
+    iterations, converged, gap, objective : (m,)
+    """
+    facts = {
+        "iterations": iterations,
+        "converged": converged,
+        "gap": gap,
+        "objective": objective,
+    }
+    columns = background if background.ndim == 2 else background[:, None]
+    return SparseRows(coefficients, columns, facts)
+
+
+def no_rows(problem: Problem) -> SparseRows:
+    """The solution of a problem without rows."""
+    dtype = problem.samples.values.dtype
+    return solved_rows(
+        csr_array((0, problem.patterns.pixels), dtype=dtype),
+        np.zeros((0, 1), dtype),
+        iterations=np.zeros(0, np.int32),
+        converged=np.zeros(0, bool),
+        gap=np.zeros(0),
+        objective=np.zeros(0),
+    )

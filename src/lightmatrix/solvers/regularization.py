@@ -12,8 +12,10 @@ from lightmatrix.camera.noise import USUAL_NOISE
 from lightmatrix.errors import InputError
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.solvers.active_set import ActiveSet
+from lightmatrix.solvers.fidelity import Fidelity
 from lightmatrix.solvers.objective import predictions
-from lightmatrix.solvers.problem import Fidelity, Problem, Result
+from lightmatrix.solvers.problem import Problem, Result
+from lightmatrix.transport.sparse_rows import SparseRows
 
 # Of the clip level: what the weak tail of rendered rows asks for, whatever the number of patterns.
 TAIL_SHARE = 0.16
@@ -66,8 +68,8 @@ def default_regularization(
 def column_length(patterns: PatternSet) -> float:
     """Root mean square length of the columns of P less the patterns' means."""
     squares = sum(
-        float(np.square(block, dtype=np.float64).sum()) / patterns.pixels
-        for _, block in patterns.blocks()
+        float(np.square(chunk, dtype=np.float64).sum()) / patterns.pixels
+        for _, chunk in patterns.chunks()
     )
     return float(np.sqrt(max(squares - float((patterns.means**2).sum()), 0.0)))
 
@@ -148,30 +150,22 @@ def regularization_path(
     problem = problem.take(np.unique(np.linspace(0, problem.rows - 1, rows).astype(np.int64)))
     order = np.random.Generator(np.random.PCG64(seed)).permutation(count)
     held_out, kept = np.sort(order[:aside]), np.sort(order[aside:])
-    fit, judge = _only(problem, kept), _only(problem, held_out)
+    fit, judge = problem.frames(kept), problem.frames(held_out)
     values = np.sort(np.asarray(factors, np.float64))[::-1] * problem.regularization
     errors = np.empty(len(values))
-    result: Result | None = None
+    start: SparseRows | None = None
     for i, value in enumerate(values):
-        result = solver.solve(replace(fit, regularization=float(value)), start=result)
+        result = solver.solve(replace(fit, regularization=float(value)), start=start)
+        start = result.rows
         errors[i] = _misfit(judge, result, solver.fidelity)
     best = values[np.flatnonzero(errors <= 1.01 * errors.min())[0]]
     return Path(values, errors, held_out, float(best))
 
 
-def _only(problem: Problem, index: NDArray[np.integer]) -> Problem:
-    """The problem with some of its patterns."""
-    patterns, samples = problem.patterns.subset(index), problem.samples.frames(index)
-    return replace(problem, patterns=patterns, samples=samples)
-
-
-def _misfit(problem: Problem, result: Result, fidelity: Fidelity) -> float:
+def _misfit(problem: Problem, result: Result, fidelity: Fidelity | str) -> float:
     u = predictions(problem, result.coefficients, result.background)
-    residual = problem.samples.values.astype(np.float64) - u
-    weights = problem.samples.weights_of_all().astype(np.float64)
-    if fidelity is Fidelity.ONE_SIDED:
-        residual = np.where(problem.samples.clipped, np.maximum(residual, 0), residual)
-    elif fidelity is Fidelity.REJECTION:
-        weights = np.where(problem.samples.clipped, 0, weights)
+    term, seen = Fidelity(fidelity).term, problem.observed.astype(np.float64)
+    weights = np.where(term.counted(seen), seen.weights, 0)
     total = weights.sum()
-    return float(np.sqrt((weights * residual**2).sum() / total)) if total > 0 else 0.0
+    squares = weights * term.residual(u, seen) ** 2
+    return float(np.sqrt(squares.sum() / total)) if total > 0 else 0.0

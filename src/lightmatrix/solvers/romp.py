@@ -7,14 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array, vstack
+from scipy.sparse import csr_array
 
-from lightmatrix.errors import InputError, SolverError
-from lightmatrix.solvers.objective import relative_gap
-from lightmatrix.solvers.problem import Fidelity, Problem, Result, Status
-
-# Rows are solved in groups whose gathered columns stay below this.
-_GROUP_BYTES = 128 << 20
+from lightmatrix.errors import SolverError
+from lightmatrix.solvers.fidelity import Fidelity
+from lightmatrix.solvers.objective import CHUNK_BYTES, relative_gap
+from lightmatrix.solvers.parameters import check_count
+from lightmatrix.solvers.problem import Problem, Result, Status, no_rows, solved_rows
+from lightmatrix.transport.sparse_rows import SparseRows
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class ROMP:
     members differ by at most a factor of two, take the one of greatest energy into I; x = least
     squares on I; r = y - A x. Stop at r ~ 0, |I| >= 2 n or after `max_iterations` rounds.
 
-    With a background, the column of the means is always part of the least squares. Where light may
+    With a background, its column is always part of the least squares. Where light may
     not be negative, only positive correlations are taken, and members whose coefficient ends below
     zero are dropped and the rest solved again.
 
@@ -39,46 +39,77 @@ class ROMP:
         Rounds. None: n, as in the paper by Needell and Vershynin.
     tolerance : float
         A row stops when its residual falls below this share of its samples.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> patterns = lm.BernoulliPatterns((4, 4), 24)
+    >>> lit = np.eye(16)[[5]]
+    >>> values = patterns.forward(lit)
+    >>> samples = lm.Samples(values, values > 2, np.full(24, 2.0))
+    >>> result = lm.solve(lm.Problem(patterns, samples, regularization=0.01), lm.ROMP())
+    >>> int(result.coefficients.toarray().argmax())
+    5
     """
 
     sparsity: int | None = None
-    fidelity: Fidelity = Fidelity.REJECTION
+    fidelity: Fidelity | str = Fidelity.REJECTION
     max_iterations: int | None = None
     tolerance: float = 1e-6
 
     def __post_init__(self) -> None:
-        if self.fidelity not in (Fidelity.LINEAR, Fidelity.REJECTION):
+        object.__setattr__(self, "fidelity", Fidelity(self.fidelity))
+        if not Fidelity(self.fidelity).term.least_squares:
             raise SolverError(
                 f"ROMP cannot use the fidelity {self.fidelity}: it solves least squares",
                 hint="use linear or rejection, or the solver saturation-admm",
             )
-        for name, value in (("sparsity", self.sparsity), ("max_iterations", self.max_iterations)):
-            if value is not None and value < 1:
-                raise InputError(f"{name} is {value}", hint="use at least 1")
+        check_count(sparsity=self.sparsity, max_iterations=self.max_iterations)
 
     def solve(self, problem: Problem, progress: Callable[[int, int], None] | None = None) -> Result:
-        """Solve all rows, a group at a time."""
+        """Solve all rows, a chunk at a time."""
         n = self.sparsity or max(1, min(32, problem.patterns.count // 8))
         n = min(n, problem.patterns.pixels)
-        size = max(1, _GROUP_BYTES // (8 * 3 * n * problem.patterns.count))
+        # By what the gathered columns take.
+        size = max(1, CHUNK_BYTES // (8 * 3 * n * problem.patterns.count))
         parts = []
         for start in range(0, problem.rows, size):
             rows = np.arange(start, min(start + size, problem.rows))
-            parts.append(self._solve_group(problem.take(rows), n))
+            parts.append(self._solve_chunk(problem.take(rows), n))
             if progress is not None:
                 progress(int(rows[-1]) + 1, problem.rows)
-        return _joined(problem, parts, self.fidelity)
+        return self._joined(problem, parts)
 
     def row_bytes(self, patterns: int, pixels: int) -> int:
         """Correlations, samples and the support's Gram matrix."""
         return 8 * (3 * pixels + 8 * patterns + 96 * 96)
 
-    def _solve_group(self, problem: Problem, n: int) -> _Part:
+    def _joined(self, problem: Problem, parts: list[SparseRows]) -> Result:
+        if not parts:
+            return Result(no_rows(problem), Status.CONVERGED)
+        dtype = problem.samples.values.dtype
+        found = SparseRows.joined(parts)
+        coefficients = csr_array(found.coefficients, dtype=dtype)
+        background = found.background[:, 0].astype(dtype)
+        objective, _ = relative_gap(problem, coefficients, background, self.fidelity)
+        met = found.diagnostics["converged"]
+        rows = solved_rows(
+            coefficients,
+            background,
+            iterations=found.diagnostics["iterations"],
+            converged=met,
+            gap=np.full(problem.rows, np.nan),
+            objective=objective,
+        )
+        return Result(rows, Status.CONVERGED if met.all() else Status.ITERATION_LIMIT)
+
+    def _solve_chunk(self, problem: Problem, n: int) -> SparseRows:
+        """Rows, rounds and whether they have met their aim, of a chunk."""
         rows = problem.rows
-        weights = problem.samples.weights_of_all().astype(np.float64)
-        if self.fidelity is Fidelity.REJECTION:
-            weights = np.where(problem.samples.clipped, 0, weights)
-        y = problem.samples.values.astype(np.float64)
+        seen = problem.observed.astype(np.float64)
+        # Samples that say nothing weigh nothing.
+        weights = np.where(Fidelity(self.fidelity).term.counted(seen), seen.weights, 0)
+        y = seen.values
         support = _Support.empty(rows)
         x, b = np.zeros((rows, 0)), np.zeros(rows)
         least = _LeastSquares(problem, y, weights)
@@ -106,15 +137,8 @@ class ROMP:
             support, x, b = _without_negative(least, support, x, b)
         residual = least.residual(support, x, b)
         met = np.sqrt((weights * residual**2).sum(axis=1)) <= self.tolerance * norm
-        return _Part(support.matrix(x, problem.patterns.pixels), b, rounds, met | ~active)
-
-
-@dataclass(frozen=True)
-class _Part:
-    coefficients: csr_array
-    background: NDArray[np.float64]
-    rounds: NDArray[np.int32]
-    converged: NDArray[np.bool_]
+        facts = {"iterations": rounds, "converged": met | ~active}
+        return SparseRows(support.matrix(x, problem.patterns.pixels), b[:, None], facts)
 
 
 @dataclass(frozen=True)
@@ -160,7 +184,7 @@ def _trimmed(index: NDArray[np.int64]) -> NDArray[np.int64]:
 
 @dataclass(frozen=True)
 class _LeastSquares:
-    """Weighted least squares of each row on its support, the means' column always included."""
+    """Weighted least squares of each row on its support, the background always included."""
 
     problem: Problem
     y: NDArray[np.float64]
@@ -178,8 +202,8 @@ class _LeastSquares:
         columns = self.columns(support)
         background = self.problem.background
         if background:
-            means = np.broadcast_to(self.problem.patterns.means[:, None], (*self.y.shape, 1))
-            columns = np.concatenate([columns, means], axis=2)
+            column = np.broadcast_to(self.problem.column[:, None], (*self.y.shape, 1))
+            columns = np.concatenate([columns, column], axis=2)
         weighted = columns * self.weights[:, :, None]
         gram = np.matmul(weighted.transpose(0, 2, 1), columns)
         right = np.matmul(weighted.transpose(0, 2, 1), self.y[:, :, None])
@@ -194,7 +218,9 @@ class _LeastSquares:
         self, support: _Support, x: NDArray[np.float64], b: NDArray[np.float64]
     ) -> NDArray[np.float64]:
         predicted = np.matmul(self.columns(support), x[:, :, None])[..., 0]
-        return self.y - predicted - np.outer(b, self.problem.patterns.means)
+        if not self.problem.background:
+            return self.y - predicted
+        return self.y - predicted - np.outer(b, self.problem.column)
 
 
 def _select(correlations: NDArray[np.float64], n: int, nonnegative: bool) -> NDArray[np.int64]:
@@ -224,18 +250,3 @@ def _without_negative(
         support = support.without(negative)
         x, b = least.solve(support)
     return support, np.maximum(x, 0), np.maximum(b, 0)
-
-
-def _joined(problem: Problem, parts: list[_Part], fidelity: Fidelity) -> Result:
-    dtype = problem.samples.values.dtype
-    if parts:
-        stacked = csr_array(vstack([p.coefficients for p in parts], format="csr"), dtype=dtype)
-        background = np.concatenate([p.background for p in parts]).astype(dtype)
-        rounds = np.concatenate([p.rounds for p in parts])
-        met = np.concatenate([p.converged for p in parts])
-    else:
-        stacked = csr_array((0, problem.patterns.pixels), dtype=dtype)
-        background, rounds, met = np.zeros(0, dtype), np.zeros(0, np.int32), np.zeros(0, bool)
-    primal, _ = relative_gap(problem, stacked, background, fidelity)
-    status = Status.CONVERGED if met.all() else Status.ITERATION_LIMIT
-    return Result(stacked, background, rounds, met, primal, np.full(problem.rows, np.nan), status)

@@ -8,16 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.solvers.admm import (
-    automatic_penalty_x,
-    check_count,
-    check_positive,
-    relative,
-    shrink,
-)
-from lightmatrix.solvers.problem import Fidelity, Problem
-from lightmatrix.solvers.prox import update_prediction
-from lightmatrix.solvers.system import System
+from lightmatrix.solvers.admm import automatic_penalty_x, relative, shrink
+from lightmatrix.solvers.fidelity import Fidelity
+from lightmatrix.solvers.parameters import check_count, check_positive
+from lightmatrix.solvers.problem import Problem
+from lightmatrix.solvers.system import System, system_of
 
 # Samples whose norm is below this share of lambda are as good as dark.
 _DARK = 1e-3
@@ -62,22 +57,34 @@ class SaturationADMM:
         Iterations after which a row is given up as it is, at least 1.
     tolerance : float
         A row stops when its relative primal and dual residuals are at most this, > 0.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> patterns = lm.BernoulliPatterns((4, 4), 24)
+    >>> lit = np.eye(16)[[5]]
+    >>> values = patterns.forward(lit)
+    >>> samples = lm.Samples(values, values > 2, np.full(24, 2.0))
+    >>> result = lm.solve(lm.Problem(patterns, samples, regularization=0.01), lm.SaturationADMM())
+    >>> int(result.coefficients.toarray().argmax())
+    5
     """
 
-    fidelity: Fidelity = Fidelity.ONE_SIDED
+    fidelity: Fidelity | str = Fidelity.ONE_SIDED
     penalty_x: float | None = None
     penalty_u: float | None = None
     max_iterations: int = 1000
     tolerance: float = 5e-4
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "fidelity", Fidelity(self.fidelity))
         check_positive(penalty_x=self.penalty_x, penalty_u=self.penalty_u, tolerance=self.tolerance)
         check_count(max_iterations=self.max_iterations)
 
     def init(self, problem: Problem) -> SaturationADMMState:
         mu = self.penalty_x or automatic_penalty_x(problem)
         nu = self.penalty_u or automatic_penalty_u(problem)
-        system = System(problem.patterns, mu / nu, problem.background)
+        system = system_of(problem, mu / nu)
         y = problem.samples.values
         x = np.zeros((problem.rows, system.unknowns), y.dtype)
         return SaturationADMMState(x, x, y, x, np.zeros_like(y), np.zeros_like(y), system, mu, nu)
@@ -90,15 +97,7 @@ class SaturationADMM:
         g = g + nu * (state.prediction - u)
         # Eq. 18-21
         v = state.prediction + g / nu
-        y, level, weights = (
-            problem.samples.values,
-            problem.samples.clip_levels_of_all(),
-            problem.samples.weights_of_all(),
-        )
-        widths = problem.edge_widths() if self.fidelity is Fidelity.LIKELIHOOD else None
-        u = update_prediction(
-            v, y, problem.samples.clipped, level, weights, lam * nu, self.fidelity, widths
-        )
+        u = Fidelity(self.fidelity).term.update(v, problem.observed, lam * nu)
         # Eq. 17
         x, prediction = state.system.solve(u - g / nu, z - h / mu)
         # Eq. 13

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.patterns.pattern_set import PatternSet
+from lightmatrix.solvers.problem import Problem
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,30 +29,32 @@ class System:
     Parameters
     ----------
     patterns : PatternSet
-        P, (K, N), with means m.
+        P, (K, N).
     ridge : float
         > 0.
-    background : bool
-        Whether there is a background; the last unknown is then c / scale.
+    column : (K,) float64 or None
+        m, the column of the background, the last unknown being c / scale; None: no background.
     row_scale : (K,) float64, optional
         Square roots of the patterns' weights, which multiply the rows of A; None means 1.
     """
 
     patterns: PatternSet
     ridge: float
-    background: bool
+    column: NDArray[np.float64] | None
     row_scale: NDArray[np.float64] | None = None
 
     @property
     def unknowns(self) -> int:
         """N, or N + 1 with a background."""
-        return self.patterns.pixels + int(self.background)
+        return self.patterns.pixels + int(self.column is not None)
 
     @cached_property
     def scale(self) -> float:
         """Unit of c: makes its column as long as a typical row of the centred patterns."""
-        energy = float(np.median(centred_energy(self.patterns)))
-        length = float(np.linalg.norm(self.patterns.means))
+        if self.column is None:
+            return 1.0
+        energy = float(np.median(centred_energy(self.patterns, self.column)))
+        length = float(np.linalg.norm(self.column))
         return float(np.sqrt(energy) / length) if energy > 0 and length > 0 else 1.0
 
     @property
@@ -65,19 +68,19 @@ class System:
         Being explicit it turns every solve into one matrix product; its error is far below that of
         the single-precision products around it.
         """
-        means = self.patterns.means
+        column = self.column
         rows = np.ones(self.patterns.count) if self.row_scale is None else self.row_scale
         if self._wide:
             square = self.patterns.gram
-            if self.background:
-                crossed = np.outer(self.patterns.sums, means)
+            if column is not None:
+                crossed = np.outer(_sums(self.patterns, column), column)
                 change = self.scale**2 + self.patterns.pixels
-                square = square - crossed - crossed.T + change * np.outer(means, means)
+                square = square - crossed - crossed.T + change * np.outer(column, column)
             square = square * np.outer(rows, rows)
         else:
             matrix = self.patterns.dense().astype(np.float64)
-            if self.background:
-                matrix = np.column_stack([matrix - means[:, None], self.scale * means])
+            if column is not None:
+                matrix = np.column_stack([matrix - column[:, None], self.scale * column])
             matrix *= rows[:, None]
             square = matrix.T @ matrix
         square = square + self.ridge * np.eye(square.shape[-1])
@@ -87,9 +90,9 @@ class System:
         """A x for rows x of (M, unknowns): (M, K)."""
         pixels = x[:, : self.patterns.pixels]
         samples = self.patterns.forward(pixels)
-        if self.background:
+        if self.column is not None:
             level = self.scale * x[:, -1] - pixels.sum(axis=1)
-            samples += np.multiply.outer(level, self.patterns.means).astype(x.dtype)
+            samples += np.multiply.outer(level, self.column).astype(x.dtype)
         if self.row_scale is not None:
             samples *= self.row_scale.astype(x.dtype)
         return samples
@@ -99,9 +102,9 @@ class System:
         if self.row_scale is not None:
             e = e * self.row_scale.astype(e.dtype)
         correlations = self.patterns.adjoint(e)
-        if not self.background:
+        if self.column is None:
             return correlations
-        along = e @ self.patterns.means.astype(e.dtype)
+        along = e @ self.column.astype(e.dtype)
         result = np.empty((len(e), self.unknowns), e.dtype)
         np.subtract(correlations, along[:, None], out=result[:, :-1])
         result[:, -1] = self.scale * along
@@ -133,17 +136,32 @@ class System:
 
     def split(self, z: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
         """Unknowns as coefficients (M, N) and background b = c - sum x, (M,)."""
-        if not self.background:
+        if self.column is None:
             return z, np.zeros(len(z), z.dtype)
         coefficients = z[:, :-1]
         b = self.scale * z[:, -1].astype(np.float64) - coefficients.sum(axis=1, dtype=np.float64)
         return coefficients, b.astype(z.dtype)
 
 
-def centred_energy(patterns: PatternSet) -> NDArray[np.float64]:
+def system_of(
+    problem: Problem, ridge: float, row_scale: NDArray[np.float64] | None = None
+) -> System:
+    """The system of a problem."""
+    column = problem.column if problem.background else None
+    return System(problem.patterns, ridge, column, row_scale)
+
+
+def centred_energy(patterns: PatternSet, column: NDArray[np.float64]) -> NDArray[np.float64]:
     """Squared lengths of the centred patterns P - m 1', (K,): N / 4 for 0/1 at density 0.5."""
-    energy = np.diagonal(patterns.gram) - 2 * patterns.sums * patterns.means
-    return np.maximum(energy + patterns.pixels * patterns.means**2, 0)
+    energy = np.diagonal(patterns.gram) - 2 * _sums(patterns, column) * column
+    return np.maximum(energy + patterns.pixels * column**2, 0)
+
+
+def _sums(patterns: PatternSet, column: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Sum of each pattern over its pixels, (K,)."""
+    # Where the column is the patterns' own means, all terms of the centred Gram matrix are made of
+    # it, and rounded alike.
+    return patterns.pixels * column if column is patterns.means else patterns.sums
 
 
 def _each_by(rows: NDArray[np.float64], matrix: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
 
 from lightmatrix import _core
 from lightmatrix.errors import InputError
@@ -15,12 +13,12 @@ from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.solvers.active_set import (
     ActiveSet,
     as_result,
+    check_start,
     prepared,
-    sample_weights,
-    starting_rows,
 )
 from lightmatrix.solvers.loop import Progress
 from lightmatrix.solvers.problem import Problem, Result
+from lightmatrix.transport.sparse_rows import SparseRows
 
 
 @dataclass(frozen=True)
@@ -31,27 +29,27 @@ class Candidates:
     ----------
     indptr : (M + 1,) int64
         Where each row's entries begin.
-    pixels : (E,) int32
+    indices : (E,) int32
         Projector pixels, ascending within a row.
-    penalties : (E,) float32
+    data : (E,) float32
         Penalties relative to the problem's regularization, > 0.
     """
 
     indptr: NDArray[np.int64]
-    pixels: NDArray[np.int32]
-    penalties: NDArray[np.float32]
+    indices: NDArray[np.int32]
+    data: NDArray[np.float32]
 
 
 @dataclass(frozen=True)
-class Blocks:
-    """Coarse columns that all rows share: the means of the patterns over blocks of pixels.
+class Cells:
+    """Coarse columns that all rows share: the means of the patterns over the cells of a grid.
 
     Parameters
     ----------
-    means : (B, K) float32
-        Mean of each pattern over each block, in [0, 1]; with an expectation (B, K + E), those of
+    means : (C, K) float32
+        Mean of each pattern over each cell, in [0, 1]; with an expectation (C, K + E), those of
         its unseen patterns last.
-    penalties : (B,) float32
+    penalties : (C,) float32
         Penalties relative to the problem's regularization, > 0.
     """
 
@@ -59,8 +57,8 @@ class Blocks:
     penalties: NDArray[np.float32]
 
     @classmethod
-    def none(cls, patterns: PatternSet, unseen: PatternSet | None = None) -> Blocks:
-        """No blocks."""
+    def none(cls, patterns: PatternSet, unseen: PatternSet | None = None) -> Cells:
+        """No cells."""
         count = patterns.count + (0 if unseen is None else unseen.count)
         return cls(np.zeros((0, count), np.float32), np.zeros(0, np.float32))
 
@@ -85,52 +83,18 @@ class Expectation:
     weights: NDArray[np.float32]
 
 
-@dataclass(frozen=True)
-class Start:
-    """Where to start M rows.
-
-    Parameters
-    ----------
-    coefficients : (M, N) csr_array
-    background : (M,)
-    blocks : (M, B) float32
-        One column for each block, or none.
-    """
-
-    coefficients: csr_array
-    background: NDArray[Any]
-    blocks: NDArray[np.float32]
-
-
-@dataclass(frozen=True)
-class WeightedResult:
-    """What was found.
-
-    Parameters
-    ----------
-    rows : Result
-        Pixels and the background's coefficient; its gap is that of the weighted problem on the
-        candidates and blocks.
-    blocks : (M, B) float32
-        Coefficients of the blocks.
-    """
-
-    rows: Result
-    blocks: NDArray[np.float32]
-
-
 def solve_weighted(
     problem: Problem,
     candidates: Candidates,
-    blocks: Blocks,
+    cells: Cells,
     solver: ActiveSet,
     *,
     expected: Expectation | None = None,
     background: NDArray[np.float32] | None = None,
-    start: Start | None = None,
+    start: SparseRows | None = None,
     progress: Progress | None = None,
-) -> WeightedResult:
-    """Solve each row on its candidates and the blocks.
+) -> Result:
+    """Solve each row on its candidates and the cells.
 
     ::
 
@@ -146,7 +110,7 @@ def solve_weighted(
         M rows; light is not negative.
     candidates : Candidates
         Pixels of each row and their weights v.
-    blocks : Blocks
+    cells : Cells
         Coarse columns and their weights w.
     solver : ActiveSet
         Fidelity, tolerance, limit of passes, threads.
@@ -154,14 +118,16 @@ def solve_weighted(
         Further samples that were not taken.
     background : (M, K) or, with an expectation, (M, K + E) float32, optional
         What each row's background gives under the patterns, in [0, 1], in place of their means.
-    start : Start, optional
-        Pixels that are no candidates are left out, and blocks if there are none.
+    start : SparseRows, optional
+        Such as the rows of an earlier result. Pixels that are no candidates are left out, and
+        cells unless there are as many.
     progress : callable, optional
         Called with (finished, all) rows.
 
     Returns
     -------
-    WeightedResult
+    Result
+        Its gap is that of the weighted problem on the candidates and cells.
 
     Raises
     ------
@@ -177,31 +143,16 @@ def solve_weighted(
         raise InputError(
             f"candidates of {len(candidates.indptr) - 1} rows for a problem of {problem.rows}"
         )
+    check_start(problem, start)
     solved, coefficients = _core.solve_weighted(
-        prepared(problem.patterns),
-        np.ascontiguousarray(problem.samples.values),
-        np.ascontiguousarray(problem.samples.clipped),
-        sample_weights(problem),
-        (candidates.indptr, candidates.pixels, candidates.penalties),
-        (blocks.means, blocks.penalties, _starting_blocks(start, len(blocks.penalties))),
-        None
-        if expected is None
-        else (prepared(expected.unseen), expected.values, expected.weights),
-        background,
-        None if start is None else starting_rows(problem, start.coefficients, start.background),
-        float(problem.regularization),
-        str(solver.fidelity),
-        True,
-        problem.background,
-        solver.tolerance,
-        solver.max_passes,
-        solver.threads,
-        progress,
+        prepared(problem),
+        problem.samples,
+        solver.settings(problem),
+        candidates,
+        cells=cells,
+        expected=None if expected is None else (expected.unseen.prepared, expected),
+        background=background,
+        start=start,
+        progress=progress,
     )
-    return WeightedResult(as_result(solved, problem), coefficients.astype(np.float32))
-
-
-def _starting_blocks(start: Start | None, count: int) -> NDArray[np.float32] | None:
-    if start is None or start.blocks.shape[1] != count:
-        return None
-    return np.ascontiguousarray(start.blocks)
+    return as_result(solved, problem, coefficients.astype(np.float32))

@@ -2,45 +2,52 @@
 
 While an estimate runs, `<output>.partial` holds each finished tile as one file, renamed into place
 when whole, and the fingerprint of what is being computed. A run that was killed goes on there.
+The output is locked meanwhile; tiles that are damaged are computed again.
 """
 
 from __future__ import annotations
 
 import json
-import shutil
-import zipfile
+import re
 from collections.abc import Mapping
+from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.sparse import csr_array, vstack
 
-from lightmatrix.errors import InputError, OutputError
-from lightmatrix.files.outputs import atomic_file, check_output, explained
-from lightmatrix.store.zarr_file import PARTIAL, SUFFIX, save
+from lightmatrix.errors import InputError, LightMatrixError, OutputError
+from lightmatrix.files.kinds import PARTIAL, STORE
+from lightmatrix.files.markers import read_object
+from lightmatrix.files.npz import read_npz
+from lightmatrix.files.outputs import claimed
+from lightmatrix.files.running import RunningFolder
+from lightmatrix.store.zarr_file import save
 from lightmatrix.transport.matrix import LightTransport
+from lightmatrix.transport.sparse_rows import SparseRows
 
 _FINGERPRINT = "fingerprint.json"
-_DIAGNOSTIC = "diagnostic_"
+# First row of a tile, and the row after its last.
+_Span = tuple[int, int]
 
 
 class Checkpoint:
     """Finished tiles of rows of a light transport matrix that is being computed.
 
-    Made by `open`, used in a ``with`` statement. An exception leaves the tiles for the next run.
+    Made by `open`, used in a ``with`` statement, which holds the lock of the output. An exception
+    leaves the tiles for the next run.
     """
 
-    def __init__(self, path: Path, folder: Path, overwrite: bool) -> None:
+    def __init__(self, path: Path, kept: RunningFolder, overwrite: bool, claim: ExitStack) -> None:
         self._path = path
+        self._kept = kept
         self._overwrite = overwrite
-        self._folder = folder
-        self._used: set[tuple[int, int]] = set()
-        self._found = {
-            tile for file in folder.glob("rows-*.npz") if (tile := _whole(file)) is not None
-        }
+        self._claim = claim
+        self._used: set[_Span] = set()
+        spans = [span for name in kept.names if (span := _span(name)) is not None]
+        # Damaged tiles are solved again.
+        self._found = {span for span in spans if _tile(kept, span) is not None}
 
     @classmethod
     def open(
@@ -60,30 +67,14 @@ class Checkpoint:
         Raises
         ------
         OutputError
-            If the output exists, there are tiles of other inputs, or the disk fails.
+            If the output exists, is being written by another run, there are tiles of other inputs,
+            or the disk fails.
         """
-        target = check_output(path, overwrite=overwrite, suffixes=(SUFFIX,))
-        folder = target.with_name(target.name + PARTIAL)
         wanted = json.loads(json.dumps(dict(fingerprint), default=str))
-        with explained(target):
-            if folder.exists():
-                differing = _differing(folder / _FINGERPRINT, wanted)
-                if differing is None:
-                    return cls(target, folder, overwrite)
-                if not overwrite and any(folder.glob("*.npz")):
-                    raise OutputError(
-                        f"{folder}: holds an incomplete estimate with other settings ({differing})",
-                        hint="finish it with its own settings, or add --overwrite to discard it",
-                    )
-                shutil.rmtree(folder)
-            folder.mkdir()
-        try:
-            with atomic_file(folder / _FINGERPRINT) as part:
-                part.write_text(json.dumps(wanted, indent=2))
-        except OutputError:
-            folder.rmdir()
-            raise
-        return cls(target, folder, overwrite)
+        with ExitStack() as claim:
+            target = claim.enter_context(claimed(path, STORE, overwrite=overwrite))
+            kept = _begun(target, wanted, overwrite)
+            return cls(Path(path), kept, overwrite, claim.pop_all())
 
     def __enter__(self) -> Self:
         return self
@@ -94,8 +85,12 @@ class Checkpoint:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        if not any(self._folder.glob("*.npz")):
-            shutil.rmtree(self._folder, ignore_errors=True)
+        with self._claim:
+            tiles = any(_span(name) is not None for name in self._kept.names)
+            # Settings that no tile could be computed with must not stand in the way of others.
+            hopeless = isinstance(error, LightMatrixError) and not isinstance(error, OutputError)
+            if not _results(self._kept) or (hopeless and not tiles):
+                self._kept.discard()
 
     @property
     def resumed_rows(self) -> int:
@@ -109,43 +104,18 @@ class Checkpoint:
         self._used.add((start, stop))
         return True
 
-    def write(
-        self,
-        start: int,
-        stop: int,
-        sparse: csr_array,
-        background: NDArray[Any],
-        diagnostics: Mapping[str, NDArray[Any]],
-    ) -> None:
-        """Keep a finished tile.
-
-        Parameters
-        ----------
-        start, stop : int
-            Its rows; m = stop - start.
-        sparse : (m, N) csr_array
-        background : (m, B)
-        diagnostics : mapping of str to (m,) array
+    def write(self, start: int, stop: int, rows: SparseRows) -> None:
+        """Keep a finished tile, the rows start..stop.
 
         Raises
         ------
         OutputError
             If the disk fails; tiles that were written remain.
         """
-        named: dict[str, Any] = {_DIAGNOSTIC + name: v for name, v in diagnostics.items()}
-        with atomic_file(self._file(start, stop), overwrite=True) as part:
-            np.savez(
-                part,
-                data=sparse.data.astype(np.float32, copy=False),
-                indices=sparse.indices.astype(np.int32, copy=False),
-                indptr=sparse.indptr.astype(np.int64, copy=False),
-                shape=np.array(sparse.shape),
-                background=background.astype(np.float32, copy=False),
-                **named,
-            )
+        self._keep(_name(start, stop), rows)
         self._used.add((start, stop))
 
-    def remember(self, name: str, arrays: Mapping[str, NDArray[Any]]) -> None:
+    def remember(self, name: str, rows: SparseRows) -> None:
         """Keep what an estimator needs to go on, under a name that does not begin with rows.
 
         Raises
@@ -153,20 +123,15 @@ class Checkpoint:
         OutputError
             If the disk fails; what was kept before remains.
         """
-        with atomic_file(self._folder / f"{name}.npz", overwrite=True) as part:
-            np.savez(part, **dict(arrays))  # type: ignore[arg-type]
+        self._keep(f"{name}.npz", rows)
 
-    def recall(self, name: str) -> dict[str, NDArray[Any]] | None:
+    def recall(self, name: str) -> SparseRows | None:
         """What was kept under a name; None if nothing whole is there."""
-        file = self._folder / f"{name}.npz"
-        if not zipfile.is_zipfile(file):
-            return None
-        with np.load(file, allow_pickle=False) as arrays:
-            return {key: arrays[key] for key in arrays.files}
+        return _read(self._kept, f"{name}.npz")
 
     def forget(self, name: str) -> None:
         """Throw away what was kept under a name, if anything."""
-        (self._folder / f"{name}.npz").unlink(missing_ok=True)
+        self._kept.forget(f"{name}.npz")
 
     def finish(
         self,
@@ -185,52 +150,96 @@ class Checkpoint:
         OutputError
             If the output cannot be written; the tiles remain.
         """
-        tiles = sorted(self._used)
-        edges = [0, *(stop for _, stop in tiles)]
+        spans = sorted(self._used)
+        edges = [0, *(stop for _, stop in spans)]
         rows = int(np.prod(camera_shape))
-        if [start for start, _ in tiles] != edges[:-1] or edges[-1] != rows:
-            raise InputError(f"{self._folder}: the tiles do not cover all {rows} rows once")
-        sparse, background = [], []
-        diagnostics: dict[str, list[NDArray[Any]]] = {}
-        for start, stop in tiles:
-            with np.load(self._file(start, stop), allow_pickle=False) as tile:
-                parts = (tile["data"], tile["indices"], tile["indptr"])
-                sparse.append(csr_array(parts, shape=tuple(tile["shape"])))
-                background.append(tile["background"])
-                for name in tile.files:
-                    if name.startswith(_DIAGNOSTIC):
-                        key = name.removeprefix(_DIAGNOSTIC)
-                        diagnostics.setdefault(key, []).append(tile[name])
+        if [start for start, _ in spans] != edges[:-1] or edges[-1] != rows:
+            raise InputError(f"{self._kept.path}: the tiles do not cover all {rows} rows once")
+        tiles = [_tile(self._kept, span) for span in spans]
+        whole = [tile for tile in tiles if tile is not None]
+        if len(whole) < len(tiles):
+            damaged = _name(*spans[tiles.index(None)])
+            raise InputError(
+                f"{self._kept.path}: the tile {damaged} was damaged meanwhile",
+                hint="run the same estimate again; it computes that tile anew",
+            )
+        found = SparseRows.joined(whole)
         transport = LightTransport(
-            csr_array(vstack(sparse, format="csr")),
-            np.concatenate(background),
+            found.coefficients,
+            found.background,
             camera_shape,
             projector_shape,
             background_grid,
-            {name: np.concatenate(parts) for name, parts in diagnostics.items()},
+            found.diagnostics,
             dict(provenance or {}),
         )
         save(self._path, transport, overwrite=self._overwrite)
-        shutil.rmtree(self._folder, ignore_errors=True)
+        self._kept.discard()
         return transport
 
-    def _file(self, start: int, stop: int) -> Path:
-        return self._folder / f"rows-{start}-{stop}.npz"
+    def _keep(self, name: str, rows: SparseRows) -> None:
+        with self._kept.keep(name) as part:
+            arrays: dict[str, Any] = rows.arrays()
+            np.savez(part, **arrays)
 
 
-def _whole(file: Path) -> tuple[int, int] | None:
-    """The rows of a tile's file; None if it is damaged."""
-    if not zipfile.is_zipfile(file):
-        return None
-    start, stop = file.stem.split("-")[1:]
-    return int(start), int(stop)
-
-
-def _differing(file: Path, wanted: Mapping[str, Any]) -> str | None:
-    """Which keys of a stored fingerprint differ, in words; None if none does."""
+def _begun(target: Path, wanted: Mapping[str, Any], overwrite: bool) -> RunningFolder:
+    """The running results of an output under a fingerprint, those found or new ones."""
+    kept = RunningFolder.open(target, PARTIAL)
+    differing = _differing(kept, wanted)
+    if differing is None:
+        return kept
+    if _results(kept):
+        if not overwrite:
+            raise OutputError(
+                f"{kept.path}: holds an incomplete estimate with other settings ({differing})",
+                hint="finish it with its own settings, or add --overwrite to discard it",
+            )
+        kept.discard()
+        kept = RunningFolder.open(target, PARTIAL)
     try:
-        found = json.loads(file.read_text())
-    except (OSError, ValueError):
+        with kept.keep(_FINGERPRINT) as part:
+            part.write_text(json.dumps(wanted, indent=2))
+    except OutputError:
+        kept.discard()
+        raise
+    return kept
+
+
+def _results(kept: RunningFolder) -> bool:
+    return any(name != _FINGERPRINT for name in kept.names)
+
+
+def _name(start: int, stop: int) -> str:
+    return f"rows-{start}-{stop}.npz"
+
+
+def _span(name: str) -> _Span | None:
+    """The rows of a tile by its file's name; None if it is no tile's."""
+    match = re.fullmatch(r"rows-([0-9]{1,18})-([0-9]{1,18})\.npz", name)
+    return None if match is None else (int(match[1]), int(match[2]))
+
+
+def _tile(kept: RunningFolder, span: _Span) -> SparseRows | None:
+    """A finished tile; None if it is damaged."""
+    rows = _read(kept, _name(*span))
+    return rows if rows is not None and rows.count == span[1] - span[0] else None
+
+
+def _read(kept: RunningFolder, name: str) -> SparseRows | None:
+    """Rows that were kept under a file name; None if there are none, or not whole."""
+    if not kept.has(name):
+        return None
+    try:
+        return SparseRows.from_arrays(read_npz(kept.file(name)))
+    except InputError:
+        return None
+
+
+def _differing(kept: RunningFolder, wanted: Mapping[str, Any]) -> str | None:
+    """Which keys of a stored fingerprint differ, in words; None if none does."""
+    found = read_object(kept.file(_FINGERPRINT)) if kept.has(_FINGERPRINT) else None
+    if found is None:
         return "unknown ones"
     if found == wanted:
         return None

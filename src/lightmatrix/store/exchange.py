@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +13,11 @@ from scipy.io import savemat
 from scipy.sparse import csr_array
 
 from lightmatrix.errors import InputError, OutputError
+from lightmatrix.files.kinds import MAT, MAT_MARK, NPZ, export_kind
 from lightmatrix.files.outputs import atomic_file, check_output
+from lightmatrix.store.sparse_npz import VERSION, read_sparse_npz
 from lightmatrix.transport.matrix import LightTransport
 
-VERSION = 1
 # MATLAB's level-5 files count the bytes of a variable in 32 bits.
 _MAT_BYTES = 2**31
 
@@ -35,10 +35,14 @@ def export(
     ------
     OutputError
         If the file exists, ends otherwise, or cannot be written.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> lm.export("T_of_metal.npz", lm.truth("metal").transport())
     """
-    target = check_output(path, overwrite=overwrite, suffixes=(".npz", ".mat"))
-    write = export_mat if target.suffix.lower() == ".mat" else export_npz
-    write(target, transport, dense_background=dense_background, overwrite=overwrite)
+    write = export_mat if export_kind(path) is MAT else export_npz
+    write(path, transport, dense_background=dense_background, overwrite=overwrite)
 
 
 def export_npz(
@@ -71,20 +75,22 @@ def export_npz(
     OutputError
         If the file exists, ends otherwise, or cannot be written.
     """
-    check_output(path, overwrite=overwrite, suffixes=(".npz",))
+    check_output(path, NPZ, overwrite=overwrite)
     matrix, background = _parts(transport, dense_background)
     # Dense entries hardly compress, and gigabytes of them take minutes.
     write = np.savez if dense_background else np.savez_compressed
-    with atomic_file(path, overwrite=overwrite) as part:
+    # Given a name, NumPy would add its own ending to one in capitals.
+    with atomic_file(path, NPZ, overwrite=overwrite) as part, part.open("wb") as stream:
         write(
-            part,
+            stream,
+            # First, so that even a file that was cut off is known as ours.
+            lightmatrix_transport=np.array(VERSION),
             format=np.array(b"csr"),
             _is_array=np.array(True),
             shape=np.array(matrix.shape),
             data=matrix.data,
             indices=matrix.indices,
             indptr=matrix.indptr,
-            lightmatrix_transport=np.array(VERSION),
             camera_shape=np.array(transport.camera_shape),
             projector_shape=np.array(transport.projector_shape),
             background=background,
@@ -110,7 +116,7 @@ def export_mat(
     OutputError
         If the file exists, ends otherwise, is too large for the format, or cannot be written.
     """
-    check_output(path, overwrite=overwrite, suffixes=(".mat",))
+    check_output(path, MAT, overwrite=overwrite)
     matrix, background = _parts(transport, dense_background)
     if 8 * matrix.nnz >= _MAT_BYTES:
         raise OutputError(
@@ -126,8 +132,11 @@ def export_mat(
         "projector_shape": np.array(transport.projector_shape, np.float64),
         "lightmatrix_version": float(VERSION),
     }
-    with atomic_file(path, overwrite=overwrite) as part:
+    with atomic_file(path, MAT, overwrite=overwrite) as part:
         savemat(part, content, appendmat=False, do_compression=True)
+        with part.open("r+b") as written:
+            # 116 bytes of free text begin the format.
+            written.write(MAT_MARK.encode().ljust(116))
 
 
 def import_npz(
@@ -135,7 +144,7 @@ def import_npz(
     camera_shape: tuple[int, ...] | None = None,
     projector_shape: tuple[int, int] | None = None,
 ) -> LightTransport:
-    """Read T from npz: exported by us, a truth file, or any sparse matrix saved by SciPy.
+    """Read T from npz: exported by us, a truth file, or a matrix in CSR, CSC or COO form by SciPy.
 
     Parameters
     ----------
@@ -147,55 +156,27 @@ def import_npz(
     Raises
     ------
     InputError
-        If it cannot be read, has no shapes, or is of a later format version.
+        If it cannot be read, contradicts itself, has no shapes, or is of a later format version.
     """
-    file = Path(path)
-    if not file.is_file():
-        problem = "is a folder, not a .npz file" if file.is_dir() else "no such file"
-        raise InputError(f"{file}: {problem}", hint="give a .npz file")
-    try:
-        if not zipfile.is_zipfile(file):
-            raise ValueError("not a whole archive")
-        matrix = csr_array(sparse.load_npz(file), dtype=np.float32)
-        with np.load(file, allow_pickle=False) as content:
-            extra = {
-                name: content[name]
-                for name in content.files
-                if name not in ("data", "indices", "indptr", "direct_data")
-            }
-    # Damaged archives raise nearly anything.
-    except Exception as error:
-        raise InputError(
-            f"{file}: cannot be read as a sparse matrix ({type(error).__name__})",
-            hint="give a file from `lightmatrix export` or `render`, or from scipy.sparse.save_npz",
-        ) from error
-    for name in ("lightmatrix_transport", "lightmatrix_truth"):
-        if name in extra and int(extra[name]) != VERSION:
-            raise InputError(
-                f"{file}: has format version {int(extra[name])}, this lightmatrix reads {VERSION}",
-                hint="update lightmatrix",
-            )
-    camera = camera_shape or _shape(extra, "camera_shape")
-    projector = projector_shape or _shape(extra, "projector_shape")
+    found = read_sparse_npz(path)
+    camera = camera_shape or found.camera_shape
+    projector = projector_shape or found.projector_shape
     if camera is None or projector is None:
         raise InputError(
-            f"{file}: does not say the shapes of camera and projector",
+            f"{path}: does not say the shapes of camera and projector",
             hint="give camera_shape and projector_shape",
         )
-    grid = _shape(extra, "background_grid") or (1, 1)
-    background = extra.get("background", np.zeros((matrix.shape[0], 1), np.float32))
+    background = found.background
+    if background is None:
+        background = np.zeros((found.matrix.shape[0], 1), np.float32)
     return LightTransport(
-        matrix,
-        np.asarray(background, np.float32),
+        found.matrix,
+        background,
         camera,
-        (projector[0], projector[1]),
-        (grid[0], grid[1]),
-        provenance=json.loads(str(extra["metadata"])) if "metadata" in extra else {},
+        projector,
+        found.background_grid,
+        provenance=dict(found.metadata),
     )
-
-
-def _shape(extra: dict[str, NDArray[Any]], name: str) -> tuple[int, ...] | None:
-    return tuple(int(n) for n in extra[name]) if name in extra else None
 
 
 def _parts(

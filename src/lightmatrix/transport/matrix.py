@@ -13,13 +13,18 @@ from scipy.sparse import csr_array
 
 from lightmatrix.errors import InputError
 from lightmatrix.patterns.grids import check_grid, grid_cells
+from lightmatrix.reprs import html_table
+from lightmatrix.transport.words import named
+
+# Of the provenance, what a summary repeats.
+_TOLD = ("estimator", "solver", "regularization", "certificate", "pattern_digest", "scene")
 
 
 @dataclass(frozen=True, eq=False)
 class LightTransport:
     """T = S + B m: a sparse part and a low-resolution background, in camera full scale.
 
-    ``T p = S p + B m(p)`` where m(p) are the means of the pattern p over the blocks of a coarse
+    ``T p = S p + B m(p)`` where m(p) are the means of the pattern p over the cells of a coarse
     grid (DESIGN: 1 x 1 is one value per camera sample times the mean of the pattern).
 
     Parameters
@@ -27,7 +32,7 @@ class LightTransport:
     sparse : (M, N) csr_array float32
         Sparse part S: camera full scale at exposure 1 per unit of projector pixel.
     background : (M, B) float32
-        Background B per camera sample, for the B blocks of ``background_grid``.
+        Background B per camera sample, for the B cells of ``background_grid``.
     camera_shape : (rows, cols) or (rows, cols, channels)
         M = product; camera samples in the order (row, col, channel).
     projector_shape : (rows, cols)
@@ -43,6 +48,17 @@ class LightTransport:
     ------
     InputError
         On shapes that do not match.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> transport = lm.truth("metal").transport()
+    >>> stripes = np.zeros(transport.projector_shape)
+    >>> stripes[:, ::8] = 1
+    >>> transport.relight(stripes).shape, transport.dual(np.ones((64, 64))).shape
+    ((64, 64), (64, 64))
+    >>> transport.row(20, 30).shape, transport.column(10, 10).shape
+    ((64, 64), (64, 64))
     """
 
     sparse: csr_array
@@ -53,6 +69,19 @@ class LightTransport:
     diagnostics: Mapping[str, NDArray[Any]] = field(default_factory=dict)
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
+    def __repr__(self) -> str:
+        camera, projector = (
+            " x ".join(map(str, shape)) for shape in (self.camera_shape, self.projector_shape)
+        )
+        made = self.provenance.get("estimator") or self.provenance.get("scene")
+        by = f", {made}" if made else ""
+        return (
+            f"LightTransport(camera {camera}, projector {projector}, {self.sparse.nnz} entries{by})"
+        )
+
+    def _repr_html_(self) -> str:
+        return html_table("Light transport matrix", named(self.summary()))
+
     def __post_init__(self) -> None:
         expected = (int(np.prod(self.camera_shape)), int(np.prod(self.projector_shape)))
         if self.sparse.shape != expected:
@@ -62,11 +91,11 @@ class LightTransport:
                 hint=f"its shape must be {expected}",
             )
         check_grid(self.projector_shape, self.background_grid)
-        blocks = self.background_grid[0] * self.background_grid[1]
-        if self.background.shape != (expected[0], blocks):
+        cells = self.background_grid[0] * self.background_grid[1]
+        if self.background.shape != (expected[0], cells):
             raise InputError(
                 f"a background of {self.background.shape}",
-                hint=f"its shape must be ({expected[0]}, {blocks})",
+                hint=f"its shape must be ({expected[0]}, {cells})",
             )
         for name, values in self.diagnostics.items():
             if values.shape != (expected[0],):
@@ -99,8 +128,8 @@ class LightTransport:
 
     @cached_property
     def pooling(self) -> csr_array:
-        """The operator m: mean over each block of the background grid, (B, N)."""
-        return block_means(self.projector_shape, self.background_grid)
+        """The operator m: mean over each cell of the background grid, (B, N)."""
+        return cell_means(self.projector_shape, self.background_grid)
 
     def relight(self, patterns: NDArray[Any]) -> NDArray[np.float32]:
         """Camera images under patterns: c = T p, linear, not clipped.
@@ -108,7 +137,7 @@ class LightTransport:
         Parameters
         ----------
         patterns : (rows, cols) or (K, rows, cols)
-            Projector patterns in [0, 1].
+            Projector patterns in [0, 1]; whole numbers can only be 0 and 1.
 
         Returns
         -------
@@ -118,9 +147,10 @@ class LightTransport:
         Raises
         ------
         InputError
-            If the patterns do not have the projector's shape.
+            If the patterns do not have the projector's shape, or values outside [0, 1], such as
+            the raw levels of an image.
         """
-        stack = np.asarray(patterns, np.float32)
+        stack = _light(patterns)
         if stack.shape[-2:] != self.projector_shape or stack.ndim not in (2, 3):
             raise InputError(
                 f"a pattern of shape {stack.shape} for a projector of "
@@ -186,6 +216,49 @@ class LightTransport:
         pooled = self.pooling[:, index].toarray()
         return np.asarray(self.sparse[:, index].toarray() + self.background @ pooled, np.float32)
 
+    def summary(self) -> dict[str, Any]:
+        """Shapes, sparsity, clipping, convergence and gaps, as names and values; JSON-ready.
+
+        Returns
+        -------
+        dict
+            What `lightmatrix info --json` prints, provenance apart.
+        """
+        entries = np.diff(self.sparse.indptr)
+        result: dict[str, Any] = {
+            "camera": " x ".join(map(str, self.camera_shape)),
+            "projector": " x ".join(map(str, self.projector_shape)),
+            "entries": int(entries.sum()),
+            "entries_per_row": float(entries.mean()),
+            "background_grid": " x ".join(map(str, self.background_grid)),
+            "background_share": self.background_share,
+        }
+        diagnostics = self.diagnostics
+        if "clipped_share" in diagnostics:
+            shares = diagnostics["clipped_share"]
+            result["clipped_samples"] = float(np.mean(shares))
+            result["rows_half_clipped"] = float(np.mean(shares > 0.5))
+        if "iterations" in diagnostics:
+            result["iterations_median"] = float(np.median(diagnostics["iterations"]))
+        if "converged" in diagnostics:
+            result["converged_rows"] = float(np.mean(diagnostics["converged"]))
+        if "gap" in diagnostics and np.isfinite(diagnostics["gap"]).any():
+            result["gap_median"] = float(np.nanmedian(diagnostics["gap"]))
+            result["gap_max"] = float(np.nanmax(diagnostics["gap"]))
+        result |= {name: self.provenance[name] for name in _TOLD if name in self.provenance}
+        parameters = self.provenance.get("solver_parameters")
+        if isinstance(parameters, Mapping) and "fidelity" in parameters:
+            result["fidelity"] = parameters["fidelity"]
+        return result
+
+    @property
+    def background_share(self) -> float:
+        """Share of the white image's light that the background holds."""
+        # Under white the mean of every block is 1.
+        diffuse = float(self.background.sum(dtype=np.float64))
+        total = diffuse + float(self.sparse.sum())
+        return diffuse / total if total else 0.0
+
     def to_matrix(self, *, dense_background: bool = False) -> csr_array:
         """T as one sparse matrix.
 
@@ -200,22 +273,38 @@ class LightTransport:
         return csr_array(self.sparse + csr_array(self.background) @ self.pooling)
 
 
-def block_means(projector_shape: tuple[int, int], grid: tuple[int, int]) -> csr_array:
-    """The operator m: means of a pattern over the blocks of a coarse grid, (B, N) float32.
+def _light(patterns: NDArray[Any]) -> NDArray[np.float32]:
+    """Patterns as light, float32 in [0, 1]."""
+    given = np.asarray(patterns)
+    if given.dtype.kind not in "bfiu":
+        raise InputError(f"a pattern of {given.dtype} values", hint="give values in [0, 1]")
+    # Written so that NaN is refused too.
+    if given.size and not (given.min() >= 0 and given.max() <= 1):
+        raw = given.dtype.kind in "iu"
+        raise InputError(
+            f"a pattern with values from {given.min():g} to {given.max():g}",
+            hint="light is in [0, 1]"
+            + (": divide raw levels by their largest one, such as 255" if raw else ""),
+        )
+    return np.asarray(given, np.float32)
+
+
+def cell_means(projector_shape: tuple[int, int], grid: tuple[int, int]) -> csr_array:
+    """The operator m: means of a pattern over the cells of a coarse grid, (B, N) float32.
 
     Parameters
     ----------
     projector_shape : (rows, cols)
         N = rows * cols.
     grid : (rows, cols)
-        B = rows * cols blocks, as equal as whole pixels allow.
+        B = rows * cols cells, as equal as whole pixels allow.
 
     Raises
     ------
     InputError
         If the grid has more rows or columns than the projector, or none.
     """
-    block = grid_cells(projector_shape, grid)
-    sizes = np.bincount(block, minlength=grid[0] * grid[1])
-    entries = ((1 / sizes[block]).astype(np.float32), (block, np.arange(len(block))))
-    return csr_array(entries, shape=(grid[0] * grid[1], len(block)))
+    cell = grid_cells(projector_shape, grid)
+    sizes = np.bincount(cell, minlength=grid[0] * grid[1])
+    entries = ((1 / sizes[cell]).astype(np.float32), (cell, np.arange(len(cell))))
+    return csr_array(entries, shape=(grid[0] * grid[1], len(cell)))

@@ -14,7 +14,7 @@ from lightmatrix.transport.matrix import LightTransport
 
 # A single response counts as not clipping up to this share of the clip level.
 UNCLIPPED_RESPONSE = 0.98
-_BLOCK_BYTES = 64 << 20
+_CHUNK_BYTES = 64 << 20
 
 
 def relative_error(
@@ -164,7 +164,7 @@ def diffuse_rows(matrix: csr_array, projector_shape: tuple[int, int]) -> NDArray
     """
     rows, cols = projector_shape
     result = np.zeros(matrix.shape[0], bool)
-    size = max(1, _BLOCK_BYTES // (4 * rows * cols))
+    size = max(1, _CHUNK_BYTES // (4 * rows * cols))
     for start in range(0, matrix.shape[0], size):
         images = matrix[start : start + size].toarray().reshape(-1, rows, cols)
         summed = np.pad(images, ((0, 0), (1, 1), (1, 1)))

@@ -5,7 +5,7 @@
 //! may be negative). The residual theta, moved onto the last constraint along m and scaled onto the
 //! first ones, is a feasible point.
 
-use super::Settings;
+use crate::problem::Settings;
 use crate::simd::Level;
 use crate::vector::{dot, weighted_square, DataTerm};
 

@@ -3,8 +3,10 @@
 use super::exact::Exact;
 use super::factor::subtract_rows;
 use super::model::Model;
-use super::packed::{Packed, WIDTH};
-use super::{Dictionary, Settings};
+use super::packed::Packed;
+use super::progress::Progress;
+use crate::octet::WIDTH;
+use crate::problem::{Dictionary, Settings};
 use crate::simd::{multiversion, Level};
 use crate::vector::add_scaled;
 
@@ -18,16 +20,6 @@ const SWEEPS: usize = 12;
 const EXACT_ACCURACY: f64 = 0.01;
 /// Coordinate descent has settled when no coordinate's slope changes by this share of the accuracy.
 const SETTLED_SHARE: f64 = 0.3;
-
-/// Where coordinate descent has come to.
-#[derive(Default)]
-pub struct Progress {
-    pub target: Vec<f64>,
-    /// Minus the slope of the model at `target`, without lambda; padded.
-    pub slope: Vec<f64>,
-    /// Pixels that take part.
-    pub order: Vec<u32>,
-}
 
 pub struct Descent {
     pub progress: Progress,

@@ -1,9 +1,9 @@
 //! The exact minimum of the quadratic model, by letting pixels enter and leave the support.
 
-use super::descent::Progress;
 use super::factor::{subtract_rows, Factor, LARGEST};
 use super::model::Model;
-use super::{Dictionary, Settings};
+use super::progress::Progress;
+use crate::problem::{Dictionary, Settings};
 use crate::simd::Level;
 
 /// Exact solutions on one support after another.

@@ -1,11 +1,9 @@
 //! Inner products among the columns of a working set, by counting common bits.
 
 use crate::columns::Columns;
+use crate::octet::WIDTH;
 use crate::simd::{multiversion, Kind, Level};
 use crate::vector::add_scaled;
-
-/// Columns of a working set that are counted side by side.
-pub const WIDTH: usize = 8;
 
 /// Inner products among the columns of a working set.
 ///

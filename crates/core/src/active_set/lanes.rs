@@ -2,8 +2,8 @@
 
 use super::restricted::Restricted;
 use super::row::{Next, RowSolver};
-use super::{Dictionary, Rows, Settings, Solution};
 use crate::correlate::{Scores, Scratch, BATCH};
+use crate::problem::{Dictionary, Rows, Settings, Solution};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
 /// Rows in work at a time: batches are full until the rows run out.

@@ -4,8 +4,9 @@
 //! the background eliminated ('centred'). Rows are made when they are first asked for: most never
 //! are.
 
-use super::gram::{GramSource, WIDTH};
-use super::Dictionary;
+use super::gram::GramSource;
+use crate::octet::WIDTH;
+use crate::problem::Dictionary;
 use crate::simd::Level;
 use crate::vector::{dot, DataTerm};
 

@@ -1,6 +1,7 @@
 //! A point of the restricted problem: pixels that may differ from zero, and what they predict.
 
-use super::{search, Dictionary, Settings};
+use super::search;
+use crate::problem::{Dictionary, Settings};
 use crate::vector::{add_scaled, DataTerm};
 
 /// A point: pixels that may differ from zero, their x, b, and the prediction u.

@@ -1,8 +1,8 @@
 //! Which pixels violate their condition most: scores of all, then exact correlations of the few
 //! that may.
 
-use super::{Dictionary, Settings};
 use crate::correlate::Scores;
+use crate::problem::{Dictionary, Settings};
 
 /// Pixels whose correlation lies this share below lambda may soon exceed it: they come along.
 const LOOK_AHEAD: f64 = 0.02;

@@ -7,7 +7,8 @@
 use super::descent::Descent;
 use super::model::Model;
 use super::point::Point;
-use super::{search, Dictionary, Settings};
+use super::search;
+use crate::problem::{Dictionary, Settings};
 use crate::simd::Level;
 use crate::vector::{add_scaled, curvature, dot, residual, DataTerm};
 

@@ -4,8 +4,8 @@ use super::certificate::{dual_value, orthogonal_to_means};
 use super::point::Point;
 use super::pricing::Pricing;
 use super::restricted::Restricted;
-use super::{Dictionary, Fidelity, Rows, Settings, Solution, Values};
 use crate::correlate::Scores;
+use crate::problem::{Dictionary, Fidelity, Rows, Settings, Solution, Values};
 use crate::vector::{padded, residual, signed_sums, DataTerm};
 
 /// New pixels taken in after the first pass,
@@ -112,11 +112,8 @@ impl<'a> RowSolver<'a> {
         self.finest = FINEST_SHARE * self.settings.tolerance;
         self.point.clear();
         if let Some(start) = rows.start {
-            let range = start.indptr[row] as usize..start.indptr[row + 1] as usize;
-            for (&pixel, &x) in start.indices[range.clone()]
-                .iter()
-                .zip(&start.values[range])
-            {
+            let (pixels, values) = start.rows.row(row);
+            for (&pixel, &x) in pixels.iter().zip(values) {
                 self.point.push(pixel as u32, x);
             }
             self.point.background = start.background[row];

@@ -2,7 +2,10 @@
 
 use super::*;
 use crate::bits::Bits;
-use crate::columns::BitColumns;
+use crate::columns::{BitColumns, Columns};
+use crate::correlate::Correlator;
+use crate::problem::{Fidelity, Values};
+use crate::simd::Level;
 
 fn dictionary(level: Level, packed: &[u8], patterns: usize, pixels: usize) -> Dictionary {
     let bits = Bits::new(packed, patterns, pixels);

@@ -4,8 +4,8 @@
 //! it explains the samples that are known says how much it counts; how far the guesses lie apart
 //! says how little is known.
 
-use super::likely::{around, Sparse};
-use crate::active_set::{Dictionary, Rows};
+use super::likely::around;
+use crate::problem::{Dictionary, Rows, Sparse};
 use crate::vector::padded;
 use rayon::prelude::*;
 use std::ops::Range;
@@ -23,7 +23,7 @@ const PRECISION: f64 = 0.01;
 #[derive(Clone, Copy)]
 pub struct Neighbours<'a> {
     /// All rows.
-    pub matrix: Sparse<'a>,
+    pub matrix: Sparse<'a, f32>,
     /// Rows, columns and channels of the camera.
     pub camera: [usize; 3],
     /// Rows and columns of the projector.
@@ -143,8 +143,8 @@ impl Guesses {
                 let down = other_r as f32 - r as f32;
                 let right = other_c as f32 - c as f32;
                 let moved = [
-                    (movement[0] * down + movement[1] * right).round() as isize,
-                    (movement[2] * down + movement[3] * right).round() as isize,
+                    (movement[0] * down + movement[1] * right).round() as i32 as isize,
+                    (movement[2] * down + movement[3] * right).round() as i32 as isize,
                 ];
                 let other = (other_r * camera_cols + other_c) * channels + channel;
                 if self.ask(shown, unseen, neighbours, other, moved) {
@@ -173,7 +173,8 @@ impl Guesses {
         }
         let [rows, cols] = neighbours.projector.map(|n| n as isize);
         let mut any = false;
-        for (pixel, value) in neighbours.matrix.row(other) {
+        let (pixels, values) = neighbours.matrix.row(other);
+        for (&pixel, &value) in pixels.iter().zip(values) {
             let r = pixel as isize / cols - moved[0];
             let c = pixel as isize % cols - moved[1];
             if value > 0.0 && (0..rows).contains(&r) && (0..cols).contains(&c) {

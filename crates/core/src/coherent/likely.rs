@@ -1,26 +1,11 @@
 //! Which projector pixels a camera pixel probably sees, from what its neighbours see.
 
+use crate::problem::Sparse;
 use rayon::prelude::*;
 use std::ops::Range;
 
 /// Rows that one thread takes on at a time.
 const TASK: usize = 64;
-
-/// Rows of a sparse matrix over projector pixels.
-#[derive(Clone, Copy)]
-pub struct Sparse<'a> {
-    pub indptr: &'a [i64],
-    pub indices: &'a [i32],
-    pub values: &'a [f32],
-}
-
-impl Sparse<'_> {
-    pub(super) fn row(&self, row: usize) -> impl Iterator<Item = (i32, f32)> + Clone + '_ {
-        let range = self.indptr[row] as usize..self.indptr[row + 1] as usize;
-        let indices = self.indices[range.clone()].iter().copied();
-        indices.zip(self.values[range].iter().copied())
-    }
-}
 
 /// The grids that rows and columns of the matrix lie on, and the windows.
 #[derive(Clone, Copy)]
@@ -39,7 +24,11 @@ pub struct Windows {
 /// For each row of `range` the strongest pixels, ascending, of the sum of its neighbours' rows
 /// (itself among them), each over its own maximum and blurred by the projector window; and the
 /// sums, relative to the strongest.
-pub fn likely(matrix: Sparse, windows: Windows, range: Range<usize>) -> Vec<(Vec<i32>, Vec<f32>)> {
+pub fn likely(
+    matrix: Sparse<f32>,
+    windows: Windows,
+    range: Range<usize>,
+) -> Vec<(Vec<i32>, Vec<f32>)> {
     let pixels = windows.projector[0] * windows.projector[1];
     range
         .into_par_iter()
@@ -64,16 +53,18 @@ struct Sums {
 }
 
 impl Sums {
-    fn add_neighbours(&mut self, matrix: Sparse, windows: Windows, row: usize) {
+    fn add_neighbours(&mut self, matrix: Sparse<f32>, windows: Windows, row: usize) {
         let [camera_rows, camera_cols, channels] = windows.camera;
         let (pixel, channel) = (row / channels, row % channels);
         let (r, c) = (pixel / camera_cols, pixel % camera_cols);
         for r in around(r, windows.camera_reach, camera_rows) {
             for c in around(c, windows.camera_reach, camera_cols) {
-                let neighbour = matrix.row((r * camera_cols + c) * channels + channel);
-                let most = neighbour.clone().fold(0f32, |most, (_, v)| most.max(v));
-                for (pixel, value) in neighbour.filter(|&(_, v)| v > 0.0) {
-                    self.add_blurred(windows, pixel as usize, value / most);
+                let (pixels, values) = matrix.row((r * camera_cols + c) * channels + channel);
+                let most = values.iter().fold(0f32, |most, &v| most.max(v));
+                for (&pixel, &value) in pixels.iter().zip(values) {
+                    if value > 0.0 {
+                        self.add_blurred(windows, pixel as usize, value / most);
+                    }
                 }
             }
         }
@@ -117,5 +108,5 @@ impl Sums {
 
 /// Places within `reach` of a place, on a line of `length`.
 pub(super) fn around(place: usize, reach: usize, length: usize) -> Range<usize> {
-    place.saturating_sub(reach)..(place + reach + 1).min(length)
+    place.saturating_sub(reach)..place.saturating_add(reach).saturating_add(1).min(length)
 }

@@ -7,8 +7,8 @@ mod likely;
 mod weighted;
 
 pub use expected::{expected, Expected, Neighbours};
-pub use likely::{likely, Sparse, Windows};
-pub use weighted::{solve, Candidates, Expectation, Further, Knowledge, Weighted};
+pub use likely::{likely, Windows};
+pub use weighted::{solve, Expectation, Further, Knowledge, Weighted};
 
 #[cfg(test)]
 mod tests;

@@ -1,8 +1,8 @@
 use super::*;
-use crate::active_set::{Dictionary, Fidelity, Rows, Settings, Start, Values};
 use crate::bits::Bits;
 use crate::columns::{BitColumns, Columns};
 use crate::correlate::Correlator;
+use crate::problem::{Dictionary, Fidelity, Rows, Settings, Sparse, Start, Values};
 use crate::simd::Level;
 use crate::vector::padded;
 use std::sync::atomic::{AtomicBool, AtomicUsize};
@@ -95,10 +95,10 @@ fn every_pixel_meets_the_optimality_condition_of_its_own_penalty() {
                 start,
             };
             let knowledge = Knowledge {
-                candidates: Candidates {
+                candidates: Sparse {
                     indptr: &[0, pixels.len() as i64],
-                    pixels: &pixels,
-                    penalties: &penalties,
+                    indices: &pixels,
+                    values: &penalties,
                 },
                 further: Further {
                     columns: &further,
@@ -142,9 +142,11 @@ fn every_pixel_meets_the_optimality_condition_of_its_own_penalty() {
         let further_start: Vec<f32> = found.further.iter().map(|&g| g as f32).collect();
         let again = solve_from(
             Some(Start {
-                indptr: &[0, indices.len() as i64],
-                indices: &indices,
-                values: &found.row.x,
+                rows: Sparse {
+                    indptr: &[0, indices.len() as i64],
+                    indices: &indices,
+                    values: &found.row.x,
+                },
                 background: &[0.0],
             }),
             Some(&further_start),

@@ -4,25 +4,16 @@
 //! active-set solver works on a dictionary of the row's own columns, and its certificate covers
 //! the weighted problem on these columns.
 
-use crate::active_set::{solve_row, Dictionary, Rows, Settings, Solution, Start, Values};
+use crate::active_set::solve_row;
 use crate::columns::{Columns, DenseColumns};
 use crate::correlate::Correlator;
+use crate::problem::{Dictionary, Rows, Settings, Solution, Sparse, Start, Values};
 use crate::vector::padded;
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
 /// Rows that one thread takes on at a time.
 const TASK: usize = 16;
-
-/// Pixels that each row may use, as the parts of a CSR matrix.
-#[derive(Clone, Copy)]
-pub struct Candidates<'a> {
-    pub indptr: &'a [i64],
-    /// Ascending within a row.
-    pub pixels: &'a [i32],
-    /// Penalties relative to lambda, > 0.
-    pub penalties: &'a [f32],
-}
 
 /// Columns that every row may use beside its pixels, such as the means of blocks of pixels.
 #[derive(Clone, Copy)]
@@ -50,7 +41,8 @@ pub struct Expectation<'a> {
 /// What is known of the rows before they are solved.
 #[derive(Clone, Copy)]
 pub struct Knowledge<'a> {
-    pub candidates: Candidates<'a>,
+    /// Pixels that each row may use, ascending, and their penalties relative to lambda, > 0.
+    pub candidates: Sparse<'a, f32>,
     pub further: Further<'a>,
     pub expected: Option<Expectation<'a>>,
     /// What a row's background gives under all patterns, (rows, patterns shown and unseen), in
@@ -88,7 +80,7 @@ pub fn solve(
     let shared = further.penalties.len();
     let patterns = dictionary.patterns + expected.map_or(0, |e| e.unseen.patterns);
     assert_eq!(candidates.indptr.len(), rows.count + 1);
-    assert_eq!(candidates.pixels.len(), candidates.penalties.len());
+    assert_eq!(candidates.indices.len(), candidates.values.len());
     assert_eq!(further.columns.len(), shared * patterns);
     if let Some(start) = further.start {
         assert_eq!(start.len(), rows.count * shared);
@@ -150,10 +142,9 @@ impl Work {
             expected,
             background,
         } = knowledge;
-        let range = candidates.indptr[row] as usize..candidates.indptr[row + 1] as usize;
-        let pixels = &candidates.pixels[range.clone()];
+        let (pixels, penalties) = candidates.row(row);
         self.penalties.clear();
-        self.penalties.extend(&candidates.penalties[range]);
+        self.penalties.extend(penalties);
         self.penalties.extend(further.penalties);
         // The smallest penalty becomes 1, so that no column exceeds 1.
         let least = self.penalties.iter().copied().fold(f32::INFINITY, f32::min);
@@ -187,9 +178,11 @@ impl Work {
             pixels: pixels.len() + shared,
         };
         let start = start.then_some(Start {
-            indptr: &indptr,
-            indices: &self.places,
-            values: &self.start,
+            rows: Sparse {
+                indptr: &indptr,
+                indices: &self.places,
+                values: &self.start,
+            },
             background: &background,
         });
         let settings = Settings {
@@ -309,11 +302,8 @@ impl Work {
         self.places.clear();
         self.start.clear();
         if let Some(start) = start {
-            let range = start.indptr[row] as usize..start.indptr[row + 1] as usize;
-            for (pixel, value) in start.indices[range.clone()]
-                .iter()
-                .zip(&start.values[range])
-            {
+            let (pixels_then, values) = start.rows.row(row);
+            for (pixel, value) in pixels_then.iter().zip(values) {
                 if let Ok(place) = pixels.binary_search(pixel) {
                     self.places.push(place as i32);
                     self.start

@@ -1,8 +1,8 @@
 //! The look-up pass with AVX2: tables of four patterns, 16 sums as low and high bytes, byte shuffles.
 
-use super::lookup::subset_sums;
-use super::Scores;
+use super::scores::Scores;
 use crate::simd::{Kind, Level};
+use crate::subsets::subset_sums;
 use std::arch::x86_64::*;
 
 /// Pixels whose sums stay in the first-level cache while all patterns pass.
@@ -12,14 +12,7 @@ const TABLE: usize = 64;
 
 /// # Panics
 /// If the level has no AVX2 or the lengths do not fit.
-pub fn run(
-    level: Level,
-    codes: &[u8],
-    length: usize,
-    rows: &[Vec<i16>],
-    tables: &mut Vec<i16>,
-    out: &mut [&mut Scores],
-) {
+pub fn run(level: Level, codes: &[u8], length: usize, rows: &[Vec<i16>], out: &mut [&mut Scores]) {
     assert_eq!(level.kind(), Kind::Avx2);
     assert!(length.is_multiple_of(32));
     let planes = codes.len() / length.max(1);
@@ -29,9 +22,10 @@ pub fn run(
         split.clear();
         for step in 0..2 * planes {
             let values = row.get(4 * step..).unwrap_or(&[]);
-            subset_sums(&values[..values.len().min(4)], 4, tables);
-            split.extend(tables.iter().map(|sum| sum.to_le_bytes()[0]));
-            split.extend(tables.iter().map(|sum| sum.to_le_bytes()[1]));
+            let mut sums = [0i16; 16];
+            subset_sums(&values[..values.len().min(4)], &mut sums);
+            split.extend(sums.map(|sum| sum.to_le_bytes()[0]));
+            split.extend(sums.map(|sum| sum.to_le_bytes()[1]));
         }
         // SAFETY: the level proves the instructions; the asserts above are the contract.
         unsafe { pass(codes, length, &split, &mut out.values) };

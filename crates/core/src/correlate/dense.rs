@@ -1,6 +1,6 @@
 //! Patterns of any values: float32 products, then scores.
 
-use super::Scores;
+use super::scores::Scores;
 use crate::columns::{Columns, DenseColumns};
 use crate::simd::{multiversion, Level};
 use crate::vector::padded;

@@ -4,11 +4,12 @@
 //! AVX-512 keeps tables of six values in registers (a permute of 64 16-bit entries), AVX2 tables of
 //! four (byte shuffles), and the portable twin tables of eight in memory.
 
+use super::scores::{Scores, BATCH, GROUP};
 #[cfg(target_arch = "x86_64")]
 use super::{avx2, avx512};
-use super::{Scores, BATCH, GROUP};
 use crate::bits::{column_codes, Bits};
 use crate::simd::{Kind, Level};
+use crate::subsets::subset_sums;
 
 pub struct Lookup {
     pixels: usize,
@@ -56,11 +57,11 @@ impl Lookup {
             Codes::Words(codes) => avx512::run(level, codes, self.length, rows, tables, out),
             #[cfg(target_arch = "x86_64")]
             Codes::Bytes(codes) if level.kind() == Kind::Avx2 => {
-                avx2::run(level, codes, self.length, rows, tables, out);
+                avx2::run(level, codes, self.length, rows, out);
             }
             Codes::Bytes(codes) => {
                 for (row, out) in rows.iter().zip(out.iter_mut()) {
-                    portable(codes, self.length, row, tables, &mut out.values);
+                    portable(codes, self.length, row, &mut out.values);
                 }
             }
         }
@@ -72,25 +73,13 @@ impl Lookup {
 }
 
 /// The plain twin: for each group of eight patterns, one table look-up a pixel.
-fn portable(codes: &[u8], length: usize, row: &[i16], table: &mut Vec<i16>, out: &mut [i16]) {
+fn portable(codes: &[u8], length: usize, row: &[i16], out: &mut [i16]) {
+    let mut table = [0i16; 256];
     out.fill(0);
     for (values, codes) in row.chunks(8).zip(codes.chunks_exact(length)) {
-        subset_sums(values, 8, table);
-        let table: &[i16; 256] = table[..].try_into().expect("eight bits");
+        subset_sums(values, &mut table);
         for (out, code) in out.iter_mut().zip(codes) {
             *out = out.wrapping_add(table[usize::from(*code)]);
-        }
-    }
-}
-
-/// Sums over all subsets of `values`, missing ones being 0: entry i sums the values of i's bits.
-pub fn subset_sums(values: &[i16], bits: usize, table: &mut Vec<i16>) {
-    table.clear();
-    table.push(0);
-    for bit in 0..bits {
-        let value = values.get(bit).copied().unwrap_or(0);
-        for low in 0..table.len() {
-            table.push(table[low].wrapping_add(value));
         }
     }
 }

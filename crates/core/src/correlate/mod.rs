@@ -12,6 +12,7 @@ mod avx512;
 mod dense;
 mod lookup;
 mod quantise;
+mod scores;
 mod select;
 mod transform;
 
@@ -21,23 +22,9 @@ use crate::simd::Level;
 use dense::Dense;
 use lookup::Lookup;
 use quantise::{quantise, Sums};
+use scores::GROUP;
+pub use scores::{Scores, BATCH};
 use transform::Transform;
-
-/// Rows that share one pass over the patterns.
-pub const BATCH: usize = 3;
-
-/// A row has a multiple of so many scores; some stand for no pixel.
-const GROUP: usize = 64;
-
-/// Scores of one row: a_j . e lies in `unit * (score + offset - down ..= score + offset + up)`.
-#[derive(Clone, Default)]
-pub struct Scores {
-    pub values: Vec<i16>,
-    pub unit: f64,
-    pub offset: f64,
-    pub up: f64,
-    pub down: f64,
-}
 
 /// One way of computing scores, chosen by what the patterns are.
 pub struct Correlator {

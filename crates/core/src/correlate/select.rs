@@ -1,6 +1,6 @@
 //! Finding the places whose correlations may exceed a value.
 
-use super::{Scores, GROUP};
+use super::scores::{Scores, GROUP};
 use crate::simd::{multiversion, Kind, Level};
 
 /// Halvings of the range of values when a threshold is sought; more would tell ties apart.

@@ -1,6 +1,6 @@
 //! Hadamard patterns: a fast Walsh-Hadamard transform in 16 bits.
 
-use super::GROUP;
+use super::scores::GROUP;
 use crate::simd::{multiversion, Kind, Level};
 
 pub struct Transform {

@@ -3,7 +3,7 @@
 A row's sparse part holds the pixels that it sees well. What remains is spread widely, but not
 evenly: light that came by way of another surface falls off with the square of the distance. So
 the unpenalised coefficient of a row's background stands for a halo around its sparse part, and
-coarse blocks of projector pixels, penalised, for what differs from that.
+coarse cells of projector pixels, penalised, for what differs from that.
 """
 
 from __future__ import annotations
@@ -18,25 +18,25 @@ from scipy.signal import fftconvolve
 from scipy.sparse import csr_array
 
 from lightmatrix.patterns.pattern_set import PatternSet
-from lightmatrix.solvers.weighted import Blocks
-from lightmatrix.transport.matrix import block_means
+from lightmatrix.solvers.weighted import Cells
+from lightmatrix.transport.matrix import cell_means
 
-# Of the clip level, over the side of a block: the penalty of a block's coefficient.
-BLOCK_PENALTY = 0.05
-# Halos are computed on so many cells along the projector's longer side; the light at a distance of
-# d cells is 1 / (d^2 + CORE^2).
-CELLS = 128
+# Of the clip level, over the side of a cell: the penalty of a cell's coefficient.
+CELL_PENALTY = 0.05
+# Halos are computed on so many squares along the projector's longer side; the light at a distance
+# of d squares is 1 / (d^2 + CORE^2).
+SQUARES = 128
 CORE = 2.0
 
 
 @dataclass(frozen=True)
 class Backgrounds:
-    """Blocks of projector pixels, their light under all patterns, and halos on them.
+    """Coarse cells of projector pixels, their light under all patterns, and halos on them.
 
     Parameters
     ----------
     grid : (int, int)
-        Rows and columns of the B blocks, no more than there are projector pixels.
+        Rows and columns of the B cells, no more than there are projector pixels.
     shown, unseen : PatternSet
         K and E patterns.
     """
@@ -46,14 +46,14 @@ class Backgrounds:
     unseen: PatternSet
 
     def spread(self, rows: csr_array) -> NDArray[np.float32]:
-        """How the background of sparse rows (m, N) is spread over the blocks, (m, B).
+        """How the background of sparse rows (m, N) is spread over the cells, (m, B).
 
         Shares that sum to 1: of the halo, and of the pixels where a row is empty.
         """
-        cells = csr_array(
-            (rows.data, self._cell[rows.indices], rows.indptr), self._cells_shape(rows)
+        squares = csr_array(
+            (rows.data, self._square[rows.indices], rows.indptr), self._squares_shape(rows)
         )
-        shares = np.asarray(cells @ self._halos)
+        shares = np.asarray(squares @ self._halos)
         total = shares.sum(axis=1, keepdims=True)
         even = (self._sizes / self._sizes.sum()).astype(np.float32)
         return np.where(total > 0, shares / np.where(total > 0, total, 1), even)
@@ -63,8 +63,8 @@ class Backgrounds:
         # As a sparse product it is the same for a row by itself as among others; BLAS's is not.
         return np.clip(csr_array(shares) @ self._means, 0, 1)
 
-    def blocks(self, cost: float, *, unseen: bool) -> Blocks:
-        """The blocks as columns, with the unseen patterns or without.
+    def cells(self, cost: float, *, unseen: bool) -> Cells:
+        """The cells as columns, with the unseen patterns or without.
 
         Parameters
         ----------
@@ -72,14 +72,14 @@ class Backgrounds:
             The clip level over the regularization: what a penalty is relative to.
         """
         if self.grid == (1, 1):
-            return Blocks.none(self.shown, self.unseen if unseen else None)
-        penalties = BLOCK_PENALTY * cost / np.sqrt(self._sizes)
+            return Cells.none(self.shown, self.unseen if unseen else None)
+        penalties = CELL_PENALTY * cost / np.sqrt(self._sizes)
         count = None if unseen else self.shown.count
-        return Blocks(np.ascontiguousarray(self._means[:, :count]), penalties.astype(np.float32))
+        return Cells(np.ascontiguousarray(self._means[:, :count]), penalties.astype(np.float32))
 
     @cached_property
     def _pooling(self) -> csr_array:
-        return block_means(self.shown.shape, self.grid)
+        return cell_means(self.shown.shape, self.grid)
 
     @cached_property
     def _sizes(self) -> NDArray[np.float64]:
@@ -87,51 +87,51 @@ class Backgrounds:
 
     @cached_property
     def _means(self) -> NDArray[np.float32]:
-        """Mean of each pattern over each block, (B, K + E) in [0, 1]."""
+        """Mean of each pattern over each cell, (B, K + E) in [0, 1]."""
         parts = [
-            self._pooling @ block.T
+            self._pooling @ chunk.T
             for one in (self.shown, self.unseen)
-            for _, block in one.blocks()
+            for _, chunk in one.chunks()
         ]
         return np.clip(np.concatenate(parts, axis=1), 0, 1).astype(np.float32)
 
     @cached_property
     def _side(self) -> int:
-        """Side of a cell in pixels."""
-        return -(-max(self.shown.shape) // CELLS)
+        """Side of a square in pixels."""
+        return -(-max(self.shown.shape) // SQUARES)
 
     @cached_property
-    def _cells(self) -> tuple[int, int]:
-        """Rows and columns of cells."""
+    def _squares(self) -> tuple[int, int]:
+        """Rows and columns of squares."""
         rows, cols = self.shown.shape
         return -(-rows // self._side), -(-cols // self._side)
 
-    def _cells_shape(self, rows: csr_array) -> tuple[int, int]:
-        return rows.shape[0], self._cells[0] * self._cells[1]
+    def _squares_shape(self, rows: csr_array) -> tuple[int, int]:
+        return rows.shape[0], self._squares[0] * self._squares[1]
 
     @cached_property
-    def _cell(self) -> NDArray[np.int64]:
-        """The cell of each pixel, (N,)."""
+    def _square(self) -> NDArray[np.int64]:
+        """The square of each pixel, (N,)."""
         r, c = np.indices(self.shown.shape) // self._side
-        return (r * self._cells[1] + c).ravel()
+        return (r * self._squares[1] + c).ravel()
 
     @cached_property
     def _halos(self) -> NDArray[np.float32]:
-        """Light of each block in the halo of each cell, (cells, B)."""
-        rows, cols = self._cells
+        """Light of each cell in the halo of each square, (squares, B)."""
+        rows, cols = self._squares
         down, right = np.ogrid[1 - rows : rows, 1 - cols : cols]
         kernel = 1 / (down**2 + right**2 + CORE**2)
         result = np.empty((rows * cols, len(self._sizes)), np.float32)
-        for block, part in enumerate(self._blocks_on_cells()):
+        for cell, part in enumerate(self._cells_on_squares()):
             light = fftconvolve(part, kernel)[rows - 1 : 2 * rows - 1, cols - 1 : 2 * cols - 1]
-            result[:, block] = np.maximum(light, 0).ravel()
+            result[:, cell] = np.maximum(light, 0).ravel()
         return result
 
-    def _blocks_on_cells(self) -> NDArray[Any]:
-        """Pixels that each block has in each cell, (B, rows, columns)."""
-        blocks, cells = len(self._sizes), self._cells
-        block = np.repeat(np.arange(blocks), np.diff(self._pooling.indptr))
-        cell = self._cell[self._pooling.indices]
-        place = block * (cells[0] * cells[1]) + cell
-        counts = np.bincount(place, minlength=blocks * cells[0] * cells[1])
-        return counts.reshape(blocks, *cells)
+    def _cells_on_squares(self) -> NDArray[Any]:
+        """Pixels that each cell has in each square, (B, rows, columns)."""
+        cells, squares = len(self._sizes), self._squares
+        cell = np.repeat(np.arange(cells), np.diff(self._pooling.indptr))
+        square = self._square[self._pooling.indices]
+        place = cell * (squares[0] * squares[1]) + square
+        counts = np.bincount(place, minlength=cells * squares[0] * squares[1])
+        return counts.reshape(cells, *squares)

@@ -16,10 +16,11 @@ from typing import Any
 
 from lightmatrix.capture.capture import Capture
 from lightmatrix.errors import InputError
-from lightmatrix.estimators.coherent.rounds import Known, Rounds
+from lightmatrix.estimators.coherent.rounds import Rounds
 from lightmatrix.estimators.join import Progress, capture_provenance, joined, solver_provenance
 from lightmatrix.solvers.active_set import ActiveSet
-from lightmatrix.solvers.problem import Fidelity
+from lightmatrix.solvers.fidelity import Fidelity
+from lightmatrix.solvers.parameters import check_count
 from lightmatrix.transport.matrix import LightTransport
 
 # Half widths of the windows of each round, in camera and in projector pixels. The first rounds
@@ -41,7 +42,7 @@ class CoherentEstimator:
     on the projector is 3 x 3, rows have further samples, in place of clipped ones and under 64
     patterns that were never shown: what the neighbours' rows, moved along and scaled, would give
     there. They weigh the less, the less the neighbours agree. Each row has a background, a halo
-    around what was found of it; the last round also has coarse blocks of projector pixels, for
+    around what was found of it; the last round also has coarse cells of projector pixels, for
     faint light from elsewhere.
 
     Parameters
@@ -57,7 +58,7 @@ class CoherentEstimator:
     candidates : int
         Likeliest pixels kept of each row.
     background_grid : (int, int)
-        Rows and columns of the coarse blocks; (1, 1) keeps one coefficient a row.
+        Rows and columns of the coarse cells; (1, 1) keeps one coefficient a row.
     fidelity : Fidelity
         one-sided, rejection or linear.
     tolerance : float
@@ -73,6 +74,13 @@ class CoherentEstimator:
     ------
     InputError
         On parameters out of range.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> capture = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 8))
+    >>> lm.CoherentEstimator(windows=((1, 1),), candidates=20).estimate(capture).camera_shape
+    (64, 64)
     """
 
     regularization: float | None = None
@@ -80,23 +88,22 @@ class CoherentEstimator:
     windows: tuple[tuple[int, int], ...] = WINDOWS
     candidates: int = 250
     background_grid: tuple[int, int] = (8, 8)
-    fidelity: Fidelity = Fidelity.ONE_SIDED
+    fidelity: Fidelity | str = Fidelity.ONE_SIDED
     tolerance: float = 1e-3
     max_passes: int = 200
     threads: int | None = None
     tile_rows: int | None = None
 
     def __post_init__(self) -> None:
-        _ = self._solver  # Checks what it is given.
+        # The solver checks what it is given.
+        object.__setattr__(self, "fidelity", self._solver.fidelity)
         if not self.trust > 0:
             raise InputError(f"a trust of {self.trust}", hint="use a small number such as 0.01")
         if not self.windows or min(min(pair) for pair in self.windows) < 0:
             raise InputError(
                 f"windows of {self.windows}", hint="give half widths of one round or more"
             )
-        for name, value in (("candidates", self.candidates), ("tile_rows", self.tile_rows)):
-            if value is not None and value < 1:
-                raise InputError(f"{name} is {value}", hint="use at least 1")
+        check_count(candidates=self.candidates, tile_rows=self.tile_rows)
         if min(self.background_grid) < 1:
             raise InputError(
                 f"a background grid of {self.background_grid}", hint="use (1, 1) or more"
@@ -146,16 +153,14 @@ class CoherentEstimator:
             self.tile_rows,
             progress,
         )
-        found: list[Known] = []
         return joined(
             capture,
             rounds.ranges(),
-            lambda start, stop: rounds.last(found[0], start, stop),
+            rounds.begin,
             self.provenance(capture, rounds.regularization),
             checkpoint=checkpoint,
             overwrite=overwrite,
             background_grid=rounds.backgrounds.grid,
-            prepare=lambda running: found.append(rounds.known(rounds.before_last(running))),
         )
 
     def provenance(self, capture: Capture, regularization: float) -> dict[str, Any]:

@@ -9,7 +9,7 @@ never shown (`docs/few-patterns.md`).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -21,8 +21,8 @@ from lightmatrix import _core
 from lightmatrix.camera.samples import Samples
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.pattern_set import PatternSet
-from lightmatrix.solvers.active_set import prepared
 from lightmatrix.solvers.weighted import Expectation
+from lightmatrix.transport.sparse_rows import SparseRows
 
 # Half width of the window of neighbours that are asked.
 REACH = 2
@@ -58,14 +58,15 @@ class Neighbourhood:
 
     Parameters
     ----------
-    rows : (M, N) csr_array
+    rows : SparseRows
+        M rows, with one background coefficient each.
     camera : (int, int, int)
         Rows, columns and channels of the camera, M in all.
     projector : (int, int)
         Rows and columns of the projector, N in all.
     """
 
-    rows: csr_array
+    rows: SparseRows
     camera: tuple[int, int, int]
     projector: tuple[int, int]
 
@@ -73,7 +74,7 @@ class Neighbourhood:
         """Range of the rows that start..stop have around them."""
         _, cols, channels = self.camera
         reach = (REACH * cols + REACH) * channels
-        return max(0, start - reach), min(self.rows.shape[0], stop + reach)
+        return max(0, start - reach), min(self.rows.count, stop + reach)
 
     def expected(
         self,
@@ -102,27 +103,16 @@ class Neighbourhood:
         background : (n, K + E) float32
             What the backgrounds of the rows `around` give under all patterns.
         """
-        stop = start + len(samples.values)
         weights = samples.weights
         values, variances = _core.expected_samples(
-            prepared(shown),
-            prepared(unseen),
-            samples.values,
-            clipped,
-            None if weights is None else np.atleast_2d(weights).astype(np.float64),
-            (
-                self.rows.indptr.astype(np.int64, copy=False),
-                self.rows.indices.astype(np.int32, copy=False),
-                self.rows.data.astype(np.float32, copy=False),
-            ),
-            self.camera,
-            self.projector,
-            REACH,
-            self.movement[start:stop],
+            shown.prepared,
+            unseen.prepared,
+            replace(samples, clipped=clipped),
+            self,
             background,
-            self.around(start, stop)[0],
-            start,
-            level,
+            reach=REACH,
+            start=start,
+            level=level,
         )
         count = shown.count
         np.maximum(values[:, :count], samples.clip_level, out=values[:, :count], where=clipped)
@@ -145,7 +135,7 @@ class Neighbourhood:
         shape = self.camera
         window = (MOVEMENT_WINDOW, MOVEMENT_WINDOW, 1)
         result = np.empty((*shape, 4), np.float32)
-        for i, place in enumerate(np.divmod(_strongest(self.rows), self.projector[1])):
+        for i, place in enumerate(np.divmod(_strongest(self.rows.coefficients), self.projector[1])):
             fastest = FASTEST * max(1.0, self.projector[i] / shape[i])
             for axis in (0, 1):
                 slope = _slope(place.reshape(shape), axis)

@@ -2,32 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array, vstack
+from scipy.sparse import csr_array
 
 from lightmatrix import _core
 from lightmatrix.camera.samples import Samples
 from lightmatrix.capture.capture import Capture
 from lightmatrix.estimators.coherent.backgrounds import Backgrounds
 from lightmatrix.estimators.coherent.expectations import UNSEEN, Neighbourhood, unseen_patterns
-from lightmatrix.estimators.join import TILE_BYTES, Progress, Tile, diagnostics
+from lightmatrix.estimators.join import TILE_BYTES, Progress, SolveTile, kept
 from lightmatrix.solvers.active_set import ActiveSet
-from lightmatrix.solvers.problem import Fidelity, Problem
-from lightmatrix.solvers.weighted import (
-    Blocks,
-    Candidates,
-    Expectation,
-    Start,
-    WeightedResult,
-    solve_weighted,
-)
+from lightmatrix.solvers.fidelity import Fidelity
+from lightmatrix.solvers.problem import Problem, Result
+from lightmatrix.solvers.weighted import Candidates, Cells, Expectation, solve_weighted
 from lightmatrix.store import Checkpoint
+from lightmatrix.transport.sparse_rows import SparseRows
 
 # Of the clip level, and the gap: the first estimate, row by row, only has to show where light is.
 FIRST_REGULARIZATION = 0.32
@@ -35,14 +29,6 @@ FIRST_TOLERANCE = 1e-2
 # What neighbours' rows give is expected from the round on whose window on the projector is this
 # narrow: then most rows are about right.
 EXPECTING = 1
-
-
-@dataclass(frozen=True)
-class Known:
-    """What was found of all rows, and their neighbourhood."""
-
-    found: Start
-    neighbourhood: Neighbourhood
 
 
 @dataclass(frozen=True)
@@ -59,34 +45,13 @@ class Rounds:
     tile_rows: int | None
     progress: Progress | None
 
-    def before_last(self, running: Checkpoint | None) -> Start:
-        """What the rounds before the last one find, from where a checkpoint has come to."""
-        latest, found = self._latest(running)
-        for number in range(latest + 1, len(self.windows)):
-            known = self.known(found)
-            found = self._whole(running, number, partial(self._again, number, known))
-        return found
-
-    def known(self, found: Start) -> Known:
-        """What a round knows of all rows."""
-        rows, cols, *channels = self.capture.camera_shape
-        camera = (rows, cols, channels[0] if channels else 1)
-        return Known(found, Neighbourhood(found.coefficients, camera, self.capture.projector_shape))
-
-    def last(self, known: Known, start: int, stop: int) -> Tile:
-        """The rows start..stop of the last round."""
-        samples = self.capture.samples(start, stop)
-        solved = self._solve(samples, start, stop, len(self.windows), known)
-        shares = self.backgrounds.spread(known.found.coefficients[start:stop])
-        background = solved.rows.background[:, None] * shares
-        if solved.blocks.shape[1]:
-            background += solved.blocks
-        sparse = csr_array(solved.rows.coefficients, dtype=np.float32)
-        return sparse, background.astype(np.float32), diagnostics(samples, solved.rows)
+    def begin(self, running: Checkpoint | None) -> SolveTile:
+        """All rounds but the last, whose tiles the result solves."""
+        return partial(self._last, self._neighbourhood(self._before_last(running)))
 
     @cached_property
     def backgrounds(self) -> Backgrounds:
-        """Blocks of the background, no more than there are pixels."""
+        """Cells of the background, no more than there are pixels."""
         shape = self.capture.projector_shape
         grid = min(self.background_grid[0], shape[0]), min(self.background_grid[1], shape[1])
         return Backgrounds(grid, self.capture.patterns, unseen_patterns(shape))
@@ -99,84 +64,109 @@ class Rounds:
         for start in range(0, self.capture.rows, tile):
             yield start, min(start + tile, self.capture.rows)
 
-    def _latest(self, running: Checkpoint | None) -> tuple[int, Start]:
+    def _before_last(self, running: Checkpoint | None) -> SparseRows:
+        """What the rounds before the last one find, from where a checkpoint has come to."""
+        latest, found = self._latest(running)
+        for number in range(latest + 1, len(self.windows)):
+            known = self._neighbourhood(found)
+            found = self._whole(running, number, partial(self._again, number, known))
+        return found
+
+    def _latest(self, running: Checkpoint | None) -> tuple[int, SparseRows]:
         """The latest round that was finished, and what it found."""
         if running is not None:
             for number in reversed(range(len(self.windows))):
-                if (arrays := running.recall(f"round-{number}")) is not None:
-                    return number, _unpacked(arrays, self.capture)
+                if (found := self._recalled(running, number)) is not None:
+                    return number, found
         return 0, self._whole(running, 0, self._first)
 
-    def _whole(
-        self, running: Checkpoint | None, number: int, solve: Callable[[int, int], Start]
-    ) -> Start:
+    def _recalled(self, running: Checkpoint, number: int) -> SparseRows | None:
+        """What a checkpoint remembers of a round; None if nothing whole."""
+        if (found := running.recall(f"round-{number}")) is None:
+            return None
+        shape = (self.capture.rows, self.capture.patterns.pixels)
+        fits = found.coefficients.shape == shape and found.background.shape[1] == 1
+        return found if fits else None
+
+    def _whole(self, running: Checkpoint | None, number: int, solve: SolveTile) -> SparseRows:
         """A round over all rows; the checkpoint remembers it instead of the one before."""
-        found = _joined([solve(start, stop) for start, stop in self.ranges()])
+        found = SparseRows.joined([solve(start, stop) for start, stop in self.ranges()])
         if running is not None:
-            running.remember(f"round-{number}", _packed(found))
+            running.remember(f"round-{number}", found)
             running.forget(f"round-{number - 1}")
         return found
 
-    def _first(self, start: int, stop: int) -> Start:
+    def _first(self, start: int, stop: int) -> SparseRows:
         samples = self.capture.samples(start, stop)
         regularization = FIRST_REGULARIZATION * self.capture.reference_level
         problem = self._problem(samples, regularization)
         solver = replace(self.solver, tolerance=max(FIRST_TOLERANCE, self.solver.tolerance))
-        result = solver.solve(problem, self._report(0, start))
-        return _kept(WeightedResult(result, np.zeros((stop - start, 0), np.float32)))
+        return _found(solver.solve(problem, self._report(0, start)))
 
-    def _again(self, number: int, known: Known, start: int, stop: int) -> Start:
+    def _again(self, number: int, known: Neighbourhood, start: int, stop: int) -> SparseRows:
         samples = self.capture.samples(start, stop)
-        return _kept(self._solve(samples, start, stop, number, known))
+        return _found(self._solve(samples, start, stop, number, known))
+
+    def _last(self, known: Neighbourhood, start: int, stop: int) -> SparseRows:
+        """The rows start..stop of the last round, with the light of each cell."""
+        samples = self.capture.samples(start, stop)
+        solved = self._solve(samples, start, stop, len(self.windows), known)
+        shares = self.backgrounds.spread(known.rows.coefficients[start:stop])
+        background = solved.background[:, None] * shares
+        if solved.cells.shape[1]:
+            background += solved.cells
+        return replace(kept(samples, solved), background=background.astype(np.float32))
 
     def _solve(
-        self, samples: Samples, start: int, stop: int, number: int, known: Known
-    ) -> WeightedResult:
+        self, samples: Samples, start: int, stop: int, number: int, known: Neighbourhood
+    ) -> Result:
         """The rows start..stop, with penalties from what was found before."""
         problem = self._problem(samples, self.regularization)
-        found = known.found
+        found = known.rows
         expected = None
         if self.windows[number - 1][1] <= EXPECTING:
             expected = self._expected(samples, start, stop, known)
         unseen = expected is not None
-        blocks = Blocks.none(self.capture.patterns, self.backgrounds.unseen if unseen else None)
-        # Blocks join in the last round, when it is clear where most of the light is.
+        cells = Cells.none(self.capture.patterns, self.backgrounds.unseen if unseen else None)
+        # Cells join in the last round, when it is clear where most of the light is.
         if number == len(self.windows):
             cost = self.capture.reference_level / self.regularization
-            blocks = self.backgrounds.blocks(cost, unseen=unseen)
-        background = self._halos(found, start, stop)[:, : blocks.means.shape[1]]
+            cells = self.backgrounds.cells(cost, unseen=unseen)
+        background = self._halos(found, start, stop)[:, : cells.means.shape[1]]
         return solve_weighted(
             problem,
             self._candidates(found.coefficients, number, start, stop),
-            blocks,
+            cells,
             self.solver,
             expected=expected,
             background=np.ascontiguousarray(background),
-            start=Start(
-                found.coefficients[start:stop],
-                found.background[start:stop],
-                found.blocks[start:stop],
-            ),
+            start=found.rows(slice(start, stop)),
             progress=self._report(number, start),
         )
 
-    def _expected(self, samples: Samples, start: int, stop: int, known: Known) -> Expectation:
+    def _neighbourhood(self, found: SparseRows) -> Neighbourhood:
+        """What a round knows of all rows."""
+        rows, cols, *channels = self.capture.camera_shape
+        camera = (rows, cols, channels[0] if channels else 1)
+        return Neighbourhood(found, camera, self.capture.projector_shape)
+
+    def _expected(
+        self, samples: Samples, start: int, stop: int, known: Neighbourhood
+    ) -> Expectation:
         """What neighbours' rows, and their backgrounds, say of the samples of start..stop."""
-        neighbourhood = known.neighbourhood
-        first, last = neighbourhood.around(start, stop)
-        halos = self._halos(known.found, first, last)
-        background = known.found.background[first:last, None].astype(np.float32) * halos
-        return neighbourhood.expected(
+        first, last = known.around(start, stop)
+        background = known.rows.background[first:last] * self._halos(known.rows, first, last)
+        return known.expected(
             self.capture.patterns,
             self.backgrounds.unseen,
             samples,
-            samples.clipped & (self.solver.fidelity is not Fidelity.LINEAR),
+            samples.clipped & Fidelity(self.solver.fidelity).term.clip_aware,
             self.capture.reference_level,
             start,
             background,
         )
 
-    def _halos(self, found: Start, start: int, stop: int) -> NDArray[np.float32]:
+    def _halos(self, found: SparseRows, start: int, stop: int) -> NDArray[np.float32]:
         """What the backgrounds of the rows start..stop give under shown and unseen patterns."""
         backgrounds = self.backgrounds
         return backgrounds.under_patterns(backgrounds.spread(found.coefficients[start:stop]))
@@ -191,9 +181,7 @@ class Rounds:
         # Footprints of neighbours lie further apart where the projector is the finer one.
         finer = max(1.0, projector[0] / camera_rows, projector[1] / camera_cols)
         indptr, pixels, shares = _core.likely_pixels(
-            rows.indptr.astype(np.int64, copy=False),
-            rows.indices.astype(np.int32, copy=False),
-            rows.data.astype(np.float32, copy=False),
+            rows,
             (camera_rows, camera_cols, channels[0] if channels else 1),
             projector,
             (camera_reach, round(projector_reach * finer)),
@@ -212,31 +200,6 @@ class Rounds:
         return lambda done, _: report(before + done, total)
 
 
-def _kept(solved: WeightedResult) -> Start:
-    coefficients = csr_array(solved.rows.coefficients, dtype=np.float32)
-    return Start(coefficients, solved.rows.background.astype(np.float32), solved.blocks)
-
-
-def _joined(parts: list[Start]) -> Start:
-    return Start(
-        csr_array(vstack([part.coefficients for part in parts], format="csr")),
-        np.concatenate([part.background for part in parts]),
-        np.concatenate([part.blocks for part in parts]),
-    )
-
-
-def _packed(found: Start) -> dict[str, NDArray[Any]]:
-    rows = found.coefficients
-    return {
-        "data": rows.data,
-        "indices": rows.indices,
-        "indptr": rows.indptr,
-        "background": found.background,
-        "blocks": found.blocks,
-    }
-
-
-def _unpacked(arrays: dict[str, NDArray[Any]], capture: Capture) -> Start:
-    shape = (capture.rows, capture.patterns.pixels)
-    rows = csr_array((arrays["data"], arrays["indices"], arrays["indptr"]), shape=shape)
-    return Start(rows, arrays["background"], arrays["blocks"])
+def _found(solved: Result) -> SparseRows:
+    """What the next round asks of this one."""
+    return replace(solved.rows.single(), diagnostics={})

@@ -4,23 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array, vstack
+from scipy.sparse import csr_array
 
 from lightmatrix.camera.samples import Samples
 from lightmatrix.capture.capture import Capture
 from lightmatrix.errors import InputError
 from lightmatrix.estimators.join import (
     Progress,
-    Tile,
     capture_provenance,
-    diagnostics,
     joined,
+    kept,
     solver_provenance,
 )
 from lightmatrix.estimators.multiscale.scales import Scale, grid_of, scales, split, strongest
@@ -28,6 +27,7 @@ from lightmatrix.estimators.regularization import automatic_regularization
 from lightmatrix.solvers import Solver, solve
 from lightmatrix.solvers.problem import Problem, Result
 from lightmatrix.transport.matrix import LightTransport
+from lightmatrix.transport.sparse_rows import SparseRows
 
 
 @dataclass(frozen=True)
@@ -66,6 +66,13 @@ class MultiScaleEstimator:
     ------
     InputError
         On parameters out of range.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> capture = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 8))
+    >>> lm.MultiScaleEstimator(lm.ROMP(max_iterations=2)).estimate(capture).camera_shape
+    (64, 64)
     """
 
     solver: Solver
@@ -119,7 +126,7 @@ class MultiScaleEstimator:
         return joined(
             capture,
             run.ranges(),
-            lambda start, stop: run.solve(start, stop, progress),
+            lambda _: partial(run.solve, progress=progress),
             self.provenance(capture, regularization),
             checkpoint=checkpoint,
             overwrite=overwrite,
@@ -157,7 +164,7 @@ class _Run:
         for start in range(0, rows, self.estimator.camera_block):
             yield start * width, min(start + self.estimator.camera_block, rows) * width
 
-    def solve(self, start: int, stop: int, progress: Progress | None) -> Tile:
+    def solve(self, start: int, stop: int, progress: Progress | None) -> SparseRows:
         samples = self.capture.samples(start, stop)
         patterns = self.capture.patterns
         strip = Problem(
@@ -173,12 +180,7 @@ class _Run:
             order.append(rows)
             if progress is not None:
                 progress(start + sum(map(len, order)), self.capture.rows)
-        place = np.argsort(np.concatenate(order))
-        return (
-            csr_array(_stacked([part[0] for part in parts])[place]),
-            np.concatenate([part[1] for part in parts])[place],
-            {k: np.concatenate([part[2][k] for part in parts])[place] for k in parts[0][2]},
-        )
+        return SparseRows.joined(parts).rows(np.argsort(np.concatenate(order)))
 
     def _camera_blocks(self, rows: int) -> Iterator[NDArray[np.int64]]:
         """The rows of each camera block of a strip."""
@@ -188,7 +190,7 @@ class _Run:
         for number in range(int(block.max()) + 1):
             yield np.flatnonzero(block == number)
 
-    def _solve_block(self, problem: Problem, samples: Samples) -> Tile:
+    def _solve_block(self, problem: Problem, samples: Samples) -> SparseRows:
         """The rows of one camera block, from the coarsest scale to single pixels."""
         patterns = self.capture.patterns
         grid = grid_of(patterns.shape, self._scales[0].block)
@@ -205,14 +207,15 @@ class _Run:
             (found.data.astype(np.float32), (found.row, candidates[found.col])),
             shape=(problem.rows, patterns.pixels),
         )
-        facts = diagnostics(samples, result)
-        facts["candidates"] = np.full(problem.rows, len(candidates), np.int32)
-        return coefficients, result.background.astype(np.float32)[:, None], facts
+        count = np.full(problem.rows, len(candidates), np.int32)
+        return replace(kept(samples, result, candidates=count), coefficients=coefficients)
 
     def _solve_scale(self, problem: Problem, scale: Scale, candidates: NDArray[np.int64]) -> Result:
         restricted = replace(
             problem,
-            patterns=scale.restricted(candidates, self.capture.patterns.means),
+            patterns=scale.restricted(candidates),
+            # Diffuse light comes from the whole projector, whichever pixels are looked at.
+            background_column=problem.column,
             regularization=scale.regularization,
         )
         last = scale.block == 1
@@ -223,7 +226,3 @@ class _Run:
     def _scales(self) -> list[Scale]:
         patterns = self.capture.patterns
         return scales(patterns, self.estimator.coarsest, self.regularization)
-
-
-def _stacked(parts: list[csr_array]) -> csr_array:
-    return csr_array(vstack(parts, format="csr"))

@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation
 from scipy.sparse import csr_array
 
-from lightmatrix.estimators.multiscale.restricted import RestrictedPatterns
-from lightmatrix.patterns.pattern_set import PatternSet
+from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
 from lightmatrix.solvers.regularization import column_length
 
 # Blocks that are always kept, if they have any light: a spot may touch four, and its halo more.
@@ -37,11 +36,9 @@ class Scale:
     patterns: PatternSet
     regularization: float
 
-    def restricted(
-        self, candidates: NDArray[np.int64], means: NDArray[np.float64]
-    ) -> RestrictedPatterns:
-        """The patterns on some blocks, with the means of the whole patterns."""
-        return RestrictedPatterns(self.patterns.columns(candidates)[:, None, :], means)
+    def restricted(self, candidates: NDArray[np.int64]) -> ImagePatterns:
+        """The patterns on some blocks only."""
+        return ImagePatterns(self.patterns.columns(candidates)[:, None, :])
 
 
 def scales(patterns: PatternSet, coarsest: int, regularization: float) -> list[Scale]:

@@ -1,6 +1,6 @@
 //! Packing and sweeping with AVX-512: eight pixels a register.
 
-use super::{Packed, WIDTH};
+use crate::octet::WIDTH;
 use std::arch::x86_64::*;
 
 /// The values of a row whose bits are set, times `inverse`, then zeros up to `size`.
@@ -28,20 +28,27 @@ pub unsafe fn compress(row: &[f64], inverse: &[f64], groups: &[u8], size: usize,
 /// `x`, `pull`, `band` and `diagonal` have one length, a multiple of `WIDTH`, and `matrix` at
 /// least its square.
 #[target_feature(enable = "avx512f,avx512dq")]
-pub unsafe fn sweep(packed: &mut Packed, signed: bool) -> f64 {
-    let size = packed.x.len();
+pub unsafe fn sweep(
+    matrix: &[f64],
+    diagonal: &[f64],
+    band: &[f64],
+    signed: bool,
+    x: &mut [f64],
+    pull: &mut [f64],
+) -> f64 {
+    let size = x.len();
     let zero = _mm512_setzero_pd();
     let mut change = zero;
     for block in (0..size).step_by(WIDTH) {
         // SAFETY: block + 8 <= size bounds all reads and writes of vectors; rows block to
         // block + 8 of the matrix begin at most at (size - 1) size and hold size values.
         unsafe {
-            let rows = packed.matrix.as_ptr().add(block * size);
-            let pulls = packed.pull.as_mut_ptr();
-            let at = packed.x.as_mut_ptr().add(block);
+            let rows = matrix.as_ptr().add(block * size);
+            let pulls = pull.as_mut_ptr();
+            let at = x.as_mut_ptr().add(block);
             let x = _mm512_loadu_pd(at);
             let back = _mm512_sub_pd(zero, x);
-            let band = _mm512_loadu_pd(packed.band.as_ptr().add(block));
+            let band = _mm512_loadu_pd(band.as_ptr().add(block));
             let mut pull = _mm512_loadu_pd(pulls.add(block));
             let mut moved = zero;
             let mut moves = [zero; WIDTH];
@@ -62,7 +69,7 @@ pub unsafe fn sweep(packed: &mut Packed, signed: bool) -> f64 {
             }
             // A pixel that goes back to zero lands on it exactly.
             _mm512_storeu_pd(at, _mm512_add_pd(x, moved));
-            let diagonal = _mm512_loadu_pd(packed.diagonal.as_ptr().add(block));
+            let diagonal = _mm512_loadu_pd(diagonal.as_ptr().add(block));
             change = _mm512_max_pd(change, _mm512_mul_pd(_mm512_abs_pd(moved), diagonal));
             _mm512_storeu_pd(pulls.add(block), pull);
             // The next block first: it waits for nothing else.

@@ -8,9 +8,8 @@
 mod avx512;
 
 use super::model::Model;
+use crate::octet::WIDTH;
 use crate::simd::{multiversion, Kind, Level};
-
-pub const WIDTH: usize = 8;
 
 /// A part of a quadratic model: some pixels' rows and columns, padded to whole blocks.
 ///
@@ -100,7 +99,16 @@ impl Packed {
             change = match level.kind() {
                 #[cfg(target_arch = "x86_64")]
                 // SAFETY: the level proves the instructions; the lengths were just compared.
-                Kind::Avx512 => unsafe { avx512::sweep(self, signed) },
+                Kind::Avx512 => unsafe {
+                    avx512::sweep(
+                        &self.matrix,
+                        &self.diagonal,
+                        &self.band,
+                        signed,
+                        &mut self.x,
+                        &mut self.pull,
+                    )
+                },
                 _ => sweep_plain(
                     level,
                     &self.matrix,
@@ -129,7 +137,8 @@ multiversion! {
         inverse: &[f64],
     ) {
         let size = inverse.len();
-        for (i, out) in matrix.chunks_exact_mut(size).enumerate() {
+        // No pixel may take part.
+        for (i, out) in matrix.chunks_exact_mut(size.max(1)).enumerate() {
             let Some(&j) = set.get(i) else {
                 break;
             };

@@ -1,10 +1,10 @@
 //! Sweeps against the definition of coordinate descent, on every instruction set.
 
 use super::*;
-use crate::active_set::Dictionary;
 use crate::bits::Bits;
 use crate::columns::{BitColumns, Columns};
 use crate::correlate::Correlator;
+use crate::problem::Dictionary;
 use crate::vector::{padded, DataTerm};
 
 const PATTERNS: usize = 90;
@@ -65,6 +65,7 @@ fn sweeps_as_defined() {
         curvature[..PATTERNS].fill(1.0);
         model.set_curvature(&dictionary.means, &mut curvature);
         for set in [
+            vec![],
             vec![3],
             (0..9).collect(),
             (0..20).filter(|j| j % 3 > 0).collect::<Vec<u32>>(),
@@ -74,7 +75,9 @@ fn sweeps_as_defined() {
             }
             for signed in [false, true] {
                 let mut x = vec![0.0; model.stride];
-                x[set[0] as usize] = 0.25;
+                if let Some(&j) = set.first() {
+                    x[j as usize] = 0.25;
+                }
                 let mut slope: Vec<f64> = (0..model.stride)
                     .map(|j| (j as f64 * 1.7).sin() * if signed { 3.0 } else { 2.0 } + 0.5)
                     .collect();

@@ -1,0 +1,106 @@
+# The door: every name that `import lightmatrix as lm` offers, and the file that it lives in.
+# `__init__.py` loads them from this very list, each when it is first used.
+
+from ._version import __version__ as __version__
+
+# Patterns.
+from .patterns.bits import (
+    BernoulliPatterns as BernoulliPatterns,
+    BitPatterns as BitPatterns,
+)
+from .patterns.blocks import (
+    BlockPatterns as BlockPatterns,
+    one_pixel_patterns as one_pixel_patterns,
+)
+from .patterns.folder import (
+    read_patterns as read_patterns,
+    write_patterns as write_patterns,
+)
+from .patterns.hadamard import HadamardPatterns as HadamardPatterns
+from .patterns.making import make_patterns as make_patterns
+from .patterns.mix import MixedPatterns as MixedPatterns
+from .patterns.pattern_set import (
+    ImagePatterns as ImagePatterns,
+    PatternSet as PatternSet,
+)
+
+# Captures, photographed and simulated.
+from .camera.decoder import Decoder as Decoder
+from .camera.response import Response as Response
+from .camera.samples import Samples as Samples
+from .camera.sensor import Sensor as Sensor
+from .capture.capture import Capture as Capture
+from .files.images import (
+    read_grey as read_grey,
+    read_image as read_image,
+    write_image as write_image,
+)
+from .rig.library import (
+    scenes as scenes,
+    truth as truth,
+)
+from .rig.photograph import (
+    SimulatedCapture as SimulatedCapture,
+    simulate as simulate,
+)
+from .rig.renderer import render as render
+from .rig.thumbnails import write_thumbnails as write_thumbnails
+from .rig.truth import Truth as Truth
+
+# Estimates.
+from .estimators.auto import (
+    AutoEstimator as AutoEstimator,
+    estimate as estimate,
+)
+from .estimators.coherent.estimator import CoherentEstimator as CoherentEstimator
+from .estimators.multiscale.estimator import MultiScaleEstimator as MultiScaleEstimator
+from .estimators.plain import PlainEstimator as PlainEstimator
+from .solvers import (
+    ADMM as ADMM,
+    ROMP as ROMP,
+    ActiveSet as ActiveSet,
+    Fidelity as Fidelity,
+    Problem as Problem,
+    Result as Result,
+    SaturationADMM as SaturationADMM,
+    solve as solve,
+)
+
+# What is done with them.
+from .pictures.relight import relight as relight
+from .pictures.transport import (
+    show_clipping as show_clipping,
+    show_column as show_column,
+    show_dual as show_dual,
+    show_gaps as show_gaps,
+    show_relit as show_relit,
+    show_row as show_row,
+)
+from .rig.evaluate import evaluate as evaluate
+from .store import (
+    export as export,
+    open as open,
+    save as save,
+)
+from .transport.evaluation import Errors as Errors
+from .transport.matrix import LightTransport as LightTransport
+
+# Plans and experiments.
+from .experiments.run import (
+    demo as demo,
+    experiment as experiment,
+)
+from .planning.plan import (
+    Advice as Advice,
+    plan as plan,
+)
+
+# Errors.
+from .errors import (
+    InputError as InputError,
+    LightMatrixError as LightMatrixError,
+    LightMatrixWarning as LightMatrixWarning,
+    MissingExtraError as MissingExtraError,
+    OutputError as OutputError,
+    SolverError as SolverError,
+)

@@ -1,0 +1,192 @@
+"""capture.json: what is true of a capture, each key of its own kind and range."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightmatrix.camera.levels import MOST_LEVEL
+from lightmatrix.errors import InputError
+from lightmatrix.files.headers import read_json
+from lightmatrix.files.reading import within
+
+NAME = "capture.json"
+FORMAT, VERSION = "lightmatrix-capture", 1
+
+Levels = float | NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Description:
+    """What capture.json says; None where it says nothing.
+
+    Parameters
+    ----------
+    projector_shape, camera_shape : tuple of int, optional
+    exposure : float or (K,)
+    clip, black_level : float or (K,), optional
+    full_scale : float, optional
+    response : str, optional
+        See `Response.parse`.
+    black, mask : Path, optional
+        Image files.
+    black_exposure : float, optional
+    provenance : mapping
+    silent_of : frozenset of str
+        The keys that it does not have at all.
+    """
+
+    projector_shape: tuple[int, ...] | None = None
+    camera_shape: tuple[int, ...] | None = None
+    exposure: Levels = 1.0
+    clip: Levels | None = None
+    black_level: Levels | None = None
+    full_scale: float | None = None
+    response: str | None = None
+    black: Path | None = None
+    black_exposure: float | None = None
+    mask: Path | None = None
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+    silent_of: frozenset[str] = frozenset()
+
+
+def read_description(file: Path, *, allow_outside: bool = False) -> Description:
+    """Read a capture.json.
+
+    Parameters
+    ----------
+    file : Path
+        The file.
+    allow_outside : bool
+        Whether the files that it names may lie outside its folder.
+
+    Raises
+    ------
+    InputError
+        On a key that is unknown, at any level, or whose value is of another kind or out of range;
+        on a file that lies outside the folder.
+    """
+    content = read_json(file, FORMAT, VERSION)
+    found = _Table(file, "", content, KEYS)
+    black = found.get("black", _object, "an object with the black frame's file")
+    frame = None if black is None else _Table(file, "black.", black, _BLACK_KEYS)
+    if frame is not None and "file" not in black:
+        raise InputError(f'{file}: "black" names no file', hint='add "file": "black.png" to it')
+
+    def path(name: str | None) -> Path | None:
+        if name is None:
+            return None
+        return file.parent / name if allow_outside else within(file.parent, name, file)
+
+    response = found.get("response", _text, "linear, gamma:2.2, srgb or curve:FILE")
+    if response is not None and response.startswith("curve:"):
+        path(response.removeprefix("curve:"))
+    exposure = found.get("exposure", _several(_above_0), "a number above 0, or one for each frame")
+    return Description(
+        found.get("projector_shape", _shape, "two whole numbers, such as [64, 64]"),
+        found.get("camera_shape", _shape, "two or three whole numbers, such as [480, 640]"),
+        1.0 if exposure is None else exposure,
+        found.get("clip", _several(_above_0), "a level above 0, or one for each frame"),
+        found.get("black_level", _several(_level), "a level of 0 or more, or one for each frame"),
+        found.get("full_scale", _above_0, f"a level above 0, at most {MOST_LEVEL:g}"),
+        response,
+        None if frame is None else path(frame.get("file", _text, "the name of an image")),
+        None if frame is None else frame.get("exposure", _above_0, "a number above 0"),
+        path(found.get("mask", _text, "the name of an image")),
+        found.get("provenance", _object, "an object; anything may stand in it") or {},
+        KEYS - content.keys(),
+    )
+
+
+KEYS = frozenset(
+    {"format", "version", "projector_shape", "camera_shape", "provenance", "mask", "black"}
+    | {"exposure", "clip", "black_level", "full_scale", "response"}
+)
+_BLACK_KEYS = frozenset({"file", "exposure"})
+
+
+@dataclass(frozen=True)
+class _Table:
+    """The values of an object in the file, each asked for as what it has to be."""
+
+    file: Path
+    prefix: str
+    content: Mapping[str, Any]
+    keys: frozenset[str]
+
+    def __post_init__(self) -> None:
+        unknown = sorted(set(self.content) - self.keys)
+        if unknown:
+            names = ", ".join(repr((self.prefix + name)[:60]) for name in unknown[:5])
+            raise InputError(
+                f"{self.file}: does not know {names}",
+                hint=f"its keys are {', '.join(sorted(self.prefix + key for key in self.keys))}",
+            )
+
+    def get(self, key: str, read: Callable[[Any], Any], wanted: str) -> Any:
+        """The value of a key; None if there is none, or null."""
+        value = self.content.get(key)
+        if value is None:
+            return None
+        found = read(value)
+        if found is None:
+            raise InputError(
+                f'{self.file}: "{self.prefix}{key}" cannot be {_short(value)}',
+                hint=f"give {wanted}",
+            )
+        return found
+
+
+# What follows gives back None for a value of another kind or out of range.
+
+
+def _number(value: Any) -> float | None:
+    # True is a number to Python, and whole numbers have no largest one.
+    if type(value) not in (int, float) or abs(value) > MOST_LEVEL:
+        return None
+    return float(value)
+
+
+def _above_0(value: Any) -> float | None:
+    number = _number(value)
+    return number if number is not None and number > 0 else None
+
+
+def _level(value: Any) -> float | None:
+    number = _number(value)
+    return number if number is not None and number >= 0 else None
+
+
+def _several(one: Callable[[Any], float | None]) -> Callable[[Any], Levels | None]:
+    """One number, or a list of them."""
+
+    def read(value: Any) -> Levels | None:
+        if not isinstance(value, list):
+            return one(value)
+        numbers = [one(item) for item in value]
+        return None if None in numbers or not numbers else np.array(numbers, np.float64)
+
+    return read
+
+
+def _shape(value: Any) -> tuple[int, ...] | None:
+    whole = isinstance(value, list) and all(type(n) is int and n > 0 for n in value)
+    return tuple(value) if whole and len(value) in (2, 3) else None
+
+
+def _text(value: Any) -> str | None:
+    return value if isinstance(value, str) and value and "\0" not in value else None
+
+
+def _object(value: Any) -> dict[str, Any] | None:
+    return value if isinstance(value, dict) else None
+
+
+def _short(value: Any) -> str:
+    shown = repr(value)
+    return shown if len(shown) <= 60 else f"{shown[:57]}..."

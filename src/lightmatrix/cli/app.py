@@ -1,0 +1,112 @@
+"""All commands, in the order and under the headings that `lightmatrix --help` has."""
+
+from __future__ import annotations
+
+import io
+import sys
+import warnings
+from collections.abc import Callable
+from typing import Annotated, Any
+
+import typer
+from typer.core import TyperGroup
+
+import lightmatrix as lm
+from lightmatrix.cli.claims import outputs
+from lightmatrix.cli.demo import demo
+from lightmatrix.cli.estimate import estimate
+from lightmatrix.cli.evaluate import evaluate
+from lightmatrix.cli.experiment import experiment
+from lightmatrix.cli.export import export
+from lightmatrix.cli.failures import report
+from lightmatrix.cli.info import info
+from lightmatrix.cli.patterns import patterns
+from lightmatrix.cli.plan import plan
+from lightmatrix.cli.relight import relight
+from lightmatrix.cli.render import render
+from lightmatrix.cli.scenes import scenes
+from lightmatrix.cli.simulate import simulate
+from lightmatrix.cli.terminal import say, warn
+from lightmatrix.errors import LightMatrixWarning
+
+# By stage of the work.
+STAGES: dict[str, tuple[Callable[..., None], ...]] = {
+    "Prepare": (plan, patterns),
+    "Measure and use": (estimate, info, relight, evaluate, export),
+    "Simulate": (scenes, render, simulate),
+    "Show": (demo, experiment),
+}
+
+
+class _ByStage(TyperGroup):
+    """Lists the commands under the headings of `STAGES`."""
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        width = max(map(len, self.commands))
+        for heading, members in STAGES.items():
+            with formatter.section(heading):
+                lines = []
+                for member in members:
+                    name = member.__name__
+                    short = self.commands[name].get_short_help_str(formatter.width - width - 6)
+                    # As wide as the widest of all, so that the stages stand in line.
+                    lines.append((f"{name:<{width}}", short))
+                formatter.write_dl(lines)
+
+
+app = typer.Typer(
+    name="lightmatrix",
+    cls=_ByStage,
+    help="Measure the light transport matrix of a projector-camera system, c = T p.",
+    epilog="Start with `lightmatrix demo`. Exit codes: 0 done, 2 bad input or output, 3 out of "
+    "memory, 70 a bug of ours, 130 stopped.",
+    add_completion=False,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+)
+for command in (member for members in STAGES.values() for member in members):
+    app.command(command.__name__)(command)
+
+
+@app.callback(invoke_without_command=True)
+def _root(
+    version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False,
+) -> None:
+    if version:
+        say(f"lightmatrix {lm.__version__}")
+        raise typer.Exit
+
+
+def run(arguments: list[str]) -> int:
+    """Run the command line with these words; see `lightmatrix.cli.main`."""
+    for stream in (sys.stdout, sys.stderr):
+        # A terminal that knows no umlauts, and names that are no text, are no reason to fail.
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")
+    with warnings.catch_warnings():
+        warnings.simplefilter("always", LightMatrixWarning)
+        warnings.showwarning = _show_warning
+        try:
+            return _invoke(arguments or ["--help"])
+        # Everything, the stop of a Ctrl-C and a panic of the compiled core too.
+        except BaseException as error:
+            return report(error)
+
+
+def _invoke(arguments: list[str]) -> int:
+    command = typer.main.get_command(app)
+    try:
+        with outputs, command.make_context("lightmatrix", list(arguments)) as context:
+            command.invoke(context)
+    except typer.Exit as leaving:
+        return leaving.exit_code
+    finally:
+        sys.stdout.flush()
+    return 0
+
+
+def _show_warning(
+    message: Warning | str, category: type[Warning], *_: object, **__: object
+) -> None:
+    if issubclass(category, LightMatrixWarning):
+        warn(f"warning: {message}", style="yellow")

@@ -1,0 +1,234 @@
+"""`lightmatrix estimate`: from a capture to its light transport matrix."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+
+import lightmatrix as lm
+from lightmatrix.cli.claims import claim
+from lightmatrix.cli.options import (
+    ADMM_ITERATIONS,
+    COHERENT_UP_TO,
+    PASSES,
+    Clip,
+    Json,
+    Overwrite,
+    ResponseCurve,
+    size,
+)
+from lightmatrix.cli.terminal import Stopped, progress, say, show_json, show_table
+from lightmatrix.errors import InputError
+from lightmatrix.files.kinds import PARTIAL, STORE
+from lightmatrix.transport.words import named
+
+if TYPE_CHECKING:
+    from lightmatrix import Capture
+
+SolverName = Literal["active-set", "saturation-admm", "admm", "romp"]
+FidelityName = Literal["linear", "one-sided", "clipped", "rejection", "likelihood"]
+SOLVERS_HELP = (
+    "active-set (one-sided, rejection, linear; certifies a duality gap), "
+    "saturation-admm (clipped, one-sided, likelihood, rejection, linear), admm (linear), "
+    "romp (linear, rejection)."
+)
+FIDELITY_HELP = (
+    "How clipped samples count: one-sided (a lower bound, convex), clipped (the paper's Eq. 6), "
+    "likelihood (a lower bound with a soft edge), rejection (left out), "
+    "linear (taken at their value)."
+)
+
+
+def estimate(
+    capture: Annotated[
+        Path | None,
+        typer.Argument(
+            metavar="CAPTURE", help="Capture folder (patterns/, images/, capture.json)."
+        ),
+    ] = None,
+    output: Annotated[
+        Path, typer.Option("-o", "--output", help="The store to write, ending in .zarr.")
+    ] = Path("scene.zarr"),
+    pattern_folder: Annotated[
+        Path | None, typer.Option("--patterns", help="Folder of pattern images.")
+    ] = None,
+    images: Annotated[Path | None, typer.Option(help="Folder of photographs, same order.")] = None,
+    black: Annotated[
+        Path | None, typer.Option(help="Photograph under a black pattern, or of ambient light.")
+    ] = None,
+    white: Annotated[
+        Path | None, typer.Option(help="Photograph under a white pattern; one more sample.")
+    ] = None,
+    mask: Annotated[Path | None, typer.Option(help="Image; pixels at 0 are left out.")] = None,
+    black_level: Annotated[
+        float | None,
+        typer.Option(help="Raw level without any light.", show_default="0"),
+    ] = None,
+    clip: Clip = None,
+    response: ResponseCurve = None,
+    solver: Annotated[SolverName, typer.Option(help=SOLVERS_HELP)] = "active-set",
+    fidelity: Annotated[
+        FidelityName | None,
+        typer.Option(
+            help=FIDELITY_HELP, show_default="one-sided; linear for admm, rejection for romp"
+        ),
+    ] = None,
+    regularization: Annotated[
+        str,
+        typer.Option(
+            help="The paper's lambda in units of camera sample; auto (from patterns and samples); "
+            "or path (row by row, the value that best predicts patterns held out)."
+        ),
+    ] = "auto",
+    coherent: Annotated[
+        bool | None,
+        typer.Option(
+            "--coherent/--no-coherent",
+            help="Learn from neighbouring camera pixels where light is likely; by default with the "
+            f"active-set solver and up to {COHERENT_UP_TO} patterns.",
+        ),
+    ] = None,
+    iterations: Annotated[
+        int | None,
+        typer.Option(
+            help="Most iterations (rounds for romp, passes for active-set).",
+            min=1,
+            show_default=f"{PASSES}; {ADMM_ITERATIONS} for both ADMMs, "
+            "as many as its non-zeros for romp",
+        ),
+    ] = None,
+    signed: Annotated[bool, typer.Option(help="Allow negative light, as the paper does.")] = False,
+    background: Annotated[
+        bool,
+        typer.Option(help="Diffuse light: a coefficient, or coarse cells, per camera sample."),
+    ] = True,
+    multi_scale: Annotated[
+        bool,
+        typer.Option("--multi-scale", help="Projector blocks first, then the pixels that matter."),
+    ] = False,
+    bin_projector: Annotated[str, typer.Option(help="Projector pixels per bin, 8 or 8x8.")] = "1",
+    bin_camera: Annotated[str, typer.Option(help="Camera pixels per bin, 8 or 8x8.")] = "1",
+    tile_rows: Annotated[
+        int | None,
+        typer.Option(
+            help="Camera samples solved at a time.", min=1, show_default="as half a gigabyte holds"
+        ),
+    ] = None,
+    check: Annotated[
+        bool, typer.Option(help="Refuse images that do not follow the patterns.")
+    ] = True,
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+) -> None:
+    """Estimate T; interrupted runs go on.
+
+    Give a capture folder, or --patterns and --images. A run that was interrupted goes on where it
+    stopped if given again.
+    """
+    _check_source(capture, pattern_folder, images)
+    started = time.perf_counter()
+    estimator = lm.AutoEstimator(
+        solver=solver,
+        fidelity=fidelity,
+        regularization=_regularization(regularization),
+        coherent=coherent,
+        multi_scale=multi_scale,
+        background=background,
+        signed=signed,
+        iterations=iterations,
+        tile_rows=tile_rows,
+    )
+    claim(output, STORE, overwrite=overwrite)
+    opened = _open(capture, pattern_folder, images, black, white, mask, black_level, clip, response)
+    opened = opened.bin(projector=size(bin_projector), camera=size(bin_camera))
+    opened.check(order=check)
+    try:
+        with progress("estimating", "rows") as report:
+            transport = estimator.estimate(
+                opened, checkpoint=output, overwrite=overwrite, progress=report
+            )
+    except KeyboardInterrupt:
+        kept = output.with_name(output.name + PARTIAL).exists()
+        note = "finished tiles are kept, run again to go on" if kept else "nothing was finished yet"
+        raise Stopped(note) from None
+    summary = transport.summary()
+    if as_json:
+        seconds = round(time.perf_counter() - started, 2)
+        show_json({"output": str(output), "seconds": seconds, **summary})
+        return
+    show_table(str(output), named(summary))
+    unfinished = 1 - summary["converged_rows"]
+    if unfinished > 0.01:
+        say(
+            f"{100 * unfinished:.0f} % of the rows reached the iteration limit; "
+            "raise it with --iterations",
+            style="yellow",
+        )
+
+
+def _check_source(capture: Path | None, patterns: Path | None, images: Path | None) -> None:
+    """Whether there is something to estimate from."""
+    if capture is not None or (patterns is not None and images is not None):
+        return
+    if patterns is None and images is None:
+        raise InputError(
+            "there is nothing to estimate from",
+            hint="give a capture folder, or --patterns and --images",
+        )
+    missing = "--patterns" if patterns is None else "--images"
+    raise InputError(f"{missing} is missing", hint="give both folders, or a capture folder")
+
+
+def _open(
+    capture: Path | None,
+    patterns: Path | None,
+    images: Path | None,
+    black: Path | None,
+    white: Path | None,
+    mask: Path | None,
+    black_level: float | None,
+    clip: float | None,
+    response: str | None,
+) -> Capture:
+    if capture is not None:
+        extras: dict[str, object] = {
+            "--patterns": patterns,
+            "--images": images,
+            "--black": black,
+            "--white": white,
+            "--mask": mask,
+            "--clip": clip,
+            "--black-level": black_level,
+            "--response": response,
+        }
+        given = [name for name, value in extras.items() if value is not None]
+        if given:
+            raise InputError(
+                f"a capture folder and {', '.join(given)} were given",
+                hint="a capture folder says all that in capture.json; give one or the other",
+            )
+        return lm.Capture.open(capture, check=False)
+    assert patterns is not None
+    assert images is not None
+    return lm.Capture.from_folders(
+        patterns,
+        images,
+        black=black,
+        white=white,
+        mask=mask,
+        black_level=black_level,
+        clip=clip,
+        response=response,
+        check=False,
+    )
+
+
+def _regularization(text: str) -> str | float:
+    """A number, or the word as it is."""
+    try:
+        return float(text)
+    except ValueError:
+        return text

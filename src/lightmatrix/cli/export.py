@@ -1,0 +1,44 @@
+"""`lightmatrix export`: T for other programs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+import lightmatrix as lm
+from lightmatrix.cli.claims import claim
+from lightmatrix.cli.options import Json, Overwrite, Store
+from lightmatrix.cli.terminal import say, show_json
+from lightmatrix.files.kinds import export_kind
+
+
+def export(
+    scene: Store,
+    output: Annotated[Path, typer.Argument(metavar="T.npz|T.mat", help="File to write.")],
+    dense_background: Annotated[
+        bool,
+        typer.Option(help="Spread the background over all pixels: T whole, but not sparse."),
+    ] = False,
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+) -> None:
+    """Write T for SciPy (.npz) or MATLAB (.mat).
+
+    The file holds the sparse part of T as `scipy.sparse.load_npz` reads it; the background is
+    kept beside it unless --dense-background spreads it in.
+    """
+    claim(output, export_kind(output), overwrite=overwrite)
+    transport = lm.open(scene)
+    lm.export(output, transport, dense_background=dense_background, overwrite=overwrite)
+    left_out = 0.0 if dense_background else transport.background_share
+    if as_json:
+        result = {"output": output, "bytes": output.stat().st_size}
+        show_json({**result, "background_share_left_out": left_out})
+        return
+    note = ""
+    if left_out:
+        note = f"; without the background ({100 * left_out:.1f} % of the light): "
+        note += "--dense-background adds it"
+    say(f"{output}, {output.stat().st_size / 2**20:.1f} MiB{note}")

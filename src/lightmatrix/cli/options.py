@@ -1,0 +1,54 @@
+"""Options that several commands share."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from lightmatrix.errors import InputError
+
+Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace an output that exists.")]
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")]
+Clip = Annotated[
+    float | None,
+    typer.Option(
+        help="Raw level at which samples clip.", show_default="255, 65535, or 1 for float"
+    ),
+]
+ResponseCurve = Annotated[
+    str | None,
+    typer.Option(
+        "--response", help="linear, gamma:2.2, srgb or curve:FILE.", show_default="linear"
+    ),
+]
+Seed = Annotated[int, typer.Option(help="Seed of everything random.", min=0)]
+Store = Annotated[
+    Path, typer.Argument(metavar="SCENE.zarr", help="A store made by `estimate`, or a T.npz.")
+]
+
+# Defaults that are written into help texts. They stand in the code that they belong to as well,
+# which would be slow to load for a help text; a test holds the two together.
+USUAL_NOISE = 0.003
+USUAL_COUNT = 256
+USUAL_SAMPLES = 16_384
+EXPOSURES_EXAMPLE = "1:0.75,0.25:0.25"
+MIX_EXAMPLE = "fine:0.75,32x32:0.125,8x8:0.125"
+FEWEST_MIXED = 64
+COHERENT_UP_TO = 256
+PASSES, ADMM_ITERATIONS = 200, 1000
+USUAL_SIZE = "128x128"
+
+
+def size(text: str) -> tuple[int, int]:
+    """Read a size such as 128x128 (rows x columns) or 128."""
+    match = re.fullmatch(r"(\d+)(?:[xX*](\d+))?", text.strip(), flags=re.ASCII)
+    if match is None:
+        raise InputError(f"a size of {text!r}", hint="write rows x columns, such as 128x128")
+    rows = int(match[1])
+    cols = int(match[2] or rows)
+    if rows < 1 or cols < 1:
+        raise InputError(f"a size of {text!r}", hint="use at least 1x1")
+    return rows, cols

@@ -1,0 +1,78 @@
+"""`lightmatrix patterns`: projection patterns as a folder of images."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+import lightmatrix as lm
+from lightmatrix.cli.claims import claim
+from lightmatrix.cli.options import (
+    FEWEST_MIXED,
+    MIX_EXAMPLE,
+    USUAL_COUNT,
+    Json,
+    Overwrite,
+    Seed,
+    size,
+)
+from lightmatrix.cli.terminal import say, show_json
+from lightmatrix.errors import InputError
+from lightmatrix.files.kinds import PATTERNS
+
+Kind = Literal["bernoulli", "hadamard", "onepixel", "blocks", "mix"]
+Order = Literal["natural", "sequency", "random"]
+
+
+def patterns(
+    kind: Annotated[Kind, typer.Argument(metavar="KIND", help="Kind of patterns.")],
+    output: Annotated[Path, typer.Option("-o", "--output", help="Folder to write PNGs to.")],
+    count: Annotated[
+        int | None,
+        typer.Option(
+            "-k",
+            "--count",
+            help="Number of patterns.",
+            show_default=f"{USUAL_COUNT}; all there are for onepixel and blocks",
+        ),
+    ] = None,
+    shape: Annotated[str, typer.Option("--size", help="Projector rows x columns.")] = "128x128",
+    density: Annotated[float, typer.Option(help="Bernoulli and mix: share of lit pixels.")] = 0.5,
+    mix: Annotated[
+        str | None,
+        typer.Option(
+            help="Mix: grids of cells lit as a whole and their shares, "
+            f"{MIX_EXAMPLE} (the default; all fine below {FEWEST_MIXED})."
+        ),
+    ] = None,
+    order: Annotated[Order, typer.Option(help="Hadamard: which come first.")] = "sequency",
+    permute: Annotated[bool, typer.Option(help="Hadamard: shuffle the pixels.")] = False,
+    block: Annotated[str, typer.Option(help="Blocks: rows x columns of one block.")] = "8x8",
+    seed: Seed = 0,
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+) -> None:
+    """Write projection patterns as a folder of PNG files."""
+    claim(output, PATTERNS, overwrite=overwrite)
+    if mix is not None and kind != "mix":
+        raise InputError(f"--mix for {kind} patterns", hint="write `lightmatrix patterns mix`")
+    made = lm.make_patterns(
+        kind,
+        size(shape),
+        count,
+        density=density,
+        mix=mix,
+        order=order,
+        permute=permute,
+        block=size(block),
+        seed=seed,
+    )
+    lm.write_patterns(output, made, overwrite=overwrite)
+    result = {**made.description, "count": made.count, "digest": made.digest, "output": output}
+    if as_json:
+        show_json(result)
+    else:
+        rows, cols = made.shape
+        say(f"{made.count} patterns ({kind}) of {rows} x {cols} pixels in {output}")

@@ -1,0 +1,50 @@
+"""`lightmatrix relight`: the image under a pattern that was never projected."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+import lightmatrix as lm
+from lightmatrix.cli.options import Json, Overwrite, Store
+from lightmatrix.cli.terminal import say, show_json
+
+
+def relight(
+    scene: Store,
+    pattern: Annotated[
+        Path, typer.Argument(metavar="PATTERN", help="Image of the projector's size.")
+    ],
+    output: Annotated[Path, typer.Option("-o", "--output", help="Image: .png, .tiff or .npy.")],
+    exposure: Annotated[float, typer.Option(help="Exposure e of the image.")] = 1.0,
+    gamma: Annotated[
+        float, typer.Option(help="Display gamma, of PNG only; 1 keeps it linear.")
+    ] = 1.0,
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+) -> None:
+    """Compute the image under a new pattern.
+
+    It is c = T p for a pattern p that need not have been projected. A PNG is cut off at full
+    scale; TIFF and npy keep all values.
+    """
+    image = lm.relight(
+        scene, pattern, exposure=exposure, gamma=gamma, output=output, overwrite=overwrite
+    )
+    clipped, peak = float((image > 1).mean()), float(image.max())
+    if as_json:
+        show_json({"output": output, "mean": float(image.mean()), "clipped_share": clipped})
+        return
+    note = f"; {100 * clipped:.1f} % of it is above full scale" if clipped else ""
+    if clipped and output.suffix.lower() == ".png":
+        note += f" and cut off; --exposure {_rounded_down(exposure / peak):g} keeps it all"
+    say(f"{output}{note}")
+
+
+def _rounded_down(value: float) -> float:
+    """The number of two digits that is not above a positive one."""
+    unit = 10.0 ** (math.floor(math.log10(value)) - 1)
+    return float(f"{math.floor(value / unit) * unit:.2g}")

@@ -1,0 +1,65 @@
+"""`lightmatrix render`: the exact light transport matrix of a scene."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+import lightmatrix as lm
+from lightmatrix.cli.claims import claim
+from lightmatrix.cli.options import USUAL_SAMPLES, Json, Overwrite, Seed, size
+from lightmatrix.cli.terminal import progress, say, show_json
+from lightmatrix.files.kinds import TRUTH
+
+
+def render(
+    name: Annotated[str, typer.Argument(metavar="SCENE", help="A scene; see `scenes`.")],
+    output: Annotated[Path, typer.Option("-o", "--output", help="The T.npz file to write.")],
+    shape: Annotated[
+        str, typer.Option("--size", help="Camera and projector, rows x columns.")
+    ] = "128x128",
+    projector: Annotated[
+        str | None, typer.Option("--projector-size", help="Projector.", show_default="as --size")
+    ] = None,
+    samples: Annotated[
+        int, typer.Option("--spp", help="Light paths per camera pixel.")
+    ] = USUAL_SAMPLES,
+    keep: Annotated[float, typer.Option(help="Share of each row's energy to keep.")] = 0.999,
+    colour: Annotated[bool, typer.Option(help="Three camera samples a pixel.")] = False,
+    scalar: Annotated[bool, typer.Option(help="Use the slow renderer without LLVM.")] = False,
+    seed: Seed = 0,
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+) -> None:
+    """Render a scene's T (extra `render`).
+
+    One pass of path tracing gives the whole matrix, direct and global light apart.
+    """
+    claim(output, TRUTH, overwrite=overwrite)
+    with progress(f"rendering {name}", "paths") as report:
+        truth = lm.render(
+            name,
+            size(shape),
+            projector_size=None if projector is None else size(projector),
+            samples=samples,
+            seed=seed,
+            keep=keep,
+            colour=colour,
+            scalar=scalar,
+            progress=report,
+        )
+    truth.save(output, overwrite=overwrite)
+    entries = truth.matrix.nnz / truth.matrix.shape[0]
+    share = float(truth.direct_data.sum() / max(truth.matrix.sum(), 1e-30))
+    if as_json:
+        found = {"output": output, "entries_per_row": entries, "direct_share": share}
+        show_json({**truth.metadata, **found})
+        return
+    say(
+        f"{output}: {truth.matrix.shape[0]} x {truth.matrix.shape[1]}, "
+        f"{entries:.0f} entries a row, {100 * share:.0f} % direct, "
+        f"noise {100 * truth.metadata['noise_entries']:.1f} % of the entries' norm, "
+        f"{100 * truth.metadata['noise_white']:.2f} % of the white image's"
+    )

@@ -1,0 +1,39 @@
+"""`lightmatrix scenes`: what the simulated rig can show."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+import lightmatrix as lm
+from lightmatrix.cli.claims import claim
+from lightmatrix.cli.options import Json, Overwrite
+from lightmatrix.cli.terminal import progress, say, show_json
+from lightmatrix.files.kinds import THUMBNAILS
+
+
+def scenes(
+    thumbnails: Annotated[
+        Path | None, typer.Option(help="Folder to write a picture of each scene to.")
+    ] = None,
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+) -> None:
+    """List the scenes of the simulated rig.
+
+    Bundled ones come at 64x64. All else is rendered on first use and kept, which needs the extra
+    `render`: other sizes, and the scenes translucent and wall.
+    """
+    if thumbnails is not None:
+        claim(thumbnails, THUMBNAILS, overwrite=overwrite)
+        with progress("drawing", "scenes") as report:
+            lm.write_thumbnails(thumbnails, overwrite=overwrite, progress=report)
+    listed = lm.scenes()
+    if as_json:
+        show_json({"scenes": [scene._asdict() for scene in listed]})
+        return
+    for name, description, bundled in listed:
+        note = "(bundled at 64x64)" if bundled else "(rendered on first use: extra `render`)"
+        say(f"{name:13}{description}  {note}")

@@ -1,0 +1,294 @@
+"""The estimate that is made when nothing is said, and what can be said: solver, fidelity, ..."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from lightmatrix.capture.capture import Capture
+from lightmatrix.errors import InputError
+from lightmatrix.estimators.coherent.estimator import WORTH_IT_UP_TO, CoherentEstimator
+from lightmatrix.estimators.join import Progress
+from lightmatrix.estimators.multiscale.estimator import MultiScaleEstimator
+from lightmatrix.estimators.plain import PlainEstimator
+from lightmatrix.estimators.regularization import held_out_path
+from lightmatrix.files.kinds import STORE
+from lightmatrix.files.outputs import check_output
+from lightmatrix.ranges import check_number
+from lightmatrix.solvers import ADMM, ROMP, ActiveSet, Fidelity, SaturationADMM, Solver
+from lightmatrix.transport.matrix import LightTransport
+
+# Solvers by name, each with the fidelity that it has unless another is asked for.
+SOLVERS = {
+    "active-set": Fidelity.ONE_SIDED,
+    "saturation-admm": Fidelity.ONE_SIDED,
+    "admm": Fidelity.LINEAR,
+    "romp": Fidelity.REJECTION,
+}
+MOST_ITERATIONS = 1_000_000_000
+# Float32 samples of any unit lie well within.
+LEAST_REGULARIZATION, MOST_REGULARIZATION = 1e-20, 1e20
+
+
+@dataclass(frozen=True)
+class AutoEstimator:
+    """Estimates T in the way that suits the capture; its parameters are those of `estimate`.
+
+    Raises
+    ------
+    InputError, SolverError
+        On parameters out of range or that do not go together, before any capture is read.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> capture = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 8))
+    >>> type(lm.AutoEstimator().estimator(capture)).__name__
+    'CoherentEstimator'
+    >>> type(lm.AutoEstimator(solver="romp").estimator(capture)).__name__
+    'PlainEstimator'
+    """
+
+    solver: str = "active-set"
+    fidelity: str | None = None
+    regularization: str | float = "auto"
+    coherent: bool | None = None
+    multi_scale: bool = False
+    background: bool = True
+    signed: bool = False
+    iterations: int | None = None
+    tile_rows: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.solver not in SOLVERS:
+            raise InputError(
+                f"there is no solver {self.solver!r}", hint=f"use one of {', '.join(SOLVERS)}"
+            )
+        if self.fidelity is not None and self.fidelity not in list(Fidelity):
+            raise InputError(
+                f"there is no fidelity {self.fidelity!r}", hint=f"use one of {', '.join(Fidelity)}"
+            )
+        limit = self.iterations
+        if limit is not None and not 1 <= limit <= MOST_ITERATIONS:
+            raise InputError(f"{limit} iterations", hint=f"use 1 to {MOST_ITERATIONS}")
+        if self.tile_rows is not None and self.tile_rows < 1:
+            raise InputError(f"tiles of {self.tile_rows} rows", hint="use at least 1")
+        if self.multi_scale and self.tile_rows is not None:
+            raise InputError(
+                "tile rows with the multi-scale estimate, which solves strips of camera blocks",
+                hint="leave out one of the two",
+            )
+        self._check_regularization()
+        fitting = self._why_not_coherent()
+        if self.coherent and fitting is not None:
+            raise InputError(f"the coherent estimate {fitting}", hint="leave out one of the two")
+        self._solver()  # Checks that solver and fidelity go together.
+
+    def estimator(
+        self, capture: Capture
+    ) -> PlainEstimator | CoherentEstimator | MultiScaleEstimator:
+        """The estimator that `estimate` uses for a capture; with "path" it solves some rows first.
+
+        Raises
+        ------
+        InputError
+            If there are too few patterns or rows for a path of regularizations.
+        """
+        chosen, value = self._solver(), self._value(capture)
+        if self.multi_scale:
+            return MultiScaleEstimator(chosen, value, not self.signed, self.background)
+        if self._is_coherent(capture) and isinstance(chosen, ActiveSet):
+            return CoherentEstimator(
+                value,
+                fidelity=chosen.fidelity,
+                max_passes=chosen.max_passes,
+                tile_rows=self.tile_rows,
+            )
+        return PlainEstimator(chosen, value, not self.signed, self.background, self.tile_rows)
+
+    def estimate(
+        self,
+        capture: Capture,
+        *,
+        checkpoint: Path | None = None,
+        overwrite: bool = False,
+        progress: Progress | None = None,
+    ) -> LightTransport:
+        """From a capture to its light transport matrix, as every estimator does.
+
+        Parameters
+        ----------
+        capture : Capture
+        checkpoint : Path, optional
+            The store to write. Finished tiles are kept beside it, so that an interrupted run goes
+            on where it stopped.
+        overwrite : bool
+            Whether a complete store at `checkpoint` may be replaced.
+        progress : callable, optional
+            Called with (done, total) rows.
+
+        Raises
+        ------
+        InputError, SolverError, OutputError
+            On unusable captures or outputs that cannot be written.
+        """
+        return self.estimator(capture).estimate(
+            capture, checkpoint=checkpoint, overwrite=overwrite, progress=progress
+        )
+
+    def _is_coherent(self, capture: Capture) -> bool:
+        if self.coherent is not None:
+            return self.coherent
+        suits = self._why_not_coherent() is None and self.regularization != "path"
+        return suits and capture.count <= WORTH_IT_UP_TO
+
+    def _why_not_coherent(self) -> str | None:
+        """What the coherent estimate does not go with, if anything."""
+        if self.multi_scale:
+            return "looks for light in a way of its own, not by multi-scale"
+        if self.solver != "active-set":
+            return f"needs the solver active-set, not {self.solver}"
+        if self.signed:
+            return "needs light that is not negative, not signed"
+        if not self.background:
+            return "needs the background, which was turned off"
+        return None
+
+    def _check_regularization(self) -> None:
+        value = self.regularization
+        if value == "path" and self.coherent:
+            raise InputError(
+                "the regularization path is for rows by themselves, not for the coherent estimate",
+                hint="leave out one of the two",
+            )
+        if not isinstance(value, str):
+            check_number(
+                "a regularization",
+                value,
+                least=LEAST_REGULARIZATION,
+                most=MOST_REGULARIZATION,
+                hint="use auto, path or a positive number in units of camera sample, such as 0.3",
+            )
+        elif value not in ("auto", "path"):
+            raise InputError(
+                f"a regularization of {value!r}", hint="use auto, path or a number such as 0.3"
+            )
+
+    def _value(self, capture: Capture) -> float | None:
+        if self.regularization == "path":
+            return held_out_path(capture).best
+        return None if isinstance(self.regularization, str) else float(self.regularization)
+
+    def _solver(self) -> Solver:
+        wanted = SOLVERS[self.solver] if self.fidelity is None else Fidelity(self.fidelity)
+        limit = {} if self.iterations is None else {"max_iterations": self.iterations}
+        if self.solver == "active-set":
+            passes = ActiveSet.max_passes if self.iterations is None else self.iterations
+            return ActiveSet(wanted, max_passes=passes)
+        if self.solver == "romp":
+            return ROMP(fidelity=wanted, **limit)
+        if self.solver == "saturation-admm":
+            return SaturationADMM(fidelity=wanted, **limit)
+        if wanted is not Fidelity.LINEAR:
+            raise InputError(
+                f"the solver admm cannot use the fidelity {wanted}",
+                hint="use the solver saturation-admm, or the fidelity linear",
+            )
+        return ADMM(**limit)
+
+
+def estimate(
+    capture: Capture | str | Path,
+    *,
+    solver: str = "active-set",
+    fidelity: str | None = None,
+    regularization: str | float = "auto",
+    coherent: bool | None = None,
+    multi_scale: bool = False,
+    background: bool = True,
+    signed: bool = False,
+    iterations: int | None = None,
+    tile_rows: int | None = None,
+    output: str | Path | None = None,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> LightTransport:
+    """Estimate the light transport matrix of a capture, as `lightmatrix estimate` does.
+
+    Up to 256 patterns camera pixels learn from their neighbours where light is likely; with more,
+    and with anything that this does not go with, each is estimated by itself.
+
+    Parameters
+    ----------
+    capture : Capture, str or Path
+        M camera samples under K patterns of N projector pixels; or a capture folder, which is
+        opened and checked.
+    solver : {"active-set", "saturation-admm", "admm", "romp"}
+        active-set certifies a duality gap of each row.
+    fidelity : {"one-sided", "clipped", "likelihood", "rejection", "linear"}, optional
+        How clipped samples count: as a lower bound (convex), as in the paper's Eq. 6, as a lower
+        bound with a soft edge, not at all, at their value. None: one-sided; linear for admm,
+        rejection for romp.
+    regularization : "auto", "path" or float
+        The paper's lambda in units of camera sample at exposure 1; auto tells it from patterns and
+        samples; path takes, row by row, the value that best predicts patterns held out.
+    coherent : bool, optional
+        Whether to learn from neighbouring camera pixels. None: with the active-set solver and up
+        to 256 patterns.
+    multi_scale : bool
+        Projector blocks first, then the pixels that matter.
+    background : bool
+        Whether diffuse light has a coefficient, or coarse cells, per camera sample.
+    signed : bool
+        Allow negative light, as the paper does.
+    iterations : int, optional
+        Most iterations (rounds for romp, passes for active-set), 1 to 10^9.
+    tile_rows : int, optional
+        Camera samples solved at a time. None: as many as half a gigabyte holds.
+    output : str or Path, optional
+        A store (.zarr) to write as well. Finished tiles are kept beside it, so that an interrupted
+        run goes on where it stopped.
+    overwrite : bool
+        Whether a complete store at `output` may be replaced.
+    progress : callable, optional
+        Called with (done, total) rows.
+
+    Returns
+    -------
+    LightTransport
+        With the share of clipped samples, gap, iterations and convergence of each row as
+        `diagnostics`.
+
+    Raises
+    ------
+    InputError, SolverError, OutputError
+        On settings that do not go together, unusable captures, or outputs that cannot be written.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> capture = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 32), exposure=0.5)
+    >>> transport = lm.estimate(capture, coherent=False, iterations=20, output="metal.zarr")
+    >>> transport.camera_shape, transport.summary()["fidelity"]
+    ((64, 64), 'one-sided')
+    """
+    estimator = AutoEstimator(
+        solver,
+        fidelity,
+        regularization,
+        coherent,
+        multi_scale,
+        background,
+        signed,
+        iterations,
+        tile_rows,
+    )
+    if output is not None:
+        check_output(output, STORE, overwrite=overwrite)
+    opened = capture if isinstance(capture, Capture) else Capture.open(capture)
+    return estimator.estimate(
+        opened,
+        checkpoint=None if output is None else Path(output),
+        overwrite=overwrite,
+        progress=progress,
+    )

@@ -1,0 +1,107 @@
+"""The demo and the experiments, each into a folder that is whole or absent."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from lightmatrix.errors import InputError
+from lightmatrix.experiments import demo as demo_report
+from lightmatrix.experiments import few_patterns, fig4, fig5, fig6, fig7
+from lightmatrix.experiments.harness import Experiment
+from lightmatrix.files.kinds import CASES, FIGURE, REPORT
+from lightmatrix.files.outputs import atomic_folder, claimed
+from lightmatrix.files.running import RunningFolder
+
+Progress = Callable[[int, int], None]
+
+EXPERIMENTS: dict[str, Experiment[Any]] = {
+    one.name: one for one in (fig4.FIG4, fig5.FIG5, fig6.FIG6, fig7.FIG7, few_patterns.FEW_PATTERNS)
+}
+
+
+def demo(
+    folder: str | Path, *, overwrite: bool = False, progress: Progress | None = None
+) -> dict[str, Any]:
+    """Simulate and estimate a scene with three solvers; write a picture report.
+
+    Parameters
+    ----------
+    folder : str or Path
+        The report to make: report.png, demo.json and the capture it estimated from.
+    overwrite : bool
+        Whether an existing report may be replaced.
+    progress : callable, optional
+        Called with (done, total) steps.
+
+    Returns
+    -------
+    dict
+        What demo.json holds: the setting, and the errors of each method.
+
+    Raises
+    ------
+    OutputError
+        If the folder exists or cannot be written.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> result = lm.demo("report")  # doctest: +SKIP
+    """
+    with atomic_folder(folder, REPORT, overwrite=overwrite) as part:
+        return demo_report.run(part, progress=progress)
+
+
+def experiment(
+    figure: str,
+    folder: str | Path,
+    *,
+    quick: bool = False,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> dict[str, Any]:
+    """Reproduce a figure of the paper, or a claim of ours: picture, CSV and JSON.
+
+    Parameters
+    ----------
+    figure : {"fig4", "fig5", "fig6", "fig7", "few-patterns"}
+    folder : str or Path
+        The folder to make. A run that was interrupted goes on where it stopped.
+    quick : bool
+        Fewer trials, for a first look; otherwise it takes up to an hour.
+    overwrite : bool
+        Whether an existing folder may be replaced.
+    progress : callable, optional
+        Called with (done, total) steps.
+
+    Returns
+    -------
+    dict
+        What the JSON file holds.
+
+    Raises
+    ------
+    InputError
+        On an unknown figure.
+    MissingExtraError
+        If scenes have to be rendered and Mitsuba is not installed.
+    OutputError
+        If the folder exists or cannot be written.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> result = lm.experiment("fig4", "out", quick=True)  # doctest: +SKIP
+    """
+    if figure not in EXPERIMENTS:
+        raise InputError(
+            f"there is no experiment {figure!r}", hint=f"use one of {', '.join(EXPERIMENTS)}"
+        )
+    with claimed(folder, FIGURE, overwrite=overwrite) as target:
+        kept = RunningFolder.open(target, CASES)
+        with atomic_folder(folder, FIGURE, overwrite=overwrite) as part:
+            result = EXPERIMENTS[figure].run(part, quick=quick, progress=progress, kept=kept)
+        kept.discard()
+    return result

@@ -1,0 +1,210 @@
+"""Kinds of outputs, and how what lightmatrix wrote is told from what it did not.
+
+A folder that we wrote carries a marker: a JSON object with a format name inside, the kind of the
+output, and every file in it with its size. A folder without one, with a file that is not listed, or
+with one of another size (edited since) is not ours alone and is never replaced. A single file is
+known by what is inside it.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import zipfile
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from lightmatrix.errors import OutputError
+from lightmatrix.files.targets import ANOTHER_NAME
+
+MARKER = ".lightmatrix"
+FORMAT, VERSION = "lightmatrix-output", 1
+# No marker of ours comes near; what is larger is not read.
+_MOST_BYTES = 1 << 28
+
+
+@dataclass(frozen=True)
+class FolderKind:
+    """A kind of output that is a folder.
+
+    Parameters
+    ----------
+    name : str
+        In words, such as "capture"; stands in the marker.
+    suffixes : tuple of str
+        Permitted endings, in lower case; empty permits any.
+    marker : tuple of str
+        The JSON file that holds the marker, then the keys that lead to it inside.
+    running : str
+        Ending of the folder beside the output that holds its running results; empty if none.
+    """
+
+    name: str
+    suffixes: tuple[str, ...] = ()
+    marker: tuple[str, ...] = (MARKER,)
+    running: str = ""
+
+    def check_replaceable(self, shown: Path, target: Path) -> bool:
+        """Whether what lies at a target may be replaced: True, or False if it is just empty.
+
+        Raises
+        ------
+        OutputError
+            If lightmatrix did not write all of it, or wrote another kind of output.
+        """
+        if not target.is_dir():
+            raise OutputError(
+                f"{shown}: is a file, the output is a folder ({self.name})", hint=ANOTHER_NAME
+            )
+        if not any(target.iterdir()):
+            return False
+        found = self._read(target)
+        if found is None:
+            raise OutputError(
+                f"{shown}: is a folder that was not written by lightmatrix "
+                "(or before folders were marked)",
+                hint=f"{ANOTHER_NAME}, or remove the folder yourself",
+            )
+        if found["kind"] != self.name:
+            raise OutputError(
+                f"{shown}: holds a {found['kind']}, the output is a {self.name}",
+                hint=f"{ANOTHER_NAME}, or remove the folder yourself",
+            )
+        for name, size in listed(target):
+            if name == self.marker[0]:
+                continue
+            if name not in found["files"]:
+                problem = f"holds {printable(name)}, which was not written by lightmatrix"
+            elif size != found["files"][name]:
+                problem = f"{printable(name)} in it was changed since lightmatrix wrote it"
+            else:
+                continue
+            raise OutputError(
+                f"{shown}: {problem}", hint=f"{ANOTHER_NAME}, or move that file elsewhere"
+            )
+        return True
+
+    def mark(self, folder: Path) -> None:
+        """Write the marker of a finished folder."""
+        files = {name: size for name, size in listed(folder) if name != self.marker[0]}
+        content = {"format": FORMAT, "version": VERSION, "kind": self.name, "files": files}
+        file = folder / self.marker[0]
+        if len(self.marker) == 1:
+            file.write_text(json.dumps(content, indent=1) + "\n")
+            return
+        whole = json.loads(file.read_text())
+        inner = whole
+        for key in self.marker[1:-1]:
+            inner = inner[key]
+        inner[self.marker[-1]] = content
+        file.write_text(json.dumps(whole, indent=1) + "\n")
+
+    def _read(self, folder: Path) -> dict[str, Any] | None:
+        content = read_object(folder / self.marker[0])
+        for key in self.marker[1:]:
+            content = content.get(key) if isinstance(content, dict) else None
+        if not isinstance(content, dict) or content.get("format") != FORMAT:
+            return None
+        if not isinstance(content.get("files"), dict):
+            return None
+        return {"kind": printable(str(content.get("kind"))), "files": content["files"]}
+
+
+@dataclass(frozen=True)
+class FileKind:
+    """A kind of output that is one file.
+
+    Parameters
+    ----------
+    name : str
+        In words, such as "rendered matrix".
+    suffixes : tuple of str
+        Permitted endings, in lower case; empty permits any.
+    recognise : callable
+        Whether a file is of this kind, told from its content; what it raises counts as no.
+    """
+
+    name: str
+    suffixes: tuple[str, ...]
+    recognise: Callable[[Path], bool]
+    running: str = ""
+
+    def check_replaceable(self, shown: Path, target: Path) -> bool:
+        """Whether what lies at a target may be replaced: True, or False if it is just empty.
+
+        Raises
+        ------
+        OutputError
+            If it is a folder or no file of this kind.
+        """
+        if target.is_dir():
+            raise OutputError(
+                f"{shown}: is a folder, the output is a file ({self.name})", hint=ANOTHER_NAME
+            )
+        if target.stat().st_size == 0:
+            return True
+        try:
+            ours = self.recognise(target)
+        # Readers raise nearly anything on files of other kinds.
+        except Exception:
+            ours = False
+        if not ours:
+            raise OutputError(
+                f"{shown}: is a file that was not written by lightmatrix as {self.name}",
+                hint=f"{ANOTHER_NAME}, or remove the file yourself",
+            )
+        return True
+
+
+OutputKind = FolderKind | FileKind
+
+
+def holds_member(file: Path, name: str) -> bool:
+    """Whether an npz file has an array of that name, which we write first.
+
+    A file that was cut off is still known by the name that it begins with.
+    """
+    member = f"{name}.npy".encode()
+    with file.open("rb") as opened:
+        start = opened.read(30 + len(member))
+    if start.startswith(b"PK\x03\x04") and start[30:] == member:
+        return True
+    with zipfile.ZipFile(file) as archive:
+        return f"{name}.npy" in archive.namelist()
+
+
+def listed(folder: Path) -> Iterator[tuple[str, int]]:
+    """Path in the folder and size of everything below it that is no folder; links are not followed.
+
+    The size of what is neither file nor folder (a link, a pipe) is -1.
+    """
+    for place, folders, files in os.walk(folder, onerror=_raise):
+        folders.sort()
+        inner = Path(place)
+        links = [name for name in folders if (inner / name).is_symlink()]
+        for name in sorted([*files, *links]):
+            path = inner / name
+            regular = path.is_file() and not path.is_symlink()
+            yield path.relative_to(folder).as_posix(), path.stat().st_size if regular else -1
+
+
+def read_object(file: Path) -> dict[str, Any] | None:
+    """A JSON object from a file that may be anything; None if it holds none."""
+    try:
+        if file.is_symlink() or not file.is_file() or file.stat().st_size > _MOST_BYTES:
+            return None
+        content = json.loads(file.read_text())
+    except (OSError, ValueError, RecursionError):
+        return None
+    return content if isinstance(content, dict) else None
+
+
+def printable(text: str) -> str:
+    """A name or command without what would disturb a terminal."""
+    return "".join(character if character.isprintable() else "?" for character in text)
+
+
+def _raise(error: OSError) -> None:
+    raise error

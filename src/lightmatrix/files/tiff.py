@@ -1,0 +1,115 @@
+"""TIFF files: what tifffile would fill with zeros, or hand over undecoded, is refused."""
+
+from __future__ import annotations
+
+import math
+import zlib
+from pathlib import Path
+from typing import Any
+
+import imageio.v3 as imageio
+import numpy as np
+import tifffile
+from numpy.typing import NDArray
+
+from lightmatrix.errors import InputError
+from lightmatrix.files.limits import check_size
+
+_UNCOMPRESSED, _DEFLATE = 1, (8, 32946)
+_INVERTED, _PALETTE, _YCBCR = 0, 3, 6
+# Grey either way, RGB, and the mosaics of raw files, whose every pixel is a sample of its own.
+_PHOTOMETRIC = (_INVERTED, 1, 2, 32803, 34892)
+_BITS = (1, 8, 16, 32, 64)
+
+
+def read_tiff(file: Path) -> NDArray[Any]:
+    """Read a TIFF file of one page as it is stored, inverted grey put right.
+
+    Raises
+    ------
+    InputError
+        On several pages, colours by palette or other than RGB, packed bits, a compression that
+        loses depth, or sizes that no image has.
+    ValueError
+        If strips or tiles are missing, empty, or shorter than the image needs.
+    """
+    with tifffile.TiffFile(file) as tiff:
+        if len(tiff.pages) != 1:
+            raise InputError(f"{file}: holds {len(tiff.pages)} pages", hint="save one image a file")
+        page = tiff.pages.first
+        _check_page(file, tiff, page)
+        plain = page.compression == _UNCOMPRESSED or page.compression in _DEFLATE
+        if plain:
+            image = np.asarray(page.asarray())
+        else:
+            # Other compressions are Pillow's, as far as it keeps the depth.
+            image = np.asarray(imageio.imread(file, plugin="pillow"))
+            if image.dtype != page.dtype:
+                kind = int(page.compression)
+                raise InputError(
+                    f"{file}: {page.dtype} values with compression {kind} are not read",
+                    hint="save it uncompressed or as PNG",
+                )
+        if plain and page.axes == "SYX":
+            image = np.moveaxis(image, 0, -1)
+        if page.photometric == _INVERTED and image.dtype.kind == "u":
+            image = np.iinfo(image.dtype).max - image
+        return image
+
+
+def _check_page(file: Path, tiff: tifffile.TiffFile, page: tifffile.TiffPage) -> None:
+    check_size(file, page.shape)
+    # ImageJ and tifffile write many images behind the description of one.
+    if (tiff.is_imagej or tiff.is_shaped) and tiff.series[0].size != page.size:
+        raise InputError(f"{file}: holds several images", hint="save one image a file")
+    colours = int(page.photometric)
+    decoded = page.compression not in (_UNCOMPRESSED, *_DEFLATE)
+    if colours not in _PHOTOMETRIC and not (colours == _YCBCR and decoded):
+        words = "a palette" if colours == _PALETTE else f"colours of kind {colours}"
+        raise InputError(f"{file}: has {words}", hint="save it in grey or RGB")
+    if page.axes not in ("YX", "YXS", "SYX"):
+        raise InputError(f"{file}: has axes {page.axes}", hint="save one image a file")
+    bits = page.bitspersample
+    if bits not in _BITS:
+        raise InputError(f"{file}: has {bits} bits a value", hint="save it with 8 or 16 bits")
+    _check_segments(file, page)
+
+
+def _check_segments(file: Path, page: tifffile.TiffPage) -> None:
+    """Whether all strips or tiles lie in the file and hold what they have to."""
+    counts, offsets = page.databytecounts, page.dataoffsets
+    if not len(counts) == len(offsets) == math.prod(page.chunked):
+        raise ValueError("strips are missing")
+    if min(counts) < 1:
+        raise ValueError("a strip of 0 bytes")
+    size = file.stat().st_size
+    if min(offsets) < 8 or any(o + n > size for o, n in zip(offsets, counts, strict=True)):
+        raise ValueError("the file ends early")
+    if page.compression != _UNCOMPRESSED and page.compression not in _DEFLATE:
+        return
+    rows, cols, depth = (*page.chunks, 1)[:3]
+    line = (cols * depth * page.bitspersample + 7) // 8
+    strips = -(-page.imagelength // rows)
+    with file.open("rb") as stream:
+        for index, (offset, count) in enumerate(zip(offsets, counts, strict=True)):
+            held = count
+            if page.compression in _DEFLATE:
+                stream.seek(offset)
+                held = _inflated_bytes(stream.read(count), rows * line)
+            first = rows * (index % strips)
+            # The last strip may be shorter, or filled up; tiles are always whole.
+            if held < line * (rows if page.is_tiled else min(rows, page.imagelength - first)):
+                raise ValueError("a strip is shorter than the image needs")
+
+
+def _inflated_bytes(packed: bytes, most: int) -> int:
+    """Size of a strip, which inflates whole, with its checksum, to no more than it may hold."""
+    inflater = zlib.decompressobj()
+    try:
+        # With room for one byte more, so that the checksum behind the last one is read too.
+        inflated = inflater.decompress(packed, most + 1)
+    except zlib.error as error:
+        raise ValueError(f"damaged pixel data: {error}") from error
+    if len(inflated) > most or not inflater.eof:
+        raise ValueError("a strip that does not fit the image")
+    return len(inflated)

@@ -1,0 +1,84 @@
+"""Relighting from files to files, as `lightmatrix relight` does."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightmatrix import store
+from lightmatrix.errors import InputError
+from lightmatrix.files.images import read_grey, write_image
+from lightmatrix.files.kinds import IMAGE
+from lightmatrix.files.outputs import check_output
+from lightmatrix.ranges import check_number
+from lightmatrix.transport.matrix import LightTransport
+
+
+def relight(
+    transport: LightTransport | str | Path,
+    pattern: NDArray[Any] | str | Path,
+    *,
+    exposure: float = 1.0,
+    gamma: float = 1.0,
+    output: str | Path | None = None,
+    overwrite: bool = False,
+) -> NDArray[np.float32]:
+    """The camera image under a pattern that need not have been projected: c = e T p.
+
+    Parameters
+    ----------
+    transport : LightTransport, str or Path
+        T, or where `open` finds it.
+    pattern : (rows, cols) array, str or Path
+        Of the projector's size, in [0, 1]; or an image, whose largest grey value is 1.
+    exposure : float
+        Exposure e of the image, > 0.
+    gamma : float
+        Display gamma of a PNG, > 0; 1 keeps it linear.
+    output : str or Path, optional
+        An image to write as well: .png (8 bits, cut off at full scale), .tiff or .npy (all values).
+    overwrite : bool
+        Whether an existing image may be replaced.
+
+    Returns
+    -------
+    camera_shape float32
+        Linear, not clipped; 1 is the clip level.
+
+    Raises
+    ------
+    InputError
+        On a pattern of another size and numbers out of range.
+    OutputError
+        If the image cannot be written.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> known = lm.truth("metal").transport()
+    >>> image = lm.relight(known, np.ones((64, 64)), exposure=0.2, gamma=2.2, output="white.png")
+    >>> lm.read_image("white.png").shape
+    (64, 64)
+    """
+    for what, value in (("an exposure", exposure), ("a gamma", gamma)):
+        hint = "use a number above 0, such as 1"
+        check_number(what, value, most=1e9, above=True, hint=hint)
+    if output is not None:
+        target = check_output(output, IMAGE, overwrite=overwrite)
+        if gamma != 1 and target.suffix.lower() != ".png":
+            raise InputError(
+                f"a gamma of {gamma:g} for {target}, which keeps linear values",
+                hint="write a .png, or leave the gamma out",
+            )
+    found = transport if isinstance(transport, LightTransport) else store.open(transport)
+    shown = read_grey(pattern) if isinstance(pattern, str | Path) else pattern
+    image = exposure * found.relight(shown)
+    if output is not None:
+        written = image
+        if target.suffix.lower() == ".png":
+            written = np.clip(image, 0, 1) ** (1 / gamma)
+        write_image(output, written.astype(np.float32), overwrite=overwrite)
+    return image

@@ -1,0 +1,303 @@
+"""Pictures of a light transport matrix: rows, columns, images under light, and how good it is."""
+
+from __future__ import annotations
+
+import io
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.colors import LinearSegmentedColormap, LogNorm, PowerNorm
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from lightmatrix.errors import InputError
+from lightmatrix.patterns.pattern_set import to_grey
+from lightmatrix.pictures.style import CLIPPED_COLOUR, STYLE, display, mark_clipped, panel
+from lightmatrix.ranges import check_number
+from lightmatrix.transport.matrix import LightTransport
+
+_UNIT = "camera full scale per projector pixel"
+# Faint light beside a bright spot: the colours follow this power of the values.
+_FAINT = 0.35
+_WHITE_TO_RED = LinearSegmentedColormap.from_list("clipped", [(1.0, 1.0, 1.0), CLIPPED_COLOUR])
+# Of the brightest pixels of a picture, the share that is shown as white whatever it is.
+_GLINTS = 0.005
+
+
+class Picture(Figure):
+    """A Matplotlib figure that a notebook shows as it is, without pyplot."""
+
+    def _repr_png_(self) -> bytes:
+        stream = io.BytesIO()
+        self.savefig(stream, format="png", facecolor="white", dpi=self.dpi)
+        return stream.getvalue()
+
+
+def show_row(transport: LightTransport, *camera_index: int) -> Picture:
+    """Picture of a row of T: how each projector pixel reaches one camera sample.
+
+    Parameters
+    ----------
+    transport : LightTransport
+    camera_index : int
+        Row, column and, for a colour camera, channel.
+
+    Returns
+    -------
+    Picture
+        A Matplotlib figure; ``savefig`` writes it.
+
+    Raises
+    ------
+    InputError
+        If there is no such camera sample.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> lm.show_row(lm.truth("metal").transport(), 20, 30).savefig("row.png")
+    """
+    _check_index(camera_index, transport.camera_shape, "camera sample")
+    place = ", ".join(map(str, camera_index))
+    return _faint(transport.row(*camera_index), f"Row of T: the light of camera pixel {place}")
+
+
+def show_column(transport: LightTransport, row: int, col: int) -> Picture:
+    """Picture of a column of T: what the camera sees when one projector pixel is lit.
+
+    Parameters
+    ----------
+    transport : LightTransport
+    row, col : int
+        The projector pixel.
+
+    Returns
+    -------
+    Picture
+        A Matplotlib figure; of a colour camera, the mean of its channels.
+
+    Raises
+    ------
+    InputError
+        If there is no such projector pixel.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> lm.show_column(lm.truth("metal").transport(), 20, 30).savefig("column.png")
+    """
+    _check_index((row, col), transport.projector_shape, "projector pixel")
+    image = _grey(transport.column(row, col))
+    return _faint(image, f"Column of T: projector pixel {row}, {col} alone")
+
+
+def show_relit(
+    transport: LightTransport, pattern: NDArray[Any], *, exposure: float | None = None
+) -> Picture:
+    """Picture of the scene under a pattern, beside the pattern.
+
+    Parameters
+    ----------
+    transport : LightTransport
+    pattern : (rows, cols) array
+        Of the projector's shape, in [0, 1].
+    exposure : float, optional
+        Exposure of the image; what clips is shown in red. None: one at which hardly anything does.
+
+    Returns
+    -------
+    Picture
+        A Matplotlib figure; the image has a display gamma of 2.2.
+
+    Raises
+    ------
+    InputError
+        On a pattern of another shape, or an exposure that is not above 0.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> stripes = np.zeros((64, 64))
+    >>> stripes[:, ::8] = 1
+    >>> lm.show_relit(lm.truth("metal").transport(), stripes).savefig("relit.png")
+    """
+    image = transport.relight(pattern)
+    title = "The scene under it"
+    if exposure is None:
+        shown = display(image, _white(image))
+    else:
+        hint = "use a number above 0, such as 1"
+        check_number("an exposure", exposure, most=1e9, above=True, hint=hint)
+        light = exposure * image
+        clipped = light >= 1
+        shown = display(light, 1.0)
+        if clipped.any():
+            shown = _marked(shown, clipped)
+            title += f": {100 * clipped.mean():.1f} % clip (red)"
+    with mpl.rc_context(STYLE):
+        drawing = Picture(figsize=(6.4, 3.4), layout="constrained")
+        axes = drawing.subplots(1, 2)
+        panel(axes[0], to_grey(np.asarray(pattern)) / 255, "Pattern")
+        panel(axes[1], shown, title)
+    return drawing
+
+
+def show_dual(transport: LightTransport, lights: NDArray[Any] | None = None) -> Picture:
+    """Picture of the scene as the projector would photograph it, lit from the camera.
+
+    Parameters
+    ----------
+    transport : LightTransport
+    lights : camera_shape array, optional
+        How strongly each camera sample acts as a light. None: all alike.
+
+    Returns
+    -------
+    Picture
+        A Matplotlib figure; the image has a display gamma of 2.2.
+
+    Raises
+    ------
+    InputError
+        If the lights do not have the camera's shape.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> lm.show_dual(lm.truth("metal").transport()).savefig("dual.png")
+    """
+    given = np.ones(transport.camera_shape, np.float32) if lights is None else lights
+    image = transport.dual(given)
+    with mpl.rc_context(STYLE):
+        drawing = Picture(figsize=(3.6, 3.6), layout="constrained")
+        panel(drawing.subplots(), display(image, _white(image)), "Dual image: seen from projector")
+    return drawing
+
+
+def show_clipping(transport: LightTransport) -> Picture:
+    """Picture of how many of each camera pixel's samples clipped.
+
+    Parameters
+    ----------
+    transport : LightTransport
+        An estimate, whose diagnostics say it.
+
+    Returns
+    -------
+    Picture
+        A Matplotlib figure; of a colour camera, the channel that clipped most.
+
+    Raises
+    ------
+    InputError
+        If the matrix does not come from a capture.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> capture = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 8), exposure=2)
+    >>> estimate = lm.estimate(capture, coherent=False, iterations=5)
+    >>> lm.show_clipping(estimate).savefig("clipping.png")
+    """
+    shares = 100 * _diagnostic(transport, "clipped_share")
+    with mpl.rc_context(STYLE):
+        drawing = Picture(figsize=(4.4, 3.6), layout="constrained")
+        axes = drawing.subplots()
+        title = f"Samples that clipped: {np.mean(shares):.1f} %"
+        drawn = panel(axes, shares, title, cmap=_WHITE_TO_RED, vmax=100)
+        drawing.colorbar(drawn, ax=axes, label="of a camera pixel's samples, %")
+    return drawing
+
+
+def show_gaps(transport: LightTransport) -> Picture:
+    """Picture of the relative duality gap of each row: how far from its optimum it can be.
+
+    Parameters
+    ----------
+    transport : LightTransport
+        An estimate of a solver that certifies its rows, such as active-set.
+
+    Returns
+    -------
+    Picture
+        A Matplotlib figure; rows without a gap are grey. Of a colour camera, the largest gap.
+
+    Raises
+    ------
+    InputError
+        If no row has a gap.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> capture = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 8), exposure=2)
+    >>> estimate = lm.estimate(capture, coherent=False, iterations=5)
+    >>> lm.show_gaps(estimate).savefig("gaps.png")
+    """
+    gaps = _diagnostic(transport, "gap").astype(np.float64)
+    known = gaps[np.isfinite(gaps)]
+    if not known.size:
+        raise InputError("no row has a duality gap", hint="estimate with the solver active-set")
+    # Gaps far below any tolerance, and those of dark rows (0), look alike.
+    low, high = 1e-7, max(1e-3, float(known.max()))
+    shown = np.ma.masked_invalid(np.clip(gaps, low, None))
+    with mpl.rc_context(STYLE):
+        drawing = Picture(figsize=(4.4, 3.6), layout="constrained")
+        axes = drawing.subplots()
+        axes.set_facecolor("0.7")
+        title = f"Relative duality gap: median {np.median(known):.1g}, largest {known.max():.1g}"
+        norm = LogNorm(low, high)
+        drawn = panel(axes, shown, title, cmap="viridis", norm=norm, vmin=None, vmax=None)
+        drawing.colorbar(drawn, ax=axes, label="(P - D) / P of a camera pixel's row")
+    return drawing
+
+
+def _faint(image: NDArray[Any], title: str) -> Picture:
+    """An image of one bright spot and faint light, with the scale of its colours."""
+    # Negative light, which some estimates allow, is as dark as none.
+    brightest = max(float(image.max()), 1e-12)
+    norm = PowerNorm(_FAINT, 0, brightest, clip=True)
+    with mpl.rc_context(STYLE):
+        drawing = Picture(figsize=(4.6, 3.6), layout="constrained")
+        axes = drawing.subplots()
+        drawn = panel(axes, image, title, cmap="inferno", norm=norm, vmin=None, vmax=None)
+        ticks = [share * brightest for share in (0, 0.01, 0.05, 0.2, 0.5, 1)]
+        drawing.colorbar(drawn, ax=axes, label=_UNIT, ticks=ticks, format="%.2g")
+    return drawing
+
+
+def _white(image: NDArray[Any]) -> float:
+    return float(np.quantile(image, 1 - _GLINTS))
+
+
+def _grey(image: NDArray[Any]) -> NDArray[Any]:
+    return image if image.ndim == 2 else image.mean(axis=2)
+
+
+def _marked(shown: NDArray[np.float64], clipped: NDArray[np.bool_]) -> NDArray[np.float64]:
+    if shown.ndim == 2:
+        return mark_clipped(shown, clipped)
+    marked = shown.copy()
+    marked[clipped.any(axis=2)] = CLIPPED_COLOUR
+    return marked
+
+
+def _diagnostic(transport: LightTransport, name: str) -> NDArray[Any]:
+    """A fact of each camera pixel, (rows, cols): the largest of its channels."""
+    if name not in transport.diagnostics:
+        raise InputError(
+            f"this matrix does not know the {name.replace('_', ' ')} of its rows",
+            hint="give an estimate, or a store (.zarr) of one",
+        )
+    image = np.asarray(transport.diagnostics[name]).reshape(transport.camera_shape)
+    return image if image.ndim == 2 else image.max(axis=2)
+
+
+def _check_index(index: tuple[int, ...], shape: tuple[int, ...], what: str) -> None:
+    fits = len(index) == len(shape)
+    if not fits or not all(0 <= i < n for i, n in zip(index, shape, strict=True)):
+        raise InputError(
+            f"there is no {what} {index}",
+            hint=f"the shape is {' x '.join(map(str, shape))}, counted from 0",
+        )

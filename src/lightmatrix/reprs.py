@@ -1,0 +1,59 @@
+"""How objects show themselves: in one line where they are printed, as a table in a notebook."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Mapping
+from dataclasses import fields
+from typing import Any
+
+# Longer texts, such as a provenance, are cut.
+_LONGEST = 60
+
+
+def short_repr(self: Any) -> str:
+    """The fields of a dataclass in one line, arrays by their type and shape instead of content.
+
+    To be put into a class as its ``__repr__``.
+    """
+    shown = ", ".join(f"{field.name}={_short(getattr(self, field.name))}" for field in fields(self))
+    return f"{type(self).__name__}({shown})"
+
+
+def html_table(title: str, rows: Mapping[str, Any]) -> str:
+    """Names and values as a small table of HTML, for ``_repr_html_``."""
+    lines = "".join(
+        f"<tr><td style='text-align:left'>{html.escape(name)}</td>"
+        f"<td style='text-align:left'>{html.escape(shown_value(value))}</td></tr>"
+        for name, value in rows.items()
+    )
+    return f"<table><caption><b>{html.escape(title)}</b></caption><tbody>{lines}</tbody></table>"
+
+
+def text_table(title: str, rows: Mapping[str, Any]) -> str:
+    """Names and values as lines of text, for ``__repr__`` where one line cannot tell enough."""
+    width = max(map(len, rows), default=0)
+    lines = [f"  {name:<{width}}  {shown_value(value)}" for name, value in rows.items()]
+    return "\n".join([title, *lines])
+
+
+def shown_value(value: Any) -> str:
+    """A value for the eye: numbers with four digits."""
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def _short(value: Any) -> str:
+    if hasattr(value, "nnz") and hasattr(value, "shape"):
+        return f"<{_size(value.shape)} {value.dtype}, {value.nnz} entries>"
+    if hasattr(value, "dtype") and len(getattr(value, "shape", "")) > 0:
+        return f"<{_size(value.shape)} {value.dtype}>"
+    if isinstance(value, Mapping):
+        return f"<{len(value)} entries>" if value else "{}"
+    if isinstance(value, tuple) and hasattr(value, "_fields"):
+        return f"{type(value).__name__}({', '.join(_short(item) for item in value)})"
+    text = repr(value)
+    return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 3]}..."
+
+
+def _size(shape: tuple[int, ...]) -> str:
+    return " x ".join(map(str, shape))

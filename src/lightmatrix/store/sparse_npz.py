@@ -1,0 +1,169 @@
+"""Sparse matrices in npz files: ours, exported or rendered, and what SciPy saves."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array, csr_array
+
+from lightmatrix.errors import InputError
+from lightmatrix.files.headers import parse_json
+from lightmatrix.files.npy import Header
+from lightmatrix.files.npz import read_npz
+from lightmatrix.store.checked import checked_matrix, finite, shape_of
+
+# Of exports and truth files alike: a file of a later one is refused, not guessed at.
+VERSION = 1
+_VERSIONS = ("lightmatrix_transport", "lightmatrix_truth")
+# Arrays of one value an entry; all others are small or of one value a row and block.
+_ENTRIES = ("data", "indices", "row", "col", "direct_data")
+_MOST_SMALL = 16 << 20
+
+
+@dataclass(frozen=True, eq=False)
+class SparseFile:
+    """What an npz file says of a matrix, checked whole.
+
+    Parameters
+    ----------
+    matrix : (M, N) csr_array float32
+    direct_data : (nnz,) float32, optional
+        The direct part of each entry, if the file holds it.
+    background : (M, B) float32, optional
+        What the matrix leaves out, if the file holds it.
+    background_grid : (rows, cols)
+        B = rows * cols.
+    camera_shape, projector_shape : tuple of int, optional
+        M and N are their products.
+    metadata : mapping
+        JSON-ready.
+    """
+
+    matrix: csr_array
+    direct_data: NDArray[np.float32] | None
+    background: NDArray[np.float32] | None
+    background_grid: tuple[int, int]
+    camera_shape: tuple[int, ...] | None
+    projector_shape: tuple[int, int] | None
+    metadata: Mapping[str, Any]
+
+
+def read_sparse_npz(path: str | Path) -> SparseFile:
+    """Read a sparse matrix in CSR, CSC or COO form.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read, is of a later format version, or contradicts itself.
+    """
+    file = Path(path)
+    content = read_npz(file, _check_headers)
+    for name in _VERSIONS:
+        if name in content and _text(content[name]) != str(VERSION):
+            raise InputError(
+                f"{file}: has format version {_text(content[name])[:20]}, this lightmatrix reads "
+                f"{VERSION}",
+                hint="update lightmatrix",
+            )
+    try:
+        return _checked(file, content)
+    except ValueError as error:
+        raise InputError(
+            f"{file}: contradicts itself: {error}", hint="the file is damaged; write it again"
+        ) from error
+
+
+def _check_headers(headers: Mapping[str, Header]) -> None:
+    """Refuse sizes that no matrix has, before any array is inflated."""
+    lacking = [name for name in ("format", "shape", "data") if name not in headers]
+    if lacking:
+        raise ValueError(f"no sparse matrix: {', '.join(lacking)} missing")
+    entries = headers["data"].shape
+    if len(entries) != 1:
+        raise ValueError("data is not one value an entry")
+    for name, header in headers.items():
+        if name in _ENTRIES:
+            if header.shape != entries:
+                words = "direct parts" if name == "direct_data" else name
+                raise ValueError(f"{header.shape} {words} for {entries[0]} entries")
+        elif name not in ("indptr", "background") and header.bytes > _MOST_SMALL:
+            raise ValueError(f"{name[:40]!r} holds {header.bytes} bytes")
+
+
+def _checked(file: Path, content: Mapping[str, NDArray[Any]]) -> SparseFile:
+    rows, cols = shape_of(content["shape"], (2,), "the matrix")
+    matrix = _matrix(content, (rows, cols))
+    camera, projector = None, None
+    if "camera_shape" in content:
+        camera = shape_of(content["camera_shape"], (2, 3), "camera_shape")
+    if "projector_shape" in content:
+        projector = _pair(content["projector_shape"], "projector_shape")
+    for name, shape, length in (("camera", camera, rows), ("projector", projector, cols)):
+        if shape is not None and np.prod(shape) != length:
+            raise ValueError(
+                f"its {name} has {' x '.join(map(str, shape))} pixels, its matrix has {length}"
+            )
+    grid = (1, 1)
+    if "background_grid" in content:
+        grid = _pair(content["background_grid"], "background_grid")
+    background = content.get("background")
+    if background is not None:
+        if background.shape != (rows, grid[0] * grid[1]):
+            raise ValueError(f"a background of {background.shape}")
+        background = finite(background, "the background")
+    direct = content.get("direct_data")
+    if direct is not None:
+        if _form(content) != "csr":
+            raise ValueError("direct parts without rows in order")
+        direct = finite(direct, "the direct part")
+    metadata: Any = {}
+    if "metadata" in content:
+        metadata = parse_json(_text(content["metadata"]), f"{file}: metadata", finite=False)
+        if not isinstance(metadata, dict):
+            raise ValueError("its metadata is not an object")
+    return SparseFile(matrix, direct, background, grid, camera, projector, metadata)
+
+
+def _matrix(content: Mapping[str, NDArray[Any]], shape: tuple[int, int]) -> csr_array:
+    rows, cols = shape
+    form = _form(content)
+    needed = {"csr": ("indices", "indptr"), "csc": ("indices", "indptr"), "coo": ("row", "col")}
+    if form not in needed:
+        raise ValueError(f"a matrix in the form {form[:20]!r}; save it as csr")
+    lacking = [name for name in needed[form] if name not in content]
+    if lacking:
+        raise ValueError(f"{', '.join(lacking)} missing")
+    data = content["data"]
+    if form == "csr":
+        return checked_matrix(data, content["indices"], content["indptr"], shape)
+    if form == "csc":
+        flipped = checked_matrix(data, content["indices"], content["indptr"], (cols, rows))
+        return csr_array(flipped.T)
+    for name, most in (("row", rows), ("col", cols)):
+        index = content[name]
+        if index.dtype.kind not in "iu" or (index < 0).any() or (index >= most).any():
+            raise ValueError(f"a place lies outside the matrix of {rows} x {cols}")
+    places = (content["row"].astype(np.int32), content["col"].astype(np.int32))
+    return csr_array(coo_array((finite(data, "data"), places), shape=shape))
+
+
+def _form(content: Mapping[str, NDArray[Any]]) -> str:
+    return _text(content["format"])
+
+
+def _pair(value: NDArray[Any], name: str) -> tuple[int, int]:
+    rows, cols = shape_of(value, (2,), name)
+    return rows, cols
+
+
+def _text(value: NDArray[Any]) -> str:
+    """A single value, as words."""
+    if value.size != 1:
+        return "nothing"
+    item = value.reshape(-1)[0].item()
+    return item.decode("ascii", "replace") if isinstance(item, bytes) else str(item)

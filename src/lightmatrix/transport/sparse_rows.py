@@ -1,0 +1,131 @@
+"""Rows of a light transport matrix as they are found: a part of it, joined to the whole later."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array, vstack
+
+from lightmatrix.errors import InputError
+
+_DIAGNOSTIC = "diagnostic_"
+
+
+@dataclass(frozen=True, eq=False)
+class SparseRows:
+    """What was found of m rows: few coefficients each, their background, and facts about them.
+
+    Parameters
+    ----------
+    coefficients : (m, N) csr_array
+        The sparse part, in units of camera sample per unit of projector pixel.
+    background : (m, B)
+        Coefficients of the B columns of the background.
+    diagnostics : mapping of str to (m,) array
+        Facts about each row, such as its gap.
+    """
+
+    coefficients: csr_array
+    background: NDArray[Any]
+    diagnostics: Mapping[str, NDArray[Any]] = field(default_factory=dict)
+
+    @property
+    def count(self) -> int:
+        """Number of rows m."""
+        return int(self.coefficients.shape[0])
+
+    def check(self) -> None:
+        """Refuse rows that do not fit together, or are not finite: those of a damaged file.
+
+        Raises
+        ------
+        InputError
+            With what is wrong.
+        """
+        try:
+            self.coefficients.check_format(full_check=True)
+        except ValueError as error:
+            raise _damaged(f"sparse rows that are none: {error}") from error
+        if self.background.ndim != 2 or len(self.background) != self.count:
+            raise _damaged(f"a background of {self.background.shape} for {self.count} rows")
+        for name, values in self.diagnostics.items():
+            if values.shape != (self.count,):
+                raise _damaged(f"a diagnostic {name!r} of {values.shape} for {self.count} rows")
+        for part in (self.coefficients.data, self.background):
+            if part.dtype not in (np.float32, np.float64) or not np.isfinite(part).all():
+                raise _damaged("coefficients that are no finite numbers")
+
+    def rows(self, index: slice | NDArray[np.integer]) -> SparseRows:
+        """Some of the rows, in the order of the index."""
+        return SparseRows(
+            csr_array(self.coefficients[index]),
+            self.background[index],
+            {name: values[index] for name, values in self.diagnostics.items()},
+        )
+
+    def single(self) -> SparseRows:
+        """The same with coefficients in single precision."""
+        coefficients = csr_array(self.coefficients, dtype=np.float32)
+        return SparseRows(coefficients, self.background.astype(np.float32), self.diagnostics)
+
+    @classmethod
+    def joined(cls, parts: Sequence[SparseRows]) -> SparseRows:
+        """The rows of one or more parts below each other; all with the same diagnostics."""
+        return cls(
+            stacked([part.coefficients for part in parts]),
+            np.concatenate([part.background for part in parts]),
+            {
+                name: np.concatenate([part.diagnostics[name] for part in parts])
+                for name in parts[0].diagnostics
+            },
+        )
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """The rows as named arrays, from which `from_arrays` makes them again."""
+        return {
+            "data": self.coefficients.data,
+            "indices": self.coefficients.indices,
+            "indptr": self.coefficients.indptr,
+            "shape": np.array(self.coefficients.shape),
+            "background": self.background,
+            **{_DIAGNOSTIC + name: values for name, values in self.diagnostics.items()},
+        }
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self:
+        """The rows of `arrays`, checked.
+
+        Raises
+        ------
+        InputError
+            On arrays that are missing or do not fit.
+        """
+        try:
+            parts = arrays["data"], arrays["indices"], arrays["indptr"]
+            rows, pixels = (int(size) for size in arrays["shape"])
+            found = cls(
+                csr_array(parts, shape=(rows, pixels)),
+                arrays["background"],
+                {
+                    name.removeprefix(_DIAGNOSTIC): values
+                    for name, values in arrays.items()
+                    if name.startswith(_DIAGNOSTIC)
+                },
+            )
+        except (KeyError, TypeError, ValueError) as error:
+            raise _damaged(f"arrays that are no sparse rows: {error}") from error
+        found.check()
+        return found
+
+
+def stacked(parts: Sequence[csr_array]) -> csr_array:
+    """Sparse matrices of equal width below each other."""
+    return csr_array(vstack(parts, format="csr"))
+
+
+def _damaged(what: str) -> InputError:
+    return InputError(what, hint="the file they come from is damaged: make it again")

@@ -1,0 +1,432 @@
+"""C: outputs replace only what this program wrote, and never anything but files and folders."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from ..case import Case, Limits, Prepare
+from ..checks import every, holds, is_link, prints
+from ..put import both, copy, device, folder_at, link, move, pipe, plug, remove, text
+
+PATTERNS = "patterns bernoulli -k 2 --size 8x8"
+SIMULATE = "simulate T.npz --patterns patterns"
+ESTIMATE = "estimate capture --no-coherent"
+
+# Every command with an output, without it; and the ending that it wants.
+WRITERS = {
+    "patterns": (f"{PATTERNS} -o", ""),
+    "simulate": (f"{SIMULATE} -o", ""),
+    "estimate": (f"{ESTIMATE} -o", ".zarr"),
+    "relight png": ("relight scene.zarr shown.png -o", ".png"),
+    "relight npy": ("relight scene.zarr shown.png -o", ".npy"),
+    "export npz": ("export scene.zarr", ".npz"),
+    "export mat": ("export scene.zarr", ".mat"),
+    "render": ("render wall --size 8x8 --spp 1 -o", ".npz"),
+    "demo": ("demo -o", ""),
+    "scenes": ("scenes --thumbnails", ""),
+    "experiment": ("experiment fig4 --quick -o", ""),
+}
+# The files by whose names a folder was once taken for ours.
+NAMES = ("capture.json", "patterns.json", "zarr.json", "scenes.json", "demo.json", "fig4.json")
+HAND_WRITTEN = '{"format": "lightmatrix-capture", "version": 1, "exposure": 0.5}\n'
+
+
+def _not_files() -> list[Case]:
+    cases = []
+    for what, put in {"device": device, "pipe": pipe, "socket": plug}.items():
+        for name, (command, ending) in WRITERS.items():
+            output = f"out{ending}"
+            cases.append(
+                Case(
+                    f"{name} over a {what}",
+                    f"{command} {output} --overwrite",
+                    output,
+                    put(output),
+                    # Refused at once, long before anything is computed.
+                    seconds=8,
+                )
+            )
+    for name in ("patterns", "simulate", "relight png", "export npz"):
+        command, ending = WRITERS[name]
+        output = f"out{ending}"
+        linked = both(device("node"), link(output, "node"))
+        cases.append(
+            Case(
+                f"{name} over a link to a device", f"{command} {output} --overwrite", "out", linked
+            )
+        )
+    return cases
+
+
+def _places() -> list[Case]:
+    cases = []
+    # The folder we stand in, and those above it, each said in several ways.
+    places = (".", "./", "..", "../..", "../work", "patterns/..", "../../outer", "''")
+    for place in places:
+        for overwrite in ("", " --overwrite"):
+            name = f"patterns into {place}{overwrite}"
+            # An empty name is the current folder to pathlib.
+            cases.append(Case(name, f"{PATTERNS} -o {place}{overwrite}"))
+    ours = both(move("patterns/patterns.json", "patterns.json"), remove("patterns"))
+    cases += [
+        Case("simulate into the current folder", f"{SIMULATE} -o . --overwrite"),
+        Case("demo into the current folder", "demo -o . --overwrite"),
+        Case(
+            "patterns into the current folder that looks like ours",
+            f"{PATTERNS} -o . --overwrite",
+            prepare=ours,
+        ),
+        Case(
+            "patterns over a mount point",
+            f"{PATTERNS} -o disk --overwrite",
+            "disk",
+            folder_at("disk"),
+            limits=Limits(mount=("disk", 1 << 20)),
+        ),
+        Case(
+            "patterns over a folder that holds a mount point",
+            f"{PATTERNS} -o patterns --overwrite",
+            "patterns",
+            folder_at("patterns/disk"),
+            limits=Limits(mount=("patterns/disk", 1 << 20)),
+        ),
+        Case("patterns over their own input", f"{SIMULATE} -o patterns --overwrite", "patterns"),
+        Case(
+            "estimate over its capture's folder",
+            f"{ESTIMATE} -o capture/../capture --overwrite",
+            "capture",
+        ),
+        Case(
+            "relight over its own pattern",
+            "relight scene.zarr shown.png -o shown.png",
+            "shown.png",
+        ),
+        Case("export over its own store", "export plain.zarr plain.zarr --overwrite", "plain.zarr"),
+    ]
+    return cases
+
+
+def _foreign() -> list[Case]:
+    cases = []
+    for name in NAMES:
+        for content, kind in (
+            (HAND_WRITTEN, "ours by its words"),
+            ("{}", "empty"),
+            ("", "of 0 bytes"),
+        ):
+            cases.append(
+                Case(
+                    f"a folder of photographs with a {name}, {kind}",
+                    f"{PATTERNS} -o mine --overwrite",
+                    "mine",
+                    both(text(f"mine/{name}", content), text("mine/photo.jpg")),
+                )
+            )
+    ours = {"patterns": PATTERNS, "capture": SIMULATE, "scene.zarr": ESTIMATE}
+    additions = ("holiday.jpg", ".notes", "more/raw.dng", "images/image_9999.png")
+    for folder, command in ours.items():
+        # Capture is estimated from, so it is written to a copy.
+        for addition in additions:
+            cases.append(
+                Case(
+                    f"{folder} with one foreign file {addition}",
+                    f"{command} -o old{Path(folder).suffix} --overwrite",
+                    "old",
+                    both(
+                        copy(folder, f"old{Path(folder).suffix}"),
+                        text(f"old{Path(folder).suffix}/{addition}"),
+                    ),
+                )
+            )
+        cases.append(
+            Case(
+                f"{folder} of ours is replaced",
+                f"{command} -o old{Path(folder).suffix} --overwrite",
+                (),
+                copy(folder, f"old{Path(folder).suffix}"),
+                code=0,
+            )
+        )
+        cases.append(
+            Case(
+                f"{folder} of ours is kept without --overwrite",
+                f"{command} -o {folder}",
+                ("exists", "--overwrite"),
+            )
+        )
+    photographs = text("capture/images/image_0000.png", "another photograph, longer than any")
+    cases += [
+        Case(
+            "photographs and a hand-written capture.json, as the docs tell",
+            f"{PATTERNS} -o cap --overwrite",
+            "cap",
+            both(copy("photos", "cap/images"), text("cap/capture.json", HAND_WRITTEN)),
+        ),
+        Case(
+            "a whole hand-made capture",
+            f"{SIMULATE} -o cap --overwrite",
+            "cap",
+            both(
+                copy("photos", "cap/images"),
+                copy("projected", "cap/patterns"),
+                text("cap/capture.json", HAND_WRITTEN),
+            ),
+        ),
+        Case("photographs alone", f"{PATTERNS} -o photos --overwrite", "photos", photographs),
+        Case(
+            "another program's Zarr store",
+            f"{ESTIMATE} -o other.zarr --overwrite",
+            "other.zarr",
+            text("other.zarr/zarr.json", '{"zarr_format": 3, "node_type": "group"}'),
+        ),
+        Case(
+            "another program's Zarr store with a format of its own",
+            f"{ESTIMATE} -o other.zarr --overwrite",
+            "other.zarr",
+            text(
+                "other.zarr/zarr.json",
+                '{"zarr_format": 3, "node_type": "group", "attributes": {"format": "ome"}}',
+            ),
+        ),
+        Case("an empty folder is filled", f"{PATTERNS} -o new", (), folder_at("new"), code=0),
+    ]
+    return cases
+
+
+def _files() -> list[Case]:
+    relight = "relight scene.zarr shown.png"
+    return [
+        Case(
+            "export over a foreign npz",
+            "export scene.zarr mine.npz --overwrite",
+            "mine.npz",
+            text("mine.npz"),
+        ),
+        Case(
+            "export over a foreign mat",
+            "export scene.zarr mine.mat --overwrite",
+            "mine.mat",
+            text("mine.mat"),
+        ),
+        Case(
+            "export over a folder",
+            "export scene.zarr mine.npz --overwrite",
+            "mine.npz",
+            text("mine.npz/photo.jpg"),
+        ),
+        Case(
+            "export over an empty folder",
+            "export scene.zarr mine.npz --overwrite",
+            "mine.npz",
+            folder_at("mine.npz"),
+        ),
+        Case(
+            "export over our own npz",
+            "export scene.zarr plain.npz --overwrite",
+            code=0,
+            makes=("plain.npz",),
+        ),
+        Case(
+            "export over our own mat",
+            "export scene.zarr own.mat --overwrite",
+            (),
+            code=0,
+            scenario=lambda folder, run: (
+                run("export scene.zarr own.mat"),
+                run("export plain.zarr own.mat --overwrite"),
+            )[1],
+            makes=("own.mat",),
+        ),
+        Case("relight over a picture", f"{relight} -o black.png --overwrite", code=0),
+        # Images carry no marker, so that there --overwrite is enough.
+        Case(
+            "relight over a text that is called png",
+            f"{relight} -o notes.png --overwrite",
+            (),
+            text("notes.png"),
+            code=0,
+        ),
+        Case(
+            "relight over a folder",
+            f"{relight} -o mine.png --overwrite",
+            "mine.png",
+            text("mine.png/photo.jpg"),
+        ),
+        Case(
+            "relight over a picture, not asked to",
+            f"{relight} -o black.png",
+            ("black.png", "--overwrite"),
+        ),
+        Case("patterns over a file", f"{PATTERNS} -o holiday.jpg --overwrite", "holiday.jpg"),
+        Case(
+            "estimate over a file",
+            f"{ESTIMATE} -o mine.zarr --overwrite",
+            "mine.zarr",
+            text("mine.zarr"),
+        ),
+    ]
+
+
+def _links() -> list[Case]:
+    outside = both(copy("patterns", "../kept"), link("out", "../kept"))
+    photographs = both(text("../kept/photo.jpg"), link("out", "../kept"))
+
+    def of_file(put: Prepare) -> Prepare:
+        return both(put, link("out.npz", "target.npz"))
+
+    return [
+        Case(
+            "a link to our own folder is followed",
+            f"{PATTERNS} -o out --overwrite",
+            (),
+            outside,
+            code=0,
+            makes=("../kept",),
+            check=every(is_link("out"), holds("../kept/pattern_0001.png")),
+        ),
+        Case("a link to photographs", f"{PATTERNS} -o out --overwrite", "kept|out", photographs),
+        Case(
+            "a link to our own file is followed",
+            "export scene.zarr out.npz --overwrite",
+            (),
+            of_file(copy("plain.npz", "target.npz")),
+            code=0,
+            makes=("target.npz",),
+            check=is_link("out.npz"),
+        ),
+        Case(
+            "a link to a foreign file",
+            "export scene.zarr out.npz --overwrite",
+            "npz",
+            of_file(text("target.npz")),
+        ),
+        Case("a link to itself", f"{PATTERNS} -o out --overwrite", "out", link("out", "out")),
+        Case(
+            "a link that leads nowhere, for an estimate",
+            f"{ESTIMATE} -o out.zarr",
+            "out.zarr",
+            link("out.zarr", "gone/away.zarr"),
+        ),
+        Case(
+            "a link that leads nowhere, for patterns",
+            f"{PATTERNS} -o out",
+            "out",
+            link("out", "gone/away"),
+        ),
+        Case(
+            "a link that leads nowhere, for an export",
+            "export scene.zarr out.npz",
+            "out.npz",
+            link("out.npz", "gone/away.npz"),
+        ),
+        Case(
+            "a link to the current folder",
+            f"{PATTERNS} -o out --overwrite",
+            "out",
+            link("out", "."),
+        ),
+        Case(
+            "a linked folder above the output",
+            f"{PATTERNS} -o way/out",
+            (),
+            both(folder_at("real"), link("way", "real")),
+            code=0,
+            makes=("real/out",),
+            check=holds("real/out/pattern_0001.png"),
+        ),
+    ]
+
+
+def _siblings() -> list[Case]:
+    return [
+        Case(
+            "a folder out.cases beside an experiment",
+            "experiment fig4 --quick -o out",
+            (),
+            text("out.cases/photo.jpg"),
+            code=(0, 2),
+            seconds=60,
+        ),
+        Case(
+            "a folder out.cases beside a resumable experiment",
+            "experiment few-patterns --quick -o out",
+            "out.cases",
+            text("out.cases/photo.jpg"),
+            seconds=5,
+        ),
+        Case(
+            "a folder o.zarr.partial that is not an estimate's",
+            f"{ESTIMATE} -o o.zarr",
+            "o.zarr.partial",
+            text("o.zarr.partial/photo.jpg"),
+        ),
+        Case(
+            "a foreign o.zarr.partial and --overwrite",
+            f"{ESTIMATE} -o o.zarr --overwrite",
+            "o.zarr.partial",
+            text("o.zarr.partial/photo.jpg"),
+        ),
+        Case(
+            "a foreign npz in o.zarr.partial and --overwrite",
+            f"{ESTIMATE} -o o.zarr --overwrite",
+            "o.zarr.partial",
+            both(
+                text("o.zarr.partial/rows-0-9.npz"), text("o.zarr.partial/fingerprint.json", "{}")
+            ),
+        ),
+        Case(
+            "a file o.zarr.partial",
+            f"{ESTIMATE} -o o.zarr",
+            "o.zarr.partial",
+            text("o.zarr.partial"),
+        ),
+        Case(
+            "a link o.zarr.partial to photographs",
+            f"{ESTIMATE} -o o.zarr",
+            "o.zarr.partial",
+            link("o.zarr.partial", "photos"),
+        ),
+        Case(
+            "an empty o.zarr.partial",
+            f"{ESTIMATE} -o o.zarr",
+            (),
+            folder_at("o.zarr.partial"),
+            code=(0, 2),
+            makes=("o.zarr", "o.zarr.partial"),
+        ),
+        Case(
+            "hidden files of others beside an output",
+            f"{PATTERNS} -o new",
+            (),
+            both(text(".new.mine"), text(".patterns.backup.png")),
+            code=0,
+        ),
+        Case(
+            "a name of brackets for patterns",
+            f"{PATTERNS} -o 'a[/b]'",
+            (),
+            code=0,
+            check=every(holds("a[/b]/pattern_0001.png"), prints("a[/b]")),
+        ),
+    ]
+
+
+# What of the work folder its cases are given.
+NEEDS = (
+    *(),
+    *(
+        "T.npz",
+        "patterns",
+        "capture",
+        "scene.zarr",
+        "plain.npz",
+        "plain.zarr",
+        "photos",
+        "projected",
+        "black.png",
+        "holiday.jpg",
+        "shown.png",
+    ),
+)
+
+CASES = [*_not_files(), *_places(), *_foreign(), *_files(), *_links(), *_siblings()]

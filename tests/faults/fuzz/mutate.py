@@ -1,0 +1,215 @@
+"""Ways to damage a file: by its bytes, or by what it means."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Generator = np.random.Generator
+# A damage says in words what it did.
+Damage = Callable[[Generator, Path], str]
+
+
+# ---- bytes
+
+
+def flip_bit(draw: Generator, file: Path) -> str:
+    """One bit turned round."""
+    data = bytearray(file.read_bytes())
+    at, bit = int(draw.integers(max(1, len(data)))), int(draw.integers(8))
+    if data:
+        data[at] ^= 1 << bit
+    file.write_bytes(bytes(data))
+    return f"bit {bit} of byte {at} flipped"
+
+
+def cut(draw: Generator, file: Path) -> str:
+    """The end is lost."""
+    data = file.read_bytes()
+    size = int(draw.integers(len(data) + 1))
+    file.write_bytes(data[:size])
+    return f"cut to {size} of {len(data)} bytes"
+
+
+def insert(draw: Generator, file: Path) -> str:
+    """A few bytes too many."""
+    data = file.read_bytes()
+    at, count = int(draw.integers(len(data) + 1)), int(draw.integers(1, 9))
+    file.write_bytes(data[:at] + draw.bytes(count) + data[at:])
+    return f"{count} bytes inserted at {at}"
+
+
+def swap(draw: Generator, file: Path) -> str:
+    """Two pieces exchanged."""
+    data = bytearray(file.read_bytes())
+    size = int(draw.integers(1, max(2, len(data) // 4)))
+    first, second = (int(v) for v in draw.integers(0, max(1, len(data) - size), 2))
+    piece = bytes(data[first : first + size])
+    data[first : first + size] = data[second : second + size]
+    data[second : second + size] = piece
+    file.write_bytes(bytes(data))
+    return f"{size} bytes at {first} and {second} exchanged"
+
+
+def blank(draw: Generator, file: Path) -> str:
+    """A stretch of zeros, as a bad sector leaves."""
+    data = bytearray(file.read_bytes())
+    at, size = int(draw.integers(max(1, len(data)))), int(draw.integers(1, 64))
+    data[at : at + size] = bytes(len(data[at : at + size]))
+    file.write_bytes(bytes(data))
+    return f"{size} bytes at {at} are 0"
+
+
+# ---- files
+
+
+def lose(draw: Generator, file: Path) -> str:
+    """The file is gone."""
+    file.unlink()
+    return "lost"
+
+
+def double(draw: Generator, file: Path) -> str:
+    """The file is there twice."""
+    file.with_name(f"{file.stem}_{draw.integers(10)}{file.suffix}").write_bytes(file.read_bytes())
+    return "doubled"
+
+
+def rename(draw: Generator, file: Path) -> str:
+    """The file has another name."""
+    names = ("²1.png", "x[/y].png", "-1.npz", "rows-a-b.npz", "0", "a b", ":x:.png", file.name[:-1])
+    name = names[int(draw.integers(len(names)))] or "x"
+    file.rename(file.with_name(name))
+    return f"renamed {name}"
+
+
+def replace(draw: Generator, file: Path) -> str:
+    """Another thing than a file."""
+    file.unlink()
+    kind = int(draw.integers(3))
+    if kind == 0:
+        file.mkdir()
+    elif kind == 1:
+        os.mkfifo(file)
+    else:
+        file.symlink_to(("nowhere", file.name)[int(draw.integers(2))])
+    return f"now a {('folder', 'pipe', 'link')[kind]}"
+
+
+BYTES: tuple[Damage, ...] = (flip_bit, flip_bit, cut, insert, swap, blank)
+FILES: tuple[Damage, ...] = (lose, double, rename, replace)
+
+
+# ---- JSON
+
+ODD: tuple[Any, ...] = (
+    *(None, True, False, 0, -1, 1, 0.5, 1e300, -1e300, 2**31, 2**63, 2**64, 10**30),
+    *(float("nan"), float("inf"), "", "text", "[/red]", ":x:", "2", "../x.png", "\0", "é" * 50),
+    *([], {}, [1], [0, 0], [8, 8], [-8, 8], [2**40, 2**40], [[8], [8]], {"a": 1}, [None], ["8", 8]),
+)
+
+
+def change_json(draw: Generator, file: Path) -> str:
+    """One value, somewhere, becomes another; or a key is renamed, lost or added."""
+    content = json.loads(file.read_text())
+    places = list(_places(content))
+    holder, key = places[int(draw.integers(len(places)))]
+    how = int(draw.integers(8))
+    if how < 5:
+        value = ODD[int(draw.integers(len(ODD)))]
+        words = f"{key} = {str(value)[:30]}"
+        holder[key] = value
+    elif how == 5 and isinstance(holder, dict):
+        holder[f"{key}s"] = holder.pop(key)
+        words = f"{key} renamed"
+    elif how == 6 and isinstance(holder, dict):
+        del holder[key]
+        words = f"{key} lost"
+    else:
+        other, place = places[int(draw.integers(len(places)))]
+        holder[key] = json.loads(json.dumps(other[place]))
+        words = f"{key} as {place}"
+    file.write_text(json.dumps(content))
+    return words
+
+
+def _places(content: Any) -> Any:
+    items = content.items() if isinstance(content, dict) else enumerate(content)
+    for key, value in list(items):
+        yield content, key
+        if isinstance(value, (dict, list)):
+            yield from _places(value)
+
+
+# ---- arrays
+
+_TYPES = ("f8", "f4", "f2", "i8", "i4", "i2", "u1", "u8", "?", "c8", "U3", "S2", ">f4", ">i8")
+
+
+def change_array(draw: Generator, values: NDArray[Any]) -> tuple[NDArray[Any], str]:
+    """An array with another type, another shape, or odd numbers in it."""
+    how = int(draw.integers(8))
+    if how == 0:
+        kind = _TYPES[int(draw.integers(len(_TYPES)))]
+        try:
+            with np.errstate(all="ignore"):
+                return values.astype(kind), f"of type {kind}"
+        except (ValueError, TypeError):
+            return values, "as it was"
+    if how == 1:
+        shapes: list[tuple[int, ...]] = [(), (-1, 1), (1, -1), (-1,), (1, 1, -1)]
+        shape = shapes[int(draw.integers(len(shapes)))]
+        shaped = (
+            values.ravel()[0].reshape(())
+            if shape == () and values.size
+            else values.reshape(shape or -1)
+        )
+        return np.asarray(shaped), f"of shape {shaped.shape}"
+    if how == 2 and values.ndim:
+        size = int(draw.integers(0, len(values) + 1))
+        return values[:size], f"cut to {size}"
+    if how == 3 and values.ndim:
+        return np.concatenate([values, values[-1:]]), "with its last item twice"
+    if how == 4:
+        return values.ravel()[::-1].reshape(values.shape).copy(), "turned round"
+    if values.dtype.kind not in "fiu" or not values.size:
+        return values, "as it was"
+    changed = values.copy()
+    odd: tuple[Any, ...] = (np.nan, np.inf, -np.inf, -1, 1e30, 0)
+    if values.dtype.kind in "iu":
+        top = np.iinfo(values.dtype)
+        odd = (-1 if top.min else top.max, 0, top.max, top.min, int(values.max()) + 1, 64)
+    value = odd[int(draw.integers(len(odd)))]
+    at = int(draw.integers(values.size))
+    with np.errstate(all="ignore"):
+        changed.ravel()[at] = value
+    return changed, f"with {value} at {at}"
+
+
+def change_archive(draw: Generator, file: Path) -> str:
+    """One array of an npz file changed, lost, renamed or exchanged."""
+    with np.load(file, allow_pickle=False) as held:
+        content: dict[str, Any] = {key: held[key] for key in held.files}
+    keys = list(content)
+    key = keys[int(draw.integers(len(keys)))]
+    how = int(draw.integers(10))
+    if how == 0:
+        del content[key]
+        words = "lost"
+    elif how == 1:
+        content[f"{key}s"] = content.pop(key)
+        words = "renamed"
+    elif how == 2:
+        other = keys[int(draw.integers(len(keys)))]
+        content[key] = content[other]
+        words = f"as {other}"
+    else:
+        content[key], words = change_array(draw, content[key])
+    np.savez(file, **content)
+    return f"{key} {words}"

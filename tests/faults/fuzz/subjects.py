@@ -1,0 +1,272 @@
+"""What is damaged, which command then reads it, and what must hold if it is accepted."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import imageio.v3 as imageio
+import numpy as np
+import tifffile
+import zarr
+from scipy import sparse
+
+from ..checks import whole_matrix
+from ..work import TILED
+from ..zygote import run_command
+from .mutate import (
+    BYTES,
+    FILES,
+    Damage,
+    Generator,
+    change_archive,
+    change_array,
+    change_json,
+    flip_bit,
+)
+
+
+@dataclass(frozen=True)
+class Subject:
+    """Something that is read.
+
+    Parameters
+    ----------
+    needs : tuple of str
+        What of the work folder it is made of.
+    damage : callable
+        Damages it; gives words.
+    commands : tuple of str
+        One of them reads it.
+    makes : tuple of str
+        What the command may make.
+    sane : callable
+        What is wrong with a result that was accepted (of that damage), or None.
+    """
+
+    needs: tuple[str, ...]
+    damage: Damage
+    commands: tuple[str, ...]
+    makes: tuple[str, ...]
+    sane: Callable[[Path, str], str | None]
+
+
+def _pick(draw: Generator, items: Any) -> Any:
+    found = sorted(items)
+    return found[int(draw.integers(len(found)))]
+
+
+def _of_bytes(words: str) -> bool:
+    return " flipped" in words
+
+
+# ---- results
+
+
+def _finite(folder: Path, words: str) -> str | None:
+    """Whatever was made holds finite numbers only."""
+    for file in folder.glob("out.*"):
+        if file.suffix == ".npy":
+            values = np.load(file)
+        elif file.suffix == ".npz":
+            values = sparse.load_npz(file).data
+        elif file.suffix == ".zarr":
+            values = whole_matrix(file)
+        else:
+            continue
+        if not np.isfinite(values).all():
+            return f"{file.name} holds numbers that are not finite"
+    return None
+
+
+# ---- captures
+
+
+def _capture(draw: Generator, folder: Path) -> str:
+    place = folder / "capture"
+    how = int(draw.integers(10))
+    if how < 5:
+        file = place / "capture.json"
+        damage: Damage = change_json
+    elif how < 7:
+        file = place / "patterns" / "patterns.json"
+        damage = change_json
+    else:
+        file = _pick(draw, [f for f in place.rglob("*") if f.is_file()])
+        damages = (*BYTES, *FILES)
+        damage = damages[int(draw.integers(len(damages)))]
+    return f"{file.relative_to(folder)}: {damage(draw, file)}"
+
+
+# ---- images
+
+
+def _images(draw: Generator, folder: Path) -> str:
+    # Noise, so that every bit of the file counts.
+    pixels = draw.integers(0, 256, (8, 8), dtype=np.uint8)
+    kind = int(draw.integers(12))
+    deep = pixels.astype(np.uint16) * 257
+    colour = np.repeat(pixels[..., None], 3, axis=2)
+    stream = io.BytesIO()
+    if kind < 6:
+        suffix = ".png"
+        image = (pixels, deep, colour, pixels, deep, (pixels > 99).astype(np.uint8) * 255)[kind]
+        stream.write(imageio.imwrite("<bytes>", image, extension=suffix))
+    elif kind < 9:
+        suffix = ".tif"
+        options: tuple[dict[str, Any], ...] = ({}, {"compression": "zlib"}, {"byteorder": ">"})
+        tifffile.imwrite(stream, deep, **options[kind - 6])
+    elif kind == 9:
+        suffix = ".npy"
+        np.save(stream, deep)
+    else:
+        suffix = (".bmp", ".jpg")[kind - 10]
+        stream.write(imageio.imwrite("<bytes>", pixels, extension=suffix))
+    file = folder / "picture"
+    file.write_bytes(stream.getvalue())
+    (folder / f"sound{suffix}").write_bytes(stream.getvalue())
+    damages = (*BYTES, flip_bit, flip_bit)
+    words = damages[int(draw.integers(len(damages)))](draw, file)
+    # The command names picture.png; the reader goes by what is in the file, or refuses.
+    file.rename(folder / f"picture{suffix}")
+    return f"picture{suffix}: {words}"
+
+
+def _same_picture(folder: Path, words: str) -> str | None:
+    """A PNG whose pixels are accepted after damage of any kind has its own pixels."""
+    if not words.startswith("picture.png"):
+        return _finite(folder, words)
+    ran = run_command("relight one.zarr sound.png -o wanted.npy", folder)
+    if ran.code != 0:
+        return f"the sound picture is refused: {ran.err[:100]}"
+    same = np.array_equal(np.load(folder / "out.npy"), np.load(folder / "wanted.npy"))
+    (folder / "wanted.npy").unlink()
+    return None if same else "a damaged PNG was read with other pixels"
+
+
+# ---- stores
+
+
+def _store(draw: Generator, folder: Path) -> str:
+    place = folder / "scene.zarr"
+    how = int(draw.integers(10))
+    if how < 4:
+        name = _pick(draw, ("data", "indices", "indptr", "background", "diagnostics/gap"))
+        group = zarr.open_group(place, mode="r+", use_consolidated=False)
+        old = group[name]
+        assert isinstance(old, zarr.Array)
+        values, words = change_array(draw, np.asarray(old[...]))
+        if values.dtype.kind in "US":
+            return f"{name} as it was"
+        del group[name]
+        chunks = tuple(max(1, n) for n in values.shape)
+        made = group.create_array(name, shape=values.shape, chunks=chunks, dtype=values.dtype)
+        made[...] = values
+        return f"{name} {words}"
+    if how < 7:
+        file = _pick(draw, [place / "zarr.json", *place.rglob("zarr.json")])
+        return f"{file.relative_to(folder)}: {change_json(draw, file)}"
+    file = _pick(draw, [f for f in place.rglob("*") if f.is_file()])
+    damages = (*BYTES, *FILES)
+    return f"{file.relative_to(folder)}: {damages[int(draw.integers(len(damages)))](draw, file)}"
+
+
+def _same_store(folder: Path, words: str) -> str | None:
+    """Numbers are finite; bytes of a chunk that were damaged are noticed."""
+    complaint = _finite(folder, words)
+    if complaint or "/c/" not in words or "diagnostics" in words or "doubled" in words:
+        return complaint
+    try:
+        found, wanted = (whole_matrix(folder / name) for name in ("scene.zarr", "sound.zarr"))
+    except ValueError as error:
+        return f"accepted by one command, not by another: {error}"
+    return None if np.array_equal(found, wanted) else "a damaged chunk was read with other numbers"
+
+
+# ---- archives
+
+
+def _archive(draw: Generator, folder: Path) -> str:
+    file = folder / "T.npz"
+    if draw.random() < 0.6:
+        return change_archive(draw, file)
+    return f"T.npz: {BYTES[int(draw.integers(len(BYTES)))](draw, file)}"
+
+
+# ---- partial runs
+
+
+def _partial(draw: Generator, folder: Path) -> str:
+    from ..cases.partial import PARTIAL, interrupted
+
+    interrupted(folder)
+    place = folder / PARTIAL
+    file = _pick(draw, [f for f in place.iterdir() if f.is_file()])
+    if file.suffix == ".npz" and draw.random() < 0.5:
+        return f"{file.name}: {change_archive(draw, file)}"
+    if file.suffix == ".json" and draw.random() < 0.5:
+        return f"{file.name}: {change_json(draw, file)}"
+    damages = (*BYTES, *FILES)
+    return f"{file.name}: {damages[int(draw.integers(len(damages)))](draw, file)}"
+
+
+def _whole(folder: Path, words: str) -> str | None:
+    """A run that goes on has a T that is finite; damaged bytes of a tile change none of it."""
+    found = whole_matrix(folder / "new.zarr")
+    if not np.isfinite(found).all():
+        return "the estimate is not finite"
+    if _of_bytes(words) and not np.array_equal(found, whole_matrix(folder / "dense.zarr")):
+        return "a damaged tile was taken as it is"
+    return None
+
+
+SUBJECTS: dict[str, Subject] = {
+    "capture": Subject(
+        ("capture",),
+        _capture,
+        ("estimate capture --no-coherent --iterations 3 -o out.zarr",),
+        ("out.zarr",),
+        _finite,
+    ),
+    "image": Subject(
+        ("one.zarr",),
+        _images,
+        ("relight one.zarr picture{suffix} -o out.npy",),
+        ("out.npy",),
+        _same_picture,
+    ),
+    "store": Subject(
+        ("scene.zarr", "shown.png", "T.npz"),
+        _store,
+        (
+            "info scene.zarr --json",
+            "relight scene.zarr shown.png -o out.npy",
+            "export scene.zarr out.npz",
+            "export scene.zarr out.mat",
+            "evaluate scene.zarr --truth T.npz --json",
+        ),
+        ("out.npy", "out.npz", "out.mat"),
+        _same_store,
+    ),
+    "archive": Subject(
+        ("T.npz", "patterns", "scene.zarr"),
+        _archive,
+        (
+            "simulate T.npz --patterns patterns -o out",
+            "evaluate scene.zarr --truth T.npz --json",
+            "plan T.npz --size 8x8 --json",
+        ),
+        ("out",),
+        _finite,
+    ),
+    "partial": Subject(
+        ("capture", "dense.zarr"),
+        _partial,
+        (f"{TILED} -o new.zarr",),
+        ("new.zarr", "new.zarr.partial"),
+        _whole,
+    ),
+}

@@ -1,0 +1,20 @@
+"""Five hundred mutations at each run of the tests; `make fuzz` does 20,000."""
+
+from __future__ import annotations
+
+from ..case import GOOD
+from ..workers import Pool
+
+COUNT = 500
+
+
+def test_what_is_damaged_is_refused_or_read_rightly() -> None:
+    with Pool() as pool:
+        answers = pool.answers({"do": "fuzz", "number": number} for number in range(COUNT))
+        bad = [
+            f"{answer['outcome']}, `python -m tests.faults.fuzz --case {request['number']}`: "
+            f"{answer['detail']}"
+            for request, answer in answers
+            if answer["outcome"] not in GOOD
+        ]
+    assert not bad, f"{len(bad)} of {COUNT}\n" + "\n".join(sorted(bad))

@@ -1,0 +1,208 @@
+"""The front door: `import lightmatrix as lm`, what it offers, and how fast it opens."""
+
+from __future__ import annotations
+
+import doctest
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+import lightmatrix as lm
+from lightmatrix.patterns import making
+
+HEAVY = ("numpy", "scipy", "matplotlib", "zarr", "rich", "typer", "PIL", "imageio")
+NAMES = sorted(name for name in dir(lm) if not name.startswith("_"))
+# Errors are told apart by their names and documented by their base.
+PLAIN = {"InputError", "OutputError", "SolverError", "MissingExtraError", "LightMatrixWarning"}
+
+
+@pytest.fixture(autouse=True)
+def _a_folder_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+def _loaded(code: str) -> set[str]:
+    """The modules that a fresh Python has loaded after some code."""
+    tail = "\nimport sys; sys.stderr.write(' '.join(sys.modules))"
+    done = subprocess.run(
+        [sys.executable, "-c", code + tail], capture_output=True, text=True, check=True
+    )
+    return set(done.stderr.split())
+
+
+def test_the_door_opens_at_once() -> None:
+    assert not _loaded("import lightmatrix").intersection(HEAVY)
+
+
+def test_help_loads_no_more_than_it_needs() -> None:
+    loaded = _loaded("from lightmatrix.cli import main; assert main(['estimate', '--help']) == 0")
+    assert not loaded.intersection({"numpy", "scipy", "scipy.signal", "matplotlib", "zarr"})
+    assert "lightmatrix.cli.estimate" in loaded
+
+
+def test_help_is_shown_in_no_time() -> None:
+    before, started = os.times(), time.perf_counter()
+    _loaded("from lightmatrix.cli import main; main(['--help'])")
+    after, wall = os.times(), time.perf_counter() - started
+    spent = after.children_user + after.children_system
+    spent -= before.children_user + before.children_system
+    # A tenth of what it was; on a busy machine the processor's time says more than the clock.
+    assert min(spent, wall) < 1.0
+
+
+def test_tab_shows_the_names_and_nothing_else() -> None:
+    assert {"Capture", "LightTransport", "estimate", "open", "save", "simulate"} <= set(NAMES)
+    assert {"plan", "evaluate", "relight", "export", "scenes", "show_row"} <= set(NAMES)
+    assert not any(isinstance(getattr(lm, name), ModuleType) for name in NAMES)
+    with pytest.raises(AttributeError):
+        lm.nothing_of_that_name  # type: ignore[attr-defined]  # noqa: B018
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_name_has_an_example_that_runs(name: str) -> None:
+    thing = getattr(lm, name)
+    assert thing.__doc__, name
+    if name in PLAIN:
+        return
+    assert "Examples\n" in thing.__doc__, f"{name} has no example"
+    parser = doctest.DocTestParser()
+    test = parser.get_doctest(thing.__doc__, {"np": np}, name, None, 0)
+    assert test.examples
+    runner = doctest.DocTestRunner(verbose=False)
+    told: list[str] = []
+    runner.run(test, out=told.append)
+    assert runner.failures == 0, "".join(told)
+
+
+def test_nothing_dumps_its_arrays() -> None:
+    capture = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 8))
+    transport = capture.truth.transport()
+    result = lm.solve(
+        lm.Problem(capture.patterns, capture.samples(0, 4), 0.1), lm.ROMP(max_iterations=1)
+    )
+    patterns = lm.ImagePatterns(np.zeros((2, 40, 50), np.float32))
+    things = [capture, capture.truth, capture.sensor, capture.decoder, capture.samples()]
+    things += [transport, patterns, result, lm.Problem(capture.patterns, capture.samples(), 0.1)]
+    things += [lm.BlockPatterns((64, 64), (8, 8), np.arange(40)), capture.frames]
+    for thing in things:
+        text = repr(thing)
+        assert "array(" not in text
+        assert "\n" not in text
+        assert len(text) < 420, text
+        assert type(thing).__name__.removeprefix("Simulated") in text
+    for thing in (capture, transport):
+        shown = thing._repr_html_()
+        assert shown.startswith("<table>")
+        assert len(shown) < 2500
+        assert "64 x 64" in shown
+
+
+def test_names_in_a_notebook_are_text() -> None:
+    transport = lm.truth("metal").transport()
+    odd = lm.LightTransport(
+        transport.sparse,
+        transport.background,
+        transport.camera_shape,
+        transport.projector_shape,
+        provenance={"scene": "<script>"},
+    )
+    assert "<script>" not in odd._repr_html_()
+    assert "&lt;script&gt;" in odd._repr_html_()
+
+
+def test_raw_levels_are_no_pattern() -> None:
+    transport = lm.truth("metal").transport()
+    with pytest.raises(lm.InputError, match="divide raw levels by their largest one, such as 255"):
+        transport.relight(np.full((64, 64), 255, np.uint8))
+    lit = transport.relight(np.ones((64, 64), bool))
+    np.testing.assert_array_equal(lit, transport.relight(np.ones((64, 64))))
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"solver": "simplex"},
+        {"fidelity": "hope"},
+        {"solver": "admm", "fidelity": "one-sided"},
+        {"regularization": 0},
+        {"regularization": 1e308},
+        {"regularization": float("nan")},
+        {"regularization": "maybe"},
+        {"iterations": 0},
+        {"iterations": 2**32},
+        {"tile_rows": 0},
+        {"multi_scale": True, "coherent": True},
+        {"regularization": "path", "coherent": True},
+        {"signed": True, "coherent": True},
+        {"solver": "active-set", "fidelity": "clipped"},
+        {"output": "scene.npz"},
+    ],
+)
+def test_settings_are_refused_before_anything_is_read(settings: dict[str, object]) -> None:
+    with pytest.raises(lm.LightMatrixError) as told:
+        lm.estimate("no such folder", **settings)  # type: ignore[arg-type]
+    assert "no such folder" not in told.value.message
+    assert told.value.hint
+    assert not list(Path().iterdir())
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("blur", np.inf), ("blur", -1.0), ("blur", np.nan), ("noise", 1e308), ("noise", np.nan),
+        ("shot_noise", -0.1), ("exposure", np.inf), ("exposure", 0.0), ("exposure", 1e300),
+        ("exposure", "1:2"), ("seed", 2**64), ("seed", -1), ("seed", 0.5), ("leak", np.nan),
+        ("leak", -1.0), ("leak", 1.0), ("ambient", np.inf), ("ambient", -1.0), ("bits", 7),
+        ("vignetting", 1.0), ("vignetting", np.nan), ("black_level", 300.0),
+    ],
+)  # fmt: skip
+def test_no_photograph_with_numbers_out_of_range(name: str, value: object) -> None:
+    with pytest.raises(lm.InputError) as told:
+        lm.simulate("wall", lm.BernoulliPatterns((16, 16), 4), **{name: value})  # type: ignore[arg-type]
+    assert told.value.hint
+
+
+def test_a_chosen_estimator_is_the_one_that_was_asked_for() -> None:
+    few = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 8))
+    assert isinstance(lm.AutoEstimator().estimator(few), lm.CoherentEstimator)
+    for settings in ({"coherent": False}, {"signed": True}, {"solver": "romp"}):
+        assert isinstance(lm.AutoEstimator(**settings).estimator(few), lm.PlainEstimator)
+    scaled = lm.AutoEstimator(multi_scale=True).estimator(few)
+    assert isinstance(scaled, lm.MultiScaleEstimator)
+    many = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 257))
+    assert isinstance(lm.AutoEstimator().estimator(many), lm.PlainEstimator)
+
+
+def test_pictures_are_drawn(tmp_path: Path) -> None:
+    capture = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 8), exposure=2)
+    found = lm.estimate(capture, coherent=False, iterations=2)
+    pictures = [
+        lm.show_row(found, 3, 4),
+        lm.show_column(found, 3, 4),
+        lm.show_relit(found, np.ones((64, 64)), exposure=2),
+        lm.show_dual(found),
+        lm.show_clipping(found),
+        lm.show_gaps(found),
+    ]
+    for picture in pictures:
+        assert picture._repr_png_().startswith(b"\x89PNG")
+        assert picture.axes[0].get_title()
+    with pytest.raises(lm.InputError, match="no camera sample"):
+        lm.show_row(found, 3)
+    with pytest.raises(lm.InputError, match="no projector pixel"):
+        lm.show_column(found, 3, 64)
+    with pytest.raises(lm.InputError, match="does not know the gap"):
+        lm.show_gaps(capture.truth.transport())
+
+
+def test_kinds_of_patterns_by_name() -> None:
+    for kind in making.KINDS:
+        assert lm.make_patterns(kind, (16, 16), 12, block=(4, 4)).count == 12
+    with pytest.raises(lm.InputError, match="kind 'stripes'"):
+        lm.make_patterns("stripes", (8, 8))

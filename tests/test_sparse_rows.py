@@ -1,0 +1,103 @@
+"""Rows as they are found: parted, joined, kept and read back; damaged ones are refused."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.sparse import csr_array
+
+from lightmatrix.errors import InputError
+from lightmatrix.transport.sparse_rows import SparseRows
+
+
+def rows(count: int = 7, pixels: int = 9, background: int = 2) -> SparseRows:
+    random = np.random.default_rng(count)
+    dense = random.random((count, pixels)) * (random.random((count, pixels)) < 0.4)
+    return SparseRows(
+        csr_array(dense.astype(np.float32)),
+        random.random((count, background)).astype(np.float32),
+        {"gap": random.random(count), "converged": random.random(count) < 0.5},
+    )
+
+
+def same(one: SparseRows, other: SparseRows) -> None:
+    np.testing.assert_array_equal(one.coefficients.toarray(), other.coefficients.toarray())
+    np.testing.assert_array_equal(one.background, other.background)
+    assert list(one.diagnostics) == list(other.diagnostics)
+    for name, values in one.diagnostics.items():
+        np.testing.assert_array_equal(values, other.diagnostics[name])
+        assert values.dtype == other.diagnostics[name].dtype
+
+
+def test_joining_undoes_parting_in_any_order() -> None:
+    whole = rows()
+    same(SparseRows.joined([whole.rows(slice(0, 3)), whole.rows(slice(3, 7))]), whole)
+    order = np.random.default_rng(0).permutation(7)
+    parts = [whole.rows(order[:4]), whole.rows(order[4:])]
+    same(SparseRows.joined(parts).rows(np.argsort(order)), whole)
+    assert SparseRows.joined(parts).count == 7
+
+
+def test_arrays_hold_everything() -> None:
+    whole = rows()
+    same(SparseRows.from_arrays(whole.arrays()), whole)
+
+
+def test_single_precision() -> None:
+    whole = rows()
+    double = replace(
+        whole,
+        coefficients=csr_array(whole.coefficients, dtype=np.float64),
+        background=whole.background.astype(np.float64),
+    )
+    assert double.single().coefficients.dtype == double.single().background.dtype == np.float32
+    same(double.single(), whole)
+
+
+def _with(name: str, change: Any) -> dict[str, Any]:
+    arrays = rows().arrays()
+    arrays[name] = change(np.array(arrays[name]))
+    return arrays
+
+
+def _set(place: int, value: float) -> Any:
+    def change(array: Any) -> Any:
+        array.flat[place] = value
+        return array
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("name", "change"),
+    [
+        ("indices", _set(3, 9)),
+        ("indices", _set(3, -1)),
+        ("indptr", _set(2, 1000)),
+        ("indptr", _set(0, 1)),
+        ("indptr", lambda array: array[:-1]),
+        ("data", _set(0, np.nan)),
+        ("data", lambda array: array[:-1]),
+        ("data", lambda array: array.astype(complex)),
+        ("shape", _set(0, 6)),
+        ("shape", lambda array: array[0]),
+        ("shape", lambda array: array[:1]),
+        ("background", _set(0, np.inf)),
+        ("background", lambda array: array[:, 0]),
+        ("background", lambda array: array[1:]),
+        ("diagnostic_gap", lambda array: array[1:]),
+    ],
+)
+def test_damaged_arrays_are_refused(name: str, change: Any) -> None:
+    with pytest.raises(InputError, match=r"rows|indices|numbers"):
+        SparseRows.from_arrays(_with(name, change))
+
+
+def test_missing_arrays_are_refused() -> None:
+    arrays = rows().arrays()
+    del arrays["indptr"]
+    with pytest.raises(InputError, match="indptr"):
+        SparseRows.from_arrays(arrays)

@@ -1,0 +1,245 @@
+"""What is printed and how the program ends, whatever names, streams and stops do to it."""
+
+from __future__ import annotations
+
+import builtins
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import lightmatrix as lm
+from lightmatrix import cli
+from lightmatrix.cli import info as info_module
+from lightmatrix.cli import main
+from lightmatrix.rig.procedural import ProceduralScene
+from lightmatrix.solvers import solve
+
+COMMAND = str(Path(sys.executable).with_name("lightmatrix"))
+
+
+@pytest.fixture(autouse=True)
+def _a_folder_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("store") / "x[red]:smile:[" / "y].zarr"
+    matrix = lm.truth("metal").transport()
+    lm.save(
+        path,
+        lm.LightTransport(
+            matrix.sparse[:6], matrix.background[:6], (2, 3), (64, 64),
+            provenance={"scene": "[/bold] :heart: [blink]", "versions": {"[x": "[/y]"}},
+        ),
+    )  # fmt: skip
+    return path
+
+
+@pytest.fixture(scope="module")
+def inputs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What every command needs, so that nothing but its numbers is wrong."""
+    folder = tmp_path_factory.mktemp("inputs")
+    known = ProceduralScene((6, 6), (64, 64)).truth()
+    patterns = lm.BernoulliPatterns((64, 64), 2)
+    lm.write_patterns(folder / "p", patterns)
+    lm.write_image(folder / "p.png", np.zeros((64, 64), np.uint8))
+    lm.simulate(known, patterns).save(folder / "capture")
+    lm.save(folder / "s.zarr", known.transport())
+    return folder
+
+
+def _shell(line: str, **settings: str) -> subprocess.CompletedProcess[bytes]:
+    line = line.replace("lightmatrix", COMMAND)
+    return subprocess.run(
+        ["bash", "-c", line], capture_output=True, env={**os.environ, **settings}, timeout=100
+    )
+
+
+def test_names_are_shown_as_they_are(store: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["info", str(store)]) == 0
+    shown = capsys.readouterr().out
+    assert str(store) in shown
+    assert "[/bold] :heart: [blink]" in shown
+    assert "made with [x [/y]" in shown
+    lm.write_image("p.png", np.full((64, 64), 255, np.uint8))
+    assert main(["relight", str(store), "p.png", "-o", "x[/y]:x:.png"]) == 0
+    assert "x[/y]:x:.png" in capsys.readouterr().out
+    assert main(["info", "nothing [/here] :x:"]) == 2
+    assert "nothing [/here] :x:" in capsys.readouterr().err
+
+
+def test_a_name_cannot_move_the_cursor(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["info", "a\x1b[2Jb\x07"]) == 2
+    assert "\x1b" not in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("line", "code", "told"),
+    [
+        ("lightmatrix info $S >/dev/full", 2, b"standard output cannot be written"),
+        ("lightmatrix info $S --json >/dev/full", 2, b"standard output cannot be written"),
+        ("lightmatrix --help >/dev/full", 2, b"standard output cannot be written"),
+        ("lightmatrix info nothing 2>/dev/full", 2, b""),
+        ("lightmatrix info $S >&-", 0, b""),
+        ("lightmatrix info $S >&- 2>&-", 0, b""),
+        ("lightmatrix info $S <&-", 0, b""),
+        ("lightmatrix info $S --json | true; exit ${PIPESTATUS[0]}", 0, b""),
+        ("PYTHONIOENCODING=ascii lightmatrix info $S/Größe", 2, b"no such file"),
+        ("lightmatrix info $(printf 'a\\xffb')", 2, b"no such file"),
+    ],
+)
+def test_streams_that_fail(line: str, code: int, told: bytes, store: Path) -> None:
+    done = _shell(line, S=str(store))
+    assert done.returncode == code, done.stderr
+    assert told in done.stderr
+    assert bool(done.stderr) == bool(told), done.stderr
+    for word in (b"Traceback", b"Exception ignored", b"internal"):
+        assert word not in done.stderr
+
+
+def test_ctrl_c_while_modules_are_loaded(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    whole = builtins.__import__
+
+    def interrupted(name: str, *rest: Any, **more: Any) -> Any:
+        if name == "lightmatrix.cli.app":
+            raise KeyboardInterrupt
+        return whole(name, *rest, **more)
+
+    monkeypatch.setattr(builtins, "__import__", interrupted)
+    assert main(["--help"]) == 130
+    assert capsys.readouterr().err == "stopped\n"
+
+
+def test_ctrl_c_within_the_first_moments(store: Path) -> None:
+    for delay in (0.4, 0.8, 1.2):
+        process = subprocess.Popen(
+            [COMMAND, "info", str(store)], stdout=subprocess.PIPE, stderr=subprocess.PIPE
+        )
+        time.sleep(delay)
+        process.send_signal(signal.SIGINT)
+        _, told = process.communicate(timeout=60)
+        # Before Python itself is up, the system ends it without a word.
+        assert (process.returncode, told) in ((130, b"stopped\n"), (0, b""), (-2, b""))
+
+
+def test_ctrl_c_that_a_library_took_for_its_own(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def load(path: Path) -> None:
+        try:
+            raise KeyboardInterrupt
+        except KeyboardInterrupt as stop:
+            raise ImportError("numpy failed to load") from stop
+
+    monkeypatch.setattr(info_module, "lm", type("Door", (), {"open": staticmethod(load)}))
+    assert main(["info", "x.zarr"]) == 130
+    assert capsys.readouterr().err == "stopped\n"
+
+
+@pytest.mark.parametrize("finished", [0, 1])
+def test_finished_tiles_are_promised_only_where_there_are_some(
+    finished: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    capture = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 8))
+    capture.save("capture")
+    solved = [0]
+
+    def stopped(*arguments: Any, **more: Any) -> Any:
+        if solved[0] == finished:
+            raise KeyboardInterrupt
+        solved[0] += 1
+        return solve(*arguments, **more)
+
+    monkeypatch.setattr("lightmatrix.estimators.plain.solve", stopped)
+    line = "estimate capture -o s.zarr --solver romp --iterations 1 --tile-rows 2048"
+    assert main(line.split()) == 130
+    told = capsys.readouterr().err
+    assert ("finished tiles are kept" in told) == bool(finished)
+    assert Path("s.zarr.partial").exists() == bool(finished)
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "told"),
+    [
+        (MemoryError(), 3, "error: not enough memory"),
+        (RuntimeError("can't start new thread"), 3, "error: not enough memory"),
+        (PermissionError(13, "Permission denied", "x.zarr"), 2, "error: x.zarr: Permission"),
+        (ValueError("a [bug]\nof ours"), 70, "internal error: ValueError: a [bug] of ours"),
+        (StopIteration(), 70, "internal error: StopIteration"),
+        (EOFError("end"), 70, "internal error: EOFError: end"),
+        (SystemError("odd"), 70, "internal error"),
+    ],
+)
+def test_every_end_has_one_message_and_a_code(
+    error: BaseException, code: int, told: str,
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    def fail(path: Path) -> None:
+        raise error
+
+    monkeypatch.setattr(info_module, "lm", type("Door", (), {"open": staticmethod(fail)}))
+    assert main(["info", "x.zarr"]) == code
+    shown = capsys.readouterr().err
+    assert shown.startswith(told)
+    assert "Traceback" not in shown
+    monkeypatch.setenv("LIGHTMATRIX_DEBUG", "1")
+    assert main(["info", "x.zarr"]) == code
+    assert ("Traceback" in capsys.readouterr().err) == (code == 70)
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "estimate capture -o y.zarr --iterations 4294967296",
+        "estimate capture -o y.zarr --regularization 1e308",
+        "estimate capture -o y.zarr --regularization 0",
+        "simulate metal --patterns p -o c --blur inf",
+        "simulate metal --patterns p -o c --noise 1e308",
+        "simulate metal --patterns p -o c --exposure inf",
+        "simulate metal --patterns p -o c --seed 18446744073709551616",
+        "simulate metal --patterns p -o c --leak nan",
+        "simulate metal --patterns p -o c --leak -1",
+        "simulate metal --patterns p -o c --ambient inf",
+        "patterns bernoulli -k 99999999999 -o q",
+        "patterns bernoulli --size 999999x999999 -o q",
+        "patterns bernoulli --seed 18446744073709551616 -o q",
+        "patterns bernoulli --density nan -o q",
+        "relight s.zarr p.png -o b.tiff --gamma 2.2",
+        "relight s.zarr p.png -o b.png --gamma inf",
+        "relight s.zarr p.png -o b.png --exposure inf",
+        "evaluate s.zarr --truth metal --exposure inf",
+        "plan metal --frames 99999999999",
+        "plan metal --noise 1e308",
+    ],
+)
+def test_numbers_out_of_range_leave_nothing_behind(
+    line: str,
+    inputs: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(inputs)
+    before = {path.name for path in Path().iterdir()}
+    assert main(line.split()) == 2
+    told = capsys.readouterr().err
+    assert told.startswith("error: ")
+    assert len(told.splitlines()) == 2
+    assert {path.name for path in Path().iterdir()} == before
+
+
+def test_help_tells_the_exit_codes_and_the_stages(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--help"]) == 0
+    shown = " ".join(capsys.readouterr().out.split())
+    assert "Exit codes: 0 done, 2 bad input or output, 3 out of memory, 70 a bug" in shown
+    assert shown.index("Prepare:") < shown.index("Measure and use:") < shown.index("Simulate:")
+    assert cli.console.__doc__
