@@ -66,3 +66,12 @@ def test_light_under_the_patterns() -> None:
     assert made.cells(1.0, unseen=True).means.shape == (6, 8)
     assert made.cells(1.0, unseen=False).means.shape == (6, 5)
     assert backgrounds((9, 7), (1, 1)).cells(1.0, unseen=True).means.shape == (0, 8)
+
+
+def test_a_cell_costs_the_less_the_larger_it_is() -> None:
+    """0.05 of the clip level over the regularization, over the side of a cell in pixels."""
+    made = backgrounds((9, 7), (3, 2))
+    sizes = cell_means((9, 7), (3, 2)).toarray().astype(bool).sum(axis=1)
+    assert len(np.unique(sizes)) > 1
+    found = made.cells(10.0, unseen=False).penalties
+    np.testing.assert_allclose(found, 0.05 * 10 / np.sqrt(sizes), rtol=1e-6)

@@ -445,3 +445,27 @@ def test_the_documented_description_is_the_one_that_is_read() -> None:
     assert set(example) == KEYS
     for key in set(example) - {"format", "version"}:
         assert f"`{key}`" in page
+
+
+def test_a_capture_says_what_it_is_and_how_it_is_read() -> None:
+    patterns, sensor = SETS[0], Sensor(1.5, 0.0, bits=8)
+    frames = photographs(patterns, sensor)
+    plain = Capture.from_arrays(patterns, frames, sensor)
+    mask = np.ones((5, 7), bool)
+    mask[2, 3] = False
+    dark = Decoder(255.0, 255.0, exposure=1.5, black_frame=np.zeros(35, np.uint8))
+    masked = Capture.from_arrays(patterns, frames, dark, mask=mask)
+    assert plain.description == {
+        "camera_shape": [5, 7],
+        "projector_shape": [6, 8],
+        "frames": 9,
+        "bin_camera": [1, 1],
+        "bin_projector": [1, 1],
+        "clip": 255,
+        "black_level": 0,
+        "black_frame": False,
+        "exposure": 1.5,
+        "response": "linear",
+        "masked": 0,
+    }
+    assert masked.description == {**plain.description, "black_frame": True, "masked": 1}

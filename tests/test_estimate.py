@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.folder import write_capture
 from lightmatrix.errors import InputError
 from lightmatrix.estimators import plain
+from lightmatrix.estimators.join import solver_provenance
 from lightmatrix.estimators.plain import PlainEstimator
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.rig.procedural import ProceduralScene
@@ -119,3 +121,11 @@ def test_regularization_defaults_to_the_rule(rig: tuple[Path, Truth]) -> None:
 def test_empty_tiles_are_refused() -> None:
     with pytest.raises(InputError, match="at least 1"):
         PlainEstimator(ADMM(), tile_rows=0)
+
+
+def test_the_provenance_names_the_solver_and_its_parameters() -> None:
+    made = solver_provenance(ActiveSet(tolerance=1e-3, threads=2))
+    assert made["solver"] == "ActiveSet"
+    expected = {"fidelity": "one-sided", "tolerance": 1e-3, "max_passes": 200, "threads": 2}
+    assert made["solver_parameters"] == expected
+    assert json.loads(json.dumps(made)) == made

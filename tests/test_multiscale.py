@@ -271,3 +271,9 @@ def test_parameters_out_of_range_are_refused(options: dict[str, Any], message: s
     with pytest.raises(InputError) as refused:
         MultiScaleEstimator(ActiveSet(), **options)
     assert message in f"{refused.value.message} {refused.value.hint}"
+
+
+def test_a_coarsest_scale_of_one_pixel_is_the_plain_estimate(capture: Capture) -> None:
+    found = MultiScaleEstimator(ActiveSet(), 0.05, coarsest=1).estimate(capture)
+    plain = PlainEstimator(ActiveSet(), 0.05).estimate(capture)
+    np.testing.assert_allclose(found.sparse.toarray(), plain.sparse.toarray(), atol=2e-3)

@@ -276,3 +276,11 @@ def test_bad_numbers_are_refused() -> None:
     for arguments in ({"noise": np.nan}, {"noise": 2.0}, {"shortest": -1.0}):
         with pytest.raises(InputError):
             advise_exposures(white, **arguments)
+
+
+def test_what_is_no_photograph_is_named(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    for place, problem in ((tmp_path / "nowhere.png", "no such file"), (tmp_path, "is a folder")):
+        assert main(["plan", str(place)]) == 2
+        shown = " ".join(capsys.readouterr().err.split())
+        assert problem in shown
+        assert "a photograph of a white pattern, a scene, or a T.npz" in shown

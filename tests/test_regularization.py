@@ -94,6 +94,22 @@ def test_the_path_works_for_each_fidelity_and_with_weights(fidelity: Fidelity) -
     assert np.isfinite(path.errors).all()
 
 
+def test_one_pattern_may_be_held_out() -> None:
+    problem, _ = clipping_problem(rows=2, count=40)
+    assert len(regularization_path(problem, share=1 / 40).held_out) == 1
+    with pytest.raises(InputError, match="held out"):
+        regularization_path(problem, share=0.4 / 40)
+
+
+def test_rows_are_spread_evenly_and_the_seed_draws_the_patterns() -> None:
+    problem, _ = clipping_problem(rows=9, count=40)
+    few = regularization_path(problem.take(np.array([0, 4, 8])), factors=(1,))
+    found = regularization_path(problem, factors=(1,), rows=3)
+    np.testing.assert_array_equal(found.errors, few.errors)
+    other = regularization_path(problem, factors=(1,), rows=3, seed=1)
+    assert (other.held_out != found.held_out).any()
+
+
 @pytest.mark.parametrize(
     "options", [{"factors": ()}, {"factors": (0.0,)}, {"share": 0.0}, {"share": 0.999}, {"rows": 0}]
 )

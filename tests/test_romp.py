@@ -12,8 +12,9 @@ from problems import clipping_problem, with_samples
 
 from lightmatrix.camera.samples import Samples
 from lightmatrix.errors import InputError, SolverError
+from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.pattern_set import ImagePatterns
-from lightmatrix.solvers import ROMP, Fidelity, Problem, solve
+from lightmatrix.solvers import ROMP, Fidelity, Problem, Status, solve
 from lightmatrix.solvers.objective import data_term, predictions
 
 
@@ -101,6 +102,29 @@ def test_every_sample_clipped_and_dark_rows_give_nothing() -> None:
     assert dark.coefficients.nnz == 0
     empty = solve(problem.take(np.arange(0)), ROMP())
     assert empty.coefficients.shape == (0, problem.patterns.pixels)
+
+
+def test_the_status_says_whether_all_rows_are_explained() -> None:
+    problem, _ = clipping_problem(rows=3)
+    enough = solve(problem, ROMP(sparsity=20, fidelity=Fidelity.LINEAR, tolerance=0.5))
+    assert enough.converged.all()
+    assert enough.status is Status.CONVERGED
+    few = solve(problem, ROMP(sparsity=1, max_iterations=1, tolerance=1e-9))
+    assert not few.converged.all()
+    assert few.status is Status.ITERATION_LIMIT
+
+
+def test_the_default_sparsity_is_an_eighth_of_the_patterns_and_32_at_most() -> None:
+    random = np.random.default_rng(0)
+    for count, sparsity in ((4, 1), (40, 5), (300, 32)):
+        patterns = BernoulliPatterns((20, 20), count)
+        values = random.random((2, count))
+        samples = Samples(values, np.zeros(values.shape, bool), np.ones(count))
+        problem = Problem(patterns, samples, 0.1)
+        found, same = solve(problem, ROMP()), solve(problem, ROMP(sparsity=sparsity))
+        np.testing.assert_array_equal(found.coefficients.toarray(), same.coefficients.toarray())
+        other = solve(problem, ROMP(sparsity=sparsity + 1))
+        assert (found.coefficients != other.coefficients).nnz > 0
 
 
 def test_bad_parameters() -> None:

@@ -39,7 +39,8 @@ HEAVY = (
     "pytest hypothesis numpy scipy.sparse scipy.optimize scipy.ndimage scipy.signal scipy.io zarr "
     "matplotlib.pyplot typer rich imageio tifffile"
 )
-# Of a mutant's tests, in seconds as recorded; the share of it that a mutant may take in reality.
+# Seconds of tests, as recorded, that a mutant is given. It may take PATIENCE times as long, and
+# GRACE more, before it counts as one that hangs.
 BUDGET = 60.0
 PATIENCE, GRACE = 4.0, 60.0
 # Exit code of a child in which pytest could not be started.

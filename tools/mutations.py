@@ -1,7 +1,7 @@
 """The ways in which `mutants.py` breaks a source file: one change of its syntax tree a mutant.
 
 Left alone: docstrings, annotations, decorators, texts (messages are checked where they matter), and
-amounts of memory written as shifts, which change no result.
+sizes of tiles by memory (shifts, and what names in _BYTES give), which change no result.
 """
 
 from __future__ import annotations
@@ -115,6 +115,11 @@ def _is_none(node: ast.AST | None) -> bool:
     return isinstance(node, ast.Constant) and node.value is None
 
 
+def _of_memory(statement: ast.stmt) -> bool:
+    names = (n.id for n in ast.walk(statement) if isinstance(n, ast.Name))
+    return any(name.endswith("_BYTES") for name in names)
+
+
 def _left_alone(tree: ast.AST) -> set[ast.AST]:
     """Nodes within annotations, decorators, texts and shifts."""
     roots: list[ast.AST | None] = []
@@ -127,6 +132,8 @@ def _left_alone(tree: ast.AST) -> set[ast.AST]:
             case ast.ClassDef():
                 roots += node.decorator_list
             case ast.JoinedStr() | ast.BinOp(op=ast.LShift()):
+                roots.append(node)
+            case ast.stmt() if not hasattr(node, "body") and _of_memory(node):
                 roots.append(node)
             # NewTypes and aliases such as `Tile = tuple[...]` are annotations too.
             case ast.Assign(value=ast.Subscript(value=ast.Name(id="tuple" | "Callable"))):
