@@ -82,6 +82,8 @@ def _values() -> list[Case]:
                 )
             )
     for extra in BLACK:
+        # Of NaN, which is no JSON, the parser tells the file but not the key.
+        unknown = any(isinstance(value, float) and value != 0.8 for value in extra.values())
 
         def edit(held: dict[str, Any], extra: dict[str, Any] = extra) -> None:
             held["black"] = {**held["black"], **extra}
@@ -90,7 +92,7 @@ def _values() -> list[Case]:
             Case(
                 f"capture.json: black with {extra}",
                 LIT,
-                "black",
+                "lit/capture.json" if unknown else "black",
                 json_edit("lit/capture.json", edit),
             )
         )
@@ -138,9 +140,8 @@ def _file() -> list[Case]:
         Case(
             "capture.json called Capture.json",
             ESTIMATE,
-            "Capture.json|capture.json",
+            "Capture.json",
             move(HEADER, "capture/Capture.json"),
-            code=(0, 2),
         ),
         Case(
             "capture.json with provenance of markup",
@@ -151,13 +152,15 @@ def _file() -> list[Case]:
         ),
         Case("capture.json with provenance null", ESTIMATE, (), described(provenance=None), code=0),
         Case(
+            # Some editors leave one; the text behind it is what was meant.
             "capture.json with a byte order mark",
             ESTIMATE,
-            "capture.json",
+            (),
             lambda folder: (folder / HEADER).write_bytes(
                 b"\xef\xbb\xbf" + (folder / HEADER).read_bytes()
             ),
-            code=(0, 2),
+            code=0,
+            check=near_matrix("new.zarr", "plain.zarr"),
         ),
     ]
 
