@@ -55,5 +55,5 @@ def check_seed(seed: int) -> None:
     """
     if not hasattr(seed, "__index__") or not 0 <= int(seed) <= LARGEST_SEED:
         # "0" in quotes, lest it looks like the number.
-        shown = repr(seed) if isinstance(seed, str) else seed
+        shown = seed if hasattr(seed, "__index__") else repr(seed)
         raise InputError(f"a seed of {shown}", hint=f"use a whole number from 0 to {LARGEST_SEED}")
