@@ -96,15 +96,22 @@ def test_a_damaged_description_is_named(tmp_path: Path) -> None:
     write_patterns(tmp_path / "patterns", SETS[0])
     file = tmp_path / "patterns" / "patterns.json"
     content = json.loads(file.read_text())
+
+    def described(**change: Any) -> str:
+        return json.dumps({**content, "description": {**content["description"], **change}})
+
     for text, message in (
         ("{", "cannot be read"),
         ("{}", "is not a lightmatrix-patterns file"),
         (json.dumps({**content, "version": 2}), "format version 2"),
         (json.dumps({**content, "description": None}), "holds no description"),
         (json.dumps({**content, "description": {"kind": "moire"}}), "'moire' are unknown"),
+        (described(seed="0"), "a seed of '0'"),
+        (described(seed=-1), "a seed of -1"),
+        (described(density=2), "a density of 2"),
     ):
         file.write_text(text)
-        with pytest.raises(InputError, match=message):
+        with pytest.raises(InputError, match=rf"patterns\.json: .*{message}"):
             read_patterns(tmp_path / "patterns")
 
 

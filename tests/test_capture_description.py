@@ -36,6 +36,11 @@ def describe(place: Path, **change: Any) -> None:
 
 WRONG = [
     {"exposure": True},
+    {"exposure": None},
+    {"clip": None},
+    {"camera_shape": None},
+    {"black": {"file": None}},
+    {"black": {"file": "black.png", "exposure": None}},
     {"exposure": "1"},
     {"exposure": []},
     {"exposure": [1, "2"]},
@@ -170,6 +175,48 @@ def test_files_of_a_capture_lie_in_its_folder(tmp_path: Path) -> None:
     Capture.open(place, allow_outside=True)
 
 
+def test_a_description_in_other_letters_is_not_passed_over(tmp_path: Path) -> None:
+    place = write_plain(tmp_path)
+    (place / "capture.json").rename(place / "Capture.json")
+    with pytest.raises(InputError, match=r"Capture\.json: is not read under this name"):
+        Capture.open(place)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"black_level": [0, 0, 0]}, r"black_level has 3 values"),
+        ({"clip": 300}, r"a clip level of 300"),
+        ({"response": "film"}, r"a response of 'film'"),
+        ({"mask": "."}, r"names '\.', which is a folder"),
+        ({"black": {"file": "gone.png"}}, r".*gone\.png: no such file"),
+    ],
+)
+def test_what_does_not_fit_the_frames_is_said_of_the_description(
+    tmp_path: Path, change: dict[str, Any], message: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    place = write_plain(tmp_path)
+    describe(place, **change)
+    for folder in (place, Path()):
+        with pytest.raises(InputError, match=rf"capture\.json: {message}"):
+            Capture.open(folder)
+        monkeypatch.chdir(place)
+
+
+def test_a_black_frame_has_the_depth_of_the_frames(tmp_path: Path) -> None:
+    place = write_plain(tmp_path)
+    describe(place, black={"file": "black.png"})
+    write_image(place / "black.png", DARK.astype(np.uint16) * 257)
+    with pytest.raises(InputError, match=r"^[^:]*black\.png: the black frame is uint16"):
+        Capture.open(place)
+    write_image(place / "black.png", DARK, overwrite=True)
+    expected = Capture.open(place)
+    # The mean of several.
+    write_image(place / "mean.npy", DARK.astype(np.float32))
+    describe(place, black={"file": "mean.npy"})
+    np.testing.assert_allclose(Capture.open(place).samples().values, expected.samples().values)
+
+
 # ---- response curves
 
 
@@ -199,7 +246,9 @@ def test_curves_are_regular_files_of_a_sane_size(tmp_path: Path) -> None:
     np.save(tmp_path / "wrong.npy", np.array([[0, 0], [-1, 1], [np.inf, 2]]))
     np.save(tmp_path / "negative.npy", np.array([[-2.0, 0], [-1, 1]]))
     np.save(tmp_path / "box.npy", np.zeros((2, 2, 2)))
-    for name in ("wrong", "negative", "box"):
+    np.save(tmp_path / "dark.npy", np.array([[0.0, -1], [255, 1]]))
+    np.save(tmp_path / "huge.npy", np.array([[0, 0], [255, 1e308]]))
+    for name in ("wrong", "negative", "box", "dark", "huge"):
         with pytest.raises(InputError):
             Response.parse(f"curve:{tmp_path / name}.npy")
 

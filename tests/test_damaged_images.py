@@ -122,6 +122,21 @@ def test_checksums_of_all_chunks_are_verified(tmp_path: Path) -> None:
             read_image(file)
 
 
+@pytest.mark.parametrize(("bits", "colours"), [(8, 200), (8, 256), (4, 11), (1, 2)])
+def test_a_colour_beyond_the_palette(tmp_path: Path, bits: int, colours: int) -> None:
+    header = struct.pack(">IIBBBBB", 8, 1, bits, png.PALETTE, 0, 0, 0)
+    palette = np.arange(3 * colours, dtype=np.uint16).astype(np.uint8)
+    index = np.array([colours - 1, 0] * 4)
+    shown = ((index[:, None] >> np.arange(bits)[::-1]) & 1).astype(np.uint8)
+    pixels = zlib.compress(b"\0" + np.packbits(shown).tobytes())
+    file = tmp_path / "a.png"
+    file.write_bytes(a_png(header, pixels, PLTE=palette.tobytes()))
+    np.testing.assert_array_equal(read_image(file)[0], palette.reshape(-1, 3)[index])
+    file.write_bytes(a_png(header, pixels, PLTE=palette[:-3].tobytes()))
+    with pytest.raises(InputError, match=f"a pixel of colour {colours - 1}, but {colours - 1}"):
+        read_image(file)
+
+
 def test_interlaced_png_is_read_whole(tmp_path: Path) -> None:
     """Written pass by pass as the specification says."""
     for rows, cols in ((1, 1), (3, 2), (5, 9), (8, 8)):

@@ -54,4 +54,6 @@ def check_seed(seed: int) -> None:
         If it is negative, too large, or not whole.
     """
     if not hasattr(seed, "__index__") or not 0 <= int(seed) <= LARGEST_SEED:
-        raise InputError(f"a seed of {seed}", hint=f"use a whole number from 0 to {LARGEST_SEED}")
+        # "0" in quotes, lest it looks like the number.
+        shown = seed if hasattr(seed, "__index__") else repr(seed)
+        raise InputError(f"a seed of {shown}", hint=f"use a whole number from 0 to {LARGEST_SEED}")

@@ -9,12 +9,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lightmatrix.camera.levels import MOST_LEVEL
 from lightmatrix.errors import InputError
 from lightmatrix.files.npy import read_npy
 from lightmatrix.files.reading import read_text
 
 # 65,536 levels of two numbers come to less than a tenth of it.
 _MOST_CURVE = 16 << 20
+# In whatever unit a curve counts its light; beyond it, numbers are slips of the pen.
+_MOST_LIGHT = 1e30
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +54,8 @@ class Response:
         Raises
         ------
         InputError
-            On an unknown name, a gamma out of [0.1, 10], or a curve that does not increase.
+            On an unknown name, a gamma out of [0.1, 10], or a curve that does not increase or whose
+            numbers are negative or beyond all sense.
         """
         kind, _, argument = text.partition(":")
         if text == "linear":
@@ -131,5 +135,11 @@ def _read_curve(file: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         raise InputError(
             f"{file}: {table.shape[0]} x {table.shape[1]} numbers that do not increase",
             hint="write two columns, level and light, from dark to bright",
+        )
+    if levels[0] < 0 or levels[-1] > MOST_LEVEL or light[0] < 0 or light[-1] > _MOST_LIGHT:
+        raise InputError(
+            f"{file}: a response curve from level {levels[0]:g} to {levels[-1]:g} and light "
+            f"{light[0]:g} to {light[-1]:g}",
+            hint=f"give levels from 0 to {MOST_LEVEL:g} and light from 0 to {_MOST_LIGHT:g}",
         )
     return levels / levels[-1], light / light[-1]

@@ -81,7 +81,12 @@ def read_description(file: Path, *, allow_outside: bool = False) -> Description:
     def path(name: str | None) -> Path | None:
         if name is None:
             return None
-        return file.parent / name if allow_outside else within(file.parent, name, file)
+        named = file.parent / name if allow_outside else within(file.parent, name, file)
+        if named.is_dir():
+            raise InputError(
+                f"{file}: names {name!r}, which is a folder", hint="name a file of the folder"
+            )
+        return named
 
     response = found.get("response", _text, "linear, gamma:2.2, srgb or curve:FILE")
     if response is not None and response.startswith("curve:"):
@@ -108,6 +113,7 @@ KEYS = frozenset(
     | {"exposure", "clip", "black_level", "full_scale", "response"}
 )
 _BLACK_KEYS = frozenset({"file", "exposure"})
+_NULL_IS_NONE = frozenset({"black", "mask", "provenance"})
 
 
 @dataclass(frozen=True)
@@ -129,15 +135,18 @@ class _Table:
             )
 
     def get(self, key: str, read: Callable[[Any], Any], wanted: str) -> Any:
-        """The value of a key; None if there is none, or null."""
-        value = self.content.get(key)
-        if value is None:
+        """The value of a key; None if there is none, or null where that says that there is none."""
+        if key not in self.content:
             return None
-        found = read(value)
+        value = self.content[key]
+        if value is None and self.prefix + key in _NULL_IS_NONE:
+            return None
+        # Elsewhere a null is more likely a value that was lost than one left to its default.
+        found = None if value is None else read(value)
         if found is None:
             raise InputError(
                 f'{self.file}: "{self.prefix}{key}" cannot be {_short(value)}',
-                hint=f"give {wanted}",
+                hint=f"give {wanted}" + (", or leave it out" if value is None else ""),
             )
         return found
 
@@ -188,5 +197,5 @@ def _object(value: Any) -> dict[str, Any] | None:
 
 
 def _short(value: Any) -> str:
-    shown = repr(value)
+    shown = "null" if value is None else repr(value)
     return shown if len(shown) <= 60 else f"{shown[:57]}..."

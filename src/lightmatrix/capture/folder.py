@@ -6,7 +6,7 @@ import json
 import os
 import warnings
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -16,9 +16,12 @@ from numpy.typing import NDArray
 from lightmatrix.camera.decoder import Decoder
 from lightmatrix.camera.response import Response
 from lightmatrix.camera.sensor import Sensor
+from lightmatrix.capture.beside import check_name, with_files_beside
+from lightmatrix.capture.checks import check_per_frame
 from lightmatrix.capture.description import FORMAT, NAME, VERSION, Description, read_description
 from lightmatrix.errors import InputError, LightMatrixWarning
-from lightmatrix.files.images import READABLE, fill_image, read_image
+from lightmatrix.files.headers import said_in
+from lightmatrix.files.images import fill_image, read_image
 from lightmatrix.files.kinds import CAPTURE
 from lightmatrix.files.outputs import atomic_folder
 from lightmatrix.files.stack import ImageStack, nonlinear_tag
@@ -74,8 +77,10 @@ def read_capture(folder: str | Path, *, allow_outside: bool = False) -> CaptureP
     file = place / NAME
     # A link that leads nowhere is a description that is missing, not none.
     described = os.path.lexists(file)
+    if not described:
+        check_name(place)
     told = read_description(file, allow_outside=allow_outside) if described else Description()
-    told = _with_files_beside(place, told, described)
+    told = with_files_beside(place, told, described)
     patterns = read_patterns(place / "patterns")
     stack = ImageStack.open(place / "images")
     _check_counts(patterns, stack, place / "images")
@@ -88,16 +93,18 @@ def read_capture(folder: str | Path, *, allow_outside: bool = False) -> CaptureP
                 f"{file}: {key} is {list(wanted)}, but the {what} have {list(shape)}",
                 hint="correct capture.json, or restore the folder",
             )
-    decoder = make_decoder(
-        stack,
-        clip=told.clip,
-        response=_response(told.response, stack, place),
-        exposure=told.exposure,
-        black=told.black,
-        black_level=told.black_level,
-        black_exposure=told.black_exposure,
-        full_scale=told.full_scale,
-    )
+    with said_in(file):
+        decoder = make_decoder(
+            stack,
+            clip=told.clip,
+            response=_response(told.response, stack, place),
+            exposure=told.exposure,
+            black=told.black,
+            black_level=told.black_level,
+            black_exposure=told.black_exposure,
+            full_scale=told.full_scale,
+        )
+        check_per_frame(decoder, stack.count)
     return CaptureParts(
         patterns,
         stack,
@@ -105,37 +112,6 @@ def read_capture(folder: str | Path, *, allow_outside: bool = False) -> CaptureP
         None if told.mask is None else read_mask(told.mask, stack.shape),
         dict(told.provenance),
     )
-
-
-def _with_files_beside(place: Path, told: Description, described: bool) -> Description:
-    """The description with a black frame or mask that lies in the folder without being named.
-
-    Without capture.json it is used, and with one it is not; either way that is said.
-    """
-    for key, what in (("black", "the black frame"), ("mask", "the mask")):
-        if described and key not in told.silent_of:
-            continue
-        found = [
-            entry
-            for entry in sorted(place.iterdir())
-            if entry.stem.lower() == key and entry.suffix.lower() in READABLE
-        ]
-        if not found:
-            continue
-        if described:
-            said = f"{found[0]}: is not used, since {NAME} does not name it"
-            said += f'; add "{key}" to it, or "{key}": null to leave it out'
-        elif len(found) > 1:
-            raise InputError(
-                f"{place}: holds {found[0].name} and {found[1].name}",
-                hint=f"keep the one that is {what}",
-            )
-        else:
-            said = f"{found[0]}: is taken for {what}, for want of a {NAME} that says so"
-            black, mask = (found[0], told.mask) if key == "black" else (told.black, found[0])
-            told = replace(told, black=black, mask=mask)
-        warnings.warn(said, LightMatrixWarning, stacklevel=2)
-    return told
 
 
 def read_folders(
@@ -195,8 +171,8 @@ def make_decoder(
     Raises
     ------
     InputError
-        On a black frame of another size, one that is clipped, or one of another exposure than the
-        frames where no black level is stated; on levels out of range.
+        On a black frame of another size or bit depth, one that is clipped, or one of another
+        exposure than the frames where no black level is stated; on levels out of range.
     """
     top = 1.0 if stack.dtype.kind == "f" else float(np.iinfo(stack.dtype).max)
     if full_scale is None:
@@ -221,6 +197,12 @@ def make_decoder(
             raise InputError(
                 f"{black}: the black frame has shape {image.shape}, the images {stack.shape}",
                 hint="take the black frame with the same camera settings",
+            )
+        # The mean of several black frames may be kept as float, in levels of the frames.
+        if image.dtype != stack.dtype and image.dtype.kind != "f":
+            raise InputError(
+                f"{black}: the black frame is {image.dtype}, the images {stack.dtype}",
+                hint="save it with the bit depth of the images",
             )
         black_frame = image.ravel()
         if float(np.median(black_frame)) >= np.min(clip):

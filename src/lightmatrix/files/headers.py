@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import json
 import math
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -64,6 +67,23 @@ def parse_json(text: str, name: str, *, finite: bool = True) -> Any:
         raise InputError(
             f"{name}: cannot be read ({str(error)[:120]})", hint="restore it, or remove it"
         ) from error
+
+
+@contextmanager
+def said_in(file: Path) -> Iterator[None]:
+    """Name the file whose values are used within, in messages that name none that exists.
+
+    Raises
+    ------
+    InputError
+        As raised within, behind the name of the file.
+    """
+    try:
+        yield
+    except InputError as error:
+        if os.path.exists(error.message.partition(": ")[0]):
+            raise
+        raise InputError(f"{file}: {error.message}", hint=error.hint) from error
 
 
 def _refuse_constant(word: str) -> float:

@@ -208,7 +208,10 @@ def _read_png(file: Path) -> NDArray[Any]:
         return png16.decode(chunks)
     # Pillow stops at the last pixel and never asks for the checksum behind it.
     png.verify_pixels(chunks.get(b"IDAT", b""), header.inflated_bytes)
-    return _read_by_pillow(file, data)
+    if header.colour == png.PALETTE:
+        # Pillow makes colours of the indices, and black of those that have none.
+        png.verify_indices(_read_by_pillow(data, mode="P"), chunks.get(b"PLTE", b""))
+    return _read_by_pillow(data)
 
 
 def _read_jpeg(file: Path) -> NDArray[Any]:
@@ -225,14 +228,14 @@ def _read_signed(file: Path, signature: bytes, kind: str) -> NDArray[Any]:
     if not data.startswith(signature):
         raise ValueError(f"not a {kind} file")
     check_size(file, imageio.improps(data, plugin="pillow", index=0).shape)
-    return _read_by_pillow(file, data)
+    return _read_by_pillow(data)
 
 
-def _read_by_pillow(file: Path, data: bytes) -> NDArray[Any]:
+def _read_by_pillow(data: bytes, **options: Any) -> NDArray[Any]:
     with warnings.catch_warnings():
         # Of large images; their size was checked.
         warnings.filterwarnings("ignore", message=".*decompression bomb", category=Warning)
-        return np.asarray(imageio.imread(data, plugin="pillow", index=0))
+        return np.asarray(imageio.imread(data, plugin="pillow", index=0, **options))
 
 
 _READERS = {

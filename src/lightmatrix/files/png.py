@@ -6,6 +6,9 @@ import struct
 import zlib
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 SIGNATURE = b"\x89PNG\r\n\x1a\n"
 GREY, RGB, PALETTE, GREY_ALPHA, RGBA = 0, 2, 3, 4, 6
 CHANNELS = {GREY: 1, RGB: 3, PALETTE: 1, GREY_ALPHA: 2, RGBA: 4}
@@ -144,6 +147,19 @@ def verify_pixels(packed: bytes, size: int) -> None:
         raise ValueError(f"damaged pixel data: {error}") from error
     if seen != size or not stream.eof:
         raise ValueError("damaged pixel data: its length does not fit")
+
+
+def verify_indices(pixels: NDArray[np.uint8], palette: bytes) -> None:
+    """Check that every pixel of a palette image has a colour.
+
+    Raises
+    ------
+    ValueError
+        If an index lies beyond the palette, three bytes a colour.
+    """
+    count, top = len(palette) // 3, int(pixels.max(initial=0))
+    if top >= count:
+        raise ValueError(f"a pixel of colour {top}, but {count} colours")
 
 
 def write_chunks(*chunks: tuple[bytes, bytes]) -> bytes:

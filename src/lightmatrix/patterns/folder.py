@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from lightmatrix.errors import InputError, LightMatrixWarning
-from lightmatrix.files.headers import read_json
+from lightmatrix.files.headers import read_json, said_in
 from lightmatrix.files.images import fill_image, read_grey, read_image
 from lightmatrix.files.kinds import PATTERNS
 from lightmatrix.files.memory import check_room
@@ -85,7 +85,8 @@ def read_patterns(folder: str | Path) -> PatternSet:
     odd = None
     if description is not None:
         odd = _misfit(description, paths)
-        operator = None if odd else from_description(description)
+        with said_in(place / DESCRIPTION):
+            operator = None if odd else from_description(description)
         if operator is not None:
             odd = _first_difference(operator, paths)
             if odd is None:

@@ -7,6 +7,9 @@ from . import (
     archives,
     arguments,
     captures,
+    damaged_images,
+    descriptions,
+    foreign,
     images,
     outputs,
     partial,
@@ -17,7 +20,7 @@ from . import (
 )
 
 _MODULES = (
-    *(outputs, arguments, captures, images, stores),
+    *(outputs, foreign, arguments, descriptions, captures, images, damaged_images, stores),
     *(archives, partial, together, streams, resources),
 )
 

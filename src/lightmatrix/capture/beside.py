@@ -1,0 +1,69 @@
+"""What lies in a capture folder without being named: used or not, but never without a word."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import replace
+from pathlib import Path
+
+from lightmatrix.capture.description import NAME, Description
+from lightmatrix.errors import InputError, LightMatrixWarning
+from lightmatrix.files.images import READABLE
+
+
+def check_name(place: Path) -> None:
+    """Refuse a folder without a capture.json that has one in other letters, such as Capture.json.
+
+    Raises
+    ------
+    InputError
+        Naming it.
+    """
+    for entry in sorted(place.iterdir()):
+        if entry.name != NAME and entry.name.casefold() == NAME:
+            raise InputError(f"{entry}: is not read under this name", hint=f"call it {NAME}")
+
+
+def with_files_beside(place: Path, told: Description, described: bool) -> Description:
+    """The description with a black frame or mask that lies in the folder without being named.
+
+    Without capture.json it is used, and with one it is not; either way that is said.
+
+    Parameters
+    ----------
+    place : Path
+        The capture's folder.
+    told : Description
+        What is said of it.
+    described : bool
+        Whether capture.json says so.
+
+    Raises
+    ------
+    InputError
+        On two files of which either may be meant.
+    """
+    for key, what in (("black", "the black frame"), ("mask", "the mask")):
+        if described and key not in told.silent_of:
+            continue
+        found = [
+            entry
+            for entry in sorted(place.iterdir())
+            if entry.stem.lower() == key and entry.suffix.lower() in READABLE
+        ]
+        if not found:
+            continue
+        if described:
+            said = f"{found[0]}: is not used, since {NAME} does not name it"
+            said += f'; add "{key}" to it, or "{key}": null to leave it out'
+        elif len(found) > 1:
+            raise InputError(
+                f"{place}: holds {found[0].name} and {found[1].name}",
+                hint=f"keep the one that is {what}",
+            )
+        else:
+            said = f"{found[0]}: is taken for {what}, for want of a {NAME} that says so"
+            black, mask = (found[0], told.mask) if key == "black" else (told.black, found[0])
+            told = replace(told, black=black, mask=mask)
+        warnings.warn(said, LightMatrixWarning, stacklevel=2)
+    return told
