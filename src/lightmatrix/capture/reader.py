@@ -96,8 +96,8 @@ class Reader:
         group = max(1, min(64, (256 << 20) // max(1, pixels * raw.itemsize)))
         for start in range(0, self.frames.count, group):
             stop = min(start + group, self.frames.count)
-            block = [self.frames.read(k).reshape(-1) for k in range(start, stop)]
-            raw[:, start:stop] = np.stack(block, axis=1)
+            images = [self.frames.read(k).reshape(-1) for k in range(start, stop)]
+            raw[:, start:stop] = np.stack(images, axis=1)
         return raw
 
     @cached_property
