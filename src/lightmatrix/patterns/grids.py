@@ -10,6 +10,29 @@ from numpy.typing import NDArray
 from lightmatrix.errors import InputError
 
 
+def block_size(block: int | tuple[int, int], what: str) -> tuple[int, int]:
+    """Rows and columns of a block of pixels, given as such or as one number for both.
+
+    Parameters
+    ----------
+    block : int or (int, int)
+        At least 1.
+    what : str
+        Whose pixels, for the message: "camera".
+
+    Raises
+    ------
+    InputError
+        If the block is empty.
+    """
+    rows, cols = (block, block) if isinstance(block, (int, np.integer)) else block
+    if min(rows, cols) < 1:
+        raise InputError(
+            f"the {what} binned by {rows} x {cols} pixels", hint="use at least 1, such as 8"
+        )
+    return int(rows), int(cols)
+
+
 def block_mean(images: NDArray[Any], block: tuple[int, int]) -> NDArray[np.float64]:
     """Means over blocks of the last two axes; blocks at the border may be smaller.
 
