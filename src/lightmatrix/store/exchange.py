@@ -31,6 +31,17 @@ def export(
 ) -> None:
     """Write a light transport matrix as .npz (`export_npz`) or .mat (`export_mat`).
 
+    Parameters
+    ----------
+    path : str or Path
+        Ends in .npz, which `scipy.sparse.load_npz` reads, or in .mat.
+    transport : LightTransport
+        What to write.
+    dense_background : bool
+        Spread the background over all entries; see `export_npz`.
+    overwrite : bool
+        Whether an existing export may be replaced.
+
     Raises
     ------
     OutputError
