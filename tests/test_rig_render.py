@@ -261,7 +261,7 @@ def test_thumbnails_show_every_scene(tmp_path: Path) -> None:
     assert [path.stem for path in paths] == list(names())
     for path in paths:
         assert read_image(path).shape == (24, 24)
-    write_thumbnails(tmp_path / "pictures", size=(8, 8), overwrite=True)
+    write_thumbnails(str(tmp_path / "pictures"), size=(8, 8), overwrite=True)
     assert read_image(paths[0]).shape == (8, 8)
     listed = json.loads((tmp_path / "pictures" / "scenes.json").read_text())
     assert list(listed) == list(names())

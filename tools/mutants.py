@@ -194,7 +194,8 @@ def tests_of(mutant: Mutant, recorded: dict[str, Any], budget: float) -> tuple[l
         (n for n in names if n in seconds and n not in recorded["failed"]),
         key=lambda n: (seconds[n], n),
     )
-    taken, total = [], 0.0
+    taken: list[str] = []
+    total = 0.0
     for name in usable:
         total += seconds[name] + 0.005
         if taken and total > budget:

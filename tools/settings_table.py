@@ -11,6 +11,7 @@ import inspect
 import re
 import sys
 from pathlib import Path
+from typing import Any
 
 from lightmatrix import solvers
 from lightmatrix.estimators.coherent.estimator import CoherentEstimator
@@ -36,7 +37,7 @@ def page() -> str:
     return "\n".join([HEAD, *parts, *map(_section, ESTIMATORS)])
 
 
-def _section(solver: type) -> str:
+def _section(solver: Any) -> str:
     text = inspect.getdoc(solver) or ""
     meaning = _parameters(text)
     lines = [f"## {solver.__name__}", "", text.splitlines()[0], ""]

@@ -79,7 +79,8 @@ fn check_pixels(prepared: &PreparedPatterns, pixels: usize, what: &str) -> PyRes
     }
 }
 
-/// Expected samples and their variances, each (m, K + E); see `lightmatrix.estimators.expectations`.
+/// Expected samples and their variances, each (m, K + E); see
+/// `lightmatrix.estimators.coherent.expectations`.
 #[pyfunction]
 #[pyo3(signature = (shown, unseen, samples, neighbourhood, background, *, reach, start, level))]
 // The last three are numbers with names; a group of them would have none.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -99,6 +99,14 @@ class Decoder:
         if self.black_frame is None:
             return None
         return np.asarray(np.asarray(self.black_frame) >= np.min(self.clip))
+
+    def select(self, frames: NDArray[np.integer]) -> Decoder:
+        """The decoder of the frames of the given indices."""
+        values = {name: getattr(self, name) for name in ("clip", "black_level", "exposure")}
+        return replace(
+            self,
+            **{name: value[frames] if np.ndim(value) else value for name, value in values.items()},
+        )
 
     def decode(self, raw: NDArray[Any], *, first_row: int = 0, first_frame: int = 0) -> Samples:
         """Decode a tile.

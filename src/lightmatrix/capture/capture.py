@@ -1,18 +1,11 @@
 """Captures: patterns, the photographs of the scene under them, and how to read these.
 
-On disk a capture is a folder::
-
-    patterns/      one image a pattern, and patterns.json if they can be remade
-    images/        one image a frame, in the same natural order
-    capture.json   exposure, clip and black level, response, ... (all optional)
-
-or just two folders of images. Frames stay as they were stored; they become linear samples tile by
-tile, in the order (row, col, channel).
+Frames stay as they were stored; they become linear samples tile by tile, in the order (row, col,
+channel).
 """
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -26,6 +19,7 @@ from lightmatrix.camera.decoder import Decoder
 from lightmatrix.camera.response import Response
 from lightmatrix.camera.samples import Samples
 from lightmatrix.camera.sensor import Sensor
+from lightmatrix.capture import summary
 from lightmatrix.capture.checks import (
     check_depth,
     check_light,
@@ -33,17 +27,14 @@ from lightmatrix.capture.checks import (
     check_per_frame,
     warn_of_hidden_clipping,
 )
-from lightmatrix.capture.folder import jsonable, read_capture, read_folders
+from lightmatrix.capture.folder import read_capture, read_folders
 from lightmatrix.capture.frames import ArrayStack, Frames
 from lightmatrix.capture.order import check_order
 from lightmatrix.capture.reader import Reader
 from lightmatrix.errors import InputError
+from lightmatrix.patterns.grids import block_size
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.reprs import html_table
-
-# Pixels per side of a bin: more than any camera or projector has.
-_LARGEST_BLOCK = 1 << 20
-
 
 @dataclass(frozen=True, eq=False)
 class Capture:
@@ -89,26 +80,11 @@ class Capture:
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
     def __repr__(self) -> str:
-        return f"Capture({', '.join(f'{name}={value}' for name, value in self._told.items())})"
+        facts = summary.told(self.patterns, self.reader)
+        return f"Capture({', '.join(f'{name}={value}' for name, value in facts.items())})"
 
     def _repr_html_(self) -> str:
-        return html_table("Capture", self._told)
-
-    @property
-    def _told(self) -> dict[str, Any]:
-        """What is said of a capture in one line; decodes nothing."""
-        exposures = np.unique(self.exposures)
-        told: dict[str, Any] = {
-            "frames": self.count,
-            "camera": " x ".join(map(str, self.camera_shape)),
-            "projector": " x ".join(map(str, self.projector_shape)),
-            "patterns": type(self.patterns).__name__,
-            "levels": str(self.frames.dtype),
-            "exposure": ", ".join(f"{exposure:g}" for exposure in exposures[:4]),
-        }
-        if len(exposures) > 4:
-            told["exposure"] += f" and {len(exposures) - 4} more"
-        return told
+        return html_table("Capture", summary.told(self.patterns, self.reader))
 
     def __post_init__(self) -> None:
         if self.patterns.count != self.frames.count:
@@ -237,7 +213,28 @@ class Capture:
         check: bool = True,
         check_order: bool = False,
     ) -> Capture:
-        """A capture from frames in memory, (K, rows, cols[, channels]), such as simulated ones."""
+        """A capture from frames in memory, such as simulated ones.
+
+        Parameters
+        ----------
+        patterns : PatternSet
+            K patterns.
+        frames : (K, rows, cols[, channels]) uint8, uint16 or float32
+            Raw levels.
+        sensor : Sensor or Decoder
+            The camera that took them, or the way back from its levels.
+        mask : (rows, cols[, channels]) bool, optional
+            Which camera samples count.
+        provenance : mapping, optional
+            What made it, JSON-ready.
+        check, check_order : bool
+            See `check`.
+
+        Raises
+        ------
+        InputError
+            On frames that do not fit the patterns, or that no estimate can come from.
+        """
         decoder = sensor.decoder() if isinstance(sensor, Sensor) else sensor
         capture = cls(patterns, ArrayStack(frames), decoder, mask, provenance=provenance or {})
         return capture._finish(1, 1, check, check_order)
@@ -304,7 +301,7 @@ class Capture:
         InputError
             If a block is empty or the capture is binned already.
         """
-        blocks = _pair(projector, "projector"), _pair(camera, "camera")
+        blocks = block_size(projector, "projector"), block_size(camera, "camera")
         result = self
         for name, block in zip(("bin_projector", "bin_camera"), blocks, strict=True):
             if block != (1, 1) and getattr(self, name) != (1, 1):
@@ -321,18 +318,11 @@ class Capture:
     def select(self, frames: Sequence[int] | NDArray[np.integer]) -> Capture:
         """The capture of the frames of the given indices, such as all but one."""
         index = np.asarray(frames, np.int64)
-        decoder = replace(
-            self.decoder,
-            **{
-                name: value[index] if np.ndim(value := getattr(self.decoder, name)) else value
-                for name in ("clip", "black_level", "exposure")
-            },
-        )
         return replace(
             self,
             patterns=self.patterns.subset(index),
             frames=self.frames.select([int(k) for k in index]),
-            decoder=decoder,
+            decoder=self.decoder.select(index),
         )
 
     # ---- samples
@@ -349,8 +339,7 @@ class Capture:
         Samples
             Fits `Problem`; at exposure 1, in units of the clip level.
         """
-        end = self.rows if stop is None else min(stop, self.rows)
-        return self.reader.samples(start, end)
+        return self.reader.samples(start, self.rows if stop is None else stop)
 
     @cached_property
     def reader(self) -> Reader:
@@ -364,8 +353,7 @@ class Capture:
 
     def tiles(self, rows: int = 4096) -> Iterable[tuple[int, Samples]]:
         """Iterate over (first row, samples) of the whole camera."""
-        for start in range(0, self.rows, rows):
-            yield start, self.samples(start, start + rows)
+        return self.reader.tiles(rows)
 
     @cached_property
     def clipped_share(self) -> float:
@@ -376,31 +364,13 @@ class Capture:
     @cached_property
     def digest(self) -> str:
         """Hash of the patterns and of all samples, 16 hex digits."""
-        hasher = hashlib.sha256(self.patterns.digest.encode())
-        hasher.update(repr((self.camera_shape, self.projector_shape)).encode())
-        for _, tile in self.tiles():
-            for array in (tile.values, tile.clipped, tile.clip_level, tile.weights):
-                if array is not None:
-                    hasher.update(np.ascontiguousarray(array).tobytes())
-        return hasher.hexdigest()[:16]
+        return summary.digest(self.patterns, self.reader)
 
     @property
     def description(self) -> dict[str, Any]:
         """What the capture is and how it is read, JSON-ready."""
-        return {
-            "camera_shape": list(self.camera_shape),
-            "projector_shape": list(self.projector_shape),
-            "frames": self.count,
-            "bin_camera": list(self.bin_camera),
-            "bin_projector": list(self.bin_projector),
-            "clip": jsonable(self.decoder.clip),
-            "black_level": jsonable(self.decoder.black_level),
-            "black_frame": self.decoder.black_frame is not None,
-            "exposure": jsonable(self.decoder.exposure),
-            "response": self.decoder.response.name,
-            "masked": int((~self.valid).sum()),
-            **dict(self.provenance),
-        }
+        facts = summary.description(self.patterns, self.reader, self.bin_projector)
+        return {**facts, **dict(self.provenance)}
 
     # ---- checks
 
@@ -426,13 +396,3 @@ class Capture:
             warn_of_hidden_clipping(self.reader.raw, self.decoder)
         if order:
             check_order(self.patterns, self.tiles(), self.rows, self.frames.name)
-
-
-def _pair(block: int | tuple[int, int], name: str) -> tuple[int, int]:
-    rows, cols = (block, block) if isinstance(block, (int, np.integer)) else block
-    if not 1 <= min(rows, cols) <= max(rows, cols) <= _LARGEST_BLOCK:
-        raise InputError(
-            f"the {name} binned by {rows} x {cols} pixels",
-            hint=f"use 1 to {_LARGEST_BLOCK}, such as 8",
-        )
-    return int(rows), int(cols)

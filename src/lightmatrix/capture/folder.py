@@ -1,4 +1,11 @@
-"""Captures on disk: one folder with capture.json, or two plain folders of images."""
+"""Captures on disk: one folder, or two plain folders of images.
+
+The folder holds::
+
+    patterns/      one image a pattern, and patterns.json if they can be remade
+    images/        one image a frame, in the same natural order
+    capture.json   exposure, clip and black level, response, ... (all optional)
+"""
 
 from __future__ import annotations
 

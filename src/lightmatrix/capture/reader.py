@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -53,8 +54,14 @@ class Reader:
         """Exposure of each frame, (K,)."""
         return np.broadcast_to(np.asarray(self.decoder.exposure, np.float64), (self.frames.count,))
 
+    def tiles(self, rows: int = 4096) -> Iterator[tuple[int, Samples]]:
+        """Iterate over (first row, samples) of the whole camera."""
+        for start in range(0, self.rows, rows):
+            yield start, self.samples(start, start + rows)
+
     def samples(self, start: int, stop: int) -> Samples:
         """Samples of the camera rows start..stop; those that do not count are 0 and weigh 0."""
+        stop = min(stop, self.rows)
         if self.block == (1, 1):
             decoded = self.decoder.decode(self.raw[start:stop], first_row=start)
         else:
@@ -96,8 +103,8 @@ class Reader:
         group = max(1, min(64, (256 << 20) // max(1, pixels * raw.itemsize)))
         for start in range(0, self.frames.count, group):
             stop = min(start + group, self.frames.count)
-            block = [self.frames.read(k).reshape(-1) for k in range(start, stop)]
-            raw[:, start:stop] = np.stack(block, axis=1)
+            images = [self.frames.read(k).reshape(-1) for k in range(start, stop)]
+            raw[:, start:stop] = np.stack(images, axis=1)
         return raw
 
     @cached_property

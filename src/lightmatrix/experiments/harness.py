@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import json
-import zipfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,6 +12,9 @@ from typing import Any, Generic, Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from lightmatrix.errors import InputError
+from lightmatrix.files.headers import parse_json
+from lightmatrix.files.npz import read_npz
 from lightmatrix.files.running import RunningFolder
 
 Row = dict[str, Any]
@@ -141,8 +143,9 @@ def _write(file: Path, measured: Measured) -> None:
 def _read(file: Path) -> Measured | None:
     """What was kept of a case; None where there is nothing, or nothing whole."""
     try:
-        with file.open("rb") as opened, np.load(opened, allow_pickle=False) as found:
-            arrays = {name: found[name] for name in found.files}
-        return Measured(json.loads(str(arrays.pop("rows"))), arrays)
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+        arrays = read_npz(file)
+        rows = parse_json(str(arrays.pop("rows")), f"{file}: rows", finite=False)
+    except (InputError, KeyError):
         return None
+    whole = isinstance(rows, list) and all(isinstance(row, dict) for row in rows)
+    return Measured(rows, arrays) if whole else None

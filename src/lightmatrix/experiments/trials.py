@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -61,7 +60,3 @@ class TrialPatterns(PatternSet):
     @property
     def description(self) -> dict[str, Any]:
         return {"kind": "trials", "trials": len(self.stack), "count": self.count}
-
-    def one_by_one(self) -> Iterator[NDArray[Any]]:
-        """The matrix of each trial."""
-        yield from self.stack

@@ -112,6 +112,18 @@ def one_pixel_patterns(
 ) -> BlockPatterns:
     """One projector pixel lit at a time: the naive measurement of T, column by column.
 
+    Parameters
+    ----------
+    shape : (rows, cols)
+        Of the projector.
+    selected : (K,) int, optional
+        Pixels to light, in the order (row, col); None: all.
+
+    Raises
+    ------
+    InputError
+        On a shape that is none, or pixels outside of it.
+
     Examples
     --------
     >>> import lightmatrix as lm

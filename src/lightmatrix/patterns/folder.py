@@ -25,13 +25,20 @@ from lightmatrix.patterns.kinds import from_description
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet, to_grey
 
 DESCRIPTION = "patterns.json"
-
-
 FORMAT, VERSION = "lightmatrix-patterns", 1
 
 
 def write_patterns(folder: str | Path, patterns: PatternSet, *, overwrite: bool = False) -> None:
     """Write a pattern set as 8-bit PNG files and patterns.json.
+
+    Parameters
+    ----------
+    folder : str or Path
+        The folder to make, whole or not at all.
+    patterns : PatternSet
+        K patterns, written as pattern_0000.png and on.
+    overwrite : bool
+        Whether an existing folder of patterns may be replaced.
 
     Raises
     ------

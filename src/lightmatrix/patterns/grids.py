@@ -10,6 +10,34 @@ from numpy.typing import NDArray
 from lightmatrix.errors import InputError
 
 
+# Pixels per side of a bin: more than any camera or projector has.
+_LARGEST_BLOCK = 1 << 20
+
+
+def block_size(block: int | tuple[int, int], what: str) -> tuple[int, int]:
+    """Rows and columns of a block of pixels, given as such or as one number for both.
+
+    Parameters
+    ----------
+    block : int or (int, int)
+        At least 1, and at most 2^20.
+    what : str
+        Whose pixels, for the message: "camera".
+
+    Raises
+    ------
+    InputError
+        If the block is empty or absurdly large.
+    """
+    rows, cols = (block, block) if isinstance(block, (int, np.integer)) else block
+    if not 1 <= min(rows, cols) <= max(rows, cols) <= _LARGEST_BLOCK:
+        raise InputError(
+            f"the {what} binned by {rows} x {cols} pixels",
+            hint=f"use 1 to {_LARGEST_BLOCK}, such as 8",
+        )
+    return int(rows), int(cols)
+
+
 def block_mean(images: NDArray[Any], block: tuple[int, int]) -> NDArray[np.float64]:
     """Means over blocks of the last two axes; blocks at the border may be smaller.
 

@@ -13,8 +13,7 @@ from typing import Any
 
 import numpy as np
 
-# Patterns of a mix begin here; so does the table's column of it.
-_FEWEST_MIXED = 64
+from lightmatrix.patterns.mix import FEWEST_MIXED
 
 
 @dataclass(frozen=True)
@@ -62,7 +61,7 @@ def expectations(frames: int, *, exposures: str = "advised") -> list[ExpectedErr
         for row in table()
         if row["exposures"] == exposures
         and row["density"] == 0.5
-        and row["patterns"] == ("mix" if row["frames"] >= _FEWEST_MIXED else "fine")
+        and row["patterns"] == ("mix" if row["frames"] >= FEWEST_MIXED else "fine")
     ]
     result = []
     for estimator in sorted({row["estimator"] for row in rows}, reverse=True):

@@ -42,6 +42,14 @@ def truth(
         Of a scene, camera and projector size. The bundled scenes come at 64 x 64.
     samples : int, optional
         Paths per camera pixel; None takes the bundled file, or 16,384 where there is none.
+    seed : int
+        Seed of the paths.
+    progress : callable, optional
+        Called with (done, total) paths where the scene is rendered.
+
+    Returns
+    -------
+    Truth
 
     Raises
     ------

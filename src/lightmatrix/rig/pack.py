@@ -82,10 +82,10 @@ def unpack(path: Path) -> Truth:
         version = int(content["lightmatrix_packed"])
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(f"{path} is no packed scene", hint="install lightmatrix again") from error
-    if version > FORMAT_VERSION:
+    if version != FORMAT_VERSION:
         raise InputError(
-            f"{path} has packed format {version}, this version reads {FORMAT_VERSION}",
-            hint="install a newer lightmatrix",
+            f"{path}: has packed format {version}, this lightmatrix reads {FORMAT_VERSION}",
+            hint="update lightmatrix, or install it again",
         )
     sums = content["sums"].astype(np.float64)
     rows, cols = (int(v) for v in content["projector_shape"])

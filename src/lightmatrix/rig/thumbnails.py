@@ -40,7 +40,7 @@ def white_level(image: NDArray[np.float32]) -> float:
 
 
 def write_thumbnails(
-    folder: Path,
+    folder: str | Path,
     *,
     size: tuple[int, int] = (256, 256),
     overwrite: bool = False,
@@ -49,6 +49,27 @@ def write_thumbnails(
     """Write NAME.png for every scene and a list, scenes.json.
 
     Without the renderer the bundled scenes are drawn from their matrices, at 64 x 64.
+
+    Parameters
+    ----------
+    folder : str or Path
+        The folder to make, whole or not at all.
+    size : (rows, cols)
+        Of the pictures.
+    overwrite : bool
+        Whether an existing folder of them may be replaced.
+    progress : callable, optional
+        Called with (done, total) scenes.
+
+    Returns
+    -------
+    list of Path
+        The pictures.
+
+    Raises
+    ------
+    OutputError
+        If the folder exists, is not one of ours, or cannot be written.
 
     Examples
     --------
@@ -67,7 +88,7 @@ def write_thumbnails(
                 image = np.asarray(known.matrix.sum(axis=1), np.float32).reshape(known.camera_shape)
             shown = np.clip(image / white_level(image), 0, 1) ** (1 / 2.2)
             fill_image(temporary / f"{name}.png", shown.astype(np.float32))
-            written.append(folder / f"{name}.png")
+            written.append(Path(folder) / f"{name}.png")
             if progress is not None:
                 progress(done, len(names()))
         described = {path.stem: scene(path.stem).description for path in written}

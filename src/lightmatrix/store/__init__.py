@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from lightmatrix.store.by_ending import open
 from lightmatrix.store.checkpoint import Checkpoint
 from lightmatrix.store.exchange import export, export_mat, export_npz, import_npz
+from lightmatrix.store.opening import open
 from lightmatrix.store.zarr_file import save
 
 __all__ = ["Checkpoint", "export", "export_mat", "export_npz", "import_npz", "open", "save"]

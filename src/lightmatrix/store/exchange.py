@@ -31,6 +31,17 @@ def export(
 ) -> None:
     """Write a light transport matrix as .npz (`export_npz`) or .mat (`export_mat`).
 
+    Parameters
+    ----------
+    path : str or Path
+        Ends in .npz, which `scipy.sparse.load_npz` reads, or in .mat.
+    transport : LightTransport
+        What to write.
+    dense_background : bool
+        Spread the background over all entries; see `export_npz`.
+    overwrite : bool
+        Whether an existing export may be replaced.
+
     Raises
     ------
     OutputError
@@ -195,12 +206,12 @@ def _parts(
     indices = np.empty(bound, indptr.dtype)
     step = max(1, (64 << 20) // (4 * pixels))
     for start in range(0, rows, step):
-        block = np.arange(start, min(start + step, rows))
-        tile = csr_array(transport.dense_rows(block))
+        chunk = np.arange(start, min(start + step, rows))
+        tile = csr_array(transport.dense_rows(chunk))
         at = indptr[start]
         data[at : at + tile.nnz] = tile.data
         indices[at : at + tile.nnz] = tile.indices
-        indptr[start + 1 : start + len(block) + 1] = at + tile.indptr[1:]
+        indptr[start + 1 : start + len(chunk) + 1] = at + tile.indptr[1:]
     end = int(indptr[-1])
     matrix = csr_array((data[:end], indices[:end], indptr), shape=(rows, pixels))
     return matrix, np.zeros_like(transport.background)

@@ -20,7 +20,7 @@ from lightmatrix.store.checked import checked_matrix, finite, shape_of
 # Of exports and truth files alike: a file of a later one is refused, not guessed at.
 VERSION = 1
 _VERSIONS = ("lightmatrix_transport", "lightmatrix_truth")
-# Arrays of one value an entry; all others are small or of one value a row and block.
+# Arrays of one value an entry; all others are small or of one value a row and cell.
 _ENTRIES = ("data", "indices", "row", "col", "direct_data")
 _MOST_SMALL = 16 << 20
 

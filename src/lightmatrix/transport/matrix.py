@@ -25,7 +25,7 @@ class LightTransport:
     """T = S + B m: a sparse part and a low-resolution background, in camera full scale.
 
     ``T p = S p + B m(p)`` where m(p) are the means of the pattern p over the cells of a coarse
-    grid (DESIGN: 1 x 1 is one value per camera sample times the mean of the pattern).
+    grid; 1 x 1 is one value per camera sample times the mean of the pattern.
 
     Parameters
     ----------
@@ -254,7 +254,7 @@ class LightTransport:
     @property
     def background_share(self) -> float:
         """Share of the white image's light that the background holds."""
-        # Under white the mean of every block is 1.
+        # Under white the mean of every cell is 1.
         diffuse = float(self.background.sum(dtype=np.float64))
         total = diffuse + float(self.sparse.sum())
         return diffuse / total if total else 0.0

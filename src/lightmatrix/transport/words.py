@@ -9,7 +9,7 @@ from typing import Any
 _MEANING = {
     "entries": "entries of T",
     "entries_per_row": "entries a row",
-    "background_grid": "blocks of the background",
+    "background_grid": "cells of the background",
     "background_share": "light in the background",
     "clipped_samples": "samples that clipped",
     "rows_half_clipped": "rows with half of their samples clipped",

@@ -15,7 +15,7 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 /// Rows that one thread takes on at a time.
 const TASK: usize = 16;
 
-/// Columns that every row may use beside its pixels, such as the means of blocks of pixels.
+/// Columns that every row may use beside its pixels, such as the means over coarse cells.
 #[derive(Clone, Copy)]
 pub struct Further<'a> {
     /// One column after the other, a value in [0, 1] for each pattern: those shown, then the

@@ -1,0 +1,62 @@
+"""What a capture is: in one line, JSON-ready, and as a hash."""
+
+from __future__ import annotations
+
+import hashlib
+from typing import Any
+
+import numpy as np
+
+from lightmatrix.capture.folder import jsonable
+from lightmatrix.capture.reader import Reader
+from lightmatrix.patterns.pattern_set import PatternSet
+
+# Of so many exposures each is told; of more, how many there are.
+_TOLD_EXPOSURES = 4
+
+
+def told(patterns: PatternSet, reader: Reader) -> dict[str, Any]:
+    """What is said of a capture in one line; decodes nothing."""
+    exposures = np.unique(reader.exposures)
+    shown = ", ".join(f"{exposure:g}" for exposure in exposures[:_TOLD_EXPOSURES])
+    if len(exposures) > _TOLD_EXPOSURES:
+        shown += f" and {len(exposures) - _TOLD_EXPOSURES} more"
+    return {
+        "frames": reader.frames.count,
+        "camera": " x ".join(map(str, reader.camera_shape)),
+        "projector": " x ".join(map(str, patterns.shape)),
+        "patterns": type(patterns).__name__,
+        "levels": str(reader.frames.dtype),
+        "exposure": shown,
+    }
+
+
+def description(
+    patterns: PatternSet, reader: Reader, bin_projector: tuple[int, int]
+) -> dict[str, Any]:
+    """What a capture is and how it is read, JSON-ready."""
+    decoder = reader.decoder
+    return {
+        "camera_shape": list(reader.camera_shape),
+        "projector_shape": list(patterns.shape),
+        "frames": reader.frames.count,
+        "bin_camera": list(reader.block),
+        "bin_projector": list(bin_projector),
+        "clip": jsonable(decoder.clip),
+        "black_level": jsonable(decoder.black_level),
+        "black_frame": decoder.black_frame is not None,
+        "exposure": jsonable(decoder.exposure),
+        "response": decoder.response.name,
+        "masked": int((~reader.valid).sum()),
+    }
+
+
+def digest(patterns: PatternSet, reader: Reader) -> str:
+    """Hash of the patterns and of all samples, 16 hex digits."""
+    hasher = hashlib.sha256(patterns.digest.encode())
+    hasher.update(repr((reader.camera_shape, patterns.shape)).encode())
+    for _, tile in reader.tiles():
+        for array in (tile.values, tile.clipped, tile.clip_level, tile.weights):
+            if array is not None:
+                hasher.update(np.ascontiguousarray(array).tobytes())
+    return hasher.hexdigest()[:16]
