@@ -18,7 +18,7 @@ from lightmatrix.experiments.fig6 import Case
 from lightmatrix.experiments.harness import Measured
 from lightmatrix.experiments.measured_scene import captured, measured_scene
 from lightmatrix.experiments.methods import METHODS, Reach
-from lightmatrix.files.running import RunningFolder
+from lightmatrix.outputs.running import RunningFolder
 from lightmatrix.patterns.blocks import sampled_pixels
 from lightmatrix.transport.metrics import response_rmse
 

@@ -18,6 +18,7 @@ ROOT = TOP / "src" / "lightmatrix"
 # one floor do not know each other; the single files of the ground may.
 FLOORS = [
     {"errors", "ranges", "reprs", "_version", "_core"},
+    {"outputs"},
     {"files"},
     {"patterns"},
     {"camera", "transport"},

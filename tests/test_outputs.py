@@ -29,12 +29,14 @@ from lightmatrix.cli import main
 from lightmatrix.errors import LightMatrixError, LightMatrixWarning, OutputError
 from lightmatrix.experiments import run
 from lightmatrix.experiments.harness import Experiment, Measured
-from lightmatrix.files import outputs, scratch, targets
+from lightmatrix.files import scratch
 from lightmatrix.files.images import read_image, write_image
-from lightmatrix.files.kinds import IMAGE, MAT, NPZ
-from lightmatrix.files.markers import FileKind, FolderKind, OutputKind
-from lightmatrix.files.outputs import atomic_file, atomic_folder, check_output, claimed
-from lightmatrix.files.running import RunningFolder
+from lightmatrix.outputs import targets
+from lightmatrix.outputs import writing as outputs
+from lightmatrix.outputs.kinds import IMAGE, MAT, NPZ
+from lightmatrix.outputs.markers import FileKind, FolderKind, OutputKind
+from lightmatrix.outputs.running import RunningFolder
+from lightmatrix.outputs.writing import atomic_file, atomic_folder, check_output, claimed
 
 CAPTURE = FolderKind("capture")
 TEXT = FileKind("text", (), lambda file: file.read_text().startswith("ours"))
@@ -245,8 +247,8 @@ def test_links_are_followed_to_their_end(tmp_path: Path) -> None:
 KILLED = """
 import os, signal, sys
 from pathlib import Path
-from lightmatrix.files import outputs
-from lightmatrix.files.markers import FileKind, FolderKind
+from lightmatrix.outputs import writing as outputs
+from lightmatrix.outputs.markers import FileKind, FolderKind
 
 folder, mode = Path(sys.argv[1]), sys.argv[2]
 out = folder / "out"
@@ -396,8 +398,8 @@ def test_endings_in_capitals(tmp_path: Path) -> None:
 
 HOLDER = """
 import sys
-from lightmatrix.files.markers import FolderKind
-from lightmatrix.files.outputs import claimed
+from lightmatrix.outputs.markers import FolderKind
+from lightmatrix.outputs.writing import claimed
 with claimed(sys.argv[1], FolderKind("capture")):
     print("ready", flush=True)
     sys.stdin.readline()

@@ -36,6 +36,7 @@ from lightmatrix.patterns.grids import block_size
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.reprs import html_table
 
+
 @dataclass(frozen=True, eq=False)
 class Capture:
     """A pattern set and the frames taken under it.

@@ -29,9 +29,9 @@ from lightmatrix.capture.description import FORMAT, NAME, VERSION, Description, 
 from lightmatrix.errors import InputError, LightMatrixWarning
 from lightmatrix.files.headers import said_in
 from lightmatrix.files.images import fill_image, read_image
-from lightmatrix.files.kinds import CAPTURE
-from lightmatrix.files.outputs import atomic_folder
 from lightmatrix.files.stack import ImageStack, nonlinear_tag
+from lightmatrix.outputs.kinds import CAPTURE
+from lightmatrix.outputs.writing import atomic_folder
 from lightmatrix.patterns.folder import fill_pattern_folder, read_patterns
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from contextlib import ExitStack
 from pathlib import Path
 
-from lightmatrix.files.markers import OutputKind
-from lightmatrix.files.outputs import claimed
+from lightmatrix.outputs.markers import OutputKind
+from lightmatrix.outputs.writing import claimed
 
 # Closed by `lightmatrix.cli.app` when the command ends.
 outputs = ExitStack()

@@ -22,7 +22,7 @@ from lightmatrix.cli.options import (
 )
 from lightmatrix.cli.terminal import Stopped, progress, say, show_json, show_table
 from lightmatrix.errors import InputError
-from lightmatrix.files.kinds import PARTIAL, STORE
+from lightmatrix.outputs.kinds import PARTIAL, STORE
 from lightmatrix.transport.words import named
 
 if TYPE_CHECKING:

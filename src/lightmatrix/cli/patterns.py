@@ -20,7 +20,7 @@ from lightmatrix.cli.options import (
 )
 from lightmatrix.cli.terminal import say, show_json
 from lightmatrix.errors import InputError
-from lightmatrix.files.kinds import PATTERNS
+from lightmatrix.outputs.kinds import PATTERNS
 
 Kind = Literal["bernoulli", "hadamard", "onepixel", "blocks", "mix"]
 Order = Literal["natural", "sequency", "random"]

@@ -12,7 +12,7 @@ import lightmatrix as lm
 from lightmatrix.cli.claims import claim
 from lightmatrix.cli.options import EXPOSURES_EXAMPLE, USUAL_NOISE, Json, Overwrite, Seed
 from lightmatrix.cli.terminal import progress, say, show_json
-from lightmatrix.files.kinds import CAPTURE
+from lightmatrix.outputs.kinds import CAPTURE
 
 
 def simulate(

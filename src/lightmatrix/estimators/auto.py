@@ -12,8 +12,8 @@ from lightmatrix.estimators.join import Progress
 from lightmatrix.estimators.multiscale.estimator import MultiScaleEstimator
 from lightmatrix.estimators.plain import PlainEstimator
 from lightmatrix.estimators.regularization import held_out_path
-from lightmatrix.files.kinds import STORE
-from lightmatrix.files.outputs import check_output
+from lightmatrix.outputs.kinds import STORE
+from lightmatrix.outputs.writing import check_output
 from lightmatrix.ranges import check_number
 from lightmatrix.solvers import ADMM, ROMP, ActiveSet, Fidelity, SaturationADMM, Solver
 from lightmatrix.transport.matrix import LightTransport

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from lightmatrix.errors import InputError
 from lightmatrix.files.headers import parse_json
 from lightmatrix.files.npz import read_npz
-from lightmatrix.files.running import RunningFolder
+from lightmatrix.outputs.running import RunningFolder
 
 Row = dict[str, Any]
 C = TypeVar("C", bound="Case")

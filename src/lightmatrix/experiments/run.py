@@ -10,9 +10,9 @@ from lightmatrix.errors import InputError
 from lightmatrix.experiments import demo as demo_report
 from lightmatrix.experiments import few_patterns, fig4, fig5, fig6, fig7
 from lightmatrix.experiments.harness import Experiment
-from lightmatrix.files.kinds import CASES, FIGURE, REPORT
-from lightmatrix.files.outputs import atomic_folder, claimed
-from lightmatrix.files.running import RunningFolder
+from lightmatrix.outputs.kinds import CASES, FIGURE, REPORT
+from lightmatrix.outputs.running import RunningFolder
+from lightmatrix.outputs.writing import atomic_folder, claimed
 
 Progress = Callable[[int, int], None]
 

@@ -18,12 +18,12 @@ from numpy.typing import NDArray
 
 from lightmatrix.errors import InputError
 from lightmatrix.files import png, png16
-from lightmatrix.files.kinds import IMAGE
 from lightmatrix.files.limits import check_size
 from lightmatrix.files.npy import as_float32, read_npy
-from lightmatrix.files.outputs import atomic_file
 from lightmatrix.files.reading import regular_file
 from lightmatrix.files.tiff import read_tiff
+from lightmatrix.outputs.kinds import IMAGE
+from lightmatrix.outputs.writing import atomic_file
 
 READABLE = (".png", ".tif", ".tiff", ".npy", ".jpg", ".jpeg", ".bmp")
 WRITABLE = IMAGE.suffixes

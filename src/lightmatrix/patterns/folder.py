@@ -17,10 +17,10 @@ import numpy as np
 from lightmatrix.errors import InputError, LightMatrixWarning
 from lightmatrix.files.headers import read_json, said_in
 from lightmatrix.files.images import fill_image, read_grey, read_image
-from lightmatrix.files.kinds import PATTERNS
 from lightmatrix.files.memory import check_room
-from lightmatrix.files.outputs import atomic_folder
 from lightmatrix.files.stack import ImageStack, list_images
+from lightmatrix.outputs.kinds import PATTERNS
+from lightmatrix.outputs.writing import atomic_folder
 from lightmatrix.patterns.kinds import from_description
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet, to_grey
 

@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from lightmatrix.errors import InputError
 
-
 # Pixels per side of a bin: more than any camera or projector has.
 _LARGEST_BLOCK = 1 << 20
 

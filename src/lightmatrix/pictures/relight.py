@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from lightmatrix import store
 from lightmatrix.errors import InputError
 from lightmatrix.files.images import read_grey, write_image
-from lightmatrix.files.kinds import IMAGE
-from lightmatrix.files.outputs import check_output
+from lightmatrix.outputs.kinds import IMAGE
+from lightmatrix.outputs.writing import check_output
 from lightmatrix.ranges import check_number
 from lightmatrix.transport.matrix import LightTransport
 

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from lightmatrix.errors import InputError
-from lightmatrix.files.kinds import PACKED
 from lightmatrix.files.npz import read_npz
-from lightmatrix.files.outputs import atomic_file
+from lightmatrix.outputs.kinds import PACKED
+from lightmatrix.outputs.writing import atomic_file
 from lightmatrix.rig.truth import Truth
 
 FORMAT_VERSION = 1

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from lightmatrix.errors import MissingExtraError
 from lightmatrix.files.images import fill_image
-from lightmatrix.files.kinds import THUMBNAILS
-from lightmatrix.files.outputs import atomic_folder
+from lightmatrix.outputs.kinds import THUMBNAILS
+from lightmatrix.outputs.writing import atomic_folder
 from lightmatrix.rig import library
 from lightmatrix.rig.llvm import load_mitsuba
 from lightmatrix.rig.mitsuba_scene import mitsuba_scene

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from lightmatrix.errors import InputError
-from lightmatrix.files.kinds import TRUTH
-from lightmatrix.files.outputs import atomic_file
+from lightmatrix.outputs.kinds import TRUTH
+from lightmatrix.outputs.writing import atomic_file
 from lightmatrix.reprs import short_repr
 from lightmatrix.store.sparse_npz import VERSION, read_sparse_npz
 from lightmatrix.transport.matrix import LightTransport

@@ -18,11 +18,11 @@ from typing import Any, Self
 import numpy as np
 
 from lightmatrix.errors import InputError, LightMatrixError, OutputError
-from lightmatrix.files.kinds import PARTIAL, STORE
-from lightmatrix.files.markers import read_object
 from lightmatrix.files.npz import read_npz
-from lightmatrix.files.outputs import claimed
-from lightmatrix.files.running import RunningFolder
+from lightmatrix.outputs.kinds import PARTIAL, STORE
+from lightmatrix.outputs.markers import read_object
+from lightmatrix.outputs.running import RunningFolder
+from lightmatrix.outputs.writing import claimed
 from lightmatrix.store.zarr_file import save
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.transport.sparse_rows import SparseRows

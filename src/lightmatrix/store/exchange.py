@@ -13,8 +13,8 @@ from scipy.io import savemat
 from scipy.sparse import csr_array
 
 from lightmatrix.errors import InputError, OutputError
-from lightmatrix.files.kinds import MAT, MAT_MARK, NPZ, export_kind
-from lightmatrix.files.outputs import atomic_file, check_output
+from lightmatrix.outputs.kinds import MAT, MAT_MARK, NPZ, export_kind
+from lightmatrix.outputs.writing import atomic_file, check_output
 from lightmatrix.store.sparse_npz import VERSION, read_sparse_npz
 from lightmatrix.transport.matrix import LightTransport
 

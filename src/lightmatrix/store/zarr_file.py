@@ -22,11 +22,11 @@ from zarr.codecs import BloscCodec, Crc32cCodec
 
 from lightmatrix.errors import InputError
 from lightmatrix.files.headers import parse_json
-from lightmatrix.files.kinds import PARTIAL, STORE
 from lightmatrix.files.memory import check_room
 from lightmatrix.files.npy import Header
-from lightmatrix.files.outputs import atomic_folder
 from lightmatrix.files.reading import read_text, regular_file
+from lightmatrix.outputs.kinds import PARTIAL, STORE
+from lightmatrix.outputs.writing import atomic_folder
 from lightmatrix.store.checked import checked_diagnostics, checked_matrix, finite, shape_of
 from lightmatrix.transport.matrix import LightTransport
 

@@ -25,8 +25,8 @@ from datetime import datetime
 from pathlib import Path
 
 from lightmatrix.errors import LightMatrixWarning, OutputError
-from lightmatrix.files.markers import printable
-from lightmatrix.files.targets import explained
+from lightmatrix.outputs.markers import printable
+from lightmatrix.outputs.targets import explained
 
 FORMAT, VERSION = "lightmatrix-lock", 1
 # Who asks only whether an output is locked holds the lock for a moment too.

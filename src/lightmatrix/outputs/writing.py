@@ -3,7 +3,7 @@
 An output is written in a temporary folder beside it, ``.NAME.part``, and renamed into place when it
 is whole. An old one stays until then: a file is replaced in one step, a folder changes places with
 the new one in one step, or is moved into the temporary folder first where the file system cannot do
-that. While it is written, the output is locked (`lightmatrix.files.locks`). What a killed run left
+that. While it is written, the output is locked (`lightmatrix.outputs.locks`). What a killed run left
 in ``.NAME.part`` is put back (an old folder that was moved aside) or swept by the next run that
 writes the same output.
 """
@@ -18,11 +18,11 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from lightmatrix.errors import OutputError
-from lightmatrix.files.locks import check_unlocked, locked
-from lightmatrix.files.markers import MARKER, FolderKind, OutputKind, read_object
-from lightmatrix.files.running import check_running
-from lightmatrix.files.swap import exchange
-from lightmatrix.files.targets import explained, failure, final_target
+from lightmatrix.outputs.locks import check_unlocked, locked
+from lightmatrix.outputs.markers import MARKER, FolderKind, OutputKind, read_object
+from lightmatrix.outputs.running import check_running
+from lightmatrix.outputs.swap import exchange
+from lightmatrix.outputs.targets import explained, failure, final_target
 
 TEMPORARY = "lightmatrix-temporary"
 _OLD = "old"

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from lightmatrix.errors import OutputError
-from lightmatrix.files.targets import ANOTHER_NAME
+from lightmatrix.outputs.targets import ANOTHER_NAME
 
 MARKER = ".lightmatrix"
 FORMAT, VERSION = "lightmatrix-output", 1

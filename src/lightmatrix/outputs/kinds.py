@@ -9,7 +9,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from lightmatrix.errors import OutputError
-from lightmatrix.files.markers import FileKind, FolderKind, holds_member
+from lightmatrix.outputs.markers import FileKind, FolderKind, holds_member
 
 # Endings of the folders that hold running results, beside an output.
 PARTIAL, CASES = ".partial", ".cases"

@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Self
 
 from lightmatrix.errors import LightMatrixWarning, OutputError
-from lightmatrix.files.markers import MARKER, printable
-from lightmatrix.files.targets import explained
+from lightmatrix.outputs.markers import MARKER, printable
+from lightmatrix.outputs.targets import explained
 
 FORMAT, VERSION = "lightmatrix-running", 1
 
@@ -24,7 +24,7 @@ FORMAT, VERSION = "lightmatrix-running", 1
 class RunningFolder:
     """Files that are kept while an output is made; made by `open`.
 
-    The caller holds the lock of the output (`lightmatrix.files.outputs.claimed`).
+    The caller holds the lock of the output (`lightmatrix.outputs.writing.claimed`).
     """
 
     def __init__(self, path: Path) -> None:
