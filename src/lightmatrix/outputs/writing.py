@@ -3,9 +3,9 @@
 An output is written in a temporary folder beside it, ``.NAME.part``, and renamed into place when it
 is whole. An old one stays until then: a file is replaced in one step, a folder changes places with
 the new one in one step, or is moved into the temporary folder first where the file system cannot do
-that. While it is written, the output is locked (`lightmatrix.outputs.locks`). What a killed run left
-in ``.NAME.part`` is put back (an old folder that was moved aside) or swept by the next run that
-writes the same output.
+that. While it is written, the output is locked (`locks.py`). What a killed run left in
+``.NAME.part`` is put back (an old folder that was moved aside) or swept by the next run that writes
+the same output.
 """
 
 from __future__ import annotations
