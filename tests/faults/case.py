@@ -201,7 +201,9 @@ def _said(phrase: str, words: str) -> bool:
 
 
 def _has_traceback(err: str) -> bool:
-    return any(sign in err for sign in ("Traceback (most", "Exception ignored", "panicked at"))
+    # The command line prints an exception that nobody foresaw in one line.
+    signs = ("Traceback (most", "Exception ignored", "panicked at", "internal error: ")
+    return any(sign in err for sign in signs)
 
 
 def _message_fault(err: str) -> str | None:

@@ -59,10 +59,6 @@ def _pick(draw: Generator, items: Any) -> Any:
     return found[int(draw.integers(len(found)))]
 
 
-def _of_bytes(words: str) -> bool:
-    return " flipped" in words
-
-
 # ---- results
 
 
@@ -214,13 +210,9 @@ def _partial(draw: Generator, folder: Path) -> str:
 
 
 def _whole(folder: Path, words: str) -> str | None:
-    """A run that goes on has a T that is finite; damaged bytes of a tile change none of it."""
-    found = whole_matrix(folder / "new.zarr")
-    if not np.isfinite(found).all():
-        return "the estimate is not finite"
-    if _of_bytes(words) and not np.array_equal(found, whole_matrix(folder / "dense.zarr")):
-        return "a damaged tile was taken as it is"
-    return None
+    """A run that goes on has the T of one that was never interrupted, whatever the damage."""
+    found, wanted = (whole_matrix(folder / name) for name in ("new.zarr", "dense.zarr"))
+    return None if np.array_equal(found, wanted) else "a damaged tile was taken as it is"
 
 
 SUBJECTS: dict[str, Subject] = {
