@@ -184,7 +184,8 @@ class Checkpoint:
     def _keep(self, name: str, rows: SparseRows) -> None:
         with self._kept.keep(name) as part:
             arrays: dict[str, Any] = rows.arrays()
-            np.savez(part, **arrays, **{_DIGEST: _digest(name, arrays)})
+            arrays[_DIGEST] = _digest(name, arrays)
+            np.savez(part, **arrays)
 
 
 def _begun(target: Path, wanted: Mapping[str, Any], overwrite: bool) -> RunningFolder:
