@@ -7,15 +7,17 @@ import resource
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import scipy.sparse
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 from scipy.io import loadmat
 from scipy.sparse import csr_array
 
@@ -342,6 +344,45 @@ def test_another_tiling_starts_anew_and_a_damaged_tile_is_computed_again(tmp_pat
             finish(running)
         write_tile(running, 10, 20)
         assert_same(finish(running), transport())
+
+
+@pytest.mark.parametrize(
+    ("key", "change"),
+    [
+        ("data", lambda values: values * 2),
+        ("diagnostic_gap", None),
+        ("digest", None),
+        ("shape", lambda values: values + np.array([0, 1])),
+        ("background", lambda values: values.astype(np.float64)),
+    ],
+)
+def test_a_tile_is_taken_only_as_it_was_kept(
+    tmp_path: Path, key: str, change: Callable[[NDArray[Any]], NDArray[Any]] | None
+) -> None:
+    path = tmp_path / "scene.zarr"
+    with pytest.raises(KeyboardInterrupt):
+        run(path, fail_at=16)
+    tile = tmp_path / "scene.zarr.partial" / "rows-0-8.npz"
+    with np.load(tile) as held:
+        arrays = dict(held)
+    old = arrays.pop(key)
+    if change is not None:
+        arrays[key] = change(old)
+    np.savez(tile, **arrays)
+    assert run(path) == 8
+    assert_same(store.open(path), transport())
+
+
+def test_tiles_under_each_others_names_are_computed_again(tmp_path: Path) -> None:
+    path = tmp_path / "scene.zarr"
+    with pytest.raises(KeyboardInterrupt):
+        run(path, fail_at=16)
+    first, second = (tmp_path / "scene.zarr.partial" / f"rows-{n}.npz" for n in ("0-8", "8-16"))
+    first.rename(tmp_path / "other")
+    second.rename(first)
+    (tmp_path / "other").rename(second)
+    assert run(path) == 0
+    assert_same(store.open(path), transport())
 
 
 def test_a_full_disk_keeps_the_finished_tiles(tmp_path: Path) -> None:

@@ -174,7 +174,7 @@ def judge(case: Case, ran: Ran, before: Snapshot, after: Snapshot) -> tuple[Outc
     if ran.code not in case.codes and (ran.code < 0 or "panicked at" in ran.err):
         return Outcome.CRASH, f"exit {ran.code}: {tail}"
     if _has_traceback(ran.err):
-        return Outcome.TRACEBACK, tail
+        return Outcome.TRACEBACK, " / ".join(words[-2:])[:300]
     if ran.code not in case.codes:
         if accepted:
             return Outcome.ACCEPTED_WRONGLY, f"exit 0: {ran.out.strip()[:120]!r}"
@@ -201,7 +201,9 @@ def _said(phrase: str, words: str) -> bool:
 
 
 def _has_traceback(err: str) -> bool:
-    return any(sign in err for sign in ("Traceback (most", "Exception ignored", "panicked at"))
+    # The command line prints an exception that nobody foresaw in one line.
+    signs = ("Traceback (most", "Exception ignored", "panicked at", "internal error: ")
+    return any(sign in err for sign in signs)
 
 
 def _message_fault(err: str) -> str | None:

@@ -34,7 +34,9 @@ def test_a_fault_is_borne(name: str, answers: Answers) -> None:
     answer = answers[name].result()
     if answer["outcome"] == Outcome.SKIPPED:
         pytest.skip(answer["detail"])
-    assert answer["outcome"] in GOOD, f"{answer['outcome']}: {answer['detail']}"
+    if answer["outcome"] not in GOOD:
+        # Where in this file it was noticed is of no interest.
+        pytest.fail(f"{answer['outcome']}: {answer['detail']}", pytrace=False)
 
 
 def test_the_table_is_as_long_as_promised() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import io
 import sys
 import warnings
@@ -93,8 +94,14 @@ def run(arguments: list[str]) -> int:
             return report(error)
 
 
+# All signatures are looked through for it, which costs half of a short command's time.
+@functools.cache
+def _command() -> Any:
+    return typer.main.get_command(app)
+
+
 def _invoke(arguments: list[str]) -> int:
-    command = typer.main.get_command(app)
+    command = _command()
     try:
         with outputs, command.make_context("lightmatrix", list(arguments)) as context:
             command.invoke(context)

@@ -2,11 +2,12 @@
 
 While an estimate runs, `<output>.partial` holds each finished tile as one file, renamed into place
 when whole, and the fingerprint of what is being computed. A run that was killed goes on there.
-The output is locked meanwhile; tiles that are damaged are computed again.
+The output is locked meanwhile; tiles that are damaged, by their digests, are computed again.
 """
 
 from __future__ import annotations
 
+import hashlib
 import json
 import re
 from collections.abc import Mapping
@@ -16,6 +17,7 @@ from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lightmatrix.errors import InputError, LightMatrixError, OutputError
 from lightmatrix.files.npz import read_npz
@@ -28,6 +30,8 @@ from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.transport.sparse_rows import SparseRows
 
 _FINGERPRINT = "fingerprint.json"
+# The array of a kept file that tells whether the others are those that were kept under its name.
+_DIGEST = "digest"
 # First row of a tile, and the row after its last.
 _Span = tuple[int, int]
 
@@ -187,6 +191,7 @@ class Checkpoint:
     def _keep(self, name: str, rows: SparseRows) -> None:
         with self._kept.keep(name) as part:
             arrays: dict[str, Any] = rows.arrays()
+            arrays[_DIGEST] = _digest(name, arrays)
             np.savez(part, **arrays)
 
 
@@ -238,9 +243,25 @@ def _read(kept: RunningFolder, name: str) -> SparseRows | None:
     if not kept.has(name):
         return None
     try:
-        return SparseRows.from_arrays(read_npz(kept.file(name)))
+        arrays = read_npz(kept.file(name))
+        digest = arrays.pop(_DIGEST, None)
+        return SparseRows.from_arrays(arrays) if _same(digest, _digest(name, arrays)) else None
     except InputError:
         return None
+
+
+def _digest(name: str, arrays: Mapping[str, NDArray[Any]]) -> NDArray[np.uint8]:
+    """Hash of arrays and of the name that they are kept under, 32 bytes."""
+    hasher = hashlib.sha256(name.encode())
+    for key in sorted(arrays):
+        values = arrays[key]
+        hasher.update(repr((key, values.shape, values.dtype.str)).encode())
+        hasher.update(values.tobytes())
+    return np.frombuffer(hasher.digest(), np.uint8)
+
+
+def _same(found: NDArray[Any] | None, wanted: NDArray[np.uint8]) -> bool:
+    return found is not None and found.dtype == wanted.dtype and np.array_equal(found, wanted)
 
 
 def _differing(kept: RunningFolder, wanted: Mapping[str, Any]) -> str | None:

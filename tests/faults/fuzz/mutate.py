@@ -83,7 +83,7 @@ def double(draw: Generator, file: Path) -> str:
 
 def rename(draw: Generator, file: Path) -> str:
     """The file has another name."""
-    names = ("²1.png", "x[/y].png", "-1.npz", "rows-a-b.npz", "0", "a b", ":x:.png", file.name[:-1])
+    names = ("²1.png", "[red].png", "-1.npz", "rows-a-b.npz", "0", "a b", ":x:.png", file.name[:-1])
     name = names[int(draw.integers(len(names)))] or "x"
     file.rename(file.with_name(name))
     return f"renamed {name}"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pytest
+
 from ..case import GOOD
 from ..workers import Pool
 
@@ -17,4 +19,5 @@ def test_what_is_damaged_is_refused_or_read_rightly() -> None:
             for request, answer in answers
             if answer["outcome"] not in GOOD
         ]
-    assert not bad, f"{len(bad)} of {COUNT}\n" + "\n".join(sorted(bad))
+    if bad:
+        pytest.fail("\n".join([f"{len(bad)} of {COUNT}", *sorted(bad)]), pytrace=False)
