@@ -23,7 +23,7 @@ from lightmatrix.cli.options import (
 from lightmatrix.cli.terminal import Stopped, progress, say, show_json, show_table
 from lightmatrix.errors import InputError
 from lightmatrix.outputs.kinds import PARTIAL, STORE
-from lightmatrix.transport.words import named
+from lightmatrix.transport.labels import named
 
 if TYPE_CHECKING:
     from lightmatrix import Capture

@@ -9,7 +9,7 @@ import typer
 import lightmatrix as lm
 from lightmatrix.cli.options import Json, Store
 from lightmatrix.cli.terminal import progress, show_json, show_table
-from lightmatrix.transport.words import named
+from lightmatrix.transport.labels import named
 
 
 def evaluate(

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import lightmatrix as lm
 from lightmatrix.cli.options import Json, Store
 from lightmatrix.cli.terminal import say, show_json, show_table
-from lightmatrix.transport.words import named
+from lightmatrix.transport.labels import named
 
 
 def info(scene: Store, as_json: Json = False) -> None:

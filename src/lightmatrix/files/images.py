@@ -26,7 +26,6 @@ from lightmatrix.outputs.kinds import IMAGE
 from lightmatrix.outputs.writing import atomic_file
 
 READABLE = (".png", ".tif", ".tiff", ".npy", ".jpg", ".jpeg", ".bmp")
-WRITABLE = IMAGE.suffixes
 FORMATS = "PNG, TIFF, npy, JPEG or BMP"
 
 

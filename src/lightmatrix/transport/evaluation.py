@@ -9,6 +9,7 @@ import numpy as np
 
 from lightmatrix.ranges import check_number
 from lightmatrix.reprs import html_table, text_table
+from lightmatrix.transport.labels import named
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.transport.metrics import (
     diffuse_rows,
@@ -18,7 +19,6 @@ from lightmatrix.transport.metrics import (
     unclipped_rows,
     unseen_patterns,
 )
-from lightmatrix.transport.words import named
 
 
 @dataclass(frozen=True)

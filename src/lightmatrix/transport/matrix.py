@@ -14,7 +14,7 @@ from scipy.sparse import csr_array
 from lightmatrix.errors import InputError
 from lightmatrix.patterns.grids import check_grid, grid_cells
 from lightmatrix.reprs import html_table
-from lightmatrix.transport.words import named
+from lightmatrix.transport.labels import named
 
 # Of the provenance, what a summary repeats.
 _TOLD = ("estimator", "solver", "regularization", "certificate", "pattern_digest", "scene")
