@@ -243,3 +243,27 @@ def test_help_tells_the_exit_codes_and_the_stages(capsys: pytest.CaptureFixture[
     assert "Exit codes: 0 done, 2 bad input or output, 3 out of memory, 70 a bug" in shown
     assert shown.index("Prepare:") < shown.index("Measure and use:") < shown.index("Simulate:")
     assert cli.console.__doc__
+
+
+def test_destructors_met_by_a_stop_say_nothing() -> None:
+    script = (
+        "import os, signal\n"
+        # Background jobs of a shell start with interrupts ignored, and so would this child.
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        "from lightmatrix.cli.stops import quiet_stops\n"
+        "class Half:\n"
+        "    def __del__(self):\n"
+        "        raise AttributeError('half made')\n"
+        "with quiet_stops():\n"
+        "    Half()\n"
+        "    try:\n"
+        "        half = Half()\n"
+        "        os.kill(os.getpid(), signal.SIGINT)\n"
+        "        while True: pass\n"
+        "    except KeyboardInterrupt:\n"
+        "        print('stopped')\n"
+        "del half\n"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert done.stdout == "stopped\n"
+    assert done.stderr.count("half made") == 1  # of the first, before the stop

@@ -27,6 +27,7 @@ from lightmatrix.cli.relight import relight
 from lightmatrix.cli.render import render
 from lightmatrix.cli.scenes import scenes
 from lightmatrix.cli.simulate import simulate
+from lightmatrix.cli.stops import quiet_stops
 from lightmatrix.cli.terminal import say, warn
 from lightmatrix.errors import LightMatrixWarning
 
@@ -84,7 +85,7 @@ def run(arguments: list[str]) -> int:
         # A terminal that knows no umlauts, and names that are no text, are no reason to fail.
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
-    with warnings.catch_warnings():
+    with quiet_stops(), warnings.catch_warnings():
         warnings.simplefilter("always", LightMatrixWarning)
         warnings.showwarning = _show_warning
         try:
