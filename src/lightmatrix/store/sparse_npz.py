@@ -15,11 +15,12 @@ from lightmatrix.errors import InputError
 from lightmatrix.files.headers import parse_json
 from lightmatrix.files.npy import Header
 from lightmatrix.files.npz import read_npz
+from lightmatrix.outputs.kinds import TRANSPORT_MARK, TRUTH_MARK
 from lightmatrix.store.checked import checked_matrix, finite, shape_of
 
 # Of exports and truth files alike: a file of a later one is refused, not guessed at.
 VERSION = 1
-_VERSIONS = ("lightmatrix_transport", "lightmatrix_truth")
+_VERSIONS = (TRANSPORT_MARK, TRUTH_MARK)
 # Arrays of one value an entry; all others are small or of one value a row and cell.
 _ENTRIES = ("data", "indices", "row", "col", "direct_data")
 _MOST_SMALL = 16 << 20
