@@ -25,7 +25,7 @@ FLOORS = [
     {"capture", "solvers", "store"},
     {"rig", "estimators", "pictures"},
     {"planning"},
-    {"experiments"},
+    {"experiments", "live"},
     {"cli"},
 ]
 # Extras are imported inside the functions that need them, and nowhere else.

@@ -45,5 +45,13 @@ class SolverError(LightMatrixError):
     """A solver cannot treat this problem, or left the finite numbers."""
 
 
+class DeviceError(LightMatrixError):
+    """A projector or a camera is missing, in use, gone, or does not do what it was asked."""
+
+
+class FrameTimeoutError(DeviceError):
+    """The camera delivered no frame in time."""
+
+
 class LightMatrixWarning(UserWarning):
     """The input is usable but probably not what was meant; the message says what to check."""
