@@ -15,7 +15,10 @@ def hadamard(x: NDArray[Any]) -> NDArray[Any]: ...
 def likely_pixels(
     rows: SparseRows,
     camera: tuple[int, int, int],
-    projector: tuple[int, int],
+    projector: tuple[int, int, int],
+    movement: NDArray[np.float32],
+    spots: list[NDArray[np.float32]],
+    within: float,
     reach: tuple[int, int],
     most: int,
     range: tuple[int, int],
@@ -99,7 +102,7 @@ class Neighbourhood(Protocol):
     @property
     def camera(self) -> tuple[int, int, int]: ...
     @property
-    def projector(self) -> tuple[int, int]: ...
+    def projector(self) -> tuple[int, int, int]: ...
     @property
     def movement(self) -> NDArray[np.float32]: ...
 
@@ -156,6 +159,9 @@ class PreparedPatterns:
             unit * (score + offset - down ... score + offset + up).
         """
 
+    def atoms(
+        self, shape: tuple[int, int], planes: list[tuple[NDArray[np.float32], float]]
+    ) -> PreparedPatterns: ...
     def pass_only(self, e: NDArray[np.float64]) -> None:
         """One correlation pass on one thread whose scores are thrown away: for timing."""
 

@@ -1,6 +1,7 @@
 //! Bit-packed pattern products and solvers for light transport estimation; knows no Python.
 
 pub mod active_set;
+pub mod atoms;
 pub mod bits;
 pub mod coherent;
 pub mod columns;

@@ -28,22 +28,54 @@ fn range(value: (Bound<'_, PyAny>, Bound<'_, PyAny>), rows: usize) -> PyResult<R
     Ok(start..stop)
 }
 
-/// The pixels that each row of a range (start, stop) probably holds, as the parts of a CSR matrix.
+/// How footprints move: four numbers for each row.
+fn movement<'py>(value: &Bound<'py, PyAny>, what: &str, rows: usize) -> PyResult<Values<'py, f32>> {
+    let movement = Values::<f32>::reals(value, what)?;
+    let why = "rows and columns, by rows and columns, for each row";
+    check_shape(what, movement.shape(), &[Some(rows), Some(4)], why)?;
+    Ok(movement)
+}
+
+/// The atoms that each row of a range (start, stop) probably holds, as the parts of a CSR matrix.
 #[pyfunction]
+#[allow(clippy::too_many_arguments)]
 fn likely_pixels<'py>(
     py: Python<'py>,
     rows: &Bound<'py, PyAny>,
     camera: &Bound<'py, PyAny>,
     projector: &Bound<'py, PyAny>,
+    movement: &Bound<'py, PyAny>,
+    spots: Vec<Bound<'py, PyAny>>,
+    within: &Bound<'py, PyAny>,
     reach: (Bound<'py, PyAny>, Bound<'py, PyAny>),
     most: &Bound<'py, PyAny>,
     range: (Bound<'py, PyAny>, Bound<'py, PyAny>),
 ) -> PyResult<Csr<'py>> {
     let (camera, count) = grid(camera, "camera")?;
     let (projector, pixels) = grid(projector, "projector")?;
+    let movement = self::movement(movement, "movement", count)?;
+    let spots = spots
+        .iter()
+        .map(|spot| Values::<f32>::reals(spot, "a spot"))
+        .collect::<PyResult<Vec<_>>>()?;
+    let spots = spots
+        .iter()
+        .map(Values::as_slice)
+        .collect::<PyResult<Vec<_>>>()?;
+    let fit = |spot: &&[f32]| !spot.is_empty() && spot.iter().all(|v| (0.0..=1.0).contains(v));
+    if spots.len() != projector[0] || !spots.iter().all(fit) {
+        return Err(PyValueError::new_err(format!(
+            "{} spots for {} planes, expected one side of each in [0, 1]",
+            spots.len(),
+            projector[0]
+        )));
+    }
     let windows = Windows {
+        spots: &spots,
+        within: positive(within, "within")? as f32,
         camera,
         projector,
+        movement: movement.as_slice()?,
         camera_reach: whole(&reach.0, "the reach in the camera", 0..=NUMBERS)?,
         projector_reach: whole(&reach.1, "the reach in the projector", 0..=NUMBERS)?,
         most: whole(most, "most", 1..=NUMBERS)?,
@@ -115,10 +147,7 @@ fn expected_samples<'py>(
     let farthest = camera[0].max(camera[1]);
     let reach = whole(reach, "reach", 0..=NUMBERS)?.min(farthest);
 
-    let movement = Values::<f32>::reals(&part("movement")?, "neighbourhood.movement")?;
-    let why = "rows and columns, by rows and columns, for each row";
-    let shape = [Some(total), Some(4)];
-    check_shape("neighbourhood.movement", movement.shape(), &shape, why)?;
+    let movement = self::movement(&part("movement")?, "neighbourhood.movement", total)?;
     let movement = &movement.as_slice()?[4 * start..][..4 * count];
 
     // The rows that the first and the last row asked for have around them.
@@ -261,7 +290,7 @@ fn solve_weighted<'py>(
     start: Option<&Bound<'py, PyAny>>,
     progress: Option<&Bound<'py, PyAny>>,
 ) -> PyResult<(Solved, Bound<'py, PyAny>)> {
-    let dictionary = &prepared.dictionary;
+    let dictionary = &*prepared.dictionary;
     let samples = Samples::read(samples, dictionary.patterns)?;
     let count = samples.count;
     let shape = (count, dictionary.pixels);

@@ -1,10 +1,11 @@
 //! The active-set solver and its correlation pass.
 
-use crate::arrays::{array, check_shape, long_or_short, room, whole, Values};
+use crate::arrays::{array, check_shape, grid, long_or_short, positive, room, whole, Values};
 use crate::input::{Samples, Settings, Start};
 use crate::products::{below, Packed, MOST_PIXELS};
 use crate::threads::{count_of, on_all_cores, run_interruptibly};
 use lightmatrix_core::active_set;
+use lightmatrix_core::atoms::{Atoms, Plane};
 use lightmatrix_core::columns::{BitColumns, Columns, DenseColumns};
 use lightmatrix_core::correlate::{Correlator, Scores, Scratch, BATCH};
 use lightmatrix_core::problem::{Dictionary, Solution};
@@ -13,6 +14,7 @@ use lightmatrix_core::vector::padded;
 use numpy::{IntoPyArray, PyArray1, PyUntypedArrayMethods};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
+use std::sync::Arc;
 
 /// Bytes that one thread works in, beside what grows with patterns and pixels: the factor and the
 /// Gram matrix of a few hundred pixels.
@@ -25,7 +27,7 @@ const ROW_BYTES: usize = size_of::<Solution>() + 64 * 12;
 /// Patterns prepared for the solver: packed columns and the tables of the correlation pass.
 #[pyclass(frozen, module = "lightmatrix._core")]
 pub struct PreparedPatterns {
-    pub dictionary: Dictionary,
+    pub dictionary: Arc<Dictionary>,
 }
 
 fn level(name: Option<&str>) -> PyResult<Level> {
@@ -99,6 +101,25 @@ impl Transform {
     }
 }
 
+/// A kernel, from its middle outwards, and a gain.
+fn plane((kernel, gain): &(Bound<'_, PyAny>, Bound<'_, PyAny>)) -> PyResult<Plane> {
+    let values = Values::<f32>::reals(kernel, "a kernel")?;
+    check_shape("a kernel", values.shape(), &[None], "one side of it")?;
+    let kernel = values.as_slice()?.to_vec();
+    let sum: f32 = kernel.iter().sum::<f32>() * 2.0 - kernel.first().unwrap_or(&0.0);
+    let fits = kernel.iter().all(|&v| v >= 0.0) && sum > 0.0 && sum < 1.001;
+    let gain = positive(gain, "a gain")?;
+    if !fits || gain > 1.0 {
+        return Err(PyValueError::new_err(format!(
+            "a kernel of sum {sum} with a gain of {gain}, expected none above 1"
+        )));
+    }
+    Ok(Plane {
+        kernel,
+        gain: gain as f32,
+    })
+}
+
 #[pymethods]
 impl PreparedPatterns {
     /// 0/1 patterns as packed bits; with `transform` (length, selected, position) also Hadamard.
@@ -137,6 +158,7 @@ impl PreparedPatterns {
             patterns,
             pixels,
         })?;
+        let dictionary = Arc::new(dictionary);
         Ok(PreparedPatterns { dictionary })
     }
 
@@ -173,7 +195,49 @@ impl PreparedPatterns {
             patterns,
             pixels,
         })?;
+        let dictionary = Arc::new(dictionary);
         Ok(PreparedPatterns { dictionary })
+    }
+
+    /// What atoms give under the patterns, (kernel, gain) a plane; see `lightmatrix_core::atoms`.
+    fn atoms<'py>(
+        &self,
+        py: Python<'py>,
+        shape: &Bound<'py, PyAny>,
+        planes: Vec<(Bound<'py, PyAny>, Bound<'py, PyAny>)>,
+    ) -> PyResult<Self> {
+        let (grid, pixels) = grid(shape, "shape")?;
+        let single = Arc::clone(&self.dictionary);
+        if pixels != single.pixels || planes.is_empty() {
+            return Err(PyValueError::new_err(format!(
+                "{} planes of {pixels} atoms, expected at least 1 of {}",
+                planes.len(),
+                single.pixels
+            )));
+        }
+        let planes = planes.iter().map(plane).collect::<PyResult<Vec<_>>>()?;
+        let atoms = Atoms { grid, planes };
+        let (level, patterns) = (single.level, single.patterns);
+        // The columns, and those of one plane twice on the way.
+        let sides = [atoms.planes.len() + 2, pixels, padded(patterns)];
+        room::<f32>(&sides, "the prepared atoms")?;
+        let dictionary = on_all_cores(py, || Dictionary {
+            level,
+            columns: Columns::Dense(atoms.columns(level, &single.columns, patterns)),
+            means: single.means.clone(),
+            patterns,
+            pixels: atoms.count(),
+            correlator: {
+                let inner = Arc::clone(&single);
+                let pass = move |e: &[&[f64]], out: &mut [&mut Scores], scratch: &mut Scratch| {
+                    inner.correlator.run(&inner.columns, e, out, scratch);
+                };
+                Correlator::blurred(level, patterns, atoms, &single.correlator, Box::new(pass))
+            },
+        })?;
+        Ok(PreparedPatterns {
+            dictionary: Arc::new(dictionary),
+        })
     }
 
     #[getter]

@@ -56,7 +56,8 @@ def defocus(truth: Truth, sigma: float) -> Truth:
     Parameters
     ----------
     sigma : float
-        Standard deviation in projector pixels, >= 0; light is conserved, also at the border.
+        Standard deviation in projector pixels, >= 0. A camera pixel that sees the border of the
+        projector's field gets less light: beyond the border there is no pixel to blur into it.
     """
     rows, cols = truth.projector_shape
     check_realism((rows, cols), blur=sigma)
@@ -133,5 +134,4 @@ def ambient(truth: Truth, level: float) -> NDArray[np.float32]:
 
 
 def _blur_matrix(size: int, sigma: float) -> NDArray[np.float32]:
-    spread = gaussian_filter1d(np.eye(size), sigma, axis=1, mode="reflect", truncate=3)
-    return np.asarray(spread / spread.sum(axis=1, keepdims=True), np.float32)
+    return gaussian_filter1d(np.eye(size, dtype=np.float32), sigma, mode="constant", truncate=3)

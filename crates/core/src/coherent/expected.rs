@@ -4,7 +4,7 @@
 //! it explains the samples that are known says how much it counts; how far the guesses lie apart
 //! says how little is known.
 
-use super::likely::around;
+use super::likely::{around, moved, moved_back};
 use crate::problem::{Dictionary, Rows, Sparse};
 use crate::vector::padded;
 use rayon::prelude::*;
@@ -26,8 +26,8 @@ pub struct Neighbours<'a> {
     pub matrix: Sparse<'a, f32>,
     /// Rows, columns and channels of the camera.
     pub camera: [usize; 3],
-    /// Rows and columns of the projector.
-    pub projector: [usize; 2],
+    /// Planes of atoms, one for each size, and rows and columns of the projector.
+    pub projector: [usize; 3],
     /// Half width of the camera window.
     pub reach: usize,
     /// How far footprints move, in projector rows and columns, a camera row and a camera column
@@ -140,12 +140,7 @@ impl Guesses {
                 if (other_r, other_c) == (r, c) {
                     continue;
                 }
-                let down = other_r as f32 - r as f32;
-                let right = other_c as f32 - c as f32;
-                let moved = [
-                    (movement[0] * down + movement[1] * right).round() as i32 as isize,
-                    (movement[2] * down + movement[3] * right).round() as i32 as isize,
-                ];
+                let moved = moved(movement, [r, c], [other_r, other_c]);
                 let other = (other_r * camera_cols + other_c) * channels + channel;
                 if self.ask(shown, unseen, neighbours, other, moved) {
                     self.weigh(level);
@@ -171,14 +166,14 @@ impl Guesses {
         for (out, b) in self.unseen.iter_mut().zip(&background[k..]) {
             *out = f64::from(*b);
         }
-        let [rows, cols] = neighbours.projector.map(|n| n as isize);
         let mut any = false;
         let (pixels, values) = neighbours.matrix.row(other);
         for (&pixel, &value) in pixels.iter().zip(values) {
-            let r = pixel as isize / cols - moved[0];
-            let c = pixel as isize % cols - moved[1];
-            if value > 0.0 && (0..rows).contains(&r) && (0..cols).contains(&c) {
-                let (place, value) = ((r * cols + c) as u32, f64::from(value));
+            if value <= 0.0 {
+                continue;
+            }
+            if let Some(place) = moved_back(neighbours.projector, pixel, moved) {
+                let (place, value) = (place as u32, f64::from(value));
                 (shown.columns).add(shown.level, place, value, &mut self.shown);
                 (unseen.columns).add(unseen.level, place, value, &mut self.unseen);
                 any = true;

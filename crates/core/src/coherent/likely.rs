@@ -9,11 +9,19 @@ const TASK: usize = 64;
 
 /// The grids that rows and columns of the matrix lie on, and the windows.
 #[derive(Clone, Copy)]
-pub struct Windows {
+pub struct Windows<'a> {
     /// Rows, columns and channels of the camera.
     pub camera: [usize; 3],
-    /// Rows and columns of the projector.
-    pub projector: [usize; 2],
+    /// Planes of atoms, one for each size, and rows and columns of the projector.
+    pub projector: [usize; 3],
+    /// How far footprints move, in projector rows and columns, a camera row and a camera column
+    /// on: four numbers for each row.
+    pub movement: &'a [f32],
+    /// One side of each plane's kernel over its middle. Single pixels, which are the first plane,
+    /// become likely within the spots of the others:
+    pub spots: &'a [&'a [f32]],
+    /// by this share.
+    pub within: f32,
     /// Half widths of the box windows, in camera and projector pixels.
     pub camera_reach: usize,
     pub projector_reach: usize,
@@ -21,15 +29,15 @@ pub struct Windows {
     pub most: usize,
 }
 
-/// For each row of `range` the strongest pixels, ascending, of the sum of its neighbours' rows
-/// (itself among them), each over its own maximum and blurred by the projector window; and the
-/// sums, relative to the strongest.
+/// For each row of `range` the strongest atoms, ascending, of the sum of its neighbours' rows
+/// (itself among them), each moved back, over its own maximum and blurred by the projector window;
+/// and the sums, relative to the strongest.
 pub fn likely(
     matrix: Sparse<f32>,
     windows: Windows,
     range: Range<usize>,
 ) -> Vec<(Vec<i32>, Vec<f32>)> {
-    let pixels = windows.projector[0] * windows.projector[1];
+    let pixels = windows.projector.iter().product();
     range
         .into_par_iter()
         .with_min_len(TASK)
@@ -57,32 +65,63 @@ impl Sums {
         let [camera_rows, camera_cols, channels] = windows.camera;
         let (pixel, channel) = (row / channels, row % channels);
         let (r, c) = (pixel / camera_cols, pixel % camera_cols);
-        for r in around(r, windows.camera_reach, camera_rows) {
-            for c in around(c, windows.camera_reach, camera_cols) {
-                let (pixels, values) = matrix.row((r * camera_cols + c) * channels + channel);
+        let movement = &windows.movement[4 * row..][..4];
+        for other_r in around(r, windows.camera_reach, camera_rows) {
+            for other_c in around(c, windows.camera_reach, camera_cols) {
+                let other = (other_r * camera_cols + other_c) * channels + channel;
+                let (pixels, values) = matrix.row(other);
                 let most = values.iter().fold(0f32, |most, &v| most.max(v));
+                let moved = moved(movement, [r, c], [other_r, other_c]);
                 for (&pixel, &value) in pixels.iter().zip(values) {
                     if value > 0.0 {
-                        self.add_blurred(windows, pixel as usize, value / most);
+                        if let Some(place) = moved_back(windows.projector, pixel, moved) {
+                            self.add_blurred(windows, place, value / most);
+                            self.add_within(windows, place, value / most);
+                        }
                     }
                 }
             }
         }
     }
 
-    fn add_blurred(&mut self, windows: Windows, pixel: usize, value: f32) {
-        let [rows, cols] = windows.projector;
+    fn add_blurred(&mut self, windows: Windows, atom: usize, value: f32) {
+        let [_, rows, cols] = windows.projector;
         let reach = windows.projector_reach;
+        let (plane, pixel) = (atom / (rows * cols), atom % (rows * cols));
         let across = around(pixel % cols, reach, cols);
         for r in around(pixel / cols, reach, rows) {
-            let start = r * cols;
+            let start = (plane * rows + r) * cols;
             for j in start + across.start..start + across.end {
-                if self.values[j] == 0.0 {
-                    self.touched.push(j as i32);
-                }
-                self.values[j] += value;
+                self.add(j, value);
             }
         }
+    }
+
+    /// A spot makes the single pixels within it a little likely: its shape may be another.
+    fn add_within(&mut self, windows: Windows, atom: usize, value: f32) {
+        let [_, rows, cols] = windows.projector;
+        let (plane, pixel) = (atom / (rows * cols), atom % (rows * cols));
+        if plane == 0 {
+            return;
+        }
+        let spot = windows.spots[plane];
+        let (r, c) = (pixel / cols, pixel % cols);
+        for other_r in around(r, spot.len() - 1, rows) {
+            let across = windows.within * value * spot[other_r.abs_diff(r)];
+            for other_c in around(c, spot.len() - 1, cols) {
+                let share = across * spot[other_c.abs_diff(c)];
+                if share > 0.0 {
+                    self.add(other_r * cols + other_c, share);
+                }
+            }
+        }
+    }
+
+    fn add(&mut self, atom: usize, value: f32) {
+        if self.values[atom] == 0.0 {
+            self.touched.push(atom as i32);
+        }
+        self.values[atom] += value;
     }
 
     /// The strongest pixels and their share of the strongest; all sums become zero.
@@ -104,6 +143,30 @@ impl Sums {
         }
         (kept, shares)
     }
+}
+
+/// By how many projector rows and columns the footprint of one camera pixel, whose `movement` this
+/// is, lies away from that of another.
+pub(super) fn moved(movement: &[f32], from: [usize; 2], to: [usize; 2]) -> [isize; 2] {
+    let down = to[0] as f32 - from[0] as f32;
+    let right = to[1] as f32 - from[1] as f32;
+    [
+        (movement[0] * down + movement[1] * right).round() as i32 as isize,
+        (movement[2] * down + movement[3] * right).round() as i32 as isize,
+    ]
+}
+
+/// The atom at the place that one lies at once it is moved back; None beyond the projector.
+pub(super) fn moved_back(
+    [_, rows, cols]: [usize; 3],
+    atom: i32,
+    moved: [isize; 2],
+) -> Option<usize> {
+    let (plane, pixel) = (atom as usize / (rows * cols), atom as usize % (rows * cols));
+    let r = (pixel / cols) as isize - moved[0];
+    let c = (pixel % cols) as isize - moved[1];
+    let inside = (0..rows as isize).contains(&r) && (0..cols as isize).contains(&c);
+    inside.then(|| (plane * rows + r as usize) * cols + c as usize)
 }
 
 /// Places within `reach` of a place, on a line of `length`.

@@ -9,6 +9,7 @@
 mod avx2;
 #[cfg(target_arch = "x86_64")]
 mod avx512;
+mod blurred;
 mod dense;
 mod lookup;
 mod quantise;
@@ -16,9 +17,12 @@ mod scores;
 mod select;
 mod transform;
 
+use crate::atoms::Atoms;
 use crate::bits::Bits;
 use crate::columns::Columns;
 use crate::simd::Level;
+pub use blurred::Pass;
+use blurred::{Blurred, Buffers};
 use dense::Dense;
 use lookup::Lookup;
 use quantise::{quantise, Sums};
@@ -38,6 +42,7 @@ enum Kind {
     Lookup(Lookup),
     Transform(Transform),
     Dense(Dense),
+    Blurred(Blurred),
 }
 
 /// Buffers of one thread.
@@ -45,6 +50,7 @@ enum Kind {
 pub struct Scratch {
     quantised: [Vec<i16>; BATCH],
     tables: Vec<i16>,
+    blurred: Option<Box<Buffers>>,
 }
 
 impl Correlator {
@@ -82,12 +88,33 @@ impl Correlator {
         }
     }
 
+    /// Atoms of several sizes, over the `single` pixels whose `pass` this is.
+    ///
+    /// # Panics
+    /// If there are not as many pixels as the atoms lie on.
+    pub fn blurred(
+        level: Level,
+        patterns: usize,
+        atoms: Atoms,
+        single: &Correlator,
+        pass: Pass,
+    ) -> Self {
+        assert_eq!(atoms.pixels(), single.pixels);
+        Correlator {
+            level,
+            patterns,
+            pixels: atoms.count(),
+            kind: Kind::Blurred(Blurred::new(atoms, single, pass)),
+        }
+    }
+
     /// Scores of a row: one for each pixel, and some that stand for none.
     pub fn length(&self) -> usize {
         match &self.kind {
             Kind::Lookup(lookup) => lookup.length(),
             Kind::Transform(transform) => transform.length(),
             Kind::Dense(_) => self.pixels.next_multiple_of(GROUP),
+            Kind::Blurred(blurred) => blurred.length(),
         }
     }
 
@@ -118,6 +145,9 @@ impl Correlator {
             Kind::Dense(dense) => {
                 return dense.run(self.level, columns, self.patterns, self.pixels, e, out)
             }
+            Kind::Blurred(blurred) => {
+                return blurred.run(self.level, e, out, scratch.blurred.get_or_insert_default())
+            }
             Kind::Lookup(_) => Sums::OfSubsets,
             Kind::Transform(_) => Sums::Signed,
         };
@@ -145,7 +175,7 @@ impl Correlator {
                     transform.run(self.level, quantised, out.offset, &mut out.values);
                 }
             }
-            Kind::Dense(_) => unreachable!("returned above"),
+            Kind::Dense(_) | Kind::Blurred(_) => unreachable!("returned above"),
         }
     }
 }

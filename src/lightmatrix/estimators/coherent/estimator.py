@@ -25,9 +25,10 @@ from lightmatrix.transport.matrix import LightTransport
 
 # Half widths of the windows of each round, in camera and in projector pixels. The first rounds
 # gather evidence, the last ones settle it.
-WINDOWS = ((2, 2), (2, 2), (2, 1), (2, 1), (1, 1), (1, 1), (1, 1), (1, 1))
-# Of the clip level.
-DEFAULT_REGULARIZATION = 0.1
+WINDOWS = ((2, 1), (2, 1), (2, 1), (2, 1), (1, 1), (1, 1), (1, 1), (1, 1))
+# Standard deviations of spots in projector pixels; 0 is a single pixel. A size in between is a
+# mixture of its neighbours.
+SIZES = (0.0, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0)
 # With more patterns than this the row by row estimate is good by itself, and much faster.
 WORTH_IT_UP_TO = 256
 
@@ -87,6 +88,7 @@ class CoherentEstimator:
     trust: float = 0.01
     windows: tuple[tuple[int, int], ...] = WINDOWS
     candidates: int = 250
+    sizes: tuple[float, ...] = SIZES
     background_grid: tuple[int, int] = (8, 8)
     fidelity: Fidelity | str = Fidelity.ONE_SIDED
     tolerance: float = 1e-3
@@ -145,10 +147,11 @@ class CoherentEstimator:
         rounds = Rounds(
             capture,
             self._solver,
-            self._regularization(capture),
+            self.regularization,
             self.trust,
             self.windows,
             self.candidates,
+            self.sizes,
             self.background_grid,
             self.tile_rows,
             progress,
@@ -157,7 +160,7 @@ class CoherentEstimator:
             capture,
             rounds.ranges(),
             rounds.begin,
-            self.provenance(capture, rounds.regularization),
+            self.provenance(capture, rounds.penalty),
             checkpoint=checkpoint,
             overwrite=overwrite,
             background_grid=rounds.backgrounds.grid,
@@ -170,6 +173,7 @@ class CoherentEstimator:
             "trust": self.trust,
             "windows": [list(pair) for pair in self.windows],
             "candidates": self.candidates,
+            "sizes": list(self.sizes),
         }
         return {
             "estimator": "coherent",
@@ -183,8 +187,3 @@ class CoherentEstimator:
     @property
     def _solver(self) -> ActiveSet:
         return ActiveSet(self.fidelity, self.tolerance, self.max_passes, self.threads)
-
-    def _regularization(self, capture: Capture) -> float:
-        if self.regularization is not None:
-            return self.regularization
-        return DEFAULT_REGULARIZATION * capture.reference_level

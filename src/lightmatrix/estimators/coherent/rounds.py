@@ -8,27 +8,33 @@ from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
 
-from lightmatrix import _core
 from lightmatrix.camera.samples import Samples
 from lightmatrix.capture.capture import Capture
 from lightmatrix.estimators.coherent.backgrounds import Backgrounds
-from lightmatrix.estimators.coherent.expectations import UNSEEN, Neighbourhood, unseen_patterns
+from lightmatrix.estimators.coherent.neighbourhood import UNSEEN, Neighbourhood, unseen_patterns
 from lightmatrix.estimators.join import TILE_BYTES, Progress, SolveTile, kept
+from lightmatrix.patterns.atoms import AtomPatterns
 from lightmatrix.solvers.active_set import ActiveSet
 from lightmatrix.solvers.fidelity import Fidelity
 from lightmatrix.solvers.problem import Problem, Result
-from lightmatrix.solvers.weighted import Candidates, Cells, Expectation, solve_weighted
+from lightmatrix.solvers.weighted import Cells, Expectation, solve_weighted
 from lightmatrix.store import Checkpoint
 from lightmatrix.transport.sparse_rows import SparseRows
 
+# Of the clip level.
+DEFAULT_REGULARIZATION = 0.1
 # Of the clip level, and the gap: the first estimate, row by row, only has to show where light is.
 FIRST_REGULARIZATION = 0.32
 FIRST_TOLERANCE = 1e-2
-# What neighbours' rows give is expected from the round on whose window on the projector is this
-# narrow: then most rows are about right.
-EXPECTING = 1
+# What neighbours' rows give is expected from this round on: then most rows are about right. In any
+# case in the last one.
+EXPECTING = 3
+# Regularizations are for patterns of this contrast, the standard deviation of their values, which
+# random patterns have half of whose pixels are lit; for others they change in proportion.
+USUAL_CONTRAST = 0.5
+# Spots are no wider than this share of the projector's shorter side.
+WIDEST = 1 / 16
 
 
 @dataclass(frozen=True)
@@ -37,10 +43,11 @@ class Rounds:
 
     capture: Capture
     solver: ActiveSet
-    regularization: float
+    regularization: float | None
     trust: float
     windows: tuple[tuple[int, int], ...]
     candidates: int
+    sizes: tuple[float, ...]
     background_grid: tuple[int, int]
     tile_rows: int | None
     progress: Progress | None
@@ -50,11 +57,36 @@ class Rounds:
         return partial(self._last, self._neighbourhood(self._before_last(running)))
 
     @cached_property
+    def atoms(self) -> AtomPatterns:
+        """What pixels and spots give under the patterns shown."""
+        patterns = self.capture.patterns
+        widest = WIDEST * min(patterns.shape)
+        return AtomPatterns(patterns, tuple(size for size in self.sizes if size <= widest))
+
+    @cached_property
+    def unseen(self) -> AtomPatterns:
+        """What they give under patterns that nobody shows."""
+        atoms = self.atoms
+        return AtomPatterns(unseen_patterns(atoms.shape), atoms.sizes, atoms.gains)
+
+    @cached_property
+    def level(self) -> float:
+        """The clip level, in proportion to the contrast of the patterns."""
+        contrast = self.atoms.single_contrast / USUAL_CONTRAST
+        return self.capture.reference_level * (contrast or 1.0)
+
+    @property
+    def penalty(self) -> float:
+        """The regularization of single pixels, as it is without spots."""
+        given = self.regularization
+        return DEFAULT_REGULARIZATION * self.level if given is None else given
+
+    @cached_property
     def backgrounds(self) -> Backgrounds:
         """Cells of the background, no more than there are pixels."""
         shape = self.capture.projector_shape
         grid = min(self.background_grid[0], shape[0]), min(self.background_grid[1], shape[1])
-        return Backgrounds(grid, self.capture.patterns, unseen_patterns(shape))
+        return Backgrounds(grid, self.capture.patterns, self.unseen.single)
 
     def ranges(self) -> Iterator[tuple[int, int]]:
         """Rows solved at a time."""
@@ -84,7 +116,7 @@ class Rounds:
         """What a checkpoint remembers of a round; None if nothing whole."""
         if (found := running.recall(f"round-{number}")) is None:
             return None
-        shape = (self.capture.rows, self.capture.patterns.pixels)
+        shape = (self.capture.rows, self.atoms.pixels)
         fits = found.coefficients.shape == shape and found.background.shape[1] == 1
         return found if fits else None
 
@@ -98,8 +130,7 @@ class Rounds:
 
     def _first(self, start: int, stop: int) -> SparseRows:
         samples = self.capture.samples(start, stop)
-        regularization = FIRST_REGULARIZATION * self.capture.reference_level
-        problem = self._problem(samples, regularization)
+        problem = self._problem(samples, FIRST_REGULARIZATION * self.level)
         solver = replace(self.solver, tolerance=max(FIRST_TOLERANCE, self.solver.tolerance))
         return _found(solver.solve(problem, self._report(0, start)))
 
@@ -111,31 +142,36 @@ class Rounds:
         """The rows start..stop of the last round, with the light of each cell."""
         samples = self.capture.samples(start, stop)
         solved = self._solve(samples, start, stop, len(self.windows), known)
-        shares = self.backgrounds.spread(known.rows.coefficients[start:stop])
+        shares = self.backgrounds.spread(known.centres[start:stop])
         background = solved.background[:, None] * shares
         if solved.cells.shape[1]:
             background += solved.cells
-        return replace(kept(samples, solved), background=background.astype(np.float32))
+        found = kept(samples, solved)
+        return replace(
+            found,
+            coefficients=self.atoms.expand(found.coefficients),
+            background=background.astype(np.float32),
+        )
 
     def _solve(
         self, samples: Samples, start: int, stop: int, number: int, known: Neighbourhood
     ) -> Result:
         """The rows start..stop, with penalties from what was found before."""
-        problem = self._problem(samples, self.regularization)
+        problem = self._problem(samples, self.penalty)
         found = known.rows
         expected = None
-        if self.windows[number - 1][1] <= EXPECTING:
+        if number >= min(EXPECTING, len(self.windows)):
             expected = self._expected(samples, start, stop, known)
         unseen = expected is not None
-        cells = Cells.none(self.capture.patterns, self.backgrounds.unseen if unseen else None)
+        cells = Cells.none(self.capture.patterns, self.unseen if unseen else None)
         # Cells join in the last round, when it is clear where most of the light is.
         if number == len(self.windows):
-            cost = self.capture.reference_level / self.regularization
+            cost = self.level / problem.regularization
             cells = self.backgrounds.cells(cost, unseen=unseen)
-        background = self._halos(found, start, stop)[:, : cells.means.shape[1]]
+        background = self._halos(known, start, stop)[:, : cells.means.shape[1]]
         return solve_weighted(
             problem,
-            self._candidates(found.coefficients, number, start, stop),
+            known.likely(self.windows[number - 1], self.candidates, self.trust, (start, stop)),
             cells,
             self.solver,
             expected=expected,
@@ -148,17 +184,16 @@ class Rounds:
         """What a round knows of all rows."""
         rows, cols, *channels = self.capture.camera_shape
         camera = (rows, cols, channels[0] if channels else 1)
-        return Neighbourhood(found, camera, self.capture.projector_shape)
+        return Neighbourhood(found, camera, self.atoms)
 
     def _expected(
         self, samples: Samples, start: int, stop: int, known: Neighbourhood
     ) -> Expectation:
         """What neighbours' rows, and their backgrounds, say of the samples of start..stop."""
         first, last = known.around(start, stop)
-        background = known.rows.background[first:last] * self._halos(known.rows, first, last)
+        background = known.rows.background[first:last] * self._halos(known, first, last)
         return known.expected(
-            self.capture.patterns,
-            self.backgrounds.unseen,
+            self.unseen,
             samples,
             samples.clipped & Fidelity(self.solver.fidelity).term.clip_aware,
             self.capture.reference_level,
@@ -166,30 +201,14 @@ class Rounds:
             background,
         )
 
-    def _halos(self, found: SparseRows, start: int, stop: int) -> NDArray[np.float32]:
+    def _halos(self, known: Neighbourhood, start: int, stop: int) -> NDArray[np.float32]:
         """What the backgrounds of the rows start..stop give under shown and unseen patterns."""
         backgrounds = self.backgrounds
-        return backgrounds.under_patterns(backgrounds.spread(found.coefficients[start:stop]))
+        return backgrounds.under_patterns(backgrounds.spread(known.centres[start:stop]))
 
-    def _problem(self, samples: Samples, regularization: float) -> Problem:
-        return Problem(self.capture.patterns, samples, regularization)
-
-    def _candidates(self, rows: csr_array, number: int, start: int, stop: int) -> Candidates:
-        camera_rows, camera_cols, *channels = self.capture.camera_shape
-        projector = self.capture.projector_shape
-        camera_reach, projector_reach = self.windows[number - 1]
-        # Footprints of neighbours lie further apart where the projector is the finer one.
-        finer = max(1.0, projector[0] / camera_rows, projector[1] / camera_cols)
-        indptr, pixels, shares = _core.likely_pixels(
-            rows,
-            (camera_rows, camera_cols, channels[0] if channels else 1),
-            projector,
-            (camera_reach, round(projector_reach * finer)),
-            self.candidates,
-            (start, stop),
-        )
-        penalties = 2 * self.trust / (self.trust + shares)
-        return Candidates(indptr, pixels, penalties.astype(np.float32))
+    def _problem(self, samples: Samples, penalty: float) -> Problem:
+        """Rows of atoms, for a penalty of single pixels."""
+        return Problem(self.atoms, samples, penalty * self.atoms.gains[0])
 
     def _report(self, number: int, start: int) -> Progress | None:
         report = self.progress

@@ -1,10 +1,11 @@
-"""What a row's samples probably are: what its neighbours' rows would give in its place.
+"""What the rows around say of a row: which atoms it probably holds, what its samples probably are.
 
-Neighbouring camera pixels have much the same footprint, moved by a pixel or so. Each neighbour's
-row, moved back and scaled to the samples that are known, is a guess at this one. Guesses count by
-how well they explain these samples, and the expected samples are their mean; where guesses differ
-little, little is left to doubt. Such samples stand in for clipped ones, and for patterns that were
-never shown (`docs/few-patterns.md`).
+Neighbouring camera pixels have much the same footprint, moved by a pixel or so. Where neighbours'
+rows, moved back, hold light, there a row is likely to hold some. And each neighbour's row, moved
+back and scaled to the samples that are known, is a guess at this one. Guesses count by how well
+they explain these samples, and the expected samples are their mean; where guesses differ little,
+little is left to doubt. Such samples stand in for clipped ones, and for patterns that were never
+shown (`docs/few-patterns.md`).
 """
 
 from __future__ import annotations
@@ -14,14 +15,15 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import median_filter
 from scipy.sparse import csr_array
 
 from lightmatrix import _core
 from lightmatrix.camera.samples import Samples
+from lightmatrix.estimators.coherent.movement import measured_movement
+from lightmatrix.patterns.atoms import AtomPatterns
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.pattern_set import PatternSet
-from lightmatrix.solvers.weighted import Expectation
+from lightmatrix.solvers.weighted import Candidates, Expectation
 from lightmatrix.transport.sparse_rows import SparseRows
 
 # Half width of the window of neighbours that are asked.
@@ -37,14 +39,10 @@ COMMON_ERROR = 0.02
 # They help rows of few known samples. With more than this many they weigh less in proportion, for
 # what neighbours err in common does not average out.
 ENOUGH = 16
+# By this share of what makes a spot likely the pixels within it become likely too.
+WITHIN = 0.05
 # Lighter samples are left out.
 LEAST_WEIGHT = 1e-4
-# Movement is measured between the strongest pixels of rows that lie this far to both sides, as the
-# median over a window of so many camera pixels, and no faster than so many projector pixels a
-# camera pixel (times the ratio of their numbers).
-MOVEMENT_STEP = 2
-MOVEMENT_WINDOW = 9
-FASTEST = 3
 
 
 def unseen_patterns(shape: tuple[int, int]) -> PatternSet:
@@ -59,16 +57,16 @@ class Neighbourhood:
     Parameters
     ----------
     rows : SparseRows
-        M rows, with one background coefficient each.
+        M rows of coefficients of atoms, with one background coefficient each.
     camera : (int, int, int)
         Rows, columns and channels of the camera, M in all.
-    projector : (int, int)
-        Rows and columns of the projector, N in all.
+    atoms : AtomPatterns
+        What the atoms give under the patterns shown.
     """
 
     rows: SparseRows
     camera: tuple[int, int, int]
-    projector: tuple[int, int]
+    atoms: AtomPatterns
 
     def around(self, start: int, stop: int) -> tuple[int, int]:
         """Range of the rows that start..stop have around them."""
@@ -78,7 +76,6 @@ class Neighbourhood:
 
     def expected(
         self,
-        shown: PatternSet,
         unseen: PatternSet,
         samples: Samples,
         clipped: NDArray[np.bool_],
@@ -90,8 +87,8 @@ class Neighbourhood:
 
         Parameters
         ----------
-        shown, unseen : PatternSet
-            K and E patterns.
+        unseen : PatternSet
+            E patterns over the same atoms.
         samples : Samples
             (m, K), of the rows start..start + m.
         clipped : (m, K) bool
@@ -105,7 +102,7 @@ class Neighbourhood:
         """
         weights = samples.weights
         values, variances = _core.expected_samples(
-            shown.prepared,
+            self.atoms.prepared,
             unseen.prepared,
             replace(samples, clipped=clipped),
             self,
@@ -114,7 +111,7 @@ class Neighbourhood:
             start=start,
             level=level,
         )
-        count = shown.count
+        count = self.atoms.count
         np.maximum(values[:, :count], samples.clip_level, out=values[:, :count], where=clipped)
         deviations = (variances + (COMMON_ERROR * values) ** 2) / (SAMPLE_DEVIATION * level) ** 2
         weight = (1 / (1 + deviations)).astype(np.float32)
@@ -126,39 +123,48 @@ class Neighbourhood:
         weight[weight < LEAST_WEIGHT] = 0
         return Expectation(unseen, values, weight)
 
+    @property
+    def projector(self) -> tuple[int, int, int]:
+        """Planes, rows and columns of the atoms."""
+        return self.atoms.planes, *self.atoms.shape
+
     @cached_property
     def movement(self) -> NDArray[np.float32]:
         """Projector rows and columns that footprints move a camera row and a camera column on.
 
         (M, 4) float32: rows by rows, rows by columns, columns by rows, columns by columns.
         """
-        shape = self.camera
-        window = (MOVEMENT_WINDOW, MOVEMENT_WINDOW, 1)
-        result = np.empty((*shape, 4), np.float32)
-        for i, place in enumerate(np.divmod(_strongest(self.rows.coefficients), self.projector[1])):
-            fastest = FASTEST * max(1.0, self.projector[i] / shape[i])
-            for axis in (0, 1):
-                slope = _slope(place.reshape(shape), axis)
-                slope = median_filter(slope, size=window, mode="nearest")
-                result[..., 2 * i + axis] = np.clip(slope, -fastest, fastest)
-        return result.reshape(-1, 4)
+        return measured_movement(self.rows.coefficients, self.camera, self.atoms.shape)
 
+    @cached_property
+    def centres(self) -> csr_array:
+        """The rows' light at the middles of their spots, (M, N)."""
+        return self.atoms.centres(self.rows.coefficients)
 
-def _strongest(rows: csr_array) -> NDArray[np.int64]:
-    """The strongest pixel of each row, (M,); 0 in empty rows."""
-    entries = np.diff(rows.indptr)
-    order = np.lexsort((rows.data, np.repeat(np.arange(len(entries)), entries)))
-    result = np.zeros(len(entries), np.int64)
-    some = entries > 0
-    result[some] = rows.indices[order[rows.indptr[1:][some] - 1]]
-    return result
+    def likely(
+        self, reach: tuple[int, int], most: int, trust: float, rows: tuple[int, int]
+    ) -> Candidates:
+        """The likeliest atoms of the rows start..stop, with penalties by what neighbours hold.
 
-
-def _slope(place: NDArray[np.int64], axis: int) -> NDArray[np.float32]:
-    """Differences along an axis to both sides, over the distance; 0 on a single pixel."""
-    length = place.shape[axis]
-    index = np.arange(length)
-    before = np.maximum(index - MOVEMENT_STEP, 0)
-    after = np.minimum(index + MOVEMENT_STEP, length - 1)
-    distance = np.maximum(after - before, 1).reshape(-1, *[1] * (place.ndim - 1 - axis))
-    return ((place.take(after, axis) - place.take(before, axis)) / distance).astype(np.float32)
+        Parameters
+        ----------
+        reach : (int, int)
+            Half widths of the windows, in camera and projector pixels.
+        most : int
+            Atoms kept of each row.
+        trust : float
+            How little light among the neighbours makes an atom likely.
+        rows : (int, int)
+        """
+        indptr, atoms, shares = _core.likely_pixels(
+            self.rows.coefficients,
+            self.camera,
+            self.projector,
+            self.movement,
+            self.atoms.spots,
+            WITHIN,
+            reach,
+            most,
+            rows,
+        )
+        return Candidates(indptr, atoms, (2 * trust / (trust + shares)).astype(np.float32))

@@ -1,0 +1,163 @@
+//! Atoms: spots of light of several sizes, one of each at every projector pixel.
+//!
+//! The column of the atom of plane s at pixel j is g_s sum_i h_s(i - j) a_i, with h_s the kernel of
+//! the plane, a_i the columns of the patterns, and g_s a gain that makes the planes' columns
+//! comparable. Light beyond the projector is lost. Atoms are numbered plane by plane.
+
+use crate::columns::{Columns, DenseColumns};
+use crate::simd::{multiversion, Level};
+use crate::vector::padded;
+use rayon::prelude::*;
+
+/// Columns of a stretch that stays in registers.
+const STRETCH: usize = 16;
+
+/// Places that one thread takes on at a time.
+const TASK: usize = 256;
+
+/// One size of spots.
+#[derive(Clone, Debug)]
+pub struct Plane {
+    /// One side of the separable, symmetric kernel, from its middle outwards.
+    pub kernel: Vec<f32>,
+    /// In (0, 1].
+    pub gain: f32,
+}
+
+/// All planes, over a projector of some rows and columns.
+#[derive(Clone, Debug)]
+pub struct Atoms {
+    pub grid: [usize; 2],
+    pub planes: Vec<Plane>,
+}
+
+impl Atoms {
+    /// Projector pixels.
+    pub fn pixels(&self) -> usize {
+        self.grid[0] * self.grid[1]
+    }
+
+    /// Number of atoms.
+    pub fn count(&self) -> usize {
+        self.pixels() * self.planes.len()
+    }
+
+    /// What each atom gives under the patterns whose columns these are.
+    pub fn columns(&self, level: Level, columns: &Columns, patterns: usize) -> DenseColumns {
+        let [rows, cols] = self.grid;
+        let stride = padded(patterns);
+        let mut plain = vec![0f32; self.pixels() * stride];
+        let each = |values: &mut [f32], set: &(dyn Fn(usize, &mut [f32]) + Sync)| {
+            let places = values.par_chunks_exact_mut(stride).enumerate();
+            places.with_min_len(TASK).for_each(|(i, out)| set(i, out));
+        };
+        each(&mut plain, &|pixel, out| {
+            columns.copy_scaled(level, pixel as u32, 1.0, out);
+        });
+        let mut values = vec![0f32; self.count() * stride];
+        let mut across = vec![0f32; plain.len()];
+        for (plane, out) in (self.planes.iter()).zip(values.chunks_exact_mut(plain.len())) {
+            across.fill(0.0);
+            each(&mut across, &|place, sum| {
+                let (r, c) = (place / cols, place % cols);
+                for (other, weight) in taps(&plane.kernel, c, cols) {
+                    add(level, weight, &plain[(r * cols + other) * stride..], sum);
+                }
+            });
+            each(out, &|place, sum| {
+                let (r, c) = (place / cols, place % cols);
+                for (other, weight) in taps(&plane.kernel, r, rows) {
+                    let weight = weight * plane.gain;
+                    add(level, weight, &across[(other * cols + c) * stride..], sum);
+                }
+            });
+        }
+        DenseColumns::from_padded(values, patterns, 1.0)
+    }
+}
+
+/// Places on a line of `length` under a kernel that lies at `place`, and its values there.
+fn taps(kernel: &[f32], place: usize, length: usize) -> impl Iterator<Item = (usize, f32)> + '_ {
+    let first = place.saturating_sub(kernel.len() - 1);
+    let last = (place + kernel.len()).min(length);
+    (first..last).map(move |other| (other, kernel[other.abs_diff(place)]))
+}
+
+multiversion! {
+    /// sum += weight values, as long as `sum`.
+    fn add(weight: f32, values: &[f32], sum: &mut [f32]) {
+        for (sum, value) in sum.iter_mut().zip(values) {
+            *sum += weight * value;
+        }
+    }
+}
+
+/// Buffers for blurring images, of one thread.
+#[derive(Default)]
+pub struct Blurring {
+    line: Vec<f32>,
+    middle: Vec<f32>,
+}
+
+impl Blurring {
+    /// out = gain times the image under the plane's kernel, both (rows, columns).
+    ///
+    /// # Panics
+    /// If image or `out` are of another size.
+    pub fn run(
+        &mut self,
+        level: Level,
+        [rows, cols]: [usize; 2],
+        plane: &Plane,
+        image: &[f32],
+        out: &mut [f32],
+    ) {
+        assert!(image.len() == rows * cols && out.len() == rows * cols);
+        let reach = plane.kernel.len() - 1;
+        let stride = cols.next_multiple_of(STRETCH);
+        self.line.clear();
+        self.line.resize(stride + 2 * reach, 0.0);
+        self.middle.clear();
+        self.middle.resize((rows + 2 * reach) * stride, 0.0);
+        let middle = &mut self.middle[reach * stride..][..rows * stride];
+        for (image, middle) in image
+            .chunks_exact(cols)
+            .zip(middle.chunks_exact_mut(stride))
+        {
+            self.line[reach..reach + cols].copy_from_slice(image);
+            along(level, &plane.kernel, 1.0, 1, &self.line, middle);
+        }
+        self.line.resize(stride.max(self.line.len()), 0.0);
+        for (row, out) in out.chunks_exact_mut(cols).enumerate() {
+            let lines = &self.middle[row * stride..][..(2 * reach + 1) * stride];
+            let whole = &mut self.line[..stride];
+            along(level, &plane.kernel, plane.gain, stride, lines, whole);
+            out.copy_from_slice(&whole[..cols]);
+        }
+    }
+}
+
+multiversion! {
+    /// out[i] = gain sum_t kernel[|t|] values[i + (reach + t) step], for t from -reach to reach.
+    fn along(kernel: &[f32], gain: f32, step: usize, values: &[f32], out: &mut [f32]) {
+        let reach = kernel.len() - 1;
+        for (block, out) in out.chunks_exact_mut(STRETCH).enumerate() {
+            let first = block * STRETCH;
+            let mut sums = [0f32; STRETCH];
+            let middle = &values[first + reach * step..][..STRETCH];
+            for i in 0..STRETCH {
+                sums[i] = kernel[0] * middle[i];
+            }
+            for (t, weight) in kernel.iter().enumerate().skip(1) {
+                let before = &values[first + (reach - t) * step..][..STRETCH];
+                let after = &values[first + (reach + t) * step..][..STRETCH];
+                for i in 0..STRETCH {
+                    sums[i] += weight * (before[i] + after[i]);
+                }
+            }
+            for i in 0..STRETCH {
+                out[i] = gain * sums[i];
+            }
+        }
+    }
+}

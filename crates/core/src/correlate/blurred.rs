@@ -1,0 +1,123 @@
+//! Atoms of several sizes: the scores of single pixels, blurred.
+//!
+//! The correlation with a blurred column is the blurred correlation, so one pass over the patterns
+//! serves all sizes, and what they cost does not depend on the number of patterns.
+
+use super::scores::{Scores, BATCH, GROUP};
+use super::{Correlator, Scratch};
+use crate::atoms::{Atoms, Blurring};
+use crate::simd::{multiversion, Level};
+
+/// Scores of up to `BATCH` rows over single pixels.
+pub type Pass = Box<dyn Fn(&[&[f64]], &mut [&mut Scores], &mut Scratch) + Send + Sync>;
+
+pub struct Blurred {
+    atoms: Atoms,
+    pass: Pass,
+    /// The pixel of each score of the pass, or none.
+    pixel: Vec<Option<u32>>,
+}
+
+/// Scores go up to this, so that rounding cannot leave 16 bits.
+const LARGEST: f32 = 32_000.0;
+/// Half a step of rounding a score, with room for the rounding of the quotient.
+const HALF: f64 = 0.51;
+
+/// Buffers of one thread.
+#[derive(Default)]
+pub struct Buffers {
+    scratch: Scratch,
+    scores: [Scores; BATCH],
+    image: Vec<f32>,
+    planes: Vec<f32>,
+    blurring: Blurring,
+}
+
+impl Blurred {
+    pub fn new(atoms: Atoms, single: &Correlator, pass: Pass) -> Self {
+        let pixel = (0..single.length()).map(|s| single.pixel(s)).collect();
+        Blurred { atoms, pass, pixel }
+    }
+
+    pub fn length(&self) -> usize {
+        self.atoms.count().next_multiple_of(GROUP)
+    }
+
+    pub fn run(&self, level: Level, e: &[&[f64]], out: &mut [&mut Scores], buffers: &mut Buffers) {
+        let mut single: Vec<&mut Scores> = buffers.scores.iter_mut().take(e.len()).collect();
+        (self.pass)(e, &mut single, &mut buffers.scratch);
+        for (single, out) in buffers.scores.iter().zip(out) {
+            buffers.image.resize(self.atoms.pixels(), 0.0);
+            buffers.planes.resize(self.atoms.count(), 0.0);
+            let shift = (single.offset + (single.up - single.down) / 2.0) as f32;
+            for (pixel, score) in self.pixel.iter().zip(&single.values) {
+                if let Some(pixel) = pixel {
+                    buffers.image[*pixel as usize] = f32::from(*score) + shift;
+                }
+            }
+            let planes = buffers.planes.chunks_exact_mut(self.atoms.pixels());
+            for (plane, values) in self.atoms.planes.iter().zip(planes) {
+                let grid = self.atoms.grid;
+                (buffers.blurring).run(level, grid, plane, &buffers.image, values);
+            }
+            self.score(
+                level,
+                single,
+                buffers.image.as_slice(),
+                &buffers.planes,
+                out,
+            );
+        }
+    }
+
+    /// From blurred scores to scores: in their unit, with what blurring and rounding may lose.
+    fn score(
+        &self,
+        level: Level,
+        single: &Scores,
+        image: &[f32],
+        planes: &[f32],
+        out: &mut Scores,
+    ) {
+        let taps = self.atoms.planes.iter().map(|plane| 2 * plane.kernel.len());
+        // Two sums of so many products, of kernels that sum to 1 and gains of at most 1.
+        let roundings = 2 * taps.max().unwrap_or(0) + 8;
+        let error = f64::from(largest(level, image)) * roundings as f64 * f64::from(f32::EPSILON);
+        let margin = (single.up + single.down) / 2.0 + error;
+        let top = largest(level, planes);
+        // Finer than the margin would be finer than what is known.
+        let step = (top / LARGEST)
+            .max(margin as f32 / LARGEST)
+            .max(f32::MIN_POSITIVE);
+        out.unit = single.unit * f64::from(step);
+        out.offset = 0.0;
+        out.up = HALF + margin / f64::from(step);
+        out.down = out.up;
+        let (values, rest) = out.values.split_at_mut(planes.len());
+        rounded(level, planes, 1.0 / step, values);
+        rest.fill(0);
+    }
+}
+
+multiversion! {
+    fn largest(values: &[f32]) -> f32 {
+        let mut most = [0f32; 16];
+        let (parts, rest) = values.as_chunks::<16>();
+        for part in parts {
+            for i in 0..16 {
+                most[i] = most[i].max(part[i].abs());
+            }
+        }
+        most.iter().chain(rest).fold(0f32, |most, value| most.max(value.abs()))
+    }
+}
+
+multiversion! {
+    fn rounded(values: &[f32], scale: f32, out: &mut [i16]) {
+        for (out, value) in out.iter_mut().zip(values) {
+            // Adding and subtracting rounds to the nearest integer, without a branch.
+            const MAGIC: f32 = 12_582_912.0;
+            *out = (value * scale + MAGIC - MAGIC) as i32 as i16;
+        }
+    }
+}

@@ -1,0 +1,228 @@
+"""Atoms: spots of light of several sizes as further columns of a pattern set.
+
+A projector out of focus, or a camera pixel that sees many projector pixels, makes footprints of
+dozens of pixels, each too faint to be found. As one spot it is found at once. What a spot gives
+under a pattern is the blurred pattern at its place.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import convolve1d
+from scipy.sparse import csr_array, kron
+
+from lightmatrix import _core
+from lightmatrix.errors import InputError
+from lightmatrix.patterns.pattern_set import PatternSet
+
+# Kernels reach so many standard deviations to each side.
+_REACH = 3.0
+# Of a spot's middle: fainter pixels of it are left out where spots become pixels.
+_FAINTEST = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class AtomPatterns(PatternSet):
+    """K patterns over S N atoms: a spot of each of S sizes at each of N projector pixels.
+
+    Column s N + j is what a spot around pixel j gives: the pattern blurred by the kernel of size s,
+    times a gain that gives the columns of all sizes the same contrast. A penalty on them is thus
+    one in proportion to what they can explain. Light beyond the projector is lost.
+
+    Parameters
+    ----------
+    single : PatternSet
+        K patterns over N single pixels.
+    sizes : tuple of float
+        Standard deviations of the spots in projector pixels, ascending; the first is 0, a pixel.
+    gains : tuple of float
+        In (0, 1], one a size. None given: those of the patterns' own contrast.
+
+    Raises
+    ------
+    InputError
+        On sizes that do not ascend from 0, or gains out of range.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> atoms = AtomPatterns(lm.BernoulliPatterns((16, 16), 8), (0.0, 1.0))
+    >>> atoms.pixels, atoms.columns(np.array([0, 256])).shape
+    (512, (8, 2))
+    """
+
+    single: PatternSet
+    sizes: tuple[float, ...]
+    gains: tuple[float, ...] = ()
+
+    def __post_init__(self) -> None:
+        sizes = self.sizes
+        if not sizes or sizes[0] != 0 or not all(a < b for a, b in zip(sizes, sizes[1:])):  # noqa: B905, RUF007
+            raise InputError(f"spots of sizes {sizes}", hint="let sizes ascend from 0")
+        if not self.gains:
+            lengths = np.array([self._contrast(plane) for plane in range(len(sizes))])
+            shares = lengths.min() / lengths if lengths.min() > 0 else np.ones(len(sizes))
+            object.__setattr__(self, "gains", tuple(float(share) for share in shares))
+        elif len(self.gains) != len(sizes) or not all(0 < gain <= 1 for gain in self.gains):
+            raise InputError(f"gains of {self.gains}", hint="give one in (0, 1] for each size")
+
+    @property
+    def shape(self) -> tuple[int, int]:  # type: ignore[override]
+        return self.single.shape
+
+    @property
+    def count(self) -> int:  # type: ignore[override]
+        return self.single.count
+
+    @property
+    def pixels(self) -> int:
+        """Number of atoms, S N."""
+        return len(self.sizes) * self.single.pixels
+
+    @property
+    def planes(self) -> int:
+        """Number of sizes S."""
+        return len(self.sizes)
+
+    @cached_property
+    def kernels(self) -> tuple[NDArray[np.float32], ...]:
+        """One side of each separable kernel, from its middle outwards; each sums to 1."""
+        return tuple(_kernel(size) for size in self.sizes)
+
+    @cached_property
+    def spots(self) -> list[NDArray[np.float32]]:
+        """One side of each kernel over its middle, in [0, 1]."""
+        return [kernel / kernel[0] for kernel in self.kernels]
+
+    @cached_property
+    def single_contrast(self) -> float:
+        """Standard deviation of the values of the single pixels' patterns."""
+        return self._contrast(0)
+
+    @property
+    def means(self) -> NDArray[np.float64]:
+        """Means of the patterns, not of the atoms: what light from everywhere gives, (K,)."""
+        return self.single.means
+
+    def forward(self, x: NDArray[Any]) -> NDArray[Any]:
+        planes = np.asarray(x).reshape(len(x), self.planes, self.single.pixels)
+        spread = [self._blurred(planes[:, s], s) for s in range(self.planes)]
+        return self.single.forward(np.sum(spread, axis=0, dtype=x.dtype))
+
+    def adjoint(self, e: NDArray[Any]) -> NDArray[Any]:
+        single = self.single.adjoint(e)
+        return np.concatenate([self._blurred(single, s) for s in range(self.planes)], axis=1)
+
+    def columns(self, index: NDArray[np.integer]) -> NDArray[np.float32]:
+        return np.concatenate([chunk[:, index] for _, chunk in self.chunks()])
+
+    def rows(self, start: int, stop: int) -> NDArray[np.float32]:
+        single = self.single.rows(start, stop)
+        return np.concatenate([self._blurred(single, s) for s in range(self.planes)], axis=1)
+
+    @property
+    def description(self) -> dict[str, Any]:
+        return {"kind": "atoms", "sizes": list(self.sizes), "single": self.single.description}
+
+    def prepare(
+        self, column: NDArray[Any] | None = None, instructions: str | None = None
+    ) -> _core.PreparedPatterns:
+        single = self.single.prepare(column, instructions)
+        planes = [(k, float(gain)) for k, gain in zip(self.kernels, self._gain, strict=True)]
+        return single.atoms(self.shape, planes)
+
+    def centres(self, rows: csr_array) -> csr_array:
+        """Coefficients (M, S N) as light at the middles of their spots, (M, N)."""
+        plane, pixel = np.divmod(rows.indices, self.single.pixels)
+        light = (rows.data * self._gain[plane]).astype(np.float32)
+        shape = (rows.shape[0], self.single.pixels)
+        # Adding duplicates changes the parts in place.
+        found = csr_array((light, pixel, rows.indptr.copy()), shape=shape)
+        found.sum_duplicates()
+        return found
+
+    def expand(self, rows: csr_array) -> csr_array:
+        """Coefficients (M, S N) as light of pixels, (M, N) float32.
+
+        Pixels of a spot fainter than a thousandth of its middle are left out, and the spot keeps
+        its light; what lies beyond the projector is lost.
+        """
+        n = self.single.pixels
+        parts = [
+            csr_array(rows[:, s * n : (s + 1) * n] * self._gain[s]) for s in range(self.planes)
+        ]
+        whole = parts[0]
+        for part, spread in zip(parts[1:], self._spreads, strict=True):
+            if part.nnz:
+                whole = whole + part @ spread
+        whole = csr_array(whole, dtype=np.float32)
+        whole.sort_indices()
+        return whole
+
+    @property
+    def _gain(self) -> NDArray[np.float32]:
+        return np.asarray(self.gains, np.float32)
+
+    @cached_property
+    def _spreads(self) -> list[csr_array]:
+        """Pixels of the spots of every size but the first, (N, N) each."""
+        result = []
+        for spot in self.spots[1:]:
+            across, along = (_spread(length, spot) for length in self.shape)
+            spread = csr_array(kron(across, along, format="csr"), dtype=np.float32)
+            spread.data[spread.data < _FAINTEST] = 0
+            spread.eliminate_zeros()
+            # As bright as in the middle of the projector, so that what lies beyond is lost.
+            spread.data /= _total(spot)
+            result.append(spread)
+        return result
+
+    def _blurred(self, x: NDArray[Any], plane: int) -> NDArray[Any]:
+        """Rows (m, N) under a kernel, times its gain, in their dtype."""
+        images = x.reshape(-1, *self.shape)
+        kernel = self.kernels[plane]
+        if len(kernel) > 1:
+            whole = np.concatenate([kernel[:0:-1], kernel])
+            for axis in (1, 2):
+                images = convolve1d(images, whole, axis=axis, mode="constant")
+        return np.asarray(images.reshape(x.shape) * self._gain_of(plane), x.dtype)
+
+    def _gain_of(self, plane: int) -> float:
+        return self.gains[plane] if self.gains else 1.0
+
+    def _contrast(self, plane: int) -> float:
+        """Standard deviation of the values of the columns of a size, without gain."""
+        squares = total = 0.0
+        gain = self._gain_of(plane)
+        for _, chunk in self.single.chunks():
+            values = self._blurred(chunk, plane) / gain
+            squares += float(np.square(values, dtype=np.float64).sum())
+            total += float(values.sum(dtype=np.float64))
+        values_in_all = self.count * self.single.pixels
+        return float(np.sqrt(max(squares / values_in_all - (total / values_in_all) ** 2, 0.0)))
+
+
+def _kernel(size: float) -> NDArray[np.float32]:
+    offsets = np.arange(int(_REACH * size + 0.5) + 1)
+    kernel = np.exp(-0.5 * (offsets / size) ** 2) if size > 0 else np.ones(1)
+    return np.asarray(kernel / (2 * kernel.sum() - kernel[0]), np.float32)
+
+
+def _spread(length: int, spot: NDArray[np.float32]) -> csr_array:
+    """The spot around each place of a line, (length, length)."""
+    place = np.arange(length)
+    distance = np.abs(place[:, None] - place)
+    inside = np.minimum(distance, len(spot) - 1)
+    return csr_array(np.where(distance < len(spot), spot[inside], 0))
+
+
+def _total(spot: NDArray[np.float32]) -> np.float32:
+    """Light of a whole spot without its faint pixels, of brightness 1 in its middle."""
+    both = np.concatenate([spot[:0:-1], spot])
+    whole = np.outer(both, both)
+    return np.float32(whole[whole >= _FAINTEST].sum())
