@@ -20,6 +20,7 @@ from scipy.sparse import csr_array
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.solvers.weighted import Cells
 from lightmatrix.transport.matrix import cell_means
+from lightmatrix.transport.sparse_rows import SparseRows
 
 # Of the clip level, over the side of a cell: the penalty of a cell's coefficient.
 CELL_PENALTY = 0.05
@@ -76,6 +77,17 @@ class Backgrounds:
         penalties = CELL_PENALTY * cost / np.sqrt(self._sizes)
         count = None if unseen else self.shown.count
         return Cells(np.ascontiguousarray(self._means[:, :count]), penalties.astype(np.float32))
+
+    @property
+    def shown_means(self) -> NDArray[np.float32]:
+        """Mean of each pattern shown over each cell, (B, K) in [0, 1]."""
+        return self._means[:, : self.shown.count]
+
+    def lengths(self, rows: SparseRows) -> NDArray[np.float64]:
+        """Euclidean norm of each row of pixels and cells, (m,), as if they did not overlap."""
+        squares = rows.coefficients.multiply(rows.coefficients).sum(axis=1)
+        spread = (rows.background.astype(np.float64) ** 2) @ (1 / self._sizes)
+        return np.sqrt(np.asarray(squares, np.float64).ravel() + spread)
 
     @cached_property
     def _pooling(self) -> csr_array:

@@ -12,6 +12,12 @@ from numpy.typing import NDArray
 from lightmatrix.camera.samples import Samples
 from lightmatrix.capture.capture import Capture
 from lightmatrix.estimators.coherent.backgrounds import Backgrounds
+from lightmatrix.estimators.coherent.held_out import (
+    held_out_frames,
+    pooled,
+    squared_misfit,
+    without,
+)
 from lightmatrix.estimators.coherent.neighbourhood import UNSEEN, Neighbourhood, unseen_patterns
 from lightmatrix.estimators.join import TILE_BYTES, Progress, SolveTile, kept
 from lightmatrix.patterns.atoms import AtomPatterns
@@ -20,6 +26,7 @@ from lightmatrix.solvers.fidelity import Fidelity
 from lightmatrix.solvers.problem import Problem, Result
 from lightmatrix.solvers.weighted import Cells, Expectation, solve_weighted
 from lightmatrix.store import Checkpoint
+from lightmatrix.transport.footprints import footprint_sizes
 from lightmatrix.transport.sparse_rows import SparseRows
 
 # Of the clip level.
@@ -54,7 +61,8 @@ class Rounds:
 
     def begin(self, running: Checkpoint | None) -> SolveTile:
         """All rounds but the last, whose tiles the result solves."""
-        return partial(self._last, self._neighbourhood(self._before_last(running)))
+        known = self._neighbourhood(self._before_last(running))
+        return partial(self._last, known, self._misfit(known))
 
     @cached_property
     def atoms(self) -> AtomPatterns:
@@ -138,7 +146,25 @@ class Rounds:
         samples = self.capture.samples(start, stop)
         return _found(self._solve(samples, start, stop, number, known))
 
-    def _last(self, known: Neighbourhood, start: int, stop: int) -> SparseRows:
+    def _misfit(self, known: Neighbourhood) -> NDArray[np.float32]:
+        """Squared errors of all rows under frames that are held out of the last round, (M,)."""
+        held = held_out_frames(self.capture.count)
+        if not len(held):
+            return np.full(self.capture.rows, np.nan, np.float32)
+        shown = np.concatenate([self.atoms.rows(k, k + 1) for k in held])
+        parts = []
+        for start, stop in self.ranges():
+            samples = self.capture.samples(start, stop)
+            solved = self._solve(without(samples, held), start, stop, len(self.windows), known)
+            light = solved.background[:, None] * self._halos(known, start, stop)[:, held]
+            light += solved.cells @ self.backgrounds.shown_means[:, held]
+            predicted = solved.coefficients @ shown.T + light
+            parts.append(squared_misfit(samples, predicted.astype(np.float32), held))
+        return pooled(np.concatenate(parts), known.camera)
+
+    def _last(
+        self, known: Neighbourhood, misfit: NDArray[np.float32], start: int, stop: int
+    ) -> SparseRows:
         """The rows start..stop of the last round, with the light of each cell."""
         samples = self.capture.samples(start, stop)
         solved = self._solve(samples, start, stop, len(self.windows), known)
@@ -147,11 +173,17 @@ class Rounds:
         if solved.cells.shape[1]:
             background += solved.cells
         found = kept(samples, solved)
-        return replace(
+        whole = replace(
             found,
             coefficients=self.atoms.expand(found.coefficients),
             background=background.astype(np.float32),
         )
+        length = self.backgrounds.lengths(whole)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            error = np.sqrt(misfit[start:stop]) / (self.atoms.single_contrast * length)
+        told = {"footprint": footprint_sizes(whole.coefficients), "estimated_error": error}
+        facts = {name: values.astype(np.float32) for name, values in told.items()}
+        return replace(whole, diagnostics=dict(whole.diagnostics) | facts)
 
     def _solve(
         self, samples: Samples, start: int, stop: int, number: int, known: Neighbourhood
@@ -215,7 +247,7 @@ class Rounds:
         if report is None:
             return None
         before = number * self.capture.rows + start
-        total = self.capture.rows * (1 + len(self.windows))
+        total = self.capture.rows * (2 + len(self.windows))
         return lambda done, _: report(before + done, total)
 
 

@@ -1,0 +1,84 @@
+"""How far a row is probably off: what it predicts for frames that were held out of it.
+
+A row solved without some of its frames errs at them by what it has wrong. Under random patterns an
+error d of the row gives an error of the sample whose variance is that of the patterns' values times
+||d||^2: so the frames held out measure ||d|| itself, of a row from a few frames less.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter
+
+from lightmatrix.camera.samples import Samples
+
+# One frame of so many is held out, but at least two; of fewer frames than this, none.
+EVERY = 8
+FEWEST = 8
+# Errors are smooth over the camera: they are pooled over a window of so many pixels.
+POOLED = 3
+# The rows that err least show what is noise. No less than this share of what is seen is error.
+DARKEST = 0.05
+LEAST_SHARE = 0.1
+
+
+def held_out_frames(count: int) -> NDArray[np.int64]:
+    """Indices of the frames that are held out, evenly spread; none of fewer than `FEWEST`."""
+    if count < FEWEST:
+        return np.zeros(0, np.int64)
+    held = max(2, count // EVERY)
+    return ((np.arange(held) + 0.5) * count / held).astype(np.int64)
+
+
+def without(samples: Samples, held: NDArray[np.int64]) -> Samples:
+    """The samples with those of the frames held out masked."""
+    weights = np.ones(samples.values.shape, np.float32)
+    if samples.weights is not None:
+        weights *= samples.weights
+    weights[:, held] = 0
+    return Samples(samples.values, samples.clipped, samples.clip_level, weights)
+
+
+def squared_misfit(
+    samples: Samples, predicted: NDArray[np.float32], held: NDArray[np.int64]
+) -> NDArray[np.float32]:
+    """Variance of each row's misfit at the frames held out, (M,); NaN where none counts.
+
+    Parameters
+    ----------
+    samples : Samples
+        (M, K), all of them.
+    predicted : (M, H) float32
+        What the rows give under the H frames held out.
+    held : (H,) int
+    """
+    off = samples.values[:, held] - predicted
+    # Of a clipped sample only what falls short of its bound is known to be wrong.
+    off = np.where(samples.clipped[:, held], np.maximum(off, 0), off)
+    weights = np.ones_like(off)
+    if samples.weights is not None:
+        whole = np.broadcast_to(samples.weights, samples.values.shape)
+        weights = np.asarray(whole[:, held], off.dtype)
+    total = weights.sum(axis=1)
+    # The effective number of samples; their mean, which is the background's error, does not count.
+    with np.errstate(invalid="ignore", divide="ignore"):
+        mean = (weights * off).sum(axis=1) / total
+        number = total**2 / (weights**2).sum(axis=1)
+        spread = (weights * (off - mean[:, None]) ** 2).sum(axis=1) / total
+        return np.asarray(spread * number / np.maximum(number - 1, 0.5), np.float32)
+
+
+def pooled(squares: NDArray[np.float32], camera: tuple[int, int, int]) -> NDArray[np.float32]:
+    """Means over the camera's neighbourhoods, without what is the camera's noise, (M,)."""
+    image = squares.reshape(camera).astype(np.float64)
+    known = np.isfinite(image)
+    window = (POOLED, POOLED, 1)
+    sums = uniform_filter(np.where(known, image, 0), window, mode="nearest")
+    shares = uniform_filter(known.astype(np.float64), window, mode="nearest")
+    with np.errstate(invalid="ignore", divide="ignore"):
+        means = np.where(shares > 1e-9, sums / shares, np.nan)
+    if not known.any():
+        return np.asarray(means.ravel(), np.float32)
+    noise = np.quantile(image[known], DARKEST)
+    return np.asarray(np.maximum(means - noise, LEAST_SHARE * means).ravel(), np.float32)
