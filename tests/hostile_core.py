@@ -83,7 +83,7 @@ def around(**changes: Any) -> Any:
     usual = {
         "rows": begin(),
         "camera": CAMERA,
-        "projector": SHAPE,
+        "projector": (1, *SHAPE),
         "movement": np.zeros((ROWS, 4), np.float32),
     }
     return SimpleNamespace(**usual | changes)
@@ -108,10 +108,16 @@ def expected(rows: Any = None, near: Any = None, **changes: Any) -> Any:
     )
 
 
+PLANES = [(np.ones(1, np.float32), 1.0)]
+
+
 def likely(rows: Any = None, **changes: Any) -> Any:
     usual: dict[str, Any] = {
         "camera": CAMERA,
-        "projector": SHAPE,
+        "projector": (1, *SHAPE),
+        "movement": np.zeros((ROWS, 4), np.float32),
+        "spots": [np.ones(1, np.float32)],
+        "within": 0.1,
         "reach": (1, 1),
         "most": 5,
         "range": (0, ROWS),
@@ -362,10 +368,29 @@ def hostile_rows() -> dict[str, Call]:
         "likely: camera of 2^93": lambda: likely(camera=[2**31 - 1] * 3),
         "likely: camera of no columns": lambda: likely(camera=(3, 0, 1)),
         "likely: camera below 0": lambda: likely(camera=(-3, -4, 1)),
-        "likely: huge projector": lambda: likely(projector=(2**20, 2**20)),
-        "likely: other projector": lambda: likely(projector=(1, 1)),
-        "likely: projector of three": lambda: likely(projector=(4, 6, 1)),
-        "likely: projector of floats": lambda: likely(projector=(4.0, 6.5)),
+        "likely: huge projector": lambda: likely(projector=(1, 2**20, 2**20)),
+        "likely: other projector": lambda: likely(projector=(1, 1, 1)),
+        "likely: projector of two": lambda: likely(projector=(4, 6)),
+        "likely: projector of floats": lambda: likely(projector=(1, 4.0, 6.5)),
+        "likely: movement of other rows": lambda: likely(movement=np.zeros((1, 4), np.float32)),
+        "likely: movement NaN": lambda: likely(movement=np.full((ROWS, 4), NAN, np.float32)),
+        "likely: no spots": lambda: likely(spots=[]),
+        "likely: an empty spot": lambda: likely(spots=[np.zeros(0, np.float32)]),
+        "likely: a spot above 1": lambda: likely(spots=[np.full(2, 3, np.float32)]),
+        "likely: within 0": lambda: likely(within=0.0),
+        "likely: within NaN": lambda: likely(within=NAN),
+        "atoms: other shape": lambda: SHOWN.atoms((2, 3), PLANES),
+        "atoms: shape of three": lambda: SHOWN.atoms((1, *SHAPE), PLANES),
+        "atoms: huge shape": lambda: SHOWN.atoms((HUGE, HUGE), PLANES),
+        "atoms: no planes": lambda: SHOWN.atoms(SHAPE, []),
+        "atoms: empty kernel": lambda: SHOWN.atoms(SHAPE, [(np.zeros(0, np.float32), 1.0)]),
+        "atoms: dark kernel": lambda: SHOWN.atoms(SHAPE, [(np.zeros(3, np.float32), 1.0)]),
+        "atoms: bright kernel": lambda: SHOWN.atoms(SHAPE, [(np.ones(3, np.float32), 1.0)]),
+        "atoms: negative kernel": lambda: SHOWN.atoms(SHAPE, [(-np.ones(1, np.float32), 1.0)]),
+        "atoms: kernel NaN": lambda: SHOWN.atoms(SHAPE, [(np.full(1, NAN, np.float32), 1.0)]),
+        "atoms: gain 0": lambda: SHOWN.atoms(SHAPE, [(np.ones(1, np.float32), 0.0)]),
+        "atoms: gain 2": lambda: SHOWN.atoms(SHAPE, [(np.ones(1, np.float32), 2.0)]),
+        "atoms: gain NaN": lambda: SHOWN.atoms(SHAPE, [(np.ones(1, np.float32), NAN)]),
         "likely: reach below 0": lambda: likely(reach=(-1, 1)),
         "likely: reach huge": lambda: likely(reach=(2**64, 1)),
         "likely: none": lambda: likely(most=0),

@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from scipy.sparse import csr_array
 
 from lightmatrix.camera.samples import Samples
-from lightmatrix.estimators.coherent.expectations import REACH, Neighbourhood, unseen_patterns
+from lightmatrix.estimators.coherent.neighbourhood import REACH, Neighbourhood, unseen_patterns
+from lightmatrix.patterns.atoms import AtomPatterns
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.transport.sparse_rows import SparseRows
@@ -20,12 +21,16 @@ from lightmatrix.transport.sparse_rows import SparseRows
 LEVEL = 0.5
 
 
-def neighbourhood(camera: Any, projector: Any, seed: int, filled: float = 0.2) -> Neighbourhood:
+def neighbourhood(camera: Any, shown: PatternSet, seed: int, filled: float = 0.2) -> Neighbourhood:
     random = np.random.default_rng(seed)
     rows = np.prod(camera)
-    dense = random.random((rows, projector[0] * projector[1])).astype(np.float32)
+    dense = random.random((rows, shown.pixels)).astype(np.float32)
     dense[random.random(dense.shape) > filled] = 0
-    return Neighbourhood(without_background(csr_array(dense)), camera, projector)
+    return Neighbourhood(without_background(csr_array(dense)), camera, single(shown))
+
+
+def single(patterns: PatternSet) -> AtomPatterns:
+    return AtomPatterns(patterns, (0.0,))
 
 
 def without_background(rows: csr_array) -> SparseRows:
@@ -65,11 +70,12 @@ def by_definition(
         for other_c in range(max(0, c - REACH), min(camera_cols, c + REACH + 1)):
             other = (other_r * camera_cols + other_c) * channels + channel
             step = np.array([other_r - r, other_c - c], np.float32)
-            moved = around.movement[row].reshape(2, 2) @ step
-            moved = np.trunc(moved + np.copysign(0.5, moved)).astype(int)
-            entries = around.rows.coefficients[[other]].toarray().reshape(around.projector)
+            # Not as a product of matrices, which rounds otherwise.
+            moved = (around.movement[row].reshape(2, 2) * step).sum(axis=1)
+            moved = np.trunc(moved + np.copysign(0.5, moved, dtype=np.float64)).astype(int)
+            entries = around.rows.coefficients[[other]].toarray().reshape(shown.shape)
             places = np.argwhere(entries > 0)
-            kept = ((places >= moved) & (places < moved + around.projector)).all(axis=1)
+            kept = ((places >= moved) & (places < moved + shown.shape)).all(axis=1)
             if other == row or not kept.any():
                 continue
             guess = background[other].astype(np.float64)
@@ -99,11 +105,11 @@ def by_definition(
     st.integers(0, 2**16),
 )
 def test_they_are_the_mean_of_the_guesses(camera: Any, projector: Any, k: int, seed: int) -> None:
-    around = neighbourhood(camera, projector, seed)
     shown, unseen = BernoulliPatterns(projector, k, seed=seed), unseen_patterns(projector)
+    around = neighbourhood(camera, shown, seed)
     samples = samples_of(shown, around.rows.count, seed)
     background = backgrounds_of(around.rows.count, k + unseen.count, seed)
-    found = around.expected(shown, unseen, samples, samples.clipped, LEVEL, 0, background)
+    found = around.expected(single(unseen), samples, samples.clipped, LEVEL, 0, background)
     for row in range(around.rows.count):
         mean, variance = by_definition(around, shown, unseen, samples, background, row)
         if mean is None:
@@ -122,11 +128,11 @@ def test_they_are_the_mean_of_the_guesses(camera: Any, projector: Any, k: int, s
 
 
 def test_rows_asked_for_apart_are_the_same() -> None:
-    around = neighbourhood((7, 6, 1), (9, 8), 3)
     shown, unseen = BernoulliPatterns((9, 8), 20), unseen_patterns((9, 8))
+    around = neighbourhood((7, 6, 1), shown, 3)
     samples = samples_of(shown, 42, 1)
     background = backgrounds_of(42, 20 + unseen.count, 2)
-    whole = around.expected(shown, unseen, samples, samples.clipped, LEVEL, 0, background)
+    whole = around.expected(single(unseen), samples, samples.clipped, LEVEL, 0, background)
     part = slice(17, 30)
     assert samples.weights is not None
     some = Samples(
@@ -134,7 +140,7 @@ def test_rows_asked_for_apart_are_the_same() -> None:
     )
     first, last = around.around(17, 30)
     near = background[first:last].copy()
-    found = around.expected(shown, unseen, some, some.clipped, LEVEL, 17, near)
+    found = around.expected(single(unseen), some, some.clipped, LEVEL, 17, near)
     assert np.array_equal(found.values, whole.values[part])
     assert np.array_equal(found.weights, whole.weights[part])
 
@@ -147,19 +153,19 @@ def test_footprints_are_followed_however_the_projector_is_turned(turn: int, fine
     place = place[::finer, ::finer]
     rows = csr_array((np.ones(side**2, np.float32), place.ravel(), np.arange(side**2 + 1)))
     rows.resize((side**2, projector[0] * projector[1]))
-    around = Neighbourhood(without_background(rows), (side, side, 1), projector)
+    shown, unseen = BernoulliPatterns(projector, 30), unseen_patterns(projector)
+    around = Neighbourhood(without_background(rows), (side, side, 1), single(shown))
     turned = {0: (1, 0, 0, 1), 1: (0, 1, -1, 0), 2: (-1, 0, 0, -1), 3: (0, -1, 1, 0)}[turn]
     movement = around.movement.reshape(side, side, 4)[3:-3, 3:-3]
     assert np.array_equal(movement, np.broadcast_to(finer * np.array(turned), movement.shape))
     # All neighbours agree: clipped samples are as good as known, but for what neighbours share.
-    shown, unseen = BernoulliPatterns(projector, 30), unseen_patterns(projector)
     values = shown.forward(rows.toarray())
     clipped = np.zeros(values.shape, bool)
     clipped[:, ::2] = values[:, ::2] > 0
     seen = np.where(clipped, LEVEL, values)
     samples = Samples(seen, clipped, np.full(30, LEVEL, np.float32), None)
     dark = np.zeros((side**2, 30 + unseen.count), np.float32)
-    found = around.expected(shown, unseen, samples, clipped, LEVEL, 0, dark)
+    found = around.expected(single(unseen), samples, clipped, LEVEL, 0, dark)
     inside = np.zeros((side, side), bool)
     inside[5:-5, 5:-5] = True
     middle = inside.ravel()
@@ -169,11 +175,11 @@ def test_footprints_are_followed_however_the_projector_is_turned(turn: int, fine
 
 
 def test_neighbours_that_know_nothing_are_not_asked() -> None:
-    around = neighbourhood((4, 4, 1), (5, 5), 0)
-    dark = replace(around, rows=without_background(csr_array((16, 25), dtype=np.float32)))
     shown, unseen = BernoulliPatterns((5, 5), 9), unseen_patterns((5, 5))
+    around = neighbourhood((4, 4, 1), shown, 0)
+    dark = replace(around, rows=without_background(csr_array((16, 25), dtype=np.float32)))
     samples = samples_of(shown, 16, 0)
     background = backgrounds_of(16, 9 + unseen.count, 0)
-    found = dark.expected(shown, unseen, samples, samples.clipped, LEVEL, 0, background)
+    found = dark.expected(single(unseen), samples, samples.clipped, LEVEL, 0, background)
     assert not found.weights.any()
     assert np.isfinite(found.values).all()

@@ -92,6 +92,19 @@ impl<'a> RowSolver<'a> {
     pub fn solution(&self) -> Solution {
         let mut support: Vec<(u32, f64)> = self.point.support().collect();
         support.sort_unstable_by_key(|&(pixel, _)| pixel);
+        let mut numbers = support
+            .iter()
+            .map(|&(_, x)| x)
+            .chain([self.point.background]);
+        if !numbers.all(f64::is_finite) {
+            // Samples and weights so large that squares of them overflow: nothing was found.
+            return Solution {
+                objective: self.energy,
+                gap: f64::INFINITY,
+                passes: self.passes,
+                ..Solution::default()
+            };
+        }
         let gap = self.gap();
         Solution {
             pixels: support.iter().map(|&(pixel, _)| pixel).collect(),

@@ -159,16 +159,21 @@ fn every_pixel_meets_the_optimality_condition_of_its_own_penalty() {
 #[test]
 fn likely_pixels_are_the_neighbours_rows_over_their_maximum_blurred() {
     // A camera of 2 x 3, a projector of 4 x 5, one entry in each of three rows.
-    let (camera, projector) = ([2, 3, 1], [4, 5]);
+    let (camera, projector) = ([2, 3, 1], [1, 4, 5]);
     let indptr = [0i64, 1, 2, 2, 2, 4, 4];
     let matrix = Sparse {
         indptr: &indptr,
         indices: &[0, 7, 7, 13],
         values: &[2.0, 0.5, 1.0, 4.0],
     };
+    let still = [0.0; 4 * 6];
+    let spots: [&[f32]; 1] = [&[1.0]];
     let windows = |camera_reach, projector_reach, most| Windows {
         camera,
         projector,
+        movement: &still,
+        spots: &spots,
+        within: 0.1,
         camera_reach,
         projector_reach,
         most,
@@ -185,4 +190,35 @@ fn likely_pixels_are_the_neighbours_rows_over_their_maximum_blurred() {
     assert_eq!(found, [(vec![0, 1, 5, 6], vec![1.0; 4])]);
     // A row nobody knows anything of.
     assert_eq!(likely(matrix, windows(0, 2, 9), 5..6), [(vec![], vec![])]);
+}
+
+#[test]
+fn likely_atoms_are_moved_back_and_make_single_pixels_within_them_likely() {
+    // Two planes over a projector of 3 x 4; a camera of 1 x 2 whose footprints move one column on.
+    let movement = [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
+    let spots: [&[f32]; 2] = [&[1.0], &[1.0, 0.5]];
+    let windows = Windows {
+        camera: [1, 2, 1],
+        projector: [2, 3, 4],
+        movement: &movement,
+        spots: &spots,
+        within: 0.1,
+        camera_reach: 1,
+        projector_reach: 0,
+        most: 99,
+    };
+    // Row 1 holds the spot around pixel (1, 2), and light at (0, 0), which row 0 would see beyond
+    // the projector.
+    let matrix = Sparse {
+        indptr: &[0, 0, 2],
+        indices: &[0, 12 + 6],
+        values: &[1.0, 2.0],
+    };
+    let found = likely(matrix, windows, 0..1).remove(0);
+    // Row 0 has the spot around (1, 1), and a tenth of it around its middle in single pixels.
+    assert_eq!(found.0, [0, 1, 2, 4, 5, 6, 8, 9, 10, 12 + 5]);
+    let expected = [0.025, 0.05, 0.025, 0.05, 0.1, 0.05, 0.025, 0.05, 0.025, 1.0];
+    for (share, expected) in found.1.iter().zip(expected) {
+        assert!((share - expected).abs() < 1e-6);
+    }
 }

@@ -3,18 +3,13 @@
 //! The correlation with a blurred column is the blurred correlation, so one pass over the patterns
 //! serves all sizes, and what they cost does not depend on the number of patterns.
 
-use super::scores::{Scores, BATCH, GROUP};
-use super::{Correlator, Scratch};
+use super::scores::{Scores, GROUP};
 use crate::atoms::{Atoms, Blurring};
 use crate::simd::{multiversion, Level};
 
-/// Scores of up to `BATCH` rows over single pixels.
-pub type Pass = Box<dyn Fn(&[&[f64]], &mut [&mut Scores], &mut Scratch) + Send + Sync>;
-
 pub struct Blurred {
     atoms: Atoms,
-    pass: Pass,
-    /// The pixel of each score of the pass, or none.
+    /// The pixel of each score of single pixels, or none.
     pixel: Vec<Option<u32>>,
 }
 
@@ -26,48 +21,40 @@ const HALF: f64 = 0.51;
 /// Buffers of one thread.
 #[derive(Default)]
 pub struct Buffers {
-    scratch: Scratch,
-    scores: [Scores; BATCH],
     image: Vec<f32>,
     planes: Vec<f32>,
     blurring: Blurring,
 }
 
 impl Blurred {
-    pub fn new(atoms: Atoms, single: &Correlator, pass: Pass) -> Self {
-        let pixel = (0..single.length()).map(|s| single.pixel(s)).collect();
-        Blurred { atoms, pass, pixel }
+    pub fn new(atoms: Atoms, pixel: Vec<Option<u32>>) -> Self {
+        Blurred { atoms, pixel }
     }
 
     pub fn length(&self) -> usize {
         self.atoms.count().next_multiple_of(GROUP)
     }
 
-    pub fn run(&self, level: Level, e: &[&[f64]], out: &mut [&mut Scores], buffers: &mut Buffers) {
-        let mut single: Vec<&mut Scores> = buffers.scores.iter_mut().take(e.len()).collect();
-        (self.pass)(e, &mut single, &mut buffers.scratch);
-        for (single, out) in buffers.scores.iter().zip(out) {
-            buffers.image.resize(self.atoms.pixels(), 0.0);
-            buffers.planes.resize(self.atoms.count(), 0.0);
-            let shift = (single.offset + (single.up - single.down) / 2.0) as f32;
-            for (pixel, score) in self.pixel.iter().zip(&single.values) {
-                if let Some(pixel) = pixel {
-                    buffers.image[*pixel as usize] = f32::from(*score) + shift;
-                }
+    /// Scores of all atoms from those of single pixels.
+    pub fn run(&self, level: Level, single: &Scores, out: &mut Scores, buffers: &mut Buffers) {
+        let Buffers {
+            image,
+            planes,
+            blurring,
+        } = buffers;
+        image.resize(self.atoms.pixels(), 0.0);
+        planes.resize(self.atoms.count(), 0.0);
+        let shift = (single.offset + (single.up - single.down) / 2.0) as f32;
+        for (pixel, score) in self.pixel.iter().zip(&single.values) {
+            if let Some(pixel) = pixel {
+                image[*pixel as usize] = f32::from(*score) + shift;
             }
-            let planes = buffers.planes.chunks_exact_mut(self.atoms.pixels());
-            for (plane, values) in self.atoms.planes.iter().zip(planes) {
-                let grid = self.atoms.grid;
-                (buffers.blurring).run(level, grid, plane, &buffers.image, values);
-            }
-            self.score(
-                level,
-                single,
-                buffers.image.as_slice(),
-                &buffers.planes,
-                out,
-            );
         }
+        let parts = planes.chunks_exact_mut(self.atoms.pixels());
+        for (plane, values) in self.atoms.planes.iter().zip(parts) {
+            blurring.run(level, self.atoms.grid, plane, image, values);
+        }
+        self.score(level, single, image, planes, out);
     }
 
     /// From blurred scores to scores: in their unit, with what blurring and rounding may lose.

@@ -21,7 +21,6 @@ use crate::atoms::Atoms;
 use crate::bits::Bits;
 use crate::columns::Columns;
 use crate::simd::Level;
-pub use blurred::Pass;
 use blurred::{Blurred, Buffers};
 use dense::Dense;
 use lookup::Lookup;
@@ -38,11 +37,14 @@ pub struct Correlator {
     kind: Kind,
 }
 
+/// Scores of up to `BATCH` rows, as `Correlator::run` gives them.
+pub type Pass = Box<dyn Fn(&[&[f64]], &mut [&mut Scores], &mut Scratch) + Send + Sync>;
+
 enum Kind {
     Lookup(Lookup),
     Transform(Transform),
     Dense(Dense),
-    Blurred(Blurred),
+    Blurred(Pass, Blurred),
 }
 
 /// Buffers of one thread.
@@ -50,7 +52,10 @@ enum Kind {
 pub struct Scratch {
     quantised: [Vec<i16>; BATCH],
     tables: Vec<i16>,
-    blurred: Option<Box<Buffers>>,
+    /// For atoms: what the pass over single pixels gives, and works in.
+    single: [Scores; BATCH],
+    inner: Option<Box<Scratch>>,
+    blurred: Buffers,
 }
 
 impl Correlator {
@@ -100,11 +105,12 @@ impl Correlator {
         pass: Pass,
     ) -> Self {
         assert_eq!(atoms.pixels(), single.pixels);
+        let pixel = (0..single.length()).map(|s| single.pixel(s)).collect();
         Correlator {
             level,
             patterns,
             pixels: atoms.count(),
-            kind: Kind::Blurred(Blurred::new(atoms, single, pass)),
+            kind: Kind::Blurred(pass, Blurred::new(atoms, pixel)),
         }
     }
 
@@ -114,7 +120,7 @@ impl Correlator {
             Kind::Lookup(lookup) => lookup.length(),
             Kind::Transform(transform) => transform.length(),
             Kind::Dense(_) => self.pixels.next_multiple_of(GROUP),
-            Kind::Blurred(blurred) => blurred.length(),
+            Kind::Blurred(_, blurred) => blurred.length(),
         }
     }
 
@@ -145,8 +151,14 @@ impl Correlator {
             Kind::Dense(dense) => {
                 return dense.run(self.level, columns, self.patterns, self.pixels, e, out)
             }
-            Kind::Blurred(blurred) => {
-                return blurred.run(self.level, e, out, scratch.blurred.get_or_insert_default())
+            Kind::Blurred(pass, blurred) => {
+                let mut single: Vec<&mut Scores> =
+                    scratch.single.iter_mut().take(e.len()).collect();
+                pass(e, &mut single, scratch.inner.get_or_insert_default());
+                for (single, out) in single.iter().zip(out) {
+                    blurred.run(self.level, single, out, &mut scratch.blurred);
+                }
+                return;
             }
             Kind::Lookup(_) => Sums::OfSubsets,
             Kind::Transform(_) => Sums::Signed,
@@ -175,7 +187,7 @@ impl Correlator {
                     transform.run(self.level, quantised, out.offset, &mut out.values);
                 }
             }
-            Kind::Dense(_) | Kind::Blurred(_) => unreachable!("returned above"),
+            Kind::Dense(_) | Kind::Blurred(..) => unreachable!("returned above"),
         }
     }
 }

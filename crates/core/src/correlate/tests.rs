@@ -1,6 +1,7 @@
 //! Every kernel against the definition, and against each other.
 
 use super::*;
+use crate::atoms::Plane;
 use crate::columns::{BitColumns, DenseColumns};
 use crate::simd::Level;
 use crate::vector::padded;
@@ -242,6 +243,60 @@ fn selection_finds_all_that_may_exceed_a_value() {
                     assert!(found.len() <= 2 * most && 4 * found.len() >= most);
                 }
             }
+        }
+    }
+}
+
+#[test]
+fn blurred_scores_bound_the_correlations_with_atoms() {
+    let mut random = Random(11);
+    for (grid, patterns) in [([5, 7], 40), ([1, 70], 9), ([33, 2], 130)] {
+        let pixels = grid[0] * grid[1];
+        let packed = bytes(patterns, pixels, &mut random);
+        let rows = rows(3, patterns, &mut random);
+        let planes = [
+            (vec![1.0], 0.3),
+            (vec![0.5, 0.25], 0.6),
+            (vec![0.2, 0.15, 0.1, 0.1, 0.05], 1.0),
+        ];
+        let planes = planes.map(|(kernel, gain)| Plane { kernel, gain });
+        for level in Level::available() {
+            let bits = Bits::new(&packed, patterns, pixels);
+            let single = Columns::Bits(BitColumns::new(bits));
+            let atoms = Atoms {
+                grid,
+                planes: planes.to_vec(),
+            };
+            let columns = Columns::Dense(atoms.columns(level, &single, patterns));
+            let lookup = Correlator::lookup(level, bits);
+            let inner = Correlator::lookup(level, bits);
+            let pass: Pass = Box::new(move |e, out, scratch| inner.run(&single, e, out, scratch));
+            let correlator = Correlator::blurred(level, patterns, atoms, &lookup, pass);
+            let scores = run(&correlator, &columns, &rows);
+            // From the definition: the blurred pattern at the atom's place.
+            let exact = |atom: u32, row: &[f64]| {
+                let (plane, pixel) = (atom as usize / pixels, atom as usize % pixels);
+                let (r, c) = (pixel / grid[1], pixel % grid[1]);
+                let Plane { kernel, gain } = &planes[plane];
+                let at = |near: usize, far: usize| {
+                    kernel
+                        .get(near.abs_diff(far))
+                        .map_or(0.0, |v| f64::from(*v))
+                };
+                let mut sum = 0.0;
+                for (k, value) in row.iter().enumerate().take(patterns) {
+                    for (other, weight) in (0..pixels).map(|other| {
+                        let weight = at(r, other / grid[1]) * at(c, other % grid[1]);
+                        (other, weight)
+                    }) {
+                        if bits.lit(k, other) {
+                            sum += value * weight * f64::from(*gain);
+                        }
+                    }
+                }
+                sum
+            };
+            check(&correlator, &scores, &rows, exact);
         }
     }
 }

@@ -34,8 +34,7 @@ DEFAULT_REGULARIZATION = 0.1
 # Of the clip level, and the gap: the first estimate, row by row, only has to show where light is.
 FIRST_REGULARIZATION = 0.32
 FIRST_TOLERANCE = 1e-2
-# What neighbours' rows give is expected from this round on: then most rows are about right. In any
-# case in the last one.
+# What neighbours' rows give is expected from this round on: then most rows are about right.
 EXPECTING = 3
 # Regularizations are for patterns of this contrast, the standard deviation of their values, which
 # random patterns have half of whose pixels are lit; for others they change in proportion.
@@ -157,7 +156,8 @@ class Rounds:
             samples = self.capture.samples(start, stop)
             solved = self._solve(without(samples, held), start, stop, len(self.windows), known)
             light = solved.background[:, None] * self._halos(known, start, stop)[:, held]
-            light += solved.cells @ self.backgrounds.shown_means[:, held]
+            if solved.cells.shape[1]:
+                light += solved.cells @ self.backgrounds.shown_means[:, held]
             predicted = solved.coefficients @ shown.T + light
             parts.append(squared_misfit(samples, predicted.astype(np.float32), held))
         return pooled(np.concatenate(parts), known.camera)
@@ -192,7 +192,7 @@ class Rounds:
         problem = self._problem(samples, self.penalty)
         found = known.rows
         expected = None
-        if number >= min(EXPECTING, len(self.windows)):
+        if number >= EXPECTING:
             expected = self._expected(samples, start, stop, known)
         unseen = expected is not None
         cells = Cells.none(self.capture.patterns, self.unseen if unseen else None)

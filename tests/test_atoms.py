@@ -1,0 +1,113 @@
+"""Atoms: a spot's column is the blurred pattern, whatever computes it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.ndimage import gaussian_filter
+from scipy.sparse import csr_array
+
+from lightmatrix.errors import InputError
+from lightmatrix.patterns.atoms import AtomPatterns
+from lightmatrix.patterns.bits import BernoulliPatterns
+from lightmatrix.patterns.hadamard import HadamardPatterns
+from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
+
+SIZES = (0.0, 0.7, 1.4)
+
+
+def kinds(shape: tuple[int, int], count: int, seed: int) -> list[PatternSet]:
+    grey = np.random.default_rng(seed).random((count, *shape)).astype(np.float32)
+    return [BernoulliPatterns(shape, count, seed=seed), ImagePatterns(grey)]
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.tuples(st.integers(1, 20), st.integers(1, 20)), st.integers(2, 70), st.integers(0, 2**16))
+def test_forward_and_adjoint_belong_together(shape: Any, count: int, seed: int) -> None:
+    random = np.random.default_rng(seed)
+    for patterns in kinds(shape, count, seed):
+        atoms = AtomPatterns(patterns, SIZES)
+        x = random.standard_normal((3, atoms.pixels))
+        e = random.standard_normal((3, count))
+        one, other = np.sum(atoms.forward(x) * e), np.sum(x * atoms.adjoint(e))
+        scale = np.abs(atoms.forward(np.abs(x))).sum() * np.abs(e).max()
+        assert abs(one - other) <= 1e-6 * scale
+        dense = atoms.dense().astype(np.float64)
+        np.testing.assert_allclose(atoms.adjoint(e), e @ dense, atol=1e-5 * np.abs(e).sum())
+        index = np.array([0, atoms.pixels - 1])
+        assert np.array_equal(atoms.columns(index), atoms.dense()[:, index])
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.tuples(st.integers(1, 20), st.integers(1, 20)), st.integers(2, 70), st.integers(0, 2**16))
+def test_the_compiled_pass_bounds_every_correlation(shape: Any, count: int, seed: int) -> None:
+    e = np.random.default_rng(seed).standard_normal((4, count))
+    for patterns in kinds(shape, count, seed):
+        atoms = AtomPatterns(patterns, SIZES)
+        exact = atoms.adjoint(e)
+        scores, bounds = atoms.prepared.scores(e)
+        unit, offset, up, down = bounds.reshape(-1, 4, 1).transpose(1, 0, 2)
+        # The plain twin rounds in single precision.
+        slack = 1e-5 * np.abs(e).sum(axis=1, keepdims=True)
+        assert (exact >= unit * (scores + offset - down) - slack).all()
+        assert (exact <= unit * (scores + offset + up) + slack).all()
+        assert (unit * (up + down) <= 0.01 * np.abs(e).sum(axis=1, keepdims=True) + slack).all()
+
+
+def test_the_fast_transform_serves_atoms_too() -> None:
+    atoms = AtomPatterns(HadamardPatterns((8, 8), 40), SIZES)
+    e = np.random.default_rng(0).standard_normal((2, 40))
+    scores, bounds = atoms.prepared.scores(e)
+    unit, offset, *_ = bounds.reshape(-1, 4, 1).transpose(1, 0, 2)
+    np.testing.assert_allclose(unit * (scores + offset), atoms.adjoint(e), atol=0.05)
+
+
+def test_a_spot_is_a_blurred_pixel() -> None:
+    atoms = AtomPatterns(BernoulliPatterns((32, 40), 8), (0.0, 1.0, 2.0))
+    assert atoms.gains[0] < atoms.gains[1] < atoms.gains[2] == 1
+    n = 32 * 40
+    place = 16 * 40 + 20
+    rows = csr_array(
+        (np.array([1, 1], np.float32), np.array([n + place, 2 * n + place]), np.array([0, 1, 2])),
+        shape=(2, 3 * n),
+    )
+    point = np.zeros((32, 40))
+    point[16, 20] = 1
+    for row, size, gain in zip(atoms.expand(rows).toarray(), (1, 2), atoms.gains[1:], strict=True):
+        spot = gaussian_filter(point, size, truncate=3)
+        assert row.sum() == pytest.approx(gain, rel=1e-3)
+        # Of a spot's pixels below a thousandth of its middle nothing is kept.
+        np.testing.assert_allclose(row.reshape(32, 40) / gain, spot, atol=4e-3 * spot.max())
+    centres = atoms.centres(rows).toarray()
+    np.testing.assert_allclose(centres[:, place], atoms.gains[1:], rtol=1e-6)
+
+
+def test_light_beyond_the_projector_is_lost() -> None:
+    atoms = AtomPatterns(BernoulliPatterns((32, 32), 8), (0.0, 2.0))
+    corner = csr_array((np.ones(1, np.float32), np.array([1024]), np.array([0, 1])), (1, 2048))
+    # A quarter of a spot lies on the projector, and half of its two middle lines more.
+    assert 0.25 < atoms.expand(corner).sum() < 0.4
+    white = ImagePatterns(np.ones((1, 32, 32), np.float32))
+    under_white = AtomPatterns(white, atoms.sizes, atoms.gains).columns(np.array([1024]))
+    assert atoms.expand(corner).sum() == pytest.approx(under_white[0, 0], rel=5e-3)
+
+
+def test_columns_of_all_sizes_have_the_same_contrast() -> None:
+    atoms = AtomPatterns(BernoulliPatterns((64, 64), 200, density=0.3), (0.0, 1.0, 2.0))
+    assert atoms.single_contrast == pytest.approx(np.sqrt(0.3 * 0.7), rel=0.01)
+    n = 64 * 64
+    spread = [atoms.dense()[:, s * n : (s + 1) * n].std() for s in range(3)]
+    np.testing.assert_allclose(spread, spread[0], rtol=0.02)
+
+
+@pytest.mark.parametrize(
+    ("sizes", "gains"),
+    [((), ()), ((1.0,), ()), ((0.0, 2.0, 1.0), ()), ((0.0, 1.0), (1.0,)), ((0.0,), (2.0,))],
+)
+def test_sizes_and_gains_out_of_range(sizes: Any, gains: Any) -> None:
+    with pytest.raises(InputError, match=r"sizes|gains"):
+        AtomPatterns(BernoulliPatterns((8, 8), 4), sizes, gains)
