@@ -68,11 +68,16 @@ from .solvers import (
 
 # What is done with them.
 from .pictures.relight import relight as relight
-from .pictures.transport import (
+from .pictures.diagnostics import (
     show_clipping as show_clipping,
+    show_correspondence as show_correspondence,
+    show_footprints as show_footprints,
+    show_gaps as show_gaps,
+    show_stated_errors as show_stated_errors,
+)
+from .pictures.transport import (
     show_column as show_column,
     show_dual as show_dual,
-    show_gaps as show_gaps,
     show_relit as show_relit,
     show_row as show_row,
 )
@@ -81,6 +86,10 @@ from .store import (
     export as export,
     open as open,
     save as save,
+)
+from .transport.correspondence import (
+    Correspondence as Correspondence,
+    correspondence as correspondence,
 )
 from .transport.evaluation import Errors as Errors
 from .transport.matrix import LightTransport as LightTransport
