@@ -81,6 +81,7 @@ from .pictures.transport import (
     show_relit as show_relit,
     show_row as show_row,
 )
+from .report.make import report as report
 from .rig.evaluate import evaluate as evaluate
 from .store import (
     export as export,

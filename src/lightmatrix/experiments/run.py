@@ -10,7 +10,7 @@ from lightmatrix.errors import InputError
 from lightmatrix.experiments import demo as demo_report
 from lightmatrix.experiments import few_patterns, fig4, fig5, fig6, fig7
 from lightmatrix.experiments.harness import Experiment
-from lightmatrix.outputs.kinds import CASES, FIGURE, REPORT
+from lightmatrix.outputs.kinds import CASES, DEMO, FIGURE
 from lightmatrix.outputs.running import RunningFolder
 from lightmatrix.outputs.writing import atomic_folder, claimed
 
@@ -50,7 +50,7 @@ def demo(
     >>> import lightmatrix as lm
     >>> result = lm.demo("report")  # doctest: +SKIP
     """
-    with atomic_folder(folder, REPORT, overwrite=overwrite) as part:
+    with atomic_folder(folder, DEMO, overwrite=overwrite) as part:
         return demo_report.run(part, progress=progress)
 
 

@@ -36,7 +36,8 @@ STORE = FolderKind(
     "light transport matrix", (".zarr",), ("zarr.json", "attributes", "output"), running=PARTIAL
 )
 THUMBNAILS = FolderKind("folder of scene pictures")
-REPORT = FolderKind("demo report")
+DEMO = FolderKind("demo report")
+REPORT = FolderKind("report")
 FIGURE = FolderKind("figure", running=CASES)
 TRUTH = FileKind("rendered matrix", (".npz",), lambda file: holds_member(file, TRUTH_MARK))
 PACKED = FileKind("packed scene", (".npz",), lambda file: holds_member(file, PACKED_MARK))

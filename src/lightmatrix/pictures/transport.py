@@ -19,7 +19,7 @@ from lightmatrix.transport.matrix import LightTransport
 
 _UNIT = "camera full scale per projector pixel"
 # Faint light beside a bright spot: the colours follow this power of the values.
-_FAINT = 0.35
+FAINT = 0.35
 # Of the brightest pixels of a picture, the share that is shown as white whatever it is.
 _GLINTS = 0.005
 
@@ -178,7 +178,7 @@ def _faint(image: NDArray[Any], title: str) -> Picture:
     """An image of one bright spot and faint light, with the scale of its colours."""
     # Negative light, which some estimates allow, is as dark as none.
     brightest = max(float(image.max()), 1e-12)
-    norm = PowerNorm(_FAINT, 0, brightest, clip=True)
+    norm = PowerNorm(FAINT, 0, brightest, clip=True)
     with mpl.rc_context(STYLE):
         drawing = Picture(figsize=(4.6, 3.6), layout="constrained")
         axes = drawing.subplots()
