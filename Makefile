@@ -1,5 +1,5 @@
 # Two commands for a fresh machine with Python >= 3.11, a Rust toolchain and make:
-#   make demo   a scene, a clipping camera, three estimators, a picture report
+#   make demo   a scene, a clipping camera, four estimators, a report with pictures
 #   make test   every check this project has
 PYTHON ?= python3
 VENV := .venv
@@ -27,7 +27,7 @@ $(VENV)/.test-installed: $(VENV)/.installed
 
 install: $(VENV)/.installed ## build the core and install lightmatrix into .venv
 
-demo: install ## simulate, estimate and evaluate a bundled scene; pictures in report/
+demo: install ## simulate, estimate and evaluate a bundled scene; a report in report/
 	$(BIN)/lightmatrix demo -o report --overwrite
 
 test-install: $(VENV)/.test-installed

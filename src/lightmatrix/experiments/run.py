@@ -24,12 +24,12 @@ EXPERIMENTS: dict[str, Experiment[Any]] = {
 def demo(
     folder: str | Path, *, overwrite: bool = False, progress: Progress | None = None
 ) -> dict[str, Any]:
-    """Simulate and estimate a scene with three solvers; write a picture report.
+    """Simulate a scene, estimate its T by four methods, and write a report of the default one.
 
     Parameters
     ----------
     folder : str or Path
-        The report to make: report.png, demo.json and the capture it estimated from.
+        The report to make: report.html, a picture of all methods, demo.json, and the capture.
     overwrite : bool
         Whether an existing report may be replaced.
     progress : callable, optional
@@ -38,7 +38,8 @@ def demo(
     Returns
     -------
     dict
-        What demo.json holds: the setting, and the errors of each method.
+        What demo.json holds: the setting, the errors of each method, and, as ``report``, what
+        `report` gives.
 
     Raises
     ------

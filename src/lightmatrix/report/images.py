@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+from pathlib import Path
 from typing import Any, Literal
 
 import imageio.v3 as imageio
@@ -10,6 +11,7 @@ import matplotlib as mpl
 import numpy as np
 from numpy.typing import NDArray
 
+from lightmatrix.files.images import read_image
 from lightmatrix.patterns.grids import block_mean
 from lightmatrix.pictures.maps import Map
 from lightmatrix.pictures.style import display
@@ -96,6 +98,13 @@ def difference_image(
     bar = _bytes(np.linspace(0, 1, _BAR_PIXELS)[None])
     scale = Scale(_address(bar), _number(-most), f"+{_number(most)}", "of the clip level")
     return _image(_bytes(shown), alternative, title, caption, scale)
+
+
+def image_of_file(file: Path, alternative: str, title: str = "", caption: str = "") -> Image:
+    """A picture that was drawn already, such as a figure in a PNG file."""
+    pixels = read_image(file)
+    rows, cols = pixels.shape[:2]
+    return Image(_address(pixels), cols, rows, alternative, title, caption)
 
 
 def _image(
