@@ -125,7 +125,7 @@ class Facts:
             errors.append(self.errors.relative_error)
             told.append(f"T is within {percent(self.errors.relative_error)} of the truth")
         if not told:
-            return verdict(self.transport)
+            return verdict(self.transport, f"no photograph was held out: {self.held}")
         return Verdict(level_of(max(errors)), "; ".join(told))
 
 

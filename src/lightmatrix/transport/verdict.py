@@ -13,6 +13,9 @@ Level = Literal["good", "fair", "doubtful", "not tested"]
 
 # Relative errors up to which an estimate is called good, and fair.
 GOOD, FAIR = 0.05, 0.2
+_UNTESTED = (
+    "it was not held against photographs that it has not seen (`estimate --report` does that)"
+)
 # Of the rows: more that clip in half of their samples, or did not converge, are worth a word.
 _MANY_CLIPPED, _MANY_UNFINISHED = 0.1, 0.01
 
@@ -36,13 +39,15 @@ class Verdict:
         return f"{self.level}: {self.sentence}"
 
 
-def verdict(transport: LightTransport) -> Verdict:
+def verdict(transport: LightTransport, why_untested: str = _UNTESTED) -> Verdict:
     """Judge an estimate by the errors that it states of its rows, or by what else is known.
 
     Parameters
     ----------
     transport : LightTransport
         An estimate; a matrix without diagnostics cannot be judged.
+    why_untested : str
+        What is said where rows state no error.
 
     Returns
     -------
@@ -64,8 +69,7 @@ def verdict(transport: LightTransport) -> Verdict:
                 said += f", {percent(doubtful)} of them more than {percent(FAIR)}"
             level = level_of(middle if doubtful < 0.5 else max(middle, 2 * FAIR))
             return Verdict(level, "; ".join([said, *remarks]))
-    said = "it was not held against photographs that it has not seen (a report does that)"
-    return Verdict("not tested", "; ".join([*remarks, said]))
+    return Verdict("not tested", "; ".join([*remarks, why_untested]))
 
 
 def level_of(error: float) -> Level:
