@@ -88,7 +88,7 @@ def test_maps_are_read_without_colour(transport: lm.LightTransport) -> None:
     shown = [
         maps.clipping_map(knowing), maps.gap_map(knowing), maps.footprint_map(knowing),
         maps.stated_error_map(knowing), maps.error_map(rows.reshape(5, 6)),
-        *maps.correspondence_maps(found, (ROWS, COLS)),
+        *maps.correspondence_maps(found),
     ]  # fmt: skip
     for one in shown:
         colours = one.colour_map(np.linspace(0, 1, 64))[:, :3] ** 2.2

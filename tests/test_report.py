@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from axe_playwright_python.sync_playwright import Axe
+from browser import opened_browser
 from playwright.sync_api import Browser
 
 import lightmatrix as lm
@@ -20,7 +21,6 @@ from lightmatrix.report import held_out
 from lightmatrix.report.advice import advice
 from lightmatrix.report.facts import Facts
 from lightmatrix.rig.procedural import ProceduralScene
-from tests.browser import opened_browser
 
 NOISE = 0.003
 

@@ -75,6 +75,10 @@ from .pictures.diagnostics import (
     show_gaps as show_gaps,
     show_stated_errors as show_stated_errors,
 )
+from .pictures.show import (
+    show as show,
+    write_pictures as write_pictures,
+)
 from .pictures.transport import (
     show_column as show_column,
     show_dual as show_dual,
@@ -94,6 +98,10 @@ from .transport.correspondence import (
 )
 from .transport.evaluation import Errors as Errors
 from .transport.matrix import LightTransport as LightTransport
+from .transport.verdict import (
+    Verdict as Verdict,
+    verdict as verdict,
+)
 
 # Plans and experiments.
 from .experiments.run import (

@@ -151,7 +151,7 @@ def show_correspondence(transport: LightTransport) -> Picture:
     >>> import lightmatrix as lm
     >>> lm.show_correspondence(lm.truth("metal").transport()).savefig("correspondence.png")
     """
-    maps = correspondence_maps(correspondence(transport), transport.projector_shape)
+    maps = correspondence_maps(correspondence(transport))
     with mpl.rc_context(STYLE):
         drawing = Picture(figsize=(10.2, 3.4), layout="constrained")
         axes = drawing.subplots(1, 3)

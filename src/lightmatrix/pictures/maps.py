@@ -24,6 +24,11 @@ UNKNOWN = (0.7, 0.7, 0.7)
 _SMALLEST_GAP = 1e-7
 # Errors above are no estimate at all; below, noise.
 _ERRORS = (1e-3, 1.0)
+# Facts that only some estimates state.
+_COHERENT = ": the coherent estimate measures it"
+_KNOWN_BY = {"footprint": _COHERENT, "estimated_error": _COHERENT}
+# Of the places at either end, so many may lie beyond the colours: wrong ones lie anywhere.
+_STRAYS = 0.005
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,22 +159,28 @@ def error_map(values: NDArray[np.floating]) -> Map:
     return Map("error", title, label, values.astype(float), *_ERRORS, "magma", logarithmic=True)
 
 
-def correspondence_maps(
-    found: Correspondence, projector_shape: tuple[int, int]
-) -> tuple[Map, Map, Map]:
+def correspondence_maps(found: Correspondence) -> tuple[Map, Map, Map]:
     """Row and column of the projector that each camera pixel sees most, and how sure that is."""
     row, col = np.moveaxis(found.place.astype(np.float64), -1, 0)
-    rows, cols = projector_shape
     confidence = np.where(found.found, found.confidence.astype(np.float64), np.nan)
     middle = 100 * float(np.median(confidence[found.found])) if found.found.any() else 0.0
     of_window = "share of the light from 5 x 5 projector pixels"
     return (
-        Map("row", "Projector row", "projector row", row, 0, max(1, rows - 1)),
-        Map("column", "Projector column", "projector column", col, 0, max(1, cols - 1)),
+        Map("row", "Projector row", "projector row", row, *_ends(row)),
+        Map("column", "Projector column", "projector column", col, *_ends(col)),
         Map(
             "confidence", f"Confidence: median {middle:.0f} %", of_window, confidence, 0, 1, "gray"
         ),
     )
+
+
+def _ends(places: NDArray[np.float64]) -> tuple[float, float]:
+    """Between which rows or columns of the projector nearly all places lie."""
+    known = places[np.isfinite(places)]
+    if not known.size:
+        return 0, 1
+    low, high = np.quantile(known, (_STRAYS, 1 - _STRAYS))
+    return float(np.floor(low)), float(max(np.ceil(high), np.floor(low) + 1))
 
 
 def has_diagnostic(transport: LightTransport, name: str) -> bool:
@@ -183,7 +194,8 @@ def _diagnostic(transport: LightTransport, name: str) -> NDArray[np.float64]:
     if name not in transport.diagnostics:
         raise InputError(
             f"this matrix does not know the {name.replace('_', ' ')} of its rows",
-            hint="give an estimate, or a store (.zarr) of one",
+            hint="give an estimate, or a store (.zarr) of one, "
+            f"that knows it{_KNOWN_BY.get(name, '')}",
         )
     image = np.asarray(transport.diagnostics[name], float).reshape(transport.camera_shape)
     if image.ndim == 2:

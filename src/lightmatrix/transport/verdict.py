@@ -30,6 +30,12 @@ class Verdict:
         In a word.
     sentence : str
         Why, in one sentence with numbers.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> print(lm.Verdict("good", "photographs held out are met within 1 %"))
+    good: photographs held out are met within 1 %
     """
 
     level: Level
@@ -54,6 +60,12 @@ def verdict(transport: LightTransport, why_untested: str = _UNTESTED) -> Verdict
     Verdict
         "not tested" where no row states its error: solvers that converge certify that they solved
         their problem, not that its solution is T.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> print(lm.verdict(lm.truth("metal").transport()))
+    not tested: the matrix knows nothing of how it was found
     """
     diagnostics = transport.diagnostics
     if not diagnostics:

@@ -20,7 +20,7 @@ def found(facts: Facts) -> Section:
         "How much of a camera pixel's light comes from there: dark where it comes from many "
         "places, by way of other surfaces.",
     )
-    maps = correspondence_maps(facts.correspondence, transport.projector_shape)
+    maps = correspondence_maps(facts.correspondence)
     images = [image_of_map(*pair) for pair in zip(maps, captions, strict=True)]
     if has_diagnostic(transport, "footprint"):
         caption = "How many projector pixels reach a camera pixel: what is out of focus."
