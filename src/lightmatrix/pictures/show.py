@@ -59,8 +59,8 @@ VIEWS: dict[str, _View] = {
         diagnostics.show_stated_errors, _values(maps.stated_error_map), needs="estimated_error"
     ),
 }
-# Views of one row or column, which need to be told which.
-_INDEXED = ("row", "column")
+# Views of one row or column, which need to be told which, and by how many numbers.
+_INDEXED = {"row": (2, 3), "column": (2,)}
 # Views over the whole camera: the pictures of `lightmatrix info`.
 _OVERVIEW = tuple(name for name in VIEWS if name not in (*_INDEXED, "dual"))
 
@@ -119,9 +119,12 @@ def show(
     """
     if view not in VIEWS:
         raise InputError(f"there is no view {view!r}", hint=f"use one of {', '.join(VIEWS)}")
-    if bool(index) != (view in _INDEXED):
-        needed = "needs the row and column of its pixel" if not index else "has no pixel"
-        raise InputError(f"the view {view} {needed}", hint="such as 20,30, for row and column")
+    if len(index) not in _INDEXED.get(view, (0,)):
+        needs = "the row and column of its pixel" if view in _INDEXED else "no pixel"
+        raise InputError(
+            f"the view {view} of {', '.join(map(str, index)) or 'no pixel'}",
+            hint=f"it needs {needs}",
+        )
     if output is not None:
         _check_format(view, Path(output), raw)
         check_output(output, _kind(output), overwrite=overwrite)
