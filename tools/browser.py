@@ -1,4 +1,4 @@
-"""A headless browser for the tests, where there is one."""
+"""A headless Chromium, for the tests of pages and for screenshots of them."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-import pytest
 from playwright.sync_api import Browser, sync_playwright
 
 # Nothing of it may ask for the network.
@@ -22,13 +21,15 @@ _ARGUMENTS = (
 _NAMES = ("chromium", "chromium-browser", "google-chrome")
 
 
+def installed() -> str | None:
+    """Where a Chromium is, if there is one; the variable CHROMIUM may name it."""
+    return os.environ.get("CHROMIUM") or next(filter(None, map(shutil.which, _NAMES)), None)
+
+
 @contextmanager
-def opened_browser() -> Iterator[Browser]:
-    """A headless Chromium; the test is skipped where none is installed."""
-    found = os.environ.get("CHROMIUM") or next(filter(None, map(shutil.which, _NAMES)), None)
-    if found is None:
-        pytest.skip("no Chromium is installed: make system-deps brings one")
+def opened() -> Iterator[Browser]:
+    """A headless Chromium that is installed."""
     with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=found, args=list(_ARGUMENTS))
+        browser = playwright.chromium.launch(executable_path=installed(), args=list(_ARGUMENTS))
         yield browser
         browser.close()
