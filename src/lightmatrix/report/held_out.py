@@ -190,7 +190,7 @@ def _place(capture: Capture, frames: NDArray[np.int64]) -> tuple[slice, slice] |
         return None
     height = min(rows, max(1, int(np.sqrt(most * rows / cols))))
     width = min(cols, most // height)
-    light = capture.select(frames).samples().values.mean(axis=1).reshape(rows, cols, -1).sum(axis=2)
+    light = _mean_of(capture, frames).reshape(rows, cols, -1).sum(axis=2)
 
     def around(profile: NDArray[np.floating], length: int) -> slice:
         total = np.cumsum(np.maximum(profile, 0), dtype=np.float64)

@@ -153,7 +153,7 @@ def write_page(
         "held_out_error": held.error if isinstance(held, HeldOut) else None,
         "held_out_frames": held.frames.tolist() if isinstance(held, HeldOut) else [],
         "mean_photograph_error": held.trivial_error if isinstance(held, HeldOut) else None,
-        "relative_error": facts.errors.relative_error if facts.errors else None,
+        "relative_error": facts.relative_error,
         "clipped_samples": float(facts.frames.clipped.mean()),
         "advice": list(todo),
     }
@@ -172,8 +172,8 @@ def _numbers(facts: Facts) -> dict[str, str]:
     }
     if isinstance(facts.held, HeldOut):
         numbers["photographs held out missed by"] = percent(facts.held.error)
-    if facts.errors is not None:
-        numbers["error of T"] = percent(facts.errors.relative_error)
+    if facts.relative_error is not None:
+        numbers["error of T"] = percent(facts.relative_error)
     return numbers
 
 

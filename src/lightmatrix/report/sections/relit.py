@@ -11,7 +11,7 @@ from lightmatrix.report.held_out import HeldOut
 from lightmatrix.report.images import difference_image, image_of_map, pattern_image, photograph
 from lightmatrix.reprs import shown_value
 from lightmatrix.transport.labels import named
-from lightmatrix.transport.metrics import unseen_patterns
+from lightmatrix.transport.metrics import relighting_error, unseen_patterns
 from lightmatrix.transport.verdict import percent
 
 _SHOWN = ("disc", "stripes")
@@ -26,25 +26,26 @@ def relit(facts: Facts) -> Section:
         if isinstance(facts.held, HeldOut):
             blocks.append(Text("How far such images are right, the photographs held out say."))
     else:
-        assert facts.errors is not None
-        assert facts.row_errors is not None
+        missed = relighting_error(facts.transport, facts.truth, np.stack(list(patterns.values())))
         lead = (
             "The scene under patterns that were never projected, beside what is true: images are "
-            f"off by {percent(facts.errors.relighting_error)} on average over such patterns."
+            f"off by {percent(missed)} on average over such patterns."
         )
-        values = named(facts.errors.as_dict())
-        caption = (
-            "Error of each row of T, relative to its own size. Dark rows have little to be "
-            "relative to."
-        )
-        table = Table(
-            "Errors against the truth",
-            ("what", "value"),
-            tuple((name, shown_value(value)) for name, value in values.items()),
-        )
-        shown = image_of_map(error_map(facts.row_errors), caption)
-        blocks.append(Columns((table,), (Gallery((shown,)),)))
+        blocks.append(_against_truth(facts))
     return Section("relit", "Relighting", lead, tuple(blocks))
+
+
+def _against_truth(facts: Facts) -> Columns:
+    assert facts.row_errors is not None
+    caption = (
+        "Error of each row of T, relative to its own size. Dark rows have little to be relative to."
+    )
+    shown = Gallery((image_of_map(error_map(facts.row_errors), caption),))
+    values = {"relative error of T": facts.relative_error}
+    if facts.errors is not None:
+        values = named(facts.errors.as_dict())
+    rows = tuple((name, shown_value(value)) for name, value in values.items())
+    return Columns((Table("Errors against the truth", ("what", "value"), rows),), (shown,))
 
 
 def _images(facts: Facts, name: str, pattern: np.ndarray) -> Gallery:
