@@ -17,7 +17,8 @@ from playwright.sync_api import Browser
 
 import lightmatrix as lm
 from lightmatrix.cli import main
-from lightmatrix.report import held_out
+from lightmatrix.pictures import maps
+from lightmatrix.report import held_out, images
 from lightmatrix.report.advice import advice
 from lightmatrix.report.facts import Facts
 from lightmatrix.rig.procedural import ProceduralScene
@@ -140,6 +141,24 @@ def test_estimate_writes_a_report(
     assert main(["estimate", "capture", "--report", "told", "-o", "other.zarr"]) == 2
     assert "told: exists already" in capsys.readouterr().err
     assert not Path("other.zarr").exists()
+
+
+def test_pictures_stay_small_whatever_they_show() -> None:
+    """About 40 of them, and as many thumbnails twice, stay below 5 MB."""
+    noise = np.random.default_rng(0).random((1000, 900, 3))
+    found = maps.error_map(noise[..., 0])
+    pictures = (
+        images.photograph(noise, "noise", exact=True),
+        images.pattern_image(noise[..., 0], "noise"),
+        images.difference_image(noise - 0.5, 1, "noise", "noise"),
+        images.faint_image(noise[..., 0], "noise", "noise"),
+        images.image_of_map(found),
+    )
+    for picture in pictures:
+        assert len(picture.source) < 150_000
+        assert max(picture.width, picture.height) <= images.MOST_PIXELS
+    thumbnail = images.photograph(noise, "noise", most=images.THUMB_PIXELS)
+    assert len(thumbnail.source) < 8_000
 
 
 # ---- photographs held out

@@ -21,6 +21,8 @@ from lightmatrix.report.blocks import Image, Scale
 # Of the longer side: more does not fit a column of the page.
 MOST_PIXELS = 320
 THUMB_PIXELS = 72
+# Up to this size single pixels are told apart on the page, and noise does not make it heavy.
+MOST_LOSSLESS = 128
 # Of the brightest pixels of a picture, the share that is shown as white whatever it is.
 _GLINTS = 0.005
 _BAR_PIXELS = 64
@@ -60,11 +62,12 @@ def photograph(
     most : int
         Pixels of the longer side.
     exact : bool
-        Whether single pixels matter, so that nothing may be lost.
+        Whether single pixels matter, so that nothing of a small image may be lost.
     """
     level = float(np.quantile(light, 1 - _GLINTS)) if white is None else white
     shown = display(_shrink(np.asarray(light, float), most, "mean"), level)
-    return _image(_bytes(shown), alternative, title, caption, exact=exact)
+    small = max(shown.shape[:2]) <= MOST_LOSSLESS
+    return _image(_bytes(shown), alternative, title, caption, exact=exact and small)
 
 
 def pattern_image(
@@ -117,7 +120,7 @@ def _image(
 
 def _address(pixels: NDArray[np.uint8], exact: bool = True) -> str:
     """An image as the text of an address, lossless unless said otherwise."""
-    options: dict[str, Any] = {"lossless": True, "quality": 60} if exact else {"quality": 85}
+    options: dict[str, Any] = {"lossless": True, "quality": 60} if exact else {"quality": 88}
     coloured = pixels if pixels.ndim == 3 else np.repeat(pixels[..., None], 3, axis=2)
     coded = imageio.imwrite("<bytes>", coloured, extension=".webp", plugin="pillow", **options)
     return "data:image/webp;base64," + base64.b64encode(coded).decode("ascii")
