@@ -74,7 +74,7 @@ experiments: test-install ## the paper's figures and ours, in experiments-out/; 
 	  $(BIN)/lightmatrix experiment $$name -o experiments-out/$$name || exit; done
 
 docs: test-install ## the documentation as a site, in site/; warnings are errors
-	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build
 	@echo 'the documentation: site/index.html'
 
 gallery: test-install ## run the examples and keep their pictures in docs/images/gallery

@@ -10,7 +10,7 @@ from scipy.sparse import csr_array, random_array
 
 import lightmatrix as lm
 from lightmatrix.pictures import maps
-from lightmatrix.transport.verdict import verdict
+from lightmatrix.transport.verdict import stated_error, verdict
 
 ROWS, COLS = 9, 7
 
@@ -114,11 +114,20 @@ def test_the_verdict_follows_what_rows_state(transport: lm.LightTransport) -> No
         diagnostics = {name: np.full(30, value) for name, value in facts.items()}
         return str(verdict(replace(transport, diagnostics=diagnostics)))
 
-    assert judged(estimated_error=0.01).startswith("good: the rows state a relative error of 1 %")
+    assert judged(estimated_error=0.01).startswith(
+        "good: the rows state a relative error of T of 1 %"
+    )
     assert judged(estimated_error=0.1).startswith("fair")
     assert judged(estimated_error=0.5).startswith("doubtful")
     assert "not tested: 100 % of the rows converged" in judged(converged=1)
     assert "reached the iteration limit" in judged(converged=0)
     assert "clipped in more than half" in judged(clipped_share=0.8, estimated_error=0.01)
-    mixed = {"estimated_error": np.where(np.arange(30) < 16, 0.5, 0.01)}
-    assert verdict(replace(transport, diagnostics=mixed)).level == "doubtful"
+    # Rows count by their light; those that state nothing do not.
+    errors = np.where(np.arange(30) < 2, 0.5, 0.01)
+    errors[5] = np.nan
+    mixed = replace(transport, diagnostics={"estimated_error": errors})
+    energy = (transport.dense_rows(np.arange(30)).astype(float) ** 2).sum(axis=1)
+    known = np.isfinite(errors)
+    expected = np.sqrt((energy[known] * errors[known] ** 2).sum() / energy[known].sum())
+    assert stated_error(mixed) == pytest.approx(expected, rel=1e-5)
+    assert verdict(mixed).level == "fair"

@@ -24,7 +24,8 @@ ROOT = Path(__file__).parent.parent
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The whole site. A warning is an error, among them links and anchors that lead nowhere."""
     folder = tmp_path_factory.mktemp("site")
-    command = [sys.executable, "-m", "mkdocs", "build", "--quiet", "--site-dir", str(folder)]
+    # Not --quiet, which would leave warnings uncounted.
+    command = [sys.executable, "-m", "mkdocs", "build", "--site-dir", str(folder)]
     told = subprocess.run(
         command, cwd=ROOT, capture_output=True, text=True,
         env={**os.environ, "NO_MKDOCS_2_WARNING": "1"},

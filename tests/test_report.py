@@ -108,6 +108,7 @@ def test_an_estimate_that_knows_little_has_a_report_too(tmp_path: Path) -> None:
     patterns = lm.BernoulliPatterns((8, 8), 6)
     frames = np.random.default_rng(0).integers(0, 250, (6, 10, 12, 3)).astype(np.uint8)
     frames[:, :, :6] = 0
+    frames[1, 3:5] = 255
     mask = np.ones((10, 12, 3), bool)
     mask[:, -2:] = False
     sensor = lm.Sensor(np.array([1.0, 0.25] * 3))
@@ -116,7 +117,10 @@ def test_an_estimate_that_knows_little_has_a_report_too(tmp_path: Path) -> None:
     bare = replace(estimate, diagnostics={}, provenance={})
     told = lm.report(tmp_path / "report", bare, capture)
     assert told["verdict"] == "not tested"
-    assert "6 photographs are too few" in _words(tmp_path / "report" / "report.html")
+    assert told["clipped_samples"] == pytest.approx(capture.clipped_share)
+    words = _words(tmp_path / "report" / "report.html")
+    assert "6 photographs are too few" in words
+    assert "clip, exposure 0.25" in words
 
 
 def test_a_capture_of_another_rig_is_refused(

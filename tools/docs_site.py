@@ -93,11 +93,8 @@ def commands_page() -> str:
 def reference_pages() -> dict[str, str]:
     """The door's names, a page for each stage of the work."""
     pages: dict[str, str] = {}
-    heading = ""
-    for part in re.split(r"^# (.+)\.$", DOOR.read_text(), flags=re.MULTILINE)[1:]:
-        if "\n" not in part:
-            heading = part
-            continue
+    parts = re.split(r"^# (.+)\.\n(?=from)", DOOR.read_text(), flags=re.MULTILINE)[1:]
+    for heading, part in zip(parts[::2], parts[1::2], strict=True):
         lines = [f"# {heading}", "", "Names of `import lightmatrix as lm`.", ""]
         for node in ast.parse(part).body:
             if isinstance(node, ast.ImportFrom):

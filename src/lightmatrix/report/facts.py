@@ -14,7 +14,7 @@ from lightmatrix.transport.correspondence import Correspondence, correspondence
 from lightmatrix.transport.evaluation import Errors, errors_by_rows
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.transport.metrics import relative_error, squared_errors, unclipped_rows
-from lightmatrix.transport.verdict import FAIR, Verdict, level_of, percent, verdict
+from lightmatrix.transport.verdict import FAIR, Verdict, level_of, percent, stated_error, verdict
 
 # A camera pixel below this share of a bright one's white level sees next to nothing.
 _DARK = 0.02
@@ -131,6 +131,10 @@ class Facts:
         if self.relative_error is not None:
             errors.append(self.relative_error)
             told.append(f"T is within {percent(self.relative_error)} of the truth")
+        stated = stated_error(self.transport)
+        if stated is not None:
+            errors.append(stated)
+            told.append(f"its rows state an error of T of {percent(stated)}")
         if not told:
             return verdict(self.transport, f"no photograph was held out: {self.held}")
         return Verdict(level_of(max(errors)), "; ".join(told))

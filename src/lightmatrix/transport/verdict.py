@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 
 from lightmatrix.transport.matrix import LightTransport
+from lightmatrix.transport.metrics import row_energies
 
 Level = Literal["good", "fair", "doubtful", "not tested"]
 
@@ -71,17 +72,30 @@ def verdict(transport: LightTransport, why_untested: str = _UNTESTED) -> Verdict
     if not diagnostics:
         return Verdict("not tested", "the matrix knows nothing of how it was found")
     remarks = _remarks(transport)
-    if "estimated_error" in diagnostics:
-        errors = np.asarray(diagnostics["estimated_error"], float)
-        errors = errors[np.isfinite(errors)]
-        if errors.size:
-            middle, doubtful = float(np.median(errors)), float(np.mean(errors > FAIR))
-            said = f"the rows state a relative error of {percent(middle)} (median)"
-            if doubtful >= 0.005:
-                said += f", {percent(doubtful)} of them more than {percent(FAIR)}"
-            level = level_of(middle if doubtful < 0.5 else max(middle, 2 * FAIR))
-            return Verdict(level, "; ".join([said, *remarks]))
-    return Verdict("not tested", "; ".join([*remarks, why_untested]))
+    stated = stated_error(transport)
+    if stated is None:
+        return Verdict("not tested", "; ".join([*remarks, why_untested]))
+    said = f"the rows state a relative error of T of {percent(stated)}"
+    return Verdict(level_of(stated), "; ".join([said, *remarks]))
+
+
+def stated_error(transport: LightTransport) -> float | None:
+    """The relative error of T that follows from those that its rows state of themselves.
+
+    Returns
+    -------
+    float or None
+        ||error of T|| / ||T|| in the Frobenius norm, over the rows that state theirs; None where
+        there are none.
+    """
+    errors = np.asarray(transport.diagnostics.get("estimated_error", np.zeros(0)), float)
+    known = np.flatnonzero(np.isfinite(errors))
+    if not known.size:
+        return None
+    energy = row_energies(transport)[known]
+    total = float(energy.sum())
+    wrong = float((energy * errors[known] ** 2).sum())
+    return float(np.sqrt(wrong / total)) if total else float(np.median(errors[known]))
 
 
 def level_of(error: float) -> Level:
