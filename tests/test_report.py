@@ -7,6 +7,7 @@ import re
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -115,12 +116,19 @@ def test_an_estimate_that_knows_little_has_a_report_too(tmp_path: Path) -> None:
     capture = lm.Capture.from_arrays(patterns, frames, sensor, mask=mask).bin(camera=2)
     estimate = lm.estimate(capture, solver="romp", iterations=2)
     bare = replace(estimate, diagnostics={}, provenance={})
-    told = lm.report(tmp_path / "report", bare, capture)
+    wrong = SimpleNamespace(
+        kind="swapped", frames=(2, 4), message="two frames look swapped", advice="swap them"
+    )
+    told = lm.report(tmp_path / "report", bare, capture, findings=[wrong])
+    assert told["findings"] == ["swapped"]
     assert told["verdict"] == "not tested"
     assert told["clipped_samples"] == pytest.approx(capture.clipped_share)
     words = _words(tmp_path / "report" / "report.html")
     assert "6 photographs are too few" in words
     assert "clip, exposure 0.25" in words
+    assert (
+        "What is wrong with the frames two frames look swapped (frames 2, 4). Swap them." in words
+    )
 
 
 def test_a_capture_of_another_rig_is_refused(

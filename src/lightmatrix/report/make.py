@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from lightmatrix._version import __version__
 from lightmatrix.capture.capture import Capture
@@ -28,8 +28,31 @@ from lightmatrix.rig.truth import Truth
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.transport.verdict import percent
 
+
+class Finding(Protocol):
+    """One thing that is wrong with a capture, as its checks tell it."""
+
+    @property
+    def kind(self) -> str:
+        """In a word."""
+
+    @property
+    def frames(self) -> Sequence[int]:
+        """The frames that it is about; empty for all of them."""
+
+    @property
+    def message(self) -> str:
+        """What was found."""
+
+    @property
+    def advice(self) -> str:
+        """What to do."""
+
+
 # What a report folder holds.
 PAGE, NUMBERS = "report.html", "report.json"
+# Of the frames of a finding.
+_MOST_NAMED = 8
 
 
 def report(
@@ -40,6 +63,7 @@ def report(
     truth: LightTransport | Truth | None = None,
     estimator: Estimator | None = None,
     held_out: bool = True,
+    findings: Sequence[Finding] = (),
     title: str = "Light transport",
     overwrite: bool = False,
     progress: Progress | None = None,
@@ -62,6 +86,8 @@ def report(
     held_out : bool
         Whether to hold out a few photographs and estimate once more from the others: as slow as
         the estimate itself, on 16,384 camera samples at most.
+    findings : sequence of Finding
+        What is wrong with the frames: each has a kind, frames, a message and an advice.
     title : str
         What the report is about.
     overwrite : bool
@@ -102,6 +128,7 @@ def report(
             truth=known,
             estimator=estimator,
             held_out=held_out,
+            findings=findings,
             title=title,
             progress=progress,
         )
@@ -115,6 +142,7 @@ def write_page(
     truth: LightTransport | None = None,
     estimator: Estimator | None = None,
     held_out: bool = True,
+    findings: Sequence[Finding] = (),
     title: str,
     more: Sequence[Section] = (),
     progress: Progress | None = None,
@@ -135,6 +163,7 @@ def write_page(
         title,
         facts.verdict,
         _numbers(facts),
+        tuple(_told(finding) for finding in findings),
         order(facts),
         (
             captured(facts),
@@ -155,11 +184,21 @@ def write_page(
         "mean_photograph_error": held.trivial_error if isinstance(held, HeldOut) else None,
         "relative_error": facts.relative_error,
         "clipped_samples": float(facts.frames.clipped.mean()),
+        "findings": [finding.kind for finding in findings],
         "advice": list(todo),
     }
     (folder / PAGE).write_text(html(page), encoding="utf-8")
     (folder / NUMBERS).write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
     return result
+
+
+def _told(finding: Finding) -> str:
+    """A finding in words, with its frames."""
+    some = ", ".join(map(str, finding.frames[:_MOST_NAMED]))
+    if len(finding.frames) > _MOST_NAMED:
+        some += f" and {len(finding.frames) - _MOST_NAMED} more"
+    where = f" (frames {some})" if some else ""
+    return f"{finding.message}{where}. {finding.advice[:1].upper()}{finding.advice[1:]}."
 
 
 def _numbers(facts: Facts) -> dict[str, str]:

@@ -24,6 +24,8 @@ class Page:
         What to think of it.
     numbers : mapping of str to str
         The few numbers of the first screen.
+    findings : tuple of str
+        What is wrong with the frames, and what to do about it.
     order : Strip
         The first patterns and photographs.
     sections : tuple of Section
@@ -34,6 +36,7 @@ class Page:
     title: str
     verdict: Verdict
     numbers: dict[str, str]
+    findings: tuple[str, ...]
     order: Strip
     sections: tuple[Section, ...]
     version: str
