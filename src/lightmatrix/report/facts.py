@@ -124,9 +124,11 @@ class Facts:
         if isinstance(self.held, HeldOut):
             error, trivial = self.held.error, self.held.trivial_error
             errors.append(error if error < _BARELY_BETTER * trivial else max(error, 2 * FAIR))
+            count = len(self.held.frames)
+            some = "1 photograph held out is" if count == 1 else f"{count} photographs held out are"
             told.append(
-                f"an estimate without them predicts {_photographs(len(self.held.frames))} within "
-                f"{percent(error)} (the mean photograph: {percent(trivial)})"
+                f"{some} predicted within {percent(error)} (by the mean of the others: "
+                f"{percent(trivial)})"
             )
         if self.relative_error is not None:
             errors.append(self.relative_error)
@@ -138,7 +140,3 @@ class Facts:
         if not told:
             return verdict(self.transport, f"no photograph was held out: {self.held}")
         return Verdict(level_of(max(errors)), "; ".join(told))
-
-
-def _photographs(count: int) -> str:
-    return "1 photograph" if count == 1 else f"{count} photographs"

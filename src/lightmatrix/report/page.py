@@ -57,5 +57,6 @@ def html(page: Page) -> str:
 
 
 def _code(text: str) -> Markup:
-    """Text in which `words` between backticks are set as code."""
-    return Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", str(escape(text))))
+    """Text in which `words` between backticks are set as code, and no line begins with a %."""
+    together = str(escape(text)).replace(" %", "\N{NO-BREAK SPACE}%")
+    return Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", together))
