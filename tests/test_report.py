@@ -209,6 +209,15 @@ def test_frames_held_out_are_not_seen(capture: lm.SimulatedCapture) -> None:
     assert held.trivial_error > 10 * held.error
 
 
+def test_an_estimate_that_needs_every_frame_is_told(capture: lm.SimulatedCapture) -> None:
+    class Refusing:
+        def estimate(self, capture: lm.Capture, *, progress: Any = None) -> lm.LightTransport:
+            raise lm.InputError("too few patterns")
+
+    told = held_out.hold_out(capture, Refusing())
+    assert told == "without it the estimate is refused (too few patterns)"
+
+
 def test_large_cameras_are_tested_on_a_part(
     capture: lm.SimulatedCapture, monkeypatch: pytest.MonkeyPatch
 ) -> None:

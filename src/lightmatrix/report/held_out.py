@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.window import window
+from lightmatrix.errors import LightMatrixError
 from lightmatrix.estimators.join import Progress
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.transport.matrix import LightTransport
@@ -104,7 +105,10 @@ def hold_out(
     place = _place(capture, frames)
     tested = capture if place is None else window(capture, *place)
     rest = np.setdiff1d(np.arange(capture.count), frames)
-    found = estimator.estimate(tested.select(rest), progress=progress)
+    try:
+        found = estimator.estimate(tested.select(rest), progress=progress)
+    except LightMatrixError as error:
+        return f"without it the estimate is refused ({error.message})"
     samples = tested.select(frames).samples()
     exposures = capture.exposures[frames].astype(np.float32)
     level = samples.clip_levels_of_all()
