@@ -1,5 +1,5 @@
 # Two commands for a fresh machine with Python >= 3.11, a Rust toolchain and make:
-#   make demo   a scene, a clipping camera, three estimators, a picture report
+#   make demo   a scene, a clipping camera, four estimators, a report with pictures
 #   make test   every check this project has
 PYTHON ?= python3
 VENV := .venv
@@ -7,7 +7,7 @@ BIN := $(VENV)/bin
 CORE := $(shell find crates -name '*.rs' -o -name Cargo.toml) Cargo.toml pyproject.toml
 
 .PHONY: help install demo test test-install lint types rust-test py-test faults fuzz mutants format bench \
-	experiments system-deps clean
+	experiments docs gallery screenshots system-deps clean
 
 help:
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 16
@@ -22,12 +22,12 @@ $(VENV)/.installed: $(BIN)/python $(CORE)
 	@touch $@
 
 $(VENV)/.test-installed: $(VENV)/.installed
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev,render]'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev,render,docs]'
 	@touch $@
 
 install: $(VENV)/.installed ## build the core and install lightmatrix into .venv
 
-demo: install ## simulate, estimate and evaluate a bundled scene; pictures in report/
+demo: install ## simulate, estimate and evaluate a bundled scene; a report in report/
 	$(BIN)/lightmatrix demo -o report --overwrite
 
 test-install: $(VENV)/.test-installed
@@ -73,8 +73,18 @@ experiments: test-install ## the paper's figures and ours, in experiments-out/; 
 	  test -e experiments-out/$$name/$$name.json || \
 	  $(BIN)/lightmatrix experiment $$name -o experiments-out/$$name || exit; done
 
-system-deps: ## optional system packages (the renderer's LLVM)
+docs: test-install ## the documentation as a site, in site/; warnings are errors
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build
+	@echo 'the documentation: site/index.html'
+
+gallery: test-install ## run the examples and keep their pictures in docs/images/gallery
+	$(BIN)/python tools/gallery.py
+
+screenshots: test-install ## of the demo's report, in docs/images; needs a Chromium
+	$(BIN)/python tools/report_screenshots.py
+
+system-deps: ## optional system packages (the renderer's LLVM, a browser for the tests)
 	bash tools/system-deps.sh
 
 clean: ## remove what make made
-	rm -rf $(VENV) target report bench-out experiments-out mutants-out src/lightmatrix/_core*.so
+	rm -rf $(VENV) target report site bench-out experiments-out mutants-out src/lightmatrix/_core*.so

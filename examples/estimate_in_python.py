@@ -1,18 +1,30 @@
 """The whole way in Python: patterns, a simulated capture, an estimate, its error.
 
-    python examples/estimate_in_python.py
+    python examples/estimate_in_python.py OUT_FOLDER
 
 The same as the README's commands, on a scene made up in a moment instead of rendered.
 """
 
 from __future__ import annotations
 
+import sys
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
 import lightmatrix as lm
 from lightmatrix.rig.procedural import ProceduralScene
 
+PICTURES = {"row.png": "One row of T: the truth, and what three estimators make of it"}
+# A camera pixel whose samples often clip, although it does not clip under a single pixel.
+ROW, COLUMN = 6, 11
 
-def main() -> dict[str, float]:
-    """Estimate with three solvers and return their relative errors."""
+
+def main(out: Path) -> dict[str, float]:
+    """Estimate with three solvers, draw a row and return their relative errors."""
     truth = ProceduralScene((16, 16), (24, 24), seed=1, bounces=8).truth()
     patterns = lm.BernoulliPatterns(truth.projector_shape, 160)
 
@@ -26,16 +38,29 @@ def main() -> dict[str, float]:
         "Saturation ADMM, the paper's": ("saturation-admm", "clipped"),
         "Saturation ADMM, one-sided": ("saturation-admm", "one-sided"),
     }
+    drawing = Figure(figsize=(10, 2.9), layout="constrained")
+    panels = drawing.subplots(1, 4)
+    known = truth.transport().row(ROW, COLUMN)
+    _draw(panels[0], known, known, "the truth")
     errors = {}
-    for name, (solver, fidelity) in solvers.items():
+    for axes, (name, (solver, fidelity)) in zip(panels[1:], solvers.items(), strict=True):
         found = lm.estimate(
             capture, solver=solver, fidelity=fidelity, regularization=0.05 / exposure
         )
         # Of the rows that do not clip under a single projector pixel: the others no one can know.
         errors[name] = lm.evaluate(found, truth, exposure).relative_error_unclipped_responses
         print(f"{name}: relative error {errors[name]:.3f}")
+        _draw(axes, found.row(ROW, COLUMN), known, f"{name}\nerror of T {errors[name]:.3f}")
+    drawing.savefig(out / "row.png")
     return errors
 
 
+def _draw(axes: Axes, row: NDArray[np.float32], known: NDArray[np.float32], title: str) -> None:
+    """A row as the projector sees it; faint light is raised."""
+    axes.imshow((row.clip(0) / known.max()) ** 0.35, cmap="inferno", vmin=0, vmax=1)
+    axes.set_title(title, fontsize=9)
+    axes.set_axis_off()
+
+
 if __name__ == "__main__":
-    main()
+    main(Path(sys.argv[1]))

@@ -2,8 +2,8 @@
 
     python examples/relight_and_dual.py OUT_FOLDER
 
-Writes relit.png (stripes that were never projected), dual.png (the scene as the projector sees it)
-and row.png (how each projector pixel reaches one camera pixel).
+Light adds up, so an image under any pattern is a product with T; its transpose shows the scene as
+the projector would photograph it, lit from the camera (dual photography, Sen et al. 2005).
 """
 
 from __future__ import annotations
@@ -15,6 +15,12 @@ import numpy as np
 
 import lightmatrix as lm
 
+PICTURES = {
+    "relit.png": "The scene under stripes that were never projected",
+    "dual.png": "The scene as the projector sees it",
+    "row.png": "How each projector pixel reaches one camera pixel",
+}
+
 
 def main(out: Path) -> None:
     """Write the three pictures."""
@@ -22,7 +28,7 @@ def main(out: Path) -> None:
 
     stripes = np.zeros(transport.projector_shape, np.float32)
     stripes[:, ::8] = 1
-    lm.relight(transport, stripes, gamma=2.2, output=out / "relit.png")
+    lm.show_relit(transport, stripes).savefig(out / "relit.png")
 
     # Every camera pixel a light: the dual image shows what the projector would photograph.
     lm.show_dual(transport).savefig(out / "dual.png")

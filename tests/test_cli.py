@@ -67,6 +67,45 @@ def test_relight(work: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert read_image(work / "out.png").shape == (8, 9)
 
 
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        ("-o out.png", "nothing to show was asked for"),
+        ("--dual --gap -o out.png", "2 views were asked for"),
+        ("--row 3 -o out.png", "--row 3\n  write row,column"),
+        ("--row 3,-1 -o out.png", "--row 3,-1"),
+        ("--row 3,99 -o out.png", "there is no camera sample (3, 99)"),
+        ("--column 1,2,3 -o out.png", "the view column of 1, 2, 3"),
+        ("--footprint -o out.png", "does not know the footprint of its rows"),
+        ("--row 3,4 --raw -o out.png", "raw numbers of the view row"),
+        ("--correspondence --raw -o X.npz", "raw numbers of the view correspondence"),
+        ("--correspondence -o out.npy", "a correspondence in"),
+        ("--gap -o out.jpg", "the name of the output ends in .jpg"),
+    ],
+)
+def test_show_refuses(
+    words: str, told: str, work: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    monkeypatch.chdir(tmp_path)
+    assert main(["show", str(work / "scene.zarr"), *words.split()]) == 2
+    assert told in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
+def test_numbers_of_a_picture_replace_nothing_else(
+    work: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene, numbers = str(work / "scene.zarr"), str(tmp_path / "map.npz")
+    words = ["show", scene, "--correspondence", "-o", numbers, "--overwrite"]
+    assert main(words) == 0
+    assert main(words) == 0
+    np.savez(numbers, mine=np.zeros(3))
+    assert main(words) == 2
+    assert "was not written by lightmatrix" in capsys.readouterr().err
+    assert list(np.load(numbers)) == ["mine"]
+
+
 def test_relight_says_how_to_keep_what_a_png_cuts_off(
     work: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -24,7 +24,7 @@ FLOORS = [
     {"camera", "transport"},
     {"capture", "solvers", "store"},
     {"rig", "estimators", "pictures"},
-    {"planning"},
+    {"planning", "report"},
     {"experiments", "live"},
     {"cli"},
 ]

@@ -194,7 +194,48 @@ def test_estimate_from_two_binned_folders(
 def test_info(work: Path, capsys: pytest.CaptureFixture[str]) -> None:
     told = _run(f"info {work}/scene.zarr", capsys)
     transport = lm.open(work / "scene.zarr")
-    assert told == {**transport.summary(), "provenance": transport.provenance}
+    judged = lm.verdict(transport)
+    assert told == {
+        "verdict": judged.level, "sentence": judged.sentence,
+        **transport.summary(), "provenance": transport.provenance,
+    }  # fmt: skip
+
+
+def test_info_writes_the_pictures_of_the_door(
+    work: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    told = _run(f"info {work}/scene.zarr --pictures {tmp_path}/shown", capsys)
+    made = lm.write_pictures(tmp_path / "made", work / "scene.zarr")
+    _same_files(tmp_path / "shown", tmp_path / "made")
+    assert [Path(name).name for name in told["pictures"]] == [path.name for path in made]
+    assert {path.stem for path in made} == {"correspondence", "clipping", "gap"}
+
+
+@pytest.mark.parametrize(
+    ("words", "view", "index"),
+    [
+        ("--row 3,4 -o x.png", "row", (3, 4)),
+        ("--column 5,7 -o x.npy", "column", (5, 7)),
+        ("--dual -o x.tiff", "dual", ()),
+        ("--correspondence -o x.png", "correspondence", ()),
+        ("--correspondence --raw -o x.png", "correspondence", ()),
+        ("--correspondence -o x.npz", "correspondence", ()),
+        ("--clipping -o x.npz", "clipping", ()),
+        ("--gap -o x.png", "gap", ()),
+    ],
+)
+def test_show(
+    words: str, view: str, index: tuple[int, ...], work: Path, tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    for folder in ("shown", "made"):
+        (tmp_path / folder).mkdir()
+    monkeypatch.chdir(tmp_path / "shown")
+    told = _run(f"show {work}/scene.zarr {words}", capsys)
+    assert told == {"output": words.split()[-1], "view": view}
+    made = tmp_path / "made" / words.split()[-1]
+    lm.show(work / "scene.zarr", view, *index, output=made, raw="--raw" in words)
+    _same_files(tmp_path / "shown", tmp_path / "made")
 
 
 @pytest.mark.parametrize("name", ["out.png", "out.PNG", "out.npy", "out.tiff"])

@@ -68,22 +68,40 @@ from .solvers import (
 
 # What is done with them.
 from .pictures.relight import relight as relight
-from .pictures.transport import (
+from .pictures.diagnostics import (
     show_clipping as show_clipping,
+    show_correspondence as show_correspondence,
+    show_footprints as show_footprints,
+    show_gaps as show_gaps,
+    show_stated_errors as show_stated_errors,
+)
+from .pictures.show import (
+    show as show,
+    write_pictures as write_pictures,
+)
+from .pictures.transport import (
     show_column as show_column,
     show_dual as show_dual,
-    show_gaps as show_gaps,
     show_relit as show_relit,
     show_row as show_row,
 )
+from .report.make import report as report
 from .rig.evaluate import evaluate as evaluate
 from .store import (
     export as export,
     open as open,
     save as save,
 )
+from .transport.correspondence import (
+    Correspondence as Correspondence,
+    correspondence as correspondence,
+)
 from .transport.evaluation import Errors as Errors
 from .transport.matrix import LightTransport as LightTransport
+from .transport.verdict import (
+    Verdict as Verdict,
+    verdict as verdict,
+)
 
 # Plans and experiments.
 from .experiments.run import (

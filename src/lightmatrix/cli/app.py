@@ -26,6 +26,7 @@ from lightmatrix.cli.plan import plan
 from lightmatrix.cli.relight import relight
 from lightmatrix.cli.render import render
 from lightmatrix.cli.scenes import scenes
+from lightmatrix.cli.show import show
 from lightmatrix.cli.simulate import simulate
 from lightmatrix.cli.stops import quiet_stops
 from lightmatrix.cli.terminal import say, warn
@@ -34,7 +35,7 @@ from lightmatrix.errors import LightMatrixWarning
 # By stage of the work.
 STAGES: dict[str, tuple[Callable[..., None], ...]] = {
     "Prepare": (plan, patterns),
-    "Measure and use": (estimate, info, relight, evaluate, export),
+    "Measure and use": (estimate, info, show, relight, evaluate, export),
     "Simulate": (scenes, render, simulate),
     "Show": (demo, experiment),
 }

@@ -17,7 +17,7 @@ def demo(
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
-    """Simulate and estimate a scene; write a picture report."""
+    """Simulate and estimate a scene; write a report with pictures."""
     with progress("demo", "steps") as report:
         result = lm.demo(output, overwrite=overwrite, progress=report)
     if as_json:
@@ -42,4 +42,7 @@ def demo(
             for method in result["methods"]
         ],
     )
-    say(f"pictures: {output / 'report.png'}")
+    say(
+        f"lightmatrix's own estimate, {result['report']['verdict']}: {result['report']['sentence']}"
+    )
+    say(f"report: {(output / 'report.html').absolute()}")

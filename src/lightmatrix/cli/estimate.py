@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -22,11 +22,11 @@ from lightmatrix.cli.options import (
 )
 from lightmatrix.cli.terminal import Stopped, progress, say, show_json, show_table
 from lightmatrix.errors import InputError
-from lightmatrix.outputs.kinds import PARTIAL, STORE
+from lightmatrix.outputs.kinds import PARTIAL, REPORT, STORE
 from lightmatrix.transport.labels import named
 
 if TYPE_CHECKING:
-    from lightmatrix import Capture
+    from lightmatrix import AutoEstimator, Capture, LightTransport
 
 SolverName = Literal["active-set", "saturation-admm", "admm", "romp"]
 FidelityName = Literal["linear", "one-sided", "clipped", "rejection", "likelihood"]
@@ -120,6 +120,14 @@ def estimate(
     check: Annotated[
         bool, typer.Option(help="Refuse images that do not follow the patterns.")
     ] = True,
+    report: Annotated[
+        Path | None,
+        typer.Option(
+            "--report",
+            metavar="DIR",
+            help="Write a report as well, with photographs held out of a second estimate.",
+        ),
+    ] = None,
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
@@ -142,22 +150,28 @@ def estimate(
         tile_rows=tile_rows,
     )
     claim(output, STORE, overwrite=overwrite)
+    if report is not None:
+        claim(report, REPORT, overwrite=overwrite)
     opened = _open(capture, pattern_folder, images, black, white, mask, black_level, clip, response)
     opened = opened.bin(projector=size(bin_projector), camera=size(bin_camera))
     opened.check(order=check)
     try:
-        with progress("estimating", "rows") as report:
+        with progress("estimating", "rows") as step:
             transport = estimator.estimate(
-                opened, checkpoint=output, overwrite=overwrite, progress=report
+                opened, checkpoint=output, overwrite=overwrite, progress=step
             )
     except KeyboardInterrupt:
         kept = output.with_name(output.name + PARTIAL).exists()
         note = "finished tiles are kept, run again to go on" if kept else "nothing was finished yet"
         raise Stopped(note) from None
+    seconds = round(time.perf_counter() - started, 2)
+    told = None
+    if report is not None:
+        told = _report(report, output, capture, transport, opened, estimator, overwrite)
     summary = transport.summary()
     if as_json:
-        seconds = round(time.perf_counter() - started, 2)
-        show_json({"output": str(output), "seconds": seconds, **summary})
+        more = {} if told is None else {"report": told}
+        show_json({"output": str(output), "seconds": seconds, **summary, **more})
         return
     show_table(str(output), named(summary))
     unfinished = 1 - summary["converged_rows"]
@@ -167,6 +181,42 @@ def estimate(
             "raise it with --iterations",
             style="yellow",
         )
+    if report is not None and told is not None:
+        say(f"{told['verdict']}: {told['sentence']}")
+        say(f"report: {(report / 'report.html').absolute()}")
+
+
+def _report(
+    folder: Path,
+    store: Path,
+    source: Path | None,
+    transport: LightTransport,
+    capture: Capture,
+    estimator: AutoEstimator,
+    overwrite: bool,
+) -> dict[str, Any]:
+    """The report, with the truth where `simulate` left it beside the frames."""
+    with progress("predicting photographs held out", "rows") as step:
+        return lm.report(
+            folder,
+            transport,
+            capture,
+            truth=_truth(source, transport),
+            estimator=estimator,
+            title=store.name,
+            overwrite=overwrite,
+            progress=step,
+        )
+
+
+def _truth(source: Path | None, transport: LightTransport) -> LightTransport | None:
+    """What was photographed, if it is known and was not binned since."""
+    file = None if source is None else source / "truth.npz"
+    if file is None or not file.is_file():
+        return None
+    known = lm.truth(str(file)).transport()
+    shapes = (known.camera_shape, known.projector_shape)
+    return known if shapes == (transport.camera_shape, transport.projector_shape) else None
 
 
 def _check_source(capture: Path | None, patterns: Path | None, images: Path | None) -> None:

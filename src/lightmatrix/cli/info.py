@@ -3,21 +3,48 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
 
 import lightmatrix as lm
-from lightmatrix.cli.options import Json, Store
+from lightmatrix.cli.options import Json, Overwrite, Store
 from lightmatrix.cli.terminal import say, show_json, show_table
 from lightmatrix.transport.labels import named
 
 
-def info(scene: Store, as_json: Json = False) -> None:
-    """Tell what a store holds: shapes, clipping, gaps."""
+def info(
+    scene: Store,
+    pictures: Annotated[
+        Path | None,
+        typer.Option(
+            "--pictures",
+            metavar="DIR",
+            help="Write maps of correspondence, clipping, gaps and footprints as well.",
+        ),
+    ] = None,
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+) -> None:
+    """Tell what a store holds: a verdict, shapes, clipping, gaps."""
     transport = lm.open(scene)
+    judged = lm.verdict(transport)
+    written = None
+    if pictures is not None:
+        written = lm.write_pictures(pictures, transport, overwrite=overwrite)
     if as_json:
-        show_json({**transport.summary(), "provenance": transport.provenance})
+        told: dict[str, Any] = {"verdict": judged.level, "sentence": judged.sentence}
+        told |= {**transport.summary(), "provenance": transport.provenance}
+        if written is not None:
+            told["pictures"] = written
+        show_json(told)
         return
     show_table(str(scene), named(transport.summary()))
     versions = transport.provenance.get("versions")
     if isinstance(versions, Mapping) and versions:
         made = ", ".join(f"{name} {number}" for name, number in versions.items())
         say(f"made with {made}")
+    say(str(judged))
+    if written is not None:
+        say(f"pictures: {', '.join(map(str, written))}")

@@ -34,11 +34,6 @@ LEAST_REGULARIZATION, MOST_REGULARIZATION = 1e-20, 1e20
 class AutoEstimator:
     """Estimates T in the way that suits the capture; its parameters are those of `estimate`.
 
-    Parameters
-    ----------
-    solver, fidelity, regularization, coherent, multi_scale : as for `estimate`
-    background, signed, iterations, tile_rows : as for `estimate`
-
     Raises
     ------
     InputError, SolverError

@@ -10,7 +10,7 @@ from lightmatrix.errors import InputError
 from lightmatrix.experiments import demo as demo_report
 from lightmatrix.experiments import few_patterns, fig4, fig5, fig6, fig7
 from lightmatrix.experiments.harness import Experiment
-from lightmatrix.outputs.kinds import CASES, FIGURE, REPORT
+from lightmatrix.outputs.kinds import CASES, DEMO, FIGURE
 from lightmatrix.outputs.running import RunningFolder
 from lightmatrix.outputs.writing import atomic_folder, claimed
 
@@ -24,12 +24,12 @@ EXPERIMENTS: dict[str, Experiment[Any]] = {
 def demo(
     folder: str | Path, *, overwrite: bool = False, progress: Progress | None = None
 ) -> dict[str, Any]:
-    """Simulate and estimate a scene with three solvers; write a picture report.
+    """Simulate a scene, estimate its T by four methods, and write a report of the default one.
 
     Parameters
     ----------
     folder : str or Path
-        The report to make: report.png, demo.json and the capture it estimated from.
+        The report to make: report.html, a picture of all methods, demo.json, and the capture.
     overwrite : bool
         Whether an existing report may be replaced.
     progress : callable, optional
@@ -38,7 +38,8 @@ def demo(
     Returns
     -------
     dict
-        What demo.json holds: the setting, and the errors of each method.
+        What demo.json holds: the setting, the errors of each method, and, as ``report``, what
+        `report` gives.
 
     Raises
     ------
@@ -50,7 +51,7 @@ def demo(
     >>> import lightmatrix as lm
     >>> result = lm.demo("report")  # doctest: +SKIP
     """
-    with atomic_folder(folder, REPORT, overwrite=overwrite) as part:
+    with atomic_folder(folder, DEMO, overwrite=overwrite) as part:
         return demo_report.run(part, progress=progress)
 
 

@@ -14,10 +14,11 @@ from lightmatrix.outputs.markers import FileKind, FolderKind, holds_member
 # Endings of the folders that hold running results, beside an output.
 PARTIAL, CASES = ".partial", ".cases"
 # What the members are called by which our npz files are known.
-TRANSPORT_MARK, TRUTH_MARK, PACKED_MARK = (
+TRANSPORT_MARK, TRUTH_MARK, PACKED_MARK, NUMBERS_MARK = (
     "lightmatrix_transport",
     "lightmatrix_truth",
     "lightmatrix_packed",
+    "lightmatrix_numbers",
 )
 # The text that our mat files begin with; readers of the format pass over it.
 MAT_MARK = "MATLAB 5.0 MAT-file, written by lightmatrix"
@@ -35,11 +36,14 @@ CAPTURE = FolderKind("capture")
 STORE = FolderKind(
     "light transport matrix", (".zarr",), ("zarr.json", "attributes", "output"), running=PARTIAL
 )
+PICTURES = FolderKind("folder of pictures")
 THUMBNAILS = FolderKind("folder of scene pictures")
-REPORT = FolderKind("demo report")
+DEMO = FolderKind("demo report")
+REPORT = FolderKind("report")
 FIGURE = FolderKind("figure", running=CASES)
 TRUTH = FileKind("rendered matrix", (".npz",), lambda file: holds_member(file, TRUTH_MARK))
 PACKED = FileKind("packed scene", (".npz",), lambda file: holds_member(file, PACKED_MARK))
+NUMBERS = FileKind("numbers of a picture", (".npz",), lambda file: holds_member(file, NUMBERS_MARK))
 NPZ = FileKind("exported matrix", (".npz",), lambda file: holds_member(file, TRANSPORT_MARK))
 MAT = FileKind("exported matrix", (".mat",), lambda file: _begins_with(file, MAT_MARK.encode()))
 # Images say nothing of who wrote them: one may take the place of another.

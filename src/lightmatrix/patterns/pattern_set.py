@@ -35,7 +35,7 @@ _MOST_PIXELS, _MOST_PATTERNS = 2**31 - 1, 1_000_000
 class PatternSet(ABC):
     """K patterns over a projector of (rows, cols) pixels.
 
-    Parameters
+    Attributes
     ----------
     shape : (int, int)
         Projector rows and columns; N = rows * cols.

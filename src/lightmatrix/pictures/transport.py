@@ -1,4 +1,4 @@
-"""Pictures of a light transport matrix: rows, columns, images under light, and how good it is."""
+"""Pictures of a light transport matrix: rows, columns, images under light."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 
 import matplotlib as mpl
 import numpy as np
-from matplotlib.colors import LinearSegmentedColormap, LogNorm, PowerNorm
+from matplotlib.colors import PowerNorm
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
@@ -19,8 +19,7 @@ from lightmatrix.transport.matrix import LightTransport
 
 _UNIT = "camera full scale per projector pixel"
 # Faint light beside a bright spot: the colours follow this power of the values.
-_FAINT = 0.35
-_WHITE_TO_RED = LinearSegmentedColormap.from_list("clipped", [(1.0, 1.0, 1.0), CLIPPED_COLOUR])
+FAINT = 0.35
 # Of the brightest pixels of a picture, the share that is shown as white whatever it is.
 _GLINTS = 0.005
 
@@ -175,89 +174,11 @@ def show_dual(transport: LightTransport, lights: NDArray[Any] | None = None) -> 
     return drawing
 
 
-def show_clipping(transport: LightTransport) -> Picture:
-    """Picture of how many of each camera pixel's samples clipped.
-
-    Parameters
-    ----------
-    transport : LightTransport
-        An estimate, whose diagnostics say it.
-
-    Returns
-    -------
-    Picture
-        A Matplotlib figure; of a colour camera, the channel that clipped most.
-
-    Raises
-    ------
-    InputError
-        If the matrix does not come from a capture.
-
-    Examples
-    --------
-    >>> import lightmatrix as lm
-    >>> capture = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 8), exposure=2)
-    >>> estimate = lm.estimate(capture, coherent=False, iterations=5)
-    >>> lm.show_clipping(estimate).savefig("clipping.png")
-    """
-    shares = 100 * _diagnostic(transport, "clipped_share")
-    with mpl.rc_context(STYLE):
-        drawing = Picture(figsize=(4.4, 3.6), layout="constrained")
-        axes = drawing.subplots()
-        title = f"Samples that clipped: {np.mean(shares):.1f} %"
-        drawn = panel(axes, shares, title, cmap=_WHITE_TO_RED, vmax=100)
-        drawing.colorbar(drawn, ax=axes, label="of a camera pixel's samples, %")
-    return drawing
-
-
-def show_gaps(transport: LightTransport) -> Picture:
-    """Picture of the relative duality gap of each row: how far from its optimum it can be.
-
-    Parameters
-    ----------
-    transport : LightTransport
-        An estimate of a solver that certifies its rows, such as active-set.
-
-    Returns
-    -------
-    Picture
-        A Matplotlib figure; rows without a gap are grey. Of a colour camera, the largest gap.
-
-    Raises
-    ------
-    InputError
-        If no row has a gap.
-
-    Examples
-    --------
-    >>> import lightmatrix as lm
-    >>> capture = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 8), exposure=2)
-    >>> estimate = lm.estimate(capture, coherent=False, iterations=5)
-    >>> lm.show_gaps(estimate).savefig("gaps.png")
-    """
-    gaps = _diagnostic(transport, "gap").astype(np.float64)
-    known = gaps[np.isfinite(gaps)]
-    if not known.size:
-        raise InputError("no row has a duality gap", hint="estimate with the solver active-set")
-    # Gaps far below any tolerance, and those of dark rows (0), look alike.
-    low, high = 1e-7, max(1e-3, float(known.max()))
-    shown = np.ma.masked_invalid(np.clip(gaps, low, None))
-    with mpl.rc_context(STYLE):
-        drawing = Picture(figsize=(4.4, 3.6), layout="constrained")
-        axes = drawing.subplots()
-        axes.set_facecolor("0.7")
-        title = f"Relative duality gap: median {np.median(known):.1g}, largest {known.max():.1g}"
-        norm = LogNorm(low, high)
-        drawn = panel(axes, shown, title, cmap="viridis", norm=norm, vmin=None, vmax=None)
-        drawing.colorbar(drawn, ax=axes, label="(P - D) / P of a camera pixel's row")
-    return drawing
-
-
 def _faint(image: NDArray[Any], title: str) -> Picture:
     """An image of one bright spot and faint light, with the scale of its colours."""
     # Negative light, which some estimates allow, is as dark as none.
     brightest = max(float(image.max()), 1e-12)
-    norm = PowerNorm(_FAINT, 0, brightest, clip=True)
+    norm = PowerNorm(FAINT, 0, brightest, clip=True)
     with mpl.rc_context(STYLE):
         drawing = Picture(figsize=(4.6, 3.6), layout="constrained")
         axes = drawing.subplots()
@@ -281,17 +202,6 @@ def _marked(shown: NDArray[np.float64], clipped: NDArray[np.bool_]) -> NDArray[n
     marked = shown.copy()
     marked[clipped.any(axis=2)] = CLIPPED_COLOUR
     return marked
-
-
-def _diagnostic(transport: LightTransport, name: str) -> NDArray[Any]:
-    """A fact of each camera pixel, (rows, cols): the largest of its channels."""
-    if name not in transport.diagnostics:
-        raise InputError(
-            f"this matrix does not know the {name.replace('_', ' ')} of its rows",
-            hint="give an estimate, or a store (.zarr) of one",
-        )
-    image = np.asarray(transport.diagnostics[name]).reshape(transport.camera_shape)
-    return image if image.ndim == 2 else image.max(axis=2)
 
 
 def _check_index(index: tuple[int, ...], shape: tuple[int, ...], what: str) -> None:

@@ -46,7 +46,13 @@ def squared_errors(
     difference = csr_array(estimate.sparse - truth.sparse, dtype=np.float64)
     found, expected = (estimate.background, estimate.pooling), (truth.background, truth.pooling)
     wrong = _row_energies(difference, [found, (-expected[0], expected[1])])
-    return wrong, _row_energies(csr_array(truth.sparse, dtype=np.float64), [expected])
+    return wrong, row_energies(truth)
+
+
+def row_energies(transport: LightTransport) -> NDArray[np.float64]:
+    """||T_i||^2 of each row, background included, (M,) float64."""
+    sparse = csr_array(transport.sparse, dtype=np.float64)
+    return _row_energies(sparse, [(transport.background, transport.pooling)])
 
 
 def _row_energies(

@@ -1,0 +1,228 @@
+"""Any view of a light transport matrix, as a picture or in numbers, as `lightmatrix show` does."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightmatrix import store
+from lightmatrix.errors import InputError
+from lightmatrix.files.images import fill_image, write_image
+from lightmatrix.outputs.kinds import IMAGE, NUMBERS, NUMBERS_MARK, PICTURES
+from lightmatrix.outputs.markers import FileKind
+from lightmatrix.outputs.writing import atomic_file, atomic_folder, check_output
+from lightmatrix.pictures import diagnostics, maps
+from lightmatrix.pictures.transport import Picture, show_column, show_dual, show_row
+from lightmatrix.transport.correspondence import correspondence
+from lightmatrix.transport.matrix import LightTransport
+
+Numbers = Mapping[str, NDArray[Any]]
+_VERSION = 1
+_DPI = 150
+
+
+@dataclass(frozen=True)
+class _View:
+    """A picture, the numbers behind it, and the row fact it needs, if any."""
+
+    picture: Callable[..., Picture]
+    numbers: Callable[..., Numbers]
+    needs: str = ""
+
+
+def _values(of_map: Callable[[LightTransport], maps.Map]) -> Callable[[LightTransport], Numbers]:
+    return lambda transport: {"values": of_map(transport).values}
+
+
+def _correspondence(transport: LightTransport) -> Numbers:
+    found = correspondence(transport)
+    return {"pixel": found.pixel, "place": found.place, "confidence": found.confidence}
+
+
+VIEWS: dict[str, _View] = {
+    "row": _View(show_row, lambda transport, *index: {"values": transport.row(*index)}),
+    "column": _View(show_column, lambda transport, *index: {"values": transport.column(*index)}),
+    "dual": _View(
+        show_dual,
+        lambda transport: {"values": transport.dual(np.ones(transport.camera_shape, np.float32))},
+    ),
+    "correspondence": _View(diagnostics.show_correspondence, _correspondence),
+    "clipping": _View(diagnostics.show_clipping, _values(maps.clipping_map), needs="clipped_share"),
+    "gap": _View(diagnostics.show_gaps, _values(maps.gap_map), needs="gap"),
+    "footprint": _View(diagnostics.show_footprints, _values(maps.footprint_map), needs="footprint"),
+    "stated-error": _View(
+        diagnostics.show_stated_errors, _values(maps.stated_error_map), needs="estimated_error"
+    ),
+}
+# Views of one row or column, which need to be told which, and by how many numbers.
+_INDEXED = {"row": (2, 3), "column": (2,)}
+# Views over the whole camera: the pictures of `lightmatrix info`.
+_OVERVIEW = tuple(name for name in VIEWS if name not in (*_INDEXED, "dual"))
+
+
+def show(
+    transport: LightTransport | str | Path,
+    view: str,
+    *index: int,
+    output: str | Path | None = None,
+    raw: bool = False,
+    overwrite: bool = False,
+) -> Picture:
+    """Picture of any view of a light transport matrix, and a file of it or of its numbers.
+
+    Parameters
+    ----------
+    transport : LightTransport, str or Path
+        T, or where `open` finds it.
+    view : str
+        "row" and "column" of T; "dual", the scene seen from the projector; "correspondence",
+        which projector pixel each camera pixel sees most; and what the rows of an estimate know of
+        themselves: "clipping", "gap", "footprint" and "stated-error".
+    index : int
+        Of a row: the camera pixel's row and column and, for a colour camera, channel; of a column:
+        the projector pixel's row and column. Other views have none.
+    output : str or Path, optional
+        A file to write as well: .png, the picture; .npz, its numbers (``values``, or ``pixel``,
+        ``place`` and ``confidence`` of `Correspondence`); .tiff or .npy, its values as one image.
+    raw : bool
+        Whether a .png holds numbers instead of a picture: of a correspondence the column, the row
+        and the confidence (0 to 65535) as red, green and blue of 16 bits.
+    overwrite : bool
+        Whether an existing file may be replaced.
+
+    Returns
+    -------
+    Picture
+        A Matplotlib figure.
+
+    Raises
+    ------
+    InputError
+        On an unknown view, an index that does not belong to it, or a fact that the matrix does not
+        know.
+    OutputError
+        If the file cannot be written.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> known = lm.truth("metal").transport()
+    >>> picture = lm.show(known, "row", 20, 30, output="row.png")
+    >>> picture = lm.show(known, "correspondence", output="map.npz")
+    >>> np.load("map.npz")["place"].shape
+    (64, 64, 2)
+    """
+    if view not in VIEWS:
+        raise InputError(f"there is no view {view!r}", hint=f"use one of {', '.join(VIEWS)}")
+    if len(index) not in _INDEXED.get(view, (0,)):
+        needs = "the row and column of its pixel" if view in _INDEXED else "no pixel"
+        raise InputError(
+            f"the view {view} of {', '.join(map(str, index)) or 'no pixel'}",
+            hint=f"it needs {needs}",
+        )
+    if output is not None:
+        _check_format(view, Path(output), raw)
+        check_output(output, _kind(output), overwrite=overwrite)
+    found = transport if isinstance(transport, LightTransport) else store.open(transport)
+    drawing = VIEWS[view].picture(found, *index)
+    if output is not None:
+        _write(found, view, index, drawing, Path(output), raw=raw, overwrite=overwrite)
+    return drawing
+
+
+def write_pictures(
+    folder: str | Path, transport: LightTransport | str | Path, *, overwrite: bool = False
+) -> list[Path]:
+    """Write the maps over the camera of all that is known of a matrix, a picture each.
+
+    Parameters
+    ----------
+    folder : str or Path
+        The folder to make: correspondence.png and, of an estimate, clipping.png, gap.png,
+        footprint.png and stated-error.png, as far as its rows know them.
+    transport : LightTransport, str or Path
+        T, or where `open` finds it.
+    overwrite : bool
+        Whether an existing folder of them may be replaced.
+
+    Returns
+    -------
+    list of Path
+        The pictures.
+
+    Raises
+    ------
+    OutputError
+        If the folder exists, is not one of ours, or cannot be written.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> [path.name for path in lm.write_pictures("maps", lm.truth("metal").transport())]
+    ['correspondence.png']
+    """
+    found = transport if isinstance(transport, LightTransport) else store.open(transport)
+    written = []
+    with atomic_folder(folder, PICTURES, overwrite=overwrite) as part:
+        for name in _OVERVIEW:
+            view = VIEWS[name]
+            if not view.needs or maps.has_diagnostic(found, view.needs):
+                _save(view.picture(found), part / f"{name}.png")
+                written.append(Path(folder) / f"{name}.png")
+    return written
+
+
+def _kind(output: str | Path) -> FileKind:
+    """The kind of file that is written at a path, by its ending."""
+    return NUMBERS if Path(output).suffix.lower() == ".npz" else IMAGE
+
+
+def _check_format(view: str, output: Path, raw: bool) -> None:
+    suffix = output.suffix.lower()
+    if raw and (suffix != ".png" or view != "correspondence"):
+        raise InputError(
+            f"raw numbers of the view {view} in {output}",
+            hint="only a correspondence is written as a raw PNG; .npz holds the numbers of any",
+        )
+    if view == "correspondence" and suffix not in (".png", ".npz"):
+        raise InputError(
+            f"a correspondence in {output}",
+            hint="end the output in .png (a picture; with --raw 16-bit numbers) or .npz",
+        )
+
+
+def _write(
+    transport: LightTransport,
+    view: str,
+    index: tuple[int, ...],
+    drawing: Picture,
+    output: Path,
+    *,
+    raw: bool,
+    overwrite: bool,
+) -> None:
+    suffix = output.suffix.lower()
+    if suffix == ".npz":
+        numbers = VIEWS[view].numbers(transport, *index)
+        with atomic_file(output, NUMBERS, overwrite=overwrite) as part, part.open("wb") as stream:
+            # The mark first, so that even a file that was cut off is known as ours.
+            marked: dict[str, Any] = {NUMBERS_MARK: np.array(_VERSION), **numbers}
+            np.savez_compressed(stream, **marked)
+    elif suffix != ".png":
+        values = VIEWS[view].numbers(transport, *index)["values"]
+        write_image(output, values, overwrite=overwrite)
+    else:
+        with atomic_file(output, IMAGE, overwrite=overwrite) as part:
+            if raw:
+                fill_image(part, correspondence(transport).levels())
+            else:
+                _save(drawing, part)
+
+
+def _save(drawing: Picture, file: Path) -> None:
+    drawing.savefig(file, facecolor="white", dpi=_DPI)

@@ -1,0 +1,156 @@
+"""From arrays to the pictures of the report: small enough for a page, and with their words."""
+
+from __future__ import annotations
+
+import base64
+from pathlib import Path
+from typing import Any, Literal
+
+import imageio.v3 as imageio
+import matplotlib as mpl
+import numpy as np
+from numpy.typing import NDArray
+
+from lightmatrix.files.images import read_image
+from lightmatrix.patterns.grids import block_mean
+from lightmatrix.pictures.maps import Map
+from lightmatrix.pictures.style import display
+from lightmatrix.pictures.transport import FAINT
+from lightmatrix.report.blocks import Image, Scale
+
+# Of the longer side: more does not fit a column of the page.
+MOST_PIXELS = 320
+THUMB_PIXELS = 72
+# Up to this size single pixels are told apart on the page, and noise does not make it heavy.
+MOST_LOSSLESS = 128
+# Of the brightest pixels of a picture, the share that is shown as white whatever it is.
+_GLINTS = 0.005
+_BAR_PIXELS = 64
+
+Shrinking = Literal["mean", "largest", "some"]
+
+
+def image_of_map(shown: Map, caption: str = "") -> Image:
+    """A map over the camera, with the scale of its colours."""
+    pixels = _shrink(shown.pixels(), MOST_PIXELS, "some")
+    steps = np.linspace(0, 1, _BAR_PIXELS)
+    bar = np.asarray(shown.colour_map(steps, bytes=True))[None, :, :3]
+    scale = Scale(_address(bar), _number(shown.low), _number(shown.high), shown.label)
+    logarithmic = ", on a logarithmic scale" if shown.logarithmic else ""
+    known = shown.values[np.isfinite(shown.values)]
+    told = "no pixel has a value"
+    if known.size:
+        low, middle, high = np.quantile(known, (0.05, 0.5, 0.95))
+        told = (
+            f"90 % of the pixels lie between {low:.3g} and {high:.3g}, the median is {middle:.3g}"
+        )
+    alternative = f"Map over the camera of the {shown.label}{logarithmic}: {told}."
+    return _image(pixels, alternative, shown.title, caption, scale)
+
+
+def photograph(
+    light: NDArray[Any], alternative: str, title: str = "", caption: str = "",
+    *, white: float | None = None, most: int = MOST_PIXELS, exact: bool = False,
+) -> Image:  # fmt: skip
+    """A linear image for the eye, of a display gamma of 2.2.
+
+    Parameters
+    ----------
+    light : (rows, cols) or (rows, cols, 3)
+    white : float, optional
+        The value shown as white. None: one that hardly any pixel is above.
+    most : int
+        Pixels of the longer side.
+    exact : bool
+        Whether single pixels matter, so that nothing of a small image may be lost.
+    """
+    level = float(np.quantile(light, 1 - _GLINTS)) if white is None else white
+    shown = display(_shrink(np.asarray(light, float), most, "mean"), level)
+    small = max(shown.shape[:2]) <= MOST_LOSSLESS
+    return _image(_bytes(shown), alternative, title, caption, exact=exact and small)
+
+
+def pattern_image(
+    pattern: NDArray[Any], alternative: str, title: str = "", caption: str = "",
+    *, most: int = MOST_PIXELS,
+) -> Image:  # fmt: skip
+    """A pattern as it is projected: its values, from black to white."""
+    shown = np.clip(_shrink(np.asarray(pattern, float), most, "mean"), 0, 1)
+    return _image(_bytes(shown), alternative, title, caption)
+
+
+def faint_image(light: NDArray[Any], alternative: str, title: str, caption: str = "") -> Image:
+    """One bright spot and faint light around it: rows and columns of T."""
+    brightest = max(float(light.max()), 1e-12)
+    shown = np.clip(_shrink(np.asarray(light, float), MOST_PIXELS, "largest") / brightest, 0, 1)
+    colours = mpl.colormaps["inferno"]
+    pixels = np.asarray(colours(shown**FAINT, bytes=True))[..., :3]
+    bar = np.asarray(colours(np.linspace(0, 1, _BAR_PIXELS), bytes=True))[None, :, :3]
+    half = _number(0.5 ** (1 / FAINT) * brightest)
+    label = f"of the clip level; the middle is {half}"
+    scale = Scale(_address(bar), "0", _number(brightest), label)
+    return _image(pixels, alternative, title, caption, scale)
+
+
+def difference_image(
+    difference: NDArray[Any], most: float, alternative: str, title: str, caption: str = ""
+) -> Image:
+    """A difference: grey where there is none, darker below, brighter above."""
+    grey = _grey(np.asarray(difference, float))
+    shown = np.clip(0.5 + 0.5 * _shrink(grey, MOST_PIXELS, "mean") / max(most, 1e-12), 0, 1)
+    bar = _bytes(np.linspace(0, 1, _BAR_PIXELS)[None])
+    scale = Scale(_address(bar), _number(-most), f"+{_number(most)}", "of the clip level")
+    return _image(_bytes(shown), alternative, title, caption, scale)
+
+
+def image_of_file(file: Path, alternative: str, title: str = "", caption: str = "") -> Image:
+    """A picture that was drawn already, such as a figure in a PNG file."""
+    pixels = read_image(file)
+    rows, cols = pixels.shape[:2]
+    return Image(_address(pixels), cols, rows, alternative, title, caption)
+
+
+def _image(
+    pixels: NDArray[np.uint8], alternative: str, title: str, caption: str,
+    scale: Scale | None = None, *, exact: bool = True,
+) -> Image:  # fmt: skip
+    rows, cols = pixels.shape[:2]
+    return Image(_address(pixels, exact), cols, rows, alternative, title, caption, scale)
+
+
+def _address(pixels: NDArray[np.uint8], exact: bool = True) -> str:
+    """An image as the text of an address, lossless unless said otherwise."""
+    options: dict[str, Any] = {"lossless": True, "quality": 60} if exact else {"quality": 88}
+    coloured = pixels if pixels.ndim == 3 else np.repeat(pixels[..., None], 3, axis=2)
+    coded = imageio.imwrite("<bytes>", coloured, extension=".webp", plugin="pillow", **options)
+    return "data:image/webp;base64," + base64.b64encode(coded).decode("ascii")
+
+
+def _shrink(image: NDArray[Any], most: int, how: Shrinking) -> NDArray[Any]:
+    """An image of at most so many pixels a side, by whole numbers of pixels."""
+    block = -(-max(image.shape[:2]) // most)
+    if block == 1:
+        return image
+    if how == "some":
+        first = [min(block // 2, size - 1) for size in image.shape[:2]]
+        return image[first[0] :: block, first[1] :: block]
+    if how == "largest":
+        for axis in (0, 1):
+            starts = np.arange(0, image.shape[axis], block)
+            image = np.maximum.reduceat(image, starts, axis=axis)
+        return image
+    if image.ndim == 2:
+        return block_mean(image[None], (block, block))[0]
+    return np.moveaxis(block_mean(np.moveaxis(image, 2, 0), (block, block)), 0, 2)
+
+
+def _grey(image: NDArray[Any]) -> NDArray[Any]:
+    return image if image.ndim == 2 else image.mean(axis=2)
+
+
+def _bytes(shown: NDArray[Any]) -> NDArray[np.uint8]:
+    return np.rint(255 * shown).astype(np.uint8)
+
+
+def _number(value: float) -> str:
+    return f"{value:.2g}" if abs(value) < 100 else f"{value:.0f}"

@@ -1,0 +1,31 @@
+"""Every parameter, as the estimate keeps it: enough to make it again."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from lightmatrix.report.blocks import Section, Table
+from lightmatrix.report.facts import Facts
+from lightmatrix.reprs import shown_value
+
+# Longer lists, such as one exposure a frame, are cut.
+_LONGEST = 200
+
+
+def parameters(facts: Facts) -> Section:
+    """The provenance of the estimate."""
+    rows = tuple(_flat(facts.transport.provenance))
+    lead = "What the estimate was made with, as it stands in its store."
+    tables = (Table("Parameters", ("parameter", "value"), rows),) if rows else ()
+    return Section("parameters", "Every parameter", lead, tables)
+
+
+def _flat(values: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, str]]:
+    for key, value in values.items():
+        name = f"{before}{key}".replace("_", " ")
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{name}: ")
+            continue
+        text = shown_value(value)
+        yield name, text if len(text) <= _LONGEST else f"{text[:_LONGEST]} ..."

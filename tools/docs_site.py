@@ -1,0 +1,141 @@
+"""Pages of the documentation that the project can tell by itself, made when the site is built.
+
+A hook of MkDocs (`mkdocs.yml`): the start page is the README, the commands come from the command
+line, the reference from the door's list of names, the gallery from the examples and the pictures
+that they made. Formulas become MathML, which browsers draw without any script.
+"""
+
+from __future__ import annotations
+
+import ast
+import html
+import re
+from pathlib import Path
+from typing import Any
+
+import typer
+from latex2mathml.converter import convert
+from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.structure.files import File, Files
+
+from lightmatrix.cli.app import STAGES, app
+
+ROOT = Path(__file__).parent.parent
+DOOR = ROOT / "src" / "lightmatrix" / "__init__.pyi"
+EXAMPLES = ROOT / "examples"
+# In the order in which they are shown.
+GALLERY = (
+    "relight_and_dual",
+    "correspondence",
+    "few_patterns",
+    "estimate_in_python",
+    "own_photographs",
+)
+GALLERY_FOLDER = "images/gallery"
+
+
+def on_files(files: Files, config: MkDocsConfig) -> Files:
+    """Add the pages that are made here (an event of MkDocs)."""
+    pages = {
+        "index.md": start_page(),
+        "changelog.md": (ROOT / "CHANGELOG.md").read_text(),
+        "commands.md": commands_page(),
+        "gallery.md": gallery_page(),
+        **reference_pages(),
+    }
+    for name, text in pages.items():
+        files.append(File.generated(config, name, content=text))
+    return files
+
+
+def on_page_content(text: str, **_: Any) -> str:
+    """Turn formulas into MathML (an event of MkDocs)."""
+    inline = re.sub(
+        r'<span class="arithmatex">\\\((.*?)\\\)</span>',
+        lambda found: convert(html.unescape(found[1])),
+        text,
+        flags=re.DOTALL,
+    )
+    return re.sub(
+        r'<div class="arithmatex">\s*\\\[(.*?)\\\]\s*</div>',
+        lambda found: f"<p>{convert(html.unescape(found[1]), display='block')}</p>",
+        inline,
+        flags=re.DOTALL,
+    )
+
+
+def start_page() -> str:
+    """The README, with links as they are seen from the folder docs."""
+    text = (ROOT / "README.md").read_text().replace("](docs/", "](")
+    return re.sub(r"\[CITATION\.cff\]\(CITATION\.cff\)", "CITATION.cff", text)
+
+
+def commands_page() -> str:
+    """Every command with its arguments and options, by stage of the work."""
+    root = typer.main.get_command(app)
+    lines = ["# Commands", "", "`lightmatrix COMMAND --help` tells the same.", ""]
+    for stage, members in STAGES.items():
+        lines += [f"## {stage}", ""]
+        for member in members:
+            command = root.commands[member.__name__]  # type: ignore[attr-defined]
+            context = command.make_context(
+                f"lightmatrix {member.__name__}", [], resilient_parsing=True
+            )
+            usage = " ".join(command.get_usage(context).split()).removeprefix("Usage: ")
+            lines += [f"### {member.__name__}", "", _plain(command.help or ""), ""]
+            lines += ["```text", usage, "```", "", "| option | meaning |", "|---|---|"]
+            records = [parameter.get_help_record(context) for parameter in command.params]
+            lines += [f"| `{name}` | {_cell(told)} |" for name, told in filter(None, records)]
+            lines.append("")
+    return "\n".join(lines)
+
+
+def reference_pages() -> dict[str, str]:
+    """The door's names, a page for each stage of the work."""
+    pages: dict[str, str] = {}
+    parts = re.split(r"^# (.+)\.\n(?=from)", DOOR.read_text(), flags=re.MULTILINE)[1:]
+    for heading, part in zip(parts[::2], parts[1::2], strict=True):
+        lines = [f"# {heading}", "", "Names of `import lightmatrix as lm`.", ""]
+        for node in ast.parse(part).body:
+            if isinstance(node, ast.ImportFrom):
+                for alias in node.names:
+                    lines += [f"::: lightmatrix.{node.module}.{alias.name}", ""]
+        slug = re.sub(r"[^a-z]+", "-", heading.lower()).strip("-")
+        pages[f"reference/{slug}.md"] = "\n".join(lines)
+    return pages
+
+
+def gallery_page() -> str:
+    """The examples: what they do, the pictures that they made, and their code."""
+    lead = "Each of these scripts is run by the tests. Their pictures are made by `make gallery`."
+    lines = ["# Gallery", "", lead, ""]
+    for name in GALLERY:
+        file = EXAMPLES / f"{name}.py"
+        code = file.read_text()
+        told = ast.get_docstring(ast.parse(code)) or name
+        title, _, rest = told.partition("\n")
+        lines += [f"## {title.rstrip('.')}", ""]
+        lines += [_plain(re.sub(r"^ *python examples/.*$", "", rest, flags=re.MULTILINE)), ""]
+        for picture, words in pictures_of(name).items():
+            lines += [f"![{words}]({GALLERY_FOLDER}/{name}-{picture})", "", f"*{words}*", ""]
+        lines += [f"`python examples/{name}.py OUT_FOLDER`:", "", "```python"]
+        lines += [code.split('"""', 2)[2].strip(), "```", ""]
+    return "\n".join(lines)
+
+
+def pictures_of(example: str) -> dict[str, str]:
+    """The pictures that an example says that it writes, and what is to be seen on them."""
+    for node in ast.parse((EXAMPLES / f"{example}.py").read_text()).body:
+        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "PICTURES":
+            found: dict[str, str] = ast.literal_eval(node.value)
+            return found
+    raise ValueError(f"{example} says nothing of its pictures")
+
+
+def _plain(text: str) -> str:
+    """Paragraphs of plain text."""
+    return "\n\n".join(" ".join(part.split()) for part in text.strip().split("\n\n"))
+
+
+def _cell(text: str) -> str:
+    return html.escape(" ".join(text.split()), quote=False).replace("|", "\\|")
