@@ -8,7 +8,7 @@ from typing import Any
 
 from lightmatrix.errors import InputError
 from lightmatrix.experiments import demo as demo_report
-from lightmatrix.experiments import few_patterns, fig4, fig5, fig6, fig7
+from lightmatrix.experiments import few_patterns, fig4, fig5, fig6, fig7, rigs
 from lightmatrix.experiments.harness import Experiment
 from lightmatrix.outputs.kinds import CASES, DEMO, FIGURE
 from lightmatrix.outputs.running import RunningFolder
@@ -17,7 +17,15 @@ from lightmatrix.outputs.writing import atomic_folder, claimed
 Progress = Callable[[int, int], None]
 
 EXPERIMENTS: dict[str, Experiment[Any]] = {
-    one.name: one for one in (fig4.FIG4, fig5.FIG5, fig6.FIG6, fig7.FIG7, few_patterns.FEW_PATTERNS)
+    one.name: one
+    for one in (
+        fig4.FIG4,
+        fig5.FIG5,
+        fig6.FIG6,
+        fig7.FIG7,
+        few_patterns.FEW_PATTERNS,
+        rigs.RIGS_EXPERIMENT,
+    )
 }
 
 
@@ -67,7 +75,7 @@ def experiment(
 
     Parameters
     ----------
-    figure : {"fig4", "fig5", "fig6", "fig7", "few-patterns"}
+    figure : {"fig4", "fig5", "fig6", "fig7", "few-patterns", "rigs"}
     folder : str or Path
         The folder to make. A run that was interrupted goes on where it stopped.
     quick : bool

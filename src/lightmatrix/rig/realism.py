@@ -6,6 +6,7 @@ All but ambient light act on T, so that relighting and estimation see one consis
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,10 +60,38 @@ def defocus(truth: Truth, sigma: float) -> Truth:
         Standard deviation in projector pixels, >= 0. A camera pixel that sees the border of the
         projector's field gets less light: beyond the border there is no pixel to blur into it.
     """
-    rows, cols = truth.projector_shape
-    check_realism((rows, cols), blur=sigma)
-    if sigma == 0:
+    return varying_defocus(truth, np.full(truth.matrix.shape[0], float(sigma)))
+
+
+def varying_defocus(truth: Truth, sigmas: NDArray[np.float64]) -> Truth:
+    """Blur the projector by an amount that depends on what a camera sample sees, as depth does.
+
+    Parameters
+    ----------
+    sigmas : (M,)
+        Standard deviation in projector pixels, >= 0, for each camera sample.
+    """
+    widths, group = np.unique(sigmas, return_inverse=True)
+    for sigma in widths:
+        check_realism(truth.projector_shape, blur=float(sigma))
+    parts, order = [], []
+    for number, sigma in enumerate(widths):
+        chosen = np.flatnonzero(group == number)
+        order.append(chosen)
+        parts += _defocused(truth, chosen, float(sigma))
+    if len(widths) == 1 and widths[0] == 0:
         return truth
+    matrix, direct_data = stacked(parts)
+    if len(widths) == 1:
+        return replace(truth, matrix=matrix, direct_data=direct_data)
+    back = np.argsort(np.concatenate(order), kind="stable")
+    direct = csr_array((direct_data, matrix.indices, matrix.indptr), shape=matrix.shape)
+    return replace(truth, matrix=csr_array(matrix[back]), direct_data=csr_array(direct[back]).data)
+
+
+def _defocused(truth: Truth, chosen: NDArray[np.integer], sigma: float) -> list[Any]:
+    """Chosen rows, blurred alike, in parts."""
+    rows, cols = truth.projector_shape
     across, along = _blur_matrix(rows, sigma), _blur_matrix(cols, sigma)
 
     def blurred(part: csr_array) -> NDArray[np.float32]:
@@ -74,12 +103,11 @@ def defocus(truth: Truth, sigma: float) -> Truth:
     step = max(1, _BLOCK_PLACES // (rows * cols))
     direct = truth.direct
     parts = []
-    for start in range(0, direct.shape[0], step):
-        block = slice(start, start + step)
+    for start in range(0, len(chosen), step):
+        block = chosen[start : start + step]
         # A blurred row has many entries that hold next to nothing.
         parts.append(sparse_rows(blurred(truth.matrix[block]), blurred(direct[block]), _KEEP))
-    matrix, direct_data = stacked(parts)
-    return replace(truth, matrix=matrix, direct_data=direct_data)
+    return parts
 
 
 def vignetting(truth: Truth, strength: float) -> Truth:
@@ -134,4 +162,6 @@ def ambient(truth: Truth, level: float) -> NDArray[np.float32]:
 
 
 def _blur_matrix(size: int, sigma: float) -> NDArray[np.float32]:
+    if sigma == 0:
+        return np.eye(size, dtype=np.float32)
     return gaussian_filter1d(np.eye(size, dtype=np.float32), sigma, mode="constant", truncate=3)

@@ -1,0 +1,266 @@
+"""Rigs as they are, out of focus, turned, coarser, noisier: what the default estimate reaches."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightmatrix.capture.capture import Capture
+from lightmatrix.capture.frames import ArrayStack
+from lightmatrix.estimators.auto import estimate
+from lightmatrix.experiments.harness import Experiment, Measured
+from lightmatrix.experiments.measured_scene import SCENES
+from lightmatrix.patterns.bits import BernoulliPatterns
+from lightmatrix.pictures.style import COLOURS, figure, save
+from lightmatrix.planning.plan import plan
+from lightmatrix.rig import library
+from lightmatrix.rig.coarse import binned
+from lightmatrix.rig.photograph import simulate
+from lightmatrix.rig.realism import defocus, varying_defocus
+from lightmatrix.rig.truth import Truth
+from lightmatrix.rig.views import depth_blur, mapped, seen
+from lightmatrix.transport.metrics import relighting_error, squared_errors, unseen_patterns
+from lightmatrix.transport.verdict import stated_error
+
+SIDE = 128
+COUNTS = (16, 32, 64)
+SEEDS = (0, 1, 2)
+# Rigs whose errors are means over the seeds; of the others one is measured.
+SEVERAL = ("sharp", "blur 1", "blur 2", "blur 0 to 2", "camera 2x coarser", "camera 4x coarser")
+# Rows of about no light have no relative error.
+LEAST_LIGHT = 1e-3
+RESPONSE_ERROR = 0.05
+
+
+Shape = tuple[int, int]
+
+
+def _places(shape: Shape) -> NDArray[np.int64]:
+    return np.arange(shape[0] * shape[1]).reshape(shape)
+
+
+def _sides(truth: Truth) -> Shape:
+    return truth.camera_shape[0], truth.camera_shape[1]
+
+
+def _cut_out(shape: Shape) -> NDArray[np.int64]:
+    rows, cols = (slice(side // 4, 3 * side // 4) for side in shape)
+    return _places(shape)[rows, cols]
+
+
+def _turned(shape: Shape, degrees: float) -> NDArray[np.int64]:
+    angle = np.deg2rad(degrees)
+    turn = np.eye(3)
+    turn[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
+    return mapped(shape, turn)
+
+
+# Cameras that look elsewhere: which camera pixel of the scene's T each of theirs is.
+VIEWS: dict[str, Callable[[Shape], NDArray[np.int64]]] = {
+    "cut-out": _cut_out,
+    "quarter turn": lambda shape: np.rot90(_places(shape)),
+    "mirrored": lambda shape: _places(shape)[:, ::-1],
+    "10 degrees": lambda shape: _turned(shape, 10),
+    "keystone": lambda shape: mapped(shape, np.array([[1, 0, 0], [0, 1, 0], [0.2, 0.1, 1]])),
+}
+# What is changed of the scene's T, by name.
+CHANGED: dict[str, Callable[[Truth], Truth]] = {
+    "sharp": lambda truth: truth,
+    "blur 0.7": lambda truth: defocus(truth, 0.7),
+    "blur 1": lambda truth: defocus(truth, 1.0),
+    "blur 2": lambda truth: defocus(truth, 2.0),
+    "blur 0 to 2": lambda truth: varying_defocus(truth, depth_blur(truth, 2.0)),
+    "camera 2x coarser": lambda truth: binned(truth, 2, 1),
+    "camera 4x coarser": lambda truth: binned(truth, 4, 1),
+    "camera 2x finer": lambda truth: binned(truth, 1, 2),
+}
+# What is changed of the photographs: arguments of `simulate`.
+PHOTOGRAPHED: dict[str, dict[str, Any]] = {
+    "room light 0.2": {"ambient": 0.2},
+    "leak 0.005": {"leak": 0.005},
+    "noise 0.01": {"noise": 0.01},
+    "noise 0.03": {"noise": 0.03},
+    "12 bits, shot noise": {"bits": 12, "noise": 0.001, "shot_noise": 0.005},
+    "response off by 5 %": {},
+}
+RIGS = (*CHANGED, *VIEWS, *PHOTOGRAPHED)
+
+
+@dataclass(frozen=True)
+class Case:
+    """One estimate of one capture of one rig."""
+
+    scene: str
+    rig: str
+    patterns: int
+    seed: int = 0
+    side: int = SIDE
+
+    @property
+    def name(self) -> str:
+        """A file name."""
+        rig = "".join(c if c.isalnum() else "-" for c in self.rig)
+        return f"{self.scene}-{self.side}-{rig}-k{self.patterns}-s{self.seed}"
+
+
+def cases(quick: bool) -> Iterator[Case]:
+    """What is measured, one seed of all of it first."""
+    if quick:
+        for rig in ("sharp", "blur 1"):
+            yield Case("l_objects", rig, 32, side=64)
+        return
+    for rig in RIGS:
+        for scene in SCENES:
+            for count in COUNTS:
+                yield Case(scene, rig, count)
+    for seed in SEEDS[1:]:
+        for rig in SEVERAL:
+            for scene in SCENES:
+                for count in COUNTS:
+                    yield Case(scene, rig, count, seed)
+
+
+def measure(case: Case) -> Measured:
+    """Errors of one case, and what the estimate states of them."""
+    truth = rig_truth(case.scene, case.rig, case.side)
+    capture = photographed(case, truth)
+    started = time.perf_counter()
+    found = estimate(capture)
+    seconds = time.perf_counter() - started
+    known = truth.transport()
+    wrong, total = squared_errors(found, known)
+    tests = np.stack(list(unseen_patterns(known.projector_shape).values()))
+    row = {
+        **asdict(case),
+        "relative_error": float(np.sqrt(wrong.sum() / total.sum())),
+        "relighting_error": relighting_error(found, known, tests),
+        "stated_error": stated_error(found),
+        "footprint": float(np.median(found.diagnostics["footprint"])),
+        "seconds": seconds,
+        "full_frame": float("nan"),
+    }
+    if case.rig in VIEWS:
+        row["full_frame"] = _same_rows(case)
+    lit = total > LEAST_LIGHT**2 * total.max()
+    errors = np.sqrt(wrong[lit] / total[lit])
+    arrays = {"errors": errors, "stated": found.diagnostics["estimated_error"][lit]}
+    return Measured([row], {name: values.astype(np.float32) for name, values in arrays.items()})
+
+
+@lru_cache(maxsize=2)
+def rig_truth(scene: str, rig: str, side: int) -> Truth:
+    """The T that is photographed."""
+    truth = library.truth(scene, (side, side))
+    if rig in VIEWS:
+        return seen(truth, VIEWS[rig](_sides(truth)))
+    return CHANGED[rig](truth) if rig in CHANGED else truth
+
+
+def photographed(case: Case, truth: Truth) -> Capture:
+    """The capture of a case, exposed as the planner advises."""
+    options = dict(PHOTOGRAPHED.get(case.rig, {}))
+    noise = options.get("noise", 0.003)
+    exposure = plan(truth, frames=case.patterns, noise=noise).exposure
+    patterns = BernoulliPatterns(truth.projector_shape, case.patterns, seed=case.seed)
+    capture = simulate(truth, patterns, exposure=exposure, seed=case.seed, **options)
+    if case.rig != "response off by 5 %":
+        return capture
+    level = capture.sensor.clip_level
+    frames = np.stack([capture.frames.read(k) for k in range(capture.count)]) / level
+    bent = frames + 4 * RESPONSE_ERROR * frames * (1 - frames)
+    stack = np.rint(np.minimum(bent, 1) * level).astype(np.uint8)
+    return replace(capture, frames=ArrayStack(stack))
+
+
+def _same_rows(case: Case) -> float:
+    """Relative error of the rows that a view shows, estimated in the full frame."""
+    truth = rig_truth(case.scene, "sharp", case.side)
+    found = estimate(photographed(replace(case, rig="sharp"), truth))
+    wrong, total = squared_errors(found, truth.transport())
+    place = VIEWS[case.rig](_sides(truth))
+    rows = np.unique(place[place >= 0])
+    return float(np.sqrt(wrong[rows].sum() / total[rows].sum()))
+
+
+def _summary(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Means over seeds."""
+    groups: dict[tuple[str, str, int], list[dict[str, Any]]] = {}
+    for row in rows:
+        groups.setdefault((row["rig"], row["scene"], row["patterns"]), []).append(row)
+    kept = (
+        "relative_error",
+        "relighting_error",
+        "stated_error",
+        "footprint",
+        "seconds",
+        "full_frame",
+    )
+    return [
+        {
+            "rig": rig,
+            "scene": scene,
+            "patterns": count,
+            "seeds": len(group),
+            **{name: float(np.mean([row[name] for row in group])) for name in kept},
+        }
+        for (rig, scene, count), group in groups.items()
+    ]
+
+
+def _draw(out: Path, found: list[tuple[Case, Measured]]) -> None:
+    """Errors of all rigs, and stated against true errors of rows."""
+    rows = _summary([row for _, measured in found for row in measured.rows])
+    rigs = list(dict.fromkeys(row["rig"] for row in rows))
+    with figure(7.2, 0.24 * len(rigs) + 1.6) as drawing:
+        panels = np.atleast_1d(drawing.subplots(1, len(SCENES), sharex=True, sharey=True))
+        for axes, (scene, title) in zip(panels, SCENES.items(), strict=True):
+            for number, count in enumerate(COUNTS):
+                some = [r for r in rows if r["scene"] == scene and r["patterns"] == count]
+                errors = [r["relative_error"] for r in some]
+                places = [rigs.index(r["rig"]) for r in some]
+                marker = "os^"[number]
+                axes.plot(
+                    errors,
+                    places,
+                    marker,
+                    color=COLOURS[number],
+                    markersize=4,
+                    label=f"K = {count}",
+                )
+            axes.set_xscale("log")
+            axes.grid(axis="both", color="0.92", linewidth=0.6)
+            axes.set_title(title)
+            axes.set_xlabel("relative error of T")
+        panels[0].set_yticks(range(len(rigs)), rigs)
+        panels[0].invert_yaxis()
+        handles, labels = panels[0].get_legend_handles_labels()
+        drawing.legend(handles, labels, loc="outside lower center", ncols=len(COUNTS))
+        save(drawing, out, "rigs", ("png", "svg"))
+    true = np.concatenate([measured.arrays["errors"] for _, measured in found])
+    stated = np.concatenate([measured.arrays["stated"] for _, measured in found])
+    with figure(3.6, 3.4) as drawing:
+        axes = drawing.subplots()
+        known = np.isfinite(stated) & (stated > 0) & (true > 0)
+        limits = (-3.0, 1.0)
+        counts = axes.hexbin(
+            np.log10(true[known]), np.log10(stated[known]), gridsize=50, bins="log",
+            extent=(*limits, *limits), cmap="viridis", linewidths=0,
+        )  # fmt: skip
+        axes.plot(limits, limits, color="0.5", linewidth=0.8)
+        ticks = range(-3, 2)
+        axes.set_xticks(ticks, [f"{10.0**t:g}" for t in ticks])
+        axes.set_yticks(ticks, [f"{10.0**t:g}" for t in ticks])
+        axes.set_xlabel("relative error of a row")
+        axes.set_ylabel("what the estimate states")
+        drawing.colorbar(counts, label="rows")
+        save(drawing, out, "confidence", ("png", "svg"))
+
+
+RIGS_EXPERIMENT = Experiment("rigs", cases, measure, _draw, summary=_summary)
