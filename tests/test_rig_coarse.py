@@ -7,7 +7,7 @@ import pytest
 
 from lightmatrix.errors import InputError
 from lightmatrix.patterns.grids import block_mean
-from lightmatrix.rig.coarse import coarse
+from lightmatrix.rig.coarse import binned, coarse
 from lightmatrix.rig.procedural import ProceduralScene
 from lightmatrix.rig.truth import Truth
 
@@ -37,7 +37,7 @@ def test_direct_light_stays_a_part_of_all_light(truth: Truth) -> None:
     assert (small.direct_data <= small.matrix.data * (1 + 1e-6)).all()
     assert (small.direct_data >= 0).all()
     assert small.matrix.has_canonical_format
-    assert small.metadata["coarse"] == 2
+    assert small.metadata["coarse"] == [2, 2]
     white = truth.matrix.sum() / 4
     assert small.matrix.sum() == pytest.approx(white, rel=1e-5)
 
@@ -63,3 +63,13 @@ def test_a_factor_of_one_changes_nothing(truth: Truth) -> None:
 def test_factors_that_do_not_divide_are_refused(truth: Truth, factor: int) -> None:
     with pytest.raises(InputError, match="common divisor"):
         coarse(truth, factor)
+
+
+def test_camera_and_projector_are_binned_each_for_itself(truth: Truth) -> None:
+    both = coarse(truth, 2)
+    one_after_the_other = binned(binned(truth, 2, 1), 1, 2)
+    assert binned(truth, 2, 1).projector_shape == truth.projector_shape
+    assert binned(truth, 1, 2).camera_shape == truth.camera_shape
+    np.testing.assert_allclose(
+        one_after_the_other.matrix.toarray(), both.matrix.toarray(), rtol=1e-5
+    )

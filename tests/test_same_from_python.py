@@ -208,7 +208,8 @@ def test_info_writes_the_pictures_of_the_door(
     made = lm.write_pictures(tmp_path / "made", work / "scene.zarr")
     _same_files(tmp_path / "shown", tmp_path / "made")
     assert [Path(name).name for name in told["pictures"]] == [path.name for path in made]
-    assert {path.stem for path in made} == {"correspondence", "clipping", "gap"}
+    shown = {"correspondence", "clipping", "gap", "footprint", "stated-error"}
+    assert {path.stem for path in made} == shown
 
 
 @pytest.mark.parametrize(
