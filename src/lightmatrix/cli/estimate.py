@@ -184,6 +184,10 @@ def estimate(
     if report is not None and told is not None:
         say(f"{told['verdict']}: {told['sentence']}")
         say(f"report: {(report / 'report.html').absolute()}")
+        return
+    judged = lm.verdict(transport)
+    if judged.level != "not tested":
+        say(str(judged))
 
 
 def _report(

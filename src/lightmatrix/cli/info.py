@@ -40,11 +40,11 @@ def info(
             told["pictures"] = written
         show_json(told)
         return
+    say(str(judged))
     show_table(str(scene), named(transport.summary()))
     versions = transport.provenance.get("versions")
     if isinstance(versions, Mapping) and versions:
         made = ", ".join(f"{name} {number}" for name, number in versions.items())
         say(f"made with {made}")
-    say(str(judged))
     if written is not None:
         say(f"pictures: {', '.join(map(str, written))}")

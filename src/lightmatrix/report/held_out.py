@@ -107,8 +107,8 @@ def hold_out(
     rest = np.setdiff1d(np.arange(capture.count), frames)
     try:
         found = estimator.estimate(tested.select(rest), progress=progress)
-    except LightMatrixError as error:
-        return f"without it the estimate is refused ({error.message})"
+    except LightMatrixError as refusal:
+        return f"without it the estimate is refused ({refusal.message})"
     samples = tested.select(frames).samples()
     exposures = capture.exposures[frames].astype(np.float32)
     level = samples.clip_levels_of_all()
