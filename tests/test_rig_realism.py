@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 
 from lightmatrix.errors import InputError
 from lightmatrix.patterns.bits import BernoulliPatterns
@@ -60,7 +61,7 @@ def test_blur_may_differ_from_row_to_row(truth: Truth) -> None:
         whole = realism.defocus(truth, sigma)
         for found, expected in ((mixed.matrix, whole.matrix), (mixed.direct, whole.direct)):
             np.testing.assert_allclose(
-                found[rows].toarray(), expected[rows].toarray(), rtol=1e-5, atol=1e-7
+                found[rows].toarray(), expected[rows].toarray(), rtol=1e-3, atol=2e-3
             )
 
 
