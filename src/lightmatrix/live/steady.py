@@ -1,0 +1,104 @@
+"""Several frames of one image, of which those that agree are averaged."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightmatrix.errors import DeviceError
+from lightmatrix.live.taking import Shot, Taker, UntrustedFrame
+
+# Frames that are tried for each that is wanted.
+_TRIES = 4
+# Of the usual distance from the median frame.
+_APART = 3.0
+
+
+@dataclass(frozen=True, eq=False)
+class Steady:
+    """The mean of frames of one image.
+
+    Parameters
+    ----------
+    mean : (rows, cols[, channels]) float32
+        Raw levels.
+    shots : list of Shot
+        The frames that agree.
+    noise : float
+        Standard deviation of a sample from frame to frame, in raw levels.
+    gain : float
+        Standard deviation of the frames' brightness, as a share of it.
+    """
+
+    mean: NDArray[np.float32]
+    shots: list[Shot]
+    noise: float
+    gain: float
+
+    @property
+    def clip_level(self) -> float:
+        """Raw level at which the camera clips."""
+        return self.shots[0].frame.clip_level
+
+    @property
+    def exposure(self) -> float:
+        """Seconds."""
+        return self.shots[0].exposure
+
+    @property
+    def changing(self) -> NDArray[np.float64]:
+        """Share of the samples of each row that change from frame to frame, (rows,)."""
+        data = [shot.data.reshape(len(shot.data), -1) for shot in self.shots]
+        pairs = zip(data[:-1], data[1:], strict=True)
+        # The median, since one of the frames may be a copy.
+        return np.asarray(np.median([(a != b).mean(axis=1) for a, b in pairs], axis=0))
+
+
+def take_steady(
+    taker: Taker, image: NDArray[np.uint8], exposure: float | None = None, count: int = 4
+) -> Steady:
+    """Photograph an image several times, and leave out what does not agree with the rest.
+
+    Parameters
+    ----------
+    taker : Taker
+    image : (rows, cols) uint8
+    exposure : float, optional
+        Seconds; None: as the camera is set.
+    count : int
+        Frames to take, at least 3.
+
+    Raises
+    ------
+    DeviceError
+        If hardly any frame can be trusted.
+    """
+    shots: list[Shot] = []
+    reason = ""
+    for _ in range(_TRIES * count):
+        try:
+            shots.append(taker.take(image, exposure))
+        except UntrustedFrame as error:
+            reason = error.message
+        if len(shots) == count:
+            break
+    else:
+        raise DeviceError(
+            f"of {_TRIES * count} frames of one image only {len(shots)} can be trusted; the last "
+            f"of the others: {reason}",
+            hint="look at the camera's picture with its own program, and at its cable",
+        )
+    stack = np.stack([shot.data for shot in shots]).astype(np.float32)
+    middle = np.median(stack, axis=0)
+    distance = np.sqrt(((stack - middle) ** 2).mean(axis=tuple(range(1, stack.ndim))))
+    near = distance <= _APART * max(float(np.median(distance)), 1e-3)
+    kept = stack[near]
+    mean = kept.mean(axis=0)
+    spread = kept - mean
+    noise = float(np.sqrt((spread**2).sum() / max(1, (len(kept) - 1) * mean.size)))
+    bright = kept.reshape(len(kept), -1).mean(axis=1)
+    gain = float(bright.std() / max(float(bright.mean()), 1e-6))
+    agreeing = [shot for shot, good in zip(shots, near, strict=True) if good]
+    return Steady(mean.astype(np.float32), agreeing, noise, gain)
