@@ -72,12 +72,15 @@ class State:
         Number of a pattern -> why there is no frame of it.
     drift : list of dict
         Of each look at the reference: frames taken before, gain, change, room.
+    exposures : list of float
+        Seconds that each frame is asked for.
     """
 
     frames: dict[int, Taken] = field(default_factory=dict)
     faults: dict[str, int] = field(default_factory=dict)
     unmended: dict[int, str] = field(default_factory=dict)
     drift: list[dict[str, float]] = field(default_factory=list)
+    exposures: list[float] = field(default_factory=list)
 
 
 class Record:
@@ -126,6 +129,7 @@ class Record:
             dict(found["faults"]),
             {},
             list(found["drift"]),
+            [float(each) for each in found["exposures"]],
         )
         record = cls(target, kept, asked, state)
         # Listed, but written only in part or lost since: taken again.

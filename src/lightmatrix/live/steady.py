@@ -14,6 +14,8 @@ from lightmatrix.live.taking import Shot, Taker, UntrustedFrame
 _TRIES = 4
 # Of the usual distance from the median frame.
 _APART = 3.0
+# Seconds to wait for an image that is shown already; one that is late has come by then.
+_AGAIN = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,11 +79,15 @@ def take_steady(
     """
     shots: list[Shot] = []
     reason = ""
+    settle = None
     for _ in range(_TRIES * count):
         try:
-            shots.append(taker.take(image, exposure))
+            shots.append(taker.take(image, exposure, settle))
         except UntrustedFrame as error:
             reason = error.message
+        else:
+            # It has been there long since.
+            settle = min(taker.settle, _AGAIN)
         if len(shots) == count:
             break
     else:

@@ -85,7 +85,12 @@ class Taker:
     _last: Frame | None = None
     _recent: deque[NDArray[np.generic]] = field(default_factory=lambda: deque(maxlen=_REMEMBERED))
 
-    def take(self, image: NDArray[np.uint8], exposure: float | None = None) -> Shot:
+    def take(
+        self,
+        image: NDArray[np.uint8],
+        exposure: float | None = None,
+        settle: float | None = None,
+    ) -> Shot:
         """Show an image and photograph it.
 
         Parameters
@@ -93,6 +98,8 @@ class Taker:
         image : (rows, cols) uint8
         exposure : float, optional
             Seconds; None: as the camera is set.
+        settle : float, optional
+            Seconds, of an image that may be waited for less; None: as for all.
 
         Raises
         ------
@@ -102,7 +109,7 @@ class Taker:
             If the camera was lost and is not back within a minute.
         """
         try:
-            return self._take(image, exposure)
+            return self._take(image, exposure, self.settle if settle is None else settle)
         except (UntrustedFrame, FrameTimeoutError) as error:
             raise UntrustedFrame(error.message) from error
         except DeviceError as error:
@@ -111,10 +118,10 @@ class Taker:
             self._last, self._exposure = None, (0.0, 0.0)
             raise UntrustedFrame(f"{error.message}, and came back") from error
 
-    def _take(self, image: NDArray[np.uint8], exposure: float | None) -> Shot:
+    def _take(self, image: NDArray[np.uint8], exposure: float | None, settle: float) -> Shot:
         actual = self._set_exposure(exposure)
         shown = self.rig.projector.show(image)
-        earliest = shown + self.settle
+        earliest = shown + settle
         self.rig.clock.sleep(earliest - self.rig.clock.now())
         camera = self.rig.camera
         camera.flush()

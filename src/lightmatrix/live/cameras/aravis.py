@@ -40,6 +40,7 @@ class AravisCamera:
                 with suppress(error):
                     camera.gv_auto_packet_size()
             self._region = camera.get_region()
+            self._exposures = tuple(1e-6 * bound for bound in camera.get_exposure_time_bounds())
             # The first ids of a camera that counts 64 bits are within the short ones, too.
             largest = _LARGEST_GIGE_ID if self._has_short_ids() else None
             self._clock = Clock(largest_id=largest, first_id=1)
@@ -79,6 +80,8 @@ class AravisCamera:
             "bits": self._format.bits,
             "pixel_format": self._format.name,
             "trigger": self._trigger,
+            "shortest_exposure": self._exposures[0],
+            "longest_exposure": self._exposures[1],
         }
 
     def get_image(self, timeout: float) -> Frame:
