@@ -104,9 +104,7 @@ class Drift:
         return None
 
 
-def drift(
-    start: References, white: NDArray[np.floating], black: NDArray[np.floating]
-) -> Drift:
+def drift(start: References, white: NDArray[np.floating], black: NDArray[np.floating]) -> Drift:
     """Compare a white and a black frame with those of the start.
 
     Parameters

@@ -335,5 +335,3 @@ def _warn(record: Record, known: Calibration, response: str) -> None:
         )
     for text in told:
         warnings.warn(text, LightMatrixWarning, stacklevel=3)
-
-

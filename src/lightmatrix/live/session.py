@@ -17,7 +17,7 @@ from lightmatrix.errors import DeviceError
 from lightmatrix.live.agreement import Drift, References, drift
 from lightmatrix.live.record import Record, Taken
 from lightmatrix.live.steady import take_steady
-from lightmatrix.live.taking import Shot, Taker, UntrustedFrame
+from lightmatrix.live.taking import Shot, Taker, UntrustedFrameError
 from lightmatrix.live.watching import FEWEST_FRAMES, Watch, watched_samples
 from lightmatrix.patterns.pattern_set import PatternSet
 
@@ -157,7 +157,7 @@ class Session:
                     self._show_black()
                 shot = self.taker.take(self.image(k), float(self.exposures[k]))
                 before, self._before = self._before, k
-            except UntrustedFrame as error:
+            except UntrustedFrameError as error:
                 reason = error.message
                 self._count(reason)
                 self._before = -1
@@ -181,9 +181,7 @@ class Session:
         self.record.save()
         return False
 
-    def _judge(
-        self, k: int, before: int, shot: Shot, earlier: list[NDArray[np.generic]]
-    ) -> str:
+    def _judge(self, k: int, before: int, shot: Shot, earlier: list[NDArray[np.generic]]) -> str:
         """What a frame is shown to be, or what is wrong with it."""
         if not self.check:
             return UNCHECKED

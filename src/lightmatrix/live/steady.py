@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.errors import DeviceError
-from lightmatrix.live.taking import Shot, Taker, UntrustedFrame
+from lightmatrix.live.taking import Shot, Taker, UntrustedFrameError
 
 # Frames that are tried for each that is wanted.
 _TRIES = 4
@@ -53,9 +54,8 @@ class Steady:
     def changing(self) -> NDArray[np.float64]:
         """Share of the samples of each row that change from frame to frame, (rows,)."""
         data = [shot.data.reshape(len(shot.data), -1) for shot in self.shots]
-        pairs = zip(data[:-1], data[1:], strict=True)
         # The median, since one of the frames may be a copy.
-        return np.asarray(np.median([(a != b).mean(axis=1) for a, b in pairs], axis=0))
+        return np.asarray(np.median([(a != b).mean(axis=1) for a, b in pairwise(data)], axis=0))
 
 
 def take_steady(
@@ -83,7 +83,7 @@ def take_steady(
     for _ in range(_TRIES * count):
         try:
             shots.append(taker.take(image, exposure, settle))
-        except UntrustedFrame as error:
+        except UntrustedFrameError as error:
             reason = error.message
         else:
             # It has been there long since.

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +29,7 @@ _COPIED = -20.0
 _REMEMBERED = 3
 
 
-class UntrustedFrame(DeviceError):
+class UntrustedFrameError(DeviceError):
     """A frame that cannot be right, or none at all; it is to be taken again."""
 
 
@@ -83,7 +84,7 @@ class Taker:
     # What was last set, and what the camera made of it.
     _exposure: tuple[float, float] = (0.0, 0.0)
     _last: Frame | None = None
-    _recent: deque[NDArray[np.generic]] = field(default_factory=lambda: deque(maxlen=_REMEMBERED))
+    _recent: deque[NDArray[Any]] = field(default_factory=lambda: deque(maxlen=_REMEMBERED))
 
     def take(
         self,
@@ -103,20 +104,20 @@ class Taker:
 
         Raises
         ------
-        UntrustedFrame
+        UntrustedFrameError
             Saying what is wrong with the frame, or that there is none.
         DeviceError
             If the camera was lost and is not back within a minute.
         """
         try:
             return self._take(image, exposure, self.settle if settle is None else settle)
-        except (UntrustedFrame, FrameTimeoutError) as error:
-            raise UntrustedFrame(error.message) from error
+        except (UntrustedFrameError, FrameTimeoutError) as error:
+            raise UntrustedFrameError(error.message) from error
         except DeviceError as error:
             self.rig.recover()
             # It counts anew, and may have forgotten how it was set.
             self._last, self._exposure = None, (0.0, 0.0)
-            raise UntrustedFrame(f"{error.message}, and came back") from error
+            raise UntrustedFrameError(f"{error.message}, and came back") from error
 
     def _take(self, image: NDArray[np.uint8], exposure: float | None, settle: float) -> Shot:
         actual = self._set_exposure(exposure)
@@ -136,7 +137,7 @@ class Taker:
             if frame.timestamp - actual >= earliest - _TICK:
                 self._check_exposure(actual)
                 return Shot(frame, actual, shown)
-        raise UntrustedFrame(
+        raise UntrustedFrameError(
             f"{_MOST_STALE} frames came, all of before the pattern",
             hint="are the camera's timestamps right?",
         )
@@ -154,7 +155,7 @@ class Taker:
     def _check_exposure(self, actual: float) -> None:
         now = self.rig.camera.exposure
         if not _same(now, actual):
-            raise UntrustedFrame(
+            raise UntrustedFrameError(
                 f"another program changed the exposure from {actual:g} to {now:g} s"
             )
 
@@ -163,12 +164,12 @@ class Taker:
         if last is None:
             return
         if frame.id <= last.id or frame.timestamp <= last.timestamp:
-            raise UntrustedFrame(f"frame {frame.id} was handed out twice")
+            raise UntrustedFrameError(f"frame {frame.id} was handed out twice")
         # Between two patterns frames are thrown away, and numbers may be left out.
         if before is not None and frame.id != before.id + 1:
             # Or else the one that came would be refused with the next pattern.
             self._last = frame
-            raise UntrustedFrame(f"frames {before.id + 1} to {frame.id - 1} were lost")
+            raise UntrustedFrameError(f"frames {before.id + 1} to {frame.id - 1} were lost")
 
     def _check_copied(self, frame: Frame) -> None:
         if self.changing is None:
@@ -179,12 +180,12 @@ class Taker:
                 self._last = frame
                 whole = rows == len(frame.data)
                 what = "is a copy of" if whole else f"holds {rows} rows of"
-                raise UntrustedFrame(f"frame {frame.id} {what} an earlier one")
+                raise UntrustedFrameError(f"frame {frame.id} {what} an earlier one")
 
 
 def copied_rows(
-    data: NDArray[np.generic],
-    earlier: NDArray[np.generic],
+    data: NDArray[Any],
+    earlier: NDArray[Any],
     changing: NDArray[np.float64],
     clip_level: float,
 ) -> int:

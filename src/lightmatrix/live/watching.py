@@ -118,7 +118,7 @@ class Watch:
         self._predicted, self._telling = predicted, telling
         # Of most frames, not of the few that are wrong.
         self._error = np.maximum(1.48 * np.median(np.abs(missed), axis=1), 1e-3 * self.ceiling)
-        said = [self._say(k, None) for k in taken]
+        said = [self._say(int(k), None) for k in taken]
         self._usual = float(np.median([miss for miss, _ in said]))
         if self._usual > _EXPLAINED:
             self._predicted = None

@@ -8,8 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from numpy.typing import NDArray
-
 from lightmatrix.errors import FrameTimeoutError
 from lightmatrix.live.calibration.white import Whites, find_white, images
 from lightmatrix.live.rig import Rig
@@ -124,9 +122,7 @@ def measure_flicker(
         found /= max(abs(float(np.sinc(candidate * exposure))), 0.05)
         if found > max(_NOTICED, _ERRORS * error, 1.1 * amplitude):
             amplitude, frequency = found, candidate
-    return Flicker(
-        amplitude, frequency, float(bright.std()) / level, float(dark.std()) / level
-    )
+    return Flicker(amplitude, frequency, float(bright.std()) / level, float(dark.std()) / level)
 
 
 def _series(

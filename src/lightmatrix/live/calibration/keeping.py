@@ -9,7 +9,6 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-
 from lightmatrix.errors import InputError
 from lightmatrix.files.headers import read_json
 from lightmatrix.live.calibration.exposure import ExposureAdvice, measure_exposure
@@ -20,7 +19,7 @@ from lightmatrix.live.calibration.settle import SettleTime, measure_settle
 from lightmatrix.live.calibration.white import FIRST_SETTLE, Whites, find_white, images
 from lightmatrix.live.rig import Rig
 from lightmatrix.live.steady import take_steady
-from lightmatrix.live.taking import Taker, UntrustedFrame
+from lightmatrix.live.taking import Taker, UntrustedFrameError
 from lightmatrix.outputs.kinds import RIG, RIG_FORMAT
 from lightmatrix.outputs.writing import atomic_file
 
@@ -115,7 +114,7 @@ class Calibration:
             return cls(
                 dict(content["projector"]),
                 dict(content["camera"]),
-                **parts,  # type: ignore[arg-type]
+                **parts,
                 brightness=float(content["brightness"]),
                 measured=str(content["measured"]),
             )
@@ -165,8 +164,9 @@ def _value(value: Any, wanted: str) -> Any:
 
 
 def _jsonable(info: Mapping[str, Any]) -> dict[str, Any]:
-    """What a device says of itself, as a file keeps it."""
-    read: dict[str, Any] = json.loads(json.dumps(dict(info), default=str))
+    """What a device says of itself, as a file keeps it; without tables such as a gamma ramp."""
+    short = {key: value for key, value in info.items() if not isinstance(value, Mapping)}
+    read: dict[str, Any] = json.loads(json.dumps(short, default=str))
     return read
 
 
@@ -274,9 +274,7 @@ def _measured(
 
 def _whites(taker: Taker, exposure: float) -> Whites:
     black, white = images(taker.rig)
-    return Whites(
-        take_steady(taker, white, exposure, 3), take_steady(taker, black, exposure, 3)
-    )
+    return Whites(take_steady(taker, white, exposure, 3), take_steady(taker, black, exposure, 3))
 
 
 def _brightness(whites: Whites) -> float:
@@ -313,7 +311,7 @@ def outdated(rig: Rig, known: Calibration) -> list[str]:
         image = images(rig)[turn % 2]
         try:
             level = whites.level(taker.take(image, exposure).data)
-        except UntrustedFrame:
+        except UntrustedFrameError:
             continue
         failed += not abs(level - turn % 2) < _NEAR
     if failed > _MAY_FAIL:
@@ -322,5 +320,3 @@ def outdated(rig: Rig, known: Calibration) -> list[str]:
         # Another lens opening, distance, scene, or lamp.
         found.append("exposure")
     return found
-
-

@@ -1,4 +1,4 @@
-"""The camera's linearity: twice the exposure, twice the level above black?"""
+"""The camera's linearity: twice the exposure, twice the level above black."""
 
 from __future__ import annotations
 

@@ -7,6 +7,7 @@ its exposure began before the change was over.
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,12 +19,15 @@ from lightmatrix.live.rig import Rig
 from lightmatrix.live.taking import Taker
 
 # Changes with a long look each, that find about when; further ones with a short look.
-_FIRST, _FURTHER = 4, 24
-_LONG_LOOK, _SHORT_LOOK = 0.7, 0.15
+_FIRST, _FURTHER = 4, 17
+_LONG_LOOK, _SHORT_LOOK = 0.5, 0.15
 # A camera that gives no frame for so long, beyond the exposure, has lost it.
 _LOST = 0.2
 # Of the way from black to white: what is nearer to its end has settled.
 _SETTLED = 0.03
+# Where the light flickers: so many standard deviations, but never more than this.
+_DEVIATIONS, _MOST_UNSETTLED = 4.0, 0.3
+_STEADY_FRAMES = 12
 # Added to what was measured, for clocks.
 _MARGIN = 0.002
 # Of the changes: more that come late, or are seen by a bad frame, are part of the settle time.
@@ -98,6 +102,7 @@ def measure_settle(
     rig.camera.exposure = whites.exposure if exposure is None else exposure
     scale = rig.camera.exposure / whites.exposure
     generator = np.random.default_rng(0)
+    settled = _tolerance(rig, whites, scale)
     looks: list[tuple[float, float]] = []
     duration = _LONG_LOOK
     total = _FIRST + _FURTHER
@@ -105,7 +110,7 @@ def measure_settle(
         if change == _FIRST and looks:
             duration = 2 * max(first for _, first in looks) + 4 * _frame_time(rig, whites.exposure)
             duration = min(max(duration, _SHORT_LOOK), _LONG_LOOK)
-        look = _look(rig, whites, scale, bool(change % 2), duration, generator)
+        look = _look(rig, whites, scale, settled, bool(change % 2), duration, generator)
         if look is not None:
             looks.append(look)
         if progress is not None:
@@ -120,6 +125,21 @@ def measure_settle(
     return _settle_time(np.array(looks), total)
 
 
+def _tolerance(rig: Rig, whites: Whites, scale: float) -> float:
+    """How near to white a settled frame is: white is looked at for a while."""
+    shown = rig.projector.show(images(rig)[1])
+    rig.clock.sleep(shown + FIRST_SETTLE - rig.clock.now())
+    rig.camera.flush()
+    levels = []
+    for _ in range(_STEADY_FRAMES):
+        rig.camera.trigger()
+        with suppress(FrameTimeoutError):
+            frame = rig.camera.get_image(_LOST + 2 * rig.camera.exposure)
+            levels.append(whites.level(_as_exposed(frame.data, whites, scale)))
+    spread = float(np.std(levels)) if levels else 0.0
+    return min(max(_SETTLED, _DEVIATIONS * spread), _MOST_UNSETTLED)
+
+
 def _frame_time(rig: Rig, exposure: float) -> float:
     return exposure + 1 / float(rig.projector.info().get("refresh") or 60.0)
 
@@ -128,6 +148,7 @@ def _look(
     rig: Rig,
     whites: Whites,
     scale: float,
+    tolerance: float,
     dark: bool,
     duration: float,
     generator: np.random.Generator,
@@ -153,7 +174,7 @@ def _look(
             continue
         starts.append(frame.timestamp - rig.camera.exposure - shown)
         levels.append(whites.level(_as_exposed(frame.data, whites, scale)))
-    settled = np.abs(np.array(levels) - (0.0 if dark else 1.0)) < _SETTLED
+    settled = np.abs(np.array(levels) - (0.0 if dark else 1.0)) < tolerance
     if not len(settled) or not settled[-1]:
         return None
     unsettled = np.flatnonzero(~settled)
@@ -163,9 +184,7 @@ def _look(
     return max(last, 0.0), float(later.min())
 
 
-def _as_exposed(
-    data: NDArray[np.generic], whites: Whites, scale: float
-) -> NDArray[np.floating]:
+def _as_exposed(data: NDArray[np.generic], whites: Whites, scale: float) -> NDArray[np.floating]:
     """A frame as it would be at the exposure of the white one."""
     if scale == 1:
         return np.asarray(data, np.float32)
@@ -180,7 +199,7 @@ def _settle_time(looks: NDArray[np.float64], changes: int) -> SettleTime:
     starts = looks[:, 1]
     seconds = float(starts[starts > unsettled].min())
     late = changes - len(looks) + int((last > seconds).sum())
-    if seconds > _LONG_LOOK / 2:
+    if seconds > 0.8 * _LONG_LOOK:
         raise DeviceError(
             f"the picture settles only {seconds:.2f} s after it is shown",
             hint="switch off what delays the picture (compositor, variable refresh, picture "
