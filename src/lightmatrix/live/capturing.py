@@ -33,6 +33,8 @@ from lightmatrix.patterns.pattern_set import PatternSet
 USUAL_COUNT = 64
 USUAL_REFERENCE = 32
 RIG_FILE = "rig.json"
+# Frames of black that are averaged: its noise is in all frames alike.
+_BLACK_FRAMES = 8
 _BLACK, _WHITE = "black.npy", "white.npy"
 # What the T of a virtual rig is kept as.
 _TRUTH = "truth.npz"
@@ -228,7 +230,7 @@ def _references(taker: Taker, seconds: NDArray[np.float64]) -> References:
     long, short = float(seconds.max()), float(seconds.min())
     # Whatever was shown before is gone.
     waiting = replace(taker, settle=FIRST_SETTLE)
-    dark = take_steady(waiting, black, long, 5)
+    dark = take_steady(waiting, black, long, _BLACK_FRAMES)
     dark_short = dark if short == long else take_steady(taker, black, short, 3)
     bright = take_steady(replace(taker, settle=FIRST_SETTLE), white, short, 5)
     return References(dark, bright, dark_short.mean)
@@ -238,7 +240,7 @@ def _check_unchanged(record: Record, now: References) -> None:
     """Refuse to go on with a capture whose rig or scene has changed meanwhile."""
     black, white = record.read_image(_BLACK), record.read_image(_WHITE)
     if black is None or white is None or not record.state.frames:
-        record.keep_image(_BLACK, now.black.mean)
+        record.keep_image(_BLACK, now.black.without_noise)
         record.keep_image(_WHITE, now.white.mean)
         return
     seen: Drift = drift(now, white, black)

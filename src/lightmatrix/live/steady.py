@@ -17,6 +17,8 @@ _TRIES = 4
 _APART = 3.0
 # Seconds to wait for an image that is shown already; one that is late has come by then.
 _AGAIN = 0.1
+# Of the noise: a spread over the image that is no more, and single pixels that stand out.
+_ONLY_NOISE, _HOT = 1.15, 6.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,6 +51,20 @@ class Steady:
     def exposure(self) -> float:
         """Seconds."""
         return self.shots[0].exposure
+
+    @property
+    def without_noise(self) -> NDArray[np.float32]:
+        """The mean, but one level all over where nothing but noise is seen; for black frames.
+
+        That level is a median: noise that is cut off at zero does not raise it.
+        """
+        noise = self.noise / np.sqrt(len(self.shots))
+        level = float(np.median([shot.data for shot in self.shots]))
+        apart = np.abs(self.mean - np.median(self.mean))
+        # Of a normal distribution, the median distance is 0.67 standard deviations.
+        if np.median(apart) > _ONLY_NOISE * 0.67 * noise:
+            return self.mean
+        return np.where(apart > _HOT * noise, self.mean, np.float32(level))
 
     @property
     def changing(self) -> NDArray[np.float64]:

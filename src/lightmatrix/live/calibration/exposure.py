@@ -124,8 +124,8 @@ def _pedestal(taker: Taker, whites: Whites, shortest: float) -> float:
     from_room = whites.black
     brief = max(shortest, whites.exposure / 8)
     if brief > 0.6 * whites.exposure:
-        return float(np.median(from_room.mean))
+        return float(np.median(from_room.without_noise))
     dark = take_steady(taker, images(taker.rig)[0], brief, 3)
     share = dark.exposure / whites.exposure
-    level = (dark.mean - share * from_room.mean) / (1 - share)
+    level = (dark.without_noise - share * from_room.without_noise) / (1 - share)
     return max(0.0, float(np.median(level)))
