@@ -54,21 +54,21 @@ def screen(_xvfb: str, monkeypatch: pytest.MonkeyPatch) -> str:
 
 @pytest.fixture(scope="session")
 def _xorg(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    command, xrandr = _program("Xorg"), _program("xrandr")
+    xorg, xrandr = _program("Xorg"), _program("xrandr")
     if not Path("/usr/lib/xorg/modules/drivers/dummy_drv.so").exists():
         pytest.skip("Xorg's dummy driver is missing: make system-deps")
     folder = tmp_path_factory.mktemp("xorg")
     (folder / "xorg.conf").write_text(_DUMMY)
     options = ["-config", str(folder / "xorg.conf"), "-logfile", str(folder / "xorg.log")]
-    with _server([command, *options, "-noreset"]) as display:
+    with _server([xorg, *options, "-noreset"]) as display:
         for words in (
             ("--addmode", "DUMMY1", f"{SECOND[1]}x{SECOND[0]}"),
             ("--output", "DUMMY1", "--mode", f"{SECOND[1]}x{SECOND[0]}", "--right-of", "DUMMY0"),
             # To be connected is seen when it is looked at.
             ("--query",),
         ):
-            command = [xrandr, "--display", display, *words]
-            subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+            ask = [xrandr, "--display", display, *words]
+            subprocess.run(ask, check=True, stdout=subprocess.DEVNULL)
         yield display
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -51,13 +51,13 @@ class ProjectorContract:
         self, projector: Projector, wrong: str
     ) -> None:
         rows, cols = projector.shape
-        image = {
+        images: dict[str, Any] = {
             "shape": np.zeros((rows, cols + 1), np.uint8),
             "channels": np.zeros((rows, cols, 2), np.uint8),
             "type": np.zeros((rows, cols), np.float32),
-        }[wrong]
+        }
         with pytest.raises(InputError, match="projector"):
-            projector.show(image)
+            projector.show(images[wrong])
 
     def test_closing_twice(self, projector: Projector) -> None:
         projector.close()

@@ -6,9 +6,12 @@ It photographs what a callable says, a virtual screen for instance, as clip(e T 
 from __future__ import annotations
 
 import ctypes
+import fcntl
+import tempfile
 import time
 from collections.abc import Callable
-from typing import Any
+from pathlib import Path
+from typing import IO, Any
 
 import numpy as np
 import pytest
@@ -20,7 +23,7 @@ UNIT_EXPOSURE = 0.01
 _FULL = 65535
 # The only address of the loopback network that Aravis serves, so one such camera runs at a time.
 _HOST = "127.0.0.1"
-_PATIENCE = 60
+_PATIENCE = 120
 
 
 def _missing() -> str | None:
@@ -55,15 +58,20 @@ def _library() -> Any:
     return library
 
 
-def _served(aravis: Any) -> Any:
-    """The camera, as soon as no other test on this machine serves one."""
+def _alone() -> IO[bytes]:
+    """A lock that one process of this machine has at a time.
+
+    Two cameras would both seem to run at the one address, and take packets from each other.
+    """
+    lock = (Path(tempfile.gettempdir()) / "lightmatrix-simulated-gige.lock").open("ab")
     until = time.monotonic() + _PATIENCE
-    while time.monotonic() < until:
-        camera = aravis.GvFakeCamera.new(_HOST, "LIGHTMATRIX")
-        if camera.is_running():
-            return camera
-        time.sleep(0.2)
-    raise AssertionError(f"no simulated camera starts at {_HOST}; is another one running?")
+    while True:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            return lock
+        except BlockingIOError:
+            assert time.monotonic() < until, "another process serves a simulated camera"
+            time.sleep(0.1)
 
 
 class GigECamera:
@@ -97,7 +105,9 @@ class GigECamera:
         self._photograph = photograph
         self._bytes = bytes_per_pixel * shape[0] * shape[1]
         self._library = _library()
-        self._camera: Any = _served(Aravis)
+        self._lock = _alone()
+        self._camera: Any = Aravis.GvFakeCamera.new(_HOST, "LIGHTMATRIX")
+        assert self._camera.is_running(), "the simulated camera does not start"
         self._fake = self._library.arv_gv_fake_camera_get_fake_camera(hash(self._camera))
         self._fill = _FILL(self._filled)
         self._library.arv_fake_camera_set_fill_pattern(self._fake, self._fill, None)
@@ -116,6 +126,7 @@ class GigECamera:
         if self._camera is not None:
             self._library.arv_fake_camera_set_fill_pattern(self._fake, _FILL(), None)
             self._camera = None
+            self._lock.close()
 
     def _filled(self, buffer: int, _user: int, exposure: int, _gain: int, _format: int) -> None:
         try:

@@ -13,8 +13,9 @@ from lightmatrix.errors import DeviceError, InputError, MissingExtraError
 from lightmatrix.live.addresses import Address
 from lightmatrix.live.projectors.window import WindowProjector, find_windows, open_window
 from lightmatrix.live.protocols import Projector
-from tests.live.conftest import SCREEN, SECOND
-from tests.live.contract import ProjectorContract
+
+from .conftest import SCREEN, SECOND
+from .contract import ProjectorContract
 
 pytest.importorskip("glfw", reason="glfw is missing: make test-install")
 pytest.importorskip("moderngl", reason="moderngl is missing: make test-install")
