@@ -149,7 +149,7 @@ def take_capture(
         record = Record.open(target, wanted, overwrite=overwrite)
         seconds = _exposures(record, shown, exposure, known)
         taker = Taker(rig, known.settle.seconds)
-        references = _references(taker, seconds)
+        references = rig.persistently(lambda: _references(taker, seconds))
         taker.changing = references.black.changing
         _check_unchanged(record, references)
         session = Session(
@@ -185,10 +185,14 @@ def _calibrated(
             if settle is not None and known.settle is not None:
                 known = replace(known, settle=replace(known.settle, seconds=settle))
             if not missing and known.exposure is not None:
-                missing = outdated(rig, known)
+                missing = _outdated(rig, known)
             if not missing:
                 return known
     return calibrate(rig, missing, keep=keep, settle=settle, progress=calibrating)
+
+
+def _outdated(rig: Rig, known: Calibration) -> list[str]:
+    return rig.persistently(lambda: outdated(rig, known))
 
 
 def _made(

@@ -6,9 +6,9 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, Self, TypeVar
 
-from lightmatrix.errors import DeviceError
+from lightmatrix.errors import DeviceError, FrameTimeoutError
 from lightmatrix.live.clock import Clock, SystemClock
 from lightmatrix.live.protocols import Camera, Projector
 from lightmatrix.rig.truth import Truth
@@ -16,6 +16,12 @@ from lightmatrix.rig.truth import Truth
 # Seconds that a camera is waited for which was lost, and between two looks for it.
 _PATIENCE = 60.0
 _LOOK_EVERY = 1.0
+_LOSSES = 2
+Result = TypeVar("Result")
+
+
+class UnfitRigError(DeviceError):
+    """Both devices work, but what they show and see cannot be measured with."""
 
 
 @dataclass(eq=False)
@@ -75,6 +81,23 @@ class Rig:
             self.camera.close()
         finally:
             self.projector.close()
+
+    def persistently(self, work: Callable[[], Result]) -> Result:
+        """Do something, and again from its beginning where the camera was lost meanwhile.
+
+        Raises
+        ------
+        DeviceError
+            If it is lost three times, or not back within a minute.
+        """
+        for _ in range(_LOSSES):
+            try:
+                return work()
+            except (UnfitRigError, FrameTimeoutError):
+                raise
+            except DeviceError:
+                self.recover()
+        return work()
 
     def recover(self) -> None:
         """Open the camera again after it was lost, once it is back.

@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.errors import DeviceError
+from lightmatrix.live.rig import UnfitRigError
 from lightmatrix.live.taking import Shot, Taker, UntrustedFrameError
 
 # Frames that are tried for each that is wanted.
@@ -107,7 +107,7 @@ def take_steady(
         if len(shots) == count:
             break
     else:
-        raise DeviceError(
+        raise UnfitRigError(
             f"of {_TRIES * count} frames of one image only {len(shots)} can be trusted; the last "
             f"of the others: {reason}",
             hint="look at the camera's picture with its own program, and at its cable",

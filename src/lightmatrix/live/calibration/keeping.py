@@ -219,11 +219,11 @@ def calibrate(
         raise InputError(
             f"nothing is known of measuring {unknown[0]!r}", hint=f"use {', '.join(PARTS)}"
         )
-    known = Calibration(_jsonable(rig.projector.info()), _jsonable(rig.camera.info()))
+    before = Calibration(_jsonable(rig.projector.info()), _jsonable(rig.camera.info()))
     if keep is not None and Path(keep).exists():
         found = Calibration.load(keep)
-        known = found if found.of_rig(rig) else known
-    known = _measured(rig, known, parts, settle, progress)
+        before = found if found.of_rig(rig) else before
+    known = rig.persistently(lambda: _measured(rig, before, parts, settle, progress))
     if keep is not None:
         known.save(keep)
     return known

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.errors import DeviceError, FrameTimeoutError
+from lightmatrix.errors import FrameTimeoutError
 from lightmatrix.live.calibration.white import FIRST_SETTLE, Whites, find_white, images
-from lightmatrix.live.rig import Rig
+from lightmatrix.live.rig import Rig, UnfitRigError
 from lightmatrix.live.taking import Taker
 
 # Changes with a long look each, that find about when; further ones with a short look.
@@ -116,7 +116,7 @@ def measure_settle(
         if progress is not None:
             progress(change + 1, total)
     if len(looks) < (1 - _MOST_LOST) * total:
-        raise DeviceError(
+        raise UnfitRigError(
             f"after {total - len(looks)} of {total} changes between black and white the picture "
             f"had not settled within {duration:.2f} s",
             hint="is the exposure fixed (no automatic exposure or gain), and the room's light "
@@ -200,7 +200,7 @@ def _settle_time(looks: NDArray[np.float64], changes: int) -> SettleTime:
     seconds = float(starts[starts > unsettled].min())
     late = changes - len(looks) + int((last > seconds).sum())
     if seconds > 0.8 * _LONG_LOOK:
-        raise DeviceError(
+        raise UnfitRigError(
             f"the picture settles only {seconds:.2f} s after it is shown",
             hint="switch off what delays the picture (compositor, variable refresh, picture "
             "improvement of the projector), or say how long to wait: --settle SECONDS",

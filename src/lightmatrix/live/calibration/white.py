@@ -7,9 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.errors import DeviceError
 from lightmatrix.live.limits import exposure_limits
-from lightmatrix.live.rig import Rig
+from lightmatrix.live.rig import Rig, UnfitRigError
 from lightmatrix.live.steady import Steady, take_steady
 from lightmatrix.live.taking import Taker
 
@@ -101,11 +100,11 @@ def find_white(taker: Taker, count: int = 3) -> Whites:
             break
         exposure = float(np.clip(exposure * factor, shortest, longest))
     if share > _MOST:
-        raise DeviceError(
+        raise UnfitRigError(
             f"the white picture clips even at the camera's shortest exposure, {exposure:g} s",
             hint="close the camera's aperture, lower its gain, or dim the projector",
         )
-    raise DeviceError(
+    raise UnfitRigError(
         "the camera does not see the projector: a white picture looks like a black one",
         hint="is the projector on, its lens uncovered, the picture on the right monitor, and the "
         "camera pointed at it?",
