@@ -78,7 +78,7 @@ def measure_exposure(
     Examples
     --------
     >>> import lightmatrix as lm
-    >>> with lm.open_rig("virtual:l_objects,real=0") as rig:
+    >>> with lm.open_rig("virtual:procedural,size=16,real=0") as rig:
     ...     advice = lm.measure_exposure(rig, settle=0.05)
     >>> len(advice.seconds), 60 < advice.pedestal < 68
     (1, True)

@@ -88,7 +88,7 @@ def measure_flicker(
     Examples
     --------
     >>> import lightmatrix as lm
-    >>> with lm.open_rig("virtual:l_objects,flicker=0.1,flicker_hz=100,real=0") as rig:
+    >>> with lm.open_rig("virtual:procedural,size=16,flicker=0.1,real=0") as rig:
     ...     flicker = lm.measure_flicker(rig, settle=0.05)
     >>> round(flicker.amplitude, 1), flicker.frequency
     (0.1, 100.0)

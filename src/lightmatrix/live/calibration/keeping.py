@@ -55,7 +55,7 @@ class Calibration:
     Examples
     --------
     >>> import lightmatrix as lm
-    >>> with lm.open_rig("virtual:l_objects,delay=2,real=0") as rig:
+    >>> with lm.open_rig("virtual:procedural,size=16,delay=2,real=0") as rig:
     ...     known = lm.calibrate(rig, ["settle"])
     >>> 0.03 < known.settle.seconds < 0.05, known.response is None
     (True, True)
@@ -209,7 +209,7 @@ def calibrate(
     Examples
     --------
     >>> import lightmatrix as lm
-    >>> with lm.open_rig("virtual:l_objects,real=0") as rig:
+    >>> with lm.open_rig("virtual:procedural,size=16,real=0") as rig:
     ...     known = lm.calibrate(rig, ["response"], keep="rig.json")
     >>> round(known.response.gamma, 1), lm.Calibration.load("rig.json") == known
     (2.2, True)

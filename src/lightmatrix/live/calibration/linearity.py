@@ -79,7 +79,7 @@ def measure_linearity(
     Examples
     --------
     >>> import lightmatrix as lm
-    >>> with lm.open_rig("virtual:l_objects,real=0") as rig:
+    >>> with lm.open_rig("virtual:procedural,size=16,real=0") as rig:
     ...     lm.measure_linearity(rig, settle=0.05).linear
     True
     """

@@ -75,7 +75,7 @@ def measure_response(
     Examples
     --------
     >>> import lightmatrix as lm
-    >>> with lm.open_rig("virtual:l_objects,gamma=2.2,real=0") as rig:
+    >>> with lm.open_rig("virtual:procedural,size=16,gamma=2.2,real=0") as rig:
     ...     response = lm.measure_response(rig, settle=0.05)
     >>> round(response.gamma, 1), int(response.grey_for(np.array([0.5]))[0])
     (2.2, 186)

@@ -89,7 +89,7 @@ def measure_settle(
     Examples
     --------
     >>> import lightmatrix as lm
-    >>> with lm.open_rig("virtual:l_objects,delay=3,real=0") as rig:
+    >>> with lm.open_rig("virtual:procedural,size=16,delay=3,real=0") as rig:
     ...     settle = lm.measure_settle(rig)
     >>> 3 / 60 <= settle.seconds < 4 / 60
     True
