@@ -84,7 +84,6 @@ def settings_of(seed: int) -> VirtualSettings:
 def _photograph(folder: Path, seed: int, count: int, largest_file: int | None) -> None:
     """One attempt at the capture, in a process of its own."""
     warnings.simplefilter("ignore")
-    # Half of the patterns are grey.
     settings = settings_of(seed)
     shape = (settings.size, settings.size)
     patterns = make_patterns("mix", shape, count, seed=seed)
@@ -95,7 +94,8 @@ def _photograph(folder: Path, seed: int, count: int, largest_file: int | None) -
                 # As a full disk does, it lets a part of a file be written.
                 resource.setrlimit(resource.RLIMIT_FSIZE, (largest_file, largest_file))
             take_capture(folder / "capture", rig, patterns, keep=folder / "rig.json")
-    except OutputError:
+    except OutputError as error:
+        print(error, file=sys.stderr)
         code = _FULL
     except LightMatrixError as error:
         print(error, file=sys.stderr)
@@ -112,6 +112,9 @@ def run(folder: Path, seed: int, *, count: int = 40, kills: int = 3) -> Outcome:
     robbed = False
     deadline = time.monotonic() + _PATIENCE
     while time.monotonic() < deadline:
+        if (folder / "capture").exists():
+            # Killed when it had just finished.
+            break
         largest = None
         if outcome.kills >= kills // 2 and not robbed:
             robbed, largest = True, int(draw.integers(200, 1500))

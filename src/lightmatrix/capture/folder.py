@@ -283,8 +283,8 @@ def write_capture(
     patterns : PatternSet
         K patterns.
     frames : (K, rows, cols[, channels]) array or iterable of K images or files
-        Raw levels, written as PNG (uint8, uint16) or npy (float32). Files are such images of
-        `camera_shape` already, and share their place on the disk where it can do that.
+        Raw levels, written as PNG (uint8, uint16) or npy (float32). Files hold such images of
+        `camera_shape` already; they keep their format, and share their place on the disk where it can do that.
     sensor : Sensor
         The camera that took them.
     camera_shape : tuple of int, optional
@@ -319,7 +319,7 @@ def write_capture(
         for count, frame in enumerate(frames, 1):
             image = part / "images" / f"image_{count - 1:0{digits}d}{suffix}"
             if isinstance(frame, Path):
-                _link(frame, image)
+                _link(frame, image.with_suffix(frame.suffix))
                 continue
             shape = shape or frame.shape
             if frame.shape != shape:

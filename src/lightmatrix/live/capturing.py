@@ -146,25 +146,25 @@ def take_capture(
             "projector": {key: known.projector.get(key) for key in ("name", "shape")},
             "camera": {key: known.camera.get(key) for key in ("name", "shape", "bits")},
         }
-        record = Record.open(target, wanted, overwrite=overwrite)
-        seconds = _exposures(record, shown, exposure, known)
-        taker = Taker(rig, known.settle.seconds)
-        references = rig.persistently(lambda: _references(taker, seconds))
-        taker.changing = references.black.changing
-        _check_unchanged(record, references)
-        session = Session(
-            taker,
-            record,
-            shown,
-            showing.image,
-            seconds,
-            references,
-            check=check,
-            reference_every=reference_every,
-            progress=progress,
-        )
-        session.run()
-        _finish(rig, record, shown, seconds, references, known, cell, response, overwrite)
+        with Record.open(target, wanted, overwrite=overwrite) as record:
+            seconds = _exposures(record, shown, exposure, known)
+            taker = Taker(rig, known.settle.seconds)
+            references = rig.persistently(lambda: _references(taker, seconds))
+            taker.changing = references.black.changing
+            _check_unchanged(record, references)
+            session = Session(
+                taker,
+                record,
+                shown,
+                showing.image,
+                seconds,
+                references,
+                check=check,
+                reference_every=reference_every,
+                progress=progress,
+            )
+            session.run()
+            _finish(rig, record, shown, seconds, references, known, cell, response, overwrite)
     _warn(record, known, response)
     return Capture.open(output, check_order=False)
 

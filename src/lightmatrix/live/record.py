@@ -11,7 +11,8 @@ import json
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from types import TracebackType
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -84,7 +85,10 @@ class State:
 
 
 class Record:
-    """The running results of a capture; made by `open`. The caller holds the output's lock."""
+    """The running results of a capture; made by `open`. The caller holds the output's lock.
+
+    In a ``with`` statement, an exception leaves the frames for the next run, if there are any.
+    """
 
     def __init__(
         self, target: Path, kept: RunningFolder, wanted: Mapping[str, Any], state: State
@@ -136,6 +140,18 @@ class Record:
         for k in [k for k in state.frames if record.read(k) is None]:
             del state.frames[k]
         return record
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if kind is not None and not self.state.frames:
+            self._kept.discard()
 
     # ---- frames
 
@@ -246,4 +262,5 @@ class Record:
         self._kept.discard()
 
     def _name(self, frame: int) -> str:
-        return f"image_{frame:04d}.png"
+        # Packing the noise of a large frame as PNG takes longer than photographing it.
+        return f"image_{frame:04d}.tif"

@@ -18,6 +18,8 @@ FIRST_SETTLE = 0.4
 _WANTED, _FEWEST, _MOST = 0.7, 0.35, 0.9
 # Bright samples, but not single glints.
 _BRIGHT = 0.99
+# Of the clip level: white that is above black by less is not the projector's.
+_SEEN = 0.02
 _TRIES = 12
 # From one try to the next where hardly anything, or nearly all, is seen.
 _STEP = 8.0
@@ -87,19 +89,22 @@ def find_white(taker: Taker, count: int = 3) -> Whites:
         found = Whites(bright, dark)
         level = float(np.quantile(bright.mean, _BRIGHT))
         pedestal = float(np.median(dark.mean))
-        share = (level - pedestal) / (bright.clip_level - pedestal)
+        # A room that is too bright clips black as well.
+        share = (level - pedestal) / max(bright.clip_level - pedestal, 1.0)
+        if pedestal > _MOST * bright.clip_level:
+            share = 1.0
         # White that hardly differs from black has the room's light, or none at all.
         seen = float(np.quantile(found.light, _BRIGHT)) / bright.clip_level
         ends = exposure <= 1.01 * shortest, exposure >= 0.99 * longest
-        if _FEWEST <= share <= _MOST or (ends[1] and seen > 0.01) or (ends[0] and share <= _MOST):
-            if seen > 0.01:
+        if _FEWEST <= share <= _MOST or (ends[1] and seen > _SEEN) or (ends[0] and share <= _MOST):
+            if seen > _SEEN:
                 return found
             break
         factor = 1 / _STEP if share > _MOST else min(_STEP, _WANTED / max(share, 1e-3))
         if (factor < 1 and ends[0]) or (factor > 1 and ends[1]):
             break
         exposure = float(np.clip(exposure * factor, shortest, longest))
-    if share > _MOST:
+    if share > _MOST and exposure <= 1.01 * shortest:
         raise UnfitRigError(
             f"the white picture clips even at the camera's shortest exposure, {exposure:g} s",
             hint="close the camera's aperture, lower its gain, or dim the projector",
@@ -107,5 +112,5 @@ def find_white(taker: Taker, count: int = 3) -> Whites:
     raise UnfitRigError(
         "the camera does not see the projector: a white picture looks like a black one",
         hint="is the projector on, its lens uncovered, the picture on the right monitor, and the "
-        "camera pointed at it?",
+        "camera pointed at it? A picture that comes half a second late is not seen either",
     )

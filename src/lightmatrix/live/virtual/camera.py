@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.camera.sensor import Sensor
-from lightmatrix.errors import DeviceError, FrameTimeoutError
+from lightmatrix.errors import DeviceError, FrameTimeoutError, InputError
 from lightmatrix.live.clock import Clock
 from lightmatrix.live.protocols import Frame
 from lightmatrix.live.virtual.light import Light
@@ -58,6 +58,7 @@ class VirtualCamera:
         self._begun = clock.now()
         self._next = self._begun
         self._meddled = settings.meddled == 0
+        self._closed = False
 
     # ---- what a camera is
 
@@ -70,9 +71,13 @@ class VirtualCamera:
     @exposure.setter
     def exposure(self, seconds: float) -> None:
         self._check_plugged()
+        if not _SHORTEST <= seconds <= _LONGEST:
+            raise InputError(
+                f"the virtual camera has no exposure of {seconds} s",
+                hint=f"use {_SHORTEST:g} to {_LONGEST:g} s",
+            )
         self._run_until(self._clock.now())
-        steps = round(min(max(seconds, _SHORTEST), _LONGEST) / _STEP)
-        self._exposure = steps * _STEP
+        self._exposure = round(seconds / _STEP) * _STEP
 
     def info(self) -> dict[str, Any]:
         return {
@@ -112,6 +117,7 @@ class VirtualCamera:
 
     def close(self) -> None:
         self._waiting.clear()
+        self._closed = True
 
     def reopen(self) -> VirtualCamera:
         """The camera after it was lost and found again; its frames are gone.
@@ -121,7 +127,8 @@ class VirtualCamera:
         DeviceError
             While it is unplugged.
         """
-        self._check_plugged()
+        self._check_there()
+        self._closed = False
         self._waiting.clear()
         self._next = max(self._next, self._clock.now())
         return self
@@ -194,6 +201,11 @@ class VirtualCamera:
             self._exposure *= settings.meddled
 
     def _check_plugged(self) -> None:
+        if self._closed:
+            raise DeviceError("the virtual camera is closed", hint="open it again")
+        self._check_there()
+
+    def _check_there(self) -> None:
         since = self._clock.now() - self._begun - self._settings.unplugged_at
         if self._settings.unplugged and 0 <= since < self._settings.unplugged:
             raise DeviceError(

@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.errors import InputError
+from lightmatrix.errors import DeviceError
 from lightmatrix.live.clock import Clock
+from lightmatrix.live.projectors.images import check_image
 from lightmatrix.live.virtual.light import Light
 from lightmatrix.live.virtual.settings import VirtualSettings
 
@@ -33,6 +34,8 @@ class VirtualProjector:
     def __init__(self, light: Light, settings: VirtualSettings, clock: Clock) -> None:
         self._light, self._settings, self._clock = light, settings, clock
         self._count = 0
+        # What was asked for last; None once it is closed.
+        self.image: NDArray[np.uint8] | None = np.zeros(self.shape, np.uint8)
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -46,13 +49,12 @@ class VirtualProjector:
         }
 
     def show(self, image: NDArray[np.uint8]) -> float:
+        if self.image is None:
+            raise DeviceError("the virtual projector is closed", hint="open it again")
+        check_image(image, self.shape)
+        self.image = image
         if image.ndim == 3:
             image = image.mean(axis=2).astype(np.uint8)
-        if image.shape != self.shape:
-            raise InputError(
-                f"an image of {image.shape} for a projector of {self.shape}",
-                hint="make the patterns in the projector's size",
-            )
         refresh = 1 / self._settings.refresh
         now = self._clock.now()
         # As a window that swaps its buffers, it comes back with the next refresh.
@@ -70,4 +72,4 @@ class VirtualProjector:
         return self.show(np.zeros(self.shape, np.uint8))
 
     def close(self) -> None:
-        pass
+        self.image = None
