@@ -23,6 +23,12 @@ $(VENV)/.installed: $(BIN)/python $(CORE)
 
 $(VENV)/.test-installed: $(VENV)/.installed
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev,render]'
+	for extra in window aravis gentl video dslr; do \
+	  $(BIN)/python tools/requirements.py $$extra | \
+	    $(BIN)/python -m pip install --quiet --disable-pip-version-check -r /dev/stdin || \
+	    { echo "no $$extra here (see make system-deps): its tests are skipped"; test -z "$$CI"; } \
+	    || exit 1; \
+	done
 	@touch $@
 
 install: $(VENV)/.installed ## build the core and install lightmatrix into .venv
@@ -73,7 +79,7 @@ experiments: test-install ## the paper's figures and ours, in experiments-out/; 
 	  test -e experiments-out/$$name/$$name.json || \
 	  $(BIN)/lightmatrix experiment $$name -o experiments-out/$$name || exit; done
 
-system-deps: ## optional system packages (the renderer's LLVM)
+system-deps: ## optional system packages (the renderer's LLVM, screens and cameras)
 	bash tools/system-deps.sh
 
 clean: ## remove what make made

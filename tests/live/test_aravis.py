@@ -68,6 +68,8 @@ class TestFreeRunningGigE(CameraContract):
 
 def test_64_patterns_on_a_screen_come_back_as_the_camera_saw_them(screen: str) -> None:
     """The whole optical path but for the optics: window, T, noise-free camera, network."""
+    for name in ("glfw", "moderngl", "mss"):
+        pytest.importorskip(name, reason=f"{name} is missing: make test-install")
     projector = (16, 16)
     matrix = csr_array(
         random_array((SHAPE[0] * SHAPE[1], 256), density=0.006, rng=np.random.default_rng(2))

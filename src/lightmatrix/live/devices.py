@@ -11,6 +11,7 @@ from lightmatrix.live.addresses import Address, Found
 from lightmatrix.live.cameras.aravis import find_aravis, open_aravis
 from lightmatrix.live.cameras.dslr import find_dslr, open_dslr
 from lightmatrix.live.cameras.gentl import find_gentl, open_gentl
+from lightmatrix.live.cameras.video import find_video, open_video
 from lightmatrix.live.cameras.watched import open_watched
 from lightmatrix.live.projectors.folder import open_folder
 from lightmatrix.live.projectors.window import find_windows, open_window
@@ -52,6 +53,9 @@ PROJECTORS: dict[str, BackEnd[Projector]] = {
 CAMERAS: dict[str, BackEnd[Camera]] = {
     "aravis": BackEnd("GigE and USB3 Vision", "aravis:ID", open_aravis, find_aravis),
     "gentl": BackEnd("any maker's, by its GenTL producer", "gentl:ID", open_gentl, find_gentl),
+    "video": BackEnd(
+        "web cameras and frame grabbers", "video:DEVICE,exposure=SECONDS", open_video, find_video
+    ),
     "dslr": BackEnd("digital cameras, tethered", "dslr:MODEL", open_dslr, find_dslr),
     "watch": BackEnd("files from whatever takes them", "watch:DIR,exposure=SECONDS", open_watched),
 }
