@@ -86,7 +86,7 @@ def test_what_the_camera_refuses(picture: Picture, address: str, words: str) -> 
 def test_a_camera_in_use(picture: Picture, monkeypatch: pytest.MonkeyPatch) -> None:
     real: Any = gphoto2.Camera
 
-    class Claimed(real):  # type: ignore[misc, valid-type]
+    class Claimed(real):  # type: ignore[misc]
         def init(self, *_: object) -> None:
             raise gphoto2.GPhoto2Error(gphoto2.GP_ERROR_IO_USB_CLAIM)
 
