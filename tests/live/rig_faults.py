@@ -94,8 +94,8 @@ def _photograph(folder: Path, seed: int, count: int, largest_file: int | None) -
                 # As a full disk does, it lets a part of a file be written.
                 resource.setrlimit(resource.RLIMIT_FSIZE, (largest_file, largest_file))
             take_capture(folder / "capture", rig, patterns, keep=folder / "rig.json")
-    except OutputError as error:
-        print(error, file=sys.stderr)
+    except OutputError:
+        # Not to be told: a limit on files holds for a log too.
         code = _FULL
     except LightMatrixError as error:
         print(error, file=sys.stderr)

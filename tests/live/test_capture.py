@@ -71,7 +71,7 @@ def test_a_capture_is_as_good_as_a_simulated_one() -> None:
 
 
 def test_every_frame_says_how_it_was_taken() -> None:
-    capture = _capture(room=0) if False else _capture()
+    capture = _capture()
     told = json.loads(Path("capture/capture.json").read_text())
     assert told["clip"] == 4095
     assert told["black_level"] == pytest.approx(64, abs=1)
@@ -108,7 +108,7 @@ def test_cells_are_shown_in_the_middle_of_the_screen() -> None:
 def test_several_exposures_where_the_light_asks_for_them() -> None:
     capture = _capture(",noise=0.03,bits=8,black=4")
     assert len(np.unique(capture.exposures)) > 1
-    assert capture.exposures.max() == 1
+    assert capture.exposures.max() == pytest.approx(1)
 
 
 # ---- faults
@@ -123,12 +123,12 @@ def test_several_exposures_where_the_light_asks_for_them() -> None:
         (",duplicate=0.2,fps=0", 3),
         (",torn=0.2,fps=0", 3),
         (",torn=0.3,delay=0.5", 0),
-        (",unplugged=5,unplugged_at=16,fps=0", 1),
-        (",meddled=2,meddled_at=16,fps=0", 1),
+        (",unplugged=5,unplugged_at=14,fps=0", 1),
+        (",meddled=2,meddled_at=14,fps=0", 1),
     ],
 )
 def test_faults_are_noticed_and_mended(fault: str, least: int) -> None:
-    assert _again(fault, keep=None) >= least
+    assert _again(fault, settle=0.05) >= least
     _right_frames(fault)
 
 
@@ -171,25 +171,24 @@ def test_what_cannot_be_mended_is_named_and_left_out(monkeypatch: pytest.MonkeyP
             return np.random.default_rng().integers(0, 2, self.screen, np.uint8) * np.uint8(255)
         return image(self, index)
 
-    monkeypatch.setattr(Shown, "image", stubborn)
-    with pytest.warns(lm.LightMatrixWarning, match="2 patterns are left out.*pattern 7"):
-        capture = _capture(",fps=0")
+    with monkeypatch.context() as patched:
+        patched.setattr(Shown, "image", stubborn)
+        with pytest.warns(lm.LightMatrixWarning, match=r"2 patterns are left out.*pattern 7"):
+            capture = _capture(",fps=0")
     assert sorted(capture.provenance["left_out"]) == ["20", "7"]
     assert capture.count == 30
-    monkeypatch.undo()
     _right_frames(",fps=0")
     assert lm.Capture.open("capture").count == 30
 
 
-def test_a_projector_that_shows_nothing_ends_the_session(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_one_bad_frame_after_the_other_ends_the_session(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(_StopError):
         _capture(progress=_stop_after(10))
-    monkeypatch.setattr(
-        "lightmatrix.live.taking.copied_rows", lambda data, *_: len(data) if data.any() else 0
-    )
-    with pytest.raises(lm.DeviceError, match="can be trusted"):
-        _capture()
-    monkeypatch.undo()
+    with monkeypatch.context() as patched:
+        patched.setattr("lightmatrix.live.taking.copied_rows", lambda data, *_: len(data))
+        with pytest.raises(lm.DeviceError, match=r"4 patterns in a row.*is a copy of") as told:
+            _capture()
+    assert "the frames so far are kept" in str(told.value.hint)
     assert _capture().count == 32
 
 
@@ -242,7 +241,7 @@ def test_a_damaged_frame_is_taken_again() -> None:
 def test_frames_of_another_capture_are_not_mixed_in() -> None:
     with pytest.raises(_StopError):
         _capture(progress=_stop_after(20))
-    with pytest.raises(lm.OutputError, match="frames of another capture.*patterns differ"):
+    with pytest.raises(lm.OutputError, match=r"frames of another capture.*patterns differ"):
         _capture(seed=1)
     assert _capture(seed=1, overwrite=True).count == 32
 
@@ -294,7 +293,7 @@ def test_the_whole_way_by_one_command(capsys: pytest.CaptureFixture[str]) -> Non
     told = json.loads(capsys.readouterr().out)
     assert told["checks"] == {"matched": 32}
     assert told["estimate"]["output"] == "scene.zarr"
-    assert main("evaluate scene.zarr --truth capture/truth.npz".split()) == 0
+    assert main(["evaluate", "scene.zarr", "--truth", "capture/truth.npz"]) == 0
     assert main(line.split()) == 2
     assert "exists already" in capsys.readouterr().err
 

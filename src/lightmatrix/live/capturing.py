@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.camera.exposures import of_frames
+from lightmatrix.camera.response import Response
 from lightmatrix.capture.capture import Capture
 from lightmatrix.errors import DeviceError, InputError, LightMatrixWarning
 from lightmatrix.live.agreement import Drift, References, drift
@@ -128,6 +129,12 @@ def take_capture(
             raise InputError(f"a {name} of {value} s", hint="give seconds, such as 0.02")
     if exposure == 0:
         raise InputError("an exposure of 0 s", hint="give seconds, such as 0.02")
+    if not 1 <= cell <= min(rig.projector.shape):
+        raise InputError(
+            f"a cell of {cell} pixels", hint=f"use 1 to {min(rig.projector.shape)} pixels"
+        )
+    # Before all work, lest it is refused after it.
+    Response.parse(response)
     if reference_every < 0:
         raise InputError(f"a reference every {reference_every} frames", hint="use 0 or more")
     given = patterns if isinstance(patterns, PatternSet) or patterns is None else Path(patterns)
@@ -203,8 +210,6 @@ def _made(
     seed: int,
     known: Calibration,
 ) -> PatternSet:
-    if cell < 1:
-        raise InputError(f"a cell of {cell} pixels", hint="use at least 1")
     advised = 0.5 if known.exposure is None else known.exposure.density
     lit = advised if density is None else density
     shape = (screen[0] // cell, screen[1] // cell)

@@ -147,14 +147,14 @@ class Taker:
         asked, actual = self._exposure
         if exposure is None:
             return camera.exposure
-        if exposure != asked or not _same(camera.exposure, actual):
+        if exposure != asked or not same_exposure(camera.exposure, actual):
             camera.exposure = exposure
             self._exposure = exposure, camera.exposure
         return self._exposure[1]
 
     def _check_exposure(self, actual: float) -> None:
         now = self.rig.camera.exposure
-        if not _same(now, actual):
+        if not same_exposure(now, actual):
             raise UntrustedFrameError(
                 f"another program changed the exposure from {actual:g} to {now:g} s"
             )
@@ -214,5 +214,6 @@ def copied_rows(
     return 0
 
 
-def _same(one: float, other: float) -> bool:
+def same_exposure(one: float, other: float) -> bool:
+    """Whether two exposures are one, but for what a camera makes of its digits."""
     return abs(one - other) <= _SAME_EXPOSURE * other

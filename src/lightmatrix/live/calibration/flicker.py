@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from lightmatrix.errors import FrameTimeoutError
 from lightmatrix.live.calibration.white import Whites, find_white, images
 from lightmatrix.live.rig import Rig
-from lightmatrix.live.taking import Taker
+from lightmatrix.live.taking import Taker, same_exposure
 
 _FRAMES = 48
 # Twice the mains, which lamps follow.
@@ -109,7 +109,12 @@ def measure_flicker(
             if progress is not None:
                 progress(first + done, 2 * _FRAMES)
 
-        series.append(_series(rig, whites, tell))
+        found = _series(rig, whites, tell)
+        if not same_exposure(camera.exposure, exposure):
+            # Another program has changed it.
+            camera.exposure = exposure
+            found = _series(rig, whites, tell)
+        series.append(found)
     times, bright = series[0]
     _, dark = series[1]
     level = float(np.median(bright) - np.median(dark))
@@ -117,11 +122,11 @@ def measure_flicker(
     tried = dict.fromkeys((*_MAINS, refresh, 2 * refresh))
     amplitude, frequency = 0.0, 0.0
     for candidate in tried:
-        found, error = _wave(times - exposure / 2, bright / level, candidate)
+        seen, error = _wave(times - exposure / 2, bright / level, candidate)
         # The exposure itself averages the wave.
-        found /= max(abs(float(np.sinc(candidate * exposure))), 0.05)
-        if found > max(_NOTICED, _ERRORS * error, 1.1 * amplitude):
-            amplitude, frequency = found, candidate
+        seen /= max(abs(float(np.sinc(candidate * exposure))), 0.05)
+        if seen > max(_NOTICED, _ERRORS * error, 1.1 * amplitude):
+            amplitude, frequency = seen, candidate
     return Flicker(amplitude, frequency, float(bright.std()) / level, float(dark.std()) / level)
 
 

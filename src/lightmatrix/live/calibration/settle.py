@@ -16,13 +16,15 @@ from numpy.typing import NDArray
 from lightmatrix.errors import FrameTimeoutError
 from lightmatrix.live.calibration.white import FIRST_SETTLE, Whites, find_white, images
 from lightmatrix.live.rig import Rig, UnfitRigError
-from lightmatrix.live.taking import Taker
+from lightmatrix.live.taking import Taker, same_exposure
 
 # Changes with a long look each, that find about when; further ones with a short look.
 _FIRST, _FURTHER = 4, 17
 _LONG_LOOK, _SHORT_LOOK = 0.5, 0.15
 # A camera that gives no frame for so long, beyond the exposure, has lost it.
 _LOST = 0.2
+# Seconds that the last frame of a look may come late.
+_LAST_FRAME = 1.0
 # Of the way from black to white: what is nearer to its end has settled.
 _SETTLED = 0.03
 # Where the light flickers: so many standard deviations, but never more than this.
@@ -100,7 +102,8 @@ def measure_settle(
             rig.camera.exposure = exposure
         whites = find_white(taker)
     rig.camera.exposure = whites.exposure if exposure is None else exposure
-    scale = rig.camera.exposure / whites.exposure
+    asked = rig.camera.exposure
+    scale = asked / whites.exposure
     generator = np.random.default_rng(0)
     settled = _tolerance(rig, whites, scale)
     looks: list[tuple[float, float]] = []
@@ -111,7 +114,10 @@ def measure_settle(
             duration = 2 * max(first for _, first in looks) + 4 * _frame_time(rig, whites.exposure)
             duration = min(max(duration, _SHORT_LOOK), _LONG_LOOK)
         look = _look(rig, whites, scale, settled, bool(change % 2), duration, generator)
-        if look is not None:
+        if not same_exposure(rig.camera.exposure, asked):
+            # Another program has changed it.
+            rig.camera.exposure = asked
+        elif look is not None:
             looks.append(look)
         if progress is not None:
             progress(change + 1, total)
@@ -166,7 +172,9 @@ def _look(
     rig.camera.flush()
     shown = rig.projector.show(new)
     starts, levels = [], []
-    while rig.clock.now() < shown + duration:
+    # Frames may be lost, the last one too.
+    latest = shown + duration + _LAST_FRAME
+    while rig.clock.now() < latest and (not starts or starts[-1] < duration):
         rig.camera.trigger()
         try:
             frame = rig.camera.get_image(_LOST + 2 * rig.camera.exposure)
