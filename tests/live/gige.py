@@ -176,15 +176,18 @@ class ScreenRig:
         self._noise, self._random = noise, np.random.default_rng(seed)
         self._size = size or projector
         self._area = {"left": left, "top": top, "height": self._size[0], "width": self._size[1]}
+        import mss
+
+        # Loaded and tried here: in the camera's thread it would take the time of a frame.
+        mss.MSS().close()
+        self._grabber = mss.MSS
         self._screen: Any = None
 
     def __call__(self, exposure: float) -> NDArray[np.uint16]:
         """One photograph of what the screen shows now."""
-        import mss
-
         if self._screen is None:
             # In the thread that photographs: a connection to the screen belongs to one.
-            self._screen = mss.MSS()
+            self._screen = self._grabber()
         pixels = np.asarray(self._screen.grab(self._area))[..., 1]
         rows, cols = self._projector
         down, across = self._size[0] // rows, self._size[1] // cols

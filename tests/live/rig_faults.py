@@ -77,7 +77,10 @@ def settings_of(seed: int) -> VirtualSettings:
         meddled_at=float(draw.uniform(2, 25)),
         seed=seed,
         real=0,
-        **RATES,
+        late=RATES["late"],
+        dropped=RATES["dropped"],
+        duplicate=RATES["duplicate"],
+        torn=RATES["torn"],
     )
 
 

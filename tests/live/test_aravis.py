@@ -34,10 +34,10 @@ def _taken(camera: AravisCamera) -> Frame:
     """A frame; a second try if the loopback network of a busy machine lost it, as networks do."""
     try:
         camera.trigger()
-        return camera.get_image(2)
+        return camera.get_image(5)
     except FrameTimeoutError:
         camera.trigger()
-        return camera.get_image(2)
+        return camera.get_image(5)
 
 
 @pytest.fixture

@@ -171,7 +171,8 @@ def _look(
     rig.clock.sleep(float(generator.random()) * 2 * _frame_time(rig, whites.exposure))
     rig.camera.flush()
     shown = rig.projector.show(new)
-    starts, levels = [], []
+    starts: list[float] = []
+    levels: list[float] = []
     # Frames may be lost, the last one too.
     latest = shown + duration + _LAST_FRAME
     while rig.clock.now() < latest and (not starts or starts[-1] < duration):

@@ -24,31 +24,39 @@ _SYSTEM += "aravis)"
 class AravisCamera:
     """A camera that Aravis drives; made by `open_aravis`."""
 
-    def __init__(self, aravis: Any, error: Any, camera: Any, address: Address) -> None:
-        self._aravis, self._error, self._camera = aravis, error, camera
-        self._address = address
-        self._stream: Any = None
+    def __init__(self, aravis: Any, error: Any, address: Address) -> None:
+        self._aravis, self._error, self._address = aravis, error, address
         self._gone = False
-        with self._talking("be set up"):
-            self._name = f"{camera.get_vendor_name()} {camera.get_model_name()}"
-            self._take_control()
-            self._set_features()
-            self._format = self._set_format()
-            self._trigger = self._set_trigger()
-            if camera.is_gv_device():
-                # A network that does not let large packets pass keeps the size that it had.
-                with suppress(error):
-                    camera.gv_auto_packet_size()
-            self._region = camera.get_region()
-            self._exposures = tuple(1e-6 * bound for bound in camera.get_exposure_time_bounds())
-            # The first ids of a camera that counts 64 bits are within the short ones, too.
-            largest = _LARGEST_GIGE_ID if self._has_short_ids() else None
-            self._clock = Clock(largest_id=largest, first_id=1)
-            self._stream = camera.create_stream(None, None)
-            for _ in range(_BUFFERS):
-                self._stream.push_buffer(aravis.Buffer.new_allocate(camera.get_payload()))
-            camera.set_acquisition_mode(aravis.AcquisitionMode.CONTINUOUS)
-            camera.start_acquisition()
+        # The only references: the camera is given back when they end, not when a traceback does.
+        self._stream: Any = None
+        self._camera: Any = aravis.Camera.new(address.argument or None)
+        try:
+            with self._talking("be set up"):
+                self._set_up()
+        except BaseException:
+            self.close()
+            raise
+
+    def _set_up(self) -> None:
+        self._name = f"{self._camera.get_vendor_name()} {self._camera.get_model_name()}"
+        self._take_control()
+        self._set_features()
+        self._format = self._set_format()
+        self._trigger = self._set_trigger()
+        if self._camera.is_gv_device():
+            # A network that does not let large packets pass keeps the size that it had.
+            with suppress(self._error):
+                self._camera.gv_auto_packet_size()
+        self._region = self._camera.get_region()
+        bounds = self._camera.get_exposure_time_bounds()
+        self._exposures = tuple(1e-6 * bound for bound in bounds)
+        largest = _LARGEST_GIGE_ID if self._has_short_ids() else None
+        self._clock = Clock(largest_id=largest, first_id=1)
+        self._stream = self._camera.create_stream(None, None)
+        for _ in range(_BUFFERS):
+            self._stream.push_buffer(self._aravis.Buffer.new_allocate(self._camera.get_payload()))
+        self._camera.set_acquisition_mode(self._aravis.AcquisitionMode.CONTINUOUS)
+        self._camera.start_acquisition()
 
     @property
     def exposure(self) -> float:
@@ -99,9 +107,9 @@ class AravisCamera:
         until = time.monotonic() + timeout
         torn = 0
         while True:
-            stream = self._open_stream()
+            self._check_open()
             left = max(0.0, until - time.monotonic())
-            buffer = stream.timeout_pop_buffer(int(left * 1e6))
+            buffer = self._stream.timeout_pop_buffer(int(left * 1e6))
             if buffer is None:
                 raise self._no_frame(timeout, torn)
             try:
@@ -109,41 +117,41 @@ class AravisCamera:
                 if buffer.get_status() == self._aravis.BufferStatus.SUCCESS:
                     return self._frame(buffer, frame_id)
             finally:
-                stream.push_buffer(buffer)
+                self._stream.push_buffer(buffer)
             torn += 1
 
     def flush(self) -> None:
         """Throw away frames that arrived but were not yet handed out."""
-        stream = self._open_stream()
-        while (buffer := stream.try_pop_buffer()) is not None:
+        self._check_open()
+        while (buffer := self._stream.try_pop_buffer()) is not None:
             self._clock.count(buffer.get_frame_id())
-            stream.push_buffer(buffer)
+            self._stream.push_buffer(buffer)
 
     def trigger(self) -> None:
         """Ask for one frame; nothing unless the camera was opened with trigger=software."""
-        self._open_stream()
+        self._check_open()
         if self._trigger == "software":
             with self._talking("be triggered"):
                 self._camera.software_trigger()
 
     def close(self) -> None:
         """Stop the camera and give it back."""
-        if self._stream is None:
+        if self._camera is None:
             return
         # Each word to a camera that is gone is waited for, for seconds.
         if not self._gone:
             with suppress(self._error):
-                self._camera.stop_acquisition()
-            with suppress(self._error):
+                if self._stream is not None:
+                    self._camera.stop_acquisition()
                 # Left waiting for a trigger, it would seem dead to the next program.
                 self._camera.clear_triggers()
-        # The stream's thread ends with its last reference, and the camera's control with its own.
-        self._stream = self._camera = None
+        # The stream's thread ends with its last reference, and then the camera's control.
+        self._stream = None
+        self._camera = None
 
-    def _open_stream(self) -> Any:
+    def _check_open(self) -> None:
         if self._stream is None:
             raise DeviceError(f"{self._address}: is closed", hint="open the camera again")
-        return self._stream
 
     def _frame(self, buffer: Any, frame_id: int) -> Frame:
         # The wall clock may be set meanwhile: only its difference to now is used.
@@ -171,8 +179,9 @@ class AravisCamera:
         return FrameTimeoutError(f"{self._address}: no frame within {timeout:g} s", hint=hint)
 
     def _take_control(self) -> None:
-        device = self._camera.get_device()
-        if self._camera.is_gv_device() and not device.is_controller():
+        if self._camera.is_gv_device() and not self._camera.get_device().is_controller():
+            # It would not listen to us when it is closed.
+            self._gone = True
             raise DeviceError(
                 f"{self._address}: another program has the camera",
                 hint="close it there; a program that was killed gives it back after some seconds",
@@ -188,7 +197,6 @@ class AravisCamera:
         ):
             if getattr(self._camera, available)():
                 getattr(self._camera, switch)(off)
-        device = self._camera.get_device()
         for name, value in self._address.options.items():
             if not name[0].isupper() or name == "PixelFormat":
                 continue
@@ -198,7 +206,7 @@ class AravisCamera:
                     hint="`arv-tool-0.8 features` lists those that it has",
                 )
             try:
-                device.set_features_from_string(f"{name}={value}")
+                self._camera.get_device().set_features_from_string(f"{name}={value}")
             except self._error as error:
                 raise DeviceError(
                     f"{self._address}: {name}={value} was refused ({error.message})",
@@ -271,14 +279,13 @@ def open_aravis(address: Address) -> AravisCamera:
     address.check_options(("trigger",), features=True)
     aravis, error = _load()
     try:
-        camera = aravis.Camera.new(address.argument or None)
+        return AravisCamera(aravis, error, address)
     except error as reason:
         hint = "check its cable and power, and the network's address; `lightmatrix rig` lists"
         hint += " the cameras that are found"
         raise DeviceError(
             f"{address}: no such camera was found ({reason.message})", hint=hint
         ) from reason
-    return AravisCamera(aravis, error, camera, address)
 
 
 def find_aravis() -> list[Found]:
