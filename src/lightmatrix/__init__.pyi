@@ -58,6 +58,11 @@ from .live.calibration.linearity import measure_linearity as measure_linearity
 from .live.calibration.response import measure_response as measure_response
 from .live.calibration.settle import measure_settle as measure_settle
 from .live.capturing import take_capture as take_capture
+from .live.devices import (
+    list_devices as list_devices,
+    open_camera as open_camera,
+    open_projector as open_projector,
+)
 from .live.opening import open_rig as open_rig
 from .live.rig import Rig as Rig
 

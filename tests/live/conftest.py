@@ -60,7 +60,7 @@ def _xorg(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     folder = tmp_path_factory.mktemp("xorg")
     (folder / "xorg.conf").write_text(_DUMMY)
     options = ["-config", str(folder / "xorg.conf"), "-logfile", str(folder / "xorg.log")]
-    with _server([xorg, *options, "-noreset"]) as display:
+    with _server([xorg, *options]) as display:
         for words in (
             ("--addmode", "DUMMY1", f"{SECOND[1]}x{SECOND[0]}"),
             ("--output", "DUMMY1", "--mode", f"{SECOND[1]}x{SECOND[0]}", "--right-of", "DUMMY0"),
@@ -92,7 +92,8 @@ def _server(command: list[str]) -> Iterator[str]:
     """An X server on a display of its own choice, which it says when it is ready."""
     reading, writing = os.pipe()
     process = subprocess.Popen(
-        [*command, "-displayfd", str(writing), "-nolisten", "tcp"],
+        # Without -noreset it begins anew when its last window closes, and refuses the next one.
+        [*command, "-noreset", "-displayfd", str(writing), "-nolisten", "tcp"],
         pass_fds=[writing],
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,

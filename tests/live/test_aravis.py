@@ -177,7 +177,7 @@ def test_colour_comes_in_three_channels() -> None:
 def test_no_such_camera() -> None:
     with pytest.raises(DeviceError, match="no such camera was found") as caught:
         open_aravis(Address("aravis", "Basler-0"))
-    assert "lightmatrix rig" in str(caught.value.hint)
+    assert "lightmatrix rig list" in str(caught.value.hint)
     assert find_aravis() == []
 
 

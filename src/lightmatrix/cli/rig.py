@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,26 @@ app = typer.Typer(
     rich_markup_mode=None,
     no_args_is_help=True,
 )
+
+
+@app.command("list")
+def list_(as_json: Json = False) -> None:
+    """The projectors and cameras that are there, and what each kind lacks."""
+    listed = lm.list_devices()
+    if as_json:
+        show_json({"back_ends": [asdict(back) for back in listed]})
+        return
+    for role in ("projector", "camera"):
+        say(f"{role}s")
+        for back in (each for each in listed if each.role == role):
+            say(f"  {back.kind:8} {back.summary}: --{role} {back.form}")
+            for found in back.found:
+                say(f"             {found.address}  {found.description}", style="green")
+            if back.problem:
+                say(f"             {back.problem}", style="yellow")
+                say(f"             {back.hint}")
+            elif back.finds and not back.found:
+                say("             none is found")
 
 
 @app.command()

@@ -8,6 +8,7 @@ import numpy as np
 
 from lightmatrix.errors import InputError
 from lightmatrix.live.clock import SimulatedClock, SystemClock
+from lightmatrix.live.devices import open_camera, open_projector
 from lightmatrix.live.rig import Rig
 from lightmatrix.live.virtual.camera import VirtualCamera
 from lightmatrix.live.virtual.light import Light
@@ -54,16 +55,29 @@ def open_rig(
     Rig(virtual:metal, virtual:metal)
     """
     if rig is None:
-        raise InputError(
-            "there is no rig to photograph with",
-            hint="give --rig virtual:l_objects, or --projector and --camera",
-        )
+        if projector is None or camera is None:
+            raise InputError(
+                "there is no rig to photograph with",
+                hint="give --rig virtual:l_objects, or --projector and --camera; "
+                "`lightmatrix rig list` names those that are there",
+            )
+        return _real(projector, camera)
     if projector is not None or camera is not None:
         raise InputError(
             "a rig and a projector or a camera",
             hint="a virtual rig has both; give one or the other",
         )
     return _virtual(rig if isinstance(rig, VirtualSettings) else parse_settings(rig))
+
+
+def _real(projector: str, camera: str) -> Rig:
+    # The camera first: it is the one that others may have, and then no window need flash up.
+    opened = open_camera(camera)
+    try:
+        return Rig(open_projector(projector), opened, lambda: open_camera(camera))
+    except BaseException:
+        opened.close()
+        raise
 
 
 def _virtual(settings: VirtualSettings) -> Rig:

@@ -7,10 +7,11 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from typing import Any
 
-from lightmatrix.errors import DeviceError, FrameTimeoutError, InputError
+from lightmatrix.errors import DeviceError, FrameTimeoutError
 from lightmatrix.live.addresses import Address, Found, missing_extra
-from lightmatrix.live.cameras.clock import Clock
+from lightmatrix.live.cameras.exposures import check_exposure
 from lightmatrix.live.cameras.formats import PixelFormat, choose_format
+from lightmatrix.live.cameras.stamps import Stamps
 from lightmatrix.live.protocols import Frame
 
 EXTRA = "aravis"
@@ -48,10 +49,10 @@ class AravisCamera:
             with suppress(self._error):
                 self._camera.gv_auto_packet_size()
         self._region = self._camera.get_region()
-        bounds = self._camera.get_exposure_time_bounds()
-        self._exposures = tuple(1e-6 * bound for bound in bounds)
+        least, most = self._camera.get_exposure_time_bounds()
+        self._exposures = (1e-6 * least, 1e-6 * most)
         largest = _LARGEST_GIGE_ID if self._has_short_ids() else None
-        self._clock = Clock(largest_id=largest, first_id=1)
+        self._stamps = Stamps(largest_id=largest, first_id=1)
         self._stream = self._camera.create_stream(None, None)
         for _ in range(_BUFFERS):
             self._stream.push_buffer(self._aravis.Buffer.new_allocate(self._camera.get_payload()))
@@ -67,13 +68,7 @@ class AravisCamera:
     @exposure.setter
     def exposure(self, seconds: float) -> None:
         with self._talking("set its exposure"):
-            least, most = (1e-6 * bound for bound in self._camera.get_exposure_time_bounds())
-            # Not a microsecond is lost to rounding of the bounds themselves.
-            if not least * (1 - 1e-9) <= seconds <= most * (1 + 1e-9):
-                raise InputError(
-                    f"{self._address}: an exposure of {seconds} s",
-                    hint=f"the camera can do {least:g} to {most:g} s",
-                )
+            check_exposure(self._address, seconds, *self._exposures)
             self._camera.set_exposure_time(seconds * 1e6)
 
     def info(self) -> dict[str, Any]:
@@ -113,7 +108,7 @@ class AravisCamera:
             if buffer is None:
                 raise self._no_frame(timeout, torn)
             try:
-                frame_id = self._clock.count(buffer.get_frame_id())
+                frame_id = self._stamps.count(buffer.get_frame_id())
                 if buffer.get_status() == self._aravis.BufferStatus.SUCCESS:
                     return self._frame(buffer, frame_id)
             finally:
@@ -124,7 +119,7 @@ class AravisCamera:
         """Throw away frames that arrived but were not yet handed out."""
         self._check_open()
         while (buffer := self._stream.try_pop_buffer()) is not None:
-            self._clock.count(buffer.get_frame_id())
+            self._stamps.count(buffer.get_frame_id())
             self._stream.push_buffer(buffer)
 
     def trigger(self) -> None:
@@ -157,7 +152,7 @@ class AravisCamera:
         # The wall clock may be set meanwhile: only its difference to now is used.
         age = max(0.0, time.time() - buffer.get_system_timestamp() * 1e-9)
         arrival = time.monotonic() - age
-        taken = self._clock.time(buffer.get_timestamp() * 1e-9, arrival)
+        taken = self._stamps.time(buffer.get_timestamp() * 1e-9, arrival)
         rows, cols = buffer.get_image_height(), buffer.get_image_width()
         data = self._format.image(buffer.get_data(), rows, cols)
         return Frame(data, frame_id, taken, self._format.clip_level)
@@ -281,8 +276,8 @@ def open_aravis(address: Address) -> AravisCamera:
     try:
         return AravisCamera(aravis, error, address)
     except error as reason:
-        hint = "check its cable and power, and the network's address; `lightmatrix rig` lists"
-        hint += " the cameras that are found"
+        hint = "check its cable and power, and the network's address; `lightmatrix rig list`"
+        hint += " names those that are found"
         raise DeviceError(
             f"{address}: no such camera was found ({reason.message})", hint=hint
         ) from reason

@@ -8,6 +8,7 @@ is reported.
 from __future__ import annotations
 
 import os
+import re
 import time
 from typing import Any
 
@@ -37,6 +38,7 @@ void main() {
 }
 """
 _GL_DITHER = 0x0BD0
+_GLFW_MESSAGE = re.compile(r"^\([0-9]+\) b?['\"]?(.*?) ?['\"]?$")
 _windows = 0
 
 
@@ -261,7 +263,7 @@ def _chosen(address: Address, names: list[str]) -> int:
         raise DeviceError(
             f"{address}: there is no such monitor; there are: {listed}",
             hint="switch the projector on, extend the desktop to it (do not mirror), and see "
-            "`lightmatrix rig`",
+            "`lightmatrix rig list`",
         )
     return number
 
@@ -311,5 +313,5 @@ def _name(glfw: Any, monitor: Any) -> str:
 
 
 def _text(error: BaseException) -> str:
-    message = error.args[0] if error.args else error
-    return message.decode(errors="replace") if isinstance(message, bytes) else str(message)
+    """What GLFW says, without its number and the quotes of bytes."""
+    return _GLFW_MESSAGE.sub(r"\1", " ".join(str(error).split()))

@@ -8,7 +8,7 @@ from collections import deque
 _REMEMBERED = 100
 
 
-class Clock:
+class Stamps:
     """Turns a camera's frame numbers into ones without end, and its times into `time.monotonic`.
 
     A frame arrives at the host some time after its exposure, by a delay that varies; the camera
