@@ -17,6 +17,7 @@ import pytest
 import lightmatrix as lm
 from lightmatrix.cli import main
 from lightmatrix.live.session import Step
+from lightmatrix.live.virtual.camera import VirtualCamera
 
 from .rig_faults import run
 
@@ -109,6 +110,23 @@ def test_several_exposures_where_the_light_asks_for_them() -> None:
     capture = _capture(",noise=0.03,bits=8,black=4")
     assert len(np.unique(capture.exposures)) > 1
     assert capture.exposures.max() == pytest.approx(1)
+
+
+def test_a_camera_whose_exposure_is_set_by_hand(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(camera: VirtualCamera, seconds: float) -> None:
+        raise lm.DeviceError("its exposure cannot be set from here")
+
+    fixed = property(lambda camera: 0.007, refuse)
+    info = VirtualCamera.info
+    monkeypatch.setattr(VirtualCamera, "exposure", fixed)
+    monkeypatch.setattr(
+        VirtualCamera,
+        "info",
+        lambda camera: {**info(camera), "shortest_exposure": 0.007, "longest_exposure": 0.007},
+    )
+    capture = _capture(",unit=0.014")
+    assert capture.provenance["exposure_1_in_seconds"] == 0.007
+    assert capture.provenance["checks"] == {"matched": 32}
 
 
 # ---- faults

@@ -92,7 +92,7 @@ def measure_exposure(
     clipped = (whites.white.mean >= 0.995 * top).ravel()
     frame = WhiteFrame(levels, clipped)
     noise = max(whites.white.noise, whites.black.noise) / top
-    advised = advise_exposures(frame, noise, max(shortest, period))
+    advised = advise_exposures(frame, noise)
     warnings = []
     seconds = []
     for exposure, _ in advised:
@@ -106,7 +106,12 @@ def measure_exposure(
                 )
         if fitting > longest:
             warnings.append(f"the camera exposes for {longest:g} s at most, not {fitting:.3g} s")
-        seconds.append(min(fitting, longest))
+        if fitting < shortest:
+            warnings.append(
+                f"the camera exposes for {shortest:g} s at least, not {fitting:.3g} s: close the "
+                "aperture"
+            )
+        seconds.append(min(max(fitting, shortest), longest))
     kept = tuple(sorted(set(seconds), reverse=True))
     return ExposureAdvice(
         kept,

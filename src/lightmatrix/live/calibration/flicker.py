@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from lightmatrix.errors import FrameTimeoutError
 from lightmatrix.live.calibration.white import Whites, find_white, images
+from lightmatrix.live.limits import same_exposure, set_exposure
 from lightmatrix.live.rig import Rig
-from lightmatrix.live.taking import Taker, same_exposure
+from lightmatrix.live.taking import Taker
 
 _FRAMES = 48
 # Twice the mains, which lamps follow.
@@ -96,8 +97,7 @@ def measure_flicker(
     taker = Taker(rig, settle)
     whites = whites or find_white(taker)
     camera = rig.camera
-    camera.exposure = min(_SHORT, whites.exposure)
-    exposure = camera.exposure
+    exposure = set_exposure(camera, min(_SHORT, whites.exposure))
     series = []
     for number, image in enumerate(reversed(images(rig))):
         shown = rig.projector.show(image)
@@ -112,7 +112,7 @@ def measure_flicker(
         found = _series(rig, whites, tell)
         if not same_exposure(camera.exposure, exposure):
             # Another program has changed it.
-            camera.exposure = exposure
+            set_exposure(camera, exposure)
             found = _series(rig, whites, tell)
         series.append(found)
     times, bright = series[0]
@@ -143,7 +143,7 @@ def _series(
         rig.clock.sleep(float(generator.random()) * 0.012)
         rig.camera.trigger()
         try:
-            frame = rig.camera.get_image(2.0)
+            frame = rig.camera.get_image(rig.patience)
         except FrameTimeoutError:
             continue
         if frame.timestamp > seen:
