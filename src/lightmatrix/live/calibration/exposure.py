@@ -19,6 +19,9 @@ from lightmatrix.planning.advice import (
     clipped_share,
 )
 
+# A camera that cannot expose as advised is told of beyond this factor.
+_BEYOND = 2.0
+
 
 @dataclass(frozen=True)
 class ExposureAdvice:
@@ -104,9 +107,9 @@ def measure_exposure(
                     f"an exposure of {exposure:.3g} s would flicker; {fitting:.3g} s clips more: "
                     "close the aperture"
                 )
-        if fitting > longest:
+        if fitting > _BEYOND * longest:
             warnings.append(f"the camera exposes for {longest:g} s at most, not {fitting:.3g} s")
-        if fitting < shortest:
+        if _BEYOND * fitting < shortest:
             warnings.append(
                 f"the camera exposes for {shortest:g} s at least, not {fitting:.3g} s: close the "
                 "aperture"
