@@ -6,7 +6,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 CORE := $(shell find crates -name '*.rs' -o -name Cargo.toml) Cargo.toml pyproject.toml
 
-.PHONY: help install demo test test-install lint types rust-test py-test faults fuzz mutants format bench \
+.PHONY: help install demo test test-install lint types rust-test py-test faults fuzz live-faults mutants format bench \
 	experiments system-deps clean
 
 help:
@@ -61,6 +61,9 @@ faults: test-install ## the table of faults, counted by what became of each
 N := 20000
 fuzz: test-install ## N damaged inputs, 20,000 unless said: make fuzz N=500
 	$(BIN)/python -m tests.faults.fuzz --count $(N)
+
+live-faults: test-install ## N captures of a rig that fails and is killed, 200 unless said: make live-faults N=20
+	$(BIN)/python -m tests.live.rig_faults --count $(or $(filter-out 20000,$(N)),200)
 
 mutants: test-install ## break 200 things in solvers, estimators, capture: how many do tests notice?
 	$(BIN)/python tools/mutants.py --count 200 --least 0.8

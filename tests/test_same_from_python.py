@@ -22,8 +22,9 @@ from lightmatrix.cli.app import STAGES
 from lightmatrix.estimators import auto
 from lightmatrix.estimators.coherent.estimator import WORTH_IT_UP_TO
 from lightmatrix.experiments import run
-from lightmatrix.live import capturing
+from lightmatrix.live import capturing, opening
 from lightmatrix.live.calibration.keeping import PARTS
+from lightmatrix.live.rig import Rig
 from lightmatrix.patterns import making, mix
 from lightmatrix.planning.plan import USUAL_SIZE
 from lightmatrix.rig.library import DEFAULT_SAMPLES
@@ -355,6 +356,7 @@ def test_help_texts_say_what_the_code_does() -> None:
     assert options.USUAL_FRAMES == capturing.USUAL_COUNT
     assert options.USUAL_REFERENCE == capturing.USUAL_REFERENCE
     assert options.RIG_FILE == capturing.RIG_FILE
+    assert options.USUAL_PATIENCE == opening.USUAL_PATIENCE == Rig.patience
     assert options.USUAL_SAMPLES == DEFAULT_SAMPLES
     assert options.EXPOSURES_EXAMPLE == EXPOSURES_EXAMPLE
     assert mix.EXAMPLE == options.MIX_EXAMPLE

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
 
 import numpy as np
 import pytest
@@ -24,16 +23,16 @@ _SIMULATED = f"{QUIET},real=0"
 
 class TestTriggered(CameraContract):
     @pytest.fixture
-    def camera(self) -> Iterator[Camera]:
-        yield open_rig(f"{QUIET},fps=0").camera
+    def camera(self) -> Camera:
+        return open_rig(f"{QUIET},fps=0").camera
 
 
 class TestFreeRunning(CameraContract):
     triggered = False
 
     @pytest.fixture
-    def camera(self) -> Iterator[Camera]:
-        yield open_rig(f"{QUIET},fps=100").camera
+    def camera(self) -> Camera:
+        return open_rig(f"{QUIET},fps=100").camera
 
 
 class TestProjector(ProjectorContract):
@@ -44,8 +43,8 @@ class TestProjector(ProjectorContract):
         return image if image.ndim == 3 else np.repeat(image[..., None], 3, 2)
 
     @pytest.fixture
-    def projector(self) -> Iterator[Projector]:
-        yield open_rig(QUIET).projector
+    def projector(self) -> Projector:
+        return open_rig(QUIET).projector
 
 
 def _white(rig: Rig) -> NDArray[np.uint8]:

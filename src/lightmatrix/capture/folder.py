@@ -284,7 +284,8 @@ def write_capture(
         K patterns.
     frames : (K, rows, cols[, channels]) array or iterable of K images or files
         Raw levels, written as PNG (uint8, uint16) or npy (float32). Files hold such images of
-        `camera_shape` already; they keep their format, and share their place on the disk where it can do that.
+        `camera_shape` already; they keep their format, and share their place on the disk where
+        it can do that.
     sensor : Sensor
         The camera that took them.
     camera_shape : tuple of int, optional

@@ -13,10 +13,12 @@ from lightmatrix.cli.claims import claim
 from lightmatrix.cli.options import (
     RIG_FILE,
     USUAL_FRAMES,
+    USUAL_PATIENCE,
     USUAL_REFERENCE,
     CameraName,
     Json,
     Overwrite,
+    Patience,
     ProjectorName,
     RigFile,
     RigName,
@@ -58,6 +60,7 @@ def capture(
     response: Annotated[
         str, typer.Option(help="Of the camera: linear, gamma:2.2, srgb.")
     ] = "linear",
+    patience: Patience = USUAL_PATIENCE,
     rig_file: RigFile = Path(RIG_FILE),
     check: Annotated[
         bool, typer.Option(help="Keep only frames that are shown to be their pattern's.")
@@ -81,7 +84,7 @@ def capture(
     claim(output, LIVE_CAPTURE, overwrite=overwrite)
     if store is not None:
         claim(store, STORE, overwrite=overwrite)
-    with lm.open_rig(rig, projector=projector, camera=camera) as opened:
+    with lm.open_rig(rig, projector=projector, camera=camera, patience=patience) as opened:
         try:
             with progress("photographing", "frames") as report, calibrating() as measuring:
                 captured = lm.take_capture(

@@ -36,6 +36,7 @@ ProjectorName = Annotated[
     str | None, typer.Option("--projector", help="A projector, such as window:1.")
 ]
 CameraName = Annotated[str | None, typer.Option("--camera", help="A camera, such as aravis:ID.")]
+Patience = Annotated[float, typer.Option(help="Seconds to wait for a frame, beyond its exposure.")]
 RigFile = Annotated[
     Path, typer.Option("--rig-file", help="Where what was measured of the rig is kept.")
 ]
@@ -46,6 +47,7 @@ USUAL_NOISE = 0.003
 USUAL_COUNT = 256
 USUAL_FRAMES, USUAL_REFERENCE = 64, 32
 RIG_FILE = "rig.json"
+USUAL_PATIENCE = 2.0
 USUAL_SAMPLES = 16_384
 EXPOSURES_EXAMPLE = "1:0.75,0.25:0.25"
 MIX_EXAMPLE = "fine:0.75,32x32:0.125,8x8:0.125"

@@ -13,8 +13,10 @@ import lightmatrix as lm
 from lightmatrix.cli.calibrating import calibrating
 from lightmatrix.cli.options import (
     RIG_FILE,
+    USUAL_PATIENCE,
     CameraName,
     Json,
+    Patience,
     ProjectorName,
     RigFile,
     RigName,
@@ -54,11 +56,12 @@ def settle(
     rig: RigName = None,
     projector: ProjectorName = None,
     camera: CameraName = None,
+    patience: Patience = USUAL_PATIENCE,
     rig_file: RigFile = Path(RIG_FILE),
     as_json: Json = False,
 ) -> None:
     """The shortest safe delay between showing and exposing."""
-    told = _measure("settle", rig, projector, camera, rig_file, as_json)
+    told = _measure("settle", rig, projector, camera, patience, rig_file, as_json)
     if told:
         say(
             f"settled after {1000 * told['seconds']:.1f} ms; {told['late']} of {told['changes']} "
@@ -71,11 +74,12 @@ def exposure(
     rig: RigName = None,
     projector: ProjectorName = None,
     camera: CameraName = None,
+    patience: Patience = USUAL_PATIENCE,
     rig_file: RigFile = Path(RIG_FILE),
     as_json: Json = False,
 ) -> None:
     """The exposures that a white picture advises."""
-    told = _measure("exposure", rig, projector, camera, rig_file, as_json)
+    told = _measure("exposure", rig, projector, camera, patience, rig_file, as_json)
     if not told:
         return
     for seconds, clipped in zip(told["seconds"], told["clipped"], strict=True):
@@ -93,11 +97,12 @@ def response(
     rig: RigName = None,
     projector: ProjectorName = None,
     camera: CameraName = None,
+    patience: Patience = USUAL_PATIENCE,
     rig_file: RigFile = Path(RIG_FILE),
     as_json: Json = False,
 ) -> None:
     """The projector's light for each grey value."""
-    told = _measure("response", rig, projector, camera, rig_file, as_json)
+    told = _measure("response", rig, projector, camera, patience, rig_file, as_json)
     if told:
         say(f"the projector's gamma is {told['gamma']:.2f}; grey patterns are corrected by it")
 
@@ -107,11 +112,12 @@ def linearity(
     rig: RigName = None,
     projector: ProjectorName = None,
     camera: CameraName = None,
+    patience: Patience = USUAL_PATIENCE,
     rig_file: RigFile = Path(RIG_FILE),
     as_json: Json = False,
 ) -> None:
     """Whether twice the exposure gives twice the level."""
-    told = _measure("linearity", rig, projector, camera, rig_file, as_json)
+    told = _measure("linearity", rig, projector, camera, patience, rig_file, as_json)
     if told:
         say(
             f"off a straight line by {100 * told['deviation']:.1f} % at most; level goes with the "
@@ -124,11 +130,12 @@ def flicker(
     rig: RigName = None,
     projector: ProjectorName = None,
     camera: CameraName = None,
+    patience: Patience = USUAL_PATIENCE,
     rig_file: RigFile = Path(RIG_FILE),
     as_json: Json = False,
 ) -> None:
     """Whether the projector's light, or the room's, comes and goes."""
-    told = _measure("flicker", rig, projector, camera, rig_file, as_json)
+    told = _measure("flicker", rig, projector, camera, patience, rig_file, as_json)
     if not told:
         return
     if told["frequency"]:
@@ -146,11 +153,13 @@ def _measure(
     rig: str | None,
     projector: str | None,
     camera: str | None,
+    patience: float,
     rig_file: Path,
     as_json: bool,
 ) -> Mapping[str, Any]:
     """What was measured; nothing where it has been shown as JSON."""
-    with lm.open_rig(rig, projector=projector, camera=camera) as opened, calibrating() as report:
+    opening = lm.open_rig(rig, projector=projector, camera=camera, patience=patience)
+    with opening as opened, calibrating() as report:
         known = lm.calibrate(opened, [part], keep=rig_file, progress=report)
     told: dict[str, Any] = known.as_dict()[part]
     if as_json:

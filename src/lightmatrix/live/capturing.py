@@ -13,13 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.camera.exposures import of_frames
+from lightmatrix.camera.response import Response
 from lightmatrix.capture.capture import Capture
 from lightmatrix.errors import DeviceError, InputError, LightMatrixWarning
 from lightmatrix.live.agreement import Drift, References, drift
 from lightmatrix.live.calibration.keeping import PARTS, Calibration, calibrate, outdated
 from lightmatrix.live.calibration.white import FIRST_SETTLE, images
+from lightmatrix.live.limits import exposure_limits
 from lightmatrix.live.record import Record
-from lightmatrix.live.rig import Rig
+from lightmatrix.live.rig import Rig, UnfitRigError
 from lightmatrix.live.session import Session, Step
 from lightmatrix.live.showing import Shown
 from lightmatrix.live.steady import take_steady
@@ -35,6 +37,8 @@ USUAL_REFERENCE = 32
 RIG_FILE = "rig.json"
 # Frames of black that are averaged: its noise is in all frames alike.
 _BLACK_FRAMES = 8
+# Of the clip level: what white is above black at least.
+_SEEN = 0.01
 _BLACK, _WHITE = "black.npy", "white.npy"
 # What the T of a virtual rig is kept as.
 _TRUTH = "truth.npz"
@@ -126,8 +130,17 @@ def take_capture(
     for name, value in (("exposure", exposure), ("settle time", settle)):
         if value is not None and not 0 <= value <= 60:
             raise InputError(f"a {name} of {value} s", hint="give seconds, such as 0.02")
-    if exposure == 0:
-        raise InputError("an exposure of 0 s", hint="give seconds, such as 0.02")
+    shortest, longest = exposure_limits(rig.camera)
+    if exposure is not None and not shortest <= exposure <= longest:
+        raise InputError(
+            f"an exposure of {exposure:g} s", hint=f"the camera has {shortest:g} to {longest:g} s"
+        )
+    if not 1 <= cell <= min(rig.projector.shape):
+        raise InputError(
+            f"a cell of {cell} pixels", hint=f"use 1 to {min(rig.projector.shape)} pixels"
+        )
+    # Before all work, lest it is refused after it.
+    Response.parse(response)
     if reference_every < 0:
         raise InputError(f"a reference every {reference_every} frames", hint="use 0 or more")
     given = patterns if isinstance(patterns, PatternSet) or patterns is None else Path(patterns)
@@ -203,8 +216,6 @@ def _made(
     seed: int,
     known: Calibration,
 ) -> PatternSet:
-    if cell < 1:
-        raise InputError(f"a cell of {cell} pixels", hint="use at least 1")
     advised = 0.5 if known.exposure is None else known.exposure.density
     lit = advised if density is None else density
     shape = (screen[0] // cell, screen[1] // cell)
@@ -237,7 +248,14 @@ def _references(taker: Taker, seconds: NDArray[np.float64]) -> References:
     dark = take_steady(waiting, black, long, _BLACK_FRAMES)
     dark_short = dark if short == long else take_steady(taker, black, short, 3)
     bright = take_steady(replace(taker, settle=FIRST_SETTLE), white, short, 5)
-    return References(dark, bright, dark_short.mean)
+    found = References(dark, bright, dark_short.mean)
+    if np.quantile(found.light, 0.99) < _SEEN * bright.clip_level:
+        raise UnfitRigError(
+            f"at {short:g} s, a white picture looks like a black one",
+            hint="leave --exposure to be measured, or choose one at which white neither clips nor "
+            "is dark",
+        )
+    return found
 
 
 def _check_unchanged(record: Record, now: References) -> None:

@@ -14,9 +14,12 @@ from lightmatrix.live.virtual.camera import VirtualCamera
 from lightmatrix.live.virtual.light import Light
 from lightmatrix.live.virtual.projector import VirtualProjector
 from lightmatrix.live.virtual.settings import PROCEDURAL, VirtualSettings, parse_settings
+from lightmatrix.ranges import check_number
 from lightmatrix.rig import library, realism
 from lightmatrix.rig.procedural import ProceduralScene
 from lightmatrix.rig.truth import Truth
+
+USUAL_PATIENCE = 2.0
 
 
 def open_rig(
@@ -24,6 +27,7 @@ def open_rig(
     *,
     projector: str | None = None,
     camera: str | None = None,
+    patience: float = USUAL_PATIENCE,
 ) -> Rig:
     """Open a projector and a camera, or a virtual rig.
 
@@ -33,6 +37,9 @@ def open_rig(
         ``virtual:SCENE``, or ``virtual:SCENE,name=value,...``; see `VirtualSettings`.
     projector, camera : str, optional
         Instead: names of devices, such as ``window:1`` and ``aravis:ID``.
+    patience : float
+        Seconds to wait for a frame, beyond its exposure; cameras that store or send frames slowly
+        need more.
 
     Returns
     -------
@@ -54,6 +61,7 @@ def open_rig(
     >>> lm.open_rig("virtual:metal,delay=3,late=0.05,real=0")
     Rig(virtual:metal, virtual:metal)
     """
+    check_number("a patience", patience, most=3600, above=True, hint="give seconds, such as 10")
     if rig is None:
         if projector is None or camera is None:
             raise InputError(
@@ -61,13 +69,16 @@ def open_rig(
                 hint="give --rig virtual:l_objects, or --projector and --camera; "
                 "`lightmatrix rig list` names those that are there",
             )
-        return _real(projector, camera)
-    if projector is not None or camera is not None:
+        opened = _real(projector, camera)
+    elif projector is not None or camera is not None:
         raise InputError(
             "a rig and a projector or a camera",
             hint="a virtual rig has both; give one or the other",
         )
-    return _virtual(rig if isinstance(rig, VirtualSettings) else parse_settings(rig))
+    else:
+        opened = _virtual(rig if isinstance(rig, VirtualSettings) else parse_settings(rig))
+    opened.patience = patience
+    return opened
 
 
 def _real(projector: str, camera: str) -> Rig:

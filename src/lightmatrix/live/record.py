@@ -43,7 +43,7 @@ class Taken:
     delay : float
         Seconds from the pattern being shown to the start of the exposure.
     before : int
-        Number of the pattern shown before it; -1 where it was no pattern.
+        Number of the pattern shown before it; -1 for black, -2 for white.
     tries : int
         Photographs that it took.
     check : {"matched", "confirmed", "unchecked"}

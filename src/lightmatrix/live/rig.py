@@ -40,6 +40,8 @@ class Rig:
         Of a virtual rig, the T that it shows, at an exposure of `unit` seconds.
     unit : float
         Seconds.
+    patience : float
+        Seconds to wait for a frame, beyond its exposure.
 
     Examples
     --------
@@ -56,6 +58,7 @@ class Rig:
     clock: Clock = field(default_factory=SystemClock)
     truth: Truth | None = None
     unit: float = 1.0
+    patience: float = 2.0
 
     def __repr__(self) -> str:
         return f"Rig({self.projector.info().get('name')}, {self.camera.info().get('name')})"

@@ -2,7 +2,7 @@
 
 A frame is kept only if it can be right (`taking.py`), and trusted only if it is shown to be: it
 meets what the other frames predict for its pattern (`watching.py`), or agrees with a second
-photograph that was taken after a black one, so that no pattern before it can be in both.
+photograph before which something else was shown, so that nothing late can be in both.
 """
 
 from __future__ import annotations
@@ -21,10 +21,14 @@ from lightmatrix.live.taking import Shot, Taker, UntrustedFrameError
 from lightmatrix.live.watching import FEWEST_FRAMES, Watch, watched_samples
 from lightmatrix.patterns.pattern_set import PatternSet
 
+# A frame, and what was shown before it.
+Rival = tuple[NDArray[np.generic], int]
 # Photographs of a pattern before it is given up: one, and three more.
 TRIES = 4
 # Patterns given up one after the other before the session is.
 _MOST_UNMENDED = 4
+# What was shown before a pattern, where it was no pattern.
+_BLACK, _WHITE = -1, -2
 MATCHED, CONFIRMED, UNCHECKED = "matched", "confirmed", "unchecked"
 
 
@@ -83,8 +87,8 @@ class Session:
     progress: Callable[[Step], None] | None = None
     _watch: Watch = field(init=False)
     _samples: NDArray[np.int64] = field(init=False)
-    # The pattern shown last; -1 for an image that is none.
-    _before: int = -1
+    # The pattern shown last, or black or white; the references end with white.
+    _before: int = _WHITE
     _learnt: int = 0
 
     def __post_init__(self) -> None:
@@ -138,33 +142,32 @@ class Session:
                 )
             self._learn_now_and_then()
 
-    def _take(self, k: int, rival: NDArray[np.generic] | None = None) -> bool:
+    def _take(self, k: int, rival: Rival | None = None) -> bool:
         """Photograph a pattern until a frame is right; whether one is.
 
         Parameters
         ----------
         k : int
             Number of the pattern.
-        rival : array, optional
-            A frame of it that was complained of, or could not be judged: one that agrees with it
-            confirms both.
+        rival : (array, int), optional
+            A frame of it that was complained of, or could not be judged, and what was shown
+            before it: one that agrees with it confirms both.
         """
-        doubted: list[Shot] = []
+        doubted: list[Rival] = [] if rival is None else [rival]
         reason = ""
         for tried in range(1, TRIES + 1):
             try:
                 if tried > 1 or rival is not None:
-                    self._show_black()
+                    self._show_other({before for _, before in doubted})
                 shot = self.taker.take(self.image(k), float(self.exposures[k]))
                 before, self._before = self._before, k
             except UntrustedFrameError as error:
                 reason = error.message
                 self._count(reason)
-                self._before = -1
+                self._before = k
                 continue
             self._note(k, shot.data, shot.exposure)
-            earlier = [s.data for s in doubted] + ([] if rival is None else [rival])
-            told = self._judge(k, before, shot, earlier)
+            told = self._judge(k, before, shot, doubted)
             if told in (MATCHED, CONFIRMED, UNCHECKED):
                 taken = Taken(
                     shot.exposure, shot.frame.id, shot.delay, before, tried, told
@@ -174,30 +177,33 @@ class Session:
                 return True
             reason = told
             self._count(reason)
-            doubted.append(shot)
+            doubted.append((shot.data, before))
         self._watch.forget(k)
         self.record.state.unmended[k] = reason
         self.record.state.frames.pop(k, None)
         self.record.save()
         return False
 
-    def _judge(self, k: int, before: int, shot: Shot, earlier: list[NDArray[np.generic]]) -> str:
+    def _judge(self, k: int, before: int, shot: Shot, doubted: list[Rival]) -> str:
         """What a frame is shown to be, or what is wrong with it."""
         if not self.check:
             return UNCHECKED
-        if any(self.references.agree(shot.data, other, shot.exposure) for other in earlier):
-            return CONFIRMED
+        for other, other_before in doubted:
+            # After the same picture, both may show that, late.
+            if before != other_before and self.references.agree(shot.data, other, shot.exposure):
+                return CONFIRMED
         if self._watch.predictive:
-            complaint = self._watch.complaint(k, before if before >= 0 else None)
+            complaint = self._watch.complaint(k, before)
             return complaint or MATCHED
         # With another photograph to compare with, it has to agree.
-        return "two photographs of the pattern differ" if earlier else UNCHECKED
+        return "two photographs of the pattern differ" if doubted else UNCHECKED
 
-    def _show_black(self) -> None:
-        """Let black come between, so that what was shown before is not in the next frame."""
-        self._before = -1
+    def _show_other(self, befores: set[int]) -> None:
+        """Show black or white, so that what was shown before is not in the next frame."""
         rig = self.taker.rig
-        shown = rig.projector.black()
+        self._before = _WHITE if _BLACK in befores and _WHITE not in befores else _BLACK
+        level = 0 if self._before == _BLACK else 255
+        shown = rig.projector.show(np.full(rig.projector.shape, level, np.uint8))
         rig.clock.sleep(shown + self.taker.settle - rig.clock.now())
 
     # ---- what is known of them
@@ -235,8 +241,7 @@ class Session:
             for k, taken in sorted(self._taken.items()):
                 if taken.check == CONFIRMED:
                     continue
-                before = taken.before if taken.before >= 0 else None
-                complaint = self._watch.complaint(k, before)
+                complaint = self._watch.complaint(k, taken.before)
                 taken.check = UNCHECKED if complaint else MATCHED
                 if complaint:
                     bad.append(k)
@@ -253,9 +258,9 @@ class Session:
 
     def _again(self, frames: list[int]) -> None:
         for k in sorted(frames):
-            rival = self.record.read(k)
+            frame = self.record.read(k)
             self._watch.forget(k)
-            self._take(k, rival)
+            self._take(k, None if frame is None else (frame, self._taken[k].before))
 
     def _look_at_reference(self) -> None:
         """See whether light, scene or room changed."""
@@ -269,7 +274,7 @@ class Session:
     def _reference_now(self, count: int) -> Drift | None:
         shape = self.taker.rig.projector.shape
         start, frames = self.references, []
-        self._before = -1
+        self._before = _BLACK
         for level, reference in ((255, start.white), (0, start.black)):
             image = np.full(shape, level, np.uint8)
             try:

@@ -42,8 +42,6 @@ class Shown:
 
     def __post_init__(self) -> None:
         rows, cols = self.patterns.shape
-        if self.cell < 1:
-            raise InputError(f"a cell of {self.cell} pixels", hint="use at least 1")
         if rows * self.cell > self.screen[0] or cols * self.cell > self.screen[1]:
             cells = f", each pixel {self.cell} x {self.cell}" if self.cell > 1 else ""
             raise InputError(

@@ -15,13 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.errors import DeviceError, FrameTimeoutError
+from lightmatrix.live.limits import same_exposure, set_exposure
 from lightmatrix.live.protocols import Frame
 from lightmatrix.live.rig import Rig
 
 # Frames of before the pattern that are passed over until one of it comes.
 _MOST_STALE = 32
-# Of the exposure: cameras round what they are asked for, and say what they made of it.
-_SAME_EXPOSURE = 1e-3
 # Of the settle time and of clocks: frames begun so much too early are taken.
 _TICK = 1e-6
 # Logarithm of the probability that rows are alike by chance, below which they were copied.
@@ -70,8 +69,6 @@ class Taker:
     rig : Rig
     settle : float
         Seconds between an image being shown and the earliest start of an exposure.
-    timeout : float
-        Seconds to wait for a frame, beyond its exposure.
     changing : (rows,) float, optional
         Share of the samples of each row of a frame that noise changes from frame to frame; where
         it is known, rows that did not change tell of copied frames.
@@ -79,7 +76,6 @@ class Taker:
 
     rig: Rig
     settle: float
-    timeout: float = 2.0
     changing: NDArray[np.float64] | None = None
     # What was last set, and what the camera made of it.
     _exposure: tuple[float, float] = (0.0, 0.0)
@@ -129,7 +125,7 @@ class Taker:
         camera.trigger()
         before: Frame | None = None
         for _ in range(_MOST_STALE):
-            frame = camera.get_image(self.timeout + 2 * actual)
+            frame = camera.get_image(self.rig.patience + 2 * actual)
             self._check_order(frame, before)
             self._check_copied(frame)
             self._recent.append(frame.data)
@@ -147,14 +143,13 @@ class Taker:
         asked, actual = self._exposure
         if exposure is None:
             return camera.exposure
-        if exposure != asked or not _same(camera.exposure, actual):
-            camera.exposure = exposure
-            self._exposure = exposure, camera.exposure
+        if exposure != asked or not same_exposure(camera.exposure, actual):
+            self._exposure = exposure, set_exposure(camera, exposure)
         return self._exposure[1]
 
     def _check_exposure(self, actual: float) -> None:
         now = self.rig.camera.exposure
-        if not _same(now, actual):
+        if not same_exposure(now, actual):
             raise UntrustedFrameError(
                 f"another program changed the exposure from {actual:g} to {now:g} s"
             )
@@ -212,7 +207,3 @@ def copied_rows(
         if unlikely[rows][:run].sum() < _COPIED:
             return run
     return 0
-
-
-def _same(one: float, other: float) -> bool:
-    return abs(one - other) <= _SAME_EXPOSURE * other

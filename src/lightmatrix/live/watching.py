@@ -123,15 +123,15 @@ class Watch:
         if self._usual > _EXPLAINED:
             self._predicted = None
 
-    def complaint(self, frame: int, before: int | None) -> str | None:
+    def complaint(self, frame: int, before: int) -> str | None:
         """What is wrong with a frame that was put; None if it shows its pattern.
 
         Parameters
         ----------
         frame : int
             Number of its pattern.
-        before : int, optional
-            The pattern shown before it.
+        before : int
+            The pattern shown before it; below 0 for black or white.
         """
         missed, mixed = self._say(frame, before)
         if mixed is not None:
@@ -164,6 +164,8 @@ class Watch:
         share = float(np.minimum(missed**2, 25).sum() / max(float(np.minimum(power, 25).sum()), 1))
         if before is None or before == frame:
             return share, None
+        if before < 0:
+            return share, self._flatness(observed, expected, error)
         other = self._at_level(self._predicted[some, before], observed, some)
         apart = (other - expected) / error
         weight = float((apart**2).sum())
@@ -179,6 +181,26 @@ class Watch:
         if ends > _TORN:
             return share, "shows the pattern before in some of its rows"
         return share, None
+
+    def _flatness(
+        self,
+        observed: NDArray[np.float64],
+        expected: NDArray[np.float64],
+        error: NDArray[np.float64],
+    ) -> str | None:
+        """Whether black or white takes away from the contrast of a frame."""
+        weight = 1 / error**2
+        centred = expected - np.average(expected, weights=weight)
+        power = float((weight * centred**2).sum())
+        if power <= 0:
+            return None
+        contrast = float((weight * centred * observed).sum()) / power
+        rest = observed - observed.mean() - contrast * centred
+        uncertain = float(np.sqrt((weight * rest**2).mean() / power))
+        mix = 1 - contrast
+        if mix > max(_MIXED, _MIXED_ERRORS * uncertain):
+            return f"has {100 * min(mix, 1):.0f} % too little contrast"
+        return None
 
     def _at_level(
         self,

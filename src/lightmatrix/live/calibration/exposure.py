@@ -19,6 +19,9 @@ from lightmatrix.planning.advice import (
     clipped_share,
 )
 
+# A camera that cannot expose as advised is told of beyond this factor.
+_BEYOND = 2.0
+
 
 @dataclass(frozen=True)
 class ExposureAdvice:
@@ -92,7 +95,7 @@ def measure_exposure(
     clipped = (whites.white.mean >= 0.995 * top).ravel()
     frame = WhiteFrame(levels, clipped)
     noise = max(whites.white.noise, whites.black.noise) / top
-    advised = advise_exposures(frame, noise, max(shortest, period))
+    advised = advise_exposures(frame, noise)
     warnings = []
     seconds = []
     for exposure, _ in advised:
@@ -104,9 +107,14 @@ def measure_exposure(
                     f"an exposure of {exposure:.3g} s would flicker; {fitting:.3g} s clips more: "
                     "close the aperture"
                 )
-        if fitting > longest:
+        if fitting > _BEYOND * longest:
             warnings.append(f"the camera exposes for {longest:g} s at most, not {fitting:.3g} s")
-        seconds.append(min(fitting, longest))
+        if _BEYOND * fitting < shortest:
+            warnings.append(
+                f"the camera exposes for {shortest:g} s at least, not {fitting:.3g} s: close the "
+                "aperture"
+            )
+        seconds.append(min(max(fitting, shortest), longest))
     kept = tuple(sorted(set(seconds), reverse=True))
     return ExposureAdvice(
         kept,

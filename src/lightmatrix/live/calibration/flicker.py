@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from lightmatrix.errors import FrameTimeoutError
 from lightmatrix.live.calibration.white import Whites, find_white, images
+from lightmatrix.live.limits import same_exposure, set_exposure
 from lightmatrix.live.rig import Rig
 from lightmatrix.live.taking import Taker
 
@@ -96,8 +97,7 @@ def measure_flicker(
     taker = Taker(rig, settle)
     whites = whites or find_white(taker)
     camera = rig.camera
-    camera.exposure = min(_SHORT, whites.exposure)
-    exposure = camera.exposure
+    exposure = set_exposure(camera, min(_SHORT, whites.exposure))
     series = []
     for number, image in enumerate(reversed(images(rig))):
         shown = rig.projector.show(image)
@@ -109,7 +109,12 @@ def measure_flicker(
             if progress is not None:
                 progress(first + done, 2 * _FRAMES)
 
-        series.append(_series(rig, whites, tell))
+        found = _series(rig, whites, tell)
+        if not same_exposure(camera.exposure, exposure):
+            # Another program has changed it.
+            set_exposure(camera, exposure)
+            found = _series(rig, whites, tell)
+        series.append(found)
     times, bright = series[0]
     _, dark = series[1]
     level = float(np.median(bright) - np.median(dark))
@@ -117,11 +122,11 @@ def measure_flicker(
     tried = dict.fromkeys((*_MAINS, refresh, 2 * refresh))
     amplitude, frequency = 0.0, 0.0
     for candidate in tried:
-        found, error = _wave(times - exposure / 2, bright / level, candidate)
+        seen, error = _wave(times - exposure / 2, bright / level, candidate)
         # The exposure itself averages the wave.
-        found /= max(abs(float(np.sinc(candidate * exposure))), 0.05)
-        if found > max(_NOTICED, _ERRORS * error, 1.1 * amplitude):
-            amplitude, frequency = found, candidate
+        seen /= max(abs(float(np.sinc(candidate * exposure))), 0.05)
+        if seen > max(_NOTICED, _ERRORS * error, 1.1 * amplitude):
+            amplitude, frequency = seen, candidate
     return Flicker(amplitude, frequency, float(bright.std()) / level, float(dark.std()) / level)
 
 
@@ -138,7 +143,7 @@ def _series(
         rig.clock.sleep(float(generator.random()) * 0.012)
         rig.camera.trigger()
         try:
-            frame = rig.camera.get_image(2.0)
+            frame = rig.camera.get_image(rig.patience)
         except FrameTimeoutError:
             continue
         if frame.timestamp > seen:

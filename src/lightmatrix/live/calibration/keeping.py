@@ -17,6 +17,7 @@ from lightmatrix.live.calibration.linearity import CameraLinearity, measure_line
 from lightmatrix.live.calibration.response import ProjectorResponse, measure_response
 from lightmatrix.live.calibration.settle import SettleTime, measure_settle
 from lightmatrix.live.calibration.white import FIRST_SETTLE, Whites, find_white, images
+from lightmatrix.live.limits import set_exposure
 from lightmatrix.live.rig import Rig
 from lightmatrix.live.steady import take_steady
 from lightmatrix.live.taking import Taker, UntrustedFrameError
@@ -126,7 +127,8 @@ class Calibration:
     def of_rig(self, rig: Rig) -> bool:
         """Whether it is of this projector and this camera, as they are set."""
         return all(
-            known.get(key) == info.get(key)
+            # Some know their shape only once they have seen a frame.
+            None in (known.get(key), info.get(key)) or known[key] == info[key]
             for known, info in (
                 (self.projector, _jsonable(rig.projector.info())),
                 (self.camera, _jsonable(rig.camera.info())),
@@ -255,11 +257,11 @@ def _measured(
     period = 0.0 if known.flicker is None else known.flicker.period
     if period:
         # White and black as frames will be that do not flicker.
-        rig.camera.exposure = max(1, round(whites.exposure / period)) * period
-        whites = _whites(Taker(rig, wait), rig.camera.exposure)
+        exposure = max(1, round(whites.exposure / period)) * period
+        whites = _whites(Taker(rig, wait), set_exposure(rig.camera, exposure))
     if "exposure" in parts:
-        exposure = measure_exposure(rig, settle=wait, period=period, whites=whites)
-        known = replace(known, exposure=exposure)
+        advice = measure_exposure(rig, settle=wait, period=period, whites=whites)
+        known = replace(known, exposure=advice)
     if "response" in parts:
         response = measure_response(rig, settle=wait, whites=whites, progress=tell("response"))
         known = replace(known, response=response)

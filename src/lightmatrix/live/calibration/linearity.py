@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lightmatrix.live.calibration.white import Whites, find_white, images
+from lightmatrix.live.limits import exposure_limits
 from lightmatrix.live.rig import Rig
 from lightmatrix.live.steady import take_steady
 from lightmatrix.live.taking import Taker
@@ -20,7 +21,7 @@ TOLERATED = 0.02
 
 @dataclass(frozen=True)
 class CameraLinearity:
-    """Levels of a white picture at several exposures.
+    """Levels of a white picture at several exposures; of a camera that has one, nothing is known.
 
     Parameters
     ----------
@@ -89,6 +90,8 @@ def measure_linearity(
     asked = whites.exposure * np.geomspace(_SHORTEST, 1, _STEPS)
     # Frames at all moments of a flicker see the same light together.
     count = 12 if period else 3
+    shortest, longest = exposure_limits(rig.camera)
+    asked = np.unique(asked.clip(shortest, longest))
     exposures, levels = [], []
     for k, exposure in enumerate(asked):
         bright = take_steady(taker, white, float(exposure), count)

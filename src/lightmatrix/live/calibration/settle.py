@@ -15,14 +15,17 @@ from numpy.typing import NDArray
 
 from lightmatrix.errors import FrameTimeoutError
 from lightmatrix.live.calibration.white import FIRST_SETTLE, Whites, find_white, images
+from lightmatrix.live.limits import same_exposure, set_exposure
 from lightmatrix.live.rig import Rig, UnfitRigError
 from lightmatrix.live.taking import Taker
 
 # Changes with a long look each, that find about when; further ones with a short look.
 _FIRST, _FURTHER = 4, 17
 _LONG_LOOK, _SHORT_LOOK = 0.5, 0.15
-# A camera that gives no frame for so long, beyond the exposure, has lost it.
+# A camera that gives no frame for so long, beyond three times the usual, has lost it.
 _LOST = 0.2
+# Seconds that the last frame of a look may come late.
+_LAST_FRAME = 1.0
 # Of the way from black to white: what is nearer to its end has settled.
 _SETTLED = 0.03
 # Where the light flickers: so many standard deviations, but never more than this.
@@ -97,12 +100,12 @@ def measure_settle(
     taker = Taker(rig, FIRST_SETTLE)
     if whites is None:
         if exposure is not None:
-            rig.camera.exposure = exposure
+            set_exposure(rig.camera, exposure)
         whites = find_white(taker)
-    rig.camera.exposure = whites.exposure if exposure is None else exposure
-    scale = rig.camera.exposure / whites.exposure
+    asked = set_exposure(rig.camera, whites.exposure if exposure is None else exposure)
+    scale = asked / whites.exposure
     generator = np.random.default_rng(0)
-    settled = _tolerance(rig, whites, scale)
+    settled, patience = _tolerance(rig, whites, scale)
     looks: list[tuple[float, float]] = []
     duration = _LONG_LOOK
     total = _FIRST + _FURTHER
@@ -110,8 +113,11 @@ def measure_settle(
         if change == _FIRST and looks:
             duration = 2 * max(first for _, first in looks) + 4 * _frame_time(rig, whites.exposure)
             duration = min(max(duration, _SHORT_LOOK), _LONG_LOOK)
-        look = _look(rig, whites, scale, settled, bool(change % 2), duration, generator)
-        if look is not None:
+        look = _look(rig, whites, scale, settled, patience, bool(change % 2), duration, generator)
+        if not same_exposure(rig.camera.exposure, asked):
+            # Another program has changed it.
+            set_exposure(rig.camera, asked)
+        elif look is not None:
             looks.append(look)
         if progress is not None:
             progress(change + 1, total)
@@ -125,19 +131,25 @@ def measure_settle(
     return _settle_time(np.array(looks), total)
 
 
-def _tolerance(rig: Rig, whites: Whites, scale: float) -> float:
-    """How near to white a settled frame is: white is looked at for a while."""
+def _tolerance(rig: Rig, whites: Whites, scale: float) -> tuple[float, float]:
+    """How near to white a settled frame is, and how long to wait for one.
+
+    White is looked at for a while.
+    """
     shown = rig.projector.show(images(rig)[1])
     rig.clock.sleep(shown + FIRST_SETTLE - rig.clock.now())
     rig.camera.flush()
-    levels = []
+    levels, waits = [], []
     for _ in range(_STEADY_FRAMES):
+        asked = rig.clock.now()
         rig.camera.trigger()
         with suppress(FrameTimeoutError):
-            frame = rig.camera.get_image(_LOST + 2 * rig.camera.exposure)
+            frame = rig.camera.get_image(rig.patience + 2 * rig.camera.exposure)
+            waits.append(rig.clock.now() - asked)
             levels.append(whites.level(_as_exposed(frame.data, whites, scale)))
     spread = float(np.std(levels)) if levels else 0.0
-    return min(max(_SETTLED, _DEVIATIONS * spread), _MOST_UNSETTLED)
+    usual = float(np.median(waits)) if waits else rig.patience
+    return min(max(_SETTLED, _DEVIATIONS * spread), _MOST_UNSETTLED), _LOST + 3 * usual
 
 
 def _frame_time(rig: Rig, exposure: float) -> float:
@@ -149,6 +161,7 @@ def _look(
     whites: Whites,
     scale: float,
     tolerance: float,
+    patience: float,
     dark: bool,
     duration: float,
     generator: np.random.Generator,
@@ -165,11 +178,14 @@ def _look(
     rig.clock.sleep(float(generator.random()) * 2 * _frame_time(rig, whites.exposure))
     rig.camera.flush()
     shown = rig.projector.show(new)
-    starts, levels = [], []
-    while rig.clock.now() < shown + duration:
+    starts: list[float] = []
+    levels: list[float] = []
+    # Frames may be lost, the last one too.
+    latest = shown + duration + _LAST_FRAME + patience
+    while rig.clock.now() < latest and (not starts or starts[-1] < duration):
         rig.camera.trigger()
         try:
-            frame = rig.camera.get_image(_LOST + 2 * rig.camera.exposure)
+            frame = rig.camera.get_image(patience)
         except FrameTimeoutError:
             continue
         starts.append(frame.timestamp - rig.camera.exposure - shown)
@@ -199,9 +215,9 @@ def _settle_time(looks: NDArray[np.float64], changes: int) -> SettleTime:
     starts = looks[:, 1]
     seconds = float(starts[starts > unsettled].min())
     late = changes - len(looks) + int((last > seconds).sum())
-    if seconds > 0.8 * _LONG_LOOK:
+    if unsettled > 0.8 * _LONG_LOOK:
         raise UnfitRigError(
-            f"the picture settles only {seconds:.2f} s after it is shown",
+            f"the picture still changes {unsettled:.2f} s after it is shown",
             hint="switch off what delays the picture (compositor, variable refresh, picture "
             "improvement of the projector), or say how long to wait: --settle SECONDS",
         )
