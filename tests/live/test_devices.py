@@ -45,17 +45,17 @@ def test_names_that_are_none() -> None:
 
 
 def test_a_rig_of_two_devices_is_opened_and_closed(tmp_path: Path) -> None:
-    names = {"projector": f"folder:{tmp_path},size=8x6", "camera": f"watch:{tmp_path},exposure=1"}
-    with open_rig(**names) as rig:
+    shows, takes = f"folder:{tmp_path},size=8x6", f"watch:{tmp_path},exposure=1"
+    with open_rig(projector=shows, camera=takes) as rig:
         assert rig.projector.shape == (6, 8)
         assert rig.camera.exposure == 1
     for use in (rig.projector.black, rig.camera.flush):
         with pytest.raises(DeviceError, match="closed"):
             use()
     with pytest.raises(InputError, match="no such projector"):
-        open_rig(projector="beamer", camera=names["camera"])
+        open_rig(projector="beamer", camera=takes)
     with pytest.raises(InputError, match="no rig to photograph with"):
-        open_rig(projector=names["projector"])
+        open_rig(projector=shows)
 
 
 def test_what_is_there_is_listed(
