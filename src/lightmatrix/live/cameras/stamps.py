@@ -57,4 +57,5 @@ class Stamps:
             self._offsets.clear()
         self._last_stamp = stamp
         self._offsets.append(arrival - stamp)
-        return stamp + min(self._offsets)
+        # The sum is rounded.
+        return min(arrival, stamp + min(self._offsets))
