@@ -39,8 +39,9 @@ class AravisCamera:
             raise
 
     def _set_up(self) -> None:
-        self._name = f"{self._camera.get_vendor_name()} {self._camera.get_model_name()}"
         self._take_control()
+        vendor, model = self._camera.get_vendor_name(), self._camera.get_model_name()
+        self._name = f"{vendor} {model} {self._camera.get_device_serial_number()}"
         self._set_features()
         self._format = self._set_format()
         self._trigger = self._set_trigger()

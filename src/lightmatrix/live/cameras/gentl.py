@@ -40,7 +40,7 @@ class GenTLCamera:
         self._stamps = Stamps()
         try:
             device = _chosen(harvester, address)
-            self._name = f"{device.vendor} {device.model}"
+            self._name = f"{device.vendor} {device.model} {device.serial_number}"
             with self._talking("be set up"):
                 self._acquirer = harvester.create(harvester.device_info_list.index(device))
                 self._set_up()
