@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -42,6 +43,17 @@ def test_frames_are_pictures() -> None:
     # A ball that flies.
     assert int(frames[0].max()) - int(frames[0].min()) > 50
     assert (frames[0] != frames[-1]).any()
+
+
+def test_flush_throws_away_what_waits_in_the_driver() -> None:
+    """Its frames carry no time, so that stale ones would pass for new."""
+    camera = open_camera(RED)
+    first = camera.get_image(5).id
+    time.sleep(0.5)
+    camera.flush()
+    later = camera.get_image(5).id
+    camera.close()
+    assert later > first + 4
 
 
 def test_cameras_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
