@@ -25,8 +25,11 @@ from lightmatrix.capture.prediction import (
 )
 from lightmatrix.patterns.pattern_set import PatternSet
 
-# Frames before which nothing is predicted.
-FEWEST_FRAMES = 16
+# Frames before which nothing is predicted: as many as tell the pixels apart, and these.
+_SPARE_FRAMES = 8
+# Projectors of more pixels are looked through less often, as it takes long: seconds each time.
+_LARGE = 100_000
+_LARGE_FOLDS = 3
 # Samples that are watched, and multiplications spent on one look.
 _FEWEST, _MOST = 48, 768
 _WORK = 2e10
@@ -66,6 +69,9 @@ class Watch:
     _usual: float = 1.0
     _usual_mix: float = 0.0
     _scale: NDArray[np.float32] | None = None
+    # Whether anything has changed since it was learnt from, and how many frames there were then.
+    _new: bool = True
+    _learnt: int = 0
 
     def __post_init__(self) -> None:
         self._values = np.full((len(self.rows), self.patterns.count), np.nan, np.float32)
@@ -77,19 +83,35 @@ class Watch:
         """Whether enough is known to say of a frame that it shows its pattern."""
         return self._predicted is not None
 
+    @property
+    def due(self) -> bool:
+        """Whether there are enough new frames for it to be worth learning again."""
+        count = int(np.isfinite(self._values[0]).sum())
+        growth = 2.0 if self.patterns.pixels > _LARGE else 1.33
+        return count >= max(self._fewest, growth * self._learnt)
+
+    @property
+    def _fewest(self) -> int:
+        return _SPARE_FRAMES + int(np.ceil(np.log2(self.patterns.pixels)))
+
     def put(self, frame: int, samples: NDArray[np.float32]) -> None:
         """Note what the watched samples (m,) show in a frame; NaN where it is not trusted."""
         self._values[:, frame] = np.minimum(samples, self.ceiling)
+        self._new = True
 
     def forget(self, frame: int) -> None:
         """Explain nothing from a frame any more."""
         self._values[:, frame] = np.nan
+        self._new = True
 
     def learn(self) -> None:
         """Explain the samples from the frames there are, and predict all patterns."""
+        if not self._new:
+            return
+        self._new = False
         taken = np.flatnonzero(np.isfinite(self._values[0]))
-        self._predicted = None
-        if len(taken) < FEWEST_FRAMES:
+        self._predicted, self._learnt = None, len(taken)
+        if len(taken) < self._fewest:
             return
         if self._scale is None:
             self._scale = column_scale(self.patterns)
@@ -103,7 +125,7 @@ class Watch:
         missing = np.setdiff1d(order, taken)
         if len(missing):
             predicted[:, missing] = self._predict(light, order, taken, missing)
-        parts = folds(len(taken))
+        parts = _LARGE_FOLDS if self.patterns.pixels > _LARGE else folds(len(taken))
         fold = np.random.default_rng(0).permutation(len(taken)) % parts
         for part in range(parts):
             train, held = taken[fold != part], taken[fold == part]
