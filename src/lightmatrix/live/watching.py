@@ -40,9 +40,9 @@ _FEWEST_TELLING = 24
 _MOST_MISSED = 0.25
 _TIMES_USUAL = 3.0
 # Share of the pattern shown before that is seen, in itself and in standard errors.
-_MIXED, _MIXED_ERRORS = 0.08, 5.0
-# Logarithm of likelihoods by which some rows rather show the pattern before; no sample says more.
-_TORN, _MOST_SAID = 20.0, 6.0
+_MIXED, _MIXED_ERRORS = 0.06, 6.0
+# Samples at one end of the image that tell of a torn frame; of a square error, the most one says.
+_FEWEST_TORN, _GLINT = 4, 25.0
 
 
 @dataclass(eq=False)
@@ -183,26 +183,16 @@ class Watch:
         power = ((observed - usual) / error) ** 2
         missed = (observed - expected) / error
         # No sample says more than many, or a glint would speak for all.
-        share = float(np.minimum(missed**2, 25).sum() / max(float(np.minimum(power, 25).sum()), 1))
+        share = float(
+            np.minimum(missed**2, _GLINT).sum() / max(float(np.minimum(power, _GLINT).sum()), 1)
+        )
         if before is None or before == frame:
             return share, None
         if before < 0:
             return share, self._flatness(observed, expected, error)
         other = self._at_level(self._predicted[some, before], observed, some)
         apart = (other - expected) / error
-        weight = float((apart**2).sum())
-        if weight <= 0:
-            return share, None
-        mix = float((missed * apart).sum()) / weight
-        uncertain = float(np.sqrt((missed**2).mean() / weight))
-        if mix > max(_MIXED, _MIXED_ERRORS * uncertain):
-            return share, f"shows {100 * min(mix, 1):.0f} % of the pattern before"
-        said = (missed**2 - (missed - apart) ** 2) / 2
-        said = np.clip(said, -_MOST_SAID, _MOST_SAID)[np.argsort(rows, kind="stable")]
-        ends = max(float(np.cumsum(said).max()), float(np.cumsum(said[::-1]).max()))
-        if ends > _TORN:
-            return share, "shows the pattern before in some of its rows"
-        return share, None
+        return share, _mixture(missed, apart, rows)
 
     def _flatness(
         self,
@@ -233,6 +223,35 @@ class Watch:
         """A prediction at the brightness of a frame, which it does not know, and cut off."""
         level = float(np.median(observed - predicted))
         return np.minimum(predicted + level, self.ceiling[some]).astype(np.float64)
+
+
+def _mixture(
+    missed: NDArray[np.float64], apart: NDArray[np.float64], rows: NDArray[np.int64]
+) -> str | None:
+    """Whether a frame shows some of another pattern, all over or from some row up or down.
+
+    Parameters
+    ----------
+    missed : (m,) float
+        What each sample is off its prediction, in errors of that.
+    apart : (m,) float
+        What the prediction of the other pattern is off it.
+    rows : (m,) int
+        The image row of each sample.
+    """
+    order = np.argsort(rows, kind="stable")
+    scale = max(1.0, float(np.sqrt(np.minimum(missed**2, _GLINT).mean())))
+    for ordered in (order[::-1], order):
+        weight = np.cumsum(apart[ordered] ** 2)
+        mix = np.cumsum(missed[ordered] * apart[ordered]) / np.maximum(weight, 1e-9)
+        # Torn frames hold whole rows of another, and one sample alone may be a glint.
+        clear = (mix > _MIXED) & (mix * np.sqrt(weight) > _MIXED_ERRORS * scale)
+        clear[: _FEWEST_TORN - 1] = False
+        if clear[-1]:
+            return f"shows {100 * min(mix[-1], 1):.0f} % of the pattern before"
+        if clear.any():
+            return "shows some of the pattern before in some of its rows"
+    return None
 
 
 def watched_samples(
