@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,9 @@ import pytest
 
 import lightmatrix as lm
 from lightmatrix.cli import main
+from lightmatrix.live.agreement import Drift
 from lightmatrix.live.session import Step
+from lightmatrix.live.showing import Shown
 from lightmatrix.live.virtual.camera import VirtualCamera
 
 from .rig_faults import run
@@ -179,8 +182,6 @@ def test_patterns_of_single_pixels_are_confirmed_one_by_one() -> None:
 
 
 def test_what_cannot_be_mended_is_named_and_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    from lightmatrix.live.showing import Shown
-
     image = Shown.image
 
     def stubborn(self: Shown, index: int) -> Any:
@@ -210,9 +211,27 @@ def test_one_bad_frame_after_the_other_ends_the_session(monkeypatch: pytest.Monk
     assert _capture().count == 32
 
 
-def test_drift_is_named() -> None:
-    from lightmatrix.live.agreement import Drift
+@pytest.mark.parametrize(
+    ("what", "words"), [("room", "the room's light changed"), ("lamp", "the light is 90 % of")]
+)
+def test_light_that_changes_meanwhile_is_named(what: str, words: str) -> None:
+    with lm.open_rig(QUIET + ",fps=0") as rig:
+        light: Any = rig.camera._light  # type: ignore[attr-defined]
 
+        def change(step: Step) -> None:
+            if step.done == 12 and what == "room":
+                light.room = light.room + 0.05
+            elif step.done == 12:
+                matrix = light.truth.with_data(np.float32(0.9) * light.truth.matrix.data)
+                light.truth = replace(light.truth, matrix=matrix)
+
+        with pytest.warns(lm.LightMatrixWarning, match=f"after 15 frames, {words}"):
+            capture = lm.take_capture("capture", rig, count=32, reference_every=8, progress=change)
+    looks = capture.provenance["drift"]
+    assert [look["frames"] for look in looks] == [7, 15, 23, 31]
+
+
+def test_drift_is_named() -> None:
     assert Drift(1.0, 0.01, 0.0).said() is None
     assert "did something move" in str(Drift(1.0, 0.2, 0.0).said())
     assert "90 % of what it was" in str(Drift(0.9, 0.0, 0.0).said())

@@ -8,7 +8,6 @@ from typing import Annotated, Any
 import typer
 
 import lightmatrix as lm
-from lightmatrix.cli.calibrating import calibrating
 from lightmatrix.cli.claims import claim
 from lightmatrix.cli.options import (
     RIG_FILE,
@@ -24,6 +23,7 @@ from lightmatrix.cli.options import (
     RigName,
     Seed,
 )
+from lightmatrix.cli.stages import stages
 from lightmatrix.cli.terminal import Stopped, progress, say, show_json
 from lightmatrix.outputs.kinds import LIVE_CAPTURE, PARTIAL, STORE
 
@@ -86,7 +86,7 @@ def capture(
         claim(store, STORE, overwrite=overwrite)
     with lm.open_rig(rig, projector=projector, camera=camera, patience=patience) as opened:
         try:
-            with progress("photographing", "frames") as report, calibrating() as measuring:
+            with stages() as shown:
                 captured = lm.take_capture(
                     output,
                     opened,
@@ -102,8 +102,8 @@ def capture(
                     check=check,
                     reference_every=reference_every,
                     overwrite=overwrite,
-                    progress=lambda step: report(step.done, step.total, _note(step)),
-                    calibrating=measuring,
+                    progress=shown.photographed,
+                    calibrating=shown.measured,
                 )
         except KeyboardInterrupt:
             kept = output.with_name(output.name + PARTIAL).exists()
@@ -121,10 +121,6 @@ def capture(
             say(f"its matrix in {store}")
     if as_json:
         show_json(told)
-
-
-def _note(step: Any) -> str:
-    return f"{100 * step.clipped:.1f} % clipped, {step.check}"
 
 
 def _show(told: dict[str, Any]) -> None:

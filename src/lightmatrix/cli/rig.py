@@ -10,7 +10,6 @@ from typing import Any
 import typer
 
 import lightmatrix as lm
-from lightmatrix.cli.calibrating import calibrating
 from lightmatrix.cli.options import (
     RIG_FILE,
     USUAL_PATIENCE,
@@ -21,6 +20,7 @@ from lightmatrix.cli.options import (
     RigFile,
     RigName,
 )
+from lightmatrix.cli.stages import stages
 from lightmatrix.cli.terminal import say, show_json
 
 app = typer.Typer(
@@ -159,8 +159,8 @@ def _measure(
 ) -> Mapping[str, Any]:
     """What was measured; nothing where it has been shown as JSON."""
     opening = lm.open_rig(rig, projector=projector, camera=camera, patience=patience)
-    with opening as opened, calibrating() as report:
-        known = lm.calibrate(opened, [part], keep=rig_file, progress=report)
+    with opening as opened, stages() as shown:
+        known = lm.calibrate(opened, [part], keep=rig_file, progress=shown.measured)
     told: dict[str, Any] = known.as_dict()[part]
     if as_json:
         show_json({"rig_file": rig_file, part: told})

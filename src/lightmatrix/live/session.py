@@ -18,7 +18,7 @@ from lightmatrix.live.agreement import Drift, References, drift
 from lightmatrix.live.record import Record, Taken
 from lightmatrix.live.steady import take_steady
 from lightmatrix.live.taking import Shot, Taker, UntrustedFrameError
-from lightmatrix.live.watching import FEWEST_FRAMES, Watch, watched_samples
+from lightmatrix.live.watching import Watch, watched_samples
 from lightmatrix.patterns.pattern_set import PatternSet
 
 # A frame, and what was shown before it.
@@ -89,7 +89,6 @@ class Session:
     _samples: NDArray[np.int64] = field(init=False)
     # The pattern shown last, or black or white; the references end with white.
     _before: int = _WHITE
-    _learnt: int = 0
 
     def __post_init__(self) -> None:
         light, rows = self.references.light, self.references.light.shape[0]
@@ -223,10 +222,7 @@ class Session:
         return np.asarray(dark.ravel(), np.float32)
 
     def _learn_now_and_then(self) -> None:
-        """After 16 frames, and whenever there are a third more than the last time."""
-        count = len(self._taken)
-        if self.check and count >= max(FEWEST_FRAMES, 4 * self._learnt // 3):
-            self._learnt = count
+        if self.check and self._watch.due:
             self._watch.learn()
 
     def _look_back(self) -> None:

@@ -25,8 +25,11 @@ from lightmatrix.capture.prediction import (
 )
 from lightmatrix.patterns.pattern_set import PatternSet
 
-# Frames before which nothing is predicted.
-FEWEST_FRAMES = 16
+# Frames before which nothing is predicted: as many as tell the pixels apart, and these.
+_SPARE_FRAMES = 8
+# Projectors of more pixels are looked through less often, as it takes long: seconds each time.
+_LARGE = 100_000
+_LARGE_FOLDS = 3
 # Samples that are watched, and multiplications spent on one look.
 _FEWEST, _MOST = 48, 768
 _WORK = 2e10
@@ -37,9 +40,9 @@ _FEWEST_TELLING = 24
 _MOST_MISSED = 0.25
 _TIMES_USUAL = 3.0
 # Share of the pattern shown before that is seen, in itself and in standard errors.
-_MIXED, _MIXED_ERRORS = 0.08, 5.0
-# Logarithm of likelihoods by which some rows rather show the pattern before; no sample says more.
-_TORN, _MOST_SAID = 20.0, 6.0
+_MIXED, _MIXED_ERRORS = 0.06, 6.0
+# Samples at one end of the image that tell of a torn frame; of a square error, the most one says.
+_FEWEST_TORN, _GLINT = 4, 25.0
 
 
 @dataclass(eq=False)
@@ -66,6 +69,9 @@ class Watch:
     _usual: float = 1.0
     _usual_mix: float = 0.0
     _scale: NDArray[np.float32] | None = None
+    # Whether anything has changed since it was learnt from, and how many frames there were then.
+    _new: bool = True
+    _learnt: int = 0
 
     def __post_init__(self) -> None:
         self._values = np.full((len(self.rows), self.patterns.count), np.nan, np.float32)
@@ -77,19 +83,35 @@ class Watch:
         """Whether enough is known to say of a frame that it shows its pattern."""
         return self._predicted is not None
 
+    @property
+    def due(self) -> bool:
+        """Whether there are enough new frames for it to be worth learning again."""
+        count = int(np.isfinite(self._values[0]).sum())
+        growth = 2.0 if self.patterns.pixels > _LARGE else 1.33
+        return count >= max(self._fewest, growth * self._learnt)
+
+    @property
+    def _fewest(self) -> int:
+        return _SPARE_FRAMES + int(np.ceil(np.log2(self.patterns.pixels)))
+
     def put(self, frame: int, samples: NDArray[np.float32]) -> None:
         """Note what the watched samples (m,) show in a frame; NaN where it is not trusted."""
         self._values[:, frame] = np.minimum(samples, self.ceiling)
+        self._new = True
 
     def forget(self, frame: int) -> None:
         """Explain nothing from a frame any more."""
         self._values[:, frame] = np.nan
+        self._new = True
 
     def learn(self) -> None:
         """Explain the samples from the frames there are, and predict all patterns."""
+        if not self._new:
+            return
+        self._new = False
         taken = np.flatnonzero(np.isfinite(self._values[0]))
-        self._predicted = None
-        if len(taken) < FEWEST_FRAMES:
+        self._predicted, self._learnt = None, len(taken)
+        if len(taken) < self._fewest:
             return
         if self._scale is None:
             self._scale = column_scale(self.patterns)
@@ -103,7 +125,7 @@ class Watch:
         missing = np.setdiff1d(order, taken)
         if len(missing):
             predicted[:, missing] = self._predict(light, order, taken, missing)
-        parts = folds(len(taken))
+        parts = _LARGE_FOLDS if self.patterns.pixels > _LARGE else folds(len(taken))
         fold = np.random.default_rng(0).permutation(len(taken)) % parts
         for part in range(parts):
             train, held = taken[fold != part], taken[fold == part]
@@ -161,26 +183,16 @@ class Watch:
         power = ((observed - usual) / error) ** 2
         missed = (observed - expected) / error
         # No sample says more than many, or a glint would speak for all.
-        share = float(np.minimum(missed**2, 25).sum() / max(float(np.minimum(power, 25).sum()), 1))
+        share = float(
+            np.minimum(missed**2, _GLINT).sum() / max(float(np.minimum(power, _GLINT).sum()), 1)
+        )
         if before is None or before == frame:
             return share, None
         if before < 0:
             return share, self._flatness(observed, expected, error)
         other = self._at_level(self._predicted[some, before], observed, some)
         apart = (other - expected) / error
-        weight = float((apart**2).sum())
-        if weight <= 0:
-            return share, None
-        mix = float((missed * apart).sum()) / weight
-        uncertain = float(np.sqrt((missed**2).mean() / weight))
-        if mix > max(_MIXED, _MIXED_ERRORS * uncertain):
-            return share, f"shows {100 * min(mix, 1):.0f} % of the pattern before"
-        said = (missed**2 - (missed - apart) ** 2) / 2
-        said = np.clip(said, -_MOST_SAID, _MOST_SAID)[np.argsort(rows, kind="stable")]
-        ends = max(float(np.cumsum(said).max()), float(np.cumsum(said[::-1]).max()))
-        if ends > _TORN:
-            return share, "shows the pattern before in some of its rows"
-        return share, None
+        return share, _mixture(missed, apart, rows)
 
     def _flatness(
         self,
@@ -211,6 +223,35 @@ class Watch:
         """A prediction at the brightness of a frame, which it does not know, and cut off."""
         level = float(np.median(observed - predicted))
         return np.minimum(predicted + level, self.ceiling[some]).astype(np.float64)
+
+
+def _mixture(
+    missed: NDArray[np.float64], apart: NDArray[np.float64], rows: NDArray[np.int64]
+) -> str | None:
+    """Whether a frame shows some of another pattern, all over or from some row up or down.
+
+    Parameters
+    ----------
+    missed : (m,) float
+        What each sample is off its prediction, in errors of that.
+    apart : (m,) float
+        What the prediction of the other pattern is off it.
+    rows : (m,) int
+        The image row of each sample.
+    """
+    order = np.argsort(rows, kind="stable")
+    scale = max(1.0, float(np.sqrt(np.minimum(missed**2, _GLINT).mean())))
+    for ordered in (order[::-1], order):
+        weight = np.cumsum(apart[ordered] ** 2)
+        mix = np.cumsum(missed[ordered] * apart[ordered]) / np.maximum(weight, 1e-9)
+        # Torn frames hold whole rows of another, and one sample alone may be a glint.
+        clear = (mix > _MIXED) & (mix * np.sqrt(weight) > _MIXED_ERRORS * scale)
+        clear[: _FEWEST_TORN - 1] = False
+        if clear[-1]:
+            return f"shows {100 * min(mix[-1], 1):.0f} % of the pattern before"
+        if clear.any():
+            return "shows some of the pattern before in some of its rows"
+    return None
 
 
 def watched_samples(

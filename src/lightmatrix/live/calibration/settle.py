@@ -31,7 +31,7 @@ _SETTLED = 0.03
 # Where the light flickers: so many standard deviations, but never more than this.
 _DEVIATIONS, _MOST_UNSETTLED = 4.0, 0.3
 _STEADY_FRAMES = 12
-# Added to what was measured, for clocks.
+# Seconds added to what was measured, for clocks.
 _MARGIN = 0.002
 # Of the changes: more that come late, or are seen by a bad frame, are part of the settle time.
 _MOST_LATE = 1 / 7
@@ -128,7 +128,8 @@ def measure_settle(
             hint="is the exposure fixed (no automatic exposure or gain), and the room's light "
             "steady? lightmatrix rig flicker",
         )
-    return _settle_time(np.array(looks), total)
+    # A frame that saw a little of the change may still have passed for settled.
+    return _settle_time(np.array(looks), total, _MARGIN + settled * asked)
 
 
 def _tolerance(rig: Rig, whites: Whites, scale: float) -> tuple[float, float]:
@@ -147,7 +148,9 @@ def _tolerance(rig: Rig, whites: Whites, scale: float) -> tuple[float, float]:
             frame = rig.camera.get_image(rig.patience + 2 * rig.camera.exposure)
             waits.append(rig.clock.now() - asked)
             levels.append(whites.level(_as_exposed(frame.data, whites, scale)))
-    spread = float(np.std(levels)) if levels else 0.0
+    # By medians: one of the frames may be a copy of an earlier one.
+    apart = np.abs(np.array(levels) - np.median(levels)) if levels else np.zeros(1)
+    spread = 1.48 * float(np.median(apart))
     usual = float(np.median(waits)) if waits else rig.patience
     return min(max(_SETTLED, _DEVIATIONS * spread), _MOST_UNSETTLED), _LOST + 3 * usual
 
@@ -207,7 +210,7 @@ def _as_exposed(data: NDArray[np.generic], whites: Whites, scale: float) -> NDAr
     return (np.asarray(data, np.float32) - whites.black.mean) / scale + whites.black.mean
 
 
-def _settle_time(looks: NDArray[np.float64], changes: int) -> SettleTime:
+def _settle_time(looks: NDArray[np.float64], changes: int, margin: float) -> SettleTime:
     # Pictures that came late, and frames that were no good, are no part of the settle time.
     last = np.sort(looks[:, 0])
     ignored = int(_MOST_LATE * changes) - (changes - len(looks))
@@ -221,4 +224,4 @@ def _settle_time(looks: NDArray[np.float64], changes: int) -> SettleTime:
             hint="switch off what delays the picture (compositor, variable refresh, picture "
             "improvement of the projector), or say how long to wait: --settle SECONDS",
         )
-    return SettleTime(round(seconds + _MARGIN, 6), unsettled, changes, late)
+    return SettleTime(round(seconds + margin, 6), unsettled, changes, late)
