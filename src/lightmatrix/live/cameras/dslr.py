@@ -305,6 +305,11 @@ def _explained(gphoto2: Any, address: Address, what: str) -> Iterator[None]:
                 f"{address}: another program has the camera",
                 hint="unmount it from the file manager: gio mount -s gphoto2",
             ) from error
+        if error.code in (gphoto2.GP_ERROR_NO_MEMORY, gphoto2.GP_ERROR_NO_SPACE):
+            raise DeviceError(
+                f"{address}: the camera {what}, its memory is full",
+                hint=f"empty its card, or let it keep pictures in its memory: {_TARGET}={_MEMORY}",
+            ) from error
         raise DeviceError(
             f"{address}: the camera {what} ({error.string})",
             hint="check its cable, battery and focus, and that its USB mode is PTP",
