@@ -249,7 +249,7 @@ def open_dslr(address: Address) -> DSLRCamera:
         If there is no such camera, another program has it, or it has no such setting.
     """
     gphoto2 = _load()
-    cameras = _autodetect(gphoto2)
+    cameras = _autodetect(gphoto2, address)
     wanted = address.argument
     chosen = next((each for each in cameras if not wanted or wanted in each), None)
     if chosen is None:
@@ -275,10 +275,10 @@ def find_dslr() -> list[Found]:
 
     Raises
     ------
-    MissingExtraError
+    MissingExtraError, DeviceError
         As `open_dslr`.
     """
-    return [Found(f"dslr:{port}", name) for name, port in _autodetect(_load())]
+    return [Found(f"dslr:{port}", name) for name, port in _autodetect(_load(), Address("dslr"))]
 
 
 def _load() -> Any:
@@ -289,8 +289,9 @@ def _load() -> Any:
     return gphoto2
 
 
-def _autodetect(gphoto2: Any) -> list[tuple[str, str]]:
-    cameras = gphoto2.Camera.autodetect()
+def _autodetect(gphoto2: Any, address: Address) -> list[tuple[str, str]]:
+    with _explained(gphoto2, address, "cannot be looked for"):
+        cameras = gphoto2.Camera.autodetect()
     return [(cameras.get_name(k), cameras.get_value(k)) for k in range(cameras.count())]
 
 
