@@ -6,8 +6,8 @@ VENV := .venv
 BIN := $(VENV)/bin
 CORE := $(shell find crates -name '*.rs' -o -name Cargo.toml) Cargo.toml pyproject.toml
 
-.PHONY: help install demo test test-install lint types rust-test py-test faults fuzz mutants format bench \
-	experiments docs gallery screenshots system-deps clean
+.PHONY: help install demo test test-install lint types rust-test py-test faults fuzz live-faults mutants format \
+	bench experiments docs gallery screenshots system-deps clean
 
 help:
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 16
@@ -23,6 +23,12 @@ $(VENV)/.installed: $(BIN)/python $(CORE)
 
 $(VENV)/.test-installed: $(VENV)/.installed
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev,render,docs]'
+	for extra in window aravis gentl video dslr; do \
+	  $(BIN)/python tools/requirements.py $$extra | \
+	    $(BIN)/python -m pip install --quiet --disable-pip-version-check -r /dev/stdin || \
+	    { echo "no $$extra here (see make system-deps): its tests are skipped"; test -z "$$CI"; } \
+	    || exit 1; \
+	done
 	@touch $@
 
 install: $(VENV)/.installed ## build the core and install lightmatrix into .venv
@@ -56,6 +62,9 @@ N := 20000
 fuzz: test-install ## N damaged inputs, 20,000 unless said: make fuzz N=500
 	$(BIN)/python -m tests.faults.fuzz --count $(N)
 
+live-faults: test-install ## N captures of a rig that fails and is killed, 200 unless said: make live-faults N=20
+	$(BIN)/python -m tests.live.rig_faults --count $(or $(filter-out 20000,$(N)),200)
+
 mutants: test-install ## break 200 things in solvers, estimators, capture: how many do tests notice?
 	$(BIN)/python tools/mutants.py --count 200 --least 0.8
 
@@ -83,7 +92,7 @@ gallery: test-install ## run the examples and keep their pictures in docs/images
 screenshots: test-install ## of the demo's report, in docs/images; needs a Chromium
 	$(BIN)/python tools/report_screenshots.py
 
-system-deps: ## optional system packages (the renderer's LLVM, a browser for the tests)
+system-deps: ## optional system packages (the renderer's LLVM, a browser, screens and cameras)
 	bash tools/system-deps.sh
 
 clean: ## remove what make made

@@ -29,7 +29,7 @@ FLOORS = [
     {"cli"},
 ]
 # Extras are imported inside the functions that need them, and nowhere else.
-EXTRAS = {"mitsuba", "drjit"}
+EXTRAS = {"mitsuba", "drjit", "glfw", "moderngl", "gi", "harvesters", "genicam", "av", "gphoto2"}
 # The compiled core stands in the table by its crates.
 CORE = "_core"
 # Loads all else within the `try` that waits for a Ctrl-C.

@@ -22,6 +22,9 @@ from lightmatrix.cli.app import STAGES
 from lightmatrix.estimators import auto
 from lightmatrix.estimators.coherent.estimator import WORTH_IT_UP_TO
 from lightmatrix.experiments import run
+from lightmatrix.live import capturing, opening
+from lightmatrix.live.calibration.keeping import PARTS
+from lightmatrix.live.rig import Rig
 from lightmatrix.patterns import making, mix
 from lightmatrix.planning.plan import USUAL_SIZE
 from lightmatrix.rig.library import DEFAULT_SAMPLES
@@ -340,14 +343,62 @@ def test_what_runs_long_is_passed_on_as_it_was_said(
     _same_files(tmp_path / "shown", tmp_path / "made")
 
 
+@pytest.mark.parametrize(
+    ("words", "settings"),
+    [
+        ("-k 20 --seed 4", {"count": 20, "seed": 4}),
+        (
+            "-k 18 --density 0.3 --exposure 0.01 --settle 0.06 --cell 2 --no-check "
+            "--reference-every 5 --response gamma:1.1",
+            {
+                "count": 18, "density": 0.3, "exposure": 0.01, "settle": 0.06, "cell": 2,
+                "check": False, "reference_every": 5, "response": "gamma:1.1",
+            },
+        ),
+    ],
+)  # fmt: skip
+def test_capture(
+    words: str, settings: dict[str, Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rig = "virtual:procedural,size=16,real=0,late=0.1"
+    told = _run(
+        f"capture --rig {rig} {words} --rig-file {tmp_path}/shown.json -o {tmp_path}/shown", capsys
+    )
+    with lm.open_rig(rig) as opened:
+        capture = lm.take_capture(
+            tmp_path / "made", opened, keep=tmp_path / "made.json", **settings
+        )
+    _same_files(tmp_path / "shown", tmp_path / "made")
+    assert told["frames"] == settings["count"] == capture.count
+
+
+@pytest.mark.parametrize("part", PARTS)
+def test_rig(part: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rig = "virtual:procedural,size=16,real=0"
+    told = _run(f"rig {part} --rig {rig} --rig-file {tmp_path}/rig.json", capsys)
+    with lm.open_rig(rig) as opened:
+        made = lm.calibrate(opened, [part], keep=tmp_path / "made.json")
+    assert told[part] == json.loads(json.dumps(made.as_dict()[part]))
+    shown = lm.Calibration.load(tmp_path / "rig.json")
+    assert {**shown.as_dict(), "measured": ""} == {
+        **lm.Calibration.load(tmp_path / "made.json").as_dict(), "measured": ""
+    }  # fmt: skip
+
+
 def test_every_command_is_held_to_its_function() -> None:
     commands = {command.__name__ for members in STAGES.values() for command in members}
-    assert commands == {name for name in dir(lm) if name in commands} | {"info", "patterns"}
+    # The folders of these names are not in the way of the functions take_capture and make_patterns.
+    named_otherwise = {"info", "patterns", "capture"}
+    assert commands == {name for name in dir(lm) if name in commands} | named_otherwise
 
 
 def test_help_texts_say_what_the_code_does() -> None:
     assert options.USUAL_NOISE == USUAL_NOISE
     assert options.USUAL_COUNT == making.USUAL_COUNT
+    assert options.USUAL_FRAMES == capturing.USUAL_COUNT
+    assert options.USUAL_REFERENCE == capturing.USUAL_REFERENCE
+    assert options.RIG_FILE == capturing.RIG_FILE
+    assert options.USUAL_PATIENCE == opening.USUAL_PATIENCE == Rig.patience
     assert options.USUAL_SAMPLES == DEFAULT_SAMPLES
     assert options.EXPOSURES_EXAMPLE == EXPOSURES_EXAMPLE
     assert mix.EXAMPLE == options.MIX_EXAMPLE

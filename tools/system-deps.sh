@@ -1,13 +1,17 @@
 #!/usr/bin/env bash
 # Installs what lightmatrix can use but Python cannot bring:
-#   the LLVM library (17 or newer) through which the renderer of the simulated rig compiles; without
-#   it rendering is about a hundred times slower, and everything else works as it is;
-#   a Chromium, in which the tests look at the report; without it these are skipped.
-# Does nothing where both are found.
+# - the LLVM library (17 or newer) through which the renderer of the simulated rig compiles; without
+#   it rendering is about a hundred times slower;
+# - Aravis, which drives GigE and USB3 Vision cameras, and what its Python bindings are built with;
+# - X servers without screens, on which the tests of the live rig show their patterns;
+# - a Chromium, in which the tests look at the report.
+# Everything else works as it is. Does nothing where all of them are found.
 set -euo pipefail
 
 # The tested one first; never 15 or 16.
 versions="19 20 21 18 17"
+live="xvfb xserver-xorg-core xserver-xorg-video-dummy x11-xserver-utils libgl1 libgl1-mesa-dri
+      gir1.2-aravis-0.8 libgirepository1.0-dev libcairo2-dev pkg-config gcc"
 
 usable_llvm() {
     # libLLVM 14 is refused by the renderer, 15 and 16 abort it.
@@ -26,41 +30,62 @@ browser() {
     command -v chromium || command -v chromium-browser || command -v google-chrome
 }
 
-if found=$(usable_llvm) && browser >/dev/null; then
-    echo "system-deps: $found serves the renderer, $(browser) the tests; nothing to do"
-    exit 0
-fi
+missing_live() {
+    local package
+    for package in $live; do
+        dpkg-query --show --showformat='${Status}' "$package" 2>/dev/null \
+            | grep -q 'install ok installed' || echo "$package"
+    done
+}
+
 if ! command -v apt-get >/dev/null; then
-    echo "system-deps: no LLVM 17 or newer or no Chromium, and no apt-get; install them with your" >&2
-    echo "system-deps: package manager, or set DRJIT_LIBLLVM_PATH and CHROMIUM to where they are." >&2
-    echo "system-deps: Rendering works without LLVM, slowly; tests of the report are skipped." >&2
-    exit 1
+    if found=$(usable_llvm); then
+        echo "system-deps: $found serves the renderer"
+    else
+        echo "system-deps: no LLVM 17 or newer; install it with your package manager, or set" >&2
+        echo "system-deps: DRJIT_LIBLLVM_PATH to its library. Rendering works without, slowly." >&2
+    fi
+    echo "system-deps: no apt-get; docs/devices.md says what cameras and their tests need" >&2
+    usable_llvm >/dev/null
+    exit
+fi
+
+packages=$(missing_live)
+browser >/dev/null || packages="$packages chromium"
+wants_llvm=
+if found=$(usable_llvm); then
+    echo "system-deps: $found serves the renderer"
+else
+    wants_llvm=1
+fi
+if [ -z "$packages$wants_llvm" ]; then
+    echo "system-deps: nothing to do"
+    exit 0
 fi
 as_root=
 if [ "$(id -u)" -ne 0 ]; then
     as_root=sudo
 fi
 $as_root apt-get update -qq
-packages=
-if ! usable_llvm >/dev/null; then
+if [ -n "$wants_llvm" ]; then
+    package=
     for version in $versions; do
         if apt-cache show "libllvm$version" >/dev/null 2>&1; then
-            packages=libllvm$version
+            package=libllvm$version
             break
         fi
     done
-    if [ -z "$packages" ]; then
+    if [ -z "$package" ]; then
         echo "system-deps: apt-get has no libllvm of $versions; any from 17 on will do" >&2
         exit 1
     fi
+    packages="$packages $package"
 fi
-if ! browser >/dev/null; then
-    packages="$packages chromium"
-fi
-echo "system-deps: installing $packages with apt-get"
-# shellcheck disable=SC2086  # several words
+# shellcheck disable=SC2086 # one word a package
+echo "system-deps: installing" $packages "with apt-get"
+# shellcheck disable=SC2086
 $as_root env DEBIAN_FRONTEND=noninteractive \
     apt-get install --yes --no-install-recommends -qq $packages
-usable_llvm >/dev/null || { echo "system-deps: $packages installed, but no LLVM found" >&2; exit 1; }
-browser >/dev/null || { echo "system-deps: $packages installed, but no Chromium found" >&2; exit 1; }
+browser >/dev/null || { echo "system-deps: a Chromium was installed, but not found" >&2; exit 1; }
+usable_llvm >/dev/null || { echo "system-deps: an LLVM was installed, but not found" >&2; exit 1; }
 echo "system-deps: done"

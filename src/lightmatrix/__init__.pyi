@@ -47,6 +47,25 @@ from .rig.renderer import render as render
 from .rig.thumbnails import write_thumbnails as write_thumbnails
 from .rig.truth import Truth as Truth
 
+# Rigs that photograph, real and virtual.
+from .live.calibration.exposure import measure_exposure as measure_exposure
+from .live.calibration.flicker import measure_flicker as measure_flicker
+from .live.calibration.keeping import (
+    Calibration as Calibration,
+    calibrate as calibrate,
+)
+from .live.calibration.linearity import measure_linearity as measure_linearity
+from .live.calibration.response import measure_response as measure_response
+from .live.calibration.settle import measure_settle as measure_settle
+from .live.capturing import take_capture as take_capture
+from .live.devices import (
+    list_devices as list_devices,
+    open_camera as open_camera,
+    open_projector as open_projector,
+)
+from .live.opening import open_rig as open_rig
+from .live.rig import Rig as Rig
+
 # Estimates.
 from .estimators.auto import (
     AutoEstimator as AutoEstimator,
@@ -115,6 +134,8 @@ from .planning.plan import (
 
 # Errors.
 from .errors import (
+    DeviceError as DeviceError,
+    FrameTimeoutError as FrameTimeoutError,
     InputError as InputError,
     LightMatrixError as LightMatrixError,
     LightMatrixWarning as LightMatrixWarning,

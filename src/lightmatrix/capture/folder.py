@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import warnings
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
@@ -262,12 +263,13 @@ def read_mask(mask: str | Path, shape: tuple[int, ...]) -> NDArray[np.bool_]:
 def write_capture(
     folder: str | Path,
     patterns: PatternSet,
-    frames: NDArray[Any] | Iterable[NDArray[Any]],
+    frames: NDArray[Any] | Iterable[NDArray[Any] | Path],
     *,
     sensor: Sensor,
     camera_shape: tuple[int, ...] | None = None,
     black: NDArray[Any] | None = None,
     black_exposure: float | None = None,
+    response: str = "linear",
     provenance: Mapping[str, Any] | None = None,
     beside: Callable[[Path], None] | None = None,
     overwrite: bool = False,
@@ -280,16 +282,20 @@ def write_capture(
         The folder to make.
     patterns : PatternSet
         K patterns.
-    frames : (K, rows, cols[, channels]) array or iterable of K images
-        Raw levels, written as PNG (uint8, uint16) or npy (float32).
+    frames : (K, rows, cols[, channels]) array or iterable of K images or files
+        Raw levels, written as PNG (uint8, uint16) or npy (float32). Files hold such images of
+        `camera_shape` already; they keep their format, and share their place on the disk where
+        it can do that.
     sensor : Sensor
         The camera that took them.
     camera_shape : tuple of int, optional
         Shape that each frame must have.
     black : (rows, cols[, channels]), optional
-        Raw levels under a black pattern.
+        Raw levels under a black pattern; the mean of several as float32.
     black_exposure : float, optional
         Its exposure; None means that of the frames, which must then be one.
+    response : str
+        See `Response.parse`; a curve's file is written by `beside`.
     provenance : mapping, optional
         What made the capture, JSON-ready.
     beside : callable, optional
@@ -312,13 +318,17 @@ def write_capture(
         fill_pattern_folder(part / "patterns", patterns)
         shape, count = camera_shape, 0
         for count, frame in enumerate(frames, 1):
+            image = part / "images" / f"image_{count - 1:0{digits}d}{suffix}"
+            if isinstance(frame, Path):
+                _link(frame, image.with_suffix(frame.suffix))
+                continue
             shape = shape or frame.shape
             if frame.shape != shape:
                 raise InputError(
                     f"frame {count - 1} has shape {frame.shape}, expected {shape}",
                     hint="give frames of one shape",
                 )
-            fill_image(part / "images" / f"image_{count - 1:0{digits}d}{suffix}", frame)
+            fill_image(image, frame)
         if count != patterns.count:
             raise InputError(
                 f"{count} frames for {patterns.count} patterns", hint="give one a pattern"
@@ -332,18 +342,27 @@ def write_capture(
             "clip": jsonable(sensor.decoder().clip),
             "black_level": sensor.black_level,
             "full_scale": sensor.full_scale,
-            "response": "linear",
+            "response": response,
             "provenance": dict(provenance or {}),
         }
         if black is not None:
-            fill_image(part / f"black{suffix}", black)
-            content["black"] = {"file": f"black{suffix}"}
+            name = f"black{suffix if black.dtype.kind == 'u' else '.npy'}"
+            fill_image(part / name, black)
+            content["black"] = {"file": name}
             if black_exposure is not None:
                 content["black"]["exposure"] = black_exposure
         text = json.dumps(content, indent=2, default=jsonable)
         (part / NAME).write_text(text + "\n")
         if beside is not None:
             beside(part)
+
+
+def _link(file: Path, image: Path) -> None:
+    """A second name for a file; a copy where the file system knows none."""
+    try:
+        os.link(file, image)
+    except OSError:
+        shutil.copyfile(file, image)
 
 
 def jsonable(value: Any) -> Any:

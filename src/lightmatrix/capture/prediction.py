@@ -132,7 +132,7 @@ def prediction_misses(
     for part in range(folds(count)):
         train = np.flatnonzero((order >= 0) & (fold[order] != part))
         held = np.flatnonzero(fold == part)
-        predicted[:, held] = _predict(patterns, scale, light - common, order, train, held)
+        predicted[:, held] = predicted_samples(patterns, scale, light - common, order, train, held)
     brightness = np.full(count, common.mean(), np.float32)
     brightness[order[order >= 0]] = common[0, order >= 0]
     predicted = np.minimum(predicted + brightness, rows.lowest)
@@ -253,7 +253,7 @@ def _mixtures(
         yield total
 
 
-def _predict(
+def predicted_samples(
     patterns: PatternSet,
     scale: NDArray[np.float32],
     values: NDArray[np.float32],
@@ -261,7 +261,25 @@ def _predict(
     train: NDArray[np.integer],
     held: NDArray[np.integer],
 ) -> NDArray[np.float32]:
-    """What each row should show under the patterns `held`, from the frames `train`."""
+    """What each row should show under the patterns `held`, from the frames `train`.
+
+    Parameters
+    ----------
+    patterns : PatternSet
+        K patterns.
+    scale : (N,) float32
+        See `column_scale`.
+    values : (m, K) float32
+        Samples, of each frame what all rows have in common taken off; only `train` is looked at.
+    order : (K,) int
+        The pattern shown in each frame.
+    train, held : (k,) int
+        Frames that rows are explained from; patterns to predict.
+
+    Returns
+    -------
+    (m, len(held)) float32
+    """
     mean = values[:, train].mean(axis=1, keepdims=True)
     centred = values[:, train] - mean
     residual = centred

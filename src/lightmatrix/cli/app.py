@@ -13,6 +13,7 @@ import typer
 from typer.core import TyperGroup
 
 import lightmatrix as lm
+from lightmatrix.cli.capture import capture
 from lightmatrix.cli.claims import outputs
 from lightmatrix.cli.demo import demo
 from lightmatrix.cli.estimate import estimate
@@ -25,6 +26,7 @@ from lightmatrix.cli.patterns import patterns
 from lightmatrix.cli.plan import plan
 from lightmatrix.cli.relight import relight
 from lightmatrix.cli.render import render
+from lightmatrix.cli.rig import app as rig
 from lightmatrix.cli.scenes import scenes
 from lightmatrix.cli.show import show
 from lightmatrix.cli.simulate import simulate
@@ -35,10 +37,13 @@ from lightmatrix.errors import LightMatrixWarning
 # By stage of the work.
 STAGES: dict[str, tuple[Callable[..., None], ...]] = {
     "Prepare": (plan, patterns),
+    "Photograph": (capture,),
     "Measure and use": (estimate, info, show, relight, evaluate, export),
     "Simulate": (scenes, render, simulate),
     "Show": (demo, experiment),
 }
+# Commands that have commands of their own, under the heading of each.
+GROUPS: dict[str, dict[str, typer.Typer]] = {"Photograph": {"rig": rig}}
 
 
 class _ByStage(TyperGroup):
@@ -49,8 +54,7 @@ class _ByStage(TyperGroup):
         for heading, members in STAGES.items():
             with formatter.section(heading):
                 lines = []
-                for member in members:
-                    name = member.__name__
+                for name in (*(member.__name__ for member in members), *GROUPS.get(heading, {})):
                     short = self.commands[name].get_short_help_str(formatter.width - width - 6)
                     # As wide as the widest of all, so that the stages stand in line.
                     lines.append((f"{name:<{width}}", short))
@@ -69,6 +73,9 @@ app = typer.Typer(
 )
 for command in (member for members in STAGES.values() for member in members):
     app.command(command.__name__)(command)
+for groups in GROUPS.values():
+    for name, group in groups.items():
+        app.add_typer(group, name=name)
 
 
 @app.callback(invoke_without_command=True)

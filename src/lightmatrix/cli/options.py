@@ -28,11 +28,26 @@ Seed = Annotated[int, typer.Option(help="Seed of everything random.", min=0)]
 Store = Annotated[
     Path, typer.Argument(metavar="SCENE.zarr", help="A store made by `estimate`, or a T.npz.")
 ]
+RigName = Annotated[
+    str | None,
+    typer.Option("--rig", metavar="virtual:SCENE", help="A virtual rig, to try things with."),
+]
+ProjectorName = Annotated[
+    str | None, typer.Option("--projector", help="A projector, such as window:1.")
+]
+CameraName = Annotated[str | None, typer.Option("--camera", help="A camera, such as aravis:ID.")]
+Patience = Annotated[float, typer.Option(help="Seconds to wait for a frame, beyond its exposure.")]
+RigFile = Annotated[
+    Path, typer.Option("--rig-file", help="Where what was measured of the rig is kept.")
+]
 
 # Defaults that are written into help texts. They stand in the code that they belong to as well,
 # which would be slow to load for a help text; a test holds the two together.
 USUAL_NOISE = 0.003
 USUAL_COUNT = 256
+USUAL_FRAMES, USUAL_REFERENCE = 64, 32
+RIG_FILE = "rig.json"
+USUAL_PATIENCE = 2.0
 USUAL_SAMPLES = 16_384
 EXPOSURES_EXAMPLE = "1:0.75,0.25:0.25"
 MIX_EXAMPLE = "fine:0.75,32x32:0.125,8x8:0.125"

@@ -90,10 +90,10 @@ def show_json(result: Mapping[str, Any]) -> None:
 def progress(what: str, unit: str) -> Iterator[Any]:
     """A progress bar with rate and time left on a terminal; silent elsewhere.
 
-    Yields a callback that takes (done, total).
+    Yields a callback that takes (done, total) and, perhaps, a note to show behind the bar.
     """
     if not _err.is_terminal:
-        yield lambda done, total: None
+        yield lambda done, total, note="": None
         return
     columns = (
         TextColumn("{task.description}", markup=False),
@@ -101,10 +101,13 @@ def progress(what: str, unit: str) -> Iterator[Any]:
         MofNCompleteColumn(),
         _Rate(),
         TimeRemainingColumn(),
+        TextColumn("{task.fields[note]}", markup=False),
     )
     with Progress(*columns, console=_err, transient=True) as bar:
-        task = bar.add_task(_visible(what), total=None, unit=unit)
-        yield lambda done, total: bar.update(task, completed=done, total=total)
+        task = bar.add_task(_visible(what), total=None, unit=unit, note="")
+        yield lambda done, total, note="": bar.update(
+            task, completed=done, total=total, note=_visible(note)
+        )
 
 
 class _Rate(ProgressColumn):

@@ -9,7 +9,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from lightmatrix.errors import OutputError
-from lightmatrix.outputs.markers import FileKind, FolderKind, holds_member
+from lightmatrix.outputs.markers import FileKind, FolderKind, holds_member, read_object
 
 # Endings of the folders that hold running results, beside an output.
 PARTIAL, CASES = ".partial", ".cases"
@@ -22,6 +22,7 @@ TRANSPORT_MARK, TRUTH_MARK, PACKED_MARK, NUMBERS_MARK = (
 )
 # The text that our mat files begin with; readers of the format pass over it.
 MAT_MARK = "MATLAB 5.0 MAT-file, written by lightmatrix"
+RIG_FORMAT = "lightmatrix-rig"
 _IMAGES = (b"\x89PNG\r\n\x1a\n", b"\x93NUMPY", b"II*\0", b"MM\0*")
 
 
@@ -30,8 +31,15 @@ def _begins_with(file: Path, *starts: bytes) -> bool:
         return opened.read(max(map(len, starts))).startswith(starts)
 
 
+def _is_json(file: Path, name: str) -> bool:
+    content = read_object(file)
+    return content is not None and content.get("format") == name
+
+
 PATTERNS = FolderKind("folder of patterns")
 CAPTURE = FolderKind("capture")
+# The same, photographed: frame by frame, over hours perhaps.
+LIVE_CAPTURE = FolderKind("capture", running=PARTIAL)
 # The marker is an attribute of the group, since Zarr warns of files that are none of its own.
 STORE = FolderKind(
     "light transport matrix", (".zarr",), ("zarr.json", "attributes", "output"), running=PARTIAL
@@ -44,6 +52,7 @@ FIGURE = FolderKind("figure", running=CASES)
 TRUTH = FileKind("rendered matrix", (".npz",), lambda file: holds_member(file, TRUTH_MARK))
 PACKED = FileKind("packed scene", (".npz",), lambda file: holds_member(file, PACKED_MARK))
 NUMBERS = FileKind("numbers of a picture", (".npz",), lambda file: holds_member(file, NUMBERS_MARK))
+RIG = FileKind("calibration of a rig", (".json",), lambda file: _is_json(file, RIG_FORMAT))
 NPZ = FileKind("exported matrix", (".npz",), lambda file: holds_member(file, TRANSPORT_MARK))
 MAT = FileKind("exported matrix", (".mat",), lambda file: _begins_with(file, MAT_MARK.encode()))
 # Images say nothing of who wrote them: one may take the place of another.

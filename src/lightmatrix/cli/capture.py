@@ -1,0 +1,136 @@
+"""`lightmatrix capture`: a scene photographed under patterns by a rig."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+import lightmatrix as lm
+from lightmatrix.cli.claims import claim
+from lightmatrix.cli.options import (
+    RIG_FILE,
+    USUAL_FRAMES,
+    USUAL_PATIENCE,
+    USUAL_REFERENCE,
+    CameraName,
+    Json,
+    Overwrite,
+    Patience,
+    ProjectorName,
+    RigFile,
+    RigName,
+    Seed,
+)
+from lightmatrix.cli.stages import stages
+from lightmatrix.cli.terminal import Stopped, progress, say, show_json
+from lightmatrix.outputs.kinds import LIVE_CAPTURE, PARTIAL, STORE
+
+
+def capture(
+    output: Annotated[Path, typer.Option("-o", "--output", help="Capture folder to write.")],
+    count: Annotated[int, typer.Option("-k", "--count", help="Number of patterns.")] = USUAL_FRAMES,
+    rig: RigName = None,
+    projector: ProjectorName = None,
+    camera: CameraName = None,
+    pattern_folder: Annotated[
+        Path | None,
+        typer.Option(
+            "--patterns",
+            help="Folder made by `lightmatrix patterns`.",
+            show_default="a random mix of fine and coarse patterns",
+        ),
+    ] = None,
+    density: Annotated[
+        float | None,
+        typer.Option(help="Share of lit pixels of random patterns.", show_default="as measured"),
+    ] = None,
+    cell: Annotated[
+        int, typer.Option(help="Projector pixels of a side of each pattern pixel.")
+    ] = 1,
+    exposure: Annotated[
+        float | None,
+        typer.Option(help="Seconds, for all frames.", show_default="as measured, several perhaps"),
+    ] = None,
+    settle: Annotated[
+        float | None,
+        typer.Option(help="Seconds to wait after showing a pattern.", show_default="as measured"),
+    ] = None,
+    response: Annotated[
+        str, typer.Option(help="Of the camera: linear, gamma:2.2, srgb.")
+    ] = "linear",
+    patience: Patience = USUAL_PATIENCE,
+    rig_file: RigFile = Path(RIG_FILE),
+    check: Annotated[
+        bool, typer.Option(help="Keep only frames that are shown to be their pattern's.")
+    ] = True,
+    reference_every: Annotated[
+        int, typer.Option(help="Frames between two looks at black and white; 0 for none.")
+    ] = USUAL_REFERENCE,
+    store: Annotated[
+        Path | None,
+        typer.Option("--estimate", help="Estimate T too, into this store, ending in .zarr."),
+    ] = None,
+    seed: Seed = 0,
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+) -> None:
+    """Photograph patterns by a rig; interrupted runs go on.
+
+    The rig is measured first (settle time, exposures, flicker, response, linearity) and looked
+    over when it is known. Frames that are late, torn, lost or copied are taken again.
+    """
+    claim(output, LIVE_CAPTURE, overwrite=overwrite)
+    if store is not None:
+        claim(store, STORE, overwrite=overwrite)
+    with lm.open_rig(rig, projector=projector, camera=camera, patience=patience) as opened:
+        try:
+            with stages() as shown:
+                captured = lm.take_capture(
+                    output,
+                    opened,
+                    pattern_folder,
+                    count=count,
+                    density=density,
+                    seed=seed,
+                    cell=cell,
+                    exposure=exposure,
+                    settle=settle,
+                    response=response,
+                    keep=rig_file,
+                    check=check,
+                    reference_every=reference_every,
+                    overwrite=overwrite,
+                    progress=shown.photographed,
+                    calibrating=shown.measured,
+                )
+        except KeyboardInterrupt:
+            kept = output.with_name(output.name + PARTIAL).exists()
+            note = "finished frames are kept, run again to go on" if kept else "nothing was kept"
+            raise Stopped(note) from None
+    told: dict[str, Any] = {"output": output, "clipped_share": captured.clipped_share}
+    told |= captured.provenance
+    if not as_json:
+        _show(told)
+    if store is not None:
+        with progress("estimating", "rows") as report:
+            transport = lm.estimate(captured, output=store, overwrite=overwrite, progress=report)
+        told["estimate"] = {"output": store, **transport.summary()}
+        if not as_json:
+            say(f"its matrix in {store}")
+    if as_json:
+        show_json(told)
+
+
+def _show(told: dict[str, Any]) -> None:
+    checks = ", ".join(f"{number} {check}" for check, number in told["checks"].items())
+    say(
+        f"{told['frames']} frames in {told['output']} ({checks}), "
+        f"{100 * told['clipped_share']:.1f} % of the samples clipped"
+    )
+    again = told["photographed_again"]
+    if again:
+        say(f"{sum(again.values())} photographs were taken again:")
+        for reason, number in sorted(again.items(), key=lambda item: -item[1]):
+            say(f"  {number} x {reason}")

@@ -1,0 +1,1 @@
+"""What is measured of a rig before anything is photographed: each in one file, kept in rig.json."""

@@ -1,0 +1,1 @@
+"""Cameras: one back end a file."""

@@ -1,0 +1,1 @@
+"""Projectors: one back end a file."""

@@ -1,0 +1,76 @@
+"""From patterns to what the projector is given: cells, the place on its screen, its response."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightmatrix.errors import InputError
+from lightmatrix.live.calibration.response import ProjectorResponse
+from lightmatrix.patterns.pattern_set import PatternSet, to_grey
+
+
+@dataclass(frozen=True, eq=False)
+class Shown:
+    """A pattern set on a projector.
+
+    Parameters
+    ----------
+    patterns : PatternSet
+        K patterns.
+    screen : (rows, cols)
+        The projector's pixels.
+    cell : int
+        Projector pixels of a side of each pattern pixel.
+    response : ProjectorResponse, optional
+        By which grey values are chosen that give the patterns' light; patterns of black and white
+        need none.
+
+    Raises
+    ------
+    InputError
+        If the patterns do not fit the projector.
+    """
+
+    patterns: PatternSet
+    screen: tuple[int, int]
+    cell: int = 1
+    response: ProjectorResponse | None = None
+
+    def __post_init__(self) -> None:
+        rows, cols = self.patterns.shape
+        if rows * self.cell > self.screen[0] or cols * self.cell > self.screen[1]:
+            cells = f", each pixel {self.cell} x {self.cell}" if self.cell > 1 else ""
+            raise InputError(
+                f"patterns of {rows} x {cols} pixels{cells}, for a projector of "
+                f"{self.screen[0]} x {self.screen[1]}",
+                hint=f"make patterns of {self.screen[0] // self.cell}x"
+                f"{self.screen[1] // self.cell} at most",
+            )
+
+    @property
+    def grey(self) -> bool:
+        """Whether the patterns have other values than black and white."""
+        return self._binary is None
+
+    @cached_property
+    def _binary(self) -> NDArray[np.uint8] | None:
+        return self.patterns.packed_bits()
+
+    def image(self, index: int) -> NDArray[np.uint8]:
+        """The image of a pattern, (rows, cols) uint8, in the middle of a black screen."""
+        light = self.patterns.images(index, index + 1)[0]
+        if self.grey and self.response is not None:
+            grey = self.response.grey_for(light)
+        else:
+            grey = to_grey(light)
+        grey = grey.repeat(self.cell, axis=0).repeat(self.cell, axis=1)
+        if grey.shape == self.screen:
+            return grey
+        whole = np.zeros(self.screen, np.uint8)
+        top, left = ((a - b) // 2 for a, b in zip(self.screen, grey.shape, strict=True))
+        whole[top : top + grey.shape[0], left : left + grey.shape[1]] = grey
+        return whole

@@ -1,0 +1,165 @@
+"""What a virtual rig is like, and how it is written: `virtual:l_objects,delay=3,late=0.05`."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+from lightmatrix.errors import InputError
+
+PREFIX = "virtual:"
+# Scenes that need neither a file nor a renderer, at any size.
+PROCEDURAL = "procedural"
+
+
+@dataclass(frozen=True)
+class VirtualSettings:
+    """A virtual projector and camera, their room and their faults.
+
+    Times are in seconds, rates are shares of the frames from 0 to 1.
+
+    Parameters
+    ----------
+    scene : str
+        A scene (see `scenes`), a truth file (T.npz), or "procedural".
+    size : int
+        Pixels of a side of projector and camera; the bundled scenes come at 64.
+    refresh : float
+        Pictures that the projector shows in a second.
+    delay : float
+        Refreshes between `show` and the light.
+    gamma : float
+        Of the projector: light = grey value to the power of it.
+    leak : float
+        Light of a black projector pixel as a share of a white one.
+    blur : float
+        Projector defocus, standard deviation in projector pixels.
+    room : float
+        Room light, as a share of the mean white image.
+    flicker, flicker_hz : float
+        Amplitude of the flicker of the projector's lamp, as a share of its light; its frequency.
+    fps : float
+        Frames that the camera takes in a second, whoever asks; 0: one for each trigger.
+    buffers : int
+        Frames that a free-running camera keeps; further ones are lost until one is taken.
+    latency : float
+        From the end of the exposure until the frame can be had.
+    unit : float
+        Exposure time at which a sample is T p; `simulate`'s exposure 1.
+    bits : int
+        Bit depth: 8, 10, 12 or 16.
+    black : float
+        Raw level of a sample without light.
+    noise, shot : float
+        Read noise and, at the clip level, shot noise, as shares of the clip level.
+    curve : float
+        Exponent of the camera: 1 is linear.
+    late : float
+        Rate of patterns that the projector shows three to eight refreshes late.
+    dropped, duplicate, torn : float
+        Rates of frames that are lost, replaced by the one before, or hold its lower rows.
+    unplugged, unplugged_at : float
+        How long the camera is gone, and since when after the start.
+    meddled, meddled_at : float
+        Another program multiplies the exposure by `meddled` (0: none does), and when.
+    seed : int
+        Of the noise and the faults.
+    real : int
+        1: time passes as it does; 0: the clock of the rig runs without waiting.
+    """
+
+    scene: str
+    size: int = 64
+    refresh: float = 60.0
+    delay: float = 2.0
+    gamma: float = 2.2
+    leak: float = 0.001
+    blur: float = 0.0
+    room: float = 0.02
+    flicker: float = 0.0
+    flicker_hz: float = 100.0
+    fps: float = 30.0
+    buffers: int = 4
+    latency: float = 0.004
+    unit: float = 0.02
+    bits: int = 12
+    black: float = 64.0
+    noise: float = 0.003
+    shot: float = 0.0
+    curve: float = 1.0
+    late: float = 0.02
+    dropped: float = 0.02
+    duplicate: float = 0.01
+    torn: float = 0.01
+    unplugged: float = 0.0
+    unplugged_at: float = 5.0
+    meddled: float = 0.0
+    meddled_at: float = 5.0
+    seed: int = 0
+    real: int = 1
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if isinstance(value, str):
+                continue
+            most = math.inf
+            if field.name in _RATES:
+                most = 1.0
+            least = _LEAST.get(field.name, 0.0)
+            if not (math.isfinite(value) and least <= value <= most):
+                limit = f" to {most:g}" if most < math.inf else " on"
+                raise InputError(
+                    f"a virtual rig with {field.name}={value:g}",
+                    hint=f"use a number from {least:g}{limit}",
+                )
+
+    @property
+    def frame_interval(self) -> float:
+        """Seconds from frame to frame of a free-running camera at short exposures."""
+        return 1 / self.fps if self.fps else 0.0
+
+
+_RATES = {"late", "dropped", "duplicate", "torn", "leak", "flicker"}
+_LEAST = {"size": 2, "refresh": 1.0, "gamma": 0.1, "curve": 0.1, "unit": 1e-6, "buffers": 1}
+
+
+def parse_settings(text: str) -> VirtualSettings:
+    """Read ``virtual:SCENE`` or ``virtual:SCENE,name=value,...``.
+
+    Parameters
+    ----------
+    text : str
+        Names are the parameters of `VirtualSettings`.
+
+    Raises
+    ------
+    InputError
+        On anything else, an unknown name, or a number out of range.
+
+    Examples
+    --------
+    >>> parse_settings("virtual:metal,delay=3,seed=7").delay
+    3.0
+    """
+    scene, *words = text.removeprefix(PREFIX).split(",")
+    if not text.startswith(PREFIX) or not scene:
+        raise InputError(
+            f"a rig of {text!r}",
+            hint="write virtual:SCENE, such as virtual:l_objects, or give --projector and --camera",
+        )
+    kinds: dict[str, Any] = {f.name: f.type for f in fields(VirtualSettings) if f.name != "scene"}
+    values: dict[str, float | int] = {}
+    for word in words:
+        name, _, value = word.partition("=")
+        if name not in kinds:
+            raise InputError(f"a virtual rig with {word!r}", hint=f"it has {', '.join(kinds)}")
+        try:
+            values[name] = int(value) if kinds[name] == "int" else float(value)
+        except ValueError:
+            what = "whole number" if kinds[name] == "int" else "number"
+            raise InputError(
+                f"a virtual rig with {word!r}", hint=f"give {name} a {what}, {name}=1"
+            ) from None
+    return replace(VirtualSettings(scene), **values)  # type: ignore[arg-type]

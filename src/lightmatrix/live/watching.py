@@ -1,0 +1,285 @@
+"""Whether a frame shows its pattern, told while frames come in.
+
+As in the check of finished captures (`lightmatrix.capture.order`), some camera samples are
+explained by a few projector pixels each, from the frames there are, and what they should show under
+every other pattern is predicted. A frame shows its pattern if it meets the prediction; if it does
+not, or meets a mixture with the pattern shown before, all over or from some row on, it is late or
+torn. Frames that came before enough was known are looked at again later.
+
+Scenes without direct light, few patterns, and patterns of single pixels predict nothing; then
+nothing is said, and the frames are confirmed by a second photograph instead.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightmatrix.capture.prediction import (
+    PROJECTOR_PIXELS,
+    column_scale,
+    folds,
+    predicted_samples,
+)
+from lightmatrix.patterns.pattern_set import PatternSet
+
+# Frames before which nothing is predicted: as many as tell the pixels apart, and these.
+_SPARE_FRAMES = 8
+# Projectors of more pixels are looked through less often, as it takes long: seconds each time.
+_LARGE = 100_000
+_LARGE_FOLDS = 3
+# Samples that are watched, and multiplications spent on one look.
+_FEWEST, _MOST = 48, 768
+_WORK = 2e10
+# Share of a sample's variance that must be predicted for it to have a say, and how many must.
+_EXPLAINED = 0.5
+_FEWEST_TELLING = 24
+# Of the variance of a frame: misses above this, or above so many times the usual one, accuse it.
+_MOST_MISSED = 0.25
+_TIMES_USUAL = 3.0
+# Share of the pattern shown before that is seen, in itself and in standard errors.
+_MIXED, _MIXED_ERRORS = 0.06, 6.0
+# Samples at one end of the image that tell of a torn frame; of a square error, the most one says.
+_FEWEST_TORN, _GLINT = 4, 25.0
+
+
+@dataclass(eq=False)
+class Watch:
+    """What some samples showed so far, and what they should show.
+
+    Parameters
+    ----------
+    patterns : PatternSet
+        K patterns.
+    rows : (m,) int
+        The image row of each watched sample.
+    ceiling : (m,) float
+        Level up to which all exposures tell the light apart; samples and predictions end there.
+    """
+
+    patterns: PatternSet
+    rows: NDArray[np.int64]
+    ceiling: NDArray[np.float32]
+    _values: NDArray[np.float32] = field(init=False)
+    _predicted: NDArray[np.float32] | None = None
+    _telling: NDArray[np.bool_] = field(init=False)
+    _error: NDArray[np.float32] = field(init=False)
+    _usual: float = 1.0
+    _usual_mix: float = 0.0
+    _scale: NDArray[np.float32] | None = None
+    # Whether anything has changed since it was learnt from, and how many frames there were then.
+    _new: bool = True
+    _learnt: int = 0
+
+    def __post_init__(self) -> None:
+        self._values = np.full((len(self.rows), self.patterns.count), np.nan, np.float32)
+        self._telling = np.zeros(len(self.rows), bool)
+        self._error = np.ones(len(self.rows), np.float32)
+
+    @property
+    def predictive(self) -> bool:
+        """Whether enough is known to say of a frame that it shows its pattern."""
+        return self._predicted is not None
+
+    @property
+    def due(self) -> bool:
+        """Whether there are enough new frames for it to be worth learning again."""
+        count = int(np.isfinite(self._values[0]).sum())
+        growth = 2.0 if self.patterns.pixels > _LARGE else 1.33
+        return count >= max(self._fewest, growth * self._learnt)
+
+    @property
+    def _fewest(self) -> int:
+        return _SPARE_FRAMES + int(np.ceil(np.log2(self.patterns.pixels)))
+
+    def put(self, frame: int, samples: NDArray[np.float32]) -> None:
+        """Note what the watched samples (m,) show in a frame; NaN where it is not trusted."""
+        self._values[:, frame] = np.minimum(samples, self.ceiling)
+        self._new = True
+
+    def forget(self, frame: int) -> None:
+        """Explain nothing from a frame any more."""
+        self._values[:, frame] = np.nan
+        self._new = True
+
+    def learn(self) -> None:
+        """Explain the samples from the frames there are, and predict all patterns."""
+        if not self._new:
+            return
+        self._new = False
+        taken = np.flatnonzero(np.isfinite(self._values[0]))
+        self._predicted, self._learnt = None, len(taken)
+        if len(taken) < self._fewest:
+            return
+        if self._scale is None:
+            self._scale = column_scale(self.patterns)
+        # What all samples do together is the brightness of the frame: flicker, mean of the pattern.
+        light = np.zeros_like(self._values)
+        light[:, taken] = self._values[:, taken]
+        light[:, taken] -= light[:, taken].mean(axis=0)
+        count = self.patterns.count
+        order = np.arange(count)
+        predicted = np.empty_like(light)
+        missing = np.setdiff1d(order, taken)
+        if len(missing):
+            predicted[:, missing] = self._predict(light, order, taken, missing)
+        parts = _LARGE_FOLDS if self.patterns.pixels > _LARGE else folds(len(taken))
+        fold = np.random.default_rng(0).permutation(len(taken)) % parts
+        for part in range(parts):
+            train, held = taken[fold != part], taken[fold == part]
+            predicted[:, held] = self._predict(light, order, train, held)
+        observed = light[:, taken]
+        spread = observed - observed.mean(axis=1, keepdims=True)
+        missed = observed - predicted[:, taken]
+        explained = 1 - (missed**2).sum(axis=1) / np.maximum((spread**2).sum(axis=1), 1e-12)
+        telling = explained > _EXPLAINED
+        if telling.sum() < _FEWEST_TELLING:
+            return
+        self._predicted, self._telling = predicted, telling
+        # Of most frames, not of the few that are wrong.
+        self._error = np.maximum(1.48 * np.median(np.abs(missed), axis=1), 1e-3 * self.ceiling)
+        said = [self._say(int(k), None) for k in taken]
+        self._usual = float(np.median([miss for miss, _ in said]))
+        if self._usual > _EXPLAINED:
+            self._predicted = None
+
+    def complaint(self, frame: int, before: int) -> str | None:
+        """What is wrong with a frame that was put; None if it shows its pattern.
+
+        Parameters
+        ----------
+        frame : int
+            Number of its pattern.
+        before : int
+            The pattern shown before it; below 0 for black or white.
+        """
+        missed, mixed = self._say(frame, before)
+        if mixed is not None:
+            return mixed
+        if missed > max(_MOST_MISSED, _TIMES_USUAL * self._usual):
+            return "does not show its pattern"
+        return None
+
+    def _predict(
+        self,
+        light: NDArray[np.float32],
+        order: NDArray[np.int64],
+        train: NDArray[np.int64],
+        held: NDArray[np.int64],
+    ) -> NDArray[np.float32]:
+        assert self._scale is not None
+        return predicted_samples(self.patterns, self._scale, light, order, train, held)
+
+    def _say(self, frame: int, before: int | None) -> tuple[float, str | None]:
+        """Share of a frame's variance that its prediction misses, and whether it is a mixture."""
+        assert self._predicted is not None
+        some = self._telling
+        error, rows = self._error[some].astype(np.float64), self.rows[some]
+        observed = self._values[some, frame].astype(np.float64)
+        expected = self._at_level(self._predicted[some, frame], observed, some)
+        usual = np.nanmean(self._values[some], axis=1, dtype=np.float64)
+        power = ((observed - usual) / error) ** 2
+        missed = (observed - expected) / error
+        # No sample says more than many, or a glint would speak for all.
+        share = float(
+            np.minimum(missed**2, _GLINT).sum() / max(float(np.minimum(power, _GLINT).sum()), 1)
+        )
+        if before is None or before == frame:
+            return share, None
+        if before < 0:
+            return share, self._flatness(observed, expected, error)
+        other = self._at_level(self._predicted[some, before], observed, some)
+        apart = (other - expected) / error
+        return share, _mixture(missed, apart, rows)
+
+    def _flatness(
+        self,
+        observed: NDArray[np.float64],
+        expected: NDArray[np.float64],
+        error: NDArray[np.float64],
+    ) -> str | None:
+        """Whether black or white takes away from the contrast of a frame."""
+        weight = 1 / error**2
+        centred = expected - np.average(expected, weights=weight)
+        power = float((weight * centred**2).sum())
+        if power <= 0:
+            return None
+        contrast = float((weight * centred * observed).sum()) / power
+        rest = observed - observed.mean() - contrast * centred
+        uncertain = float(np.sqrt((weight * rest**2).mean() / power))
+        mix = 1 - contrast
+        if mix > max(_MIXED, _MIXED_ERRORS * uncertain):
+            return f"has {100 * min(mix, 1):.0f} % too little contrast"
+        return None
+
+    def _at_level(
+        self,
+        predicted: NDArray[np.float32],
+        observed: NDArray[np.float64],
+        some: NDArray[np.bool_],
+    ) -> NDArray[np.float64]:
+        """A prediction at the brightness of a frame, which it does not know, and cut off."""
+        level = float(np.median(observed - predicted))
+        return np.minimum(predicted + level, self.ceiling[some]).astype(np.float64)
+
+
+def _mixture(
+    missed: NDArray[np.float64], apart: NDArray[np.float64], rows: NDArray[np.int64]
+) -> str | None:
+    """Whether a frame shows some of another pattern, all over or from some row up or down.
+
+    Parameters
+    ----------
+    missed : (m,) float
+        What each sample is off its prediction, in errors of that.
+    apart : (m,) float
+        What the prediction of the other pattern is off it.
+    rows : (m,) int
+        The image row of each sample.
+    """
+    order = np.argsort(rows, kind="stable")
+    scale = max(1.0, float(np.sqrt(np.minimum(missed**2, _GLINT).mean())))
+    for ordered in (order[::-1], order):
+        weight = np.cumsum(apart[ordered] ** 2)
+        mix = np.cumsum(missed[ordered] * apart[ordered]) / np.maximum(weight, 1e-9)
+        # Torn frames hold whole rows of another, and one sample alone may be a glint.
+        clear = (mix > _MIXED) & (mix * np.sqrt(weight) > _MIXED_ERRORS * scale)
+        clear[: _FEWEST_TORN - 1] = False
+        if clear[-1]:
+            return f"shows {100 * min(mix[-1], 1):.0f} % of the pattern before"
+        if clear.any():
+            return "shows some of the pattern before in some of its rows"
+    return None
+
+
+def watched_samples(
+    light: NDArray[np.floating], rows: int, patterns: PatternSet
+) -> NDArray[np.int64]:
+    """Which samples to watch: lit ones, spread over the image.
+
+    Parameters
+    ----------
+    light : (M,) float
+        White frame less black frame.
+    rows : int
+        Rows of the image.
+    patterns : PatternSet
+        Many pixels allow for few samples.
+    """
+    count = patterns.count
+    cost = count * patterns.pixels * (folds(count) + 1) * PROJECTOR_PIXELS
+    wanted = int(np.clip(_WORK / cost, _FEWEST, _MOST))
+    generator = np.random.default_rng(0)
+    by_row = np.asarray(light).reshape(rows, -1)
+    threshold = 0.1 * np.quantile(by_row, 0.99)
+    groups = min(rows, 64)
+    share = -(-wanted // groups)
+    found = []
+    for part in np.array_split(np.arange(rows), groups):
+        block = by_row[part]
+        lit = np.flatnonzero(block > threshold)
+        pick = generator.permutation(lit)[:share]
+        found.append(part[0] * by_row.shape[1] + pick)
+    return np.sort(np.concatenate(found)).astype(np.int64)

@@ -1,0 +1,158 @@
+"""What is measured of a rig is what the rig is like."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import lightmatrix as lm
+from lightmatrix.live.calibration.keeping import PARTS, outdated
+from lightmatrix.live.calibration.response import ProjectorResponse
+from lightmatrix.live.rig import Rig
+
+_RIG = "virtual:procedural,size=12,real=0"
+
+
+def _rig(words: str = "") -> Rig:
+    return lm.open_rig(_RIG + words)
+
+
+@pytest.mark.parametrize("fps", [0, 30, 29.97])
+@pytest.mark.parametrize("delay", range(6))
+def test_the_settle_time_is_found_within_a_refresh(delay: int, fps: float) -> None:
+    settle = lm.measure_settle(_rig(f",fps={fps},delay={delay},seed={delay}"))
+    assert delay / 60 <= settle.seconds <= (delay + 1) / 60
+    assert settle.unsettled <= settle.seconds
+
+
+def test_pictures_that_are_late_now_and_then_are_no_part_of_the_settle_time() -> None:
+    settle = lm.measure_settle(_rig(",fps=0,delay=2,late=0.07,seed=3"))
+    assert 2 / 60 <= settle.seconds <= 3 / 60
+
+
+def test_a_picture_that_never_settles() -> None:
+    with pytest.raises(lm.DeviceError, match="does not see the projector"):
+        lm.measure_settle(_rig(",fps=0,delay=40"))
+
+
+@pytest.mark.parametrize("gamma", [1.0, 1.8, 2.2, 2.6])
+def test_the_projectors_gamma_is_found(gamma: float) -> None:
+    response = lm.measure_response(_rig(f",gamma={gamma},seed=1"), settle=0.05)
+    assert response.gamma == pytest.approx(gamma, rel=0.02)
+    # And turned round: what is asked for is what is shown, as well as 8 bits can.
+    wanted = np.linspace(0, 1, 100)
+    shown = (response.grey_for(wanted) / 255) ** gamma
+    np.testing.assert_allclose(shown, wanted, atol=0.012)
+
+
+def test_a_response_that_is_no_power() -> None:
+    levels = tuple(range(0, 256, 15))
+    light = np.array(levels) / 255
+    bent = 3 * light**2 - 2 * light**3
+    response = ProjectorResponse(levels, tuple(map(float, bent)), 1.7)
+    grey = response.grey_for(np.array([0, 0.5, 1])).tolist()
+    assert grey == [0, 128, 255] or grey == [0, 127, 255]
+
+
+@pytest.mark.parametrize("fps", [0, 30])
+def test_flicker_is_noticed_and_avoided(fps: float) -> None:
+    rig = _rig(f",flicker=0.1,flicker_hz=100,fps={fps}")
+    flicker = lm.measure_flicker(rig, settle=0.05)
+    assert flicker.frequency == 100
+    assert flicker.amplitude == pytest.approx(0.1, rel=0.1)
+    advice = lm.measure_exposure(rig, settle=0.05, period=flicker.period)
+    for seconds in advice.seconds:
+        assert seconds * 100 == pytest.approx(round(seconds * 100), abs=1e-3)
+
+
+def test_no_flicker_where_there_is_none() -> None:
+    for seed in range(5):
+        flicker = lm.measure_flicker(_rig(f",fps=0,seed={seed}"), settle=0.05)
+        assert not flicker.noticed
+        assert flicker.spread < 0.005
+
+
+def test_the_brightest_single_response_does_not_clip() -> None:
+    rig = _rig(",black=200,bits=12")
+    advice = lm.measure_exposure(rig, settle=0.05)
+    assert advice.pedestal == pytest.approx(200, abs=1)
+    assert advice.noise == pytest.approx(0.003, rel=0.1)
+    assert rig.truth is not None
+    single = rig.truth.matrix.max(axis=1).toarray().max()
+    assert single * min(advice.seconds) / rig.unit < 1
+    # But white is near to it.
+    white = rig.truth.matrix.sum(axis=1)
+    assert 0.8 < np.quantile(white, 0.99) * min(advice.seconds) / rig.unit < 1.2
+
+
+@pytest.mark.parametrize(("curve", "linear"), [(1.0, True), (0.8, False), (1.25, False)])
+def test_a_camera_that_is_not_linear(curve: float, linear: bool) -> None:
+    found = lm.measure_linearity(_rig(f",curve={curve},black=0,fps=0"), settle=0.05)
+    assert found.linear is linear
+    assert found.exponent == pytest.approx(curve, rel=0.05)
+
+
+def test_a_camera_that_does_not_see_the_projector() -> None:
+    for part in PARTS:
+        with pytest.raises(lm.DeviceError, match="does not see the projector"):
+            lm.calibrate(_rig(",unit=1e6,room=0"), [part])
+
+
+def test_a_scene_that_is_too_bright() -> None:
+    with pytest.raises(lm.DeviceError, match="clips even at the camera's shortest exposure"):
+        lm.calibrate(_rig(",unit=0.000001"), ["exposure"])
+
+
+def test_what_is_known_is_kept_and_used(tmp_path: Path) -> None:
+    file = tmp_path / "rig.json"
+    first = lm.calibrate(_rig(), keep=file)
+    assert lm.Calibration.load(file) == first
+    # What is asked for is measured anew, the rest stays.
+    second = lm.calibrate(_rig(",seed=5"), ["exposure"], keep=file)
+    assert second.response == first.response
+    assert second.exposure != first.exposure
+    # That of another rig is no help.
+    other = lm.calibrate(lm.open_rig("virtual:procedural,size=10,real=0"), ["settle"], keep=file)
+    assert other.response is None
+    with pytest.raises(lm.InputError, match="measuring 'gamma'"):
+        lm.calibrate(_rig(), ["gamma"])
+
+
+def test_what_no_longer_holds_is_noticed() -> None:
+    known = lm.calibrate(_rig(",delay=2,fps=0"))
+    assert outdated(_rig(",delay=2,fps=0,noise=0.004"), known) == []
+    assert outdated(_rig(",delay=4,fps=0"), known) == ["settle"]
+    assert outdated(_rig(",delay=2,fps=0,unit=0.023"), known) == ["exposure"]
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("settle", {"seconds": "soon", "unsettled": 0, "changes": 3, "late": 0}),
+        ("settle", {"seconds": 1}),
+        ("settle", 3),
+        ("exposure", {}),
+        ("brightness", None),
+        ("projector", 5),
+    ],
+)
+def test_a_damaged_file(key: str, value: object, tmp_path: Path) -> None:
+    file = tmp_path / "rig.json"
+    known = lm.calibrate(_rig(), ["settle"])
+    file.write_text(json.dumps({**known.as_dict(), key: value}))
+    with pytest.raises(lm.InputError, match=r"rig\.json: is damaged") as told:
+        lm.calibrate(_rig(), ["settle"], keep=file)
+    assert "remove it" in str(told.value.hint)
+
+
+def test_a_file_that_is_not_ours_is_not_replaced(tmp_path: Path) -> None:
+    file = tmp_path / "rig.json"
+    file.write_text('{"format": "something else", "version": 1}')
+    with pytest.raises(lm.InputError, match="lightmatrix-rig"):
+        lm.calibrate(_rig(), ["settle"], keep=file)
+    with pytest.raises(lm.OutputError, match="not written by lightmatrix"):
+        replace(lm.calibrate(_rig(), ["settle"])).save(file)

@@ -1,0 +1,358 @@
+"""Whole captures by a virtual rig: what they hold, and how they go on after what ended them."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import lightmatrix as lm
+from lightmatrix.cli import main
+from lightmatrix.live.agreement import Drift
+from lightmatrix.live.session import Step
+from lightmatrix.live.showing import Shown
+from lightmatrix.live.virtual.camera import VirtualCamera
+
+from .rig_faults import run
+
+QUIET = "virtual:procedural,size=16,real=0,late=0,dropped=0,duplicate=0,torn=0"
+
+
+@pytest.fixture(autouse=True)
+def _here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+def _capture(words: str = "", **settings: Any) -> lm.Capture:
+    with lm.open_rig(QUIET + words) as rig:
+        return lm.take_capture("capture", rig, **{"count": 32, **settings})
+
+
+class _StopError(Exception):
+    pass
+
+
+def _stop_after(frames: int) -> Any:
+    def progress(step: Step) -> None:
+        if step.done == frames:
+            raise _StopError
+
+    return progress
+
+
+def _again(fault: str, **settings: Any) -> int:
+    """How often photographs were taken again for a fault, and the capture is right even so."""
+    capture = _capture(fault, **settings)
+    told = capture.provenance
+    assert not told["left_out"]
+    assert told["frames"] == capture.count == told["patterns"]
+    assert set(told["checks"]) <= {"matched", "confirmed"}
+    return sum(told["photographed_again"].values())
+
+
+def test_a_capture_is_as_good_as_a_simulated_one() -> None:
+    with lm.open_rig("virtual:l_objects,real=0") as rig:
+        capture = lm.take_capture("capture", rig)
+    errors = lm.evaluate(lm.estimate(capture), "capture/truth.npz")
+    truth = lm.truth("capture/truth.npz")
+    # With the room's light, which a black frame takes off.
+    simulated = lm.simulate(
+        truth, capture.patterns, exposure=1.0, bits=12, black_level=64, ambient=0.02
+    )
+    known = lm.evaluate(lm.estimate(simulated), truth)
+    assert errors.relighting_error < 1.05 * known.relighting_error
+    assert errors.relative_error < 1.05 * known.relative_error
+    assert errors.relighting_error < 0.02
+
+
+def test_every_frame_says_how_it_was_taken() -> None:
+    capture = _capture()
+    told = json.loads(Path("capture/capture.json").read_text())
+    assert told["clip"] == 4095
+    assert told["black_level"] == pytest.approx(64, abs=1)
+    assert told["exposure"] == told["black"]["exposure"] == 1
+    assert capture.provenance["checks"] == {"matched": 32}
+    assert capture.provenance["photographed_again"] == {}
+    assert not Path("capture.partial").exists()
+    assert not [path for path in Path().iterdir() if path.name.startswith(".")]
+    # The rig is known now, and looked over only.
+    before = Path("rig.json").read_text()
+    _capture(overwrite=True)
+    assert Path("rig.json").read_text() == before
+
+
+def test_grey_patterns_are_shown_as_the_light_that_they_are() -> None:
+    draw = np.random.default_rng(0)
+    grey = lm.ImagePatterns(draw.random((40, 16, 16), np.float32))
+    with lm.open_rig(QUIET + ",gamma=2.4,noise=0.001") as rig:
+        capture = lm.take_capture("capture", rig, grey)
+    seen = capture.samples().values
+    light = lm.truth("capture/truth.npz").matrix @ grey.dense().T
+    assert np.linalg.norm(seen - light) < 0.01 * np.linalg.norm(light)
+
+
+def test_cells_are_shown_in_the_middle_of_the_screen() -> None:
+    capture = _capture(cell=3)
+    assert capture.projector_shape == (5, 5)
+    assert not Path("capture/truth.npz").exists()
+    assert set(capture.provenance["checks"]) <= {"matched", "confirmed"}
+    with pytest.raises(lm.InputError, match="for a projector of 16 x 16"):
+        _capture(patterns=lm.BernoulliPatterns((16, 16), 20), cell=2, overwrite=True)
+
+
+def test_several_exposures_where_the_light_asks_for_them() -> None:
+    capture = _capture(",noise=0.03,bits=8,black=4")
+    assert len(np.unique(capture.exposures)) > 1
+    assert capture.exposures.max() == pytest.approx(1)
+
+
+def test_a_camera_whose_exposure_is_set_by_hand(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(camera: VirtualCamera, seconds: float) -> None:
+        raise lm.DeviceError("its exposure cannot be set from here")
+
+    fixed = property(lambda camera: 0.007, refuse)
+    info = VirtualCamera.info
+    monkeypatch.setattr(VirtualCamera, "exposure", fixed)
+    monkeypatch.setattr(
+        VirtualCamera,
+        "info",
+        lambda camera: {**info(camera), "shortest_exposure": 0.007, "longest_exposure": 0.007},
+    )
+    capture = _capture(",unit=0.014")
+    assert capture.provenance["exposure_1_in_seconds"] == 0.007
+    assert capture.provenance["checks"] == {"matched": 32}
+
+
+# ---- faults
+
+
+@pytest.mark.parametrize(
+    ("fault", "least"),
+    [
+        (",late=0.2", 3),
+        (",late=0.2,fps=0", 3),
+        (",dropped=0.2,fps=0", 3),
+        (",duplicate=0.2,fps=0", 3),
+        (",torn=0.2,fps=0", 3),
+        (",torn=0.3,delay=0.5", 0),
+        (",unplugged=5,unplugged_at=14,fps=0", 1),
+        (",meddled=2,meddled_at=14,fps=0", 1),
+    ],
+)
+def test_faults_are_noticed_and_mended(fault: str, least: int) -> None:
+    assert _again(fault, settle=0.05) >= least
+    _right_frames(fault)
+
+
+def _right_frames(words: str) -> None:
+    """Each frame is what its pattern alone gives, pixel by pixel."""
+    capture = lm.Capture.open("capture", check=False)
+    rig = lm.open_rig(QUIET + words)
+    scale = capture.provenance["exposure_1_in_seconds"] / 0.02
+    light: Any = rig.camera._light  # type: ignore[attr-defined]
+    for k in range(capture.count):
+        image = np.rint(255 * capture.patterns.images(k, k + 1)[0]).astype(np.uint8)
+        sample = (light.irradiance(image) + light.room) * scale * capture.exposures[k]
+        level = 64 + np.minimum(sample, 1) * (4095 - 64)
+        far = np.abs(capture.frame(k).ravel() - level)
+        assert far.max() < 6.5 * 0.003 * 4095, f"frame {k}"
+
+
+@pytest.mark.parametrize("count", [8, 14])
+def test_few_frames_predict_nothing_and_are_confirmed_one_by_one(count: int) -> None:
+    capture = _capture(",late=0.15,fps=0", count=count)
+    assert capture.provenance["checks"] == {"confirmed": count}
+    _right_frames(",late=0.15,fps=0")
+
+
+def test_patterns_of_single_pixels_are_confirmed_one_by_one() -> None:
+    patterns = lm.make_patterns("blocks", (16, 16), block=(4, 4))
+    capture = _capture(",late=0.1,fps=0,seed=2", patterns=patterns)
+    assert capture.provenance["checks"] == {"confirmed": 16}
+    _right_frames(",late=0.1,fps=0,seed=2")
+
+
+def test_what_cannot_be_mended_is_named_and_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    image = Shown.image
+
+    def stubborn(self: Shown, index: int) -> Any:
+        # Two patterns never come out right: something else is shown each time.
+        if index in (7, 20):
+            return np.random.default_rng().integers(0, 2, self.screen, np.uint8) * np.uint8(255)
+        return image(self, index)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Shown, "image", stubborn)
+        with pytest.warns(lm.LightMatrixWarning, match=r"2 patterns are left out.*pattern 7"):
+            capture = _capture(",fps=0")
+    assert sorted(capture.provenance["left_out"]) == ["20", "7"]
+    assert capture.count == 30
+    _right_frames(",fps=0")
+    assert lm.Capture.open("capture").count == 30
+
+
+def test_one_bad_frame_after_the_other_ends_the_session(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(_StopError):
+        _capture(progress=_stop_after(10))
+    with monkeypatch.context() as patched:
+        patched.setattr("lightmatrix.live.taking.copied_rows", lambda data, *_: len(data))
+        with pytest.raises(lm.DeviceError, match=r"4 patterns in a row.*is a copy of") as told:
+            _capture()
+    assert "the frames so far are kept" in str(told.value.hint)
+    assert _capture().count == 32
+
+
+@pytest.mark.parametrize(
+    ("what", "words"), [("room", "the room's light changed"), ("lamp", "the light is 90 % of")]
+)
+def test_light_that_changes_meanwhile_is_named(what: str, words: str) -> None:
+    with lm.open_rig(QUIET + ",fps=0") as rig:
+        light: Any = rig.camera._light  # type: ignore[attr-defined]
+
+        def change(step: Step) -> None:
+            if step.done == 12 and what == "room":
+                light.room = light.room + 0.05
+            elif step.done == 12:
+                matrix = light.truth.with_data(np.float32(0.9) * light.truth.matrix.data)
+                light.truth = replace(light.truth, matrix=matrix)
+
+        with pytest.warns(lm.LightMatrixWarning, match=f"after 15 frames, {words}"):
+            capture = lm.take_capture("capture", rig, count=32, reference_every=8, progress=change)
+    looks = capture.provenance["drift"]
+    assert [look["frames"] for look in looks] == [7, 15, 23, 31]
+
+
+def test_drift_is_named() -> None:
+    assert Drift(1.0, 0.01, 0.0).said() is None
+    assert "did something move" in str(Drift(1.0, 0.2, 0.0).said())
+    assert "90 % of what it was" in str(Drift(0.9, 0.0, 0.0).said())
+    assert "room" in str(Drift(1.0, 0.0, 0.05).said())
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_killed_robbed_and_failing_captures_are_right(seed: int, tmp_path: Path) -> None:
+    outcome = run(tmp_path, seed, kills=2)
+    assert outcome.wrong == []
+    assert outcome.left_out == 0
+    assert outcome.kills + outcome.full_disks >= 1
+
+
+# ---- going on
+
+
+def test_a_capture_that_was_stopped_goes_on() -> None:
+    with pytest.raises(_StopError):
+        _capture(progress=_stop_after(20))
+    assert not Path("capture").exists()
+    kept = {path.name: path.read_bytes() for path in Path("capture.partial").glob("image_*")}
+    assert len(kept) == 20
+    steps: list[int] = []
+    capture = _capture(progress=lambda step: steps.append(step.done))
+    assert steps[0] == 21
+    assert capture.count == 32
+    for name, content in kept.items():
+        assert Path("capture/images", name).read_bytes() == content
+    assert not Path("capture.partial").exists()
+
+
+def test_a_damaged_frame_is_taken_again() -> None:
+    with pytest.raises(_StopError):
+        _capture(progress=_stop_after(20))
+    file = Path("capture.partial/image_0003.tif")
+    file.write_bytes(file.read_bytes()[:100])
+    steps: list[int] = []
+    assert _capture(progress=lambda step: steps.append(step.done)).count == 32
+    assert len(steps) == 13
+    _right_frames("")
+
+
+def test_frames_of_another_capture_are_not_mixed_in() -> None:
+    with pytest.raises(_StopError):
+        _capture(progress=_stop_after(20))
+    with pytest.raises(lm.OutputError, match=r"frames of another capture.*patterns differ"):
+        _capture(seed=1)
+    assert _capture(seed=1, overwrite=True).count == 32
+
+
+def test_a_rig_that_was_moved_meanwhile() -> None:
+    with pytest.raises(_StopError):
+        _capture(progress=_stop_after(20))
+    with pytest.raises(lm.DeviceError, match="since the first 20 frames") as told:
+        _capture(",seed=8", settle=0.05)
+    assert "--overwrite" in str(told.value.hint)
+    assert _capture().count == 32
+
+
+def test_a_capture_that_failed_at_once_leaves_nothing() -> None:
+    with pytest.raises(lm.DeviceError):
+        _capture(",unit=1e6,room=0")
+    assert not list(Path().glob("*capture*"))
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        ("", "there is no rig"),
+        ("--rig virtual:metal --camera aravis", "one or the other"),
+        ("--rig real", "write virtual:SCENE"),
+        (f"--rig {QUIET} -k 0", "0 patterns"),
+        (f"--rig {QUIET} --exposure 0", "an exposure of 0 s"),
+        (f"--rig {QUIET} --settle -1", "a settle time of -1"),
+        (f"--rig {QUIET} --settle nan", "a settle time of nan"),
+        (f"--rig {QUIET} --cell 0", "a cell of 0"),
+        (f"--rig {QUIET} --cell 99", "99"),
+        (f"--rig {QUIET} --reference-every -1", "a reference every -1"),
+        (f"--rig {QUIET} --patterns nowhere", "nowhere"),
+        (f"--rig {QUIET} --response gama", "gama"),
+        (f"--rig {QUIET} --density 2", "density"),
+        (f"--rig {QUIET} --exposure 50", "an exposure of 50 s"),
+        (f"--rig {QUIET},room=1 --exposure 2", "a white picture looks like a black one"),
+        (f"--rig {QUIET} --patience 0", "a patience of 0"),
+    ],
+)
+def test_bad_words(words: str, told: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["capture", "-o", "capture", *words.split()]) == 2
+    error = capsys.readouterr().err
+    assert told in error
+    assert not list(Path().glob("*capture*"))
+
+
+def test_the_whole_way_by_one_command(capsys: pytest.CaptureFixture[str]) -> None:
+    line = f"capture --rig {QUIET} -k 32 -o capture --estimate scene.zarr --json"
+    assert main(line.split()) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["checks"] == {"matched": 32}
+    assert told["estimate"]["output"] == "scene.zarr"
+    assert main(["evaluate", "scene.zarr", "--truth", "capture/truth.npz"]) == 0
+    assert main(line.split()) == 2
+    assert "exists already" in capsys.readouterr().err
+
+
+def test_ctrl_c_keeps_the_frames() -> None:
+    # What is known of the rig need not be measured in real time.
+    with lm.open_rig(QUIET) as rig:
+        lm.calibrate(rig, keep="rig.json")
+    command = [sys.executable, "-c", "from lightmatrix.cli import console; console()", "capture"]
+    words = f"--rig {QUIET},real=1,fps=60 -k 40 --exposure 0.01 --settle 0.05 -o capture"
+    process = subprocess.Popen(
+        [*command, *words.split()], stderr=subprocess.PIPE, text=True, env={**os.environ}
+    )
+    deadline = time.monotonic() + 60
+    while not Path("capture.partial/image_0002.tif").exists() and time.monotonic() < deadline:
+        time.sleep(0.05)
+    process.send_signal(signal.SIGINT)
+    _, told = process.communicate(timeout=30)
+    assert process.returncode == 130
+    assert told == "stopped; finished frames are kept, run again to go on\n"
+    with lm.open_rig(QUIET) as rig:
+        capture = lm.take_capture("capture", rig, count=40, exposure=0.01, settle=0.05)
+    assert capture.count == 40

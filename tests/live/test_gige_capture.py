@@ -1,0 +1,65 @@
+"""The whole way over real components: window, virtual screen, GigE Vision, capture, estimate."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import lightmatrix as lm
+from lightmatrix.live.addresses import Address
+from lightmatrix.live.cameras.aravis import open_aravis
+from lightmatrix.live.projectors.window import open_window
+from lightmatrix.live.rig import Rig
+
+from .conftest import SCREEN
+from .gige import UNIT_EXPOSURE, GigECamera, ScreenRig, needs_aravis
+
+pytestmark = needs_aravis
+_NOISE = 0.003
+
+
+def test_a_capture_over_gige_vision_is_as_good_as_a_simulated_one(
+    screen: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    known = lm.truth("l_objects")
+    cell = min(SCREEN) // 64
+    side = 64 * cell
+    left, top = (SCREEN[1] - side) // 2, (SCREEN[0] - side) // 2
+    scene = ScreenRig(
+        known.matrix, (64, 64), (64, 64), noise=_NOISE, left=left, top=top, size=(side, side)
+    )
+    served = GigECamera(scene, (64, 64))
+    address = Address.parse(served.address)
+    try:
+        window = open_window(Address("window"))
+        times: list[float] = []
+        with Rig(window, open_aravis(address), lambda: open_aravis(address)) as rig:
+            capture = lm.take_capture(
+                "capture",
+                rig,
+                lm.make_patterns("mix", (64, 64), 64),
+                cell=cell,
+                progress=lambda step: times.append(time.monotonic()),
+            )
+    finally:
+        served.close()
+    assert not served.errors
+    told = capture.provenance
+    assert (capture.count, told["left_out"], told["checks"]) == (64, {}, {"matched": 64})
+    # All 64, but for the measuring of the rig, which is kept.
+    assert times[-1] - times[0] < 60
+    scale = np.float32(told["exposure_1_in_seconds"] / UNIT_EXPOSURE)
+    truth = replace(
+        known,
+        matrix=known.with_data(scale * known.matrix.data),
+        direct_data=scale * known.direct_data,
+    )
+    simulated = lm.simulate(truth, capture.patterns, exposure=1.0, bits=16, noise=_NOISE)
+    found = lm.evaluate(lm.estimate(capture), truth).relighting_error
+    expected = lm.evaluate(lm.estimate(simulated), truth).relighting_error
+    assert found < 1.05 * expected

@@ -1,0 +1,74 @@
+"""Numbers, times and pixels of cameras, in our own terms."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lightmatrix.errors import DeviceError
+from lightmatrix.live.cameras.formats import READABLE, PixelFormat, choose_format
+from lightmatrix.live.cameras.stamps import Stamps
+
+
+def test_numbers_go_on_over_the_end_of_16_bits() -> None:
+    stamps = Stamps(largest_id=0xFFFF, first_id=1)
+    seen = [stamps.count(number) for number in (65534, 65535, 1, 2, 4, 3, 5)]
+    # 0 is left out, and a frame that overtook another begins no round.
+    assert seen == [65534, 65535, 65536, 65537, 65539, 65538, 65540]
+    assert [Stamps().count(number) for number in (7, 8)] == [7, 8]
+
+
+def test_a_frame_that_lay_in_a_queue_keeps_its_time() -> None:
+    stamps = Stamps()
+    random = np.random.default_rng(0)
+    offset = 1234.5
+    for k in range(200):
+        taken = 10 + k / 50
+        # 1 ms on the way at least, and now and then half a second in a queue.
+        arrival = taken + 0.001 + random.exponential(0.002) + 0.5 * (k % 7 == 6)
+        told = stamps.time(taken + offset, arrival)
+        assert told <= arrival
+        if k > 20:
+            assert told == pytest.approx(taken + 0.001, abs=0.001)
+
+
+def test_a_camera_whose_clock_begins_again() -> None:
+    stamps = Stamps()
+    assert stamps.time(1000.0, 5.0) == 5.0
+    assert stamps.time(0.5, 6.0) == 6.0
+    assert stamps.time(1.5, 7.2) == pytest.approx(7.0)
+    # And one that has none.
+    assert stamps.time(None, 8.0) == 8.0
+
+
+@pytest.mark.parametrize(
+    ("offered", "best"),
+    [
+        (("Mono8", "Mono12", "Mono12Packed"), "Mono12"),
+        (("RGB8", "BayerRG12", "BayerRG8"), "BayerRG12"),
+        (("BGR8", "Mono8"), "Mono8"),
+    ],
+)
+def test_the_best_format_that_can_be_read_is_taken(offered: tuple[str, ...], best: str) -> None:
+    assert choose_format("camera", offered).name == best
+
+
+def test_formats_that_cannot_be_read_are_named() -> None:
+    with pytest.raises(DeviceError, match="none of its pixel formats can be read: Mono10p, YUV"):
+        choose_format("camera", ("Mono10p", "YUV422_8"))
+    with pytest.raises(DeviceError, match="Mono10p cannot be used, lightmatrix does not") as caught:
+        choose_format("camera", ("Mono10p", "Mono8"), "Mono10p")
+    assert "Mono8" in str(caught.value.hint)
+
+
+@pytest.mark.parametrize("known", READABLE, ids=lambda known: known.name)
+def test_bytes_become_images(known: PixelFormat) -> None:
+    shape = (3, 5) if known.channels == 1 else (3, 5, known.channels)
+    image = np.random.default_rng(0).integers(0, 2**known.bits, shape).astype(known.dtype)
+    sent = image[..., ::-1] if known.reverse else image
+    # With a tail, as buffers have.
+    data = sent.tobytes() + b"tail"
+    np.testing.assert_array_equal(known.image(data, 3, 5), image)
+    assert known.clip_level == 2**known.bits - 1
+    with pytest.raises(DeviceError, match="delivered"):
+        known.image(data[:10], 3, 5)

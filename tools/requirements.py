@@ -1,0 +1,12 @@
+"""The requirements of one extra, a line each: to install them without building us again."""
+
+from __future__ import annotations
+
+import sys
+import tomllib
+from pathlib import Path
+
+if __name__ == "__main__":
+    with (Path(__file__).parent.parent / "pyproject.toml").open("rb") as file:
+        project = tomllib.load(file)["project"]
+    print(*project["optional-dependencies"][sys.argv[1]], sep="\n")
