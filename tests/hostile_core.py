@@ -8,7 +8,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -380,7 +380,7 @@ def hostile_rows() -> dict[str, Call]:
         "likely: within 0": lambda: likely(within=0.0),
         "likely: within NaN": lambda: likely(within=NAN),
         "atoms: other shape": lambda: SHOWN.atoms((2, 3), PLANES),
-        "atoms: shape of three": lambda: SHOWN.atoms((1, *SHAPE), PLANES),
+        "atoms: shape of three": lambda: SHOWN.atoms(cast(Any, (1, *SHAPE)), PLANES),
         "atoms: huge shape": lambda: SHOWN.atoms((HUGE, HUGE), PLANES),
         "atoms: no planes": lambda: SHOWN.atoms(SHAPE, []),
         "atoms: empty kernel": lambda: SHOWN.atoms(SHAPE, [(np.zeros(0, np.float32), 1.0)]),

@@ -44,9 +44,9 @@ class CoherentEstimator:
     footprints are measured to move, over its maximum and blurred by a window, relative to its
     strongest atom. From the third round on, rows have further samples, in place of clipped ones and
     under 64 patterns that were never shown: what the neighbours' rows, moved along and scaled,
-    would give there. They weigh the less, the less the neighbours agree. Each row has a background, a
-    halo around what was found of it; the last round also has coarse cells of projector pixels, for
-    faint light from elsewhere.
+    would give there. They weigh the less, the less the neighbours agree. Each row has a background,
+    a halo around what was found of it; the last round also has coarse cells of projector pixels,
+    for faint light from elsewhere.
 
     Parameters
     ----------
