@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
-from scipy.sparse import csr_array
+from scipy.sparse import csr_array, vstack
 
 from lightmatrix.errors import InputError
 from lightmatrix.rig.truth import Truth
@@ -37,13 +37,12 @@ def seen(truth: Truth, place: NDArray[np.integer]) -> Truth:
     """
     if len(truth.camera_shape) != 2:
         raise InputError("a view of a colour camera", hint="choose one of its channels")
-    lit = (place.ravel() >= 0).astype(np.float32)
-    index = np.maximum(place.ravel(), 0)
-    kept = csr_array((lit, np.arange(len(lit)), np.arange(len(lit) + 1)))
-    matrix = csr_array(kept @ truth.matrix[index], dtype=np.float32)
-    direct = csr_array(kept @ truth.direct[index], dtype=np.float32)
-    matrix.sort_indices()
-    direct.sort_indices()
+    dark = csr_array((1, truth.matrix.shape[1]), dtype=np.float32)
+    # What -1 chooses comes last.
+    matrix, direct = (
+        csr_array(vstack([part, dark], format="csr")[place.ravel()])
+        for part in (truth.matrix, truth.direct)
+    )
     return replace(truth, matrix=matrix, direct_data=direct.data, camera_shape=place.shape)
 
 

@@ -1,0 +1,99 @@
+"""What each part of the coherent estimate is worth: errors without it, on sharp and blurred rigs.
+
+python -m benchmarks.ablation                 128 x 128, 32 patterns, one seed
+python -m benchmarks.ablation --patterns 16 --side 64
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, nullcontext
+from functools import partial
+from typing import Any
+from unittest.mock import patch
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.table import Table
+from scipy.sparse import csr_array
+
+from lightmatrix.estimators.coherent import neighbourhood, rounds
+from lightmatrix.estimators.coherent.backgrounds import Backgrounds
+from lightmatrix.estimators.coherent.estimator import CoherentEstimator
+from lightmatrix.experiments.measured_scene import SCENES
+from lightmatrix.experiments.rigs import Case, photographed, rig_truth
+from lightmatrix.transport.metrics import relative_error
+
+RIGS = ("sharp", "blur 1", "camera 4x coarser")
+
+
+def _evenly(backgrounds: Backgrounds, rows: csr_array) -> NDArray[np.float32]:
+    cells = backgrounds.grid[0] * backgrounds.grid[1]
+    return np.full((rows.shape[0], cells), 1 / cells, np.float32)
+
+
+def _still(rows: csr_array, *_: Any) -> NDArray[np.float32]:
+    return np.zeros((rows.shape[0], 4), np.float32)
+
+
+Change = Callable[[], AbstractContextManager[Any]]
+
+# How each part is left out, and with which parameters.
+WITHOUT: dict[str, tuple[Change, dict[str, Any]]] = {
+    "all of it": (nullcontext, {}),
+    "without neighbours (windows of one camera pixel)": (
+        nullcontext,
+        {"windows": ((0, 1),) * 8},
+    ),
+    "without spots (single pixels only)": (nullcontext, {"sizes": (0.0,)}),
+    "without single pixels within spots": (
+        partial(patch.object, neighbourhood, "WITHIN", 1e-9),
+        {},
+    ),
+    "without movement (votes where neighbours see them)": (
+        partial(patch.object, neighbourhood, "measured_movement", _still),
+        {},
+    ),
+    "without expected samples": (partial(patch.object, rounds, "EXPECTING", 99), {}),
+    "without halos (an even background)": (
+        partial(patch.object, Backgrounds, "spread", _evenly),
+        {},
+    ),
+    "without cells": (nullcontext, {"background_grid": (1, 1)}),
+}
+
+
+def errors(case: Case) -> Iterator[tuple[str, float]]:
+    """Relative errors of a case with each part left out."""
+    truth = rig_truth(case.scene, case.rig, case.side)
+    capture = photographed(case, truth)
+    for name, (change, parameters) in WITHOUT.items():
+        with change():
+            found = CoherentEstimator(**parameters).estimate(capture)
+        yield name, relative_error(found, truth.transport())
+
+
+def main() -> None:
+    """Measure and print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--patterns", type=int, default=32)
+    parser.add_argument("--side", type=int, default=128)
+    arguments = parser.parse_args()
+    columns = [(scene, rig) for rig in RIGS for scene in SCENES]
+    table = Table(title=f"Relative error of T, {arguments.patterns} patterns")
+    table.add_column("")
+    for scene, rig in columns:
+        table.add_column(f"{scene}\n{rig}", justify="right")
+    lines: dict[str, list[str]] = {name: [] for name in WITHOUT}
+    for scene, rig in columns:
+        for name, error in errors(Case(scene, rig, arguments.patterns, side=arguments.side)):
+            lines[name].append(f"{error:.4f}")
+    for name, values in lines.items():
+        table.add_row(name, *values)
+    Console(width=160).print(table)
+
+
+if __name__ == "__main__":
+    main()
