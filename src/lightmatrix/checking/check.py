@@ -23,6 +23,8 @@ from lightmatrix.checking.survey import Survey
 
 # Nothing is told from fewer frames, or fewer camera pixels that can be predicted.
 _FEWEST_FRAMES, _FEWEST_ROWS = 12, 20
+# More odd frames than this share have something in common.
+_FEW = 0.25
 
 
 def check_capture(capture: Capture) -> list[Finding]:
@@ -67,51 +69,39 @@ def check_survey(survey: Survey, names: Sequence[str]) -> list[Finding]:
     if survey.count < _FEWEST_FRAMES or len(rows) < _FEWEST_ROWS:
         return found
     disorder = find_disorder(survey.patterns, survey.tiles(), len(survey.raw), names.__getitem__)
-    if disorder is not None and len(disorder.frames) > 0.25 * survey.count:
+    if disorder is not None and len(disorder.frames) > _FEW * survey.count:
         return [*found, _as_finding(disorder)]
     doubted = np.zeros(survey.count, bool)
     if disorder is not None:
         found.append(_as_finding(disorder))
         doubted[list(disorder.frames)] = True
-    moved = check_motion(survey, rows, names)
-    if moved:
-        return [*found, *moved]
     found += check_plain_frames(survey, rows, names)
     prediction = predict(survey.patterns, survey.samples(rows), doubted=doubted)
+    suspects = _suspects(prediction, doubted)
+    moved = check_motion(survey, rows, suspects, names)
+    if moved:
+        return [*found, *moved]
+    if (suspects & ~doubted).any():
+        # Judged by what the frames say that are not suspected.
+        prediction = predict(survey.patterns, survey.samples(rows), doubted=suspects)
     told = prediction.predicted
     if told.sum() < _FEWEST_ROWS:
         return found
-    bent = check_response(survey, rows[told], tuple(place[told] for place in prediction.places))
-    if bent:
-        return [*found, *bent]
-    return [*found, *_check_frames(survey, rows, prediction, doubted, names)]
-
-
-def _check_frames(
-    survey: Survey,
-    rows: NDArray[np.int64],
-    prediction: Prediction,
-    doubted: NDArray[np.bool_],
-    names: Sequence[str],
-) -> list[Finding]:
-    """What single frames show, and how bright they are.
-
-    Parameters
-    ----------
-    doubted : (K,) bool
-        Frames that something was said of already.
-    """
-    suspects = doubted | wrong_frames(prediction.rows(prediction.predicted), SUSPECT)
-    if suspects.mean() < 0.5 and (suspects & ~doubted).any():
-        # Judged by what the frames say that are not suspected.
-        prediction = predict(survey.patterns, survey.samples(rows), doubted=suspects)
-    prediction = prediction.rows(prediction.predicted)
-    if len(prediction.miss) < _FEWEST_ROWS:
-        return []
+    prediction = prediction.rows(told)
     wrong = wrong_frames(prediction)
-    found = check_content(prediction, wrong & ~doubted, names)
     right = np.flatnonzero(~wrong & ~doubted)
-    return found + check_brightness(prediction.frames(right), right, names)
+    flicker = check_brightness(prediction.frames(right), right, names)
+    bent = check_response(survey, rows, suspects | wrong, steady=not flicker)
+    return [*found, *check_content(prediction, wrong & ~doubted, names), *flicker, *bent]
+
+
+def _suspects(prediction: Prediction, doubted: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Frames that may show something else than their pattern, if only a few do, (K,)."""
+    told = prediction.predicted
+    if told.sum() < _FEWEST_ROWS:
+        return doubted
+    suspects = doubted | wrong_frames(prediction.rows(told), SUSPECT)
+    return suspects if suspects.mean() < _FEW else doubted
 
 
 def _as_finding(disorder: Disorder) -> Finding:

@@ -11,7 +11,7 @@ from lightmatrix.checking.finding import Finding, listed
 from lightmatrix.checking.survey import Survey
 
 # Of all samples that count.
-_MOST_CLIPPED = 0.5
+_MOST_CLIPPED = 2 / 3
 # Raw levels above black that the brightest samples reach at least.
 _FEWEST_LEVELS = 24
 # A pixel that varies by less than this share of what lively ones do, or by so many raw levels, has
@@ -124,7 +124,8 @@ def check_plain_frames(
                         "put the photographs in the order of the patterns, or take it again",
                     )
                 )
-    below = float(np.median(-bottom / span))
+    # Noise and a single odd frame reach below black too.
+    below = float(np.median(-np.quantile(samples.values, 0.1, axis=1) / span[:, 0]))
     if survey.decoder.black_frame is not None and below > _BELOW_BLACK:
         found.append(
             Finding(

@@ -33,7 +33,9 @@ _PLACES = 24
 _BETTER = 0.15
 
 
-def check_motion(survey: Survey, rows: NDArray[np.int64], names: Sequence[str]) -> list[Finding]:
+def check_motion(
+    survey: Survey, rows: NDArray[np.int64], doubted: NDArray[np.bool_], names: Sequence[str]
+) -> list[Finding]:
     """Whether frames are shifted against each other, from which one on and by how much.
 
     Parameters
@@ -41,13 +43,15 @@ def check_motion(survey: Survey, rows: NDArray[np.int64], names: Sequence[str]) 
     survey : Survey
     rows : (m,) int
         Lively rows.
+    doubted : (K,) bool
+        Frames that are odd by themselves; nothing is learned from them.
     names : sequence of str
         What the frames are called.
     """
     if survey.count < _FEWEST_FRAMES or len(rows) < 20:
         return []
     rows = rows[:: max(1, len(rows) // _ROWS)]
-    follow = _Follower(survey, rows)
+    follow = _Follower(survey, rows, doubted)
     if float(np.median(follow.miss((0, 0), 0))) < np.log(_STILL):
         return []
     shift = _shift(survey) or follow.likeliest_shift()
@@ -131,14 +135,16 @@ def _parts(shape: tuple[int, int, int]) -> NDArray[np.int64]:
 class _Follower:
     """Rows followed by a shift from some frame on, and how well they are predicted then."""
 
-    def __init__(self, survey: Survey, rows: NDArray[np.int64]) -> None:
-        self.survey, self.rows = survey, rows
+    def __init__(
+        self, survey: Survey, rows: NDArray[np.int64], doubted: NDArray[np.bool_]
+    ) -> None:
+        self.survey, self.rows, self.doubted = survey, rows, doubted
         self.here = survey.samples(rows)
 
     def miss(self, shift: tuple[int, int], start: int) -> NDArray[np.float64]:
         """What the predictions of each row miss, as logarithms, (m,)."""
         if shift == (0, 0):
-            return np.log(predict(self.survey.patterns, self.here).miss)
+            return np.log(predict(self.survey.patterns, self.here, doubted=self.doubted).miss)
         here, there = self.here, self.survey.samples(self.survey.neighbour(self.rows, shift))
         late = np.arange(self.survey.count) >= start
         level = [np.broadcast_to(each.clip_level, each.values.shape) for each in (here, there)]
@@ -147,7 +153,7 @@ class _Follower:
             np.where(late, there.clipped, here.clipped),
             np.where(late, level[1], level[0]),
         )
-        return np.asarray(np.log(predict(self.survey.patterns, followed).miss))
+        return np.asarray(np.log(predict(self.survey.patterns, followed, doubted=self.doubted).miss))
 
     def likeliest_shift(self) -> tuple[int, int]:
         """The shift that predicts best if it happened after a quarter, half or three of the frames.
@@ -157,7 +163,9 @@ class _Follower:
         reach = range(-MARGIN, MARGIN + 1)
         shifts = [shift for shift in itertools.product(reach, reach) if shift != (0, 0)]
         starts = [self.survey.count * part // 4 for part in (2, 1, 3)]
-        few = _Follower(self.survey, self.rows[:: max(1, len(self.rows) // _FEW_ROWS)])
+        few = _Follower(
+            self.survey, self.rows[:: max(1, len(self.rows) // _FEW_ROWS)], self.doubted
+        )
         tried = {
             (shift, start): float(np.mean(few.miss(shift, start)))
             for start in starts
@@ -167,16 +175,18 @@ class _Follower:
 
     def moment(self, shift: tuple[int, int]) -> int | None:
         """The first shifted frame; None if rows followed by the shift are predicted no better."""
-        last = self.survey.count - 1
-        tried = {
-            int(k): float(np.mean(self.miss(shift, int(k))))
-            for k in np.linspace(1, last, min(_PLACES, last))
-        }
+        # Both sides must be more than the odd frame.
+        first = max(3, self.survey.count // 10)
+        last = self.survey.count - first
+        step = max(1, (last - first) // _PLACES)
+        tried = {k: float(np.mean(self.miss(shift, k))) for k in range(first, last + 1, step)}
         best = min(tried, key=tried.__getitem__)
-        near = range(max(1, best - last // _PLACES), min(last, best + last // _PLACES) + 1)
+        near = range(max(first, best - step), min(last, best + step) + 1)
         tried |= {k: float(np.mean(self.miss(shift, k))) for k in near if k not in tried}
         best = min(tried, key=tried.__getitem__)
-        gain = self.miss((0, 0), 0) - self.miss(shift, best)
+        # Rows that stay where they are, on either end of the shift: one may just be better.
+        still = np.minimum(self.miss((0, 0), 0), self.miss(shift, 0))
+        gain = still - self.miss(shift, best)
         error = float(gain.std() / np.sqrt(len(gain)))
         certain = gain.mean() > _BETTER and gain.mean() > _CERTAIN * error
         return best if certain else None

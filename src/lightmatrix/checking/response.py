@@ -1,14 +1,12 @@
 """Whether photographs are linear in light.
 
-Light adds up, so a camera pixel under several projector pixels shows the sum of what it shows under
-each. Photographs that were coded for a display (sRGB, a gamma of 2.2) show more than that at medium
-levels: they lie above the straight line that the predictions follow. The gamma at which they do not
-is that of the photographs.
+Light adds up, so what a camera pixel shows under several projector pixels is the sum of what it
+shows under each, and can be predicted from its other frames. Photographs that were coded for a
+display (sRGB, a gamma of 2.2) do not add up; decoded by the gamma that they were coded with, they
+are predicted better. Linear ones are predicted worse by any gamma.
 """
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,57 +16,37 @@ from lightmatrix.checking.finding import Finding
 from lightmatrix.checking.local import Prediction, predict
 from lightmatrix.checking.survey import Survey
 
-_GAMMAS = (0.4, 0.5, 0.65, 0.8, 1.0, 1.25, 1.5, 1.8, 2.2, 2.6, 3.0)
-# A bend counts if it is this many times its standard error and this part of the range, and if the
-# rows are predicted better without it by this much (logarithm of the miss).
-_CERTAIN, _BENT, _BETTER = 5.0, 0.06, 0.1
-# Gammas closer to 1 are left alone: cameras called linear are so within a few per cent.
-_NEAR = 1.2
-_ROWS = 300
+# Tried first; then, in the direction that helps, the others.
+_FIRST = (1.5, 2.2, 0.65)
+_ABOVE, _BELOW = (1.2, 1.5, 1.8, 2.2, 2.6, 3.0), (0.8, 0.65, 0.5, 0.4)
+# By how much rows must be predicted better (mean logarithm of the miss), and in standard errors.
+# Noise that grows with the light looks a little like a power, so more is asked for below 1.
+_BETTER, _BETTER_BELOW, _CERTAIN = 0.04, 0.15, 5.0
+# Cameras called linear are so within a few per cent.
+_NEAR = 1.15
+_ROWS, _FEWEST_ROWS = 400, 20
+# Frames are told apart well enough by so many; more only take longer.
+_MOST_CLIPPED = 0.3
 
 
-@dataclass(frozen=True)
-class Bend:
-    """How far samples lie above the straight line at medium levels.
+def response_rows(survey: Survey, rows: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Rows of medium levels: among those that never clip only dim ones may be left.
 
     Parameters
     ----------
-    size, error : float
-        The bend, as a share of a row's range, and its standard error.
-    miss : (m,) float64
-        What the predictions of each row miss.
+    survey : Survey
+    rows : (m,) int
+        Lively rows, whose spread is asked for.
     """
-
-    size: float
-    error: float
-    miss: NDArray[np.float64]
-
-    @property
-    def sure(self) -> float:
-        """The bend in standard errors."""
-        return self.size / max(self.error, 1e-12)
-
-
-def bend(prediction: Prediction) -> Bend:
-    """Measure the bend of predicted rows."""
-    expected = np.where(prediction.trusted, prediction.expected, np.nan)
-    low, high = np.nanquantile(expected, [0.1, 0.9], axis=1)[:, :, None]
-    span = np.maximum(high - low, 1e-9)
-    middle = (prediction.expected - low) * (high - prediction.expected) / span**2
-    # Far beyond the usual levels one sample would outweigh all others.
-    counted = prediction.trusted & (middle > -0.3)
-    middle = np.where(counted, middle, 0)
-    above = np.where(counted, (prediction.observed - prediction.expected) / span, 0)
-    products, squares = (above * middle).sum(axis=1), (middle**2).sum(axis=1)
-    total = max(float(squares.sum()), 1e-12)
-    size = float(products.sum()) / total
-    # Samples of a row share its errors, so rows are counted, not samples.
-    error = float(np.sqrt(((products - size * squares) ** 2).sum())) / total
-    return Bend(size, error, prediction.miss)
+    known = survey.statistics
+    usable = survey.valid & survey.inner & (known.clipped <= _MOST_CLIPPED)
+    usable &= known.spread >= float(np.min(known.spread[rows]))
+    found = np.random.default_rng(1).permutation(np.flatnonzero(usable))[:_ROWS]
+    return np.sort(found)
 
 
 def check_response(
-    survey: Survey, rows: NDArray[np.int64], places: tuple[NDArray[np.int64], ...]
+    survey: Survey, rows: NDArray[np.int64], doubted: NDArray[np.bool_], *, steady: bool
 ) -> list[Finding]:
     """Whether the samples, as the capture says they are decoded, are linear in light.
 
@@ -76,64 +54,80 @@ def check_response(
     ----------
     survey : Survey
     rows : (m,) int
-        Rows that can be predicted.
-    places : tuple of (m,) int
-        Around which projector pixels, see `find_places`.
+        Lively rows.
+    doubted : (K,) bool
+        Frames that are odd by themselves; nothing is learned from them.
+    steady : bool
+        Whether the light is the same in all frames; its changes look like a power below 1.
     """
-    rows, places = rows[:_ROWS], tuple(place[:_ROWS] for place in places)
-
-    def at(gamma: float) -> Bend:
-        response = _further(survey.decoder.response, gamma)
-        found = predict(survey.patterns, survey.samples(rows, response), places)
-        return bend(found)
-
-    now = at(1.0)
-    if abs(now.size) < _BENT or abs(now.sure) < _CERTAIN:
+    rows = response_rows(survey, rows)[: max(len(rows), _FEWEST_ROWS)]
+    straight = _predicted(survey, rows, doubted, 1.0, None)
+    told = straight.predicted
+    if told.sum() < _FEWEST_ROWS:
         return []
-    # Samples above the line are of a gamma above 1.
-    tried = [gamma for gamma in _GAMMAS if (gamma > 1) == (now.size > 0) and gamma != 1]
-    tried.sort(key=lambda gamma: abs(np.log(gamma)))
-    before, previous = now, 1.0
-    for gamma in tried:
-        after = at(gamma)
-        if after.size * now.size <= 0:
-            share = before.size / (before.size - after.size)
-            found = float(np.exp(np.log(previous) + share * np.log(gamma / previous)))
-            break
-        before, previous = after, gamma
-    else:
-        found, after = previous, before
-    straight = at(found)
-    better = float(np.median(np.log(now.miss / np.maximum(straight.miss, 1e-12))))
-    if better < _BETTER or 1 / _NEAR < found < _NEAR:
+    rows, straight = rows[told], straight.rows(told)
+
+    def gain(gamma: float) -> tuple[float, bool]:
+        """By how much rows are predicted better, and whether that is certain."""
+        bent = _predicted(survey, rows, doubted, gamma, straight.places)
+        better = np.log(straight.miss / np.maximum(bent.miss, 1e-12))
+        error = float(better.std() / np.sqrt(len(better)))
+        least = _BETTER if gamma > 1 else _BETTER_BELOW
+        size = float(better.mean())
+        return size, size > max(least, _CERTAIN * error)
+
+    tried = {gamma: gain(gamma) for gamma in _FIRST if gamma > 1 or steady}
+    helping = [gamma for gamma, (_, certain) in tried.items() if certain]
+    if not helping:
         return []
-    stated = survey.decoder.response.name
-    if found < 1:
-        return [
-            Finding(
-                "response",
-                (),
-                f"the photographs are not linear in light once decoded as {stated}: they look as "
-                f"if raised to a power of {1 / found:.2g}",
-                "say --response linear if they are linear as they are, or measure the camera's "
-                "curve",
-            )
-        ]
-    likely = "srgb or gamma:2.2" if 1.9 < found < 2.5 else f"gamma:{found:.2g}"
-    return [
-        Finding(
+    best = max(helping, key=lambda gamma: tried[gamma])
+    side = _ABOVE if best > 1 else _BELOW
+    gains = {gamma: (tried.get(gamma) or gain(gamma))[0] for gamma in side}
+    found = _top({1.0: 0.0, **gains})
+    if 1 / _NEAR < found < _NEAR:
+        return []
+    return [_say(found, survey.decoder.response.name)]
+
+
+def _say(gamma: float, stated: str) -> Finding:
+    if gamma < 1:
+        return Finding(
             "response",
             (),
-            f"the photographs are not linear in light (decoded as {stated}): medium levels are "
-            f"too bright, as with a gamma of {found:.2g}",
-            f"turn gamma, sRGB and tone curves off in the camera, or say --response {likely}",
+            f"the photographs are not linear in light, decoded as {stated}: they look as if raised "
+            f"to a power of {1 / gamma:.1f}",
+            "say --response linear if they are linear as they are, or measure the camera's curve",
         )
-    ]
+    likely = "srgb or gamma:2.2" if 1.8 < gamma < 2.6 else f"gamma:{gamma:.1f}"
+    return Finding(
+        "response",
+        (),
+        f"the photographs are not linear in light, decoded as {stated}: light adds up in them as "
+        f"if they were coded with a gamma of about {gamma:.1f}",
+        "turn gamma, sRGB, contrast and tone curves off in the camera, or say --response " + likely,
+    )
 
 
-def _further(response: Response, gamma: float) -> Response:
-    """A response followed by a power."""
-    if gamma == 1:
-        return response
-    levels = np.linspace(0, 1, 1024)
-    return Response(levels, response.linearise(levels) ** gamma, "tried")
+def _predicted(
+    survey: Survey,
+    rows: NDArray[np.int64],
+    doubted: NDArray[np.bool_],
+    gamma: float,
+    places: tuple[NDArray[np.int64], ...] | None,
+) -> Prediction:
+    response = survey.decoder.response
+    if gamma != 1:
+        levels = np.linspace(0, 1, 1024)
+        response = Response(levels, response.linearise(levels) ** gamma, "tried")
+    return predict(survey.patterns, survey.samples(rows, response), places, doubted)
+
+
+def _top(gains: dict[float, float]) -> float:
+    """The gamma of the largest gain, between the ones that were tried by a parabola."""
+    gammas = np.log(sorted(gains))
+    heights = np.array([gains[gamma] for gamma in sorted(gains)])
+    k = int(heights.argmax())
+    if not 0 < k < len(gammas) - 1:
+        return float(np.exp(gammas[k]))
+    square, slope, _ = np.polyfit(gammas[k - 1 : k + 2] - gammas[k], heights[k - 1 : k + 2], 2)
+    return float(np.exp(gammas[k] - slope / (2 * square)))

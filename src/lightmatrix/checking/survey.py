@@ -144,12 +144,13 @@ class Survey:
         response : Response, optional
             Taken for the camera's; None means as the capture says.
         """
-        decoder = self.decoder
-        if response is not None:
-            decoder = replace(decoder, response=response)
-        if decoder.black_frame is not None:
-            decoder = replace(decoder, black_frame=np.asarray(decoder.black_frame)[rows])
-        return decoder.decode(self.raw[rows])
+        return self._decoder(rows, response).decode(self.raw[rows])
+
+    def _decoder(self, rows: NDArray[np.integer], response: Response | None) -> Decoder:
+        decoder = self.decoder if response is None else replace(self.decoder, response=response)
+        if decoder.black_frame is None:
+            return decoder
+        return replace(decoder, black_frame=np.asarray(decoder.black_frame)[rows])
 
     def chunks(self) -> Iterator[tuple[slice, Samples]]:
         """All samples, some rows at a time."""
