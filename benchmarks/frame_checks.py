@@ -26,7 +26,7 @@ from lightmatrix.camera.sensor import Sensor
 from lightmatrix.capture.capture import Capture
 from lightmatrix.checking.check import check_capture
 from lightmatrix.checking.finding import Finding
-from lightmatrix.checking.missing import missing_place
+from lightmatrix.checking.missing import missing_places
 from lightmatrix.checking.survey import Survey
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.pattern_set import PatternSet
@@ -117,8 +117,8 @@ def dropped(draw: Draw, generator: np.random.Generator) -> tuple[list[Finding], 
     decoder = draw.sensor.decoder()
     capture = Capture.from_arrays(kept, rest, decoder, check=False)
     survey = Survey.take(capture.patterns, capture.frames, decoder)
-    named = missing_place(replace(survey, patterns=draw.patterns))
-    return [Finding("counts", () if named is None else (named,), "", "")], named == place
+    named = missing_places(replace(survey, patterns=draw.patterns))
+    return [Finding("counts", named, "", "")], named == (place,)
 
 
 def dropped_and_filled(draw: Draw, generator: np.random.Generator) -> tuple[list[Finding], bool]:

@@ -18,39 +18,47 @@ from lightmatrix.checking.local import Prediction
 _HARMLESS, _NAMED = 0.012, 0.04
 # Standard errors that a variation must have to count.
 _CERTAIN = 5.0
+# Of a row's brightest sample, where light counts, and in how many rows it has to.
+_LIT, _FEWEST = 0.3, 20
 
 
 def gains(prediction: Prediction) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """How much brighter each frame is than predicted, and the standard error; (K,) each.
 
-    Both as shares; 0 and infinity for frames without a trusted sample.
+    Both as shares; 0 and infinity for frames with hardly a lit sample.
     """
     noise = prediction.noise
     weight = prediction.trusted / noise**2
     # One odd pixel must not decide.
     left = np.clip((prediction.observed - prediction.expected) / noise, -6, 6) * noise
+    # Of dark samples a share says nothing.
+    most = prediction.expected.max(axis=1, keepdims=True)
+    weight = np.where(prediction.expected > _LIT * most, weight, 0)
     power = (weight * prediction.expected**2).sum(axis=0)
     found = (weight * left * prediction.expected).sum(axis=0) / np.maximum(power, 1e-12)
     rest = weight * prediction.expected * (left - found * prediction.expected)
     error = np.sqrt((rest**2).sum(axis=0)) / np.maximum(power, 1e-12)
-    return np.where(power > 0, found, 0), np.where(power > 0, error, np.inf)
+    enough = (weight > 0).sum(axis=0) >= _FEWEST
+    return np.where(enough, found, 0), np.where(enough, error, np.inf)
 
 
 def check_brightness(
-    prediction: Prediction, frames: NDArray[np.int64], names: Sequence[str]
+    found: NDArray[np.float64],
+    error: NDArray[np.float64],
+    frames: NDArray[np.int64],
+    names: Sequence[str],
 ) -> list[Finding]:
     """Whether some frames, or all of them in turn, are brighter or darker than they should be.
 
     Parameters
     ----------
-    prediction : Prediction
-        Of rows that can be predicted, in the frames that show their patterns.
+    found, error : (k,) float64
+        How much brighter each frame is, as a share, and its standard error; see `gains`.
     frames : (k,) int
         Which frames these are.
     names : sequence of str
         What the frames are called.
     """
-    found, error = gains(prediction)
     certain = np.abs(found) > _CERTAIN * error
     if len(found) < 4:
         return []

@@ -90,7 +90,10 @@ class Prediction:
 
 
 def find_places(
-    patterns: PatternSet, samples: Samples, learned: NDArray[np.bool_] | None = None
+    patterns: PatternSet,
+    samples: Samples,
+    learned: NDArray[np.bool_] | None = None,
+    most: int = len(_PLACES),
 ) -> tuple[NDArray[np.int64], ...]:
     """The projector pixels that each row follows most, one after the other; (m,) each.
 
@@ -102,16 +105,18 @@ def find_places(
         (m, K) linear samples.
     learned : (m, K) bool, optional
         Which samples tell; None means those that are not clipped.
+    most : int
+        How many places.
     """
     scale = column_scale(patterns)
     weight = (~samples.clipped if learned is None else learned).astype(np.float64)
     total = np.maximum(weight.sum(axis=1, keepdims=True), 1)
     residual = weight * (samples.values - (weight * samples.values).sum(axis=1)[:, None] / total)
     found: list[NDArray[np.int64]] = []
-    for number in range(len(_PLACES)):
+    for number in range(most):
         best = _best_pixels(patterns, scale, residual)
         found.append(best)
-        if number + 1 < len(_PLACES):
+        if number + 1 < most:
             column = patterns.columns(best).T.astype(np.float64)
             column = weight * (column - (weight * column).sum(axis=1)[:, None] / total)
             power = np.maximum((column**2).sum(axis=1), 1e-9)

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from lightmatrix.camera.samples import Samples
 from lightmatrix.checking.finding import Finding
 from lightmatrix.checking.local import predict
+from lightmatrix.checking.pairs import Pairs, missing_of_pairs
 from lightmatrix.checking.rows import lively_rows
 from lightmatrix.checking.survey import Survey
 
@@ -41,8 +42,8 @@ def gaps(paths: Sequence[Path]) -> list[str]:
     return [str(number) for number in absent] if len(absent) <= len(numbers) // 4 else []
 
 
-def missing_place(survey: Survey) -> int | None:
-    """Which of K patterns has no frame, told from the other K - 1 frames; None if unknown.
+def missing_places(survey: Survey) -> tuple[int, ...]:
+    """Which of K patterns may have no frame, told from the K - 1 frames; empty if unknown.
 
     Parameters
     ----------
@@ -51,20 +52,23 @@ def missing_place(survey: Survey) -> int | None:
     """
     patterns, count = survey.patterns, survey.count
     if count < _FEWEST_FRAMES:
-        return None
+        return ()
     first = replace(survey, patterns=patterns.subset(np.arange(count)))
     rows = lively_rows(first)
     if len(rows) < _FEW_ROWS:
-        return None
+        return ()
+    pairs = Pairs.find(patterns)
+    if pairs is not None:
+        return missing_of_pairs(survey, pairs, rows)
     rows = np.random.default_rng(0).permutation(rows)
     few = rows[: int(np.clip(_WORK / (2 * count * patterns.pixels), _FEW_ROWS, _ROWS))]
     guess = int(_followed(survey, survey.samples(few)).argmax())
-    best: tuple[float, int | None] = (_PREDICTED, None)
+    best: tuple[float, tuple[int, ...]] = (_PREDICTED, ())
     samples = survey.samples(rows[:_ROWS])
     for place in range(max(0, guess - _NEAR), min(count, guess + _NEAR) + 1):
         shown = patterns.subset(np.delete(np.arange(count + 1), place))
         miss = float(np.median(np.log(predict(shown, samples).miss)))
-        best = min(best, (miss, place), key=lambda each: each[0])
+        best = min(best, (miss, (place,)))
     return best[1]
 
 
@@ -106,16 +110,15 @@ def check_counts(survey: Survey, patterns: int, images: Sequence[Path]) -> Findi
     count = len(images)
     message = f"{patterns} patterns, but {count} photographs"
     absent = gaps(images)
-    place = missing_place(survey) if count == patterns - 1 else None
-    frames: tuple[int, ...] = ()
-    if place is not None:
-        frames = (place,)
-        message += f": the one of pattern {place} (the {_ordinal(place + 1)}) is missing"
-        if place < count:
-            message += f", before {images[place].name}"
+    frames = missing_places(survey) if count == patterns - 1 else ()
+    if frames:
+        which = " or ".join(f"{place} (the {_ordinal(place + 1)})" for place in frames)
+        message += f": the one of pattern {which} is missing"
+        if len(frames) == 1 and frames[0] < count:
+            message += f", before {images[frames[0]].name}"
     elif absent:
-        word = "number" if len(absent) == 1 else "numbers"
-        message += f"; in their names {word} {', '.join(absent[:5])} {'is' if len(absent) == 1 else 'are'} missing"
+        named = ", ".join(absent[:5])
+        message += f"; their names leave out number {named}"
     advice = (
         "take it again, or leave the pattern out too"
         if count < patterns
@@ -126,5 +129,5 @@ def check_counts(survey: Survey, patterns: int, images: Sequence[Path]) -> Findi
 
 
 def _ordinal(number: int) -> str:
-    ending = "th" if number % 100 in (11, 12, 13) else {1: "st", 2: "nd", 3: "rd"}.get(number % 10, "th")
-    return f"{number}{ending}"
+    endings = {1: "st", 2: "nd", 3: "rd"}
+    return f"{number}{'th' if number % 100 in (11, 12, 13) else endings.get(number % 10, 'th')}"

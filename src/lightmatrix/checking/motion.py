@@ -17,20 +17,19 @@ from numpy.typing import NDArray
 from lightmatrix.camera.samples import Samples
 from lightmatrix.checking.finding import Finding
 from lightmatrix.checking.local import predict
+from lightmatrix.checking.outlines import agreed_shift, describe_shift
 from lightmatrix.checking.survey import MARGIN, Survey
 
 _FEWEST_FRAMES = 9
-# How much closer the two images must be when shifted, in standard errors over parts of the image
-# and as a share.
-_CERTAIN, _CLOSER = 4.0, 0.15
-_PARTS = 6
 # Rows that are followed, and while the shift is looked for.
 _ROWS, _FEW_ROWS = 80, 30
 # Rows that miss less than this share of their variance have not moved.
 _STILL = 0.03
 _PLACES = 24
-# Followed rows must be predicted better by this much (logarithm of the miss).
-_BETTER = 0.15
+# Followed rows must be predicted better by this much (logarithm of the miss), and in standard errors.
+_BETTER, _CERTAIN = 0.15, 4.0
+# Multiplications that looking for a shift without outlines may take; about ten seconds.
+_WORK = 1e11
 
 
 def check_motion(
@@ -54,82 +53,20 @@ def check_motion(
     follow = _Follower(survey, rows, doubted)
     if float(np.median(follow.miss((0, 0), 0))) < np.log(_STILL):
         return []
-    shift = _shift(survey) or follow.likeliest_shift()
-    start = follow.moment(shift)
-    if start is None:
+    known = survey.statistics
+    shift = agreed_shift(survey, known.first, known.last) or follow.likeliest_shift()
+    start = None if shift is None else follow.moment(shift)
+    if shift is None or start is None:
         return []
     return [
         Finding(
             "motion",
             tuple(range(start, survey.count)),
-            f"from {names[start]} on, the image lies about {np.hypot(*shift):.2g} camera pixels "
-            f"away ({_direction(shift)})",
+            f"from {names[start]} on, the image lies {describe_shift(shift)}",
             "fix camera, projector and scene, and take the capture again; or use the frames before "
             "or after it alone",
         )
     ]
-
-
-def _direction(shift: tuple[int, int]) -> str:
-    down, right = shift
-    words = []
-    if down:
-        words.append(f"{abs(down)} {'down' if down > 0 else 'up'}")
-    if right:
-        words.append(f"{abs(right)} {'right' if right > 0 else 'left'}")
-    return ", ".join(words)
-
-
-def _shift(survey: Survey) -> tuple[int, int] | None:
-    """By how many camera pixels (down, right) the last third of the frames is shifted, if it is."""
-    first, last = (_outlines(survey, image) for image in _brightest(survey))
-    tiles, rows, cols, _ = survey.grid
-    inner = (slice(None), slice(MARGIN, rows - MARGIN), slice(MARGIN, cols - MARGIN))
-    parts = _parts((tiles, rows - 2 * MARGIN, cols - 2 * MARGIN))
-    valid = survey.valid.reshape(survey.grid)[inner].all(axis=-1)
-
-    def distances(shift: tuple[int, int]) -> NDArray[np.float64]:
-        moved = np.roll(last, (-shift[0], -shift[1]), axis=(1, 2))
-        difference = np.where(valid, ((moved - first)[inner] ** 2).sum(axis=-1), 0)
-        return np.bincount(parts.ravel(), difference.ravel())
-
-    reach = range(-MARGIN, MARGIN + 1)
-    tried = {shift: distances(shift) for shift in itertools.product(reach, reach)}
-    best = min(tried, key=lambda shift: float(tried[shift].sum()))
-    if best == (0, 0):
-        return None
-    gain = tried[0, 0] - tried[best]
-    error = np.sqrt(len(gain) * gain.var(ddof=1)) if len(gain) > 1 else np.inf
-    if gain.sum() < _CERTAIN * error or gain.sum() < _CLOSER * tried[0, 0].sum():
-        return None
-    return best
-
-
-def _brightest(survey: Survey) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    known = survey.statistics
-    return known.first.reshape(survey.grid), known.last.reshape(survey.grid)
-
-
-def _outlines(survey: Survey, image: NDArray[np.float32]) -> NDArray[np.float64]:
-    """An image without its slow changes, so that light that changed is no motion."""
-    image = np.sqrt(np.maximum(image, 0)).astype(np.float64)
-    edges = np.stack(
-        [np.roll(image, 1, axis) - np.roll(image, -1, axis) for axis in (1, 2)], axis=-1
-    ).reshape(*image.shape[:3], -1)
-    # No edge counts more than many others together.
-    most = 4 * float(np.median(np.abs(edges))) + 0.02
-    return np.asarray(np.clip(edges, -most, most))
-
-
-def _parts(shape: tuple[int, int, int]) -> NDArray[np.int64]:
-    """Which part of the image each pixel lies in: tiles, or a grid over the only one."""
-    tiles, rows, cols = shape
-    if tiles >= _PARTS:
-        part = np.arange(tiles) * _PARTS**2 // tiles
-        return np.broadcast_to(part[:, None, None], shape).astype(np.int64)
-    row = np.arange(rows) * _PARTS // rows
-    col = np.arange(cols) * _PARTS // cols
-    return np.broadcast_to(row[:, None] * _PARTS + col, shape).astype(np.int64)
 
 
 class _Follower:
@@ -155,14 +92,17 @@ class _Follower:
         )
         return np.asarray(np.log(predict(self.survey.patterns, followed, doubted=self.doubted).miss))
 
-    def likeliest_shift(self) -> tuple[int, int]:
+    def likeliest_shift(self) -> tuple[int, int] | None:
         """The shift that predicts best if it happened after a quarter, half or three of the frames.
 
-        For scenes without outlines, such as a white wall.
+        For scenes without outlines, such as a white wall; None where that would take too long.
         """
         reach = range(-MARGIN, MARGIN + 1)
         shifts = [shift for shift in itertools.product(reach, reach) if shift != (0, 0)]
         starts = [self.survey.count * part // 4 for part in (2, 1, 3)]
+        once = 4 * min(_FEW_ROWS, len(self.rows)) * self.survey.count * self.survey.patterns.pixels
+        if once * len(shifts) * len(starts) > _WORK:
+            return None
         few = _Follower(
             self.survey, self.rows[:: max(1, len(self.rows) // _FEW_ROWS)], self.doubted
         )

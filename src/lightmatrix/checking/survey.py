@@ -159,6 +159,11 @@ class Survey:
             part = slice(start, min(start + step, len(self.raw)))
             yield part, self.samples(np.arange(part.start, part.stop))
 
+    def some_frames(self, frames: NDArray[np.integer]) -> Iterator[tuple[slice, Samples]]:
+        """All samples of some frames, some rows at a time."""
+        part = replace(self, raw=self.raw[:, frames], decoder=self.decoder.select(frames))
+        return part.chunks()
+
     def tiles(self) -> Iterator[tuple[int, Samples]]:
         """All samples as `capture.order` takes them: first row, and samples that count."""
         for part, tile in self.chunks():
