@@ -47,6 +47,10 @@ from .rig.renderer import render as render
 from .rig.thumbnails import write_thumbnails as write_thumbnails
 from .rig.truth import Truth as Truth
 
+# What is wrong with a capture.
+from .checking.finding import Finding as Finding
+from .checking.folders import check as check
+
 # Estimates.
 from .estimators.auto import (
     AutoEstimator as AutoEstimator,

@@ -56,7 +56,9 @@ class CaptureParts:
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
 
-def read_capture(folder: str | Path, *, allow_outside: bool = False) -> CaptureParts:
+def read_capture(
+    folder: str | Path, *, allow_outside: bool = False, counted: bool = True
+) -> CaptureParts:
     """Read a folder with patterns/, images/ and, perhaps, capture.json.
 
     Parameters
@@ -65,6 +67,8 @@ def read_capture(folder: str | Path, *, allow_outside: bool = False) -> CaptureP
         The folder.
     allow_outside : bool
         Whether the files that capture.json names may lie outside the folder.
+    counted : bool
+        Whether patterns and frames must be of one number.
 
     Raises
     ------
@@ -90,7 +94,8 @@ def read_capture(folder: str | Path, *, allow_outside: bool = False) -> CaptureP
     told = with_files_beside(place, told, described)
     patterns = read_patterns(place / "patterns")
     stack = ImageStack.open(place / "images")
-    _check_counts(patterns, stack, place / "images")
+    if counted:
+        _check_counts(patterns, stack, place / "images")
     for key, wanted, shape, what in (
         ("projector_shape", told.projector_shape, patterns.shape, "patterns"),
         ("camera_shape", told.camera_shape, stack.shape, "images"),
@@ -111,7 +116,8 @@ def read_capture(folder: str | Path, *, allow_outside: bool = False) -> CaptureP
             black_exposure=told.black_exposure,
             full_scale=told.full_scale,
         )
-        check_per_frame(decoder, stack.count)
+        if counted:
+            check_per_frame(decoder, stack.count)
     return CaptureParts(
         patterns,
         stack,
@@ -132,8 +138,13 @@ def read_folders(
     black_level: float | NDArray[Any] | None = None,
     exposure: float | NDArray[Any] = 1.0,
     mask: str | Path | None = None,
+    full_scale: float | None = None,
+    black_exposure: float | None = None,
+    counted: bool = True,
 ) -> CaptureParts:
     """Read two plain folders of images; the parameters are those of `Capture.from_folders`.
+
+    `counted` says whether patterns and frames must be of one number.
 
     Raises
     ------
@@ -142,7 +153,8 @@ def read_folders(
     """
     shown = patterns if isinstance(patterns, PatternSet) else read_patterns(patterns)
     stack = ImageStack.open(images)
-    _check_counts(shown, stack, Path(images))
+    if counted:
+        _check_counts(shown, stack, Path(images))
     if white is not None:
         shown = ImagePatterns(np.concatenate([shown.images(), np.ones((1, *shown.shape))]))
         stack = ImageStack((*stack.paths, Path(white)), stack.shape, stack.dtype)
@@ -153,6 +165,8 @@ def read_folders(
         exposure=exposure,
         black=black,
         black_level=black_level,
+        black_exposure=black_exposure,
+        full_scale=full_scale,
     )
     return CaptureParts(
         shown, stack, decoder, None if mask is None else read_mask(mask, stack.shape)

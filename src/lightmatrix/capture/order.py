@@ -135,7 +135,9 @@ def _disorder(patterns: PatternSet, rows: Rows, name: Callable[[int], str]) -> D
         gain = np.minimum(plain.own, other.own) - other.logarithms[frames, guess.order]
         gain[alike[frames, guess.order] | ~plain.telling] = 0
         if _predictive(other, guess.order) and _supported(gain, 0, count):
-            words = "the images do not follow the patterns: the images follow the patterns backwards"
+            words = (
+                "the images do not follow the patterns: the images follow the patterns backwards"
+            )
             return Disorder(tuple(range(count)), words)
     for first in (guess, as_named):
         found = first and _displaced_run(patterns, rows, first, plain, alike, scale)
@@ -143,8 +145,8 @@ def _disorder(patterns: PatternSet, rows: Rows, name: Callable[[int], str]) -> D
             start, stop, _ = found
             return Disorder(tuple(range(start, stop + 1)), _describe_run(*found, count, name))
     displaced = _displaced_singly(patterns, rows, plain, alike, scale)
-    words = _describe_single(displaced, name)
-    return None if words is None else Disorder(tuple(displaced), words)
+    said = _describe_single(displaced, name)
+    return None if said is None else Disorder(tuple(displaced), said)
 
 
 def _displaced_run(

@@ -78,15 +78,17 @@ def check_content(
     names : sequence of str
         What the frames are called.
     """
-    black, others, shown = [], [], {}
+    black: list[int] = []
+    others: list[int] = []
+    shown: dict[int, int] = {}
     scale = np.maximum(prediction.expected.std(axis=1, keepdims=True), 1e-9)
     expected = (prediction.expected - prediction.expected.mean(axis=1, keepdims=True)) / scale
     expected = expected - expected.mean(axis=0)
-    for k in np.flatnonzero(wrong):
+    for k in map(int, np.flatnonzero(wrong)):
         seen = prediction.trusted[:, k]
         light = float(prediction.observed[seen, k].sum())
         if light < _BLACK * float(prediction.expected[seen, k].sum()):
-            black.append(int(k))
+            black.append(k)
             continue
         own = (prediction.observed[:, k] - prediction.observed.mean(axis=1)) / scale[:, 0]
         own = (own - own[seen].mean())[seen]
@@ -96,9 +98,9 @@ def check_content(
         alike[k] = -1
         best = int(alike.argmax())
         if alike[best] > _SHOWN and np.sort(alike)[-2] < _OTHERS * alike[best]:
-            shown[int(k)] = best
+            shown[k] = best
         else:
-            others.append(int(k))
+            others.append(k)
     found = []
     if black:
         said = listed([names[k] for k in black])

@@ -120,7 +120,7 @@ def check_plain_frames(
                     Finding(
                         kind,
                         tuple(int(k) for k in odd),
-                        f"the pattern of {listed([names[k] for k in odd])} is {what}",
+                        f"the pattern of {listed([names[int(k)] for k in odd])} is {what}",
                         "put the photographs in the order of the patterns, or take it again",
                     )
                 )

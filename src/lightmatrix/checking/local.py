@@ -187,9 +187,7 @@ def _left_out(
     for ridge in _RIDGES:
         inverse = np.linalg.inv(gram + ridge * np.eye(gram.shape[1]))
         fitted = (columns @ (inverse @ slope[:, :, None]))[..., 0]
-        own = weight * (
-            np.einsum("mkd,mkd->mk", columns @ inverse, columns) + 1 / total[:, None]
-        )
+        own = weight * (np.einsum("mkd,mkd->mk", columns @ inverse, columns) + 1 / total[:, None])
         # What is left of a sample once it no longer explains itself.
         left = (difference - fitted) / np.maximum(1 - own, 0.02)
         error = (weight * left**2).sum(axis=1) / total
@@ -208,7 +206,9 @@ def _columns(
         shown = patterns.columns(pixels.ravel()).reshape(patterns.count, *pixels.shape)
         parts.append(np.moveaxis(shown, 0, 1) * (size * scale)[:, None, :])
     spread = float(patterns.means.std())
-    means = (patterns.means - patterns.means.mean()) / spread if spread > 1e-6 else 0 * patterns.means
+    means = (
+        (patterns.means - patterns.means.mean()) / spread if spread > 1e-6 else 0 * patterns.means
+    )
     rows = len(windows[0][0])
     parts.append(np.broadcast_to((_MEAN_SCALE * means)[None, :, None], (rows, patterns.count, 1)))
     return np.asarray(np.concatenate(parts, axis=2), np.float64)
@@ -224,7 +224,8 @@ def _window(
     row, col = row[:, None] + down, col[:, None] + right
     inside = (row >= 0) & (row < shape[0]) & (col >= 0) & (col < shape[1])
     scale = np.exp(-(down**2 + right**2) / (4 * _SPREAD**2))
-    return np.where(inside, row * shape[1] + col, 0), inside * scale
+    pixels = np.where(inside, row * shape[1] + col, 0).astype(np.int64)
+    return pixels, np.where(inside, scale, 0.0)
 
 
 def _best_pixels(

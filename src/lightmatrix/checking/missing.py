@@ -95,13 +95,13 @@ def _followed(survey: Survey, samples: Samples) -> NDArray[np.float64]:
     return np.asarray(-np.log1p(-explained).mean(axis=1))
 
 
-def check_counts(survey: Survey, patterns: int, images: Sequence[Path]) -> Finding:
+def check_counts(survey: Survey | None, patterns: int, images: Sequence[Path]) -> Finding:
     """Say that the numbers differ, and which photograph is missing if that can be told.
 
     Parameters
     ----------
-    survey : Survey
-        Of all frames; its patterns are all of them.
+    survey : Survey, optional
+        Of all frames; its patterns are all of them. None if they cannot be decoded.
     patterns : int
         Number of patterns.
     images : sequence of Path
@@ -110,7 +110,7 @@ def check_counts(survey: Survey, patterns: int, images: Sequence[Path]) -> Findi
     count = len(images)
     message = f"{patterns} patterns, but {count} photographs"
     absent = gaps(images)
-    frames = missing_places(survey) if count == patterns - 1 else ()
+    frames = missing_places(survey) if survey is not None and count == patterns - 1 else ()
     if frames:
         which = " or ".join(f"{place} (the {_ordinal(place + 1)})" for place in frames)
         message += f": the one of pattern {which} is missing"

@@ -26,7 +26,7 @@ _ROWS, _FEW_ROWS = 80, 30
 # Rows that miss less than this share of their variance have not moved.
 _STILL = 0.03
 _PLACES = 24
-# Followed rows must be predicted better by this much (logarithm of the miss), and in standard errors.
+# By how much followed rows must be predicted better (logarithm of the miss); in standard errors.
 _BETTER, _CERTAIN = 0.15, 4.0
 # Multiplications that looking for a shift without outlines may take; about ten seconds.
 _WORK = 1e11
@@ -72,9 +72,7 @@ def check_motion(
 class _Follower:
     """Rows followed by a shift from some frame on, and how well they are predicted then."""
 
-    def __init__(
-        self, survey: Survey, rows: NDArray[np.int64], doubted: NDArray[np.bool_]
-    ) -> None:
+    def __init__(self, survey: Survey, rows: NDArray[np.int64], doubted: NDArray[np.bool_]) -> None:
         self.survey, self.rows, self.doubted = survey, rows, doubted
         self.here = survey.samples(rows)
 
@@ -90,7 +88,9 @@ class _Follower:
             np.where(late, there.clipped, here.clipped),
             np.where(late, level[1], level[0]),
         )
-        return np.asarray(np.log(predict(self.survey.patterns, followed, doubted=self.doubted).miss))
+        return np.asarray(
+            np.log(predict(self.survey.patterns, followed, doubted=self.doubted).miss)
+        )
 
     def likeliest_shift(self) -> tuple[int, int] | None:
         """The shift that predicts best if it happened after a quarter, half or three of the frames.

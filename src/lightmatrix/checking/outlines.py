@@ -37,7 +37,7 @@ def agreed_shift(
         down, right = MARGIN + shift[0], MARGIN + shift[1]
         moved = after[:, down : down + reference.shape[1], right : right + reference.shape[2]]
         difference = np.where(valid, ((moved - reference) ** 2).sum(axis=-1), 0)
-        return np.bincount(parts.ravel(), difference.ravel())
+        return np.asarray(np.bincount(parts.ravel(), difference.ravel()), np.float64)
 
     reach = range(-MARGIN, MARGIN + 1)
     tried = {shift: distances(shift) for shift in itertools.product(reach, reach)}

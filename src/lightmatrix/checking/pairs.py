@@ -1,6 +1,6 @@
 """Captures in which most patterns come with their inverse, as Gray codes do.
 
-A pattern and its inverse add up to white, so the two photographs of every pair add up to one and the
+A pattern and its inverse add up to white, so the photographs of every pair add up to one and the
 same image, whatever the pattern. That tells more, and more exactly, than any prediction: an odd
 frame, light that changed and motion show as differences between the sums of pairs. Which of two
 pairs is which the sums cannot tell; there, neighbouring camera pixels must see neighbouring
@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.camera.samples import Samples
-from lightmatrix.checking.finding import Finding, listed
+from lightmatrix.checking.finding import Finding
 from lightmatrix.checking.local import find_places
 from lightmatrix.checking.outlines import agreed_shift, describe_shift
 from lightmatrix.checking.survey import MARGIN, Survey
@@ -235,17 +235,13 @@ def _exchange(
         found = [sums.oddness(order.get(j, j), order.get(k, k)) for j, k in odd]
         return max(found) < max(_ODD, _UNUSUAL * usual)
 
-    fitting = [
-        (a, b) for a, b in _candidates(odd, sums.pairs.others) if right({a: b, b: a})
-    ]
+    fitting = [(a, b) for a, b in _candidates(odd, sums.pairs.others) if right({a: b, b: a})]
     if len(fitting) < 2:
         return fitting[0] if fitting else None
     return min(fitting, key=lambda swap: jumps(_exchanged(survey, swap), rows))
 
 
-def _candidates(
-    odd: list[tuple[int, int]], others: tuple[int, ...]
-) -> Iterator[tuple[int, int]]:
+def _candidates(odd: list[tuple[int, int]], others: tuple[int, ...]) -> Iterator[tuple[int, int]]:
     if len(odd) == 2:
         yield from itertools.product(*odd)
     if len(odd) == 1:
@@ -319,9 +315,7 @@ def missing_of_pairs(survey: Survey, pairs: Pairs, rows: NDArray[np.int64]) -> t
     oddness = []
     for place in range(count):
         frame = np.arange(count) - (np.arange(count) > place)
-        known = tuple(
-            (int(frame[j]), int(frame[k])) for j, k in pairs.of if place not in (j, k)
-        )
+        known = tuple((int(frame[j]), int(frame[k])) for j, k in pairs.of if place not in (j, k))
         sums = PairSums(Pairs(known, ()), samples)
         oddness.append(float(np.mean([sums.oddness(j, k) for j, k in known])))
     best = min(oddness)
@@ -329,7 +323,9 @@ def missing_of_pairs(survey: Survey, pairs: Pairs, rows: NDArray[np.int64]) -> t
     if best > _ODD or len(likely) > 4:
         return ()
     apart = [
-        jumps(replace(survey, patterns=survey.patterns.subset(np.delete(np.arange(count), k))), rows)
+        jumps(
+            replace(survey, patterns=survey.patterns.subset(np.delete(np.arange(count), k))), rows
+        )
         for k in likely
     ]
     return tuple(

@@ -28,7 +28,7 @@ _CHUNK_SAMPLES = 1 << 22
 
 @dataclass(frozen=True)
 class Statistics:
-    """Of each surveyed sample over the frames, and of each frame over the samples.
+    """Of each surveyed sample over the frames.
 
     Parameters
     ----------
@@ -36,8 +36,6 @@ class Statistics:
         Of the linear samples; spread is the standard deviation.
     clipped : (S,) float32
         Share of the frames in which the sample is clipped.
-    brightness : (K,) float64
-        Mean sample of each frame.
     first, last : (S,) float32
         Brightest sample of the first and of the last third of the frames.
     """
@@ -47,7 +45,6 @@ class Statistics:
     lowest: NDArray[np.float32]
     highest: NDArray[np.float32]
     clipped: NDArray[np.float32]
-    brightness: NDArray[np.float64]
     first: NDArray[np.float32]
     last: NDArray[np.float32]
 
@@ -168,14 +165,16 @@ class Survey:
         """All samples as `capture.order` takes them: first row, and samples that count."""
         for part, tile in self.chunks():
             valid = self.valid[part, None]
-            yield part.start, replace(tile, values=tile.values * valid, clipped=tile.clipped & valid)
+            yield (
+                part.start,
+                replace(tile, values=tile.values * valid, clipped=tile.clipped & valid),
+            )
 
     @cached_property
     def statistics(self) -> Statistics:
-        """Means, extremes and clipping of every sample and of every frame."""
+        """Means, extremes and clipping of every sample."""
         size = len(self.raw)
         found = [np.zeros(size, np.float32) for _ in range(7)]
-        brightness = np.zeros(self.count)
         third = max(1, self.count // 3)
         for part, tile in self.chunks():
             values = tile.values
@@ -190,9 +189,7 @@ class Survey:
             )
             for whole, piece in zip(found, some, strict=True):
                 whole[part] = piece
-            brightness += (values * self.valid[part, None]).sum(axis=0, dtype=np.float64)
-        brightness /= max(1, int(self.valid.sum()))
-        return Statistics(*found[:5], brightness, *found[5:])
+        return Statistics(*found)
 
     @cached_property
     def inner(self) -> NDArray[np.bool_]:

@@ -13,6 +13,7 @@ import typer
 from typer.core import TyperGroup
 
 import lightmatrix as lm
+from lightmatrix.cli.check import check
 from lightmatrix.cli.claims import outputs
 from lightmatrix.cli.demo import demo
 from lightmatrix.cli.estimate import estimate
@@ -34,7 +35,7 @@ from lightmatrix.errors import LightMatrixWarning
 # By stage of the work.
 STAGES: dict[str, tuple[Callable[..., None], ...]] = {
     "Prepare": (plan, patterns),
-    "Measure and use": (estimate, info, relight, evaluate, export),
+    "Measure and use": (check, estimate, info, relight, evaluate, export),
     "Simulate": (scenes, render, simulate),
     "Show": (demo, experiment),
 }
@@ -60,8 +61,8 @@ app = typer.Typer(
     name="lightmatrix",
     cls=_ByStage,
     help="Measure the light transport matrix of a projector-camera system, c = T p.",
-    epilog="Start with `lightmatrix demo`. Exit codes: 0 done, 2 bad input or output, 3 out of "
-    "memory, 70 a bug of ours, 130 stopped.",
+    epilog="Start with `lightmatrix demo`. Exit codes: 0 done, 1 `check` found something, 2 bad "
+    "input or output, 3 out of memory, 70 a bug of ours, 130 stopped.",
     add_completion=False,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -14,14 +14,26 @@ from lightmatrix.cli.options import (
     ADMM_ITERATIONS,
     COHERENT_UP_TO,
     PASSES,
-    Clip,
     Json,
     Overwrite,
     ResponseCurve,
     size,
 )
-from lightmatrix.cli.terminal import Stopped, progress, say, show_json, show_table
-from lightmatrix.errors import InputError
+from lightmatrix.cli.source import (
+    Black,
+    BlackExposure,
+    BlackLevel,
+    ClipLevel,
+    Exposure,
+    Folder,
+    FullScale,
+    Images,
+    Mask,
+    Patterns,
+    White,
+    source,
+)
+from lightmatrix.cli.terminal import Stopped, progress, say, show_json, show_table, warn
 from lightmatrix.outputs.kinds import PARTIAL, STORE
 from lightmatrix.transport.labels import named
 
@@ -43,32 +55,21 @@ FIDELITY_HELP = (
 
 
 def estimate(
-    capture: Annotated[
-        Path | None,
-        typer.Argument(
-            metavar="CAPTURE", help="Capture folder (patterns/, images/, capture.json)."
-        ),
-    ] = None,
+    capture: Folder = None,
     output: Annotated[
         Path, typer.Option("-o", "--output", help="The store to write, ending in .zarr.")
     ] = Path("scene.zarr"),
-    pattern_folder: Annotated[
-        Path | None, typer.Option("--patterns", help="Folder of pattern images.")
-    ] = None,
-    images: Annotated[Path | None, typer.Option(help="Folder of photographs, same order.")] = None,
-    black: Annotated[
-        Path | None, typer.Option(help="Photograph under a black pattern, or of ambient light.")
-    ] = None,
-    white: Annotated[
-        Path | None, typer.Option(help="Photograph under a white pattern; one more sample.")
-    ] = None,
-    mask: Annotated[Path | None, typer.Option(help="Image; pixels at 0 are left out.")] = None,
-    black_level: Annotated[
-        float | None,
-        typer.Option(help="Raw level without any light.", show_default="0"),
-    ] = None,
-    clip: Clip = None,
+    patterns: Patterns = None,
+    images: Images = None,
+    black: Black = None,
+    black_exposure: BlackExposure = None,
+    white: White = None,
+    mask: Mask = None,
+    black_level: BlackLevel = None,
+    clip: ClipLevel = None,
+    full_scale: FullScale = None,
     response: ResponseCurve = None,
+    exposure: Exposure = None,
     solver: Annotated[SolverName, typer.Option(help=SOLVERS_HELP)] = "active-set",
     fidelity: Annotated[
         FidelityName | None,
@@ -118,7 +119,10 @@ def estimate(
         ),
     ] = None,
     check: Annotated[
-        bool, typer.Option(help="Refuse images that do not follow the patterns.")
+        bool,
+        typer.Option(
+            help="Refuse images that do not follow the patterns, and say what else is wrong."
+        ),
     ] = True,
     overwrite: Overwrite = False,
     as_json: Json = False,
@@ -128,7 +132,20 @@ def estimate(
     Give a capture folder, or --patterns and --images. A run that was interrupted goes on where it
     stopped if given again.
     """
-    _check_source(capture, pattern_folder, images)
+    where = source(
+        capture,
+        patterns,
+        images,
+        black=black,
+        black_exposure=black_exposure,
+        white=white,
+        mask=mask,
+        black_level=black_level,
+        clip=clip,
+        full_scale=full_scale,
+        response=response,
+        exposure=exposure,
+    )
     started = time.perf_counter()
     estimator = lm.AutoEstimator(
         solver=solver,
@@ -142,9 +159,13 @@ def estimate(
         tile_rows=tile_rows,
     )
     claim(output, STORE, overwrite=overwrite)
-    opened = _open(capture, pattern_folder, images, black, white, mask, black_level, clip, response)
-    opened = opened.bin(projector=size(bin_projector), camera=size(bin_camera))
+    taken = _open(where)
+    opened = taken.bin(projector=size(bin_projector), camera=size(bin_camera))
     opened.check(order=check)
+    # Frames out of order are refused above; what else is wrong spoils less than all of it.
+    findings = lm.check(taken) if check else []
+    for finding in findings:
+        warn(f"{finding.kind}: {finding.message}\n  {finding.advice}", style="yellow")
     try:
         with progress("estimating", "rows") as report:
             transport = estimator.estimate(
@@ -157,7 +178,8 @@ def estimate(
     summary = transport.summary()
     if as_json:
         seconds = round(time.perf_counter() - started, 2)
-        show_json({"output": str(output), "seconds": seconds, **summary})
+        found = [finding.as_dict() for finding in findings]
+        show_json({"output": str(output), "seconds": seconds, **summary, "findings": found})
         return
     show_table(str(output), named(summary))
     unfinished = 1 - summary["converged_rows"]
@@ -169,61 +191,10 @@ def estimate(
         )
 
 
-def _check_source(capture: Path | None, patterns: Path | None, images: Path | None) -> None:
-    """Whether there is something to estimate from."""
-    if capture is not None or (patterns is not None and images is not None):
-        return
-    if patterns is None and images is None:
-        raise InputError(
-            "there is nothing to estimate from",
-            hint="give a capture folder, or --patterns and --images",
-        )
-    missing = "--patterns" if patterns is None else "--images"
-    raise InputError(f"{missing} is missing", hint="give both folders, or a capture folder")
-
-
-def _open(
-    capture: Path | None,
-    patterns: Path | None,
-    images: Path | None,
-    black: Path | None,
-    white: Path | None,
-    mask: Path | None,
-    black_level: float | None,
-    clip: float | None,
-    response: str | None,
-) -> Capture:
-    if capture is not None:
-        extras: dict[str, object] = {
-            "--patterns": patterns,
-            "--images": images,
-            "--black": black,
-            "--white": white,
-            "--mask": mask,
-            "--clip": clip,
-            "--black-level": black_level,
-            "--response": response,
-        }
-        given = [name for name, value in extras.items() if value is not None]
-        if given:
-            raise InputError(
-                f"a capture folder and {', '.join(given)} were given",
-                hint="a capture folder says all that in capture.json; give one or the other",
-            )
-        return lm.Capture.open(capture, check=False)
-    assert patterns is not None
-    assert images is not None
-    return lm.Capture.from_folders(
-        patterns,
-        images,
-        black=black,
-        white=white,
-        mask=mask,
-        black_level=black_level,
-        clip=clip,
-        response=response,
-        check=False,
-    )
+def _open(where: dict[str, Any]) -> Capture:
+    if "capture" in where:
+        return lm.Capture.open(where["capture"], check=False)
+    return lm.Capture.from_folders(**where, check=False)
 
 
 def _regularization(text: str) -> str | float:
