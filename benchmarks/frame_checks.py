@@ -16,6 +16,7 @@ import argparse
 import json
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import imageio.v3 as imageio
@@ -40,17 +41,21 @@ FLICKER = 0.05
 Images = NDArray[np.uint8]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Draw:
     """One capture: light that arrives, and the camera that takes it."""
 
     scene: str
     patterns: PatternSet
-    light: NDArray[np.float32]
     room: NDArray[np.float32]
     sensor: Sensor
     shape: tuple[int, ...]
     seed: int
+
+    @cached_property
+    def light(self) -> NDArray[np.float32]:
+        """What arrives of the projector at exposure 1, (M, K)."""
+        return irradiance(library.truth(self.scene).matrix, self.patterns)
 
     def frames(self, gain: NDArray[np.float64] | float = 1.0) -> Images:
         """Photographs, (K, rows, cols); the projector's light times a gain for each."""
@@ -92,7 +97,6 @@ def draws(number: int, seed: int) -> Iterator[Draw]:
         yield Draw(
             name,
             patterns,
-            irradiance(truth.matrix, patterns),
             (room * white / white.mean()).astype(np.float32),
             sensor,
             truth.camera_shape,
