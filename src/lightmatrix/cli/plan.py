@@ -92,7 +92,7 @@ def plan(
 
 
 def _show_exposures(advice: Advice, in_own_unit: bool) -> None:
-    if advice.white_clipped_share > 0:
+    if advice.white_is_clipped:
         say(
             f"{100 * advice.white_clipped_share:.1f} % of the white frame is clipped, so its "
             "brightest light is not known: better take it again, darker",

@@ -96,7 +96,8 @@ def source(
         return {"capture": capture}
     if patterns is None and images is None:
         raise InputError(
-            "there is no capture", hint="give a capture folder, or --patterns and --images"
+            "there is nothing to look at or to estimate from",
+            hint="give a capture folder, or --patterns and --images",
         )
     if patterns is None or images is None:
         missing = "--patterns" if patterns is None else "--images"
