@@ -13,7 +13,7 @@ import json
 import os
 import warnings
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -157,7 +157,7 @@ def read_folders(
         _check_counts(shown, stack, Path(images))
     if white is not None:
         shown = ImagePatterns(np.concatenate([shown.images(), np.ones((1, *shown.shape))]))
-        stack = ImageStack((*stack.paths, Path(white)), stack.shape, stack.dtype)
+        stack = replace(stack, paths=(*stack.paths, Path(white)))
     decoder = make_decoder(
         stack,
         clip=clip,
@@ -214,6 +214,8 @@ def make_decoder(
         black_level = float(black)
     elif black is not None:
         image = read_image(black)
+        if image.ndim == 3 and stack.grey and (image == image[..., :1]).all():
+            image = image[..., 0]
         if image.shape != stack.shape:
             raise InputError(
                 f"{black}: the black frame has shape {image.shape}, the images {stack.shape}",
