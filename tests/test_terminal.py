@@ -267,3 +267,32 @@ def test_destructors_met_by_a_stop_say_nothing() -> None:
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
     assert done.stdout == "stopped\n"
     assert done.stderr.count("half made") == 1  # of the first, before the stop
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        ("lightmatrix est", ["estimate"]),
+        ("lightmatrix estimate --solver ro", ["romp"]),
+        ("lightmatrix check --resp", ["--response"]),
+    ],
+)
+def test_a_shell_completes_commands_and_options(
+    words: str, expected: list[str], monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    monkeypatch.setenv("_LIGHTMATRIX_COMPLETE", "complete_bash")
+    monkeypatch.setenv("COMP_WORDS", words)
+    monkeypatch.setenv("COMP_CWORD", str(len(words.split()) - 1))
+    assert main([]) == 0
+    assert capsys.readouterr().out.split() == expected
+
+
+def test_completion_installs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
+    assert main(["--install-completion", "bash"]) == 0
+    assert "installed" in capfd.readouterr().out
+    written = (tmp_path / ".bashrc").read_text()
+    assert "lightmatrix" in written

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import io
+import os
 import sys
 import warnings
 from collections.abc import Callable
@@ -32,6 +33,8 @@ from lightmatrix.cli.stops import quiet_stops
 from lightmatrix.cli.terminal import say, warn
 from lightmatrix.errors import LightMatrixWarning
 
+# What a shell sets when it asks how a command may go on.
+COMPLETION = "_LIGHTMATRIX_COMPLETE"
 # By stage of the work.
 STAGES: dict[str, tuple[Callable[..., None], ...]] = {
     "Prepare": (plan, patterns),
@@ -63,7 +66,6 @@ app = typer.Typer(
     help="Measure the light transport matrix of a projector-camera system, c = T p.",
     epilog="Start with `lightmatrix demo`. Exit codes: 0 done, 1 `check` found something, 2 bad "
     "input or output, 3 out of memory, 70 a bug of ours, 130 stopped.",
-    add_completion=False,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
 )
@@ -105,10 +107,16 @@ def _command() -> Any:
 def _invoke(arguments: list[str]) -> int:
     command = _command()
     try:
+        if COMPLETION in os.environ:
+            # Asked by a shell, which wants what can follow and nothing else.
+            command.main(arguments, prog_name="lightmatrix", complete_var=COMPLETION)
         with outputs, command.make_context("lightmatrix", list(arguments)) as context:
             command.invoke(context)
     except typer.Exit as leaving:
         return leaving.exit_code
+    except SystemExit as leaving:
+        # How Typer leaves once it has answered a shell, or installed what asks.
+        return leaving.code if isinstance(leaving.code, int) else 0
     finally:
         sys.stdout.flush()
     return 0
