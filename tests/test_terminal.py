@@ -240,7 +240,10 @@ def test_numbers_out_of_range_leave_nothing_behind(
 def test_help_tells_the_exit_codes_and_the_stages(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["--help"]) == 0
     shown = " ".join(capsys.readouterr().out.split())
-    assert "Exit codes: 0 done, 2 bad input or output, 3 out of memory, 70 a bug" in shown
+    assert (
+        "0 done, 1 `check` found something, 2 bad input or output, 3 out of memory, 70 a bug"
+        in shown
+    )
     assert shown.index("Prepare:") < shown.index("Measure and use:") < shown.index("Simulate:")
     assert cli.console.__doc__
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from lightmatrix.camera.response import Response
 from lightmatrix.capture.capture import Capture
+from lightmatrix.capture.checks import check_per_frame
 from lightmatrix.capture.folder import CaptureParts, read_capture, read_folders
 from lightmatrix.checking.check import check_capture
 from lightmatrix.checking.finding import Finding
@@ -102,6 +103,7 @@ def _check_parts(parts: CaptureParts) -> list[Finding]:
     try:
         if parts.patterns.count != parts.frames.count:
             return _check_uncounted(parts)
+        check_per_frame(parts.decoder, parts.frames.count)
         return check_capture(Capture(parts.patterns, parts.frames, parts.decoder, parts.mask))
     except InputError:
         unread = _unread(parts)

@@ -135,14 +135,9 @@ def numbers(text: str, option: str) -> float | list[float]:
         f"{option} {text!r}",
         hint="give one number, or one for each frame: 1,0.5,0.25 or a text file of them",
     )
-    file = Path(text)
-    listed = text.replace(",", " ")
-    if not listed.replace(" ", "")[:1].isdecimal() or file.suffix in (".txt", ".csv"):
-        if not file.is_file():
-            raise wrong
-        listed = read_text(file).replace(",", " ").replace(";", " ")
+    listed = read_text(text) if Path(text).is_file() else text
     try:
-        values = [float(word) for word in listed.split()]
+        values = [float(word) for word in listed.replace(",", " ").replace(";", " ").split()]
     except ValueError:
         raise wrong from None
     if not values:

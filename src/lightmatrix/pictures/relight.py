@@ -103,8 +103,7 @@ def _fitted(pattern: NDArray[Any], transport: LightTransport, resize: bool) -> N
         return block_mean(pattern[None].astype(np.float64), (rows, cols))[0]
     if not resize:
         raise InputError(
-            f"a pattern of {pattern.shape[0]} x {pattern.shape[1]} for a projector of "
-            f"{wanted[0]} x {wanted[1]}",
+            f"a pattern of shape {pattern.shape} for a projector of {wanted[0]} x {wanted[1]}",
             hint="resize it; --resize, or resize=True, does",
         )
     # Means over pixels where it shrinks, so that light is kept; bilinear where it grows.
