@@ -215,7 +215,7 @@ def test_interchanged_folders() -> None:
     photographs = np.stack([capture.frame(k) for k in range(16)])
     drawn = (patterns.images() * 255).astype(np.uint8)
     mixed = lm.Capture.from_arrays(
-        lm.ImagePatterns(photographs / np.float32(255)), drawn, CAMERA, check=False
+        lm.ImagePatterns((photographs / 255).astype(np.float32)), drawn, CAMERA, check=False
     )
     assert [each.kind for each in lm.check(mixed)] == ["interchanged"]
 
@@ -326,7 +326,7 @@ def test_options_say_all_that_a_description_does(
     words = f"--patterns {several}/patterns --images {several}/images --black {several}/black.png "
     words += f"--black-exposure 0.4 --black-level 5 --clip 255 --full-scale 255 --exposure {listed}"
     assert run(words, capsys) == (0, [])
-    made = []
+    made: list[lm.LightTransport] = []
     for where in (words, str(several)):
         output = tmp_path / f"{len(made)}.zarr"
         command = f"estimate {where} -o {output} --no-coherent --iterations 2 --no-check"
