@@ -23,7 +23,7 @@ FLOORS = [
     {"patterns"},
     {"camera", "transport"},
     {"capture", "solvers", "store"},
-    {"rig", "estimators", "pictures"},
+    {"rig", "estimators", "pictures", "checking"},
     {"planning", "report"},
     {"experiments", "live"},
     {"cli"},

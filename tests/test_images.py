@@ -99,6 +99,42 @@ def test_black_and_white_and_opaque_alpha(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read_image(tmp_path / "bits.png"), (grey > 99) * np.uint8(255))
 
 
+def test_pgm_levels_come_back_as_stored(tmp_path: Path) -> None:
+    levels = np.array([[0, 1, 4095], [7, 300, 2]], np.uint16)
+    header = b"P5\n# by a camera\n3 2\n4095\n"
+    (tmp_path / "a.pgm").write_bytes(header + levels.astype(">u2").tobytes())
+    np.testing.assert_array_equal(read_image(tmp_path / "a.pgm"), levels)
+    assert read_image(tmp_path / "a.pgm").dtype == np.uint16
+    small = levels.clip(0, 255).astype(np.uint8)
+    (tmp_path / "b.pgm").write_bytes(b"P5 3 2 255 " + small.tobytes())
+    np.testing.assert_array_equal(read_image(tmp_path / "b.pgm"), small)
+    for damaged in (
+        b"P2 1 1 255 7", b"P5 3 2", b"P5 3 2 255 abc", b"P5 1 1 9 z", b"P5 1 1 70000 abcd",
+        b"P5 1 1 255 ab", b"P5 0 1 255 ", b"P5 999999999 999999999 255 a",
+    ):  # fmt: skip
+        (tmp_path / "c.pgm").write_bytes(damaged)
+        with pytest.raises(InputError, match=r"c\.pgm"):
+            read_image(tmp_path / "c.pgm")
+
+
+def test_grey_images_in_three_channels_are_read_as_one(tmp_path: Path) -> None:
+    frames = [noise((12, 10), np.uint8) // (k + 1) for k in range(5)]
+    frames[0][:] = 0
+    for k, frame in enumerate(frames):
+        write_image(tmp_path / f"{k}.png", np.repeat(frame[..., None], 3, axis=2))
+    stack = ImageStack.open(tmp_path)
+    assert stack.shape == (12, 10)
+    np.testing.assert_array_equal(list(stack.select([3, 1])), [frames[3], frames[1]])
+    # One in colour among those that were not looked at.
+    coloured = np.repeat(frames[2][..., None], 3, axis=2)
+    coloured[0, 0] = 1, 2, 3
+    write_image(tmp_path / "2.png", coloured, overwrite=True)
+    with pytest.raises(InputError, match=r"2\.png: is in colour"):
+        list(ImageStack.open(tmp_path))
+    write_image(tmp_path / "4.png", coloured, overwrite=True)
+    assert ImageStack.open(tmp_path).shape == (12, 10, 3)
+
+
 def test_compressed_and_big_endian_tiff(tmp_path: Path) -> None:
     image = noise((20, 30), np.uint16)
     tifffile.imwrite(tmp_path / "zip.tif", image, compression="zlib")

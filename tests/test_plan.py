@@ -227,6 +227,12 @@ def test_a_partly_clipped_frame_is_warned_about(
     write_image(tmp_path / "white.png", image)
     assert main(["plan", str(tmp_path / "white.png")]) == 0
     assert "20.0 % of the white frame is clipped" in capsys.readouterr().out
+    # A glint is no reason to take it again.
+    image = np.full((100, 100), 100, np.uint8)
+    image[0, 0] = 255
+    write_image(tmp_path / "white.png", image, overwrite=True)
+    assert main(["plan", str(tmp_path / "white.png")]) == 0
+    assert "take it again" not in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

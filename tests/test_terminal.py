@@ -240,7 +240,10 @@ def test_numbers_out_of_range_leave_nothing_behind(
 def test_help_tells_the_exit_codes_and_the_stages(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["--help"]) == 0
     shown = " ".join(capsys.readouterr().out.split())
-    assert "Exit codes: 0 done, 2 bad input or output, 3 out of memory, 70 a bug" in shown
+    assert (
+        "0 done, 1 `check` found something, 2 bad input or output, 3 out of memory, 70 a bug"
+        in shown
+    )
     assert shown.index("Prepare:") < shown.index("Measure and use:") < shown.index("Simulate:")
     assert cli.console.__doc__
 
@@ -267,3 +270,32 @@ def test_destructors_met_by_a_stop_say_nothing() -> None:
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
     assert done.stdout == "stopped\n"
     assert done.stderr.count("half made") == 1  # of the first, before the stop
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        ("lightmatrix est", ["estimate"]),
+        ("lightmatrix estimate --solver ro", ["romp"]),
+        ("lightmatrix check --resp", ["--response"]),
+    ],
+)
+def test_a_shell_completes_commands_and_options(
+    words: str, expected: list[str], monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    monkeypatch.setenv("_LIGHTMATRIX_COMPLETE", "complete_bash")
+    monkeypatch.setenv("COMP_WORDS", words)
+    monkeypatch.setenv("COMP_CWORD", str(len(words.split()) - 1))
+    assert main([]) == 0
+    assert capsys.readouterr().out.split() == expected
+
+
+def test_completion_installs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
+    assert main(["--install-completion", "bash"]) == 0
+    assert "installed" in capfd.readouterr().out
+    written = (tmp_path / ".bashrc").read_text()
+    assert "lightmatrix" in written

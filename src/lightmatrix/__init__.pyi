@@ -66,6 +66,10 @@ from .live.devices import (
 from .live.opening import open_rig as open_rig
 from .live.rig import Rig as Rig
 
+# What is wrong with a capture.
+from .checking.finding import Finding as Finding
+from .checking.folders import check as check
+
 # Estimates.
 from .estimators.auto import (
     AutoEstimator as AutoEstimator,

@@ -150,6 +150,8 @@ class Capture:
         black_level: float | NDArray[Any] | None = None,
         exposure: float | NDArray[Any] = 1.0,
         mask: str | Path | None = None,
+        full_scale: float | None = None,
+        black_exposure: float | None = None,
         bin_projector: int | tuple[int, int] = 1,
         bin_camera: int | tuple[int, int] = 1,
         check: bool = True,
@@ -178,6 +180,10 @@ class Capture:
             Exposure of each frame.
         mask : str or Path, optional
             Image that is 0 where camera pixels are to be left out.
+        full_scale : float, optional
+            Raw level that the response calls 1; None means the end of the range.
+        black_exposure : float, optional
+            Exposure of the black frame; None means that of the frames, which must then be one.
         bin_projector, bin_camera : int or (int, int)
             See `bin`.
         check, check_order : bool
@@ -198,6 +204,8 @@ class Capture:
             black_level=black_level,
             exposure=exposure,
             mask=mask,
+            full_scale=full_scale,
+            black_exposure=black_exposure,
         )
         capture = cls(parts.patterns, parts.frames, parts.decoder, parts.mask)
         return capture._finish(bin_projector, bin_camera, check, check_order)

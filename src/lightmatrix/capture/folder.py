@@ -14,7 +14,7 @@ import os
 import shutil
 import warnings
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -57,7 +57,9 @@ class CaptureParts:
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
 
-def read_capture(folder: str | Path, *, allow_outside: bool = False) -> CaptureParts:
+def read_capture(
+    folder: str | Path, *, allow_outside: bool = False, counted: bool = True
+) -> CaptureParts:
     """Read a folder with patterns/, images/ and, perhaps, capture.json.
 
     Parameters
@@ -66,6 +68,8 @@ def read_capture(folder: str | Path, *, allow_outside: bool = False) -> CaptureP
         The folder.
     allow_outside : bool
         Whether the files that capture.json names may lie outside the folder.
+    counted : bool
+        Whether patterns and frames must be of one number.
 
     Raises
     ------
@@ -91,7 +95,8 @@ def read_capture(folder: str | Path, *, allow_outside: bool = False) -> CaptureP
     told = with_files_beside(place, told, described)
     patterns = read_patterns(place / "patterns")
     stack = ImageStack.open(place / "images")
-    _check_counts(patterns, stack, place / "images")
+    if counted:
+        _check_counts(patterns, stack, place / "images")
     for key, wanted, shape, what in (
         ("projector_shape", told.projector_shape, patterns.shape, "patterns"),
         ("camera_shape", told.camera_shape, stack.shape, "images"),
@@ -112,7 +117,8 @@ def read_capture(folder: str | Path, *, allow_outside: bool = False) -> CaptureP
             black_exposure=told.black_exposure,
             full_scale=told.full_scale,
         )
-        check_per_frame(decoder, stack.count)
+        if counted:
+            check_per_frame(decoder, stack.count)
     return CaptureParts(
         patterns,
         stack,
@@ -133,8 +139,13 @@ def read_folders(
     black_level: float | NDArray[Any] | None = None,
     exposure: float | NDArray[Any] = 1.0,
     mask: str | Path | None = None,
+    full_scale: float | None = None,
+    black_exposure: float | None = None,
+    counted: bool = True,
 ) -> CaptureParts:
     """Read two plain folders of images; the parameters are those of `Capture.from_folders`.
+
+    `counted` says whether patterns and frames must be of one number.
 
     Raises
     ------
@@ -143,10 +154,11 @@ def read_folders(
     """
     shown = patterns if isinstance(patterns, PatternSet) else read_patterns(patterns)
     stack = ImageStack.open(images)
-    _check_counts(shown, stack, Path(images))
+    if counted:
+        _check_counts(shown, stack, Path(images))
     if white is not None:
         shown = ImagePatterns(np.concatenate([shown.images(), np.ones((1, *shown.shape))]))
-        stack = ImageStack((*stack.paths, Path(white)), stack.shape, stack.dtype)
+        stack = replace(stack, paths=(*stack.paths, Path(white)))
     decoder = make_decoder(
         stack,
         clip=clip,
@@ -154,6 +166,8 @@ def read_folders(
         exposure=exposure,
         black=black,
         black_level=black_level,
+        black_exposure=black_exposure,
+        full_scale=full_scale,
     )
     return CaptureParts(
         shown, stack, decoder, None if mask is None else read_mask(mask, stack.shape)
@@ -201,6 +215,8 @@ def make_decoder(
         black_level = float(black)
     elif black is not None:
         image = read_image(black)
+        if image.ndim == 3 and stack.grey and (image == image[..., :1]).all():
+            image = image[..., 0]
         if image.shape != stack.shape:
             raise InputError(
                 f"{black}: the black frame has shape {image.shape}, the images {stack.shape}",

@@ -14,6 +14,7 @@ Diffuse scenes and very few patterns predict no frame, and then nothing is claim
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,20 +78,50 @@ def check_order(
     InputError
         Naming the frames.
     """
-    if patterns.count < _FEWEST_FRAMES:
-        return
-    samples = _bright_rows(patterns, tiles, rows)
-    if samples is None:
-        return
-    complaint = _complaint(patterns, samples, name)
-    if complaint is not None:
+    found = find_disorder(patterns, tiles, rows, name)
+    if found is not None:
         raise InputError(
-            complaint,
+            found.message,
             hint="put the images in the order of the patterns; --no-check takes them as they are",
         )
 
 
-def _complaint(patterns: PatternSet, rows: Rows, name: Callable[[int], str]) -> str | None:
+@dataclass(frozen=True)
+class Disorder:
+    """Frames that do not follow the patterns.
+
+    Parameters
+    ----------
+    frames : tuple of int
+        The frames that show the pattern of another.
+    message : str
+        What is wrong with them.
+    """
+
+    frames: tuple[int, ...]
+    message: str
+
+
+def find_disorder(
+    patterns: PatternSet,
+    tiles: Iterable[tuple[int, Samples]],
+    rows: int,
+    name: Callable[[int], str] = "frame {}".format,
+) -> Disorder | None:
+    """Look for frames that do not follow the patterns, as `check_order` does.
+
+    Returns
+    -------
+    Disorder, optional
+        None if nothing is known to be wrong.
+    """
+    if patterns.count < _FEWEST_FRAMES:
+        return None
+    samples = _bright_rows(patterns, tiles, rows)
+    return None if samples is None else _disorder(patterns, samples, name)
+
+
+def _disorder(patterns: PatternSet, rows: Rows, name: Callable[[int], str]) -> Disorder | None:
     """What is wrong with the frames; None if nothing is known to be."""
     count = patterns.count
     frames = np.arange(count)
@@ -104,12 +135,18 @@ def _complaint(patterns: PatternSet, rows: Rows, name: Callable[[int], str]) -> 
         gain = np.minimum(plain.own, other.own) - other.logarithms[frames, guess.order]
         gain[alike[frames, guess.order] | ~plain.telling] = 0
         if _predictive(other, guess.order) and _supported(gain, 0, count):
-            return "the images do not follow the patterns: the images follow the patterns backwards"
+            words = (
+                "the images do not follow the patterns: the images follow the patterns backwards"
+            )
+            return Disorder(tuple(range(count)), words)
     for first in (guess, as_named):
         found = first and _displaced_run(patterns, rows, first, plain, alike, scale)
         if found:
-            return _describe_run(*found, count, name)
-    return _describe_single(_displaced_singly(patterns, rows, plain, alike, scale), name)
+            start, stop, _ = found
+            return Disorder(tuple(range(start, stop + 1)), _describe_run(*found, count, name))
+    displaced = _displaced_singly(patterns, rows, plain, alike, scale)
+    said = _describe_single(displaced, name)
+    return None if said is None else Disorder(tuple(displaced), said)
 
 
 def _displaced_run(

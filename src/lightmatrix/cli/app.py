@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import io
+import os
 import sys
 import warnings
 from collections.abc import Callable
@@ -14,6 +15,7 @@ from typer.core import TyperGroup
 
 import lightmatrix as lm
 from lightmatrix.cli.capture import capture
+from lightmatrix.cli.check import check
 from lightmatrix.cli.claims import outputs
 from lightmatrix.cli.demo import demo
 from lightmatrix.cli.estimate import estimate
@@ -34,11 +36,13 @@ from lightmatrix.cli.stops import quiet_stops
 from lightmatrix.cli.terminal import say, warn
 from lightmatrix.errors import LightMatrixWarning
 
+# What a shell sets when it asks how a command may go on.
+COMPLETION = "_LIGHTMATRIX_COMPLETE"
 # By stage of the work.
 STAGES: dict[str, tuple[Callable[..., None], ...]] = {
     "Prepare": (plan, patterns),
     "Photograph": (capture,),
-    "Measure and use": (estimate, info, show, relight, evaluate, export),
+    "Measure and use": (check, estimate, info, show, relight, evaluate, export),
     "Simulate": (scenes, render, simulate),
     "Show": (demo, experiment),
 }
@@ -65,9 +69,8 @@ app = typer.Typer(
     name="lightmatrix",
     cls=_ByStage,
     help="Measure the light transport matrix of a projector-camera system, c = T p.",
-    epilog="Start with `lightmatrix demo`. Exit codes: 0 done, 2 bad input or output, 3 out of "
-    "memory, 70 a bug of ours, 130 stopped.",
-    add_completion=False,
+    epilog="Start with `lightmatrix demo`. Exit codes: 0 done, 1 `check` found something, 2 bad "
+    "input or output, 3 out of memory, 70 a bug of ours, 130 stopped.",
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
 )
@@ -112,10 +115,16 @@ def _command() -> Any:
 def _invoke(arguments: list[str]) -> int:
     command = _command()
     try:
+        if COMPLETION in os.environ:
+            # Asked by a shell, which wants what can follow and nothing else.
+            command.main(arguments, prog_name="lightmatrix", complete_var=COMPLETION)
         with outputs, command.make_context("lightmatrix", list(arguments)) as context:
             command.invoke(context)
     except typer.Exit as leaving:
         return leaving.exit_code
+    except SystemExit as leaving:
+        # How Typer leaves once it has answered a shell, or installed what asks.
+        return leaving.code if isinstance(leaving.code, int) else 0
     finally:
         sys.stdout.flush()
     return 0

@@ -14,19 +14,31 @@ from lightmatrix.cli.options import (
     ADMM_ITERATIONS,
     COHERENT_UP_TO,
     PASSES,
-    Clip,
     Json,
     Overwrite,
     ResponseCurve,
     size,
 )
-from lightmatrix.cli.terminal import Stopped, progress, say, show_json, show_table
-from lightmatrix.errors import InputError
+from lightmatrix.cli.source import (
+    Black,
+    BlackExposure,
+    BlackLevel,
+    ClipLevel,
+    Exposure,
+    Folder,
+    FullScale,
+    Images,
+    Mask,
+    Patterns,
+    White,
+    source,
+)
+from lightmatrix.cli.terminal import Stopped, progress, say, show_json, show_table, warn
 from lightmatrix.outputs.kinds import PARTIAL, REPORT, STORE
 from lightmatrix.transport.labels import named
 
 if TYPE_CHECKING:
-    from lightmatrix import AutoEstimator, Capture, LightTransport
+    from lightmatrix import AutoEstimator, Capture, Finding, LightTransport
 
 SolverName = Literal["active-set", "saturation-admm", "admm", "romp"]
 FidelityName = Literal["linear", "one-sided", "clipped", "rejection", "likelihood"]
@@ -43,32 +55,21 @@ FIDELITY_HELP = (
 
 
 def estimate(
-    capture: Annotated[
-        Path | None,
-        typer.Argument(
-            metavar="CAPTURE", help="Capture folder (patterns/, images/, capture.json)."
-        ),
-    ] = None,
+    capture: Folder = None,
     output: Annotated[
         Path, typer.Option("-o", "--output", help="The store to write, ending in .zarr.")
     ] = Path("scene.zarr"),
-    pattern_folder: Annotated[
-        Path | None, typer.Option("--patterns", help="Folder of pattern images.")
-    ] = None,
-    images: Annotated[Path | None, typer.Option(help="Folder of photographs, same order.")] = None,
-    black: Annotated[
-        Path | None, typer.Option(help="Photograph under a black pattern, or of ambient light.")
-    ] = None,
-    white: Annotated[
-        Path | None, typer.Option(help="Photograph under a white pattern; one more sample.")
-    ] = None,
-    mask: Annotated[Path | None, typer.Option(help="Image; pixels at 0 are left out.")] = None,
-    black_level: Annotated[
-        float | None,
-        typer.Option(help="Raw level without any light.", show_default="0"),
-    ] = None,
-    clip: Clip = None,
+    patterns: Patterns = None,
+    images: Images = None,
+    black: Black = None,
+    black_exposure: BlackExposure = None,
+    white: White = None,
+    mask: Mask = None,
+    black_level: BlackLevel = None,
+    clip: ClipLevel = None,
+    full_scale: FullScale = None,
     response: ResponseCurve = None,
+    exposure: Exposure = None,
     solver: Annotated[SolverName, typer.Option(help=SOLVERS_HELP)] = "active-set",
     fidelity: Annotated[
         FidelityName | None,
@@ -118,7 +119,10 @@ def estimate(
         ),
     ] = None,
     check: Annotated[
-        bool, typer.Option(help="Refuse images that do not follow the patterns.")
+        bool,
+        typer.Option(
+            help="Refuse images that do not follow the patterns, and say what else is wrong."
+        ),
     ] = True,
     report: Annotated[
         Path | None,
@@ -136,7 +140,20 @@ def estimate(
     Give a capture folder, or --patterns and --images. A run that was interrupted goes on where it
     stopped if given again.
     """
-    _check_source(capture, pattern_folder, images)
+    where = source(
+        capture,
+        patterns,
+        images,
+        black=black,
+        black_exposure=black_exposure,
+        white=white,
+        mask=mask,
+        black_level=black_level,
+        clip=clip,
+        full_scale=full_scale,
+        response=response,
+        exposure=exposure,
+    )
     started = time.perf_counter()
     estimator = lm.AutoEstimator(
         solver=solver,
@@ -152,9 +169,13 @@ def estimate(
     claim(output, STORE, overwrite=overwrite)
     if report is not None:
         claim(report, REPORT, overwrite=overwrite)
-    opened = _open(capture, pattern_folder, images, black, white, mask, black_level, clip, response)
-    opened = opened.bin(projector=size(bin_projector), camera=size(bin_camera))
+    taken = _open(where)
+    opened = taken.bin(projector=size(bin_projector), camera=size(bin_camera))
     opened.check(order=check)
+    # Frames out of order are refused above; what else is wrong spoils less than all of it.
+    findings = lm.check(taken) if check else []
+    for finding in findings:
+        warn(f"{finding.kind}: {finding.message}\n  {finding.advice}", style="yellow")
     try:
         with progress("estimating", "rows") as step:
             transport = estimator.estimate(
@@ -167,10 +188,11 @@ def estimate(
     seconds = round(time.perf_counter() - started, 2)
     told = None
     if report is not None:
-        told = _report(report, output, capture, transport, opened, estimator, overwrite)
+        told = _report(report, output, capture, transport, opened, estimator, findings, overwrite)
     summary = transport.summary()
     if as_json:
-        more = {} if told is None else {"report": told}
+        found = [finding.as_dict() for finding in findings]
+        more = {"findings": found} if told is None else {"findings": found, "report": told}
         show_json({"output": str(output), "seconds": seconds, **summary, **more})
         return
     show_table(str(output), named(summary))
@@ -197,6 +219,7 @@ def _report(
     transport: LightTransport,
     capture: Capture,
     estimator: AutoEstimator,
+    findings: list[Finding],
     overwrite: bool,
 ) -> dict[str, Any]:
     """The report, with the truth where `simulate` left it beside the frames."""
@@ -208,6 +231,7 @@ def _report(
             truth=_truth(source, transport),
             estimator=estimator,
             title=store.name,
+            findings=findings,
             overwrite=overwrite,
             progress=step,
         )
@@ -223,61 +247,10 @@ def _truth(source: Path | None, transport: LightTransport) -> LightTransport | N
     return known if shapes == (transport.camera_shape, transport.projector_shape) else None
 
 
-def _check_source(capture: Path | None, patterns: Path | None, images: Path | None) -> None:
-    """Whether there is something to estimate from."""
-    if capture is not None or (patterns is not None and images is not None):
-        return
-    if patterns is None and images is None:
-        raise InputError(
-            "there is nothing to estimate from",
-            hint="give a capture folder, or --patterns and --images",
-        )
-    missing = "--patterns" if patterns is None else "--images"
-    raise InputError(f"{missing} is missing", hint="give both folders, or a capture folder")
-
-
-def _open(
-    capture: Path | None,
-    patterns: Path | None,
-    images: Path | None,
-    black: Path | None,
-    white: Path | None,
-    mask: Path | None,
-    black_level: float | None,
-    clip: float | None,
-    response: str | None,
-) -> Capture:
-    if capture is not None:
-        extras: dict[str, object] = {
-            "--patterns": patterns,
-            "--images": images,
-            "--black": black,
-            "--white": white,
-            "--mask": mask,
-            "--clip": clip,
-            "--black-level": black_level,
-            "--response": response,
-        }
-        given = [name for name, value in extras.items() if value is not None]
-        if given:
-            raise InputError(
-                f"a capture folder and {', '.join(given)} were given",
-                hint="a capture folder says all that in capture.json; give one or the other",
-            )
-        return lm.Capture.open(capture, check=False)
-    assert patterns is not None
-    assert images is not None
-    return lm.Capture.from_folders(
-        patterns,
-        images,
-        black=black,
-        white=white,
-        mask=mask,
-        black_level=black_level,
-        clip=clip,
-        response=response,
-        check=False,
-    )
+def _open(where: dict[str, Any]) -> Capture:
+    if "capture" in where:
+        return lm.Capture.open(where["capture"], check=False)
+    return lm.Capture.from_folders(**where, check=False)
 
 
 def _regularization(text: str) -> str | float:

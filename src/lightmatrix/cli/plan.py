@@ -16,6 +16,7 @@ from lightmatrix.cli.options import (
     ResponseCurve,
     size,
 )
+from lightmatrix.cli.source import level_or_file
 from lightmatrix.cli.terminal import progress, say, show_columns, show_json
 
 if TYPE_CHECKING:
@@ -75,7 +76,7 @@ def plan(
             noise=noise,
             exposure=exposure,
             shortest=shortest,
-            black=_black(black),
+            black=None if black is None else level_or_file(black),
             clip=clip,
             response=response,
             progress=report,
@@ -90,15 +91,8 @@ def plan(
     _show_commands(advice)
 
 
-def _black(text: str | None) -> str | float | None:
-    """A black level, or the name of a file."""
-    if text is not None and text.isascii() and text.replace(".", "", 1).isdecimal():
-        return float(text)
-    return text
-
-
 def _show_exposures(advice: Advice, in_own_unit: bool) -> None:
-    if advice.white_clipped_share > 0:
+    if advice.white_is_clipped:
         say(
             f"{100 * advice.white_clipped_share:.1f} % of the white frame is clipped, so its "
             "brightest light is not known: better take it again, darker",

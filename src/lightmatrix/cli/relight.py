@@ -23,6 +23,9 @@ def relight(
     gamma: Annotated[
         float, typer.Option(help="Display gamma, of PNG only; 1 keeps it linear.")
     ] = 1.0,
+    resize: Annotated[
+        bool, typer.Option("--resize", help="Resize a pattern of another size to the projector.")
+    ] = False,
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
@@ -32,7 +35,13 @@ def relight(
     scale; TIFF and npy keep all values.
     """
     image = lm.relight(
-        scene, pattern, exposure=exposure, gamma=gamma, output=output, overwrite=overwrite
+        scene,
+        pattern,
+        exposure=exposure,
+        gamma=gamma,
+        resize=resize,
+        output=output,
+        overwrite=overwrite,
     )
     clipped, peak = float((image > 1).mean()), float(image.max())
     if as_json:

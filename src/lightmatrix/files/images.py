@@ -20,13 +20,14 @@ from lightmatrix.errors import InputError
 from lightmatrix.files import png, png16
 from lightmatrix.files.limits import check_size
 from lightmatrix.files.npy import as_float32, read_npy
+from lightmatrix.files.pgm import read_pgm
 from lightmatrix.files.reading import regular_file
 from lightmatrix.files.tiff import read_tiff
 from lightmatrix.outputs.kinds import IMAGE
 from lightmatrix.outputs.writing import atomic_file
 
-READABLE = (".png", ".tif", ".tiff", ".npy", ".jpg", ".jpeg", ".bmp")
-FORMATS = "PNG, TIFF, npy, JPEG or BMP"
+READABLE = (".png", ".tif", ".tiff", ".npy", ".jpg", ".jpeg", ".bmp", ".pgm")
+FORMATS = "PNG, TIFF, npy, JPEG, BMP or PGM"
 
 
 def read_image(path: str | Path) -> NDArray[Any]:
@@ -35,8 +36,8 @@ def read_image(path: str | Path) -> NDArray[Any]:
     Parameters
     ----------
     path : str or Path
-        A PNG, TIFF, npy, JPEG or BMP file. Black-and-white images become 0/255, an alpha channel
-        that is opaque everywhere is dropped.
+        A PNG, TIFF, npy, JPEG, BMP or (binary) PGM file. Black-and-white images become 0/255, an
+        alpha channel that is opaque everywhere is dropped.
 
     Returns
     -------
@@ -245,6 +246,7 @@ _READERS = {
     ".jpg": _read_jpeg,
     ".jpeg": _read_jpeg,
     ".bmp": _read_bmp,
+    ".pgm": read_pgm,
 }
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import struct
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -92,11 +92,15 @@ class ImageStack:
         Of every image.
     dtype : numpy.dtype
         uint8, uint16 or float32.
+    grey : bool
+        Whether the files hold three channels that are all the same, as grey cameras' JPEG often
+        do; images are then read as one.
     """
 
     paths: tuple[Path, ...]
     shape: tuple[int, ...]
     dtype: np.dtype[Any]
+    grey: bool = False
 
     __repr__ = short_repr
 
@@ -113,6 +117,8 @@ class ImageStack:
         if not paths:
             raise InputError("an empty list of images", hint="give at least one file")
         first = read_image(paths[0])
+        if first.ndim == 3 and _all_grey(paths):
+            return cls(tuple(paths), first.shape[:2], first.dtype, True)
         return cls(tuple(paths), first.shape, first.dtype)
 
     @property
@@ -130,6 +136,8 @@ class ImageStack:
         """
         path = self.paths[index]
         image = read_image(path)
+        if self.grey:
+            image = _one_channel(path, image)
         if image.shape != self.shape:
             raise InputError(
                 f"{path}: is {_words(image.shape)}, but {self.paths[0].name} is "
@@ -152,7 +160,39 @@ class ImageStack:
 
     def select(self, index: Sequence[int]) -> ImageStack:
         """The stack of the images of the given indices."""
-        return ImageStack(tuple(self.paths[i] for i in index), self.shape, self.dtype)
+        return replace(self, paths=tuple(self.paths[i] for i in index))
+
+
+def _all_grey(paths: Sequence[Path]) -> bool:
+    """Whether files of three channels are grey, as some of them say that are not one level."""
+    looked = [paths[k] for k in sorted({0, len(paths) // 3, 2 * len(paths) // 3, len(paths) - 1})]
+    telling = 0
+    for path in looked:
+        try:
+            image = read_image(path)
+        except InputError:
+            # It is named when it is read in its turn.
+            return False
+        if image.ndim != 3 or not _is_grey(image):
+            return False
+        telling += bool(np.ptp(image) > 0)
+    return telling > len(looked) // 2
+
+
+def _is_grey(image: NDArray[Any]) -> bool:
+    return bool((image == image[..., :1]).all())
+
+
+def _one_channel(path: Path, image: NDArray[Any]) -> NDArray[Any]:
+    """A grey image stored in one or three channels as one."""
+    if image.ndim == 2:
+        return image
+    if not _is_grey(image):
+        raise InputError(
+            f"{path}: is in colour, but other images of the folder are grey in three channels",
+            hint="save all of them in grey, or all in colour",
+        )
+    return np.ascontiguousarray(image[..., 0])
 
 
 def _words(shape: tuple[int, ...]) -> str:

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
 
 from lightmatrix import store
 from lightmatrix.errors import InputError
 from lightmatrix.files.images import read_grey, write_image
 from lightmatrix.outputs.kinds import IMAGE
 from lightmatrix.outputs.writing import check_output
+from lightmatrix.patterns.grids import block_mean
 from lightmatrix.ranges import check_number
 from lightmatrix.transport.matrix import LightTransport
 
@@ -23,6 +26,7 @@ def relight(
     *,
     exposure: float = 1.0,
     gamma: float = 1.0,
+    resize: bool = False,
     output: str | Path | None = None,
     overwrite: bool = False,
 ) -> NDArray[np.float32]:
@@ -33,11 +37,14 @@ def relight(
     transport : LightTransport, str or Path
         T, or where `open` finds it.
     pattern : (rows, cols) array, str or Path
-        Of the projector's size, in [0, 1]; or an image, whose largest grey value is 1.
+        Of the projector's size, in [0, 1]; or an image, whose largest grey value is 1. If the
+        projector was binned for T, it may have the size before, and is averaged likewise.
     exposure : float
         Exposure e of the image, > 0.
     gamma : float
         Display gamma of a PNG, 0.1 to 10; 1 keeps it linear.
+    resize : bool
+        Whether a pattern of any other size is resized to the projector.
     output : str or Path, optional
         An image to write as well: .png (8 bits, cut off at full scale), .tiff or .npy (all values).
     overwrite : bool
@@ -51,7 +58,7 @@ def relight(
     Raises
     ------
     InputError
-        On a pattern of another size and numbers out of range.
+        On a pattern of another size, unless it is resized, and numbers out of range.
     OutputError
         If the image cannot be written.
 
@@ -75,10 +82,32 @@ def relight(
             )
     found = transport if isinstance(transport, LightTransport) else store.open(transport)
     shown = read_grey(pattern) if isinstance(pattern, str | Path) else pattern
-    image = exposure * found.relight(shown)
+    image = exposure * found.relight(_fitted(np.asarray(shown), found, resize))
     if output is not None:
         written = image
         if target.suffix.lower() == ".png":
             written = np.clip(image, 0, 1) ** (1 / gamma)
         write_image(output, written.astype(np.float32), overwrite=overwrite)
     return image
+
+
+def _fitted(pattern: NDArray[Any], transport: LightTransport, resize: bool) -> NDArray[Any]:
+    """A pattern in the size of the projector of T, where it can be known or is asked for."""
+    wanted = transport.projector_shape
+    if pattern.ndim != 2 or pattern.shape == wanted:
+        return pattern
+    described = transport.provenance.get("capture_description")
+    block = described.get("bin_projector") if isinstance(described, Mapping) else None
+    if block and tuple(-(-n // b) for n, b in zip(pattern.shape, block, strict=True)) == wanted:
+        rows, cols = (int(b) for b in block)
+        return block_mean(pattern[None].astype(np.float64), (rows, cols))[0]
+    if not resize:
+        raise InputError(
+            f"a pattern of shape {pattern.shape} for a projector of {wanted[0]} x {wanted[1]}",
+            hint="resize it; --resize, or resize=True, does",
+        )
+    # Means over pixels where it shrinks, so that light is kept; bilinear where it grows.
+    shrinks = pattern.shape[0] >= wanted[0] and pattern.shape[1] >= wanted[1]
+    how = Image.Resampling.BOX if shrinks else Image.Resampling.BILINEAR
+    drawn = Image.fromarray(pattern.astype(np.float32))
+    return np.asarray(drawn.resize((wanted[1], wanted[0]), how)).clip(0, 1)

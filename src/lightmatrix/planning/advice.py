@@ -21,7 +21,7 @@ SPOT_SHARE = 0.85
 # Camera pixels below this share of a bright one are not reached by the projector.
 _LIT = 0.02
 # The brightest pixels that may clip: glints of single pixels must not darken all frames.
-_GLINTS = 0.001
+GLINTS = 0.001
 # Of the light of a typical pixel: noise above it asks for a longer exposure as well.
 NOISE_LIMIT = 0.02
 # From one exposure to the next.
@@ -82,7 +82,7 @@ class WhiteFrame:
     @property
     def brightest(self) -> float:
         """White level of the brightest pixels, single glints apart."""
-        return float(np.quantile(self.levels[self.lit], 1 - _GLINTS))
+        return float(np.quantile(self.levels[self.lit], 1 - GLINTS))
 
     @property
     def typical(self) -> float:
@@ -120,7 +120,7 @@ def advise_exposures(
     """
     check_camera(noise, shortest)
     ladder = [1 / white.brightest]
-    if white.clipped_share > _GLINTS:
+    if white.clipped_share > GLINTS:
         ladder.append(ladder[0] / STEP)
     while noise > NOISE_LIMIT * white.typical * ladder[0] and ladder[0] * white.typical < 1:
         ladder.insert(0, STEP * ladder[0])

@@ -20,6 +20,7 @@ from lightmatrix.patterns.mix import FEWEST_MIXED, Mix, MixedPatterns, default_m
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.planning.advice import (
     DENSITY,
+    GLINTS,
     WhiteFrame,
     advise_density,
     advise_exposures,
@@ -120,6 +121,11 @@ class Advice:
         return make_patterns(
             self.patterns, self.projector, self.frames, density=self.density, seed=seed
         )
+
+    @property
+    def white_is_clipped(self) -> bool:
+        """Whether more of the white frame clips than single glints, so that it tells too little."""
+        return self.white_clipped_share > GLINTS
 
     @property
     def exposure(self) -> float | str:

@@ -270,7 +270,7 @@ def _same_as_lower_case(folder: object, ran: object) -> str | None:
 def _names() -> list[Case]:
     long = "a" * 300
     return [
-        Case("no words at all for estimate", "estimate", "nothing to estimate from|capture"),
+        Case("no words at all for estimate", "estimate", "nothing to look at|capture"),
         Case("an unknown command", "photograph", "photograph"),
         Case("an unknown option", f"{PATTERNS} --colour red", "--colour"),
         Case(

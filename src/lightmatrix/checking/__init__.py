@@ -1,0 +1,1 @@
+"""What is wrong with a capture, told from its frames, and what to do about it."""

@@ -1,0 +1,71 @@
+"""What a check found."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+# Every kind of finding, and what it says in a few words.
+KINDS = {
+    "files": "files that cannot be read, or do not fit together",
+    "counts": "a photograph too few or too many",
+    "interchanged": "patterns and photographs in each other's place",
+    "patterns": "patterns that cannot tell all of T",
+    "light": "too much or too little light",
+    "black": "a black frame that is not the darkest",
+    "white": "a white frame that is not the brightest",
+    "order": "photographs that show the pattern of another",
+    "frame": "a photograph that does not show its pattern",
+    "flicker": "light that changes from frame to frame",
+    "motion": "a scene, camera or projector that moved",
+    "response": "photographs that are not linear in light",
+    "jpeg": "photographs that went through lossy compression",
+    "unseen": "camera pixels that never see the projector",
+}
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that is wrong with a capture.
+
+    Parameters
+    ----------
+    kind : str
+        One of `KINDS`.
+    frames : tuple of int
+        The frames that it is about, from 0; empty where it is about all of them.
+    message : str
+        What was found, and how it shows.
+    advice : str
+        What to do.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> lm.Finding("flicker", (), "the light varies by 5 %", "use a steady lamp").kind
+    'flicker'
+    """
+
+    kind: str
+    frames: tuple[int, ...]
+    message: str
+    advice: str
+
+    def as_dict(self) -> dict[str, Any]:
+        """The finding, JSON-ready."""
+        return {
+            "kind": self.kind,
+            "frames": list(self.frames),
+            "message": self.message,
+            "advice": self.advice,
+        }
+
+
+def listed(names: Sequence[str], most: int = 5) -> str:
+    """Some names in words: "a, b and c", "a, b, c, d, e and 7 more"."""
+    if len(names) > most:
+        return f"{', '.join(names[:most])} and {len(names) - most} more"
+    if len(names) < 2:
+        return "".join(names)
+    return f"{', '.join(names[:-1])} and {names[-1]}"

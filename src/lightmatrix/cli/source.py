@@ -1,0 +1,145 @@
+"""Where a capture comes from: a folder that says all of it, or two plain folders and options."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from lightmatrix.errors import InputError
+from lightmatrix.files.reading import read_text
+
+_EACH = "one number, numbers a,b,c or a text file of one for each frame"
+
+Folder = Annotated[
+    Path | None,
+    typer.Argument(metavar="CAPTURE", help="Capture folder (patterns/, images/, capture.json)."),
+]
+Patterns = Annotated[Path | None, typer.Option("--patterns", help="Folder of pattern images.")]
+Images = Annotated[Path | None, typer.Option("--images", help="Folder of photographs, same order.")]
+Black = Annotated[
+    str | None,
+    typer.Option(
+        "--black", help="Photograph under a black pattern, or of ambient light; or a black level."
+    ),
+]
+BlackExposure = Annotated[
+    float | None,
+    typer.Option(help="Exposure of the black frame.", show_default="that of the frames"),
+]
+White = Annotated[
+    Path | None,
+    typer.Option("--white", help="Photograph under a white pattern; one more sample."),
+]
+Mask = Annotated[Path | None, typer.Option("--mask", help="Image; pixels at 0 are left out.")]
+BlackLevel = Annotated[
+    str | None,
+    typer.Option(help=f"Raw level without any light: {_EACH}.", show_default="0"),
+]
+ClipLevel = Annotated[
+    str | None,
+    typer.Option(
+        "--clip",
+        help=f"Raw level at which samples clip: {_EACH}.",
+        show_default="255, 65535, or 1 for float",
+    ),
+]
+FullScale = Annotated[
+    float | None,
+    typer.Option(help="Raw level that the response calls 1.", show_default="end of the range"),
+]
+Exposure = Annotated[
+    str | None,
+    typer.Option(
+        "--exposure",
+        help=f"Exposure, in any unit: {_EACH}. T is for exposure 1.",
+        show_default="1",
+    ),
+]
+
+
+def source(
+    capture: Path | None, patterns: Path | None, images: Path | None, **options: object
+) -> dict[str, Any]:
+    """What a function of the door is told of where a capture comes from.
+
+    Parameters
+    ----------
+    capture, patterns, images : Path, optional
+        As given.
+    options : optional
+        The others, by their names in Python; None where nothing was said.
+
+    Returns
+    -------
+    dict
+        Either ``capture``, or ``patterns``, ``images`` and what else was said.
+
+    Raises
+    ------
+    InputError
+        Unless there is a capture folder alone, or both plain folders.
+    """
+    said = {name: value for name, value in options.items() if value is not None}
+    if capture is not None:
+        plain = {"patterns": patterns, "images": images, **said}
+        given = [
+            f"--{name.replace('_', '-')}" for name, value in plain.items() if value is not None
+        ]
+        if given:
+            raise InputError(
+                f"a capture folder and {', '.join(given)} were given",
+                hint="a capture folder says all that in capture.json; give one or the other",
+            )
+        return {"capture": capture}
+    if patterns is None and images is None:
+        raise InputError(
+            "there is nothing to look at or to estimate from",
+            hint="give a capture folder, or --patterns and --images",
+        )
+    if patterns is None or images is None:
+        missing = "--patterns" if patterns is None else "--images"
+        raise InputError(f"{missing} is missing", hint="give both folders, or a capture folder")
+    return {"patterns": patterns, "images": images, **_read(said)}
+
+
+def _read(said: Mapping[str, Any]) -> dict[str, Any]:
+    """The options with numbers in place of text."""
+    read = dict(said)
+    for name in ("exposure", "clip", "black_level"):
+        if name in read:
+            read[name] = numbers(read[name], f"--{name.replace('_', '-')}")
+    if "black" in read:
+        read["black"] = level_or_file(read["black"])
+    return read
+
+
+def level_or_file(text: str) -> float | str:
+    """A black level, or the name of a file."""
+    if text.isascii() and text.replace(".", "", 1).isdecimal():
+        return float(text)
+    return text
+
+
+def numbers(text: str, option: str) -> float | list[float]:
+    """One number; or one for each frame, separated by commas, or by anything in a text file.
+
+    Raises
+    ------
+    InputError
+        Naming the option, on anything else.
+    """
+    wrong = InputError(
+        f"{option} {text!r}",
+        hint="give one number, or one for each frame: 1,0.5,0.25 or a text file of them",
+    )
+    listed = read_text(text) if Path(text).is_file() else text
+    try:
+        values = [float(word) for word in listed.replace(",", " ").replace(";", " ").split()]
+    except ValueError:
+        raise wrong from None
+    if not values:
+        raise wrong
+    return values if len(values) > 1 else values[0]

@@ -1,0 +1,59 @@
+"""Grey images in the portable graymap format, binary (P5), as machine vision cameras write them.
+
+Levels come back as they are stored: a file of 12 bits says so by its largest level, 4095, and other
+readers stretch it to 65535.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightmatrix.files.limits import check_size
+
+# A word of the header, after white space and comments.
+_WORD = re.compile(rb"(?:\s+|#[^\n\r]*[\n\r])+(\d{1,9})")
+_MOST_HEADER = 1 << 16
+
+
+def read_pgm(file: Path) -> NDArray[Any]:
+    """The image of a PGM file.
+
+    Returns
+    -------
+    (rows, cols) uint8 or uint16
+
+    Raises
+    ------
+    ValueError
+        If it is not one binary PGM image, whole and with nothing after it.
+    InputError
+        If it announces too many pixels.
+    """
+    data = file.read_bytes()
+    if not data.startswith(b"P5"):
+        raise ValueError("not a binary PGM file")
+    words, place = [], 2
+    for _ in range(3):
+        found = _WORD.match(data, place, place + _MOST_HEADER)
+        if found is None:
+            raise ValueError("a header without width, height and largest level")
+        words.append(int(found[1]))
+        place = found.end()
+    cols, rows, top = words
+    check_size(file, (rows, cols))
+    if not 1 <= top <= 65535:
+        raise ValueError(f"a largest level of {top}")
+    kind = np.dtype(np.uint8 if top < 256 else ">u2")
+    # One white space stands between the header and the levels.
+    content = data[place + 1 :]
+    if not data[place : place + 1].isspace() or len(content) != rows * cols * kind.itemsize:
+        raise ValueError("more or fewer levels than its header says")
+    image = np.frombuffer(content, kind).reshape(rows, cols)
+    if int(image.max()) > top:
+        raise ValueError(f"a level above its largest one, {top}")
+    return image.astype(kind.newbyteorder("="))

@@ -1,0 +1,51 @@
+"""Patterns of another size than the projector of T."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import lightmatrix as lm
+from lightmatrix.cli import main
+
+
+@pytest.fixture(scope="module")
+def binned() -> lm.LightTransport:
+    capture = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 32), exposure=0.2)
+    return lm.estimate(capture.bin(projector=(8, 4), camera=8), coherent=False, iterations=2)
+
+
+def test_a_pattern_of_the_projector_before_binning_is_averaged(binned: lm.LightTransport) -> None:
+    pattern = np.random.default_rng(0).random((64, 64))
+    means = pattern.reshape(8, 8, 16, 4).mean(axis=(1, 3))
+    image = lm.relight(binned, pattern)
+    np.testing.assert_allclose(image, binned.relight(means), rtol=1e-5, atol=1e-7)
+
+
+def test_other_sizes_are_resized_if_asked(
+    binned: lm.LightTransport, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for shape in ((5, 7), (100, 90), (16, 16)):
+        with pytest.raises(lm.InputError, match="for a projector of 8 x 16"):
+            lm.relight(binned, np.ones(shape))
+        even = lm.relight(binned, np.full(shape, 0.5), resize=True)
+        np.testing.assert_allclose(even, binned.relight(np.full((8, 16), 0.5)), rtol=1e-4)
+    lm.save(tmp_path / "scene.zarr", binned)
+    lm.write_image(tmp_path / "pattern.png", np.full((33, 20), 255, np.uint8))
+    words = ["relight", str(tmp_path / "scene.zarr"), str(tmp_path / "pattern.png")]
+    assert main([*words, "-o", str(tmp_path / "relit.npy")]) == 2
+    assert "--resize" in capsys.readouterr().err
+    assert main([*words, "-o", str(tmp_path / "relit.npy"), "--resize"]) == 0
+    np.testing.assert_allclose(
+        lm.read_image(tmp_path / "relit.npy"), binned.relight(np.ones((8, 16))), rtol=1e-4
+    )
+
+
+def test_shrinking_keeps_the_light(binned: lm.LightTransport) -> None:
+    """Averaged, not sampled: fine stripes become grey."""
+    stripes = np.zeros((24, 48))
+    stripes[:, ::3] = 1
+    image = lm.relight(binned, stripes, resize=True)
+    np.testing.assert_allclose(image, binned.relight(np.full((8, 16), 1 / 3)), rtol=1e-3)
