@@ -31,7 +31,7 @@ _SPARE_FRAMES = 8
 _LARGE = 100_000
 _LARGE_FOLDS = 3
 # Samples that are watched, and multiplications spent on one look.
-_FEWEST, _MOST = 48, 768
+_FEWEST, _MOST = 48, 512
 _WORK = 2e10
 # Share of a sample's variance that must be predicted for it to have a say, and how many must.
 _EXPLAINED = 0.5
