@@ -249,7 +249,7 @@ def open_dslr(address: Address) -> DSLRCamera:
         If there is no such camera, another program has it, or it has no such setting.
     """
     gphoto2 = _load()
-    cameras = _autodetect(gphoto2)
+    cameras = _autodetect(gphoto2, address)
     wanted = address.argument
     chosen = next((each for each in cameras if not wanted or wanted in each), None)
     if chosen is None:
@@ -275,10 +275,10 @@ def find_dslr() -> list[Found]:
 
     Raises
     ------
-    MissingExtraError
+    MissingExtraError, DeviceError
         As `open_dslr`.
     """
-    return [Found(f"dslr:{port}", name) for name, port in _autodetect(_load())]
+    return [Found(f"dslr:{port}", name) for name, port in _autodetect(_load(), Address("dslr"))]
 
 
 def _load() -> Any:
@@ -289,8 +289,9 @@ def _load() -> Any:
     return gphoto2
 
 
-def _autodetect(gphoto2: Any) -> list[tuple[str, str]]:
-    cameras = gphoto2.Camera.autodetect()
+def _autodetect(gphoto2: Any, address: Address) -> list[tuple[str, str]]:
+    with _explained(gphoto2, address, "cannot be looked for"):
+        cameras = gphoto2.Camera.autodetect()
     return [(cameras.get_name(k), cameras.get_value(k)) for k in range(cameras.count())]
 
 
@@ -304,6 +305,11 @@ def _explained(gphoto2: Any, address: Address, what: str) -> Iterator[None]:
             raise DeviceError(
                 f"{address}: another program has the camera",
                 hint="unmount it from the file manager: gio mount -s gphoto2",
+            ) from error
+        if error.code in (gphoto2.GP_ERROR_NO_MEMORY, gphoto2.GP_ERROR_NO_SPACE):
+            raise DeviceError(
+                f"{address}: the camera {what}, its memory is full",
+                hint=f"empty its card, or let it keep pictures in its memory: {_TARGET}={_MEMORY}",
             ) from error
         raise DeviceError(
             f"{address}: the camera {what} ({error.string})",

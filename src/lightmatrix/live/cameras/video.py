@@ -12,6 +12,7 @@ import sys
 import threading
 import time
 from collections import deque
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -217,10 +218,12 @@ def find_video() -> list[Found]:
     _load()
     found = []
     for entry in sorted(Path("/sys/class/video4linux").glob("video*")):
-        # A camera's other entries deliver no pictures.
-        if (entry / "index").read_text().strip() == "0":
-            name = (entry / "name").read_text().strip()
-            found.append(Found(f"video:/dev/{entry.name}", name))
+        # It may be unplugged meanwhile.
+        with suppress(OSError):
+            # A camera's other entries deliver no pictures.
+            if (entry / "index").read_text().strip() == "0":
+                name = (entry / "name").read_text().strip()
+                found.append(Found(f"video:/dev/{entry.name}", name))
     return found
 
 
