@@ -20,6 +20,7 @@ def _blocks(language: str) -> list[str]:
 
 
 def _without_waiting(text: str) -> str:
+    text = text.replace("size=32", "size=32,real=0")
     return text.replace("virtual:l_objects", "virtual:l_objects,real=0")
 
 

@@ -60,7 +60,7 @@ def _again(fault: str, **settings: Any) -> int:
 
 
 def test_a_capture_is_as_good_as_a_simulated_one() -> None:
-    with lm.open_rig("virtual:l_objects,real=0") as rig:
+    with lm.open_rig("virtual:procedural,size=32,real=0") as rig:
         capture = lm.take_capture("capture", rig)
     errors = lm.evaluate(lm.estimate(capture), "capture/truth.npz")
     truth = lm.truth("capture/truth.npz")
@@ -71,7 +71,6 @@ def test_a_capture_is_as_good_as_a_simulated_one() -> None:
     known = lm.evaluate(lm.estimate(simulated), truth)
     assert errors.relighting_error < 1.05 * known.relighting_error
     assert errors.relative_error < 1.05 * known.relative_error
-    assert errors.relighting_error < 0.02
 
 
 def test_every_frame_says_how_it_was_taken() -> None:

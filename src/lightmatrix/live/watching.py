@@ -31,7 +31,7 @@ _SPARE_FRAMES = 8
 _LARGE = 100_000
 _LARGE_FOLDS = 3
 # Samples that are watched, and multiplications spent on one look.
-_FEWEST, _MOST = 48, 768
+_FEWEST, _MOST = 48, 512
 _WORK = 2e10
 # Share of a sample's variance that must be predicted for it to have a say, and how many must.
 _EXPLAINED = 0.5
@@ -40,7 +40,9 @@ _FEWEST_TELLING = 24
 _MOST_MISSED = 0.25
 _TIMES_USUAL = 3.0
 # Share of the pattern shown before that is seen, in itself and in standard errors.
-_MIXED, _MIXED_ERRORS = 0.06, 6.0
+_MIXED, _MIXED_ERRORS = 0.015, 6.0
+# Loss of contrast that is no error of the prediction.
+_FLAT = 0.06
 # Samples at one end of the image that tell of a torn frame; of a square error, the most one says.
 _FEWEST_TORN, _GLINT = 4, 25.0
 
@@ -210,7 +212,7 @@ class Watch:
         rest = observed - observed.mean() - contrast * centred
         uncertain = float(np.sqrt((weight * rest**2).mean() / power))
         mix = 1 - contrast
-        if mix > max(_MIXED, _MIXED_ERRORS * uncertain):
+        if mix > max(_FLAT, _MIXED_ERRORS * uncertain):
             return f"has {100 * min(mix, 1):.0f} % too little contrast"
         return None
 
