@@ -76,7 +76,6 @@ def test_relight(work: Path, capsys: pytest.CaptureFixture[str]) -> None:
         ("--row 3,-1 -o out.png", "--row 3,-1"),
         ("--row 3,99 -o out.png", "there is no camera sample (3, 99)"),
         ("--column 1,2,3 -o out.png", "the view column of 1, 2, 3"),
-        ("--footprint -o out.png", "does not know the footprint of its rows"),
         ("--row 3,4 --raw -o out.png", "raw numbers of the view row"),
         ("--correspondence --raw -o X.npz", "raw numbers of the view correspondence"),
         ("--correspondence -o out.npy", "a correspondence in"),
@@ -91,6 +90,17 @@ def test_show_refuses(
     assert main(["show", str(work / "scene.zarr"), *words.split()]) == 2
     assert told in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
+
+
+def test_rows_by_themselves_do_not_know_their_footprint(
+    work: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    plain, out = str(tmp_path / "plain.zarr"), tmp_path / "out.png"
+    assert main(["estimate", str(work / "capture"), "--no-coherent", "-o", plain]) == 0
+    assert main(["show", plain, "--footprint", "-o", str(out)]) == 2
+    assert "does not know the footprint of its rows" in capsys.readouterr().err
+    assert not out.exists()
+    assert main(["show", str(work / "scene.zarr"), "--footprint", "-o", str(out)]) == 0
 
 
 def test_numbers_of_a_picture_replace_nothing_else(
