@@ -10,7 +10,7 @@ use crate::vector::padded;
 use rayon::prelude::*;
 
 /// Columns of a stretch that stays in registers.
-const STRETCH: usize = 16;
+const STRETCH: usize = 64;
 
 /// Places that one thread takes on at a time.
 const TASK: usize = 256;
@@ -144,13 +144,14 @@ multiversion! {
         for (block, out) in out.chunks_exact_mut(STRETCH).enumerate() {
             let first = block * STRETCH;
             let mut sums = [0f32; STRETCH];
-            let middle = &values[first + reach * step..][..STRETCH];
+            let values = &values[first..];
+            let middle = &values[reach * step..][..STRETCH];
             for i in 0..STRETCH {
                 sums[i] = kernel[0] * middle[i];
             }
             for (t, weight) in kernel.iter().enumerate().skip(1) {
-                let before = &values[first + (reach - t) * step..][..STRETCH];
-                let after = &values[first + (reach + t) * step..][..STRETCH];
+                let before = &values[(reach - t) * step..][..STRETCH];
+                let after = &values[(reach + t) * step..][..STRETCH];
                 for i in 0..STRETCH {
                     sums[i] += weight * (before[i] + after[i]);
                 }
