@@ -60,7 +60,9 @@ def test_what_cannot_be_found_is_called_doubtful() -> None:
     shuffled = seen(truth, order)
     found = lm.estimate(photographed(Case("l_objects", "blur 2", 16, side=SIDE), shuffled))
     assert relative_error(found, shuffled.transport()) > 0.3
-    assert lm.verdict(found).level == "doubtful"
+    judged = lm.verdict(found)
+    assert judged.level == "doubtful"
+    assert "more patterns" in judged.sentence
 
 
 def test_views_show_the_same_rows() -> None:

@@ -17,6 +17,10 @@ GOOD, FAIR = 0.05, 0.2
 _UNTESTED = (
     "it was not held against photographs that it has not seen (`estimate --report` does that)"
 )
+_REMEDY = (
+    "more patterns help most, then an exposure that uses the camera's range, or projector pixels "
+    "binned together; neighbouring camera pixels must see neighbouring projector pixels"
+)
 # Of the rows: more that clip in half of their samples, or did not converge, are worth a word.
 _MANY_CLIPPED, _MANY_UNFINISHED = 0.1, 0.01
 
@@ -76,7 +80,10 @@ def verdict(transport: LightTransport, why_untested: str = _UNTESTED) -> Verdict
     if stated is None:
         return Verdict("not tested", "; ".join([*remarks, why_untested]))
     said = f"the rows state a relative error of T of {percent(stated)}"
-    return Verdict(level_of(stated), "; ".join([said, *remarks]))
+    level = level_of(stated)
+    if level == "doubtful":
+        remarks.append(_REMEDY)
+    return Verdict(level, "; ".join([said, *remarks]))
 
 
 def stated_error(transport: LightTransport) -> float | None:
