@@ -26,18 +26,16 @@ def error_of(case: Case, estimator: CoherentEstimator | None = None) -> float:
     return relative_error(found, truth.transport())
 
 
-# Measured: .026, .057; by single pixels only several times as much.
-@pytest.mark.parametrize(("rig", "most"), [("blur 1", 0.035), ("blur 2", 0.065)])
-def test_blur_costs_no_patterns(rig: str, most: float) -> None:
-    case = Case("l_objects", rig, 32, side=SIDE)
-    assert error_of(case) < most
-    assert error_of(case, CoherentEstimator(sizes=(0.0,))) > 3 * most
+def test_blur_costs_no_patterns() -> None:
+    """Measured: .026; by single pixels only several times as much."""
+    case = Case("l_objects", "blur 1", 32, side=SIDE)
+    assert error_of(case) < 0.035
+    assert error_of(case, CoherentEstimator(sizes=(0.0,))) > 3 * 0.035
 
 
-@pytest.mark.parametrize("rig", ["quarter turn", "mirrored"])
-def test_it_does_not_matter_how_the_camera_is_held(rig: str) -> None:
+def test_it_does_not_matter_how_the_camera_is_held() -> None:
     straight = error_of(Case("gripper", "sharp", 32, side=SIDE))
-    assert error_of(Case("gripper", rig, 32, side=SIDE)) < 1.1 * straight
+    assert error_of(Case("gripper", "quarter turn", 32, side=SIDE)) < 1.1 * straight
 
 
 def test_a_row_states_its_error_and_its_footprint() -> None:

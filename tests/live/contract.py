@@ -104,15 +104,21 @@ class CameraContract:
         assert camera.exposure == pytest.approx(0.01, rel=0.2)
 
     def test_frames_are_numbered_and_dated(self, camera: Camera) -> None:
-        if not self.triggered:
-            camera.flush()
-        frames, copies, asked = [], [], []
-        for _ in range(5):
-            asked.append(time.monotonic())
-            self.take(camera)
-            frames.append(camera.get_image(5))
-            copies.append(frames[-1].data.copy())
-        assert [frame.id - frames[0].id for frame in frames] == [0, 1, 2, 3, 4]
+        # A camera that runs freely on a machine that is busy may lose a frame; its number tells.
+        for _ in range(1 if self.triggered else 5):
+            if not self.triggered:
+                camera.flush()
+            frames, copies, asked = [], [], []
+            for _ in range(5):
+                asked.append(time.monotonic())
+                self.take(camera)
+                frames.append(camera.get_image(5))
+                copies.append(frames[-1].data.copy())
+            numbers = [frame.id - frames[0].id for frame in frames]
+            assert numbers == sorted(set(numbers))
+            if numbers == [0, 1, 2, 3, 4]:
+                break
+        assert numbers == [0, 1, 2, 3, 4]
         times = [frame.timestamp for frame in frames]
         assert times == sorted(times)
         assert times[-1] <= time.monotonic()

@@ -9,6 +9,7 @@ import sys
 import traceback
 from contextlib import suppress
 from difflib import get_close_matches
+from typing import TextIO
 
 import typer
 
@@ -31,13 +32,16 @@ def report(error: BaseException) -> int:
     """
     if isinstance(error, BrokenPipeError):
         # Whoever read, as `head` does, has read enough.
-        _give_up_output()
+        _give_up(sys.stdout)
         return 0
     code, lines = _explain(error)
-    # Where standard error is gone too, the code is all there is to tell.
-    with suppress(OSError, ValueError):
+    try:
         for number, line in enumerate(lines):
             warn(line if number == 0 else f"  {line}", "red" if number == 0 else None)
+    except (OSError, ValueError):
+        # Where standard error is gone too, the code is all there is to tell; and what it still
+        # holds must not make Python, on leaving, tell another.
+        _give_up(sys.stderr)
     return code
 
 
@@ -55,7 +59,7 @@ def _explain(error: BaseException) -> tuple[int, list[str]]:
     if isinstance(error, OSError) and str(error).startswith("cannot start"):
         return NO_MEMORY, [f"error: {error}", "free some memory, or set RAYON_NUM_THREADS to fewer"]
     if isinstance(error, OSError) and error.filename is None and error.errno in _STREAM_ERRORS:
-        _give_up_output()
+        _give_up(sys.stdout)
         why = error.strerror or str(error)
         hint = "free some space, or send what is printed elsewhere"
         return BAD, [f"error: standard output cannot be written ({why})", hint]
@@ -93,9 +97,9 @@ def _usage_error(error: typer.TyperException) -> tuple[str, str]:
     return message, hint
 
 
-def _give_up_output() -> None:
+def _give_up(stream: TextIO) -> None:
     """Let what is still to be written vanish, lest Python complains about it on leaving."""
     with suppress(OSError, ValueError):
         nowhere = os.open(os.devnull, os.O_WRONLY)
-        os.dup2(nowhere, sys.stdout.fileno())
+        os.dup2(nowhere, stream.fileno())
         os.close(nowhere)

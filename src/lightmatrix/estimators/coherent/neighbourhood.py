@@ -40,7 +40,7 @@ COMMON_ERROR = 0.02
 # what neighbours err in common does not average out.
 ENOUGH = 16
 # By this share of what makes a spot likely the pixels within it become likely too.
-WITHIN = 0.2
+WITHIN = 0.1
 # Lighter samples are left out.
 LEAST_WEIGHT = 1e-4
 
