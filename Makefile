@@ -78,7 +78,7 @@ bench: install ## the solver against its peers: table, JSON and plot in bench-ou
 	$(BIN)/python -m benchmarks
 
 experiments: test-install ## the paper's figures and ours, in experiments-out/; goes on where it stopped
-	for name in fig4 fig5 fig6 fig7 few-patterns; do \
+	for name in fig4 fig5 fig6 fig7 few-patterns rigs; do \
 	  test -e experiments-out/$$name/$$name.json || \
 	  $(BIN)/lightmatrix experiment $$name -o experiments-out/$$name || exit; done
 
