@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.ticker import FixedLocator, NullLocator
 from numpy.typing import NDArray
 
 from lightmatrix.capture.capture import Capture
@@ -34,6 +35,9 @@ COUNTS = (16, 32, 64)
 SEEDS = (0, 1, 2)
 # Rigs whose errors are means over the seeds; of the others one is measured.
 SEVERAL = ("sharp", "blur 1", "blur 2", "blur 0 to 2", "camera 2x coarser", "camera 4x coarser")
+# Of the figure's axis.
+ERRORS = (0.005, 2.0)
+ERROR_TICKS = (0.01, 0.03, 0.1, 0.3, 1)
 # Rows of about no light have no relative error.
 LEAST_LIGHT = 1e-3
 RESPONSE_ERROR = 0.05
@@ -235,6 +239,10 @@ def _draw(out: Path, found: list[tuple[Case, Measured]]) -> None:
                     label=f"K = {count}",
                 )
             axes.set_xscale("log")
+            axes.set_xlim(*ERRORS)
+            axes.xaxis.set_major_locator(FixedLocator(ERROR_TICKS))
+            axes.xaxis.set_major_formatter("{x:g}")
+            axes.xaxis.set_minor_locator(NullLocator())
             axes.grid(axis="both", color="0.92", linewidth=0.6)
             axes.set_title(title)
             axes.set_xlabel("relative error of T")
