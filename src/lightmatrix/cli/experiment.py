@@ -19,7 +19,7 @@ def experiment(
         Figure,
         typer.Argument(
             metavar="FIGURE",
-            help="A figure of the paper, or how few patterns suffice.",
+            help="A figure of the paper; how few patterns suffice; or what other rigs give.",
         ),
     ],
     output: Annotated[Path, typer.Option("-o", "--output", help="Folder for the figure.")],
@@ -29,8 +29,8 @@ def experiment(
 ) -> None:
     """Reproduce a figure: picture, CSV and JSON.
 
-    Without --quick it takes up to an hour and goes on where it stopped if run again; fig6, fig7 and
-    few-patterns then need the extra `render`.
+    Without --quick it takes up to an hour and goes on where it stopped if run again; fig6, fig7,
+    few-patterns and rigs then need the extra `render`.
     """
     with progress(figure, "steps") as report:
         result = lm.experiment(figure, output, quick=quick, overwrite=overwrite, progress=report)
