@@ -49,11 +49,16 @@ def started(folder: Path, command: str) -> Iterator[subprocess.Popen[str]]:
 
 
 def _stopped_at_work(process: subprocess.Popen[str], folder: Path, sign: str) -> None:
-    """Stop a run as soon as it has finished tiles, or anything new lies there."""
+    """Stop a run as soon as it has finished tiles, or anything new lies there but its lock.
+
+    Between the lock and the first file a Ctrl-C may leave the lock, which binds nobody: the kernel
+    has let go of it, and the next run takes it over.
+    """
     before = set(_names(folder))
     end = time.monotonic() + 90
     while time.monotonic() < end and process.poll() is None:
-        begun = len(_names(folder / PARTIAL)) > 5 if sign == TILES else set(_names(folder)) - before
+        new = {name for name in _names(folder) if not name.endswith(".lock")} - before
+        begun = len(_names(folder / PARTIAL)) > 5 if sign == TILES else new
         if begun:
             process.send_signal(signal.SIGSTOP)
             return
