@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -62,10 +63,11 @@ class AtomPatterns(PatternSet):
 
     def __post_init__(self) -> None:
         sizes = self.sizes
-        if not sizes or sizes[0] != 0 or not all(a < b for a, b in zip(sizes, sizes[1:])):  # noqa: B905, RUF007
+        if not sizes or sizes[0] != 0 or not all(a < b for a, b in pairwise(sizes)):
             raise InputError(f"spots of sizes {sizes}", hint="let sizes ascend from 0")
         if not self.gains:
-            lengths = np.array([self._contrast(plane) for plane in range(len(sizes))])
+            others = (self._contrast(plane) for plane in range(1, len(sizes)))
+            lengths = np.array([self.single_contrast, *others])
             shares = lengths.min() / lengths if lengths.min() > 0 else np.ones(len(sizes))
             object.__setattr__(self, "gains", tuple(float(share) for share in shares))
         elif len(self.gains) != len(sizes) or not all(0 < gain <= 1 for gain in self.gains):
@@ -111,19 +113,19 @@ class AtomPatterns(PatternSet):
 
     def forward(self, x: NDArray[Any]) -> NDArray[Any]:
         planes = np.asarray(x).reshape(len(x), self.planes, self.single.pixels)
-        spread = [self._blurred(planes[:, s], s) for s in range(self.planes)]
+        spread = [self._scaled(planes[:, s], s) for s in range(self.planes)]
         return self.single.forward(np.sum(spread, axis=0, dtype=x.dtype))
 
     def adjoint(self, e: NDArray[Any]) -> NDArray[Any]:
         single = self.single.adjoint(e)
-        return np.concatenate([self._blurred(single, s) for s in range(self.planes)], axis=1)
+        return np.concatenate([self._scaled(single, s) for s in range(self.planes)], axis=1)
 
     def columns(self, index: NDArray[np.integer]) -> NDArray[np.float32]:
         return np.concatenate([chunk[:, index] for _, chunk in self.chunks()])
 
     def rows(self, start: int, stop: int) -> NDArray[np.float32]:
         single = self.single.rows(start, stop)
-        return np.concatenate([self._blurred(single, s) for s in range(self.planes)], axis=1)
+        return np.concatenate([self._scaled(single, s) for s in range(self.planes)], axis=1)
 
     @property
     def description(self) -> dict[str, Any]:
@@ -182,25 +184,25 @@ class AtomPatterns(PatternSet):
             result.append(spread)
         return result
 
-    def _blurred(self, x: NDArray[Any], plane: int) -> NDArray[Any]:
+    def _scaled(self, x: NDArray[Any], plane: int) -> NDArray[Any]:
         """Rows (m, N) under a kernel, times its gain, in their dtype."""
+        return np.asarray(self._blurred(x, plane) * self.gains[plane], x.dtype)
+
+    def _blurred(self, x: NDArray[Any], plane: int) -> NDArray[Any]:
+        """Rows (m, N) under a kernel, in their dtype."""
         images = x.reshape(-1, *self.shape)
         kernel = self.kernels[plane]
         if len(kernel) > 1:
             whole = np.concatenate([kernel[:0:-1], kernel])
             for axis in (1, 2):
                 images = convolve1d(images, whole, axis=axis, mode="constant")
-        return np.asarray(images.reshape(x.shape) * self._gain_of(plane), x.dtype)
-
-    def _gain_of(self, plane: int) -> float:
-        return self.gains[plane] if self.gains else 1.0
+        return images.reshape(x.shape)
 
     def _contrast(self, plane: int) -> float:
         """Standard deviation of the values of the columns of a size, without gain."""
         squares = total = 0.0
-        gain = self._gain_of(plane)
         for _, chunk in self.single.chunks():
-            values = self._blurred(chunk, plane) / gain
+            values = self._blurred(chunk, plane)
             squares += float(np.square(values, dtype=np.float64).sum())
             total += float(values.sum(dtype=np.float64))
         values_in_all = self.count * self.single.pixels
