@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.ticker import FixedLocator, NullLocator
 from scipy.sparse import csr_array
 
 from lightmatrix.capture.capture import Capture
@@ -28,7 +27,7 @@ from lightmatrix.experiments.measured_scene import (
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.mix import MixedPatterns, default_mix
 from lightmatrix.patterns.pattern_set import PatternSet
-from lightmatrix.pictures.style import COLOURS, figure, save
+from lightmatrix.pictures.style import COLOURS, figure, fix_ticks, save
 from lightmatrix.rig import library
 from lightmatrix.solvers import ActiveSet, Problem
 from lightmatrix.solvers.weighted import Candidates, Cells, solve_weighted
@@ -214,9 +213,7 @@ def _draw(out: Path, found: list[tuple[Case, Measured]]) -> None:
                     axes.plot(k, value, style, color=colour, marker="o", markersize=3, label=label)
                 axes.set_xscale("log", base=2)
                 axes.set_yscale("log")
-                axes.yaxis.set_major_locator(FixedLocator(ERROR_TICKS))
-                axes.yaxis.set_major_formatter("{x:g}")
-                axes.yaxis.set_minor_locator(NullLocator())
+                fix_ticks(axes.yaxis, ERROR_TICKS)
                 axes.grid(axis="y", color="0.92", linewidth=0.6)
                 axes.set_xticks([16, 32, 64, 128, 256], ["16", "32", "64", "128", "256"])
             panels[0, column].set_title(title)

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.ticker import FixedLocator, NullLocator
 from numpy.typing import NDArray
 
 from lightmatrix.capture.capture import Capture
@@ -19,7 +18,7 @@ from lightmatrix.estimators.auto import estimate
 from lightmatrix.experiments.harness import Experiment, Measured
 from lightmatrix.experiments.measured_scene import SCENES
 from lightmatrix.patterns.bits import BernoulliPatterns
-from lightmatrix.pictures.style import COLOURS, figure, save
+from lightmatrix.pictures.style import COLOURS, figure, fix_ticks, save
 from lightmatrix.planning.plan import plan
 from lightmatrix.rig import library
 from lightmatrix.rig.coarse import binned
@@ -240,9 +239,7 @@ def _draw(out: Path, found: list[tuple[Case, Measured]]) -> None:
                 )
             axes.set_xscale("log")
             axes.set_xlim(*ERRORS)
-            axes.xaxis.set_major_locator(FixedLocator(ERROR_TICKS))
-            axes.xaxis.set_major_formatter("{x:g}")
-            axes.xaxis.set_minor_locator(NullLocator())
+            fix_ticks(axes.xaxis, ERROR_TICKS)
             axes.grid(axis="both", color="0.92", linewidth=0.6)
             axes.set_title(title)
             axes.set_xlabel("relative error of T")

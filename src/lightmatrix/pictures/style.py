@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -10,6 +10,7 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import FixedLocator, NullLocator
 from numpy.typing import NDArray
 
 CLIPPED_COLOUR = (0.90, 0.10, 0.12)
@@ -41,6 +42,13 @@ def save(drawing: Figure, folder: Path, name: str, formats: tuple[str, ...] = ("
     """Write a figure as folder/name.png (and .svg)."""
     for suffix in formats:
         drawing.savefig(folder / f"{name}.{suffix}", facecolor="white")
+
+
+def fix_ticks(axis: Any, places: Sequence[float]) -> None:
+    """Ticks at the given places of a logarithmic axis, written as plain numbers, and no others."""
+    axis.set_major_locator(FixedLocator(places))
+    axis.set_major_formatter("{x:g}")
+    axis.set_minor_locator(NullLocator())
 
 
 def display(image: NDArray[Any], white: float) -> NDArray[np.float64]:
