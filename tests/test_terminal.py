@@ -272,6 +272,31 @@ def test_destructors_met_by_a_stop_say_nothing() -> None:
     assert done.stderr.count("half made") == 1  # of the first, before the stop
 
 
+def test_a_stop_met_by_a_module_that_catches_everything_is_not_lost(tmp_path: Path) -> None:
+    (tmp_path / "greedy.py").write_text(
+        "import os, signal, time\n"
+        "try:\n"
+        "    os.kill(os.getpid(), signal.SIGINT)\n"
+        "    time.sleep(0.1)\n"
+        "except BaseException: pass\n"
+    )
+    script = (
+        "import signal, time\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        "from lightmatrix.cli.stops import quiet_stops\n"
+        "try:\n"
+        "    with quiet_stops():\n"
+        "        import greedy\n"
+        "        time.sleep(30)\n"
+        "except KeyboardInterrupt:\n"
+        "    print('stopped')\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, cwd=tmp_path, timeout=20
+    )
+    assert (done.stdout, done.stderr) == ("stopped\n", "")
+
+
 @pytest.mark.parametrize(
     ("words", "expected"),
     [

@@ -26,11 +26,15 @@ def main(argv: list[str] | None = None) -> int:
     """
     try:
         # Inside, because this takes long enough for a Ctrl-C.
-        from lightmatrix.cli.app import run
+        from lightmatrix.cli.stops import quiet_stops
+
+        with quiet_stops():
+            from lightmatrix.cli.app import run
+
+            return run(sys.argv[1:] if argv is None else argv)
     except KeyboardInterrupt:
         sys.stderr.write("stopped\n")
         return 130
-    return run(sys.argv[1:] if argv is None else argv)
 
 
 def console() -> None:

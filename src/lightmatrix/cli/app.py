@@ -32,7 +32,6 @@ from lightmatrix.cli.rig import app as rig
 from lightmatrix.cli.scenes import scenes
 from lightmatrix.cli.show import show
 from lightmatrix.cli.simulate import simulate
-from lightmatrix.cli.stops import quiet_stops
 from lightmatrix.cli.terminal import say, warn
 from lightmatrix.errors import LightMatrixWarning
 
@@ -96,7 +95,7 @@ def run(arguments: list[str]) -> int:
         # A terminal that knows no umlauts, and names that are no text, are no reason to fail.
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
-    with quiet_stops(), warnings.catch_warnings():
+    with warnings.catch_warnings():
         warnings.simplefilter("always", LightMatrixWarning)
         warnings.showwarning = _show_warning
         try:

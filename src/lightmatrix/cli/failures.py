@@ -13,6 +13,7 @@ from typing import TextIO
 
 import typer
 
+from lightmatrix.cli.stops import is_stop
 from lightmatrix.cli.terminal import Stopped, warn
 from lightmatrix.errors import LightMatrixError
 
@@ -46,7 +47,7 @@ def report(error: BaseException) -> int:
 
 
 def _explain(error: BaseException) -> tuple[int, list[str]]:
-    if _is_stop(error):
+    if is_stop(error):
         note = str(error) if isinstance(error, Stopped) else ""
         return STOPPED, [f"stopped; {note}" if note else "stopped"]
     if isinstance(error, LightMatrixError):
@@ -74,15 +75,6 @@ def _explain(error: BaseException) -> tuple[int, list[str]]:
         f"internal error: {type(error).__name__}: {told}",
         f"this is a bug of lightmatrix: please report it with the command; {DEBUG}=1 shows where",
     ]
-
-
-def _is_stop(error: BaseException | None) -> bool:
-    """Whether Ctrl-C is behind it: libraries that are being loaded may turn it into their own."""
-    while error is not None:
-        if isinstance(error, KeyboardInterrupt):
-            return True
-        error = error.__cause__ or error.__context__
-    return False
 
 
 def _usage_error(error: typer.TyperException) -> tuple[str, str]:
