@@ -112,13 +112,14 @@ class Capture:
         check_order: bool = True,
         allow_outside: bool = False,
     ) -> Capture:
-        """Read a capture folder.
+        """Read a capture folder, or a packed capture.
 
         Parameters
         ----------
         folder : str or Path
             Holds patterns/, images/ and, for anything but a linear camera of exposure 1 without
-            black level, capture.json.
+            black level, capture.json. Or a .zarr that `pack` made of one, of which as much is read
+            as is asked for.
         bin_projector, bin_camera : int or (int, int)
             See `bin`.
         check, check_order : bool
@@ -402,6 +403,6 @@ class Capture:
         check_depth(self.frames, self.decoder)
         check_light(self.tiles(), int(self.valid.sum()), self.decoder)
         if self.frames.dtype == np.uint16 and self.bin_camera == (1, 1):
-            warn_of_hidden_clipping(self.reader.raw, self.decoder)
+            warn_of_hidden_clipping(self.reader.level_blocks(), self.decoder)
         if order:
             check_order(self.patterns, self.tiles(), self.rows, self.frames.name)

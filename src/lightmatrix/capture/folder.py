@@ -14,7 +14,7 @@ import os
 import shutil
 import warnings
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +27,8 @@ from lightmatrix.camera.sensor import Sensor
 from lightmatrix.capture.beside import check_name, with_files_beside
 from lightmatrix.capture.checks import check_per_frame
 from lightmatrix.capture.description import FORMAT, NAME, VERSION, Description, read_description
+from lightmatrix.capture.packed import is_packed, read_packed
+from lightmatrix.capture.parts import CaptureParts
 from lightmatrix.errors import InputError, LightMatrixWarning
 from lightmatrix.files.headers import said_in
 from lightmatrix.files.images import fill_image, read_image
@@ -37,35 +39,15 @@ from lightmatrix.patterns.folder import fill_pattern_folder, read_patterns
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
 
 
-@dataclass(frozen=True, eq=False)
-class CaptureParts:
-    """What a capture is made of, as read from disk.
-
-    Parameters
-    ----------
-    patterns : PatternSet
-    frames : ImageStack
-    decoder : Decoder
-    mask : shape of a frame, bool, optional
-    provenance : mapping
-    """
-
-    patterns: PatternSet
-    frames: ImageStack
-    decoder: Decoder
-    mask: NDArray[np.bool_] | None = None
-    provenance: Mapping[str, Any] = field(default_factory=dict)
-
-
 def read_capture(
     folder: str | Path, *, allow_outside: bool = False, counted: bool = True
 ) -> CaptureParts:
-    """Read a folder with patterns/, images/ and, perhaps, capture.json.
+    """Read a folder with patterns/, images/ and, perhaps, capture.json; or a packed capture.
 
     Parameters
     ----------
     folder : str or Path
-        The folder.
+        The folder, or what `pack` made.
     allow_outside : bool
         Whether the files that capture.json names may lie outside the folder.
     counted : bool
@@ -80,6 +62,8 @@ def read_capture(
     if not place.is_dir():
         problem = "is a file, not a capture folder" if place.exists() else "no such folder"
         raise InputError(f"{place}: {problem}", hint="give a folder with patterns/ and images/")
+    if is_packed(place):
+        return read_packed(place)
     for name in ("patterns", "images"):
         if not (place / name).is_dir():
             raise InputError(

@@ -12,7 +12,7 @@ import lightmatrix as lm
 from lightmatrix.cli.claims import claim
 from lightmatrix.cli.options import EXPOSURES_EXAMPLE, USUAL_NOISE, Json, Overwrite, Seed
 from lightmatrix.cli.terminal import progress, say, show_json
-from lightmatrix.outputs.kinds import CAPTURE
+from lightmatrix.outputs.kinds import CAPTURE, PACKED_CAPTURE
 
 
 def simulate(
@@ -20,7 +20,12 @@ def simulate(
     pattern_folder: Annotated[
         Path, typer.Option("--patterns", help="Folder made by `lightmatrix patterns`.")
     ],
-    output: Annotated[Path, typer.Option("-o", "--output", help="Capture folder to write.")],
+    output: Annotated[
+        Path,
+        typer.Option(
+            "-o", "--output", help="Capture folder to write; packed, if it ends in .zarr."
+        ),
+    ],
     exposure: Annotated[
         str,
         typer.Option(
@@ -56,7 +61,8 @@ def simulate(
     The scene's matrix is known: bundled, rendered on demand, or a file. What is written is a
     capture folder to estimate from, with the matrix that was photographed as truth.npz.
     """
-    claim(output, CAPTURE, overwrite=overwrite)
+    packed = output.suffix.lower() == ".zarr"
+    claim(output, PACKED_CAPTURE if packed else CAPTURE, overwrite=overwrite)
     with progress("simulating", "rows") as report:
         capture = lm.simulate(
             scene,

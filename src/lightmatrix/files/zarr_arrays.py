@@ -36,7 +36,7 @@ _BLOSC = struct.Struct("<4xIII")
 
 def create_array(
     group: zarr.Group, name: str, shape: tuple[int, ...], dtype: Any, chunks: tuple[int, ...]
-) -> zarr.Array:
+) -> zarr.Array[Any]:
     """Begin an array, to be filled chunk by chunk.
 
     Parameters
@@ -137,7 +137,7 @@ class StoredArray:
     shape: tuple[int, ...]
     chunks: tuple[int, ...]
     dtype: np.dtype[Any]
-    array: zarr.Array
+    array: zarr.Array[Any]
 
     @classmethod
     def open(cls, place: Path, most_chunk: int = CHUNK) -> StoredArray:
@@ -175,9 +175,9 @@ class StoredArray:
         ValueError
             Naming a chunk that is missing or damaged.
         """
+        asked = (*where, *(slice(None) for _ in self.shape[len(where) :]))
         spans = [
-            slice(*part.indices(size)[:2])
-            for part, size in itertools.zip_longest(where, self.shape, fillvalue=slice(None))
+            slice(*part.indices(size)[:2]) for part, size in zip(asked, self.shape, strict=True)
         ]
         grid = [
             range(span.start // chunk, -(-span.stop // chunk)) if span.stop > span.start else []

@@ -23,7 +23,7 @@ from lightmatrix.files.zarr_arrays import (
     read_attributes,
     write_array,
 )
-from lightmatrix.outputs.kinds import PARTIAL, STORE
+from lightmatrix.outputs.kinds import PACKED_CAPTURE, PARTIAL, STORE
 from lightmatrix.outputs.writing import atomic_folder
 from lightmatrix.store.checked import checked_diagnostics, checked_matrix, finite, shape_of
 from lightmatrix.transport.matrix import LightTransport
@@ -105,6 +105,12 @@ def open(path: str | Path) -> LightTransport:
     )
     attributes = read_attributes(place)
     if attributes.get("format") != FORMAT:
+        output = attributes.get("output")
+        if isinstance(output, dict) and output.get("kind") == PACKED_CAPTURE.name:
+            raise InputError(
+                f"{place}: is a {PACKED_CAPTURE.name}, not a {STORE.name}",
+                hint="estimate one from it: lightmatrix estimate",
+            )
         raise wrong
     if attributes.get("version") != VERSION:
         raise InputError(
