@@ -216,7 +216,11 @@ def _header(change: dict[str, Any]) -> Any:
 
 
 def _without(*names: str) -> Any:
-    return lambda place: [shutil.rmtree(place / name) for name in names]
+    def damage(place: Path) -> None:
+        for name in names:
+            shutil.rmtree(place / name)
+
+    return damage
 
 
 def _bits(values: NDArray[np.uint8]) -> Any:

@@ -35,8 +35,9 @@ from lightmatrix.files.images import fill_image, read_image
 from lightmatrix.files.stack import ImageStack, nonlinear_tag
 from lightmatrix.outputs.kinds import CAPTURE
 from lightmatrix.outputs.writing import atomic_folder
+from lightmatrix.patterns.bits import with_white
 from lightmatrix.patterns.folder import fill_pattern_folder, read_patterns
-from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
+from lightmatrix.patterns.pattern_set import PatternSet
 
 
 def read_capture(
@@ -141,7 +142,7 @@ def read_folders(
     if counted:
         _check_counts(shown, stack, Path(images))
     if white is not None:
-        shown = ImagePatterns(np.concatenate([shown.images(), np.ones((1, *shown.shape))]))
+        shown = with_white(shown)
         stack = replace(stack, paths=(*stack.paths, Path(white)))
     decoder = make_decoder(
         stack,

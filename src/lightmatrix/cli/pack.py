@@ -47,7 +47,7 @@ def pack(
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
-    """Put all frames into one array that large estimates read tile by tile.
+    """Put all frames into one array, read tile by tile.
 
     Give a capture folder, or --patterns and --images with what else is to be said of them. The
     packed capture takes the folder's place everywhere, and is read as far as asked: a tile of

@@ -101,7 +101,11 @@ def read_grey(path: str | Path) -> NDArray[np.float32]:
     >>> lm.read_grey("grey.png")
     array([[0. , 0.2, 1. ]], dtype=float32)
     """
-    image = read_image(path)
+    return as_grey(path, read_image(path))
+
+
+def as_grey(path: str | Path, image: NDArray[Any]) -> NDArray[np.float32]:
+    """An image that was read already as `read_grey` gives it; the path is for messages."""
     if image.ndim == 3:
         if (image != image[..., :1]).any():
             raise InputError(
