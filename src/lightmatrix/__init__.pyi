@@ -36,6 +36,7 @@ from .files.images import (
     read_image as read_image,
     write_image as write_image,
 )
+from .rig.at_scale import simulate_procedural as simulate_procedural
 from .rig.library import (
     scenes as scenes,
     truth as truth,
@@ -44,6 +45,7 @@ from .rig.photograph import (
     SimulatedCapture as SimulatedCapture,
     simulate as simulate,
 )
+from .rig.procedural import ProceduralScene as ProceduralScene
 from .rig.renderer import render as render
 from .rig.thumbnails import write_thumbnails as write_thumbnails
 from .rig.truth import Truth as Truth
