@@ -114,6 +114,7 @@ from .pictures.transport import (
 from .report.make import report as report
 from .rig.evaluate import evaluate as evaluate
 from .store import (
+    StoredTransport as StoredTransport,
     export as export,
     open as open,
     save as save,

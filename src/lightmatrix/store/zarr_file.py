@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +33,7 @@ from lightmatrix.transport.matrix import LightTransport
 FORMAT, VERSION = "lightmatrix-transport", 1
 _DIAGNOSTICS = "diagnostics"
 _ARRAYS = ("indptr", "indices", "data", "background")
-_RESTORE = "restore it, or estimate again"
+RESTORE = "restore it, or estimate again"
 
 
 def save(path: str | Path, transport: LightTransport, *, overwrite: bool = False) -> None:
@@ -92,6 +94,47 @@ def open(path: str | Path) -> LightTransport:
         If there is none, it is incomplete, damaged, of a later format version, or not stored the
         way that `save` does. All of it is checked: indices, finite values, shapes.
     """
+    stored = look(path)
+    check_room(stored.place, sum(array.bytes for array in stored.arrays.values()))
+    with damage_explained(stored.place, RESTORE):
+        return _read(stored)
+
+
+@dataclass(frozen=True, eq=False)
+class Stored:
+    """What a store announces; its arrays are not read yet.
+
+    Parameters
+    ----------
+    place : Path
+    camera_shape, projector_shape, background_grid : tuple of int
+    provenance : mapping
+    arrays : mapping of str to StoredArray
+        ``indptr``, ``indices``, ``data``, ``background`` and ``diagnostics/NAME``, whose shapes
+        fit each other.
+    """
+
+    place: Path
+    camera_shape: tuple[int, ...]
+    projector_shape: tuple[int, int]
+    background_grid: tuple[int, int]
+    provenance: Mapping[str, Any]
+    arrays: Mapping[str, StoredArray]
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Camera samples and projector pixels (M, N)."""
+        return math.prod(self.camera_shape), math.prod(self.projector_shape)
+
+
+def look(path: str | Path) -> Stored:
+    """Look at what a store announces.
+
+    Raises
+    ------
+    InputError
+        As `open`, but for what only the values of the arrays tell.
+    """
     place = Path(path)
     if not place.exists():
         if place.with_name(place.name + PARTIAL).exists():
@@ -100,9 +143,6 @@ def open(path: str | Path) -> LightTransport:
                 hint="run the same `lightmatrix estimate` again; it goes on where it stopped",
             )
         raise InputError(f"{place}: no such file", hint="check the name")
-    wrong = InputError(
-        f"{place}: is not a light transport matrix", hint="give a .zarr folder from `estimate`"
-    )
     attributes = read_attributes(place)
     if attributes.get("format") != FORMAT:
         output = attributes.get("output")
@@ -111,31 +151,24 @@ def open(path: str | Path) -> LightTransport:
                 f"{place}: is a {PACKED_CAPTURE.name}, not a {STORE.name}",
                 hint="estimate one from it: lightmatrix estimate",
             )
-        raise wrong
+        raise InputError(
+            f"{place}: is not a {STORE.name}", hint="give a .zarr folder from `estimate`"
+        )
     if attributes.get("version") != VERSION:
         raise InputError(
             f"{place}: has format version {str(attributes.get('version'))[:20]}, this lightmatrix "
             f"reads {VERSION}",
             hint="update lightmatrix",
         )
-    with damage_explained(place, _RESTORE):
-        arrays = _arrays(place, attributes)
-    check_room(place, sum(array.bytes for array in arrays.values()))
-    with damage_explained(place, _RESTORE):
-        return _read(attributes, arrays)
+    with damage_explained(place, RESTORE):
+        return _announced(place, attributes)
 
 
-def _shapes(attributes: dict[str, Any]) -> tuple[tuple[int, ...], tuple[int, int], tuple[int, int]]:
-    """Shapes of camera, projector and background grid."""
+def _announced(place: Path, attributes: Mapping[str, Any]) -> Stored:
+    """A store whose arrays fit together, as far as they announce it."""
     camera = shape_of(attributes["camera_shape"], (2, 3), "camera_shape")
     rows, cols = shape_of(attributes["projector_shape"], (2,), "projector_shape")
     grid_rows, grid_cols = shape_of(attributes["background_grid"], (2,), "background_grid")
-    return camera, (rows, cols), (grid_rows, grid_cols)
-
-
-def _arrays(place: Path, attributes: dict[str, Any]) -> dict[str, StoredArray]:
-    """The arrays of a store, if what they announce fits together."""
-    camera, _, grid = _shapes(attributes)
     samples = math.prod(camera)
     names = sorted(entry.name for entry in (place / _DIAGNOSTICS).iterdir() if entry.is_dir())
     members = [*_ARRAYS, *(f"{_DIAGNOSTICS}/{name}" for name in names)]
@@ -143,33 +176,36 @@ def _arrays(place: Path, attributes: dict[str, Any]) -> dict[str, StoredArray]:
     wanted = {
         "indptr": (samples + 1,),
         "indices": arrays["data"].shape,
-        "background": (samples, math.prod(grid)),
+        "background": (samples, grid_rows * grid_cols),
         **{name: (samples,) for name in arrays if name.startswith(_DIAGNOSTICS)},
     }
     for name, shape in wanted.items():
         if arrays[name].shape != shape:
             raise ValueError(f"{name} has shape {arrays[name].shape}, not {shape}")
-    return arrays
-
-
-def _read(attributes: dict[str, Any], arrays: dict[str, StoredArray]) -> LightTransport:
-    camera, projector, grid = _shapes(attributes)
     provenance = attributes["provenance"]
     if not isinstance(provenance, dict):
         raise ValueError("its provenance is not an object")
-    read = {name: array.read() for name, array in arrays.items()}
-    shape = (math.prod(camera), math.prod(projector))
-    diagnostics = {
-        name.removeprefix(f"{_DIAGNOSTICS}/"): values
-        for name, values in read.items()
-        if name not in _ARRAYS
-    }
+    return Stored(place, camera, (rows, cols), (grid_rows, grid_cols), provenance, arrays)
+
+
+def _read(stored: Stored) -> LightTransport:
+    read = {name: array.read() for name, array in stored.arrays.items()}
     return LightTransport(
-        checked_matrix(read["data"], read["indices"], read["indptr"], shape),
+        checked_matrix(read["data"], read["indices"], read["indptr"], stored.shape),
         finite(read["background"], "background"),
-        camera,
-        projector,
-        grid,
-        checked_diagnostics(diagnostics, shape[0]),
-        provenance,
+        stored.camera_shape,
+        stored.projector_shape,
+        stored.background_grid,
+        checked_diagnostics(diagnostics_of(read), stored.shape[0]),
+        stored.provenance,
     )
+
+
+def diagnostics_of(arrays: Mapping[str, Any]) -> dict[str, Any]:
+    """The diagnostics among the arrays of a store, by their own names."""
+    prefix = f"{_DIAGNOSTICS}/"
+    return {
+        name.removeprefix(prefix): value
+        for name, value in arrays.items()
+        if name.startswith(prefix)
+    }

@@ -1,0 +1,114 @@
+"""Matrices that stay on disk: the same rows, columns and light, of which only parts are read."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scipy.sparse
+from scipy.sparse import csr_array
+
+import lightmatrix as lm
+from lightmatrix.errors import InputError
+from lightmatrix.files import zarr_arrays
+from lightmatrix.store import lazy
+
+
+def transport(camera: tuple[int, ...] = (9, 8)) -> lm.LightTransport:
+    generator = np.random.default_rng(0)
+    rows = int(np.prod(camera))
+    matrix = scipy.sparse.random_array((rows, 42), density=0.2, rng=generator)
+    background = generator.random((rows, 6)).astype(np.float32)
+    diagnostics = {"gap": generator.random(rows)}
+    return lm.LightTransport(
+        csr_array(matrix, dtype=np.float32), background, camera, (6, 7), (2, 3), diagnostics, {}
+    )
+
+
+@pytest.fixture(autouse=True)
+def _small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(zarr_arrays, "CHUNK", 30)
+    monkeypatch.setattr(lazy, "_BLOCK_ENTRIES", 70)
+
+
+@pytest.mark.parametrize("camera", [(9, 8), (4, 5, 3), (1, 1)])
+@pytest.mark.parametrize("memory", [0, 2000, 1 << 30])
+def test_it_gives_what_the_whole_gives(
+    tmp_path: Path, camera: tuple[int, ...], memory: int
+) -> None:
+    whole = transport(camera)
+    lm.save(tmp_path / "s.zarr", whole)
+    found = lm.StoredTransport.open(tmp_path / "s.zarr", memory=memory)
+    generator = np.random.default_rng(1)
+    lit = generator.random((3, 6, 7))
+    lights = generator.random(camera).astype(np.float32)
+    # Twice, since blocks may be kept.
+    for _ in range(2):
+        np.testing.assert_allclose(found.relight(lit), whole.relight(lit), rtol=1e-6)
+        np.testing.assert_allclose(found.relight(lit[0]), whole.relight(lit[0]), rtol=1e-6)
+        np.testing.assert_allclose(found.dual(lights), whole.dual(lights), rtol=1e-5)
+        np.testing.assert_allclose(found.column(3, 5), whole.column(3, 5), rtol=1e-6)
+    last = tuple(n - 1 for n in camera)
+    np.testing.assert_array_equal(found.row(*last), whole.row(*last))
+    some = found.rows(0, found.shape[0])
+    assert (some.coefficients != whole.sparse).nnz == 0
+    np.testing.assert_array_equal(some.diagnostics["gap"], whole.diagnostics["gap"])
+    loaded = found.load()
+    assert (loaded.sparse != whole.sparse).nnz == 0
+    assert loaded.camera_shape == camera
+    assert "42 entries" not in repr(found)
+    assert sum(map(lazy._bytes, found._kept.values())) <= memory
+
+
+def test_a_region_is_a_matrix_of_its_own(tmp_path: Path) -> None:
+    whole = transport()
+    lm.save(tmp_path / "s.zarr", whole)
+    found = lm.StoredTransport.open(tmp_path / "s.zarr").region(slice(2, 5), slice(3, 8))
+    rows = np.arange(72).reshape(9, 8)[2:5, 3:8].ravel()
+    assert (found.sparse != whole.sparse[rows]).nnz == 0
+    np.testing.assert_array_equal(found.background, whole.background[rows])
+    np.testing.assert_array_equal(found.diagnostics["gap"], whole.diagnostics["gap"][rows])
+    assert found.camera_shape == (3, 5)
+    with pytest.raises(InputError, match="a region of 2:5, 3:9 of a camera of 9 x 8"):
+        lm.StoredTransport.open(tmp_path / "s.zarr").region(slice(2, 5), slice(3, 9))
+
+
+def test_only_the_chunks_that_are_asked_for_are_read_and_damage_is_named(tmp_path: Path) -> None:
+    whole = transport()
+    lm.save(tmp_path / "s.zarr", whole)
+    chunks = sorted((tmp_path / "s.zarr" / "data" / "c").iterdir(), key=lambda file: int(file.name))
+    assert len(chunks) > 10
+    # The end of the matrix is damaged in two ways.
+    chunks[-1].write_bytes(chunks[-1].read_bytes()[:-1])
+    chunks[-5].unlink()
+    found = lm.StoredTransport.open(tmp_path / "s.zarr")
+    np.testing.assert_array_equal(found.row(1, 2), whole.row(1, 2))
+    last = len(chunks) - 1
+    with pytest.raises(InputError, match=rf"is damaged .*data/c/{last}\b"):
+        found.row(8, 7)
+    with pytest.raises(InputError, match=rf"is damaged .*data/c/{last - 4} is missing"):
+        found.relight(np.ones((6, 7)))
+
+
+def test_where_rows_begin_is_checked_at_once(tmp_path: Path) -> None:
+    lm.save(tmp_path / "s.zarr", transport())
+    chunk = tmp_path / "s.zarr" / "indptr" / "c" / "1"
+    chunk.write_bytes(chunk.read_bytes()[::-1])
+    with pytest.raises(InputError, match="is damaged"):
+        lm.StoredTransport.open(tmp_path / "s.zarr")
+    with pytest.raises(InputError, match="no such file"):
+        lm.StoredTransport.open(tmp_path / "none.zarr")
+
+
+def test_relighting_from_files_reads_blocks(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = transport()
+    lm.save(tmp_path / "s.zarr", whole)
+    shown = np.random.default_rng(2).random((6, 7))
+    expected = lm.relight(whole, shown)
+    monkeypatch.setattr("lightmatrix.store.zarr_file.open", None)
+    np.testing.assert_allclose(lm.relight(tmp_path / "s.zarr", shown), expected, rtol=1e-6)
+    with pytest.raises(InputError, match="rows 3 to 99"):
+        lm.StoredTransport.open(tmp_path / "s.zarr").rows(3, 99)
