@@ -10,6 +10,7 @@ import scipy.sparse
 from scipy.sparse import csr_array
 
 import lightmatrix as lm
+from lightmatrix.cli import main
 from lightmatrix.errors import InputError
 from lightmatrix.files import zarr_arrays
 from lightmatrix.store import lazy
@@ -72,6 +73,18 @@ def test_a_region_is_a_matrix_of_its_own(tmp_path: Path) -> None:
     assert found.camera_shape == (3, 5)
     with pytest.raises(InputError, match="a region of 2:5, 3:9 of a camera of 9 x 8"):
         lm.StoredTransport.open(tmp_path / "s.zarr").region(slice(2, 5), slice(3, 9))
+
+
+def test_a_region_is_exported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    whole = transport()
+    lm.save(tmp_path / "s.zarr", whole)
+    line = f"export {tmp_path}/s.zarr {tmp_path}/T.npz --region"
+    assert main([*line.split(), "2:5,3:8"]) == 0
+    rows = np.arange(72).reshape(9, 8)[2:5, 3:8].ravel()
+    assert (scipy.sparse.load_npz(tmp_path / "T.npz") != whole.sparse[rows]).nnz == 0
+    for words, message in (("2-5", "a region of '2-5'"), ("2:5,3:9", "of a camera of 9 x 8")):
+        assert main([*line.split(), words, "--overwrite"]) == 2
+        assert message in capsys.readouterr().err
 
 
 def test_only_the_chunks_that_are_asked_for_are_read_and_damage_is_named(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ from PIL import Image
 
 from lightmatrix import store
 from lightmatrix.errors import InputError
+from lightmatrix.files.headers import said_in
 from lightmatrix.files.images import read_grey, write_image
 from lightmatrix.outputs.kinds import IMAGE
 from lightmatrix.outputs.writing import check_output
@@ -84,7 +86,11 @@ def relight(
             )
     found = _opened(transport)
     shown = read_grey(pattern) if isinstance(pattern, str | Path) else pattern
-    image = exposure * found.relight(_fitted(np.asarray(shown), found, resize))
+    # A store that was damaged may be what does not fit.
+    named = said_in(Path(transport)) if isinstance(transport, str | Path) else nullcontext()
+    with named:
+        light = _fitted(np.asarray(shown), found, resize)
+    image = exposure * found.relight(light)
     if output is not None:
         written = image
         if target.suffix.lower() == ".png":
