@@ -69,6 +69,50 @@ def write_array(group: zarr.Group, name: str, values: NDArray[Any]) -> None:
     create_array(group, name, values.shape, values.dtype, chunks)[...] = values
 
 
+class GrowingArray:
+    """An array that is written from its beginning to an end that is not known yet.
+
+    Chunks go to the disk as they fill, so that no more than about one is in memory. An array of
+    less than a chunk gets one of its own size.
+
+    Parameters
+    ----------
+    group : zarr.Group
+    name : str
+    dtype : numpy.dtype
+        What the values are stored as.
+    """
+
+    def __init__(self, group: zarr.Group, name: str, dtype: Any) -> None:
+        self._group, self._name, self._dtype = group, name, np.dtype(dtype)
+        self._waiting: list[NDArray[Any]] = []
+        self._array: zarr.Array[Any] | None = None
+
+    def add(self, values: NDArray[Any]) -> None:
+        """Put values behind those that are there, along the first axis."""
+        self._waiting.append(np.asarray(values, self._dtype))
+        chunk = max(1, CHUNK // max(1, int(np.prod(values.shape[1:]))))
+        if sum(map(len, self._waiting)) >= chunk:
+            self._write(chunk, last=False)
+
+    def close(self) -> None:
+        """Write what is left; something must have been added, if only an empty array."""
+        self._write(max(1, sum(map(len, self._waiting))), last=True)
+
+    def _write(self, chunk: int, *, last: bool) -> None:
+        values = np.concatenate(self._waiting)
+        if self._array is None:
+            shape = (0, *values.shape[1:])
+            chunks = (chunk, *(max(1, n) for n in values.shape[1:]))
+            self._array = create_array(self._group, self._name, shape, self._dtype, chunks)
+        ready = len(values) if last else len(values) // chunk * chunk
+        done = self._array.shape[0]
+        self._array.resize((done + ready, *values.shape[1:]))
+        if ready:
+            self._array[done : done + ready] = values[:ready]
+        self._waiting = [values[ready:]]
+
+
 def read_metadata(place: Path) -> dict[str, Any]:
     """The metadata of a group or array of Zarr version 3.
 

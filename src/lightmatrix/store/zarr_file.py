@@ -8,31 +8,32 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import zarr
-from numpy.typing import NDArray
 
 from lightmatrix.errors import InputError
 from lightmatrix.files.memory import check_room
 from lightmatrix.files.zarr_arrays import (
+    GrowingArray,
     StoredArray,
     damage_explained,
     read_attributes,
-    write_array,
 )
 from lightmatrix.outputs.kinds import PACKED_CAPTURE, PARTIAL, STORE
 from lightmatrix.outputs.writing import atomic_folder
 from lightmatrix.store.checked import checked_diagnostics, checked_matrix, finite, shape_of
 from lightmatrix.transport.matrix import LightTransport
+from lightmatrix.transport.sparse_rows import SparseRows
 
 FORMAT, VERSION = "lightmatrix-transport", 1
 _DIAGNOSTICS = "diagnostics"
-_ARRAYS = ("indptr", "indices", "data", "background")
+# The arrays of the group, and what they are stored as.
+_ARRAYS = {"indptr": np.int64, "indices": np.int32, "data": np.float32, "background": np.float32}
 RESTORE = "restore it, or estimate again"
 
 
@@ -58,29 +59,76 @@ def save(path: str | Path, transport: LightTransport, *, overwrite: bool = False
     >>> import lightmatrix as lm
     >>> lm.save("saved.zarr", lm.truth("metal").transport())
     """
+    rows = SparseRows(transport.sparse, transport.background, transport.diagnostics)
+    save_rows(
+        path,
+        [rows],
+        camera_shape=transport.camera_shape,
+        projector_shape=transport.projector_shape,
+        background_grid=transport.background_grid,
+        provenance=transport.provenance,
+        overwrite=overwrite,
+    )
+
+
+def save_rows(
+    path: str | Path,
+    parts: Iterable[SparseRows],
+    *,
+    camera_shape: tuple[int, ...],
+    projector_shape: tuple[int, int],
+    background_grid: tuple[int, int],
+    provenance: Mapping[str, Any],
+    overwrite: bool = False,
+) -> None:
+    """Write a light transport matrix as `save` does, of which no more than a part is in memory.
+
+    Parameters
+    ----------
+    path : str or Path
+        Ends in .zarr.
+    parts : iterable of SparseRows
+        All rows in their order, one part or more, all with the same diagnostics.
+    camera_shape, projector_shape, background_grid : tuple of int
+    provenance : mapping
+        JSON-ready.
+    overwrite : bool
+        Whether an existing one may be replaced; it stays until the new one is whole.
+
+    Raises
+    ------
+    OutputError
+        If it exists, ends otherwise, or cannot be written.
+    """
     with atomic_folder(path, STORE, overwrite=overwrite) as part:
         group = zarr.open_group(part, mode="w", zarr_format=3)
-        sparse = transport.sparse
-        arrays: dict[str, NDArray[Any]] = {
-            "indptr": np.asarray(sparse.indptr, np.int64),
-            "indices": np.asarray(sparse.indices, np.int32),
-            "data": np.asarray(sparse.data, np.float32),
-            "background": np.asarray(transport.background, np.float32),
-        }
-        for name, values in arrays.items():
-            write_array(group, name, values)
-        diagnostics = group.create_group(_DIAGNOSTICS)
-        for name, values in transport.diagnostics.items():
-            write_array(diagnostics, name, values)
+        arrays = {name: GrowingArray(group, name, dtype) for name, dtype in _ARRAYS.items()}
+        told: dict[str, GrowingArray] = {}
+        inner = group.create_group(_DIAGNOSTICS)
+        arrays["indptr"].add(np.zeros(1, np.int64))
+        entries = 0
+        for rows in parts:
+            matrix = rows.coefficients
+            arrays["indptr"].add(entries + matrix.indptr[1:].astype(np.int64))
+            arrays["indices"].add(matrix.indices)
+            arrays["data"].add(matrix.data)
+            arrays["background"].add(rows.background)
+            entries += int(matrix.nnz)
+            for name, values in rows.diagnostics.items():
+                if name not in told:
+                    told[name] = GrowingArray(inner, name, values.dtype)
+                told[name].add(values)
+        for array in (*arrays.values(), *told.values()):
+            array.close()
         # Last, so that a group without attributes is never taken for a whole one.
         group.attrs.update(
             {
                 "format": FORMAT,
                 "version": VERSION,
-                "camera_shape": [int(n) for n in transport.camera_shape],
-                "projector_shape": [int(n) for n in transport.projector_shape],
-                "background_grid": [int(n) for n in transport.background_grid],
-                "provenance": json.loads(json.dumps(dict(transport.provenance), default=str)),
+                "camera_shape": [int(n) for n in camera_shape],
+                "projector_shape": [int(n) for n in projector_shape],
+                "background_grid": [int(n) for n in background_grid],
+                "provenance": json.loads(json.dumps(dict(provenance), default=str)),
             }
         )
 
