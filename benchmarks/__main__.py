@@ -3,8 +3,8 @@
 Answers are compared first: certified gaps, then agreement with an independent float64 solver, then
 objectives and gaps beside the peers'. Tables go to the terminal, everything to `bench-out/`
 (`solver.json`, `scaling.png`, `scaling.svg`). Exposure by the benchmark rule, noise 0.003 of the
-clip level, 8 bits, lambda = 0.32 clip levels at every number of patterns. BLAS runs the processor's own kernel,
-whatever the environment asks for, since passes are measured against it; the kernel is printed first.
+clip level, 8 bits, lambda = 0.32 clip levels at every number of patterns. BLAS, which passes are
+measured against, runs the processor's own kernel whatever the environment asks for.
 
     python -m benchmarks [--quick] [--truth FOLDER] [-o bench-out]
 

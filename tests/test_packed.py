@@ -21,6 +21,7 @@ from lightmatrix.capture import packing
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.packed import PackedFrames
 from lightmatrix.capture.window import window
+from lightmatrix.cli import main
 from lightmatrix.errors import InputError, OutputError
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.rig.coarse import coarse
@@ -187,6 +188,28 @@ def test_everything_takes_it_as_it_takes_the_folder(folder: Path, name: str) -> 
     one, other = estimator.estimate(found), estimator.estimate(wanted)
     assert (one.sparse != other.sparse).nnz == 0
     assert one.provenance == other.provenance
+
+
+def test_info_tells_of_both(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    told = []
+    for name in ("capture", "packed.zarr"):
+        assert main(["info", str(folder / name), "--json"]) == 0
+        told.append(json.loads(capsys.readouterr().out))
+        assert main(["info", str(folder / name)]) == 0
+        assert "16 x 16" in capsys.readouterr().out
+        assert main(["info", str(folder / name), "--pictures", str(folder / "p")]) == 2
+        assert "is a capture" in capsys.readouterr().err
+    assert told[0] == told[1]
+    assert told[0]["frames"] == 24
+
+
+def test_the_command_packs_plain_folders(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    plain = f"--patterns {folder}/capture/patterns --images {folder}/capture/images --black 3"
+    assert main(f"pack {plain} -o {folder}/plain.zarr --json".split()) == 0
+    assert json.loads(capsys.readouterr().out)["frames"] == 24
+    inside = folder / "capture"
+    wanted = Capture.from_folders(inside / "patterns", inside / "images", black=3, check=False)
+    assert Capture.open(folder / "plain.zarr", check=False).digest == wanted.digest
 
 
 def test_what_it_is_not_is_said(folder: Path, tmp_path: Path) -> None:

@@ -27,7 +27,7 @@ from lightmatrix.capture.checks import (
     check_per_frame,
     warn_of_hidden_clipping,
 )
-from lightmatrix.capture.folder import read_capture, read_folders
+from lightmatrix.capture.folder import holds_capture, read_capture, read_folders
 from lightmatrix.capture.frames import ArrayStack, Frames
 from lightmatrix.capture.order import check_order
 from lightmatrix.capture.reader import Reader
@@ -137,6 +137,14 @@ class Capture:
             parts.patterns, parts.frames, parts.decoder, parts.mask, provenance=parts.provenance
         )
         return capture._finish(bin_projector, bin_camera, check, check_order)
+
+    @staticmethod
+    def lies_at(path: str | Path) -> bool:
+        """Whether a path leads to a capture, packed or not, rather than to something else.
+
+        It may be damaged, which `open` finds out.
+        """
+        return holds_capture(Path(path))
 
     @classmethod
     def from_folders(
@@ -375,6 +383,10 @@ class Capture:
     def digest(self) -> str:
         """Hash of the patterns and of all samples, 16 hex digits."""
         return summary.digest(self.patterns, self.reader)
+
+    def summary(self) -> dict[str, Any]:
+        """Number of frames, shapes, kind of patterns, levels, exposures: as names and values."""
+        return summary.told(self.patterns, self.reader)
 
     @property
     def description(self) -> dict[str, Any]:

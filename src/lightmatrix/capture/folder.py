@@ -27,17 +27,25 @@ from lightmatrix.camera.sensor import Sensor
 from lightmatrix.capture.beside import check_name, with_files_beside
 from lightmatrix.capture.checks import check_per_frame
 from lightmatrix.capture.description import FORMAT, NAME, VERSION, Description, read_description
+from lightmatrix.capture.packed import FORMAT as PACKED_FORMAT
 from lightmatrix.capture.packed import is_packed, read_packed
 from lightmatrix.capture.parts import CaptureParts
 from lightmatrix.errors import InputError, LightMatrixWarning
 from lightmatrix.files.headers import said_in
 from lightmatrix.files.images import fill_image, read_image
 from lightmatrix.files.stack import ImageStack, nonlinear_tag
+from lightmatrix.files.zarr_arrays import read_attributes
 from lightmatrix.outputs.kinds import CAPTURE
 from lightmatrix.outputs.writing import atomic_folder
 from lightmatrix.patterns.bits import with_white
 from lightmatrix.patterns.folder import fill_pattern_folder, read_patterns
 from lightmatrix.patterns.pattern_set import PatternSet
+
+
+def holds_capture(place: Path) -> bool:
+    """Whether a folder is a capture, packed or not; it may be damaged."""
+    packed = is_packed(place) and read_attributes(place).get("format") == PACKED_FORMAT
+    return packed or ((place / "images").is_dir() and (place / "patterns").is_dir())
 
 
 def read_capture(
