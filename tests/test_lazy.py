@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ import lightmatrix as lm
 from lightmatrix.cli import main
 from lightmatrix.errors import InputError
 from lightmatrix.files import zarr_arrays
-from lightmatrix.store import lazy
+from lightmatrix.store import columns, lazy
 
 
 def transport(camera: tuple[int, ...] = (9, 8)) -> lm.LightTransport:
@@ -125,3 +126,53 @@ def test_relighting_from_files_reads_blocks(
     np.testing.assert_allclose(lm.relight(tmp_path / "s.zarr", shown), expected, rtol=1e-6)
     with pytest.raises(InputError, match="rows 3 to 99"):
         lm.StoredTransport.open(tmp_path / "s.zarr").rows(3, 99)
+
+
+def test_an_index_of_columns_gives_the_light_of_some_pixels(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(columns, "_CHUNK", 25)
+    monkeypatch.setattr(columns, "_PASS_ENTRIES", 100)
+    whole = transport()
+    path = tmp_path / "s.zarr"
+    lm.save(path, whole)
+    with pytest.raises(InputError, match="has no index of its columns"):
+        lm.ColumnIndex.open(path)
+    lm.index_columns(path)
+    index = lm.ColumnIndex.open(path)
+    generator = np.random.default_rng(3)
+    for pixels in (np.array([], int), np.array([41]), np.array([30, 3, 4, 5, 41, 4])):
+        change = generator.normal(size=len(pixels))
+        wanted = whole.dense_columns(pixels) @ change
+        found = index.light(pixels, change)
+        np.testing.assert_allclose(found.ravel(), wanted, atol=1e-6)
+    with pytest.raises(InputError, match="pixels up to 42"):
+        index.light(np.array([42]), np.ones(1))
+    with pytest.raises(InputError, match="has an index already"):
+        lm.index_columns(path)
+    lm.index_columns(path, overwrite=True)
+    # What runs that were killed leave is swept.
+    (path / ".columns.part").mkdir()
+    (path / ".columns.part" / "half").touch()
+    lm.index_columns(path, overwrite=True)
+    # Still the same matrix, which may be replaced, index and all.
+    assert (lm.open(path).sparse != whole.sparse).nnz == 0
+    lm.save(path, whole, overwrite=True)
+    assert not (path / "columns").exists()
+    assert [entry.name for entry in tmp_path.iterdir()] == ["s.zarr"]
+
+
+def test_a_damaged_index_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(columns, "_CHUNK", 25)
+    path = tmp_path / "s.zarr"
+    lm.save(path, transport())
+    lm.index_columns(path)
+    chunk = path / "columns" / "rows" / "c" / "2"
+    chunk.write_bytes(chunk.read_bytes()[:-1])
+    index = lm.ColumnIndex.open(path)
+    with pytest.raises(InputError, match=r"columns: is damaged .*rows/c/2"):
+        index.light(np.arange(42), np.ones(42))
+    assert index.light(np.array([0]), np.ones(1)).shape == (9, 8)
+    shutil.rmtree(path / "columns" / "data")
+    with pytest.raises(InputError, match="columns: is damaged"):
+        lm.ColumnIndex.open(path)

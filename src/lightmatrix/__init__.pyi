@@ -114,8 +114,10 @@ from .pictures.transport import (
 from .report.make import report as report
 from .rig.evaluate import evaluate as evaluate
 from .store import (
+    ColumnIndex as ColumnIndex,
     StoredTransport as StoredTransport,
     export as export,
+    index_columns as index_columns,
     open as open,
     save as save,
 )

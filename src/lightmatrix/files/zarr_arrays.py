@@ -81,17 +81,20 @@ class GrowingArray:
     name : str
     dtype : numpy.dtype
         What the values are stored as.
+    chunk : int, optional
+        Values of a chunk; None for as many as usual.
     """
 
-    def __init__(self, group: zarr.Group, name: str, dtype: Any) -> None:
+    def __init__(self, group: zarr.Group, name: str, dtype: Any, chunk: int | None = None) -> None:
         self._group, self._name, self._dtype = group, name, np.dtype(dtype)
+        self._chunk = chunk
         self._waiting: list[NDArray[Any]] = []
         self._array: zarr.Array[Any] | None = None
 
     def add(self, values: NDArray[Any]) -> None:
         """Put values behind those that are there, along the first axis."""
         self._waiting.append(np.asarray(values, self._dtype))
-        chunk = max(1, CHUNK // max(1, int(np.prod(values.shape[1:]))))
+        chunk = max(1, (self._chunk or CHUNK) // max(1, int(np.prod(values.shape[1:]))))
         if sum(map(len, self._waiting)) >= chunk:
             self._write(chunk, last=False)
 
