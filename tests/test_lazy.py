@@ -133,6 +133,7 @@ def test_an_index_of_columns_gives_the_light_of_some_pixels(
 ) -> None:
     monkeypatch.setattr(columns, "_CHUNK", 25)
     monkeypatch.setattr(columns, "_PASS_ENTRIES", 100)
+    monkeypatch.setattr(columns, "_TILE", 4)
     whole = transport()
     path = tmp_path / "s.zarr"
     lm.save(path, whole)

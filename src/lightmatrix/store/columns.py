@@ -1,7 +1,7 @@
 """An index of the columns of a matrix on disk, so that a brush stroke reads no more than its light.
 
 Rows are what a matrix on disk is cut into, and a column is spread over all of them. The index keeps
-the entries a second time, column by column.
+the entries a second time, column by column, the columns of a tile of the projector together.
 """
 
 from __future__ import annotations
@@ -9,14 +9,15 @@ from __future__ import annotations
 import itertools
 import os
 import shutil
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import zarr
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
+from scipy.sparse import csc_array
 
 from lightmatrix.errors import InputError
 from lightmatrix.files.zarr_arrays import (
@@ -30,6 +31,7 @@ from lightmatrix.outputs.locks import check_unlocked
 from lightmatrix.outputs.room import check_disk
 from lightmatrix.outputs.targets import explained, final_target
 from lightmatrix.outputs.writing import claimed
+from lightmatrix.reprs import short_repr
 from lightmatrix.store.checked import check_indptr, finite
 from lightmatrix.store.lazy import StoredTransport
 
@@ -39,8 +41,12 @@ _PART = ".columns.part"
 _ARRAYS = {"indptr": np.int64, "rows": np.int32, "data": np.float32}
 # Entries that are turned over together, 12 bytes each and as much again while they are sorted.
 _PASS_ENTRIES = 1 << 26
+# Projector pixels of a tile, down and across.
+_TILE = 32
 # Of a chunk, small enough that the pixels of a brush read little besides.
 _CHUNK = 1 << 16
+# Chunks that are kept, of 512 KiB each.
+_MOST_KEPT = 256
 _AGAIN = "make it again with index_columns"
 
 
@@ -101,11 +107,33 @@ def _sweep(target: Path) -> None:
                 shutil.rmtree(target / name)
 
 
+def tile_places(projector_shape: tuple[int, int]) -> NDArray[np.int64]:
+    """Where each projector pixel stands in the index: tile by tile of 32 x 32, row by row in each.
+
+    So that the pixels of a brush, which lie beside and below each other, stand together.
+
+    Parameters
+    ----------
+    projector_shape : (rows, cols)
+
+    Returns
+    -------
+    (N,) int64
+        A permutation of 0..N - 1, by pixel in the order (row, col).
+    """
+    rows, cols = projector_shape
+    across = -(-cols // _TILE)
+    tile = (np.arange(rows) // _TILE)[:, None] * across + np.arange(cols) // _TILE
+    places = np.empty(rows * cols, np.int64)
+    places[np.argsort(tile.ravel(), kind="stable")] = np.arange(rows * cols)
+    return places
+
+
 def _write(part: Path, matrix: StoredTransport) -> None:
-    pixels = matrix.shape[1]
+    pixels, places = matrix.shape[1], tile_places(matrix.projector_shape)
     counts = np.zeros(pixels, np.int64)
     for _, block in matrix.blocks():
-        counts += np.bincount(block.coefficients.indices, minlength=pixels)
+        counts += np.bincount(places[block.coefficients.indices], minlength=pixels)
     ends = np.concatenate([[0], np.cumsum(counts)])
     group = zarr.open_group(part, mode="w", zarr_format=3)
     arrays = {name: GrowingArray(group, name, dtype, _CHUNK) for name, dtype in _ARRAYS.items()}
@@ -117,8 +145,9 @@ def _write(part: Path, matrix: StoredTransport) -> None:
         columns, rows, data = [], [], []
         for start, block in matrix.blocks():
             found = block.coefficients.tocoo()
-            inside = (found.col >= first) & (found.col < last)
-            columns.append(found.col[inside].astype(np.int32))
+            column = places[found.col]
+            inside = (column >= first) & (column < last)
+            columns.append(column[inside].astype(np.int32))
             rows.append((start + found.row[inside]).astype(np.int32))
             data.append(found.data[inside])
         order = np.argsort(np.concatenate(columns), kind="stable")
@@ -152,6 +181,10 @@ class ColumnIndex:
 
     matrix: StoredTransport
     arrays: dict[str, StoredArray]
+    # Chunks that were read, since the next stroke is near the last.
+    _kept: dict[int, tuple[NDArray[Any], NDArray[Any]]] = field(default_factory=dict, repr=False)
+
+    __repr__ = short_repr
 
     @classmethod
     def open(cls, path: str | Path) -> ColumnIndex:
@@ -209,34 +242,56 @@ class ColumnIndex:
                 f"pixels up to {pixels.max()} of a projector of {self.matrix.shape[1]}",
                 hint="count them from 0, row by row",
             )
-        order = np.argsort(pixels, kind="stable")
-        pixels, change = pixels[order], change[order]
+        ends, places = self._ends, self._places[pixels]
         image = np.zeros(self.matrix.shape[0])
-        # Pixels beside each other lie beside each other.
-        for run in np.split(np.arange(len(pixels)), np.flatnonzero(np.diff(pixels) > 1) + 1):
-            if len(run):
-                self._add(image, pixels[run], change[run])
-        shown = csr_array(
-            (change, (pixels, np.zeros_like(pixels))), shape=(self.matrix.shape[1], 1)
-        )
-        means = (self.matrix.pooling @ shown).toarray()[:, 0]
+        for k in self._chunks(places):
+            rows, data = self._kept[k]
+            # Of each pixel, its entries in this chunk, counted from the chunk's beginning.
+            low = np.clip(ends[places] - k * _CHUNK, 0, len(rows))
+            lengths = np.clip(ends[places + 1] - k * _CHUNK, 0, len(rows)) - low
+            inside = np.flatnonzero(lengths)
+            lengths, low = lengths[inside], low[inside]
+            first = np.repeat(low - np.cumsum(lengths) + lengths, lengths)
+            entries = first + np.arange(len(first))
+            np.add.at(image, rows[entries], data[entries] * np.repeat(change[inside], lengths))
+        means = self._pooling[:, pixels] @ change
         if means.any():
-            image += self._background @ means
+            image += self._background @ means.astype(np.float32)
         return image.astype(np.float32).reshape(self.matrix.camera_shape)
 
-    def _add(
-        self, image: NDArray[np.float64], pixels: NDArray[np.integer], change: NDArray[np.float64]
-    ) -> None:
-        ends = self._ends
-        span = slice(int(ends[pixels[0]]), int(ends[pixels[-1] + 1]))
+    def _chunks(self, places: NDArray[np.int64]) -> list[int]:
+        """Which chunks hold entries of columns at some places, all of them read and kept."""
+        ends, some = self._ends, places[self._ends[places] < self._ends[places + 1]]
+        spans = zip(ends[some] // _CHUNK, (ends[some + 1] - 1) // _CHUNK, strict=True)
+        wanted = sorted({k for first, last in spans for k in range(first, last + 1)})
+        missing = [k for k in wanted if k not in self._kept]
+        if len(self._kept) + len(missing) > _MOST_KEPT:
+            self._kept.clear()
+            missing = wanted
+        # Chunks that follow each other are read at one go, which is what takes time.
+        for run in np.split(missing, np.flatnonzero(np.diff(missing) > 1) + 1):
+            if len(run):
+                self._read(int(run[0]), int(run[-1]) + 1)
+        return wanted
+
+    def _read(self, first: int, last: int) -> None:
+        span = slice(first * _CHUNK, last * _CHUNK)
         with damage_explained(self.matrix.stored.place / COLUMNS, _AGAIN):
             rows = self.arrays["rows"].read(span)
-            if len(rows) and not (rows.min() >= 0 and rows.max() < len(image)):
+            if len(rows) and not (rows.min() >= 0 and rows.max() < self.matrix.shape[0]):
                 raise ValueError("a row lies outside the matrix")
             data = finite(self.arrays["data"].read(span), "data")
-        bright = np.bincount(pixels - pixels[0], change, pixels[-1] - pixels[0] + 1)
-        lengths = np.diff(ends[pixels[0] : pixels[-1] + 2])
-        np.add.at(image, rows, data * np.repeat(bright, lengths))
+        for k in range(first, last):
+            part = slice((k - first) * _CHUNK, (k - first + 1) * _CHUNK)
+            self._kept[k] = rows[part], data[part]
+
+    @cached_property
+    def _places(self) -> NDArray[np.int64]:
+        return tile_places(self.matrix.projector_shape)
+
+    @cached_property
+    def _pooling(self) -> csc_array:
+        return csc_array(self.matrix.pooling, dtype=np.float64)
 
     @cached_property
     def _ends(self) -> NDArray[np.int64]:
