@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -86,6 +88,25 @@ def test_a_region_is_exported(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     for words, message in (("2-5", "a region of '2-5'"), ("2:5,3:9", "of a camera of 9 x 8")):
         assert main([*line.split(), words, "--overwrite"]) == 2
         assert message in capsys.readouterr().err
+
+
+def test_others_read_the_format_as_it_is_documented(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = transport((102, 2))
+    lm.save(tmp_path / "scene.zarr", whole)
+    monkeypatch.chdir(tmp_path)
+    page = Path(__file__).parent.parent / "docs" / "store-format.md"
+    code = re.findall(r"```python\n(.*?)```", page.read_text(), flags=re.DOTALL)
+    assert len(code) == 1
+    assert "lightmatrix" not in code[0]
+    found: dict[str, Any] = {}
+    exec(code[0], found)
+    assert (found["rows"] != whole.sparse[200:202]).nnz == 0
+    # A projector of 3 x 5 in tiles of 2 x 2, by what the page says of their order.
+    monkeypatch.setattr(columns, "_TILE", 2)
+    order = [0, 1, 5, 6, 2, 3, 7, 8, 4, 9, 10, 11, 12, 13, 14]
+    assert np.argsort(columns.tile_places((3, 5))).tolist() == order
 
 
 def test_only_the_chunks_that_are_asked_for_are_read_and_damage_is_named(tmp_path: Path) -> None:
