@@ -225,4 +225,3 @@ def _kernel(size: float) -> NDArray[np.float32]:
     offsets = np.arange(int(_REACH * size + 0.5) + 1)
     kernel = np.exp(-0.5 * (offsets / size) ** 2) if size > 0 else np.ones(1)
     return np.asarray(kernel / (2 * kernel.sum() - kernel[0]), np.float32)
-

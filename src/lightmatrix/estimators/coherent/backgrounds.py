@@ -134,7 +134,8 @@ class Backgrounds:
         down, right = np.ogrid[1 - rows : rows, 1 - cols : cols]
         kernel = 1 / (down**2 + right**2 + CORE**2)
         # By hand, since loading scipy.signal for it takes a second.
-        shape = [next_fast_len(n + m - 1, True) for n, m in zip(kernel.shape, (rows, cols), strict=True)]
+        sides = zip(kernel.shape, (rows, cols), strict=True)
+        shape = [next_fast_len(n + m - 1, True) for n, m in sides]
         spread = rfft2(kernel, shape)
         result = np.empty((rows * cols, len(self._sizes)), np.float32)
         for cell, part in enumerate(self._cells_on_squares()):
