@@ -55,7 +55,7 @@ class StoredTransport:
     >>> stored.relight(np.ones(stored.projector_shape)).shape, stored.row(20, 30).shape
     ((64, 64), (64, 64))
     >>> stored.region(slice(8, 16), slice(0, 64))
-    LightTransport(camera 8 x 64, projector 64 x 64, 268236 entries, metal)
+    LightTransport(camera 8 x 64, projector 64 x 64, 214586 entries, metal)
     """
 
     stored: Stored
