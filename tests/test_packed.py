@@ -366,3 +366,18 @@ class _Broken:
             raise InputError("frame 3 is gone")
         found: NDArray[Any] = self.frames.read(index)
         return found
+
+
+def test_black_and_white_images_give_the_estimate_of_the_generated_set(
+    folder: Path, tmp_path: Path
+) -> None:
+    shutil.copytree(folder / "capture", tmp_path / "c")
+    (tmp_path / "c" / "patterns" / "patterns.json").unlink()
+    generated, read = Capture.open(folder / "capture"), Capture.open(tmp_path / "c")
+    assert isinstance(generated.patterns, lm.BernoulliPatterns)
+    assert isinstance(read.patterns, lm.BitPatterns)
+    assert read.digest == generated.digest
+    for coherent in (False, True):
+        one, other = (lm.estimate(capture, coherent=coherent) for capture in (generated, read))
+        assert (one.sparse != other.sparse).nnz == 0
+        np.testing.assert_array_equal(one.background, other.background)
