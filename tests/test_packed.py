@@ -19,6 +19,7 @@ from lightmatrix.camera.decoder import Decoder
 from lightmatrix.camera.response import Response
 from lightmatrix.capture import packing
 from lightmatrix.capture.capture import Capture
+from lightmatrix.capture.frames import PixelFrames
 from lightmatrix.capture.packed import PackedFrames
 from lightmatrix.capture.window import window
 from lightmatrix.cli import main
@@ -136,6 +137,23 @@ def test_any_run_of_samples_is_that_of_the_frames(
         np.testing.assert_array_equal(found.reader.levels(*rows), wanted.reader.raw[slice(*rows)])
     at = data.draw(st.integers(0, 34))
     np.testing.assert_array_equal(found.reader.levels(at, at + 1)[0], wanted.reader.raw[at])
+
+
+@pytest.mark.usefixtures("small_chunks")
+def test_packed_and_cropped_in_either_order_are_the_same(tmp_path: Path) -> None:
+    whole = capture(**DECODERS["a black frame"])
+    wanted = whole.crop((1, 2), (3, 4))
+    lm.pack(whole, tmp_path / "whole.zarr")
+    lm.pack(wanted, tmp_path / "part.zarr")
+    cropped = Capture.open(tmp_path / "whole.zarr", crop=((1, 2), (3, 4)), check=False)
+    assert isinstance(cropped.frames, PixelFrames)
+    for found in (cropped, Capture.open(tmp_path / "part.zarr", check=False)):
+        assert_same(found, wanted)
+    inner = (1, 1), (2, 2)
+    assert cropped.crop(*inner).digest == wanted.crop(*inner).digest
+    assert cropped.crop(*inner).description["crop"]["corner"] == [2, 3]
+    some = [3, 0]
+    assert cropped.select(some).digest == wanted.select(some).digest
 
 
 def test_a_tile_reads_only_its_own_chunks(tmp_path: Path, small_chunks: None) -> None:

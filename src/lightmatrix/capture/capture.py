@@ -28,13 +28,17 @@ from lightmatrix.capture.checks import (
     warn_of_hidden_clipping,
 )
 from lightmatrix.capture.folder import holds_capture, read_capture, read_folders
-from lightmatrix.capture.frames import ArrayStack, Frames
+from lightmatrix.capture.frames import ArrayStack, Frames, cut
 from lightmatrix.capture.order import check_order
 from lightmatrix.capture.reader import Reader
 from lightmatrix.errors import InputError
 from lightmatrix.patterns.grids import block_size
 from lightmatrix.patterns.pattern_set import PatternSet
+from lightmatrix.regions import Region
 from lightmatrix.reprs import html_table
+
+# Corner and shape of a rectangle of photographs.
+Crop = tuple[tuple[int, int], tuple[int, int]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,6 +110,7 @@ class Capture:
         cls,
         folder: str | Path,
         *,
+        crop: Crop | None = None,
         bin_projector: int | tuple[int, int] = 1,
         bin_camera: int | tuple[int, int] = 1,
         check: bool = True,
@@ -120,6 +125,8 @@ class Capture:
             Holds patterns/, images/ and, for anything but a linear camera of exposure 1 without
             black level, capture.json. Or a .zarr that `pack` made of one, of which as much is read
             as is asked for.
+        crop : ((int, int), (int, int)), optional
+            Corner and shape of a rectangle of the photographs, see `crop`. None: all of them.
         bin_projector, bin_camera : int or (int, int)
             See `bin`.
         check, check_order : bool
@@ -136,7 +143,7 @@ class Capture:
         capture = cls(
             parts.patterns, parts.frames, parts.decoder, parts.mask, provenance=parts.provenance
         )
-        return capture._finish(bin_projector, bin_camera, check, check_order)
+        return capture._finish(crop, bin_projector, bin_camera, check, check_order)
 
     @staticmethod
     def lies_at(path: str | Path) -> bool:
@@ -161,6 +168,7 @@ class Capture:
         mask: str | Path | None = None,
         full_scale: float | None = None,
         black_exposure: float | None = None,
+        crop: Crop | None = None,
         bin_projector: int | tuple[int, int] = 1,
         bin_camera: int | tuple[int, int] = 1,
         check: bool = True,
@@ -193,6 +201,8 @@ class Capture:
             Raw level that the response calls 1; None means the end of the range.
         black_exposure : float, optional
             Exposure of the black frame; None means that of the frames, which must then be one.
+        crop : ((int, int), (int, int)), optional
+            Corner and shape of a rectangle of the photographs, see `crop`. None: all of them.
         bin_projector, bin_camera : int or (int, int)
             See `bin`.
         check, check_order : bool
@@ -217,7 +227,7 @@ class Capture:
             black_exposure=black_exposure,
         )
         capture = cls(parts.patterns, parts.frames, parts.decoder, parts.mask)
-        return capture._finish(bin_projector, bin_camera, check, check_order)
+        return capture._finish(crop, bin_projector, bin_camera, check, check_order)
 
     @classmethod
     def from_arrays(
@@ -255,17 +265,19 @@ class Capture:
         """
         decoder = sensor.decoder() if isinstance(sensor, Sensor) else sensor
         capture = cls(patterns, ArrayStack(frames), decoder, mask, provenance=provenance or {})
-        return capture._finish(1, 1, check, check_order)
+        return capture._finish(None, 1, 1, check, check_order)
 
     def _finish(
         self,
+        crop: Crop | None,
         bin_projector: int | tuple[int, int],
         bin_camera: int | tuple[int, int],
         check: bool,
         order: bool,
     ) -> Capture:
         check_per_frame(self.decoder, self.count)
-        capture = self.bin(bin_projector, bin_camera)
+        whole = self if crop is None else self.crop(*crop)
+        capture = whole.bin(bin_projector, bin_camera)
         if check:
             capture.check(order=order)
         return capture
@@ -301,6 +313,43 @@ class Capture:
     def reference_level(self) -> float:
         """Clip level of the longest exposed frames at exposure 1: the natural unit of a row."""
         return float(1 / self.exposures.max())
+
+    def crop(self, corner: tuple[int, int], shape: tuple[int, int]) -> Capture:
+        """A rectangle of the photographs, cut out of each as it is read.
+
+        What was cut away takes neither memory nor time, but that of reading a photograph. An
+        estimate keeps in its provenance where the rectangle lay.
+
+        Parameters
+        ----------
+        corner : (int, int)
+            Row and column of its first camera pixel, not binned.
+        shape : (int, int)
+            Its rows and columns, not binned.
+
+        Raises
+        ------
+        InputError
+            If it does not lie within the photographs, or they are binned already.
+
+        Examples
+        --------
+        >>> import lightmatrix as lm
+        >>> capture = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 8))
+        >>> capture.crop((10, 20), (32, 40)).bin(camera=2).camera_shape
+        (16, 20)
+        """
+        if self.bin_camera != (1, 1):
+            raise InputError("the capture is binned already", hint="crop it first, then bin it")
+        frames = cut(self.frames, corner, shape)
+        rows, cols = self.frames.shape[:2]
+        inside = Region(corner, shape, (rows, cols)).slices
+        decoder = self.decoder
+        if decoder.black_frame is not None:
+            black = decoder.black_frame.reshape(self.frames.shape)[inside]
+            decoder = replace(decoder, black_frame=black.ravel())
+        mask = None if self.mask is None else self.mask[inside]
+        return replace(self, frames=frames, decoder=decoder, mask=mask)
 
     def bin(
         self, projector: int | tuple[int, int] = 1, camera: int | tuple[int, int] = 1

@@ -1,16 +1,18 @@
-"""Stacks of frames: what a capture needs of its images, on disk or in memory."""
+"""Stacks of frames: what a capture needs of its images, on disk, in memory or cut out of others."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.files.ahead import read_ahead
+from lightmatrix.regions import Region
 from lightmatrix.reprs import short_repr
 
 # Levels that are looked at together.
@@ -51,6 +53,9 @@ class PixelFrames(Frames, Protocol):
 
     def part(self, rows: slice, cols: slice) -> PixelFrames:
         """A rectangle of the camera's pixels, with start and stop and without step."""
+
+    def select(self, index: Sequence[int]) -> PixelFrames:
+        """The frames of the given indices."""
 
 
 def in_order(frames: Frames, start: int = 0, stop: int | None = None) -> Iterator[NDArray[Any]]:
@@ -133,3 +138,97 @@ class ArrayStack:
     def select(self, index: Sequence[int]) -> ArrayStack:
         """The frames of the given indices."""
         return ArrayStack(self.array[list(index)])
+
+
+@dataclass(frozen=True)
+class CutFrames:
+    """A rectangle of frames, cut out of each as it is read.
+
+    Parameters
+    ----------
+    frames : Frames
+        The whole frames.
+    region : Region
+        Of these.
+    """
+
+    frames: Frames
+    region: Region
+
+    @property
+    def count(self) -> int:
+        """Number of frames K."""
+        return self.frames.count
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Shape of the rectangle."""
+        return (*self.region.shape, *self.frames.shape[2:])
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """Type of the levels."""
+        return self.frames.dtype
+
+    def read(self, index: int) -> NDArray[Any]:
+        """The rectangle of one frame; a copy, so that the whole is not kept."""
+        return self.frames.read(index)[self.region.slices].copy()
+
+    def name(self, index: int) -> str:
+        """The whole frame's name."""
+        return self.frames.name(index)
+
+    def select(self, index: Sequence[int]) -> CutFrames:
+        """The frames of the given indices."""
+        return replace(self, frames=self.frames.select(index))
+
+
+@dataclass(frozen=True)
+class CutPixels(CutFrames):
+    """A rectangle of frames that lie by camera pixel, as these do in turn."""
+
+    frames: PixelFrames
+
+    @cached_property
+    def _part(self) -> PixelFrames:
+        return self.frames.part(*self.region.slices)
+
+    def read(self, index: int) -> NDArray[Any]:
+        """The rectangle of one frame."""
+        return self._part.read(index)
+
+    def levels(self, start: int, stop: int) -> NDArray[Any]:
+        """Raw levels of the rectangle's samples start..stop in all frames."""
+        return self._part.levels(start, stop)
+
+    def part(self, rows: slice, cols: slice) -> PixelFrames:
+        """A rectangle of the rectangle."""
+        return self._part.part(rows, cols)
+
+    def select(self, index: Sequence[int]) -> CutPixels:
+        """The frames of the given indices."""
+        return replace(self, frames=self.frames.select(index))
+
+
+def cut(frames: Frames, corner: tuple[int, int], shape: tuple[int, int]) -> CutFrames:
+    """A rectangle of frames, which may be cut already.
+
+    Parameters
+    ----------
+    frames : Frames
+    corner, shape : (int, int)
+        Row and column of its first pixel, its rows and columns.
+
+    Raises
+    ------
+    InputError
+        If it does not lie within the frames.
+    """
+    rows, cols = frames.shape[:2]
+    region = Region(corner, shape, (rows, cols))
+    whole = frames
+    if isinstance(frames, CutFrames):
+        whole, region = frames.frames, region.within(frames.region)
+    if isinstance(whole, PixelFrames):
+        return CutPixels(whole, region)
+    return CutFrames(whole, region)

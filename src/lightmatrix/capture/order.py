@@ -14,7 +14,7 @@ Diffuse scenes and very few patterns predict no frame, and then nothing is claim
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,6 +48,8 @@ _SHORTEST_RUN = 3
 _MOST_SAID = 1.5
 # Predictions that miss the usual frame by more than this share of its variance accuse none.
 _PREDICTED = 0.8
+# Patterns that vary by less, after binning or not, are one grey.
+_ONE_GREY = 1e-3
 _FEWEST_FRAMES = 12
 _MOST_ROWS = 200
 # Multiplications spent on predictions from one assumption; about a second.
@@ -129,6 +131,9 @@ def _disorder(patterns: PatternSet, rows: Rows, name: Callable[[int], str]) -> D
     alike = _alike(patterns)
     as_named = Assumption(frames, frames)
     plain = prediction_misses(patterns, rows, as_named, scale)
+    # A pattern that is one grey says nothing of which pixels were lit, while its photograph may
+    # well vary: with stripes finer than a bin, or where white clips.
+    plain = replace(plain, telling=plain.telling & _varied(patterns))
     guess = likeliest_assumption(patterns, rows)
     if guess is not None and (guess.order == frames[::-1]).all():
         other = prediction_misses(patterns, rows, guess, scale)
@@ -282,6 +287,12 @@ def _alike(patterns: PatternSet) -> NDArray[np.bool_]:
     distance = power[:, None] + power[None, :] - 2 * shown @ shown.T
     alike = distance < 0.02 * len(sample) * shown.var(axis=0).mean()
     return np.asarray(alike & ~np.eye(len(alike), dtype=bool))
+
+
+def _varied(patterns: PatternSet) -> NDArray[np.bool_]:
+    """Which patterns differ between pixels, (K,)."""
+    spread = [np.ptp(block, axis=1) for _, block in patterns.chunks()]
+    return np.asarray(np.concatenate(spread) > _ONE_GREY)
 
 
 def _describe_run(start: int, stop: int, step: int, count: int, name: Callable[[int], str]) -> str:

@@ -120,6 +120,9 @@ def pack_capture(
     frames = capture.frames
     turned = isinstance(frames, PixelFrames) or _bytes(frames) <= memory // 2
     folder = Path(output).absolute().parent
+    # Where cropped photographs lay is part of what describes them.
+    crop = capture.description.get("crop")
+    told = capture.provenance if crop is None else {**capture.provenance, "crop": crop}
     write_packed(
         output,
         capture.patterns,
@@ -129,7 +132,7 @@ def pack_capture(
         dtype=frames.dtype,
         names=[frames.name(k) for k in range(frames.count)],
         mask=capture.mask,
-        provenance=capture.provenance,
+        provenance=told,
         beside=beside,
         temporary=0 if turned else _bytes(frames),
         overwrite=overwrite,

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from lightmatrix.capture.folder import jsonable
+from lightmatrix.capture.frames import CutFrames
 from lightmatrix.capture.reader import Reader
 from lightmatrix.patterns.pattern_set import PatternSet
 
@@ -36,7 +37,10 @@ def description(
 ) -> dict[str, Any]:
     """What a capture is and how it is read, JSON-ready."""
     decoder = reader.decoder
+    frames = reader.frames
+    cropped = {"crop": frames.region.as_dict()} if isinstance(frames, CutFrames) else {}
     return {
+        **cropped,
         "camera_shape": list(reader.camera_shape),
         "projector_shape": list(patterns.shape),
         "frames": reader.frames.count,

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.camera.response import Response
-from lightmatrix.capture.capture import Capture
+from lightmatrix.capture.capture import Capture, Crop
 from lightmatrix.capture.checks import check_per_frame
 from lightmatrix.capture.folder import read_capture, read_folders
 from lightmatrix.capture.parts import CaptureParts
@@ -37,6 +37,7 @@ def check(
     mask: str | Path | None = None,
     full_scale: float | None = None,
     black_exposure: float | None = None,
+    crop: Crop | None = None,
 ) -> list[Finding]:
     """What is wrong with a capture, as `lightmatrix check` says it.
 
@@ -52,6 +53,8 @@ def check(
         The two folders; of what follows see `Capture.from_folders`.
     black, white, clip, response, black_level, exposure, mask, full_scale, black_exposure : optional
         See `Capture.from_folders`.
+    crop : ((int, int), (int, int)), optional
+        Corner and shape of the rectangle of the photographs that is looked at. None: all of them.
 
     Returns
     -------
@@ -76,9 +79,9 @@ def check(
     ['frame 1 and frame 2 look swapped']
     """
     if isinstance(capture, Capture):
-        return check_capture(capture)
+        return check_capture(capture if crop is None else capture.crop(*crop))
     if capture is not None:
-        return _check_parts(read_capture(capture, counted=False))
+        return _check_parts(read_capture(capture, counted=False), crop)
     if patterns is None or images is None:
         raise InputError(
             "there is nothing to check", hint="give a capture folder, or patterns and images"
@@ -97,16 +100,18 @@ def check(
             full_scale=full_scale,
             black_exposure=black_exposure,
             counted=False,
-        )
+        ),
+        crop,
     )
 
 
-def _check_parts(parts: CaptureParts) -> list[Finding]:
+def _check_parts(parts: CaptureParts, crop: Crop | None) -> list[Finding]:
     try:
         if parts.patterns.count != parts.frames.count:
             return _check_uncounted(parts)
         check_per_frame(parts.decoder, parts.frames.count)
-        return check_capture(Capture(parts.patterns, parts.frames, parts.decoder, parts.mask))
+        whole = Capture(parts.patterns, parts.frames, parts.decoder, parts.mask)
+        return check_capture(whole if crop is None else whole.crop(*crop))
     except InputError:
         unread = _unread(parts)
         if unread:

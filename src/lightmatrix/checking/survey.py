@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from lightmatrix.camera.decoder import Decoder
 from lightmatrix.camera.response import Response
 from lightmatrix.camera.samples import Samples
-from lightmatrix.capture.frames import Frames, levels_at
+from lightmatrix.capture.frames import CutFrames, Frames, levels_at
 from lightmatrix.patterns.pattern_set import PatternSet
 
 # Raw levels kept at once.
@@ -104,7 +104,7 @@ class Survey:
         InputError
             On a frame that cannot be read, or differs from the first in size or type.
         """
-        places, grid = _places(frames.shape, _MOST_LEVELS // frames.count)
+        places, grid = _places(frames.shape, _MOST_LEVELS // frames.count, _first_block(frames))
         raw = levels_at(frames, places)
         valid = np.ones(len(places), bool)
         if decoder.hot is not None:
@@ -202,13 +202,24 @@ class Survey:
         return np.asarray(rows + (shift[0] * cols + shift[1]) * channels)
 
 
+def _first_block(frames: Frames) -> tuple[int, int]:
+    """Row and column at which the first whole block of JPEG begins in frames that may be cut."""
+    if not isinstance(frames, CutFrames):
+        return 0, 0
+    row, col = frames.region.corner
+    return -row % BLOCK, -col % BLOCK
+
+
 def _places(
-    shape: tuple[int, ...], most: int
+    shape: tuple[int, ...], most: int, first: tuple[int, int]
 ) -> tuple[NDArray[np.int64], tuple[int, int, int, int]]:
     """Which samples of a frame are surveyed, and how they lie: evenly spread tiles."""
     rows, cols = shape[:2]
     channels = shape[2] if len(shape) == 3 else 1
     every = np.arange(rows * cols * channels).reshape(rows, cols, channels)
+    if min(rows, cols) > _TILE + BLOCK:
+        every = every[first[0] :, first[1] :]
+        rows, cols = every.shape[:2]
     if every.size <= most or min(rows, cols) <= _TILE:
         return every.ravel(), (1, rows, cols, channels)
     tiles = max(1, most // (_TILE * _TILE * channels))

@@ -13,6 +13,7 @@ from lightmatrix.cli.source import (
     BlackExposure,
     BlackLevel,
     ClipLevel,
+    Crop,
     Exposure,
     Folder,
     FullScale,
@@ -44,6 +45,7 @@ def check(
     full_scale: FullScale = None,
     response: ResponseCurve = None,
     exposure: Exposure = None,
+    crop: Crop = None,
     as_json: Json = False,
 ) -> None:
     """Tell what is wrong with a capture, and what to do.
@@ -56,6 +58,7 @@ def check(
         capture,
         patterns,
         images,
+        crop=crop,
         black=black,
         black_exposure=black_exposure,
         white=white,

@@ -24,6 +24,7 @@ from lightmatrix.cli.source import (
     BlackExposure,
     BlackLevel,
     ClipLevel,
+    Crop,
     Exposure,
     Folder,
     FullScale,
@@ -34,7 +35,9 @@ from lightmatrix.cli.source import (
     source,
 )
 from lightmatrix.cli.terminal import Stopped, progress, say, show_json, show_table, warn
+from lightmatrix.errors import InputError
 from lightmatrix.outputs.kinds import PARTIAL, REPORT, STORE
+from lightmatrix.rig.evaluate import cut_alike
 from lightmatrix.transport.labels import named
 
 if TYPE_CHECKING:
@@ -70,6 +73,7 @@ def estimate(
     full_scale: FullScale = None,
     response: ResponseCurve = None,
     exposure: Exposure = None,
+    crop: Crop = None,
     solver: Annotated[SolverName, typer.Option(help=SOLVERS_HELP)] = "active-set",
     fidelity: Annotated[
         FidelityName | None,
@@ -144,6 +148,7 @@ def estimate(
         capture,
         patterns,
         images,
+        crop=crop,
         black=black,
         black_exposure=black_exposure,
         white=white,
@@ -171,9 +176,10 @@ def estimate(
         claim(report, REPORT, overwrite=overwrite)
     taken = _open(where)
     opened = taken.bin(projector=size(bin_projector), camera=size(bin_camera))
-    opened.check(order=check)
-    # Frames out of order are refused above; what else is wrong spoils less than all of it.
+    opened.check(order=False)
     findings = lm.check(taken) if check else []
+    _refuse_disorder(findings)
+    # What else is wrong spoils less than all of it.
     for finding in findings:
         warn(f"{finding.kind}: {finding.message}\n  {finding.advice}", style="yellow")
     try:
@@ -212,6 +218,15 @@ def estimate(
         say(str(judged))
 
 
+def _refuse_disorder(findings: list[Finding]) -> None:
+    """Refuse frames that are out of order, which spoil all of an estimate."""
+    for finding in findings:
+        if finding.kind == "order":
+            raise InputError(
+                finding.message, hint=f"{finding.advice}; --no-check takes them as they are"
+            )
+
+
 def _report(
     folder: Path,
     store: Path,
@@ -242,14 +257,14 @@ def _truth(source: Path | None, transport: LightTransport) -> LightTransport | N
     file = None if source is None else source / "truth.npz"
     if file is None or not file.is_file():
         return None
-    known = lm.truth(str(file)).transport()
+    known = cut_alike(lm.truth(str(file)).transport(), transport)
     shapes = (known.camera_shape, known.projector_shape)
     return known if shapes == (transport.camera_shape, transport.projector_shape) else None
 
 
 def _open(where: dict[str, Any]) -> Capture:
     if "capture" in where:
-        return lm.Capture.open(where["capture"], check=False)
+        return lm.Capture.open(where["capture"], crop=where.get("crop"), check=False)
     return lm.Capture.from_folders(**where, check=False)
 
 

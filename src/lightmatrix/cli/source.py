@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
@@ -59,9 +61,24 @@ Exposure = Annotated[
     ),
 ]
 
+Crop = Annotated[
+    str | None,
+    typer.Option(
+        "--crop",
+        metavar="ROW,COL:ROWSxCOLS",
+        help="Rectangle of the photographs to use, from its first pixel, such as 400,600:768x1024.",
+        show_default="all",
+    ),
+]
+
 
 def source(
-    capture: Path | None, patterns: Path | None, images: Path | None, **options: object
+    capture: Path | None,
+    patterns: Path | None,
+    images: Path | None,
+    *,
+    crop: str | None = None,
+    **options: object,
 ) -> dict[str, Any]:
     """What a function of the door is told of where a capture comes from.
 
@@ -69,19 +86,22 @@ def source(
     ----------
     capture, patterns, images : Path, optional
         As given.
+    crop : str, optional
+        A rectangle of the photographs, wherever they come from.
     options : optional
         The others, by their names in Python; None where nothing was said.
 
     Returns
     -------
     dict
-        Either ``capture``, or ``patterns``, ``images`` and what else was said.
+        Either ``capture``, or ``patterns``, ``images`` and what else was said; and ``crop``.
 
     Raises
     ------
     InputError
         Unless there is a capture folder alone, or both plain folders.
     """
+    cut = {} if crop is None else {"crop": rectangle(crop)}
     said = {name: value for name, value in options.items() if value is not None}
     if capture is not None:
         plain = {"patterns": patterns, "images": images, **said}
@@ -93,7 +113,7 @@ def source(
                 f"a capture folder and {', '.join(given)} were given",
                 hint="a capture folder says all that in capture.json; give one or the other",
             )
-        return {"capture": capture}
+        return {"capture": capture, **cut}
     if patterns is None and images is None:
         raise InputError(
             "there is nothing to look at or to estimate from",
@@ -102,7 +122,7 @@ def source(
     if patterns is None or images is None:
         missing = "--patterns" if patterns is None else "--images"
         raise InputError(f"{missing} is missing", hint="give both folders, or a capture folder")
-    return {"patterns": patterns, "images": images, **_read(said)}
+    return {"patterns": patterns, "images": images, **cut, **_read(said)}
 
 
 def _read(said: Mapping[str, Any]) -> dict[str, Any]:
@@ -114,6 +134,24 @@ def _read(said: Mapping[str, Any]) -> dict[str, Any]:
     if "black" in read:
         read["black"] = level_or_file(read["black"])
     return read
+
+
+def rectangle(text: str) -> tuple[tuple[int, int], tuple[int, int]]:
+    """Corner and shape of a rectangle of photographs, such as 400,600:768x1024.
+
+    Raises
+    ------
+    InputError
+        On anything else.
+    """
+    found = re.fullmatch(r" *([0-9]+) *, *([0-9]+) *: *([0-9]+) *[xX*] *([0-9]+) *", text)
+    if found is None or max(map(len, found.groups())) > 9:
+        raise InputError(
+            f"--crop {text!r}",
+            hint="write row and column of its first pixel, then rows x columns: 400,600:768x1024",
+        )
+    row, col, rows, cols = map(int, found.groups())
+    return (row, col), (rows, cols)
 
 
 def level_or_file(text: str) -> float | str:
@@ -135,7 +173,8 @@ def numbers(text: str, option: str) -> float | list[float]:
         f"{option} {text!r}",
         hint="give one number, or one for each frame: 1,0.5,0.25 or a text file of them",
     )
-    listed = read_text(text) if Path(text).is_file() else text
+    # Not of pathlib, which stumbles over lists that are too long for a name.
+    listed = read_text(text) if os.path.isfile(text) else text
     try:
         values = [float(word) for word in listed.replace(",", " ").replace(";", " ").split()]
     except ValueError:

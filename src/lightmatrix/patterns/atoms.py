@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import convolve1d
-from scipy.sparse import csr_array, kron
+from scipy.sparse import csr_array, vstack
 
 from lightmatrix import _core
 from lightmatrix.errors import InputError
@@ -25,6 +25,8 @@ from lightmatrix.patterns.pattern_set import PatternSet
 _REACH = 3.0
 # Of a spot's middle: fainter pixels of it are left out where spots become pixels.
 _FAINTEST = 1e-3
+# Rows whose spots become pixels at a time: a wide spot is half a thousand of them.
+_EXPANDED_ROWS = 4096
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,14 +156,22 @@ class AtomPatterns(PatternSet):
         Pixels of a spot fainter than a thousandth of its middle are left out, and the spot keeps
         its light; what lies beyond the projector is lost.
         """
+        starts = range(0, rows.shape[0], _EXPANDED_ROWS)
+        parts = [self._expanded(rows[start : start + _EXPANDED_ROWS]) for start in starts]
+        return csr_array(vstack(parts, format="csr"))
+
+    def _expanded(self, rows: csr_array) -> csr_array:
+        """Some of the rows of `expand`: spots are drawn only where these have them."""
         n = self.single.pixels
-        parts = [
-            csr_array(rows[:, s * n : (s + 1) * n] * self._gain[s]) for s in range(self.planes)
-        ]
-        whole = parts[0]
-        for part, spread in zip(parts[1:], self._spreads, strict=True):
+        whole = csr_array(rows[:, :n] * self._gain[0])
+        for s in range(1, self.planes):
+            part = csr_array(rows[:, s * n : (s + 1) * n] * self._gain[s])
             if part.nnz:
-                whole = whole + part @ spread
+                used, place = np.unique(part.indices, return_inverse=True)
+                shape = (part.shape[0], len(used))
+                whole = whole + csr_array((part.data, place, part.indptr), shape=shape) @ (
+                    self._drawn(used, s)
+                )
         whole = csr_array(whole, dtype=np.float32)
         whole.sort_indices()
         return whole
@@ -170,19 +180,21 @@ class AtomPatterns(PatternSet):
     def _gain(self) -> NDArray[np.float32]:
         return np.asarray(self.gains, np.float32)
 
-    @cached_property
-    def _spreads(self) -> list[csr_array]:
-        """Pixels of the spots of every size but the first, (N, N) each."""
-        result = []
-        for spot in self.spots[1:]:
-            across, along = (_spread(length, spot) for length in self.shape)
-            spread = csr_array(kron(across, along, format="csr"), dtype=np.float32)
-            spread.data[spread.data < _FAINTEST] = 0
-            spread.eliminate_zeros()
-            # As bright as in the middle of the projector, so that what lies beyond is lost.
-            spread.data /= _total(spot)
-            result.append(spread)
-        return result
+    def _drawn(self, pixels: NDArray[np.integer], plane: int) -> csr_array:
+        """Pixels of the spots of a size around the given m pixels, (m, N) float32."""
+        spot = self.spots[plane]
+        both = np.concatenate([spot[:0:-1], spot])
+        whole = np.outer(both, both)
+        down, right = np.nonzero(whole >= _FAINTEST)
+        # As bright as in the middle of the projector, so that what lies beyond is lost.
+        light = whole[down, right] / np.float32(whole[down, right].sum())
+        row = pixels[:, None] // self.shape[1] + (down - len(spot) + 1)
+        col = pixels[:, None] % self.shape[1] + (right - len(spot) + 1)
+        inside = (row >= 0) & (row < self.shape[0]) & (col >= 0) & (col < self.shape[1])
+        places = (row * self.shape[1] + col)[inside]
+        ends = np.append(0, np.cumsum(inside.sum(axis=1)))
+        data = np.broadcast_to(light, inside.shape)[inside]
+        return csr_array((data, places, ends), shape=(len(pixels), self.single.pixels))
 
     def _scaled(self, x: NDArray[Any], plane: int) -> NDArray[Any]:
         """Rows (m, N) under a kernel, times its gain, in their dtype."""
@@ -213,18 +225,3 @@ def _kernel(size: float) -> NDArray[np.float32]:
     offsets = np.arange(int(_REACH * size + 0.5) + 1)
     kernel = np.exp(-0.5 * (offsets / size) ** 2) if size > 0 else np.ones(1)
     return np.asarray(kernel / (2 * kernel.sum() - kernel[0]), np.float32)
-
-
-def _spread(length: int, spot: NDArray[np.float32]) -> csr_array:
-    """The spot around each place of a line, (length, length)."""
-    place = np.arange(length)
-    distance = np.abs(place[:, None] - place)
-    inside = np.minimum(distance, len(spot) - 1)
-    return csr_array(np.where(distance < len(spot), spot[inside], 0))
-
-
-def _total(spot: NDArray[np.float32]) -> np.float32:
-    """Light of a whole spot without its faint pixels, of brightness 1 in its middle."""
-    both = np.concatenate([spot[:0:-1], spot])
-    whole = np.outer(both, both)
-    return np.float32(whole[whole >= _FAINTEST].sum())

@@ -58,7 +58,7 @@ def show_row(transport: LightTransport, *camera_index: int) -> Picture:
     >>> lm.show_row(lm.truth("metal").transport(), 20, 30).savefig("row.png")
     """
     _check_index(camera_index, transport.camera_shape, "camera sample")
-    place = ", ".join(map(str, camera_index))
+    place = ", ".join(map(str, camera_index)) + _of_photograph(transport, camera_index)
     return _faint(transport.row(*camera_index), f"Row of T: the light of camera pixel {place}")
 
 
@@ -172,6 +172,16 @@ def show_dual(transport: LightTransport, lights: NDArray[Any] | None = None) -> 
         drawing = Picture(figsize=(3.6, 3.6), layout="constrained")
         panel(drawing.subplots(), display(image, _white(image)), "Dual image: seen from projector")
     return drawing
+
+
+def _of_photograph(transport: LightTransport, camera_index: tuple[int, ...]) -> str:
+    """Where a camera pixel of an estimate from cropped photographs lies in these, in words."""
+    region = transport.region
+    if region is None:
+        return ""
+    down, right = transport.provenance["capture_description"].get("bin_camera", (1, 1))
+    row, col = region.corner[0] + camera_index[0] * down, region.corner[1] + camera_index[1] * right
+    return f"\n(pixel {row}, {col} of the photographs)"
 
 
 def _faint(image: NDArray[Any], title: str) -> Picture:

@@ -29,6 +29,7 @@ def evaluate(
         The estimate, or where `open` finds it.
     truth : LightTransport, Truth, str or Path
         What is known; a truth file, T.npz; a simulated capture; or a scene, rendered if need be.
+        Of an estimate from cropped photographs, only the rows that it has count.
     exposure : float
         Exposure of the capture: tells which rows clip under one projector pixel.
     progress : callable, optional
@@ -55,6 +56,7 @@ def evaluate(
     """
     found = estimate if isinstance(estimate, LightTransport) else store.open(estimate)
     known = truth if isinstance(truth, LightTransport) else _known(found, truth, progress)
+    known = cut_alike(known, found)
     if found.shape != known.shape:
         names = [
             str(given) if isinstance(given, str | Path) else word
@@ -66,6 +68,15 @@ def evaluate(
             hint="compare matrices of one rig, binned alike",
         )
     return errors_by_rows(found, known, exposure)
+
+
+def cut_alike(known: LightTransport, estimate: LightTransport) -> LightTransport:
+    """What is known of the rows of an estimate, if this comes from cropped photographs."""
+    region = estimate.region
+    cropped = region is not None and estimate.camera_shape[:2] == region.shape
+    if region is not None and cropped and known.camera_shape[:2] == region.whole:
+        return known.crop(region)
+    return known
 
 
 def _known(
@@ -82,7 +93,8 @@ def _known(
 def _check_scene(estimate: LightTransport, name: str) -> None:
     """Whether there is a scene of that name, at the size of the estimate."""
     find_scene(name)
-    camera, projector = estimate.camera_shape, estimate.projector_shape
+    region, projector = estimate.region, estimate.projector_shape
+    camera = estimate.camera_shape if region is None else region.whole
     if camera != projector:
         raise InputError(
             f"the estimate has a camera of {' x '.join(map(str, camera))} and a projector of "

@@ -19,6 +19,7 @@ from lightmatrix.errors import InputError
 from lightmatrix.patterns.folder import read_patterns
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.ranges import check_seed
+from lightmatrix.regions import Region
 from lightmatrix.rig import library, realism
 from lightmatrix.rig.simulate import irradiance
 from lightmatrix.rig.truth import Truth
@@ -99,6 +100,14 @@ class SimulatedCapture(Capture):
             beside=lambda part: self.truth.save(part / TRUTH),
             overwrite=overwrite,
         )
+
+    def crop(self, corner: tuple[int, int], shape: tuple[int, int]) -> SimulatedCapture:
+        """A rectangle of the photographs, with the rows of the truth that belong to it."""
+        part = super().crop(corner, shape)
+        assert isinstance(part, SimulatedCapture)
+        rows, cols = self.frames.shape[:2]
+        region = Region(corner, shape, (rows, cols))
+        return replace(part, truth=self.truth.crop(region))
 
     def select(self, frames: Sequence[int] | np.ndarray) -> SimulatedCapture:
         """The capture of the frames of the given indices, such as all but one."""

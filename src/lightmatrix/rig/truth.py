@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,7 @@ from scipy.sparse import csr_array
 from lightmatrix.errors import InputError
 from lightmatrix.outputs.kinds import TRUTH
 from lightmatrix.outputs.writing import atomic_file
+from lightmatrix.regions import Region
 from lightmatrix.reprs import short_repr
 from lightmatrix.store.sparse_npz import VERSION, read_sparse_npz
 from lightmatrix.transport.matrix import LightTransport
@@ -67,6 +68,13 @@ class Truth:
     def with_data(self, data: NDArray[Any]) -> csr_array:
         """A matrix with other values at the places of this one's entries."""
         return csr_array((data, self.matrix.indices, self.matrix.indptr), shape=self.matrix.shape)
+
+    def crop(self, region: Region) -> Truth:
+        """The rows of a rectangle of the camera's pixels."""
+        rows = region.samples(self.camera_shape)
+        shape = (*region.shape, *self.camera_shape[2:])
+        direct = self.direct[rows].data
+        return replace(self, matrix=self.matrix[rows], direct_data=direct, camera_shape=shape)
 
     def transport(self) -> LightTransport:
         """The truth as a LightTransport without background."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -13,6 +13,7 @@ from scipy.sparse import csr_array
 
 from lightmatrix.errors import InputError
 from lightmatrix.patterns.grids import check_grid, grid_cells
+from lightmatrix.regions import Region
 from lightmatrix.reprs import html_table
 from lightmatrix.transport.labels import named
 
@@ -210,6 +211,22 @@ class LightTransport:
         pooled = self.pooling[:, index].toarray()
         return np.asarray(self.sparse[:, index].toarray() + self.background @ pooled, np.float32)
 
+    def crop(self, region: Region) -> LightTransport:
+        """The rows of a rectangle of the camera's pixels."""
+        rows = region.samples(self.camera_shape)
+        return replace(
+            self,
+            sparse=self.sparse[rows],
+            background=self.background[rows],
+            camera_shape=(*region.shape, *self.camera_shape[2:]),
+            diagnostics={name: values[rows] for name, values in self.diagnostics.items()},
+        )
+
+    @property
+    def region(self) -> Region | None:
+        """The rectangle of the photographs that was estimated from; None for all of them."""
+        return Region.told(self.provenance)
+
     def summary(self) -> dict[str, Any]:
         """Shapes, sparsity, clipping, convergence and gaps, as names and values; JSON-ready.
 
@@ -221,6 +238,7 @@ class LightTransport:
         entries = np.diff(self.sparse.indptr)
         result: dict[str, Any] = {
             "camera": " x ".join(map(str, self.camera_shape)),
+            **({} if self.region is None else {"crop": str(self.region)}),
             "projector": " x ".join(map(str, self.projector_shape)),
             "entries": int(entries.sum()),
             "entries_per_row": float(entries.mean()),

@@ -1,0 +1,89 @@
+"""A rectangle of a camera's photographs: what `--crop` asks for, and what a store knows of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightmatrix.errors import InputError
+
+
+@dataclass(frozen=True)
+class Region:
+    """A rectangle of photographs.
+
+    Parameters
+    ----------
+    corner : (int, int)
+        Row and column of its first pixel.
+    shape : (int, int)
+        Its rows and columns.
+    whole : (int, int)
+        Rows and columns of the photographs.
+
+    Raises
+    ------
+    InputError
+        If it is empty or does not lie within the photographs.
+    """
+
+    corner: tuple[int, int]
+    shape: tuple[int, int]
+    whole: tuple[int, int]
+
+    def __post_init__(self) -> None:
+        ends = (self.corner[0] + self.shape[0], self.corner[1] + self.shape[1])
+        inside = ends[0] <= self.whole[0] and ends[1] <= self.whole[1]
+        if min(self.corner) < 0 or min(self.shape) < 1 or not inside:
+            size = f"{self.whole[0]} x {self.whole[1]}"
+            raise InputError(
+                f"a crop of {self.shape[0]} x {self.shape[1]} pixels from row {self.corner[0]}, "
+                f"column {self.corner[1]}, of photographs of {size}",
+                hint=f"keep rows within 0 to {self.whole[0]}, columns within 0 to {self.whole[1]}",
+            )
+
+    def __str__(self) -> str:
+        size, of = (f"{shape[0]} x {shape[1]}" for shape in (self.shape, self.whole))
+        return f"{size} from {self.corner[0]}, {self.corner[1]}, of {of}"
+
+    @property
+    def slices(self) -> tuple[slice, slice]:
+        """Its rows and columns, to take from an array of the whole."""
+        (row, col), (rows, cols) = self.corner, self.shape
+        return slice(row, row + rows), slice(col, col + cols)
+
+    def samples(self, camera_shape: tuple[int, ...]) -> NDArray[np.int64]:
+        """Which samples of a camera of (rows, cols[, channels]) lie in it, in their order."""
+        every = np.arange(np.prod(camera_shape)).reshape(camera_shape)
+        return every[self.slices].ravel()
+
+    def within(self, outer: Region) -> Region:
+        """The same rectangle, of the photographs that `outer` was cut from."""
+        row, col = outer.corner[0] + self.corner[0], outer.corner[1] + self.corner[1]
+        return Region((row, col), self.shape, outer.whole)
+
+    def as_dict(self) -> dict[str, list[int]]:
+        """Corner, shape and whole, JSON-ready."""
+        return {
+            "corner": list(self.corner),
+            "shape": list(self.shape),
+            "whole": list(self.whole),
+        }
+
+    @classmethod
+    def told(cls, provenance: Mapping[str, Any]) -> Self | None:
+        """The rectangle that an estimate's provenance tells of; None if of none, or nonsense."""
+        described = provenance.get("capture_description")
+        told = described.get("crop") if isinstance(described, Mapping) else None
+        if not isinstance(told, Mapping):
+            return None
+        pairs = [told.get(name) for name in ("corner", "shape", "whole")]
+        try:
+            corner, shape, whole = ((int(rows), int(cols)) for rows, cols in pairs)  # type: ignore[misc]
+            return cls(corner, shape, whole)
+        except (TypeError, ValueError, InputError):
+            return None
