@@ -28,7 +28,7 @@ _EXIT_CODES = {
     "70": "a bug of ours (`LIGHTMATRIX_DEBUG=1` shows where)",
     "130": "stopped by Ctrl-C; what can go on says so",
 }
-_FOUND = {"1": "something was found"}
+_FOUND = {"0": "nothing was found", "1": "something was found"}
 
 
 def command_pages() -> dict[str, str]:
@@ -138,4 +138,6 @@ def _paragraphs(text: str) -> str:
 
 
 def _cell(text: str) -> str:
-    return html.escape(" ".join(text.split()), quote=False).replace("|", "\\|")
+    # Defaults that are words come in brackets of their own.
+    plain = re.sub(r"\[default: \((.*)\)\]", r"[default: \1]", " ".join(text.split()))
+    return html.escape(plain, quote=False).replace("|", "\\|")

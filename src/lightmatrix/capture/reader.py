@@ -16,6 +16,9 @@ from lightmatrix.camera.samples import Samples, bin_samples
 from lightmatrix.capture.frames import Frames
 from lightmatrix.files.scratch import scratch_array
 
+# Samples of a frame that are binned at a time.
+_STRIP = 1 << 20
+
 
 @dataclass(frozen=True, eq=False)
 class Reader:
@@ -84,9 +87,25 @@ class Reader:
         """Which camera samples count: not masked, and not clipped without light; (M,)."""
         if self.block == (1, 1):
             return self._valid_pixels
-        nothing = np.zeros((len(self._valid_pixels), 1), np.float32)
-        empty = Samples(nothing, nothing > 0, np.ones(1, np.float32))
-        return bin_samples(empty, self._valid_pixels, self.frames.shape, self.block)[1]
+        parts = []
+        for rows, pixels in self._strips():
+            nothing = np.zeros((pixels.stop - pixels.start, 1), np.float32)
+            empty = Samples(nothing, nothing > 0, np.ones(1, np.float32))
+            shape = (rows.stop - rows.start, *self.frames.shape[1:])
+            parts.append(bin_samples(empty, self._valid_pixels[pixels], shape, self.block)[1])
+        return np.concatenate(parts)
+
+    def _strips(self) -> Iterator[tuple[slice, slice]]:
+        """Rows of a frame that are binned at a time, and their samples in the whole of it.
+
+        Of a frame as a whole, a camera of 24 megapixels would take gigabytes.
+        """
+        height, *others = self.frames.shape
+        width = int(np.prod(others))
+        step = self.block[0] * max(1, _STRIP // (self.block[0] * width))
+        for start in range(0, height, step):
+            stop = min(start + step, height)
+            yield slice(start, stop), slice(start * width, stop * width)
 
     @cached_property
     def _valid_pixels(self) -> NDArray[np.bool_]:
@@ -114,11 +133,14 @@ class Reader:
         clipped = scratch_array((self.rows, self.frames.count), np.dtype(np.bool_))
         levels = []
         for k in range(self.frames.count):
-            raw = self.frames.read(k).reshape(-1, 1)
-            decoded = self.decoder.decode(raw, first_frame=k)
-            binned, _ = bin_samples(decoded, self._valid_pixels, self.frames.shape, self.block)
-            values[:, k], clipped[:, k] = binned.values[:, 0], binned.clipped[:, 0]
-            levels.append(binned.clip_level)
+            frame = self.frames.read(k)
+            parts = [self._binned_strip(frame[rows], k, pixels) for rows, pixels in self._strips()]
+            values[:, k] = np.concatenate([part.values[:, 0] for part in parts])
+            clipped[:, k] = np.concatenate([part.clipped[:, 0] for part in parts])
+            level = parts[0].clip_level
+            if level.ndim == 2:
+                level = np.concatenate([part.clip_level for part in parts])
+            levels.append(level)
         if levels[0].ndim == 1:
             level = np.concatenate(levels)
         elif np.ptp(self.exposures) == 0 and np.ndim(self.decoder.clip) == 0:
@@ -126,3 +148,8 @@ class Reader:
         else:
             level = np.concatenate(levels, axis=1)
         return Samples(values, clipped, level)
+
+    def _binned_strip(self, raw: NDArray[Any], frame: int, pixels: slice) -> Samples:
+        """Binned samples (m, 1) of some rows of a frame."""
+        decoded = self.decoder.decode(raw.reshape(-1, 1), first_row=pixels.start, first_frame=frame)
+        return bin_samples(decoded, self._valid_pixels[pixels], raw.shape, self.block)[0]

@@ -37,7 +37,6 @@ from lightmatrix.cli.source import (
 from lightmatrix.cli.terminal import Stopped, progress, say, show_json, show_table, warn
 from lightmatrix.errors import InputError
 from lightmatrix.outputs.kinds import PARTIAL, REPORT, STORE
-from lightmatrix.rig.evaluate import cut_alike
 from lightmatrix.transport.labels import named
 
 if TYPE_CHECKING:
@@ -292,7 +291,7 @@ def _truth(source: Path | None, transport: LightTransport) -> LightTransport | N
     file = None if source is None else source / "truth.npz"
     if file is None or not file.is_file():
         return None
-    known = cut_alike(lm.truth(str(file)).transport(), transport)
+    known = lm.truth(str(file)).transport().cut_alike(transport)
     shapes = (known.camera_shape, known.projector_shape)
     return known if shapes == (transport.camera_shape, transport.projector_shape) else None
 
