@@ -69,7 +69,7 @@ def make(case: Case, folder: Path) -> None:
     if grey:
         random = np.random.default_rng(0)
         levels = random.integers(0, 256, (count, projector, projector)) / 255
-        patterns = lm.ImagePatterns(levels)
+        patterns = lm.ImagePatterns(levels.astype(np.float32))
     exposure = 1 / float(np.quantile(truth.matrix.sum(axis=1), 0.999))
     lm.simulate(truth, patterns, exposure=exposure, noise=0.003).save(folder)
 
