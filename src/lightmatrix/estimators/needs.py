@@ -42,7 +42,7 @@ COEFFICIENTS: Mapping[str, Mapping[str, Mapping[str, float]]] = {
 # Python, libraries and patterns before anything is estimated.
 LOADED_BYTES = 130 << 20
 # The checks look at so many levels of the photographs at most, each taking so many bytes.
-_LOOKED_LEVELS, _LOOK_BYTES = 48 << 20, 9
+_LOOKED_LEVELS, _LOOK_BYTES = 48 << 20, 12
 # Patterns that the coherent estimate adds (`coherent.neighbourhood.UNSEEN`), and bytes of a
 # candidate's row in its tiles.
 _UNSEEN, _CANDIDATES = 64, 8000
