@@ -7,7 +7,7 @@ BIN := $(VENV)/bin
 CORE := $(shell find crates -name '*.rs' -o -name Cargo.toml) Cargo.toml pyproject.toml
 
 .PHONY: help install demo test test-install lint types rust-test py-test faults fuzz live-faults mutants format \
-	bench experiments docs gallery screenshots system-deps clean
+	bench experiments docs gallery screenshots wheel wheel-test needs system-deps clean
 
 help:
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 16
@@ -92,8 +92,22 @@ gallery: test-install ## run the examples and keep their pictures in docs/images
 screenshots: test-install ## of the demo's report, in docs/images; needs a Chromium
 	$(BIN)/python tools/report_screenshots.py
 
+# For the baseline of the system, whatever the shell or cargo's configuration ask for; faster
+# instructions are chosen at run time.
+wheel: $(BIN)/python ## a wheel for any CPU of this kind of system, with its checksum, in dist/
+	@command -v cargo >/dev/null || { echo 'lightmatrix needs a Rust toolchain: see https://rustup.rs'; exit 1; }
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check 'maturin>=1.12,<2'
+	env -u CARGO_ENCODED_RUSTFLAGS RUSTFLAGS= $(BIN)/maturin build --release --locked --out dist
+	cd dist && sha256sum *.whl > SHA256SUMS && cat SHA256SUMS
+
+wheel-test: wheel ## install it into an empty environment without a compiler and run the demo from it
+	$(PYTHON) tools/wheel_test.py dist $$(command -v qemu-x86_64 >/dev/null && echo --cpu Nehalem)
+
+needs: test-install ## measure what estimates take of memory and time; takes half an hour
+	$(BIN)/python -m benchmarks.needs
+
 system-deps: ## optional system packages (the renderer's LLVM, a browser, screens and cameras)
 	bash tools/system-deps.sh
 
 clean: ## remove what make made
-	rm -rf $(VENV) target report site bench-out experiments-out mutants-out src/lightmatrix/_core*.so
+	rm -rf $(VENV) target dist report site bench-out experiments-out mutants-out src/lightmatrix/_core*.so

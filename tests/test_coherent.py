@@ -228,3 +228,16 @@ def test_dark_and_clipped_captures() -> None:
 def test_parameters_out_of_range(parameters: dict[str, object], what: str) -> None:
     with pytest.raises(InputError, match=what):
         CoherentEstimator(**parameters)  # type: ignore[arg-type]
+
+
+def test_progress_counts_rows_once_and_ends(scene: Truth) -> None:
+    """Of all rounds together, never back; the frames held out have a round of their own."""
+    told: list[tuple[int, int]] = []
+    estimator = CoherentEstimator(windows=((2, 1), (1, 1), (1, 1)), tile_rows=100)
+    estimator.estimate(photographed(scene, 24), progress=lambda *step: told.append(step))
+    done, total = np.array(told).T
+    assert set(total) == {360}
+    assert (np.diff(done) >= 0).all()
+    assert done[-1] in (359, 360)
+    # Each of the five passes has its part: no jump over more than one of them.
+    assert np.diff(done, prepend=0).max() < 0.6 * 360

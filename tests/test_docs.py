@@ -12,10 +12,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import typer
 
 import lightmatrix as lm
 from lightmatrix.cli import main
-from lightmatrix.cli.app import STAGES
+from lightmatrix.cli.app import STAGES, app
 from lightmatrix.rig.procedural import ProceduralScene
 
 ROOT = Path(__file__).parent.parent
@@ -57,10 +58,23 @@ def test_the_reference_has_every_name_of_the_door(site: Path) -> None:
     for members in STAGES.values():
         for member in members:
             assert f'id="{member.__name__}"' in commands
+            manual = (site / "commands" / f"{member.__name__}.html").read_text()
+            assert "Exit codes" in manual
+            for option in re.findall(r"--[a-z-]+", _help_of(member.__name__)):
+                assert option in manual or option == "--help"
+    assert "--rig-file" in (site / "commands" / "rig-settle.html").read_text()
+    # Its examples come from the README; colours stand between their words.
+    assert "l_objects" in (site / "commands" / "simulate.html").read_text()
     # Formulas are there, and none of them is left as it was written.
     mathematics = (site / "mathematics.html").read_text()
     assert mathematics.count("<math") > 40
     assert "arithmatex" not in mathematics
+
+
+def _help_of(name: str) -> str:
+    command = typer.main.get_command(app).commands[name]  # type: ignore[attr-defined]
+    context = command.make_context(name, [], resilient_parsing=True)
+    return str(command.get_help(context))
 
 
 @pytest.mark.parametrize("name", ["report", "other-programs", "colour"])

@@ -47,6 +47,13 @@ def test_help_loads_no_more_than_it_needs() -> None:
     assert "lightmatrix.cli.estimate" in loaded
 
 
+def test_an_estimate_loads_no_more_than_it_needs() -> None:
+    """Half of its start were statistics and signals that it does not use."""
+    loaded = _loaded("import lightmatrix as lm; lm.AutoEstimator, lm.Capture")
+    assert "scipy.sparse" in loaded
+    assert not loaded.intersection({"scipy.signal", "scipy.stats", "scipy.optimize"})
+
+
 def test_help_is_shown_in_no_time() -> None:
     before, started = os.times(), time.perf_counter()
     _loaded("from lightmatrix.cli import main; main(['--help'])")

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from lightmatrix.camera.samples import Samples
 from lightmatrix.capture.capture import Capture
+from lightmatrix.capture.order import find_disorder
 from lightmatrix.errors import InputError
 from lightmatrix.estimators.coherent.estimator import CoherentEstimator
 from lightmatrix.estimators.regularization import automatic_regularization
@@ -179,6 +180,18 @@ def test_stripes_finer_than_a_bin_become_constant_without_error(capture: Capture
     assert (spread[:WHITE] < 1e-6).any()
     assert (spread == 1).sum() > 20
     capture.check()
+
+
+def test_white_is_not_taken_for_stripes_that_became_grey() -> None:
+    """Binned patterns of one grey cannot be told apart, though their photographs vary."""
+    binned = Capture.from_folders(
+        BOARD / "graycode_pattern",
+        BOARD / "capture_0",
+        bin_projector=BIN,
+        bin_camera=2,
+        check=False,
+    )
+    assert find_disorder(binned.patterns, binned.tiles(), binned.rows) is None
 
 
 def test_swapped_stripes_are_refused() -> None:

@@ -13,12 +13,10 @@ import re
 from pathlib import Path
 from typing import Any
 
-import typer
+from command_pages import command_nav, command_pages
 from latex2mathml.converter import convert
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
-
-from lightmatrix.cli.app import STAGES, app
 
 ROOT = Path(__file__).parent.parent
 DOOR = ROOT / "src" / "lightmatrix" / "__init__.pyi"
@@ -34,13 +32,23 @@ GALLERY = (
 GALLERY_FOLDER = "images/gallery"
 
 
+def on_config(config: MkDocsConfig) -> MkDocsConfig:
+    """Put the pages of the commands where the navigation names their overview (an event)."""
+    for part in config.nav or []:
+        for heading, pages in part.items():
+            if isinstance(pages, list) and "commands.md" in pages:
+                rest = [page for page in pages if page != "commands.md"]
+                part[heading] = [{"Commands": command_nav()}, *rest]
+    return config
+
+
 def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Add the pages that are made here (an event of MkDocs)."""
     pages = {
         "index.md": start_page(),
         "changelog.md": (ROOT / "CHANGELOG.md").read_text(),
-        "commands.md": commands_page(),
         "gallery.md": gallery_page(),
+        **command_pages(),
         **reference_pages(),
     }
     for name, text in pages.items():
@@ -68,26 +76,6 @@ def start_page() -> str:
     """The README, with links as they are seen from the folder docs."""
     text = (ROOT / "README.md").read_text().replace("](docs/", "](")
     return re.sub(r"\[CITATION\.cff\]\(CITATION\.cff\)", "CITATION.cff", text)
-
-
-def commands_page() -> str:
-    """Every command with its arguments and options, by stage of the work."""
-    root = typer.main.get_command(app)
-    lines = ["# Commands", "", "`lightmatrix COMMAND --help` tells the same.", ""]
-    for stage, members in STAGES.items():
-        lines += [f"## {stage}", ""]
-        for member in members:
-            command = root.commands[member.__name__]  # type: ignore[attr-defined]
-            context = command.make_context(
-                f"lightmatrix {member.__name__}", [], resilient_parsing=True
-            )
-            usage = " ".join(command.get_usage(context).split()).removeprefix("Usage: ")
-            lines += [f"### {member.__name__}", "", _plain(command.help or ""), ""]
-            lines += ["```text", usage, "```", "", "| option | meaning |", "|---|---|"]
-            records = [parameter.get_help_record(context) for parameter in command.params]
-            lines += [f"| `{name}` | {_cell(told)} |" for name, told in filter(None, records)]
-            lines.append("")
-    return "\n".join(lines)
 
 
 def reference_pages() -> dict[str, str]:
@@ -135,7 +123,3 @@ def pictures_of(example: str) -> dict[str, str]:
 def _plain(text: str) -> str:
     """Paragraphs of plain text."""
     return "\n\n".join(" ".join(part.split()) for part in text.strip().split("\n\n"))
-
-
-def _cell(text: str) -> str:
-    return html.escape(" ".join(text.split()), quote=False).replace("|", "\\|")

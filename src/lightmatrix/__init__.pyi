@@ -77,7 +77,9 @@ from .checking.folders import check as check
 from .estimators.auto import (
     AutoEstimator as AutoEstimator,
     estimate as estimate,
+    needs as needs,
 )
+from .estimators.needs import Needs as Needs
 from .estimators.coherent.estimator import CoherentEstimator as CoherentEstimator
 from .estimators.multiscale.estimator import MultiScaleEstimator as MultiScaleEstimator
 from .estimators.plain import PlainEstimator as PlainEstimator

@@ -17,8 +17,9 @@ from lightmatrix.camera.samples import Samples, bin_samples
 from lightmatrix.capture.frames import Frames, PixelFrames, in_order
 from lightmatrix.files.scratch import scratch_array
 
-# Raw levels that are looked at together.
+# Raw levels that are looked at together, and samples of one frame that are binned at a time.
 _BLOCK_LEVELS = 1 << 24
+_STRIP = 1 << 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,9 +89,25 @@ class Reader:
         """Which camera samples count: not masked, and not clipped without light; (M,)."""
         if self.block == (1, 1):
             return self._valid_pixels
-        nothing = np.zeros((len(self._valid_pixels), 1), np.float32)
-        empty = Samples(nothing, nothing > 0, np.ones(1, np.float32))
-        return bin_samples(empty, self._valid_pixels, self.frames.shape, self.block)[1]
+        parts = []
+        for rows, pixels in self._strips():
+            nothing = np.zeros((pixels.stop - pixels.start, 1), np.float32)
+            empty = Samples(nothing, nothing > 0, np.ones(1, np.float32))
+            shape = (rows.stop - rows.start, *self.frames.shape[1:])
+            parts.append(bin_samples(empty, self._valid_pixels[pixels], shape, self.block)[1])
+        return np.concatenate(parts)
+
+    def _strips(self) -> Iterator[tuple[slice, slice]]:
+        """Rows of a frame that are binned at a time, and their samples in the whole of it.
+
+        Of a frame as a whole, a camera of 24 megapixels would take gigabytes.
+        """
+        height, *others = self.frames.shape
+        width = int(np.prod(others))
+        step = self.block[0] * max(1, _STRIP // (self.block[0] * width))
+        for start in range(0, height, step):
+            stop = min(start + step, height)
+            yield slice(start, stop), slice(start * width, stop * width)
 
     @cached_property
     def _valid_pixels(self) -> NDArray[np.bool_]:
@@ -151,17 +168,19 @@ class Reader:
         return Samples(values, clipped, level)
 
     def _columns(self) -> Iterator[tuple[slice, int, int, NDArray[Any]]]:
-        """Whole frames, or strips of them where these are read faster, one by one.
+        """Strips of frames, one by one: of one frame after the other, or of all where that is faster.
 
         The rows that they are of the binned samples, their first camera sample, the number of the
         frame, and its levels, (n, 1).
         """
         frames, down = self.frames, self.block[0]
+        wide, narrow = (math.prod(shape[1:]) for shape in (frames.shape, self.camera_shape))
         if not isinstance(frames, PixelFrames):
             for k, frame in enumerate(in_order(frames)):
-                yield slice(None), 0, k, frame.reshape(-1, 1)
+                for rows, pixels in self._strips():
+                    where = slice(rows.start // down * narrow, -(-rows.stop // down) * narrow)
+                    yield where, pixels.start, k, frame[rows].reshape(-1, 1)
             return
-        wide, narrow = (math.prod(shape[1:]) for shape in (frames.shape, self.camera_shape))
         step = down * max(1, _BLOCK_LEVELS // (frames.count * wide * down))
         for top in range(0, frames.shape[0], step):
             end = min(top + step, frames.shape[0])

@@ -37,14 +37,15 @@ from lightmatrix.cli.source import (
 from lightmatrix.cli.terminal import Stopped, progress, say, show_json, show_table, warn
 from lightmatrix.errors import InputError
 from lightmatrix.outputs.kinds import PARTIAL, REPORT, STORE
-from lightmatrix.rig.evaluate import cut_alike
 from lightmatrix.transport.labels import named
 
 if TYPE_CHECKING:
-    from lightmatrix import AutoEstimator, Capture, Finding, LightTransport
+    from lightmatrix import AutoEstimator, Capture, Finding, LightTransport, Needs
 
 SolverName = Literal["active-set", "saturation-admm", "admm", "romp"]
 FidelityName = Literal["linear", "one-sided", "clipped", "rejection", "likelihood"]
+# What an estimate takes is said from so many seconds on, or this share of the free memory.
+_LONG, _MUCH = 60, 0.25
 SOLVERS_HELP = (
     "active-set (one-sided, rejection, linear; certifies a duality gap), "
     "saturation-admm (clipped, one-sided, likelihood, rejection, linear), admm (linear), "
@@ -125,7 +126,8 @@ def estimate(
     check: Annotated[
         bool,
         typer.Option(
-            help="Refuse images that do not follow the patterns, and say what else is wrong."
+            help="Refuse images that do not follow the patterns, and what does not fit into "
+            "memory; say what else is wrong."
         ),
     ] = True,
     report: Annotated[
@@ -136,6 +138,9 @@ def estimate(
             help="Write a report as well, with photographs held out of a second estimate.",
         ),
     ] = None,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Say what memory and time it will take, and stop.")
+    ] = False,
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
@@ -171,11 +176,17 @@ def estimate(
         iterations=iterations,
         tile_rows=tile_rows,
     )
-    claim(output, STORE, overwrite=overwrite)
-    if report is not None:
-        claim(report, REPORT, overwrite=overwrite)
+    if not dry_run:
+        claim(output, STORE, overwrite=overwrite)
+        if report is not None:
+            claim(report, REPORT, overwrite=overwrite)
     taken = _open(where)
     opened = taken.bin(projector=size(bin_projector), camera=size(bin_camera))
+    needs = estimator.needs(opened)
+    if dry_run:
+        _show_needs(needs, as_json)
+        return
+    _tell_needs(needs, check)
     opened.check(order=False)
     findings = lm.check(taken) if check else []
     _refuse_disorder(findings)
@@ -199,7 +210,8 @@ def estimate(
     if as_json:
         found = [finding.as_dict() for finding in findings]
         more = {"findings": found} if told is None else {"findings": found, "report": told}
-        show_json({"output": str(output), "seconds": seconds, **summary, **more})
+        took = {"seconds": seconds, "needs": needs.as_dict()}
+        show_json({"output": str(output), **took, **summary, **more})
         return
     show_table(str(output), named(summary))
     unfinished = 1 - summary["converged_rows"]
@@ -216,6 +228,28 @@ def estimate(
     judged = lm.verdict(transport)
     if judged.level != "not tested":
         say(str(judged))
+
+
+def _show_needs(needs: Needs, as_json: bool) -> None:
+    """What the estimate would take, as its only output."""
+    if as_json:
+        show_json(needs.as_dict())
+        return
+    free = f"{needs.available / 2**30:.0f} GiB are free"
+    say(f"the estimate takes {needs} ({free})", style=None if needs.fits else "yellow")
+    if needs.advice:
+        say(needs.advice)
+
+
+def _tell_needs(needs: Needs, check: bool) -> None:
+    """Refuse what does not fit, and say what takes long or much."""
+    if check:
+        needs.check()
+    much = needs.memory > _MUCH * needs.available
+    if much or (needs.seconds or 0) > _LONG:
+        warn(f"this takes {needs}")
+    if needs.advice:
+        warn(f"less: {needs.advice}", style="yellow")
 
 
 def _refuse_disorder(findings: list[Finding]) -> None:
@@ -257,7 +291,7 @@ def _truth(source: Path | None, transport: LightTransport) -> LightTransport | N
     file = None if source is None else source / "truth.npz"
     if file is None or not file.is_file():
         return None
-    known = cut_alike(lm.truth(str(file)).transport(), transport)
+    known = lm.truth(str(file)).transport().cut_alike(transport)
     shapes = (known.camera_shape, known.projector_shape)
     return known if shapes == (transport.camera_shape, transport.projector_shape) else None
 

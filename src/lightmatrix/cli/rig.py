@@ -33,7 +33,7 @@ app = typer.Typer(
 
 @app.command("list")
 def list_(as_json: Json = False) -> None:
-    """The projectors and cameras that are there, and what each kind lacks."""
+    """List the projectors and cameras that are there, and what each kind lacks."""
     listed = lm.list_devices()
     if as_json:
         show_json({"back_ends": [asdict(back) for back in listed]})
@@ -60,7 +60,7 @@ def settle(
     rig_file: RigFile = Path(RIG_FILE),
     as_json: Json = False,
 ) -> None:
-    """The shortest safe delay between showing and exposing."""
+    """Measure the shortest safe delay between showing and exposing."""
     told = _measure("settle", rig, projector, camera, patience, rig_file, as_json)
     if told:
         say(
@@ -78,7 +78,7 @@ def exposure(
     rig_file: RigFile = Path(RIG_FILE),
     as_json: Json = False,
 ) -> None:
-    """The exposures that a white picture advises."""
+    """Choose exposures from a white picture."""
     told = _measure("exposure", rig, projector, camera, patience, rig_file, as_json)
     if not told:
         return
@@ -101,7 +101,7 @@ def response(
     rig_file: RigFile = Path(RIG_FILE),
     as_json: Json = False,
 ) -> None:
-    """The projector's light for each grey value."""
+    """Measure the projector's light for each grey value."""
     told = _measure("response", rig, projector, camera, patience, rig_file, as_json)
     if told:
         say(f"the projector's gamma is {told['gamma']:.2f}; grey patterns are corrected by it")
@@ -116,7 +116,7 @@ def linearity(
     rig_file: RigFile = Path(RIG_FILE),
     as_json: Json = False,
 ) -> None:
-    """Whether twice the exposure gives twice the level."""
+    """Test whether twice the exposure gives twice the level."""
     told = _measure("linearity", rig, projector, camera, patience, rig_file, as_json)
     if told:
         say(
@@ -134,7 +134,7 @@ def flicker(
     rig_file: RigFile = Path(RIG_FILE),
     as_json: Json = False,
 ) -> None:
-    """Whether the projector's light, or the room's, comes and goes."""
+    """Test whether the projector's light, or the room's, comes and goes."""
     told = _measure("flicker", rig, projector, camera, patience, rig_file, as_json)
     if not told:
         return

@@ -27,6 +27,8 @@ from rich.text import Text
 
 from lightmatrix.reprs import shown_value
 
+# Rate and time left come from so many last seconds: stages of a few differ in pace.
+_STEADY_SECONDS = 300.0
 # What would move the cursor or change colours; tabs and ends of lines are fine.
 _CONTROLS = dict.fromkeys((*range(9), *range(11, 32), 127), "\N{REPLACEMENT CHARACTER}")
 
@@ -103,7 +105,8 @@ def progress(what: str, unit: str) -> Iterator[Any]:
         TimeRemainingColumn(),
         TextColumn("{task.fields[note]}", markup=False),
     )
-    with Progress(*columns, console=_err, transient=True) as bar:
+    bar_of = Progress(*columns, console=_err, transient=True, speed_estimate_period=_STEADY_SECONDS)
+    with bar_of as bar:
         task = bar.add_task(_visible(what), total=None, unit=unit, note="")
         yield lambda done, total, note="": bar.update(
             task, completed=done, total=total, note=_visible(note)

@@ -10,6 +10,7 @@ from lightmatrix.errors import InputError
 from lightmatrix.estimators.coherent.estimator import WORTH_IT_UP_TO, CoherentEstimator
 from lightmatrix.estimators.join import Progress
 from lightmatrix.estimators.multiscale.estimator import MultiScaleEstimator
+from lightmatrix.estimators.needs import Needs, needs_of
 from lightmatrix.estimators.plain import PlainEstimator
 from lightmatrix.estimators.regularization import held_out_path
 from lightmatrix.outputs.kinds import STORE
@@ -105,6 +106,20 @@ class AutoEstimator:
                 tile_rows=self.tile_rows,
             )
         return PlainEstimator(chosen, value, not self.signed, self.background, self.tile_rows)
+
+    def needs(self, capture: Capture) -> Needs:
+        """What `estimate` will take of memory and time; reads no frame.
+
+        Parameters
+        ----------
+        capture : Capture
+        """
+        if self._is_coherent(capture):
+            return needs_of(capture, "coherent")
+        if self.solver == "active-set" and not self.multi_scale:
+            return needs_of(capture, "plain")
+        solver = self._solver()
+        return needs_of(capture, "other", solver.row_bytes(capture.count, capture.patterns.pixels))
 
     def estimate(
         self,
@@ -262,7 +277,8 @@ def estimate(
     Raises
     ------
     InputError, SolverError, OutputError
-        On settings that do not go together, unusable captures, or outputs that cannot be written.
+        On settings that do not go together, unusable captures, what does not fit into memory (see
+        `needs`), or outputs that cannot be written.
 
     Examples
     --------
@@ -285,10 +301,44 @@ def estimate(
     )
     if output is not None:
         check_output(output, STORE, overwrite=overwrite)
-    opened = capture if isinstance(capture, Capture) else Capture.open(capture)
+    opened = capture if isinstance(capture, Capture) else Capture.open(capture, check=False)
+    estimator.needs(opened).check()
+    if opened is not capture:
+        opened.check()
     return estimator.estimate(
         opened,
         checkpoint=None if output is None else Path(output),
         overwrite=overwrite,
         progress=progress,
     )
+
+
+def needs(capture: Capture | str | Path, *, estimator: AutoEstimator | None = None) -> Needs:
+    """What an estimate will take of memory and time, and what would take less.
+
+    Parameters
+    ----------
+    capture : Capture, str or Path
+        A capture, or a capture folder, of which no frame but the first is read.
+    estimator : AutoEstimator, optional
+        With the settings of the estimate. None: the default ones.
+
+    Returns
+    -------
+    Needs
+        Within a factor of about 1.5 in memory and 2 in time.
+
+    Raises
+    ------
+    InputError
+        On a folder that is none.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> capture = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 32))
+    >>> lm.needs(capture).fits
+    True
+    """
+    opened = capture if isinstance(capture, Capture) else Capture.open(capture, check=False)
+    return (estimator or AutoEstimator()).needs(opened)

@@ -42,7 +42,10 @@ def scratch_array(shape: tuple[int, ...], dtype: np.dtype[Any]) -> NDArray[Any]:
             raise _too_small(place, size, f"{_gigabytes(free)} free")
         with tempfile.TemporaryFile() as file:
             # A hole in the file would kill the process when the disk is full at its first use.
-            os.posix_fallocate(file.fileno(), 0, size)
+            if hasattr(os, "posix_fallocate"):
+                os.posix_fallocate(file.fileno(), 0, size)
+            else:  # macOS and Windows: what was seen free above has to do.
+                file.truncate(size)
             # The mapping keeps the unnamed file alive.
             return np.memmap(file, dtype, "r+", shape=shape)
     except OSError as error:

@@ -8,7 +8,6 @@ holds a lock that the kernel frees, so it is done here.
 from __future__ import annotations
 
 import errno
-import fcntl
 import json
 import os
 import platform
@@ -26,6 +25,13 @@ from pathlib import Path
 
 from lightmatrix.errors import LightMatrixWarning, OutputError
 from lightmatrix.outputs.markers import printable
+from lightmatrix.outputs.system import (
+    CAREFULLY,
+    read_start,
+    remove_locked,
+    try_lock,
+    write_whole,
+)
 from lightmatrix.outputs.targets import explained
 
 FORMAT, VERSION = "lightmatrix-lock", 1
@@ -55,7 +61,8 @@ def _forget() -> None:
     _held.clear()
 
 
-os.register_at_fork(after_in_child=_forget)
+if hasattr(os, "register_at_fork"):  # Windows knows no forks.
+    os.register_at_fork(after_in_child=_forget)
 
 
 @contextmanager
@@ -96,8 +103,7 @@ def locked(target: Path) -> Iterator[bool]:
             held.times -= 1
             # In a forked child it is not there any more.
             if held.times == 0 and _held.pop(target, None) is not None:
-                lock_file(target).unlink(missing_ok=True)
-                os.close(held.file)
+                remove_locked(lock_file(target), held.file)
 
 
 def check_unlocked(target: Path) -> None:
@@ -112,11 +118,11 @@ def check_unlocked(target: Path) -> None:
         if target in _held and _held[target].thread == threading.get_ident():
             return
     try:
-        file = os.open(lock_file(target), os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+        file = os.open(lock_file(target), os.O_RDONLY | CAREFULLY)
     except OSError:
         return
     try:
-        fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        try_lock(file, shared=True)
     except BlockingIOError:
         raise _refusal(target, _owner(file)) from None
     except OSError:
@@ -132,7 +138,7 @@ def lock_file(target: Path) -> Path:
 
 def _acquire(target: Path) -> _Held:
     path = lock_file(target)
-    flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK
+    flags = os.O_RDWR | os.O_CREAT | CAREFULLY
     deadline = time.monotonic() + _PATIENCE
     while True:
         file = os.open(path, flags, 0o666)
@@ -152,7 +158,7 @@ def _acquire(target: Path) -> _Held:
 def _try(file: int, target: Path, deadline: float) -> bool | None:
     """Lock an open file: firmly (True), not at all (False), or not yet (None)."""
     try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        try_lock(file)
         return True
     except BlockingIOError:
         if time.monotonic() > deadline:
@@ -196,8 +202,7 @@ def _sign(path: Path, file: int) -> None:
         "command": shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])[:500],
     }
     try:
-        os.ftruncate(file, 0)
-        os.pwrite(file, (json.dumps(content) + "\n").encode(), 0)
+        write_whole(file, (json.dumps(content) + "\n").encode())
     except OSError:
         path.unlink(missing_ok=True)
         raise
@@ -205,7 +210,7 @@ def _sign(path: Path, file: int) -> None:
 
 def _read(file: int) -> dict[str, object] | None:
     try:
-        content = json.loads(os.pread(file, _MOST_BYTES, 0))
+        content = json.loads(read_start(file, _MOST_BYTES))
     except (OSError, ValueError, RecursionError):
         return None
     return content if isinstance(content, dict) and content.get("format") == FORMAT else None

@@ -85,7 +85,7 @@ class RunningFolder:
             self._list(name)
             try:
                 yield part
-                with part.open("rb") as written:
+                with part.open("rb+") as written:
                     os.fsync(written.fileno())
                 os.replace(part, self.file(name))
             finally:

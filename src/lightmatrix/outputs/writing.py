@@ -114,7 +114,7 @@ def atomic_file(path: str | Path, kind: OutputKind, *, overwrite: bool = False) 
         # In lower case, for writers that choose the format by it or append their own.
         part = place / f"new{Path(path).suffix.lower()}"
         yield part
-        with part.open("rb") as written:
+        with part.open("rb+") as written:
             os.fsync(written.fileno())
         check_output(path, kind, overwrite=overwrite)
         os.replace(part, target)

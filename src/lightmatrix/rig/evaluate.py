@@ -56,7 +56,7 @@ def evaluate(
     """
     found = estimate if isinstance(estimate, LightTransport) else store.open(estimate)
     known = truth if isinstance(truth, LightTransport) else _known(found, truth, progress)
-    known = cut_alike(known, found)
+    known = known.cut_alike(found)
     if found.shape != known.shape:
         names = [
             str(given) if isinstance(given, str | Path) else word
@@ -68,15 +68,6 @@ def evaluate(
             hint="compare matrices of one rig, binned alike",
         )
     return errors_by_rows(found, known, exposure)
-
-
-def cut_alike(known: LightTransport, estimate: LightTransport) -> LightTransport:
-    """What is known of the rows of an estimate, if this comes from cropped photographs."""
-    region = estimate.region
-    cropped = region is not None and estimate.camera_shape[:2] == region.shape
-    if region is not None and cropped and known.camera_shape[:2] == region.whole:
-        return known.crop(region)
-    return known
 
 
 def _known(

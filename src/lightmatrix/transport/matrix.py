@@ -222,6 +222,13 @@ class LightTransport:
             diagnostics={name: values[rows] for name, values in self.diagnostics.items()},
         )
 
+    def cut_alike(self, estimate: LightTransport) -> LightTransport:
+        """The rows that an estimate from cropped photographs has too; all for any other."""
+        region = estimate.region
+        if region is None or estimate.camera_shape[:2] != region.shape:
+            return self
+        return self.crop(region) if self.camera_shape[:2] == region.whole else self
+
     @property
     def region(self) -> Region | None:
         """The rectangle of the photographs that was estimated from; None for all of them."""

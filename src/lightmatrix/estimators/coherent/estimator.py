@@ -138,7 +138,7 @@ class CoherentEstimator:
         overwrite : bool
             Whether a complete store at `checkpoint` may be replaced.
         progress : callable, optional
-            Called with (done, total) rows, over all rounds.
+            Called with (done, total) rows; of all rounds, each counted by the time that it takes.
 
         Returns
         -------

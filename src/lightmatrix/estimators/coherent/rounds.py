@@ -20,6 +20,7 @@ from lightmatrix.estimators.coherent.held_out import (
 )
 from lightmatrix.estimators.coherent.neighbourhood import UNSEEN, Neighbourhood, unseen_patterns
 from lightmatrix.estimators.join import TILE_BYTES, Progress, SolveTile, kept
+from lightmatrix.estimators.needs import first_round_share
 from lightmatrix.patterns.atoms import AtomPatterns
 from lightmatrix.solvers.active_set import ActiveSet
 from lightmatrix.solvers.fidelity import Fidelity
@@ -167,7 +168,7 @@ class Rounds:
     ) -> SparseRows:
         """The rows start..stop of the last round, with the light of each cell."""
         samples = self.capture.samples(start, stop)
-        solved = self._solve(samples, start, stop, len(self.windows), known)
+        solved = self._solve(samples, start, stop, len(self.windows), known, settled=True)
         shares = self.backgrounds.spread(known.centres[start:stop])
         background = solved.background[:, None] * shares
         if solved.cells.shape[1]:
@@ -186,7 +187,14 @@ class Rounds:
         return replace(whole, diagnostics=dict(whole.diagnostics) | facts)
 
     def _solve(
-        self, samples: Samples, start: int, stop: int, number: int, known: Neighbourhood
+        self,
+        samples: Samples,
+        start: int,
+        stop: int,
+        number: int,
+        known: Neighbourhood,
+        *,
+        settled: bool = False,
     ) -> Result:
         """The rows start..stop, with penalties from what was found before."""
         problem = self._problem(samples, self.penalty)
@@ -209,7 +217,8 @@ class Rounds:
             expected=expected,
             background=np.ascontiguousarray(background),
             start=found.rows(slice(start, stop)),
-            progress=self._report(number, start),
+            # The last round is solved twice: first without the frames held out.
+            progress=self._report(number + settled, start),
         )
 
     def _neighbourhood(self, found: SparseRows) -> Neighbourhood:
@@ -243,12 +252,21 @@ class Rounds:
         return Problem(self.atoms, samples, penalty * self.atoms.gains[0])
 
     def _report(self, number: int, start: int) -> Progress | None:
+        """Tells rows as if all took alike: each round counts by the time that it usually takes."""
         report = self.progress
         if report is None:
             return None
-        before = number * self.capture.rows + start
-        total = self.capture.rows * (2 + len(self.windows))
-        return lambda done, _: report(before + done, total)
+        rows, first = self.capture.rows, self._first_share
+        other = (1 - first) / (1 + len(self.windows))
+        before, share = (0.0, first) if number == 0 else (first + (number - 1) * other, other)
+        return lambda done, _: report(int(before * rows + share * (start + done)), rows)
+
+    @cached_property
+    def _first_share(self) -> float:
+        """Of the time of all rounds, that of the first, which looks at every atom."""
+        patterns = self.capture.patterns
+        grey = patterns.packed_bits() is None
+        return first_round_share(self.capture.rows, patterns.pixels, patterns.count, grey)
 
 
 def _found(solved: Result) -> SparseRows:

@@ -1,0 +1,144 @@
+"""What an estimate will take is told before it starts; what cannot fit is refused, with advice."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import lightmatrix as lm
+from lightmatrix.cli import main
+from lightmatrix.cli.source import rectangle
+from lightmatrix.estimators import needs as needs_module
+from lightmatrix.estimators.needs import COEFFICIENTS, memory_terms, time_terms
+
+GIB = 2**30
+
+
+@dataclass(frozen=True)
+class Unread:
+    """Frames that nobody may read."""
+
+    count: int
+    shape: tuple[int, ...]
+    dtype: np.dtype[Any]
+
+    def read(self, index: int) -> NDArray[Any]:
+        raise AssertionError(f"frame {index} was read")
+
+    def name(self, index: int) -> str:
+        return str(index)
+
+    def select(self, index: Sequence[int]) -> Unread:
+        return Unread(len(index), self.shape, self.dtype)
+
+
+@pytest.fixture(scope="module")
+def large() -> lm.Capture:
+    """24 megapixels of 16 bits and a projector of 768 x 1024."""
+    patterns = lm.BernoulliPatterns((768, 1024), 64)
+    frames = Unread(64, (4000, 6000), np.dtype(np.uint16))
+    return lm.Capture(patterns, frames, lm.Decoder(65535, 65535))
+
+
+@pytest.fixture(autouse=True)
+def _memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(needs_module, "available_bytes", lambda: 16 * GIB)
+    monkeypatch.setenv("RAYON_NUM_THREADS", "2")
+
+
+def test_what_cannot_fit_is_refused_before_any_frame_is_read(large: lm.Capture) -> None:
+    needs = lm.needs(large)
+    assert not needs.fits
+    assert needs.memory > 30 * GIB
+    assert needs.temporary == 24_000_000 * 64 * 2
+    with pytest.raises(lm.InputError, match="24,000,000 camera samples") as refused:
+        lm.estimate(large)
+    assert "GiB of memory, 16 GiB are free" in refused.value.message
+    assert "--bin-camera" in (refused.value.hint or "")
+
+
+def test_what_is_proposed_fits(large: lm.Capture) -> None:
+    told = lm.needs(large).advice
+    assert "--crop" in told
+    for cut in (large, large.crop((500, 1000), (3000, 4000))):
+        for words, size in lm.needs(cut).options:
+            smaller = cut
+            if found := re.search(r"--crop (\S+)", words):
+                smaller = large.crop(*rectangle(found[1]))
+            if found := re.search(r"--bin-camera (\d+)", words):
+                smaller = smaller.bin(camera=int(found[1]))
+            assert smaller.rows == size.rows
+            if "--bin-projector" not in words:  # Takes a while at this size.
+                again = lm.needs(smaller)
+                assert (again.fits, again.options) == (True, ())
+                assert again.memory == size.memory
+
+
+def test_more_of_everything_takes_more() -> None:
+    for kind in COEFFICIENTS:
+        for terms, what in ((memory_terms, "bytes"), (time_terms, "seconds")):
+            told = COEFFICIENTS[kind][what]
+
+            def total(rows: int, pixels: int, count: int, grey: bool) -> float:
+                found = terms(kind, rows, pixels, count, grey)  # noqa: B023
+                return sum(told[name] * found[name] for name in told)  # noqa: B023
+
+            usual = total(4096, 4096, 64, False)
+            assert usual > 0
+            assert total(8192, 4096, 64, False) > usual
+            assert total(4096, 8192, 64, False) > usual
+            assert total(4096, 4096, 128, False) > usual
+            assert total(4096, 4096, 64, True) >= usual
+
+
+def test_the_command_tells_and_refuses(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder, store = tmp_path / "capture", tmp_path / "scene.zarr"
+    lm.simulate("metal", lm.BernoulliPatterns((64, 64), 16), exposure=0.4).save(folder)
+    words = ["estimate", str(folder), "-o", str(store)]
+    assert main([*words, "--dry-run"]) == 0
+    assert "GiB" in capsys.readouterr().out
+    assert main([*words, "--dry-run", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["fits"] is True
+    assert not store.exists()
+    monkeypatch.setattr(needs_module, "available_bytes", lambda: 100 << 20)
+    assert main(words) == 2
+    assert "are free" in capsys.readouterr().err
+    assert not store.exists()
+    # A model may err: who knows better may try.
+    assert main([*words, "--no-check", "--no-coherent", "--iterations", "2", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["needs"]["fits"] is False
+
+
+def test_other_solvers_have_no_time() -> None:
+    capture = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 16))
+    needs = lm.needs(capture, estimator=lm.AutoEstimator(solver="saturation-admm"))
+    assert needs.seconds is None
+    assert needs.fits
+
+
+@pytest.mark.parametrize("block", [3, (2, 5)])
+def test_photographs_are_binned_in_strips(
+    block: int | tuple[int, int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Which changes nothing, whatever clips, is masked, or has a black level of its own."""
+    capture = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 8), exposure="0.9:0.5,0.2:0.5",
+                          ambient=0.1)  # fmt: skip
+    mask = np.random.default_rng(0).random((64, 64)) > 0.1
+    mask[:10, :10] = False
+    whole = lm.Capture(capture.patterns, capture.frames, capture.decoder, mask)
+    expected = whole.bin(camera=block).samples()
+    monkeypatch.setattr("lightmatrix.capture.reader._STRIP", 500)
+    found = whole.bin(camera=block).samples()
+    assert expected.clipped.any()
+    for name in ("values", "clipped", "clip_level", "weights"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))

@@ -1,0 +1,95 @@
+"""Try a wheel as a newcomer gets it: an empty environment, no compiler, then the demo.
+
+    python tools/wheel_test.py dist [--cpu Nehalem]
+
+The first argument is a wheel, or a folder that holds one for this system. Nothing but the new
+environment is on PATH, and pip takes no source packages. `--cpu` runs an estimate on an emulated
+processor too (qemu-user's names; Nehalem is x86-64-v2, the least that NumPy's own wheels need).
+Works without a shell, on Linux, macOS and Windows.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+import venv
+from pathlib import Path
+
+# What an emulated processor is asked: what it has, and one estimate that uses all of the core.
+QUESTION = """
+import lightmatrix as lm
+patterns = lm.BernoulliPatterns((64, 64), 16)
+patterns.prepare(None, "portable")
+try:
+    patterns.prepare(None, "avx2")
+except Exception as refusal:
+    print(refusal)
+transport = lm.estimate(lm.simulate("metal", patterns), coherent=False, iterations=3)
+print(transport)
+"""
+# They would lead to other code than the wheel's, or to kernels that an emulated CPU has not.
+_FOREIGN = ("PYTHONPATH", "PYTHONHOME", "VIRTUAL_ENV", "OPENBLAS_CORETYPE")
+
+
+def find(place: Path) -> Path:
+    """The wheel, or the newest one of a folder."""
+    if place.is_file():
+        return place
+    wheels = sorted(place.glob("lightmatrix-*.whl"), key=lambda file: file.stat().st_mtime)
+    if not wheels:
+        sys.exit(f"{place}: holds no wheel of lightmatrix; make one with `make wheel`")
+    return wheels[-1]
+
+
+def try_wheel(wheel: Path, folder: Path, cpu: str | None) -> None:
+    """Install a wheel into a new environment and run the demo from it."""
+    place = folder / "environment"
+    venv.create(place, with_pip=True)
+    scripts = place / ("Scripts" if os.name == "nt" else "bin")
+    kept = {name: value for name, value in os.environ.items() if name not in _FOREIGN}
+    environment = {**kept, "PATH": str(scripts)}
+    for compiler in ("cargo", "rustc", "gcc", "cc", "cl"):
+        assert shutil.which(compiler, path=str(scripts)) is None
+
+    def run(*words: str | Path) -> None:
+        subprocess.run([str(word) for word in words], check=True, env=environment, cwd=folder)
+
+    python = scripts / ("python.exe" if os.name == "nt" else "python")
+    size = _megabytes(place)
+    run(python, "-m", "pip", "install", "--quiet", "--only-binary", ":all:", wheel.absolute())
+    print(f"{wheel.name}: installed, {_megabytes(place)} MB with {size} of the empty environment")
+    started = time.perf_counter()
+    run(scripts / "lightmatrix", "demo", "-o", "report")
+    assert (folder / "report" / "report.html").stat().st_size > 100_000
+    print(f"the demo ran in {time.perf_counter() - started:.0f} s")
+    if cpu is not None:
+        emulator = shutil.which("qemu-x86_64")
+        if emulator is None:
+            sys.exit("qemu-x86_64 is missing: install qemu-user")
+        run(emulator, "-cpu", cpu, python, "-c", QUESTION)
+        print(f"runs on {cpu}")
+
+
+def _megabytes(folder: Path) -> int:
+    """Size of the files in a folder, as `du --apparent-size -BM` counts them."""
+    files = (file for file in folder.rglob("*") if file.is_file() and not file.is_symlink())
+    return round(sum(file.stat().st_size for file in files) / 2**20)
+
+
+def main() -> None:
+    """Read the arguments and try the wheel."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("wheel", type=Path, help="a wheel, or a folder with one")
+    parser.add_argument("--cpu", help="a processor of qemu-user to emulate too")
+    arguments = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        try_wheel(find(arguments.wheel), Path(folder), arguments.cpu)
+
+
+if __name__ == "__main__":
+    main()
