@@ -50,7 +50,10 @@ def test_a_capture_over_gige_vision_is_as_good_as_a_simulated_one(
         served.close()
     assert not served.errors
     told = capture.provenance
-    assert (capture.count, told["left_out"], told["checks"]) == (64, {}, {"matched": 64})
+    assert (capture.count, told["left_out"]) == (64, {})
+    # A few, near chance, by a second photograph.
+    assert set(told["checks"]) <= {"matched", "confirmed"}
+    assert told["checks"]["matched"] >= 58
     # All 64, but for the measuring of the rig, which is kept.
     assert times[-1] - times[0] < 60
     scale = np.float32(told["exposure_1_in_seconds"] / UNIT_EXPOSURE)

@@ -23,6 +23,7 @@ from lightmatrix.capture.prediction import (
     folds,
     predicted_samples,
 )
+from lightmatrix.live.mixtures import Mixture, find_mixture
 from lightmatrix.patterns.pattern_set import PatternSet
 
 # Frames before which nothing is predicted: as many as tell the pixels apart, and these.
@@ -39,12 +40,8 @@ _FEWEST_TELLING = 24
 # Of the variance of a frame: misses above this, or above so many times the usual one, accuse it.
 _MOST_MISSED = 0.25
 _TIMES_USUAL = 3.0
-# Share of the pattern shown before that is seen, in itself and in standard errors.
-_MIXED, _MIXED_ERRORS = 0.015, 6.0
-# Loss of contrast that is no error of the prediction.
-_FLAT = 0.06
-# Samples at one end of the image that tell of a torn frame; of a square error, the most one says.
-_FEWEST_TORN, _GLINT = 4, 25.0
+# Of a square error, the most that one sample says.
+_GLINT = 25.0
 
 
 @dataclass(eq=False)
@@ -69,7 +66,6 @@ class Watch:
     _telling: NDArray[np.bool_] = field(init=False)
     _error: NDArray[np.float32] = field(init=False)
     _usual: float = 1.0
-    _usual_mix: float = 0.0
     _scale: NDArray[np.float32] | None = None
     # Whether anything has changed since it was learnt from, and how many frames there were then.
     _new: bool = True
@@ -142,8 +138,7 @@ class Watch:
         self._predicted, self._telling = predicted, telling
         # Of most frames, not of the few that are wrong.
         self._error = np.maximum(1.48 * np.median(np.abs(missed), axis=1), 1e-3 * self.ceiling)
-        said = [self._say(int(k), None) for k in taken]
-        self._usual = float(np.median([miss for miss, _ in said]))
+        self._usual = float(np.median([self._missed(int(k)) for k in taken]))
         if self._usual > _EXPLAINED:
             self._predicted = None
 
@@ -157,12 +152,20 @@ class Watch:
         before : int
             The pattern shown before it; below 0 for black or white.
         """
-        missed, mixed = self._say(frame, before)
-        if mixed is not None:
-            return mixed
-        if missed > max(_MOST_MISSED, _TIMES_USUAL * self._usual):
+        mix = self._mixture(frame, before)
+        if mix is not None and (told := mix.said()) is not None:
+            return told
+        if self._missed(frame) > max(_MOST_MISSED, _TIMES_USUAL * self._usual):
             return "does not show its pattern"
         return None
+
+    def would_see(self, frame: int, before: int) -> bool:
+        """Whether a share of the pattern shown before it that matters would be seen in a frame.
+
+        Not after black or white, which change a frame as a lamp does that flickers.
+        """
+        mix = self._mixture(frame, before)
+        return mix is not None and mix.fine
 
     def _predict(
         self,
@@ -174,47 +177,38 @@ class Watch:
         assert self._scale is not None
         return predicted_samples(self.patterns, self._scale, light, order, train, held)
 
-    def _say(self, frame: int, before: int | None) -> tuple[float, str | None]:
-        """Share of a frame's variance that its prediction misses, and whether it is a mixture."""
-        assert self._predicted is not None
-        some = self._telling
-        error, rows = self._error[some].astype(np.float64), self.rows[some]
-        observed = self._values[some, frame].astype(np.float64)
-        expected = self._at_level(self._predicted[some, frame], observed, some)
-        usual = np.nanmean(self._values[some], axis=1, dtype=np.float64)
+    def _missed(self, frame: int) -> float:
+        """Share of a frame's variance that its prediction misses."""
+        observed, expected, error = self._compared(frame)
+        usual = np.nanmean(self._values[self._telling], axis=1, dtype=np.float64)
         power = ((observed - usual) / error) ** 2
         missed = (observed - expected) / error
         # No sample says more than many, or a glint would speak for all.
-        share = float(
+        return float(
             np.minimum(missed**2, _GLINT).sum() / max(float(np.minimum(power, _GLINT).sum()), 1)
         )
-        if before is None or before == frame:
-            return share, None
-        if before < 0:
-            return share, self._flatness(observed, expected, error)
-        other = self._at_level(self._predicted[some, before], observed, some)
-        apart = (other - expected) / error
-        return share, _mixture(missed, apart, rows)
 
-    def _flatness(
-        self,
-        observed: NDArray[np.float64],
-        expected: NDArray[np.float64],
-        error: NDArray[np.float64],
-    ) -> str | None:
-        """Whether black or white takes away from the contrast of a frame."""
-        weight = 1 / error**2
-        centred = expected - np.average(expected, weights=weight)
-        power = float((weight * centred**2).sum())
-        if power <= 0:
+    def _mixture(self, frame: int, before: int) -> Mixture | None:
+        """How much of the pattern before is in a frame; None where that was black, white or it."""
+        if before < 0 or before == frame:
             return None
-        contrast = float((weight * centred * observed).sum()) / power
-        rest = observed - observed.mean() - contrast * centred
-        uncertain = float(np.sqrt((weight * rest**2).mean() / power))
-        mix = 1 - contrast
-        if mix > max(_FLAT, _MIXED_ERRORS * uncertain):
-            return f"has {100 * min(mix, 1):.0f} % too little contrast"
-        return None
+        observed, expected, error = self._compared(frame)
+        assert self._predicted is not None
+        some = self._telling
+        other = self._at_level(self._predicted[some, before], observed, some)
+        limit = np.sqrt(_GLINT)
+        missed = np.clip((observed - expected) / error, -limit, limit)
+        return find_mixture(missed, (other - expected) / error, self.rows[some])
+
+    def _compared(
+        self, frame: int
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """What telling samples show in a frame, what they should, and the usual error of that."""
+        assert self._predicted is not None
+        some = self._telling
+        observed = self._values[some, frame].astype(np.float64)
+        expected = self._at_level(self._predicted[some, frame], observed, some)
+        return observed, expected, self._error[some].astype(np.float64)
 
     def _at_level(
         self,
@@ -225,35 +219,6 @@ class Watch:
         """A prediction at the brightness of a frame, which it does not know, and cut off."""
         level = float(np.median(observed - predicted))
         return np.minimum(predicted + level, self.ceiling[some]).astype(np.float64)
-
-
-def _mixture(
-    missed: NDArray[np.float64], apart: NDArray[np.float64], rows: NDArray[np.int64]
-) -> str | None:
-    """Whether a frame shows some of another pattern, all over or from some row up or down.
-
-    Parameters
-    ----------
-    missed : (m,) float
-        What each sample is off its prediction, in errors of that.
-    apart : (m,) float
-        What the prediction of the other pattern is off it.
-    rows : (m,) int
-        The image row of each sample.
-    """
-    order = np.argsort(rows, kind="stable")
-    scale = max(1.0, float(np.sqrt(np.minimum(missed**2, _GLINT).mean())))
-    for ordered in (order[::-1], order):
-        weight = np.cumsum(apart[ordered] ** 2)
-        mix = np.cumsum(missed[ordered] * apart[ordered]) / np.maximum(weight, 1e-9)
-        # Torn frames hold whole rows of another, and one sample alone may be a glint.
-        clear = (mix > _MIXED) & (mix * np.sqrt(weight) > _MIXED_ERRORS * scale)
-        clear[: _FEWEST_TORN - 1] = False
-        if clear[-1]:
-            return f"shows {100 * min(mix[-1], 1):.0f} % of the pattern before"
-        if clear.any():
-            return "shows some of the pattern before in some of its rows"
-    return None
 
 
 def watched_samples(

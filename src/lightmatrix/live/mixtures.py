@@ -1,0 +1,83 @@
+"""How much of the pattern shown before is in a frame.
+
+A picture that comes late may come within the exposure. The frame is then (1 - a) times its own
+pattern's and a times that of the pattern before, and a is found by weighted least squares, with a
+standard error, from what is predicted for both.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+# Standard errors of a share beyond which the frame is taken again to be sure, and beyond which it
+# is certain that it is mixed. One right frame in 40 is taken twice.
+_DOUBTED, _CERTAIN = 2.0, 5.0
+# Shares above this have to be seen; one of this size is missed once in 40 times.
+_MATTERS = 0.03
+# Rows at one end of the image: among so many looks, some go far by chance, and errors of the
+# prediction are alike where they are near to each other.
+_TORN, _TORN_ERRORS = 0.015, 6.0
+# Samples at one end of the image that tell of a torn frame; one alone may be a glint.
+_FEWEST_TORN = 4
+
+
+@dataclass(frozen=True)
+class Mixture:
+    """Share of another pattern in a frame.
+
+    Parameters
+    ----------
+    share : float
+        All over the frame.
+    error : float
+        Standard error of it.
+    torn : bool
+        Whether some rows at the top or bottom show the other pattern.
+    """
+
+    share: float
+    error: float
+    torn: bool
+
+    @property
+    def fine(self) -> bool:
+        """Whether the error is so small that a share that matters is seen."""
+        return 2 * _DOUBTED * self.error <= _MATTERS
+
+    def said(self) -> str | None:
+        """What is wrong with the frame; None if nothing is seen."""
+        if self.share > _CERTAIN * self.error:
+            return f"shows {100 * min(self.share, 1):.0f} % of the pattern before"
+        if self.torn:
+            return "shows some of the pattern before in some of its rows"
+        if self.share > _DOUBTED * self.error:
+            return "may show a little of the pattern before"
+        return None
+
+
+def find_mixture(
+    missed: NDArray[np.float64], apart: NDArray[np.float64], rows: NDArray[np.int64]
+) -> Mixture:
+    """How much of another pattern a frame shows, all over or from some row up or down.
+
+    Parameters
+    ----------
+    missed : (m,) float
+        What each sample is off its prediction, in errors of that.
+    apart : (m,) float
+        What the prediction of the other pattern is off it.
+    rows : (m,) int
+        The image row of each sample.
+    """
+    order = np.argsort(rows, kind="stable")
+    scale = max(1.0, float(np.sqrt((missed**2).mean())))
+    torn = False
+    for ordered in (order[::-1], order):
+        weight = np.maximum(np.cumsum(apart[ordered] ** 2), 1e-9)
+        share = np.cumsum(missed[ordered] * apart[ordered]) / weight
+        clear = (share > _TORN) & (share * np.sqrt(weight) > _TORN_ERRORS * scale)
+        torn = torn or bool(clear[_FEWEST_TORN - 1 :].any())
+    return Mixture(float(share[-1]), scale / float(np.sqrt(weight[-1])), torn)
