@@ -280,9 +280,9 @@ def test_a_damaged_frame_is_taken_again() -> None:
     file = Path("capture.partial/image_0003.tif")
     file.write_bytes(file.read_bytes()[:100])
     steps: list[int] = []
-    capture = _capture(progress=lambda step: steps.append(step.done))
-    assert capture.count == 32
-    assert 13 <= len(steps) <= 13 + capture.provenance["photographed_again"].get(DOUBT, 0)
+    assert _capture(progress=lambda step: steps.append(step.done)).count == 32
+    # And a few that are doubted in the light of all.
+    assert 13 <= len(steps) < 18
     _right_frames("")
 
 

@@ -18,17 +18,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.capture.prediction import (
-    PROJECTOR_PIXELS,
     column_scale,
     folds,
-    predicted_samples,
 )
+from lightmatrix.capture.shortlists import cross_predicted
 from lightmatrix.live.mixtures import Mixture, find_mixture
 from lightmatrix.patterns.pattern_set import PatternSet
 
 # Frames before which nothing is predicted: as many as tell the pixels apart, and these.
 _SPARE_FRAMES = 8
-# Projectors of more pixels are looked through less often, as it takes long: seconds each time.
+# Projectors of more pixels are looked through less often, as it takes seconds each time.
 _LARGE = 100_000
 _LARGE_FOLDS = 3
 # Samples that are watched, and multiplications spent on one look.
@@ -117,17 +116,9 @@ class Watch:
         light = np.zeros_like(self._values)
         light[:, taken] = self._values[:, taken]
         light[:, taken] -= light[:, taken].mean(axis=0)
-        count = self.patterns.count
-        order = np.arange(count)
-        predicted = np.empty_like(light)
-        missing = np.setdiff1d(order, taken)
-        if len(missing):
-            predicted[:, missing] = self._predict(light, order, taken, missing)
         parts = _LARGE_FOLDS if self.patterns.pixels > _LARGE else folds(len(taken))
-        fold = np.random.default_rng(0).permutation(len(taken)) % parts
-        for part in range(parts):
-            train, held = taken[fold != part], taken[fold == part]
-            predicted[:, held] = self._predict(light, order, train, held)
+        part = np.random.default_rng(0).permutation(len(taken)) % parts
+        predicted = cross_predicted(self.patterns, self._scale, light, taken, part)
         observed = light[:, taken]
         spread = observed - observed.mean(axis=1, keepdims=True)
         missed = observed - predicted[:, taken]
@@ -166,16 +157,6 @@ class Watch:
         """
         mix = self._mixture(frame, before)
         return mix is not None and mix.fine
-
-    def _predict(
-        self,
-        light: NDArray[np.float32],
-        order: NDArray[np.int64],
-        train: NDArray[np.int64],
-        held: NDArray[np.int64],
-    ) -> NDArray[np.float32]:
-        assert self._scale is not None
-        return predicted_samples(self.patterns, self._scale, light, order, train, held)
 
     def _missed(self, frame: int) -> float:
         """Share of a frame's variance that its prediction misses."""
@@ -236,7 +217,8 @@ def watched_samples(
         Many pixels allow for few samples.
     """
     count = patterns.count
-    cost = count * patterns.pixels * (folds(count) + 1) * PROJECTOR_PIXELS
+    # Of each sample: correlated with every projector pixel, and these looked through.
+    cost = 2 * count * patterns.pixels
     wanted = int(np.clip(_WORK / cost, _FEWEST, _MOST))
     generator = np.random.default_rng(0)
     by_row = np.asarray(light).reshape(rows, -1)
