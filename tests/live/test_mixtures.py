@@ -57,13 +57,16 @@ def test_pictures_that_come_within_the_exposure_leave_nothing_behind(
 @pytest.mark.parametrize("share", [0.0, 0.03])
 def test_a_share_is_found_with_its_error(share: float) -> None:
     random = np.random.default_rng(0)
-    apart = 3 * random.standard_normal(400)
-    found = [
-        find_mixture(
-            share * apart + random.standard_normal(400), apart, np.repeat(np.arange(40), 10)
-        )
-        for _ in range(300)
-    ]
+    own, other, error = 9 + 3 * random.standard_normal((3, 400)) * [[1], [1], [0.1]]
+    error /= 9
+
+    def frame() -> Any:
+        # Predictions are too strong, and the lamp is weaker.
+        light = (1 - share) * own + share * other + error * random.standard_normal(400)
+        return 0.98 * light - 0.2
+
+    rows = np.repeat(np.arange(40), 10)
+    found = [find_mixture(frame() - own, other, own, error, rows) for _ in range(300)]
     shares = np.array([mix.share for mix in found])
     assert shares.mean() == pytest.approx(share, abs=0.003)
     assert shares.std() == pytest.approx(found[0].error, rel=0.15)

@@ -42,7 +42,7 @@ def test_they_predict_what_all_pixels_do(
 ) -> None:
     values = _values(patterns)
     all_pixels = _predicted(patterns, values)
-    monkeypatch.setattr(shortlists, "_FEW", 0)
+    monkeypatch.setattr(shortlists, "FEW", 0)
     # Not all in one block, nor all on the list.
     monkeypatch.setattr(shortlists, "_MOST_ROWS", 16)
     monkeypatch.setattr(shortlists, "_LISTED", 128)
@@ -59,7 +59,7 @@ def test_they_predict_what_all_pixels_do(
 def test_what_a_part_holds_does_not_predict_it(
     patterns: lm.PatternSet, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(shortlists, "_FEW", 0)
+    monkeypatch.setattr(shortlists, "FEW", 0)
     values = _values(patterns)
     before = _predicted(patterns, values)
     values[:, 0:60:3] = np.random.default_rng(1).random((ROWS, 20))
@@ -69,3 +69,18 @@ def test_what_a_part_holds_does_not_predict_it(
     np.testing.assert_allclose(before[:, 0:60:3], after[:, 0:60:3], atol=1e-4)
     assert np.isfinite(after).all()
     assert np.abs(before[:, 1:60:3] - after[:, 1:60:3]).max() > 0.1
+
+
+def test_rows_beside_each_other_are_found_beside_each_other() -> None:
+    shape = (96, 128)
+    patterns = lm.make_patterns("bernoulli", shape, COUNT)
+    assert patterns.pixels > shortlists.FEW
+    random = np.random.default_rng(0)
+    place = random.integers(8, (88, 120), (10, 1, 2)) + random.integers(-6, 7, (10, 4, 2))
+    seen = np.ravel_multi_index(place.reshape(-1, 2).T, shape)
+    values = patterns.columns(seen).T + 0.1 * random.standard_normal((40, COUNT), np.float32)
+    taken = np.arange(COUNT)
+    scale = column_scale(patterns)
+    predicted = shortlists.cross_predicted(patterns, scale, values, taken, taken % 3, 4)
+    missed = ((predicted - values) ** 2).mean(axis=1) / values.var(axis=1)
+    assert missed.max() < 0.2

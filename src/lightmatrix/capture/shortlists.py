@@ -21,10 +21,10 @@ from lightmatrix.patterns.pattern_set import PatternSet
 
 # Pixels of a shortlist: of each of so many groups of pixels, only the best can be on it.
 _LISTED, _GROUPS = 256, 1 << 14
-# Neighbours to each side.
-_AROUND = 7
+# Neighbours to each side, for rows that are looked for and for rows beside them.
+_AROUND, _BESIDE = 7, 15
 # Projectors of fewer pixels are looked through for each part, which is as quick.
-_FEW = 1 << 13
+FEW = 1 << 12
 _CORRELATION_BYTES = 256 << 20
 _MOST_ROWS = 64
 # Drawings of lots; rows in turn use them.
@@ -37,6 +37,7 @@ def cross_predicted(
     values: NDArray[np.float32],
     taken: NDArray[np.int64],
     part: NDArray[np.int64],
+    beside: int = 1,
 ) -> NDArray[np.float32]:
     """What each row should show under each pattern, from the frames of other parts.
 
@@ -52,6 +53,9 @@ def cross_predicted(
         The frames that there are.
     part : (k,) int
         The part of each, from 0 on.
+    beside : int
+        Rows come in groups of so many neighbours in the image. Where projectors are large, only
+        the first of a group is looked for among all pixels, the others near to where it was found.
 
     Returns
     -------
@@ -63,27 +67,29 @@ def cross_predicted(
     predicted = np.empty((len(values), patterns.count), np.float32)
     looks = [(taken[part != p], taken[part == p]) for p in range(parts)]
     missing = np.setdiff1d(order, taken)
-    if patterns.pixels <= _FEW:
+    if patterns.pixels <= FEW:
         if len(missing):
             looks.append((taken, missing))
         for train, held in looks:
             predicted[:, held] = predicted_samples(patterns, scale, values, order, train, held)
         return predicted
-    centred = values - values[:, taken].mean(axis=1, keepdims=True)
+    first = values[::beside]
+    first = first - first[:, taken].mean(axis=1, keepdims=True)
     ones = np.ones((1, patterns.count), np.float32)
     sums = [_correlated(patterns, ones, held)[0] for _, held in looks]
     totals = [reduce(np.add, sums[:p] + sums[p + 1 :]) for p in range(parts)]
     # Pixels that no frame tells apart are chosen between by lot.
     draw = np.random.default_rng(0)
     weights = [scale * (1 + 1e-3 * draw.random(len(scale), np.float32)) for _ in range(_LOTS)]
-    rows = _CORRELATION_BYTES // (4 * patterns.pixels * (parts + 1))
-    rows = int(np.clip(rows, 1, _MOST_ROWS))
-    for start in range(0, len(values), rows):
-        some = slice(start, start + rows)
-        each = [_correlated(patterns, centred[some], held) for _, held in looks]
+    block = int(np.clip(_CORRELATION_BYTES // (4 * patterns.pixels * (parts + 1)), 1, _MOST_ROWS))
+    around = _AROUND if beside == 1 else _BESIDE
+    for start in range(0, len(first), block):
+        looked_for = first[start : start + block]
+        some = slice(beside * start, beside * (start + block))
+        each = [_correlated(patterns, looked_for, held) for _, held in looks]
         whole = reduce(np.add, each)
         jobs: list[tuple[NDArray[np.int64], NDArray[np.int64], Iterable[NDArray[np.float32]]]] = [
-            (train, held, _without(whole, own, centred[some][:, train].mean(axis=1), total))
+            (train, held, _without(whole, own, looked_for[:, train].mean(axis=1), total))
             for (train, held), own, total in zip(looks, each, totals, strict=True)
         ]
         if len(missing):
@@ -91,7 +97,7 @@ def cross_predicted(
         for train, held, scores in jobs:
             listed = np.array(
                 [
-                    _best(score * weights[row % _LOTS], patterns.shape)
+                    _best(score * weights[row % _LOTS], patterns.shape, around)
                     for row, score in enumerate(scores)
                 ]
             )
@@ -123,7 +129,7 @@ def _without(
         yield all_parts - one - mean * total
 
 
-def _best(scores: NDArray[np.float32], shape: tuple[int, int]) -> NDArray[np.int64]:
+def _best(scores: NDArray[np.float32], shape: tuple[int, int], around: int) -> NDArray[np.int64]:
     """Where the largest of (N,) scores are, no two of one group, and around the very largest."""
     wanted = min(_LISTED, len(scores))
     groups = min(_GROUPS, len(scores))
@@ -135,10 +141,10 @@ def _best(scores: NDArray[np.float32], shape: tuple[int, int]) -> NDArray[np.int
     best = np.argpartition(by_group.max(axis=0), groups - wanted)[groups - wanted :]
     found = by_group[:, best].argmax(axis=0) * groups + best
     row, col = np.unravel_index(found[scores[found].argmax()], shape)
-    near = np.arange(-_AROUND, _AROUND + 1)
+    near = np.arange(-around, around + 1)
     rows, cols = np.clip(row + near, 0, shape[0] - 1), np.clip(col + near, 0, shape[1] - 1)
-    around = np.ravel_multi_index(np.ix_(rows, cols), shape).ravel()
-    return np.concatenate([found, around]).astype(np.int64)
+    neighbours = np.ravel_multi_index(np.ix_(rows, cols), shape).ravel()
+    return np.concatenate([found, neighbours]).astype(np.int64)
 
 
 def _chooser(
@@ -147,12 +153,13 @@ def _chooser(
     listed: NDArray[np.int64],
     train: NDArray[np.int64],
 ) -> Callable[[NDArray[np.float32]], NDArray[np.int64]]:
-    """What chooses the next pixel of each row from its shortlist, (m, listed)."""
+    """What chooses the next pixel of each row from the shortlist of its group, (groups, listed)."""
     columns = patterns.columns(listed.ravel()).reshape(patterns.count, *listed.shape)
-    shown = np.ascontiguousarray(np.moveaxis(columns[train], 0, 2))
+    shown = np.ascontiguousarray(np.moveaxis(columns[train], 0, 1))
 
     def best_pixels(residual: NDArray[np.float32]) -> NDArray[np.int64]:
-        scores = (shown @ residual[..., None])[..., 0] * scale[listed]
-        return np.asarray(listed[np.arange(len(listed)), scores.argmax(axis=1)])
+        grouped = residual.reshape(len(listed), -1, residual.shape[1])
+        scores = grouped @ shown * scale[listed][:, None]
+        return np.take_along_axis(listed, scores.argmax(axis=2), axis=1).ravel()
 
     return best_pixels

@@ -2,7 +2,8 @@
 
 A picture that comes late may come within the exposure. The frame is then (1 - a) times its own
 pattern's and a times that of the pattern before, and a is found by weighted least squares, with a
-standard error, from what is predicted for both.
+standard error, from what is predicted for both. The frame's own contrast and level are fitted too:
+predictions err in these, by more than the shares that matter and in all samples alike.
 """
 
 from __future__ import annotations
@@ -59,25 +60,38 @@ class Mixture:
 
 
 def find_mixture(
-    missed: NDArray[np.float64], apart: NDArray[np.float64], rows: NDArray[np.int64]
+    missed: NDArray[np.float64],
+    other: NDArray[np.float64],
+    own: NDArray[np.float64],
+    error: NDArray[np.float64],
+    rows: NDArray[np.int64],
 ) -> Mixture:
     """How much of another pattern a frame shows, all over or from some row up or down.
 
     Parameters
     ----------
     missed : (m,) float
-        What each sample is off its prediction, in errors of that.
-    apart : (m,) float
-        What the prediction of the other pattern is off it.
+        What each sample is off the prediction of its own pattern.
+    other, own : (m,) float
+        The predictions of the other pattern and of its own.
+    error : (m,) float
+        Standard deviation of what is missed where all is right.
     rows : (m,) int
         The image row of each sample.
     """
+    known, _ = np.linalg.qr(np.column_stack([own, np.ones_like(own)]) / error[:, None])
+
+    def besides(values: NDArray[np.float64]) -> NDArray[np.float64]:
+        weighted = values / error
+        return np.asarray(weighted - known @ (known.T @ weighted))
+
+    left, towards = besides(missed), besides(other)
     order = np.argsort(rows, kind="stable")
-    scale = max(1.0, float(np.sqrt((missed**2).mean())))
+    scale = max(1.0, float(np.sqrt((left**2).mean())))
     torn = False
     for ordered in (order[::-1], order):
-        weight = np.maximum(np.cumsum(apart[ordered] ** 2), 1e-9)
-        share = np.cumsum(missed[ordered] * apart[ordered]) / weight
+        weight = np.maximum(np.cumsum(towards[ordered] ** 2), 1e-9)
+        share = np.cumsum(left[ordered] * towards[ordered]) / weight
         clear = (share > _TORN) & (share * np.sqrt(weight) > _TORN_ERRORS * scale)
         torn = torn or bool(clear[_FEWEST_TORN - 1 :].any())
     return Mixture(float(share[-1]), scale / float(np.sqrt(weight[-1])), torn)

@@ -93,12 +93,15 @@ class Session:
 
     def __post_init__(self) -> None:
         light, rows = self.references.light, self.references.light.shape[0]
-        self._samples = watched_samples(light.ravel(), rows, self.patterns)
+        self._samples, beside = watched_samples(light, self.patterns)
         per_row = light.size // rows
         dark = self._dark(float(self.exposures.max()))
         ceiling = (self.references.white.clip_level - dark) / self.exposures.max()
         self._watch = Watch(
-            self.patterns, self._samples // per_row, ceiling[self._samples].astype(np.float32)
+            self.patterns,
+            self._samples // per_row,
+            ceiling[self._samples].astype(np.float32),
+            beside,
         )
 
     def run(self) -> None:

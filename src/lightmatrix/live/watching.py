@@ -21,7 +21,7 @@ from lightmatrix.capture.prediction import (
     column_scale,
     folds,
 )
-from lightmatrix.capture.shortlists import cross_predicted
+from lightmatrix.capture.shortlists import FEW, cross_predicted
 from lightmatrix.live.mixtures import Mixture, find_mixture
 from lightmatrix.patterns.pattern_set import PatternSet
 
@@ -30,9 +30,9 @@ _SPARE_FRAMES = 8
 # Projectors of more pixels are looked through less often, as it takes seconds each time.
 _LARGE = 100_000
 _LARGE_FOLDS = 3
-# Samples that are watched, and multiplications spent on one look.
-_FEWEST, _MOST = 48, 512
-_WORK = 2e10
+# Samples that are watched: where all are looked for among all pixels; and where few are, each with
+# 24 neighbours, at most so many rows and columns from one to the next.
+_MOST, _FEWEST, _STEP = 1024, 64, 3
 # Share of a sample's variance that must be predicted for it to have a say, and how many must.
 _EXPLAINED = 0.5
 _FEWEST_TELLING = 24
@@ -55,11 +55,14 @@ class Watch:
         The image row of each watched sample.
     ceiling : (m,) float
         Level up to which all exposures tell the light apart; samples and predictions end there.
+    beside : int
+        Samples come in groups of so many neighbours; see `watched_samples`.
     """
 
     patterns: PatternSet
     rows: NDArray[np.int64]
     ceiling: NDArray[np.float32]
+    beside: int = 1
     _values: NDArray[np.float32] = field(init=False)
     _predicted: NDArray[np.float32] | None = None
     _telling: NDArray[np.bool_] = field(init=False)
@@ -118,7 +121,7 @@ class Watch:
         light[:, taken] -= light[:, taken].mean(axis=0)
         parts = _LARGE_FOLDS if self.patterns.pixels > _LARGE else folds(len(taken))
         part = np.random.default_rng(0).permutation(len(taken)) % parts
-        predicted = cross_predicted(self.patterns, self._scale, light, taken, part)
+        predicted = cross_predicted(self.patterns, self._scale, light, taken, part, self.beside)
         observed = light[:, taken]
         spread = observed - observed.mean(axis=1, keepdims=True)
         missed = observed - predicted[:, taken]
@@ -177,9 +180,9 @@ class Watch:
         assert self._predicted is not None
         some = self._telling
         other = self._at_level(self._predicted[some, before], observed, some)
-        limit = np.sqrt(_GLINT)
-        missed = np.clip((observed - expected) / error, -limit, limit)
-        return find_mixture(missed, (other - expected) / error, self.rows[some])
+        limit = np.sqrt(_GLINT) * error
+        missed = np.clip(observed - expected, -limit, limit)
+        return find_mixture(missed, other, expected, error, self.rows[some])
 
     def _compared(
         self, frame: int
@@ -203,25 +206,35 @@ class Watch:
 
 
 def watched_samples(
-    light: NDArray[np.floating], rows: int, patterns: PatternSet
-) -> NDArray[np.int64]:
+    light: NDArray[np.floating], patterns: PatternSet
+) -> tuple[NDArray[np.int64], int]:
     """Which samples to watch: lit ones, spread over the image.
 
     Parameters
     ----------
-    light : (M,) float
+    light : (rows, cols[, channels]) float
         White frame less black frame.
-    rows : int
-        Rows of the image.
     patterns : PatternSet
-        Many pixels allow for few samples.
+        Where they have many pixels, few samples are looked for among all of them.
+
+    Returns
+    -------
+    index : (m,) int64
+        Of the flat image.
+    beside : int
+        Samples come in groups of so many neighbours; in order, where it is 1.
     """
-    count = patterns.count
-    # Of each sample: correlated with every projector pixel, and these looked through.
-    cost = 2 * count * patterns.pixels
-    wanted = int(np.clip(_WORK / cost, _FEWEST, _MOST))
     generator = np.random.default_rng(0)
+    rows, cols = light.shape[:2]
     by_row = np.asarray(light).reshape(rows, -1)
+    wanted, places = _MOST, np.zeros(1, np.int64)
+    if patterns.pixels > FEW and min(rows, cols) > 8 * _STEP:
+        # About as far apart as to see other projector pixels, and these near to each other.
+        step = int(np.clip(_STEP * rows / patterns.shape[0], 1, _STEP))
+        wanted, places = _FEWEST, step * np.arange(-2, 3)
+        inner = np.zeros(light.shape, bool)
+        inner[places[-1] : places[0], places[-1] : places[0]] = True
+        by_row = np.where(inner.reshape(rows, -1), by_row, 0)
     threshold = 0.1 * np.quantile(by_row, 0.99)
     groups = min(rows, 64)
     share = -(-wanted // groups)
@@ -231,4 +244,9 @@ def watched_samples(
         lit = np.flatnonzero(block > threshold)
         pick = generator.permutation(lit)[:share]
         found.append(part[0] * by_row.shape[1] + pick)
-    return np.sort(np.concatenate(found)).astype(np.int64)
+    index = np.sort(np.concatenate(found)).astype(np.int64)
+    down, across = np.meshgrid(places, places, indexing="ij")
+    offsets = (down * by_row.shape[1] + across * (by_row.shape[1] // cols)).ravel()
+    # The one that is looked for is the first.
+    offsets = offsets[np.argsort(offsets != 0, kind="stable")]
+    return (index[:, None] + offsets).ravel(), len(offsets)
