@@ -25,7 +25,7 @@ from lightmatrix.live.virtual.camera import VirtualCamera
 from .rig_faults import run
 
 DOUBT = "may show a little of the pattern before"
-QUIET = "virtual:procedural,size=16,real=0,late=0,dropped=0,duplicate=0,torn=0"
+QUIET = "virtual:procedural,size=24,real=0,late=0,dropped=0,duplicate=0,torn=0"
 
 
 @pytest.fixture(autouse=True)
@@ -100,7 +100,7 @@ def test_every_frame_says_how_it_was_taken() -> None:
 
 def test_grey_patterns_are_shown_as_the_light_that_they_are() -> None:
     draw = np.random.default_rng(0)
-    grey = lm.ImagePatterns(draw.random((40, 16, 16), np.float32))
+    grey = lm.ImagePatterns(draw.random((40, 24, 24), np.float32))
     with lm.open_rig(QUIET + ",gamma=2.4,noise=0.001") as rig:
         capture = lm.take_capture("capture", rig, grey)
     seen = capture.samples().values
@@ -109,12 +109,12 @@ def test_grey_patterns_are_shown_as_the_light_that_they_are() -> None:
 
 
 def test_cells_are_shown_in_the_middle_of_the_screen() -> None:
-    capture = _capture(cell=3)
+    capture = _capture(",size=16", cell=3)
     assert capture.projector_shape == (5, 5)
     assert not Path("capture/truth.npz").exists()
     assert set(capture.provenance["checks"]) <= {"matched", "confirmed"}
     with pytest.raises(lm.InputError, match="for a projector of 16 x 16"):
-        _capture(patterns=lm.BernoulliPatterns((16, 16), 20), cell=2, overwrite=True)
+        _capture(",size=16", patterns=lm.BernoulliPatterns((16, 16), 20), cell=2, overwrite=True)
 
 
 def test_several_exposures_where_the_light_asks_for_them() -> None:
@@ -183,7 +183,7 @@ def test_few_frames_predict_nothing_and_are_confirmed_one_by_one(count: int) -> 
 
 
 def test_patterns_of_single_pixels_are_confirmed_one_by_one() -> None:
-    patterns = lm.make_patterns("blocks", (16, 16), block=(4, 4))
+    patterns = lm.make_patterns("blocks", (24, 24), block=(6, 6))
     capture = _capture(",late=0.1,fps=0,seed=2", patterns=patterns)
     assert capture.provenance["checks"] == {"confirmed": 16}
     _right_frames(",late=0.1,fps=0,seed=2")
@@ -292,6 +292,28 @@ def test_frames_of_another_capture_are_not_mixed_in() -> None:
     with pytest.raises(lm.OutputError, match=r"frames of another capture.*patterns differ"):
         _capture(seed=1)
     assert _capture(seed=1, overwrite=True).count == 32
+
+
+@pytest.mark.parametrize(
+    ("first", "then", "words"),
+    [
+        ({"exposure": 0.01}, {"exposure": 0.02}, "exposure was 0.01, is 0.02"),
+        ({"exposure": 0.01}, {}, "exposure was 0.01, is not given"),
+        ({}, {"exposure": 0.01}, "exposure was not given, is 0.01"),
+        ({"cell": 2}, {"cell": 1}, "cell was 2, is 1; the patterns differ"),
+        ({"words": ",bits=10,black=16"}, {}, "the camera: bits was 10, is 12"),
+    ],
+)
+def test_what_was_changed_meanwhile_is_said(
+    first: dict[str, Any], then: dict[str, Any], words: str
+) -> None:
+    common = {"settle": 0.05, "keep": None}
+    with pytest.raises(_StopError):
+        _capture(progress=_stop_after(2), **{**common, **first})
+    with pytest.raises(lm.OutputError, match="holds frames of another capture") as told:
+        _capture(**{**common, **then})
+    assert f"({words})" in told.value.message
+    assert "the same settings" in str(told.value.hint)
 
 
 def test_a_rig_that_was_moved_meanwhile() -> None:

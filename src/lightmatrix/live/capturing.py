@@ -156,6 +156,7 @@ def take_capture(
         wanted = {
             "patterns": shown.digest,
             "cell": cell,
+            "exposure": exposure,
             "projector": {key: known.projector.get(key) for key in ("name", "shape")},
             "camera": {key: known.camera.get(key) for key in ("name", "shape", "bits")},
         }

@@ -120,9 +120,9 @@ class Record:
             return cls(target, kept, asked, State())
         if found["wanted"] != asked:
             if not overwrite:
-                odd = sorted(key for key in asked if found["wanted"].get(key) != asked[key])
                 raise OutputError(
-                    f"{kept.path}: holds frames of another capture ({', '.join(odd)} differ)",
+                    f"{kept.path}: holds frames of another capture "
+                    f"({_changes(found['wanted'], asked)})",
                     hint="go on with the same settings, add --overwrite to begin anew, or choose "
                     "another output",
                 )
@@ -264,3 +264,24 @@ class Record:
     def _name(self, frame: int) -> str:
         # Packing the noise of a large frame as PNG takes longer than photographing it.
         return f"image_{frame:04d}.tif"
+
+
+def _changes(before: Mapping[str, Any], now: Mapping[str, Any]) -> str:
+    """What differs between what was asked for and what is now, in words."""
+    told = []
+    for key in sorted({*before, *now}):
+        old, new = before.get(key), now.get(key)
+        if old == new:
+            continue
+        if key == "patterns":
+            # Their digests mean nothing to anybody.
+            told.append("the patterns differ")
+        elif isinstance(old, Mapping) and isinstance(new, Mapping):
+            told.append(f"the {key}: {_changes(old, new)}")
+        else:
+            told.append(f"{key} was {_words(old)}, is {_words(new)}")
+    return "; ".join(told)
+
+
+def _words(value: Any) -> str:
+    return "not given" if value is None else str(value)
