@@ -27,9 +27,9 @@ def test_a_capture_goes_on_when_a_full_disk_has_room_again(
     with small_disk(tmp_path) as disk:
         if disk is None:
             pytest.skip("no disk can be mounted: not root, or not allowed")
-        # None at all, enough for some frames, and for all frames but not for the capture.
+        # None at all, and enough for some frames, twice.
         kept = []
-        for room in (0, 40 << 10, 84 << 10):
+        for room in (0, 24 << 10, 40 << 10):
             disk.leave(room)
             assert main(_words(tmp_path)) == 2
             told = capsys.readouterr().err
