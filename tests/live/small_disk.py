@@ -28,7 +28,8 @@ class SmallDisk:
         """Let so many bytes more be written, in whole pages of memory; `free` ends it."""
         found = os.statvfs(self.folder)
         used = (found.f_blocks - found.f_bfree) * found.f_frsize
-        self._resize(used + room)
+        # A size of 0 is no limit.
+        self._resize(max(used + room, found.f_frsize))
 
     def free(self) -> None:
         """Let there be plenty."""

@@ -29,7 +29,7 @@ def test_a_capture_goes_on_when_a_full_disk_has_room_again(
             pytest.skip("no disk can be mounted: not root, or not allowed")
         # None at all, and enough for some frames, twice.
         kept = []
-        for room in (0, 24 << 10, 40 << 10):
+        for room in (0, 40 << 10, 24 << 10):
             disk.leave(room)
             assert main(_words(tmp_path)) == 2
             told = capsys.readouterr().err
