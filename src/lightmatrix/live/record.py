@@ -240,6 +240,9 @@ class Record:
         one = float(exposures[0]) if np.ptp(exposures) == 0 else exposures
         frame = self.read(there[0])
         assert frame is not None
+        if frame.ndim == 3 and all(map(self._is_grey, there)):
+            # As it is read: colour cameras that are set to grey give three channels alike.
+            camera_shape, black = camera_shape[:2], black.mean(axis=2)
         sensor = Sensor(
             one,
             black_level=black_level,
@@ -260,6 +263,10 @@ class Record:
             overwrite=overwrite,
         )
         self._kept.discard()
+
+    def _is_grey(self, frame: int) -> bool:
+        image = self.read(frame)
+        return image is not None and bool((image == image[..., :1]).all())
 
     def _name(self, frame: int) -> str:
         # Packing the noise of a large frame as PNG takes longer than photographing it.
