@@ -26,6 +26,8 @@ from lightmatrix.patterns.pattern_set import PatternSet
 Rival = tuple[NDArray[np.generic], int]
 # Photographs of a pattern before it is given up: one, and three more.
 TRIES = 4
+# Share of bad frames up to which the others, judged by them too, need not be judged anew.
+_FEW_BAD = 0.1
 # Patterns given up one after the other before the session is.
 _MOST_UNMENDED = 4
 # What was shown before a pattern, where it was no pattern.
@@ -284,9 +286,10 @@ class Session:
                     bad.append(k)
                     self._count(complaint)
             self.record.save()
-            if not bad:
-                return
             self._again(bad)
+            # What few frames explained wrongly changes no prediction much.
+            if len(bad) <= _FEW_BAD * len(self._taken):
+                return
 
     def _confirm_rest(self) -> None:
         """Photograph a second time what could not be judged."""

@@ -87,7 +87,7 @@ class Watch:
     def due(self) -> bool:
         """Whether there are enough new frames for it to be worth learning again."""
         count = int(np.isfinite(self._values[0]).sum())
-        growth = 2.0 if self.patterns.pixels > _LARGE else 1.33
+        growth = 2.0 if self.patterns.pixels > _LARGE else 1.5
         return count >= max(self._fewest, growth * self._learnt)
 
     @property
