@@ -239,6 +239,15 @@ def test_light_that_changes_meanwhile_is_named(what: str, words: str) -> None:
     assert [look["frames"] for look in looks] == [7, 15, 23, 31]
 
 
+def test_a_room_whose_light_varies_is_named() -> None:
+    with lm.open_rig(QUIET) as rig:
+        known = lm.calibrate(rig)
+    assert known.flicker is not None
+    replace(known, flicker=replace(known.flicker, room=0.05)).save("rig.json")
+    with pytest.warns(lm.LightMatrixWarning, match="room's light varies by 5 % of white"):
+        _capture(count=4)
+
+
 def test_drift_is_named() -> None:
     assert Drift(1.0, 0.01, 0.0).said() is None
     assert "did something move" in str(Drift(1.0, 0.2, 0.0).said())
