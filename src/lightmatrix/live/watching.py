@@ -12,7 +12,7 @@ nothing is said, and the frames are confirmed by a second photograph instead.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,6 +68,8 @@ class Watch:
     _telling: NDArray[np.bool_] = field(init=False)
     _error: NDArray[np.float32] = field(init=False)
     _usual: float = 1.0
+    # Errors of shares as they are found, over those that they should have.
+    _spread: float = 1.0
     _scale: NDArray[np.float32] | None = None
     # Whether anything has changed since it was learnt from, and how many frames there were then.
     _new: bool = True
@@ -135,6 +137,13 @@ class Watch:
         self._usual = float(np.median([self._missed(int(k)) for k in taken]))
         if self._usual > _EXPLAINED:
             self._predicted = None
+            return
+        # Predictions of neighbouring samples err alike, which no sum over samples knows of. Most
+        # frames are right, whatever was shown before them.
+        self._spread = 1.0
+        mixes = [self._mixture(int(k), int(k) - 1) for k in taken if k > 0]
+        found = [abs(mix.share) / mix.error for mix in mixes if mix is not None]
+        self._spread = max(1.0, 1.48 * float(np.median(found)))
 
     def complaint(self, frame: int, before: int) -> str | None:
         """What is wrong with a frame that was put; None if it shows its pattern.
@@ -182,7 +191,8 @@ class Watch:
         other = self._at_level(self._predicted[some, before], observed, some)
         limit = np.sqrt(_GLINT) * error
         missed = np.clip(observed - expected, -limit, limit)
-        return find_mixture(missed, other, expected, error, self.rows[some])
+        found = find_mixture(missed, other, expected, error, self.rows[some])
+        return replace(found, error=self._spread * found.error)
 
     def _compared(
         self, frame: int
