@@ -14,10 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 # Standard errors of a share beyond which the frame is taken again to be sure, and beyond which it
-# is certain that it is mixed. One right frame in 40 is taken twice.
-_DOUBTED, _CERTAIN = 2.0, 5.0
-# Shares above this have to be seen; one of this size is missed once in 40 times.
-_MATTERS = 0.03
+# is certain that it is mixed. One right frame in 15 is taken twice.
+_DOUBTED, _CERTAIN = 1.5, 5.0
+# Shares above this have to be seen: one of this size is doubted unless chance takes so many
+# standard errors off it, which it does once in 40 times.
+_MATTERS, _MISSED = 0.03, 2.0
 # Rows at one end of the image: among so many looks, some go far by chance, and errors of the
 # prediction are alike where they are near to each other.
 _TORN, _TORN_ERRORS = 0.015, 6.0
@@ -46,7 +47,7 @@ class Mixture:
     @property
     def fine(self) -> bool:
         """Whether the error is so small that a share that matters is seen."""
-        return 2 * _DOUBTED * self.error <= _MATTERS
+        return (_DOUBTED + _MISSED) * self.error <= _MATTERS
 
     def said(self) -> str | None:
         """What is wrong with the frame; None if nothing is seen."""
