@@ -69,9 +69,9 @@ def _again(fault: str, **settings: Any) -> int:
 
 
 def _are_trusted(checks: dict[str, int], count: int = 32) -> None:
-    """Nearly all frames by what is predicted; a few, near chance, by a second photograph."""
+    """Most frames by what is predicted; those near chance by a second photograph."""
     assert set(checks) <= {"matched", "confirmed"}
-    assert checks["matched"] >= 0.85 * count
+    assert checks["matched"] >= 0.6 * count
     assert sum(checks.values()) == count
 
 

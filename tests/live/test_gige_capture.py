@@ -54,7 +54,7 @@ def test_a_capture_over_gige_vision_is_as_good_as_a_simulated_one(
     assert (capture.count, told["left_out"]) == (64, {})
     # A few, near chance, by a second photograph.
     assert set(told["checks"]) <= {"matched", "confirmed"}
-    assert told["checks"]["matched"] >= 48
+    assert told["checks"]["matched"] >= 40
     # All 64, but for the measuring of the rig, which is kept.
     assert times[-1] - times[0] < 60
     scale = np.float32(told["exposure_1_in_seconds"] / UNIT_EXPOSURE)
