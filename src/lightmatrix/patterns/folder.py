@@ -9,18 +9,22 @@ from __future__ import annotations
 import json
 import os
 import warnings
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lightmatrix.errors import InputError, LightMatrixWarning
+from lightmatrix.files.ahead import read_ahead
 from lightmatrix.files.headers import read_json, said_in
-from lightmatrix.files.images import fill_image, read_grey, read_image
+from lightmatrix.files.images import as_grey, fill_image, read_grey, read_image
 from lightmatrix.files.memory import check_room
 from lightmatrix.files.stack import ImageStack, list_images
 from lightmatrix.outputs.kinds import PATTERNS
 from lightmatrix.outputs.writing import atomic_folder
+from lightmatrix.patterns.bits import BitPatterns
 from lightmatrix.patterns.kinds import from_description
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet, to_grey
 
@@ -72,7 +76,8 @@ def read_patterns(folder: str | Path) -> PatternSet:
     -------
     PatternSet
         The operator that patterns.json describes if the images agree with it; else (with a
-        warning) or without patterns.json the images themselves.
+        warning) or without patterns.json the images themselves: as bits, as fast as a set that was
+        generated, if all of them are black and white.
 
     Raises
     ------
@@ -104,14 +109,32 @@ def read_patterns(folder: str | Path) -> PatternSet:
             LightMatrixWarning,
             stacklevel=2,
         )
+    return _from_images(place, paths)
+
+
+def _from_images(place: Path, paths: list[Path]) -> PatternSet:
+    """The patterns as their images show them: bits, unless one of them has a grey pixel."""
     stack = ImageStack.open(paths)
-    check_room(place, 4 * len(paths) * stack.shape[0] * stack.shape[1])
-    images = np.empty((len(paths), *stack.shape[:2]), np.float32)
-    for k, path in enumerate(paths):
+    shape, count = (stack.shape[0], stack.shape[1]), len(paths)
+    pixels = shape[0] * shape[1]
+    bits = np.empty((count, (pixels + 7) // 8), np.uint8)
+    images: NDArray[np.float32] | None = None
+
+    def read(k: int) -> NDArray[np.float32]:
         # The stack names the file whose size or type differs.
-        stack.read(k)
-        images[k] = read_grey(path)
-    return ImagePatterns(images)
+        return as_grey(paths[k], stack.read(k))
+
+    for k, grey in enumerate(read_ahead(read, range(count))):
+        if images is None:
+            lit = grey == 1
+            if (lit | (grey == 0)).all():
+                bits[k] = np.packbits(lit, bitorder="little")
+                continue
+            check_room(place, 4 * count * pixels)
+            images = np.empty((count, *shape), np.float32)
+            images[:k] = BitPatterns(shape, bits).images(0, k)
+        images[k] = grey
+    return BitPatterns(shape, bits) if images is None else ImagePatterns(images)
 
 
 def _read_description(file: Path) -> dict[str, Any] | None:
@@ -149,7 +172,13 @@ def _first_difference(operator: PatternSet, paths: list[Path]) -> str | None:
         return f"its {len(paths)} images are not"
     for start, block in operator.chunks():
         expected = to_grey(block.reshape(-1, *operator.shape))
-        for path, grey in zip(paths[start : start + len(block)], expected, strict=True):
-            if not np.array_equal(to_grey(read_grey(path)), grey):
+        some = paths[start : start + len(block)]
+        shown = read_ahead(partial(_shown, some), range(len(some)))
+        for path, found, grey in zip(some, shown, expected, strict=True):
+            if not np.array_equal(found, grey):
                 return f"{path.name} is not among"
     return None
+
+
+def _shown(paths: list[Path], k: int) -> NDArray[np.uint8]:
+    return to_grey(read_grey(paths[k]))

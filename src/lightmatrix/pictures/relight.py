@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ from PIL import Image
 
 from lightmatrix import store
 from lightmatrix.errors import InputError
+from lightmatrix.files.headers import said_in
 from lightmatrix.files.images import read_grey, write_image
 from lightmatrix.outputs.kinds import IMAGE
 from lightmatrix.outputs.writing import check_output
@@ -19,9 +21,11 @@ from lightmatrix.patterns.grids import block_mean
 from lightmatrix.ranges import check_number
 from lightmatrix.transport.matrix import LightTransport
 
+Relit = LightTransport | store.StoredTransport
+
 
 def relight(
-    transport: LightTransport | str | Path,
+    transport: Relit | str | Path,
     pattern: NDArray[Any] | str | Path,
     *,
     exposure: float = 1.0,
@@ -34,8 +38,8 @@ def relight(
 
     Parameters
     ----------
-    transport : LightTransport, str or Path
-        T, or where `open` finds it.
+    transport : LightTransport, StoredTransport, str or Path
+        T, or where `open` finds it. Of a store no more than a part is in memory at a time.
     pattern : (rows, cols) array, str or Path
         Of the projector's size, in [0, 1]; or an image, whose largest grey value is 1. If the
         projector was binned for T, it may have the size before, and is averaged likewise.
@@ -80,9 +84,13 @@ def relight(
                 f"a gamma of {gamma:g} for {target}, which keeps linear values",
                 hint="write a .png, or leave the gamma out",
             )
-    found = transport if isinstance(transport, LightTransport) else store.open(transport)
+    found = _opened(transport)
     shown = read_grey(pattern) if isinstance(pattern, str | Path) else pattern
-    image = exposure * found.relight(_fitted(np.asarray(shown), found, resize))
+    # A store that was damaged may be what does not fit.
+    named = said_in(Path(transport)) if isinstance(transport, str | Path) else nullcontext()
+    with named:
+        light = _fitted(np.asarray(shown), found, resize)
+    image = exposure * found.relight(light)
     if output is not None:
         written = image
         if target.suffix.lower() == ".png":
@@ -91,7 +99,16 @@ def relight(
     return image
 
 
-def _fitted(pattern: NDArray[Any], transport: LightTransport, resize: bool) -> NDArray[Any]:
+def _opened(transport: Relit | str | Path) -> Relit:
+    """A matrix as it is; a store is left on disk and read block by block."""
+    if isinstance(transport, LightTransport | store.StoredTransport):
+        return transport
+    if Path(transport).suffix.lower() == ".npz":
+        return store.open(transport)
+    return store.StoredTransport.open(transport)
+
+
+def _fitted(pattern: NDArray[Any], transport: Relit, resize: bool) -> NDArray[Any]:
     """A pattern in the size of the projector of T, where it can be known or is asked for."""
     wanted = transport.projector_shape
     if pattern.ndim != 2 or pattern.shape == wanted:
