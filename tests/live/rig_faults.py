@@ -3,8 +3,9 @@
 `python -m tests.live.rig_faults --count 200` runs many; `make live-faults N=200` does it.
 
 Each run draws a scene, a camera, and times for its faults, at the rates of `RATES`. It is killed
-(SIGKILL) at random moments, meets a disk that takes no more, and goes on each time. In the end each
-frame is held against what its pattern alone gives, pixel by pixel.
+(SIGKILL) at random moments, meets a disk that takes no more (a small one of its own where root may
+mount it, else a limit on the size of files), and goes on each time. In the end each frame is held
+against what its pattern alone gives, pixel by pixel.
 """
 
 from __future__ import annotations
@@ -30,6 +31,8 @@ from lightmatrix.live.virtual.settings import VirtualSettings
 from lightmatrix.patterns.making import make_patterns
 from lightmatrix.patterns.pattern_set import to_grey
 
+from .small_disk import SmallDisk, small_disk
+
 RATES = {"late": 0.05, "dropped": 0.03, "duplicate": 0.02, "torn": 0.01}
 # Of a sample's noise: none of the frames' samples is farther from what it should be.
 _FARTHEST = 6.5
@@ -46,6 +49,8 @@ class Outcome:
     seed : int
     kills, full_disks : int
         Ends of the capture before its own.
+    real_disk : bool
+        Whether there was a disk of its own to fill, or files were limited in size instead.
     again : Counter
         Photographs that were taken again, by reason.
     left_out : int
@@ -57,6 +62,7 @@ class Outcome:
     seed: int
     kills: int = 0
     full_disks: int = 0
+    real_disk: bool = False
     again: Counter[str] = field(default_factory=Counter)
     left_out: int = 0
     wrong: list[str] = field(default_factory=list)
@@ -108,7 +114,12 @@ def _photograph(folder: Path, seed: int, count: int, largest_file: int | None) -
 
 def run(folder: Path, seed: int, *, count: int = 40, kills: int = 3) -> Outcome:
     """Take a capture, killed and robbed of its disk meanwhile, and look at what comes of it."""
-    outcome = Outcome(seed)
+    with small_disk(folder) as disk:
+        return _run(folder, disk, seed, count, kills)
+
+
+def _run(folder: Path, disk: SmallDisk | None, seed: int, count: int, kills: int) -> Outcome:
+    outcome = Outcome(seed, real_disk=disk is not None)
     draw = np.random.default_rng([seed, 15])
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(["lightmatrix.live.capturing", "lightmatrix.live.opening"])
@@ -118,18 +129,24 @@ def run(folder: Path, seed: int, *, count: int = 40, kills: int = 3) -> Outcome:
         if (folder / "capture").exists():
             # Killed when it had just finished.
             break
-        largest = None
-        if outcome.kills >= kills // 2 and not robbed:
-            robbed, largest = True, int(draw.integers(200, 1500))
+        largest, full = None, outcome.kills >= kills // 2 and not robbed
+        if full:
+            robbed = True
+            if disk is not None:
+                disk.leave(int(draw.integers(0, 200 << 10)))
+            else:
+                largest = int(draw.integers(200, 1500))
         process = context.Process(target=_photograph, args=(folder, seed, count, largest))
         process.start()
-        if outcome.kills < kills and largest is None:
+        if outcome.kills < kills and not full:
             process.join(float(draw.uniform(0.05, 0.8)))
             if process.is_alive():
                 process.kill()
                 outcome.kills += 1
         process.join()
-        if process.exitcode == _FULL and largest is not None:
+        if full and disk is not None:
+            disk.free()
+        if process.exitcode == _FULL and full:
             outcome.full_disks += 1
         elif process.exitcode == _DONE:
             break

@@ -92,3 +92,17 @@ def test_the_command_line_says_it_in_two_lines(capsys: pytest.CaptureFixture[str
     told = capsys.readouterr().err
     assert "beamer:1: no such projector" in told
     assert "Traceback" not in told
+
+
+def test_a_camera_that_gives_no_frames(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    devices = "--projector folder:show,size=8x6 --camera watch:.,exposure=0.01"
+    words = f"capture {devices} --patience 0.01 -o capture"
+    assert main(words.split()) == 2
+    told = capsys.readouterr().err
+    assert "the camera gives no frames: watch:.,exposure=0.01: no frame within" in told
+    # Its back end's own advice.
+    assert "does the other program write PNG" in told
+    assert not list(tmp_path.glob("capture*"))

@@ -14,26 +14,27 @@ from lightmatrix.live.addresses import Address
 from lightmatrix.live.cameras.aravis import open_aravis
 from lightmatrix.live.projectors.window import open_window
 from lightmatrix.live.rig import Rig
+from lightmatrix.rig.procedural import ProceduralScene
 
 from .conftest import SCREEN
 from .gige import UNIT_EXPOSURE, GigECamera, ScreenRig, needs_aravis
 
 pytestmark = needs_aravis
-_NOISE = 0.003
+_SHAPE, _NOISE = (32, 32), 0.003
 
 
 def test_a_capture_over_gige_vision_is_as_good_as_a_simulated_one(
     screen: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    known = lm.truth("l_objects")
-    cell = min(SCREEN) // 64
-    side = 64 * cell
+    known = ProceduralScene(_SHAPE, _SHAPE, 0).truth()
+    cell = min(SCREEN) // _SHAPE[0]
+    side = _SHAPE[0] * cell
     left, top = (SCREEN[1] - side) // 2, (SCREEN[0] - side) // 2
     scene = ScreenRig(
-        known.matrix, (64, 64), (64, 64), noise=_NOISE, left=left, top=top, size=(side, side)
+        known.matrix, _SHAPE, _SHAPE, noise=_NOISE, left=left, top=top, size=(side, side)
     )
-    served = GigECamera(scene, (64, 64))
+    served = GigECamera(scene, _SHAPE)
     address = Address.parse(served.address)
     try:
         window = open_window(Address("window"))
@@ -42,7 +43,7 @@ def test_a_capture_over_gige_vision_is_as_good_as_a_simulated_one(
             capture = lm.take_capture(
                 "capture",
                 rig,
-                lm.make_patterns("mix", (64, 64), 64),
+                lm.make_patterns("mix", _SHAPE, 64),
                 cell=cell,
                 progress=lambda step: times.append(time.monotonic()),
             )
@@ -50,7 +51,10 @@ def test_a_capture_over_gige_vision_is_as_good_as_a_simulated_one(
         served.close()
     assert not served.errors
     told = capture.provenance
-    assert (capture.count, told["left_out"], told["checks"]) == (64, {}, {"matched": 64})
+    assert (capture.count, told["left_out"]) == (64, {})
+    # A few, near chance, by a second photograph.
+    assert set(told["checks"]) <= {"matched", "confirmed"}
+    assert told["checks"]["matched"] >= 40
     # All 64, but for the measuring of the rig, which is kept.
     assert times[-1] - times[0] < 60
     scale = np.float32(told["exposure_1_in_seconds"] / UNIT_EXPOSURE)

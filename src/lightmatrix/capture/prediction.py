@@ -14,7 +14,7 @@ longest exposure: up to there, all frames tell the light apart.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -263,6 +263,8 @@ def predicted_samples(
 ) -> NDArray[np.float32]:
     """What each row should show under the patterns `held`, from the frames `train`.
 
+    All projector pixels are looked through.
+
     Parameters
     ----------
     patterns : PatternSet
@@ -280,13 +282,40 @@ def predicted_samples(
     -------
     (m, len(held)) float32
     """
+    shown = order[train]
+    return pursued(
+        patterns,
+        values,
+        order,
+        train,
+        held,
+        lambda residual: _best_pixels(patterns, scale, residual, shown),
+    )
+
+
+def pursued(
+    patterns: PatternSet,
+    values: NDArray[np.float32],
+    order: NDArray[np.integer],
+    train: NDArray[np.integer],
+    held: NDArray[np.integer],
+    best_pixels: Callable[[NDArray[np.float32]], NDArray[np.int64]],
+) -> NDArray[np.float32]:
+    """As `predicted_samples`, with a choice of its own of the next pixel of each row.
+
+    Parameters
+    ----------
+    patterns, values, order, train, held
+        See `predicted_samples`.
+    best_pixels : callable
+        Given residuals (m, len(train)), the pixel (m,) that correlates best with each.
+    """
     mean = values[:, train].mean(axis=1, keepdims=True)
     centred = values[:, train] - mean
     residual = centred
     chosen = np.empty((len(values), 0), np.int64)
     for _ in range(PROJECTOR_PIXELS):
-        best = _best_pixels(patterns, scale, residual, order[train])
-        chosen = np.column_stack([chosen, best])
+        chosen = np.column_stack([chosen, best_pixels(residual)])
         columns = patterns.columns(chosen.ravel()).reshape(patterns.count, *chosen.shape)
         shown = columns[order[train]]
         level = shown.mean(axis=0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,7 +16,9 @@ _BANDS = 8
 # Of the noise of a difference; of the light of a white frame in the same part.
 _NOISE, _LIGHT = 1.3, 0.005
 # Of the brightness, and in standard deviations of what flickers.
-_GAIN, _GAIN_ERRORS = 0.02, 4.0
+_GAIN, _GAIN_ERRORS = 0.01, 4.0
+# Share of what was shown before one of them: harmless, and in standard errors.
+_MIXED, _MIXED_ERRORS = 0.005, 4.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +42,13 @@ class References:
         """White less black at the shortest exposure, raw levels."""
         return np.asarray(self.white.mean - self.dark)
 
-    def agree(self, one: NDArray[Any], other: NDArray[Any], exposure: float) -> bool:
+    def agree(
+        self,
+        one: NDArray[Any],
+        other: NDArray[Any],
+        exposure: float,
+        before: Sequence[NDArray[np.floating]] = (),
+    ) -> bool:
         """Whether two frames of one exposure show the same light, everywhere.
 
         Parameters
@@ -48,6 +57,9 @@ class References:
             Raw levels.
         exposure : float
             Seconds.
+        before : sequence of (rows, cols[, channels]) float
+            The light that was shown before one or the other, in levels above black at this
+            exposure. A small share of it is told from noise far sooner than any change is.
         """
         top = self.white.clip_level
         free = (one < top) & (other < top)
@@ -61,6 +73,16 @@ class References:
                 return False
             gain = 1.0
         apart = np.where(free, first - gain * second, 0.0)
+        for shown in before:
+            towards = np.where(free, shown - second, 0.0)
+            if gain != 1:
+                # What a change of brightness does is no mixture.
+                towards -= float((towards * second).sum()) / power * second
+            size = float((towards**2).sum())
+            error = np.sqrt(2) * self._noise / np.sqrt(max(size, 1e-9))
+            mixed = abs(float((apart * towards).sum())) / max(size, 1e-9)
+            if mixed > max(_MIXED, _MIXED_ERRORS * error):
+                return False
         scale = exposure / self.white.exposure
         for rows in np.array_split(np.arange(len(one)), min(_BANDS, len(one))):
             count = max(1, int(free[rows].sum()))

@@ -40,6 +40,8 @@ _BLACK_FRAMES = 8
 # Of the clip level: what white is above black at least.
 _SEEN = 0.01
 _BLACK, _WHITE = "black.npy", "white.npy"
+# Of white: what the room's light may vary by.
+_ROOM = 0.02
 # What the T of a virtual rig is kept as.
 _TRUTH = "truth.npz"
 
@@ -156,6 +158,7 @@ def take_capture(
         wanted = {
             "patterns": shown.digest,
             "cell": cell,
+            "exposure": exposure,
             "projector": {key: known.projector.get(key) for key in ("name", "shape")},
             "camera": {key: known.camera.get(key) for key in ("name", "shape", "bits")},
         }
@@ -351,6 +354,11 @@ def _warn(record: Record, known: Calibration, response: str) -> None:
             break
     if known.exposure is not None:
         told += known.exposure.warnings
+    if known.flicker is not None and known.flicker.room > _ROOM:
+        told.append(
+            f"the room's light varies by {100 * known.flicker.room:.0f} % of white from frame to "
+            "frame: darken the room, or expose for longer"
+        )
     linearity = known.linearity
     if linearity is not None and not linearity.linear and response == "linear":
         told.append(

@@ -120,9 +120,9 @@ class Record:
             return cls(target, kept, asked, State())
         if found["wanted"] != asked:
             if not overwrite:
-                odd = sorted(key for key in asked if found["wanted"].get(key) != asked[key])
                 raise OutputError(
-                    f"{kept.path}: holds frames of another capture ({', '.join(odd)} differ)",
+                    f"{kept.path}: holds frames of another capture "
+                    f"({_changes(found['wanted'], asked)})",
                     hint="go on with the same settings, add --overwrite to begin anew, or choose "
                     "another output",
                 )
@@ -240,6 +240,9 @@ class Record:
         one = float(exposures[0]) if np.ptp(exposures) == 0 else exposures
         frame = self.read(there[0])
         assert frame is not None
+        if frame.ndim == 3 and all(map(self._is_grey, there)):
+            # As it is read: colour cameras that are set to grey give three channels alike.
+            camera_shape, black = camera_shape[:2], black.mean(axis=2)
         sensor = Sensor(
             one,
             black_level=black_level,
@@ -261,6 +264,31 @@ class Record:
         )
         self._kept.discard()
 
+    def _is_grey(self, frame: int) -> bool:
+        image = self.read(frame)
+        return image is not None and bool((image == image[..., :1]).all())
+
     def _name(self, frame: int) -> str:
         # Packing the noise of a large frame as PNG takes longer than photographing it.
         return f"image_{frame:04d}.tif"
+
+
+def _changes(before: Mapping[str, Any], now: Mapping[str, Any]) -> str:
+    """What differs between what was asked for and what is now, in words."""
+    told = []
+    for key in sorted({*before, *now}):
+        old, new = before.get(key), now.get(key)
+        if old == new:
+            continue
+        if key == "patterns":
+            # Their digests mean nothing to anybody.
+            told.append("the patterns differ")
+        elif isinstance(old, Mapping) and isinstance(new, Mapping):
+            told.append(f"the {key}: {_changes(old, new)}")
+        else:
+            told.append(f"{key} was {_words(old)}, is {_words(new)}")
+    return "; ".join(told)
+
+
+def _words(value: Any) -> str:
+    return "not given" if value is None else str(value)

@@ -1,13 +1,14 @@
 """The loop: shows, waits, grabs, checks, keeps, and takes again what is not right.
 
 A frame is kept only if it can be right (`taking.py`), and trusted only if it is shown to be: it
-meets what the other frames predict for its pattern (`watching.py`), or agrees with a second
-photograph before which something else was shown, so that nothing late can be in both.
+meets what the other frames predict for its pattern, and nothing of what was shown before is in it
+(`watching.py`), or it agrees with a second photograph before which something else was shown, so
+that nothing late can be in both (`agreement.py`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass, field
 
 import numpy as np
@@ -25,6 +26,8 @@ from lightmatrix.patterns.pattern_set import PatternSet
 Rival = tuple[NDArray[np.generic], int]
 # Photographs of a pattern before it is given up: one, and three more.
 TRIES = 4
+# Share of bad frames up to which the others, judged by them too, need not be judged anew.
+_FEW_BAD = 0.1
 # Patterns given up one after the other before the session is.
 _MOST_UNMENDED = 4
 # What was shown before a pattern, where it was no pattern.
@@ -92,12 +95,15 @@ class Session:
 
     def __post_init__(self) -> None:
         light, rows = self.references.light, self.references.light.shape[0]
-        self._samples = watched_samples(light.ravel(), rows, self.patterns)
+        self._samples, beside = watched_samples(light, self.patterns)
         per_row = light.size // rows
         dark = self._dark(float(self.exposures.max()))
         ceiling = (self.references.white.clip_level - dark) / self.exposures.max()
         self._watch = Watch(
-            self.patterns, self._samples // per_row, ceiling[self._samples].astype(np.float32)
+            self.patterns,
+            self._samples // per_row,
+            ceiling[self._samples].astype(np.float32),
+            beside,
         )
 
     def run(self) -> None:
@@ -156,8 +162,9 @@ class Session:
         reason = ""
         for tried in range(1, TRIES + 1):
             try:
-                if tried > 1 or rival is not None:
-                    self._show_other({before for _, before in doubted})
+                # After black or white no small share of them would be seen in a frame.
+                if tried > 1 or rival is not None or self._before < 0:
+                    self._show_other(k, {before for _, before in doubted})
                 shot = self.taker.take(self.image(k), float(self.exposures[k]))
                 before, self._before = self._before, k
             except UntrustedFrameError as error:
@@ -166,7 +173,7 @@ class Session:
                 self._before = k
                 continue
             self._note(k, shot.data, shot.exposure)
-            told = self._judge(k, before, shot, doubted)
+            told = self._judge(k, before, shot, doubted, last=rival is not None)
             if told in (MATCHED, CONFIRMED, UNCHECKED):
                 taken = Taken(
                     shot.exposure, shot.frame.id, shot.delay, before, tried, told
@@ -183,27 +190,62 @@ class Session:
         self.record.save()
         return False
 
-    def _judge(self, k: int, before: int, shot: Shot, doubted: list[Rival]) -> str:
-        """What a frame is shown to be, or what is wrong with it."""
+    def _judge(self, k: int, before: int, shot: Shot, doubted: list[Rival], last: bool) -> str:
+        """What a frame is shown to be, or what is wrong with it.
+
+        `last` says that it will not be judged again when more frames are there.
+        """
         if not self.check:
             return UNCHECKED
         for other, other_before in doubted:
             # After the same picture, both may show that, late.
-            if before != other_before and self.references.agree(shot.data, other, shot.exposure):
+            if before != other_before and self.references.agree(
+                shot.data, other, shot.exposure, self._lights((before, other_before), shot.exposure)
+            ):
                 return CONFIRMED
         if self._watch.predictive:
-            complaint = self._watch.complaint(k, before)
-            return complaint or MATCHED
+            if (complaint := self._watch.complaint(k, before)) is not None:
+                return complaint
+            if self._watch.would_see(k, before):
+                return MATCHED
+            if not last:
+                return UNCHECKED
         # With another photograph to compare with, it has to agree.
         return "two photographs of the pattern differ" if doubted else UNCHECKED
 
-    def _show_other(self, befores: set[int]) -> None:
-        """Show black or white, so that what was shown before is not in the next frame."""
+    def _show_other(self, k: int, befores: set[int]) -> None:
+        """Show another pattern than k and those before, so that none of these is in the next frame.
+
+        Where nothing is predicted, patterns may be too much alike, as single pixels are, and frames
+        are compared with each other: then it is black or white.
+        """
         rig = self.taker.rig
-        self._before = _WHITE if _BLACK in befores and _WHITE not in befores else _BLACK
-        level = 0 if self._before == _BLACK else 255
-        shown = rig.projector.show(np.full(rig.projector.shape, level, np.uint8))
+        count = self.patterns.count
+        others = ((k + step) % count for step in range(-1, -count, -1))
+        other = next((j for j in others if j not in befores), None)
+        if self._watch.predictive and other is not None:
+            self._before, image = other, self.image(other)
+        else:
+            self._before = _WHITE if _BLACK in befores and _WHITE not in befores else _BLACK
+            image = np.full(rig.projector.shape, 0 if self._before == _BLACK else 255, np.uint8)
+        shown = rig.projector.show(image)
         rig.clock.sleep(shown + self.taker.settle - rig.clock.now())
+
+    def _lights(self, shown: Iterable[int], exposure: float) -> list[NDArray[np.float32]]:
+        """What a frame shows of each of some patterns, above black; of those that are known."""
+        found = []
+        shape = self.references.light.shape
+        for k in shown:
+            if k == _BLACK:
+                found.append(np.zeros(shape, np.float32))
+            elif k == _WHITE:
+                scale = np.float32(exposure / self.references.white.exposure)
+                found.append(scale * self.references.light)
+            elif k in self._taken and (frame := self.record.read(k)) is not None:
+                seconds = self._taken[k].exposure
+                above = np.asarray(frame, np.float32) - self._dark(seconds).reshape(shape)
+                found.append(np.float32(exposure / seconds) * above)
+        return found
 
     # ---- what is known of them
 
@@ -238,14 +280,16 @@ class Session:
                 if taken.check == CONFIRMED:
                     continue
                 complaint = self._watch.complaint(k, taken.before)
-                taken.check = UNCHECKED if complaint else MATCHED
+                seen = complaint is None and self._watch.would_see(k, taken.before)
+                taken.check = MATCHED if seen else UNCHECKED
                 if complaint:
                     bad.append(k)
                     self._count(complaint)
             self.record.save()
-            if not bad:
-                return
             self._again(bad)
+            # What few frames explained wrongly changes no prediction much.
+            if len(bad) <= _FEW_BAD * len(self._taken):
+                return
 
     def _confirm_rest(self) -> None:
         """Photograph a second time what could not be judged."""

@@ -8,11 +8,14 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from lightmatrix.errors import FrameTimeoutError
 from lightmatrix.live.rig import UnfitRigError
 from lightmatrix.live.taking import Shot, Taker, UntrustedFrameError
 
 # Frames that are tried for each that is wanted.
 _TRIES = 4
+# Frames that do not come, before any has, after which none is waited for any more.
+_SILENT = 5
 # Of the usual distance from the median frame.
 _APART = 3.0
 # Seconds to wait for an image that is shown already; one that is late has come by then.
@@ -94,13 +97,17 @@ def take_steady(
         If hardly any frame can be trusted.
     """
     shots: list[Shot] = []
-    reason = ""
+    reason, hint = "", None
+    silent = 0
     settle = None
     for _ in range(_TRIES * count):
         try:
             shots.append(taker.take(image, exposure, settle))
         except UntrustedFrameError as error:
-            reason = error.message
+            reason, hint = error.message, error.hint
+            silent += isinstance(error.__cause__, FrameTimeoutError)
+            if silent == _SILENT and not shots:
+                raise UnfitRigError(f"the camera gives no frames: {reason}", hint=hint) from error
         else:
             # It has been there long since.
             settle = min(taker.settle, _AGAIN)
@@ -110,7 +117,7 @@ def take_steady(
         raise UnfitRigError(
             f"of {_TRIES * count} frames of one image only {len(shots)} can be trusted; the last "
             f"of the others: {reason}",
-            hint="look at the camera's picture with its own program, and at its cable",
+            hint=hint or "look at the camera's picture with its own program, and at its cable",
         )
     stack = np.stack([shot.data for shot in shots]).astype(np.float32)
     middle = np.median(stack, axis=0)

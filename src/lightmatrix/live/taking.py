@@ -108,7 +108,7 @@ class Taker:
         try:
             return self._take(image, exposure, self.settle if settle is None else settle)
         except (UntrustedFrameError, FrameTimeoutError) as error:
-            raise UntrustedFrameError(error.message) from error
+            raise UntrustedFrameError(error.message, hint=error.hint) from error
         except DeviceError as error:
             self.rig.recover()
             # It counts anew, and may have forgotten how it was set.

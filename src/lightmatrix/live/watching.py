@@ -12,39 +12,35 @@ nothing is said, and the frames are confirmed by a second photograph instead.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.capture.prediction import (
-    PROJECTOR_PIXELS,
     column_scale,
     folds,
-    predicted_samples,
 )
+from lightmatrix.capture.shortlists import FEW, cross_predicted
+from lightmatrix.live.mixtures import Mixture, find_mixture
 from lightmatrix.patterns.pattern_set import PatternSet
 
 # Frames before which nothing is predicted: as many as tell the pixels apart, and these.
 _SPARE_FRAMES = 8
-# Projectors of more pixels are looked through less often, as it takes long: seconds each time.
+# Projectors of more pixels are looked through less often, as it takes seconds each time.
 _LARGE = 100_000
 _LARGE_FOLDS = 3
-# Samples that are watched, and multiplications spent on one look.
-_FEWEST, _MOST = 48, 512
-_WORK = 2e10
+# Samples that are watched: where all are looked for among all pixels; and where few are, each with
+# 24 neighbours, at most so many rows and columns from one to the next.
+_MOST, _FEWEST, _STEP = 1024, 64, 3
 # Share of a sample's variance that must be predicted for it to have a say, and how many must.
 _EXPLAINED = 0.5
 _FEWEST_TELLING = 24
 # Of the variance of a frame: misses above this, or above so many times the usual one, accuse it.
 _MOST_MISSED = 0.25
 _TIMES_USUAL = 3.0
-# Share of the pattern shown before that is seen, in itself and in standard errors.
-_MIXED, _MIXED_ERRORS = 0.015, 6.0
-# Loss of contrast that is no error of the prediction.
-_FLAT = 0.06
-# Samples at one end of the image that tell of a torn frame; of a square error, the most one says.
-_FEWEST_TORN, _GLINT = 4, 25.0
+# Of a square error, the most that one sample says.
+_GLINT = 25.0
 
 
 @dataclass(eq=False)
@@ -59,17 +55,21 @@ class Watch:
         The image row of each watched sample.
     ceiling : (m,) float
         Level up to which all exposures tell the light apart; samples and predictions end there.
+    beside : int
+        Samples come in groups of so many neighbours; see `watched_samples`.
     """
 
     patterns: PatternSet
     rows: NDArray[np.int64]
     ceiling: NDArray[np.float32]
+    beside: int = 1
     _values: NDArray[np.float32] = field(init=False)
     _predicted: NDArray[np.float32] | None = None
     _telling: NDArray[np.bool_] = field(init=False)
     _error: NDArray[np.float32] = field(init=False)
     _usual: float = 1.0
-    _usual_mix: float = 0.0
+    # Errors of shares as they are found, over those that they should have.
+    _spread: float = 1.0
     _scale: NDArray[np.float32] | None = None
     # Whether anything has changed since it was learnt from, and how many frames there were then.
     _new: bool = True
@@ -89,7 +89,7 @@ class Watch:
     def due(self) -> bool:
         """Whether there are enough new frames for it to be worth learning again."""
         count = int(np.isfinite(self._values[0]).sum())
-        growth = 2.0 if self.patterns.pixels > _LARGE else 1.33
+        growth = 2.0 if self.patterns.pixels > _LARGE else 1.5
         return count >= max(self._fewest, growth * self._learnt)
 
     @property
@@ -121,17 +121,9 @@ class Watch:
         light = np.zeros_like(self._values)
         light[:, taken] = self._values[:, taken]
         light[:, taken] -= light[:, taken].mean(axis=0)
-        count = self.patterns.count
-        order = np.arange(count)
-        predicted = np.empty_like(light)
-        missing = np.setdiff1d(order, taken)
-        if len(missing):
-            predicted[:, missing] = self._predict(light, order, taken, missing)
         parts = _LARGE_FOLDS if self.patterns.pixels > _LARGE else folds(len(taken))
-        fold = np.random.default_rng(0).permutation(len(taken)) % parts
-        for part in range(parts):
-            train, held = taken[fold != part], taken[fold == part]
-            predicted[:, held] = self._predict(light, order, train, held)
+        part = np.random.default_rng(0).permutation(len(taken)) % parts
+        predicted = cross_predicted(self.patterns, self._scale, light, taken, part, self.beside)
         observed = light[:, taken]
         spread = observed - observed.mean(axis=1, keepdims=True)
         missed = observed - predicted[:, taken]
@@ -142,10 +134,16 @@ class Watch:
         self._predicted, self._telling = predicted, telling
         # Of most frames, not of the few that are wrong.
         self._error = np.maximum(1.48 * np.median(np.abs(missed), axis=1), 1e-3 * self.ceiling)
-        said = [self._say(int(k), None) for k in taken]
-        self._usual = float(np.median([miss for miss, _ in said]))
+        self._usual = float(np.median([self._missed(int(k)) for k in taken]))
         if self._usual > _EXPLAINED:
             self._predicted = None
+            return
+        # Predictions of neighbouring samples err alike, which no sum over samples knows of. Most
+        # frames are right, whatever was shown before them.
+        self._spread = 1.0
+        mixes = [self._mixture(int(k), int(k) - 1) for k in taken if k > 0]
+        found = [abs(mix.share) / mix.error for mix in mixes if mix is not None]
+        self._spread = max(1.0, 1.48 * float(np.median(found)))
 
     def complaint(self, frame: int, before: int) -> str | None:
         """What is wrong with a frame that was put; None if it shows its pattern.
@@ -157,64 +155,54 @@ class Watch:
         before : int
             The pattern shown before it; below 0 for black or white.
         """
-        missed, mixed = self._say(frame, before)
-        if mixed is not None:
-            return mixed
-        if missed > max(_MOST_MISSED, _TIMES_USUAL * self._usual):
+        mix = self._mixture(frame, before)
+        if mix is not None and (told := mix.said()) is not None:
+            return told
+        if self._missed(frame) > max(_MOST_MISSED, _TIMES_USUAL * self._usual):
             return "does not show its pattern"
         return None
 
-    def _predict(
-        self,
-        light: NDArray[np.float32],
-        order: NDArray[np.int64],
-        train: NDArray[np.int64],
-        held: NDArray[np.int64],
-    ) -> NDArray[np.float32]:
-        assert self._scale is not None
-        return predicted_samples(self.patterns, self._scale, light, order, train, held)
+    def would_see(self, frame: int, before: int) -> bool:
+        """Whether a share of the pattern shown before it that matters would be seen in a frame.
 
-    def _say(self, frame: int, before: int | None) -> tuple[float, str | None]:
-        """Share of a frame's variance that its prediction misses, and whether it is a mixture."""
-        assert self._predicted is not None
-        some = self._telling
-        error, rows = self._error[some].astype(np.float64), self.rows[some]
-        observed = self._values[some, frame].astype(np.float64)
-        expected = self._at_level(self._predicted[some, frame], observed, some)
-        usual = np.nanmean(self._values[some], axis=1, dtype=np.float64)
+        Not after black or white, which change a frame as a lamp does that flickers.
+        """
+        mix = self._mixture(frame, before)
+        return mix is not None and mix.fine
+
+    def _missed(self, frame: int) -> float:
+        """Share of a frame's variance that its prediction misses."""
+        observed, expected, error = self._compared(frame)
+        usual = np.nanmean(self._values[self._telling], axis=1, dtype=np.float64)
         power = ((observed - usual) / error) ** 2
         missed = (observed - expected) / error
         # No sample says more than many, or a glint would speak for all.
-        share = float(
+        return float(
             np.minimum(missed**2, _GLINT).sum() / max(float(np.minimum(power, _GLINT).sum()), 1)
         )
-        if before is None or before == frame:
-            return share, None
-        if before < 0:
-            return share, self._flatness(observed, expected, error)
-        other = self._at_level(self._predicted[some, before], observed, some)
-        apart = (other - expected) / error
-        return share, _mixture(missed, apart, rows)
 
-    def _flatness(
-        self,
-        observed: NDArray[np.float64],
-        expected: NDArray[np.float64],
-        error: NDArray[np.float64],
-    ) -> str | None:
-        """Whether black or white takes away from the contrast of a frame."""
-        weight = 1 / error**2
-        centred = expected - np.average(expected, weights=weight)
-        power = float((weight * centred**2).sum())
-        if power <= 0:
+    def _mixture(self, frame: int, before: int) -> Mixture | None:
+        """How much of the pattern before is in a frame; None where that was black, white or it."""
+        if before < 0 or before == frame:
             return None
-        contrast = float((weight * centred * observed).sum()) / power
-        rest = observed - observed.mean() - contrast * centred
-        uncertain = float(np.sqrt((weight * rest**2).mean() / power))
-        mix = 1 - contrast
-        if mix > max(_FLAT, _MIXED_ERRORS * uncertain):
-            return f"has {100 * min(mix, 1):.0f} % too little contrast"
-        return None
+        observed, expected, error = self._compared(frame)
+        assert self._predicted is not None
+        some = self._telling
+        other = self._at_level(self._predicted[some, before], observed, some)
+        limit = np.sqrt(_GLINT) * error
+        missed = np.clip(observed - expected, -limit, limit)
+        found = find_mixture(missed, other, expected, error, self.rows[some])
+        return replace(found, error=self._spread * found.error)
+
+    def _compared(
+        self, frame: int
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """What telling samples show in a frame, what they should, and the usual error of that."""
+        assert self._predicted is not None
+        some = self._telling
+        observed = self._values[some, frame].astype(np.float64)
+        expected = self._at_level(self._predicted[some, frame], observed, some)
+        return observed, expected, self._error[some].astype(np.float64)
 
     def _at_level(
         self,
@@ -227,54 +215,36 @@ class Watch:
         return np.minimum(predicted + level, self.ceiling[some]).astype(np.float64)
 
 
-def _mixture(
-    missed: NDArray[np.float64], apart: NDArray[np.float64], rows: NDArray[np.int64]
-) -> str | None:
-    """Whether a frame shows some of another pattern, all over or from some row up or down.
-
-    Parameters
-    ----------
-    missed : (m,) float
-        What each sample is off its prediction, in errors of that.
-    apart : (m,) float
-        What the prediction of the other pattern is off it.
-    rows : (m,) int
-        The image row of each sample.
-    """
-    order = np.argsort(rows, kind="stable")
-    scale = max(1.0, float(np.sqrt(np.minimum(missed**2, _GLINT).mean())))
-    for ordered in (order[::-1], order):
-        weight = np.cumsum(apart[ordered] ** 2)
-        mix = np.cumsum(missed[ordered] * apart[ordered]) / np.maximum(weight, 1e-9)
-        # Torn frames hold whole rows of another, and one sample alone may be a glint.
-        clear = (mix > _MIXED) & (mix * np.sqrt(weight) > _MIXED_ERRORS * scale)
-        clear[: _FEWEST_TORN - 1] = False
-        if clear[-1]:
-            return f"shows {100 * min(mix[-1], 1):.0f} % of the pattern before"
-        if clear.any():
-            return "shows some of the pattern before in some of its rows"
-    return None
-
-
 def watched_samples(
-    light: NDArray[np.floating], rows: int, patterns: PatternSet
-) -> NDArray[np.int64]:
+    light: NDArray[np.floating], patterns: PatternSet
+) -> tuple[NDArray[np.int64], int]:
     """Which samples to watch: lit ones, spread over the image.
 
     Parameters
     ----------
-    light : (M,) float
+    light : (rows, cols[, channels]) float
         White frame less black frame.
-    rows : int
-        Rows of the image.
     patterns : PatternSet
-        Many pixels allow for few samples.
+        Where they have many pixels, few samples are looked for among all of them.
+
+    Returns
+    -------
+    index : (m,) int64
+        Of the flat image.
+    beside : int
+        Samples come in groups of so many neighbours; in order, where it is 1.
     """
-    count = patterns.count
-    cost = count * patterns.pixels * (folds(count) + 1) * PROJECTOR_PIXELS
-    wanted = int(np.clip(_WORK / cost, _FEWEST, _MOST))
     generator = np.random.default_rng(0)
+    rows, cols = light.shape[:2]
     by_row = np.asarray(light).reshape(rows, -1)
+    wanted, places = _MOST, np.zeros(1, np.int64)
+    if patterns.pixels > FEW and min(rows, cols) > 8 * _STEP:
+        # About as far apart as to see other projector pixels, and these near to each other.
+        step = int(np.clip(_STEP * rows / patterns.shape[0], 1, _STEP))
+        wanted, places = _FEWEST, step * np.arange(-2, 3)
+        inner = np.zeros(light.shape, bool)
+        inner[places[-1] : places[0], places[-1] : places[0]] = True
+        by_row = np.where(inner.reshape(rows, -1), by_row, 0)
     threshold = 0.1 * np.quantile(by_row, 0.99)
     groups = min(rows, 64)
     share = -(-wanted // groups)
@@ -284,4 +254,9 @@ def watched_samples(
         lit = np.flatnonzero(block > threshold)
         pick = generator.permutation(lit)[:share]
         found.append(part[0] * by_row.shape[1] + pick)
-    return np.sort(np.concatenate(found)).astype(np.int64)
+    index = np.sort(np.concatenate(found)).astype(np.int64)
+    down, across = np.meshgrid(places, places, indexing="ij")
+    offsets = (down * by_row.shape[1] + across * (by_row.shape[1] // cols)).ravel()
+    # The one that is looked for is the first.
+    offsets = offsets[np.argsort(offsets != 0, kind="stable")]
+    return (index[:, None] + offsets).ravel(), len(offsets)

@@ -9,6 +9,8 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from lightmatrix.errors import InputError
 from lightmatrix.files.headers import read_json
 from lightmatrix.live.calibration.exposure import ExposureAdvice, measure_exposure
@@ -29,6 +31,8 @@ VERSION = 1
 PARTS = ("settle", "flicker", "exposure", "response", "linearity")
 # Of the brightness: exposures are measured again beyond.
 _SAME_LIGHT = 0.05
+# Of white, from black: a grey value off by more has another light than it had.
+_SAME_GREY = 0.03
 # Black and white in turn, that a settle time is checked by; how many may be late; how near.
 _TURNS, _MAY_FAIL, _NEAR = 6, 2, 0.05
 
@@ -318,6 +322,12 @@ def outdated(rig: Rig, known: Calibration) -> list[str]:
         failed += not abs(level - turn % 2) < _NEAR
     if failed > _MAY_FAIL:
         found.append("settle")
+    if known.response is not None:
+        grey = known.response.grey_for(np.array([0.5]))[0]
+        light = float(np.interp(grey, known.response.levels, known.response.light))
+        shown = take_steady(taker, np.full_like(images(rig)[0], grey), exposure, 3)
+        if abs(whites.level(shown.mean) - light) > _SAME_GREY:
+            found.append("response")
     if abs(_brightness(whites) / known.brightness - 1) > _SAME_LIGHT:
         # Another lens opening, distance, scene, or lamp.
         found.append("exposure")

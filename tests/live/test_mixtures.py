@@ -1,0 +1,100 @@
+"""A small share of the pattern shown before does not remain in a frame."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import lightmatrix as lm
+from lightmatrix.live.agreement import References
+from lightmatrix.live.mixtures import find_mixture
+from lightmatrix.live.protocols import Frame
+from lightmatrix.live.steady import Steady
+from lightmatrix.live.taking import Shot
+from lightmatrix.live.virtual.projector import VirtualProjector
+
+_RIG = "virtual:procedural,size=24,real=0,late=0,dropped=0,duplicate=0,torn=0,fps=0"
+_NOISE = 0.003 * 4095
+
+
+def test_pictures_that_come_within_the_exposure_leave_nothing_behind(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Every fourth frame has 2 to 5 % of the pattern before in it, near what noise can hide."""
+    monkeypatch.chdir(tmp_path)
+    settle, exposure, delay = 0.05, 0.02, 2 / 60
+    show, mixed = VirtualProjector.show, []
+
+    def late(self: VirtualProjector, image: Any) -> float:
+        when = show(self, image)
+        if self._count > 40 and self._count % 4 == 0:
+            share = 0.02 + 0.03 * (self._count % 7) / 6
+            mixed.append(share)
+            _, light = self._light._shown.pop()
+            self._light._shown.append((when + settle + 1e-4 + share * exposure, light))
+        return when
+
+    monkeypatch.setattr(VirtualProjector, "show", late)
+    with lm.open_rig(f"{_RIG},delay={60 * delay}") as rig:
+        light: Any = rig.camera._light  # type: ignore[attr-defined]
+        capture = lm.take_capture(
+            "capture", rig, count=40, exposure=exposure, settle=settle, keep=None
+        )
+    assert len(mixed) > 8
+    assert capture.provenance["left_out"] == {}
+    told = capture.provenance["photographed_again"]
+    assert sum(number for words, number in told.items() if "of the pattern before" in words) > 5
+    for k in range(capture.count):
+        image = np.rint(255 * capture.patterns.images(k, k + 1)[0]).astype(np.uint8)
+        sample = np.minimum(light.irradiance(image) + light.room, 1)
+        apart = capture.frame(k).ravel() - (64 + sample * (4095 - 64))
+        assert np.sqrt((apart**2).mean()) < 1.15 * _NOISE, f"frame {k}"
+
+
+@pytest.mark.parametrize("share", [0.0, 0.03])
+def test_a_share_is_found_with_its_error(share: float) -> None:
+    random = np.random.default_rng(0)
+    own, other, error = 9 + 3 * random.standard_normal((3, 400)) * [[1], [1], [0.1]]
+    error /= 9
+
+    def frame() -> Any:
+        # Predictions are too strong, and the lamp is weaker.
+        light = (1 - share) * own + share * other + error * random.standard_normal(400)
+        return 0.98 * light - 0.2
+
+    rows = np.repeat(np.arange(40), 10)
+    found = [find_mixture(frame() - own, other, own, error, rows) for _ in range(300)]
+    shares = np.array([mix.share for mix in found])
+    assert shares.mean() == pytest.approx(share, abs=0.003)
+    assert shares.std() == pytest.approx(found[0].error, rel=0.15)
+    assert not any(mix.torn for mix in found)
+    assert all(not mix.fine for mix in found)
+    said = np.mean([mix.said() is not None for mix in found])
+    assert said < 0.12 if not share else 0.5 < said < 0.9
+
+
+def test_two_photographs_that_share_a_little_of_white_or_a_pattern_do_not_agree() -> None:
+    random = np.random.default_rng(1)
+    shape, top, noise = (24, 24), 4095.0, 12.0
+    white = np.full(shape, 2600.0) + 900 * random.random(shape)
+
+    def photograph(light: Any) -> Any:
+        return np.rint(64 + light + noise * random.standard_normal(shape)).astype(np.uint16)
+
+    def steady(light: Any) -> Steady:
+        frame = Frame(photograph(light), 1, 0.0, top)
+        mean = np.asarray(64 + light, np.float32)
+        return Steady(mean, [Shot(frame, 0.01, 0.0)], noise, 0.0005)
+
+    black = np.zeros(shape)
+    references = References(steady(black), steady(white), np.float32(64) + np.zeros(shape, "f4"))
+    own, other = (white * random.integers(0, 2, shape) for _ in range(2))
+    for _ in range(20):
+        one = photograph(own)
+        assert references.agree(one, photograph(own), 0.01, [other, white, black])
+        for before in (other, white):
+            mixed = photograph(0.985 * own + 0.015 * before)
+            assert not references.agree(one, mixed, 0.01, [before])
