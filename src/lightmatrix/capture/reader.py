@@ -168,7 +168,7 @@ class Reader:
         return Samples(values, clipped, level)
 
     def _columns(self) -> Iterator[tuple[slice, int, int, NDArray[Any]]]:
-        """Strips of frames, one by one: of one frame after the other, or of all where that is faster.
+        """Strips of one frame after the other, or of all frames where that is faster, one by one.
 
         The rows that they are of the binned samples, their first camera sample, the number of the
         frame, and its levels, (n, 1).
