@@ -117,8 +117,8 @@ class Capture:
         Parameters
         ----------
         folder : str or Path
-            Holds patterns/, images/ and, for anything but a linear camera of exposure 1 without
-            black level, capture.json.
+            Holds patterns/, images/ (or a stack of each, such as images.tif) and, for anything but
+            a linear camera of exposure 1 without black level, capture.json.
         bin_projector, bin_camera : int or (int, int)
             See `bin`.
         check, check_order : bool
@@ -157,14 +157,15 @@ class Capture:
         check: bool = True,
         check_order: bool = True,
     ) -> Capture:
-        """A capture from two plain folders of images, in natural order.
+        """A capture from two plain folders of images in natural order, or two stacks.
 
         Parameters
         ----------
         patterns : str, Path or PatternSet
-            Folder of the patterns as projected, or the set itself.
+            Folder of the patterns as projected; a TIFF of several pages, npy or npz file of
+            (K, rows, cols); or the set itself.
         images : str or Path
-            Folder of the camera's frames.
+            Folder of the camera's frames, or such a file, in colour of (K, rows, cols, 3).
         black : str, Path or float, optional
             Image under a black pattern, which is subtracted; or a number, as `black_level`.
         white : str or Path, optional

@@ -5,6 +5,8 @@ The folder holds::
     patterns/      one image a pattern, and patterns.json if they can be remade
     images/        one image a frame, in the same natural order
     capture.json   exposure, clip and black level, response, ... (all optional)
+
+In place of either folder there may be one file of all its images, such as images.tif.
 """
 
 from __future__ import annotations
@@ -24,7 +26,7 @@ from numpy.typing import NDArray
 from lightmatrix.camera.decoder import Decoder
 from lightmatrix.camera.response import Response
 from lightmatrix.camera.sensor import Sensor
-from lightmatrix.capture.beside import check_name, with_files_beside
+from lightmatrix.capture.beside import check_name, find_images, with_files_beside
 from lightmatrix.capture.checks import check_per_frame
 from lightmatrix.capture.description import FORMAT, NAME, VERSION, Description, read_description
 from lightmatrix.errors import InputError, LightMatrixWarning
@@ -80,12 +82,7 @@ def read_capture(
     if not place.is_dir():
         problem = "is a file, not a capture folder" if place.exists() else "no such folder"
         raise InputError(f"{place}: {problem}", hint="give a folder with patterns/ and images/")
-    for name in ("patterns", "images"):
-        if not (place / name).is_dir():
-            raise InputError(
-                f"{place}: has no folder {name}/",
-                hint="give a folder with patterns/ and images/, or --patterns and --images",
-            )
+    shown, taken = find_images(place, "patterns"), find_images(place, "images")
     file = place / NAME
     # A link that leads nowhere is a description that is missing, not none.
     described = os.path.lexists(file)
@@ -93,10 +90,10 @@ def read_capture(
         check_name(place)
     told = read_description(file, allow_outside=allow_outside) if described else Description()
     told = with_files_beside(place, told, described)
-    patterns = read_patterns(place / "patterns")
-    stack = ImageStack.open(place / "images")
+    patterns = read_patterns(shown)
+    stack = ImageStack.open(taken)
     if counted:
-        _check_counts(patterns, stack, place / "images")
+        _check_counts(patterns, stack, taken)
     for key, wanted, shape, what in (
         ("projector_shape", told.projector_shape, patterns.shape, "patterns"),
         ("camera_shape", told.camera_shape, stack.shape, "images"),
@@ -143,7 +140,7 @@ def read_folders(
     black_exposure: float | None = None,
     counted: bool = True,
 ) -> CaptureParts:
-    """Read two plain folders of images; the parameters are those of `Capture.from_folders`.
+    """Read two plain folders of images, or stacks; parameters as of `Capture.from_folders`.
 
     `counted` says whether patterns and frames must be of one number.
 

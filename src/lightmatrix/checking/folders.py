@@ -113,7 +113,8 @@ def _check_parts(parts: CaptureParts) -> list[Finding]:
 
 
 def _check_uncounted(parts: CaptureParts) -> list[Finding]:
-    decoder, images = parts.decoder, parts.frames.paths
+    # A page's name numbers nothing that a file may be missing from.
+    decoder, images = parts.decoder, [Path(entry.name) for entry in parts.frames.paths]
     survey = None
     # Of levels that differ from frame to frame, it is not known either which belong to which.
     if not any(np.ndim(getattr(decoder, key)) for key in ("clip", "black_level", "exposure")):

@@ -19,6 +19,7 @@ from lightmatrix.cli.source import (
     Images,
     Mask,
     Patterns,
+    Photographs,
     White,
     source,
 )
@@ -33,6 +34,7 @@ FOUND = 1
 
 def check(
     capture: Folder = None,
+    photographs: Photographs = None,
     patterns: Patterns = None,
     images: Images = None,
     black: Black = None,
@@ -48,12 +50,13 @@ def check(
 ) -> None:
     """Tell what is wrong with a capture, and what to do.
 
-    Give a capture folder, or --patterns and --images. Frames lost, late, swapped, black or odd;
-    gamma and JPEG; motion and flicker; light; what the patterns cannot tell. Exits with 0 if
-    nothing is found, with 1 if something is.
+    Give a capture folder; or patterns and images, each a folder or a stack. Frames lost, late,
+    swapped, black or odd; gamma and JPEG; motion and flicker; light; what the patterns cannot
+    tell. Exits with 0 if nothing is found, with 1 if something is.
     """
     where = source(
         capture,
+        photographs,
         patterns,
         images,
         black=black,

@@ -30,6 +30,7 @@ from lightmatrix.cli.source import (
     Images,
     Mask,
     Patterns,
+    Photographs,
     White,
     source,
 )
@@ -56,6 +57,7 @@ FIDELITY_HELP = (
 
 def estimate(
     capture: Folder = None,
+    photographs: Photographs = None,
     output: Annotated[
         Path, typer.Option("-o", "--output", help="The store to write, ending in .zarr.")
     ] = Path("scene.zarr"),
@@ -137,11 +139,12 @@ def estimate(
 ) -> None:
     """Estimate T; interrupted runs go on.
 
-    Give a capture folder, or --patterns and --images. A run that was interrupted goes on where it
-    stopped if given again.
+    Give a capture folder; or patterns and images, each a folder or a stack. A run that was
+    interrupted goes on where it stopped if given again.
     """
     where = source(
         capture,
+        photographs,
         patterns,
         images,
         black=black,
@@ -188,7 +191,7 @@ def estimate(
     seconds = round(time.perf_counter() - started, 2)
     told = None
     if report is not None:
-        told = _report(report, output, capture, transport, opened, estimator, findings, overwrite)
+        told = _report(report, output, where, transport, opened, estimator, findings, overwrite)
     summary = transport.summary()
     if as_json:
         found = [finding.as_dict() for finding in findings]
@@ -215,7 +218,7 @@ def estimate(
 def _report(
     folder: Path,
     store: Path,
-    source: Path | None,
+    where: dict[str, Any],
     transport: LightTransport,
     capture: Capture,
     estimator: AutoEstimator,
@@ -228,7 +231,7 @@ def _report(
             folder,
             transport,
             capture,
-            truth=_truth(source, transport),
+            truth=_truth(where.get("capture"), transport),
             estimator=estimator,
             title=store.name,
             findings=findings,

@@ -1,4 +1,4 @@
-"""Where a capture comes from: a folder that says all of it, or two plain folders and options."""
+"""Where a capture comes from: a folder that says all of it, or patterns, images and options."""
 
 from __future__ import annotations
 
@@ -15,10 +15,23 @@ _EACH = "one number, numbers a,b,c or a text file of one for each frame"
 
 Folder = Annotated[
     Path | None,
-    typer.Argument(metavar="CAPTURE", help="Capture folder (patterns/, images/, capture.json)."),
+    typer.Argument(
+        metavar="CAPTURE",
+        help="Capture folder (patterns/, images/, capture.json); or the patterns, see --patterns.",
+    ),
 ]
-Patterns = Annotated[Path | None, typer.Option("--patterns", help="Folder of pattern images.")]
-Images = Annotated[Path | None, typer.Option("--images", help="Folder of photographs, same order.")]
+Photographs = Annotated[
+    Path | None,
+    typer.Argument(metavar="IMAGES", help="The photographs, if the patterns came before."),
+]
+Patterns = Annotated[
+    Path | None,
+    typer.Option("--patterns", help="Pattern images: a folder, or a stack (TIFF, npy, npz)."),
+]
+Images = Annotated[
+    Path | None,
+    typer.Option("--images", help="Photographs in the same order: a folder, or a stack."),
+]
 Black = Annotated[
     str | None,
     typer.Option(
@@ -61,13 +74,19 @@ Exposure = Annotated[
 
 
 def source(
-    capture: Path | None, patterns: Path | None, images: Path | None, **options: object
+    capture: Path | None,
+    photographs: Path | None,
+    patterns: Path | None,
+    images: Path | None,
+    **options: object,
 ) -> dict[str, Any]:
     """What a function of the door is told of where a capture comes from.
 
     Parameters
     ----------
-    capture, patterns, images : Path, optional
+    capture, photographs : Path, optional
+        The first and the second place that were given without an option.
+    patterns, images : Path, optional
         As given.
     options : optional
         The others, by their names in Python; None where nothing was said.
@@ -80,8 +99,15 @@ def source(
     Raises
     ------
     InputError
-        Unless there is a capture folder alone, or both plain folders.
+        Unless there is a capture folder alone, or patterns and images.
     """
+    if photographs is not None:
+        if patterns is not None or images is not None:
+            raise InputError(
+                f"{capture} and {photographs}, and --patterns or --images besides, were given",
+                hint="give patterns and images once",
+            )
+        capture, patterns, images = None, capture, photographs
     said = {name: value for name, value in options.items() if value is not None}
     if capture is not None:
         plain = {"patterns": patterns, "images": images, **said}
@@ -101,7 +127,7 @@ def source(
         )
     if patterns is None or images is None:
         missing = "--patterns" if patterns is None else "--images"
-        raise InputError(f"{missing} is missing", hint="give both folders, or a capture folder")
+        raise InputError(f"{missing} is missing", hint="give both, or a capture folder")
     return {"patterns": patterns, "images": images, **_read(said)}
 
 

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import struct
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -59,22 +61,35 @@ def read_image(path: str | Path) -> NDArray[Any]:
     """
     file = Path(path)
     _check_file(file)
-    try:
+    with explained(str(file)):
         image = _READERS[file.suffix.lower()](file)
+    return as_stored(str(file), image)
+
+
+@contextmanager
+def explained(name: str) -> Iterator[None]:
+    """Say of which image it is that a library fails on it.
+
+    Raises
+    ------
+    InputError
+        In place of anything that such libraries raise on damaged files.
+    """
+    try:
+        yield
     except (InputError, MemoryError):
         raise
-    # Image libraries raise nearly anything on damaged files, among them SyntaxError.
+    # Nearly anything, among them SyntaxError.
     except Exception as error:
         # Reading past the end, and formats that no reader knows, are told without helpful words.
         reason = " ".join(str(error).split())[:120]
         if isinstance(error, (IndexError, struct.error)) or "given uri" in reason:
             reason = ""
         raise InputError(
-            f"{file}: cannot be read as an image, damaged or truncated"
+            f"{name}: cannot be read as an image, damaged or truncated"
             + (f" ({reason})" if reason else ""),
             hint="copy or export the file again",
         ) from error
-    return _as_stored(file, image)
 
 
 def read_grey(path: str | Path) -> NDArray[np.float32]:
@@ -97,18 +112,22 @@ def read_grey(path: str | Path) -> NDArray[np.float32]:
     >>> lm.read_grey("grey.png")
     array([[0. , 0.2, 1. ]], dtype=float32)
     """
-    image = read_image(path)
+    return as_grey(str(path), read_image(path))
+
+
+def as_grey(name: str, image: NDArray[Any]) -> NDArray[np.float32]:
+    """An image that `read_image` gave as a pattern; see `read_grey`."""
     if image.ndim == 3:
         if (image != image[..., :1]).any():
             raise InputError(
-                f"{path}: a coloured pattern",
+                f"{name}: a coloured pattern",
                 hint="save patterns in grey; a colour projector is three projectors",
             )
         image = image[..., 0]
     if image.dtype == np.float32:
         if image.min() < 0 or image.max() > 1:
             raise InputError(
-                f"{path}: pattern values from {image.min():g} to {image.max():g}",
+                f"{name}: pattern values from {image.min():g} to {image.max():g}",
                 hint="scale the pattern to [0, 1]",
             )
         return image
@@ -250,16 +269,23 @@ _READERS = {
 }
 
 
-def _as_stored(file: Path, image: NDArray[Any]) -> NDArray[Any]:
+def as_stored(name: str, image: NDArray[Any]) -> NDArray[Any]:
+    """What a library read as an image of ours; see `read_image`.
+
+    Raises
+    ------
+    InputError
+        Naming the image, if it has another shape or type, or values that are not finite.
+    """
     if image.dtype == np.bool_:
         image = image.astype(np.uint8) * np.uint8(255)
     if image.ndim == 3 and image.shape[-1] in (2, 4):
-        image = _without_alpha(file, image)
+        image = _without_alpha(name, image)
     if image.ndim == 3 and image.shape[-1] == 1:
         image = image[..., 0]
     if image.ndim not in (2, 3) or (image.ndim == 3 and image.shape[-1] != 3) or image.size == 0:
         raise InputError(
-            f"{file}: holds an array of shape {image.shape}",
+            f"{name}: holds an array of shape {image.shape}",
             hint="save one image a file, (rows, cols) or (rows, cols, 3)",
         )
     if image.dtype.kind == "f":
@@ -267,7 +293,7 @@ def _as_stored(file: Path, image: NDArray[Any]) -> NDArray[Any]:
         if not np.isfinite(values).all():
             at = tuple(int(i) for i in np.argwhere(~np.isfinite(values))[0])
             raise InputError(
-                f"{file}: the value at {at} is {image[at]}",
+                f"{name}: the value at {at} is {image[at]}",
                 hint="replace it, and mask the pixel if it is broken in every frame",
             )
         return np.ascontiguousarray(values)
@@ -276,16 +302,16 @@ def _as_stored(file: Path, image: NDArray[Any]) -> NDArray[Any]:
         return image.astype(np.uint16)
     if image.dtype.newbyteorder("=") not in (np.uint8, np.uint16):
         raise InputError(
-            f"{file}: holds {image.dtype} values", hint="save it as uint8, uint16 or float32"
+            f"{name}: holds {image.dtype} values", hint="save it as uint8, uint16 or float32"
         )
     return np.ascontiguousarray(image, image.dtype.newbyteorder("="))
 
 
-def _without_alpha(file: Path, image: NDArray[Any]) -> NDArray[Any]:
+def _without_alpha(name: str, image: NDArray[Any]) -> NDArray[Any]:
     opaque = np.iinfo(image.dtype).max if image.dtype.kind == "u" else 1
     if (image[..., -1] != opaque).any():
         raise InputError(
-            f"{file}: is partly transparent", hint="save the image without an alpha channel"
+            f"{name}: is partly transparent", hint="save the image without an alpha channel"
         )
     return image[..., :-1]
 

@@ -13,12 +13,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lightmatrix.errors import InputError, LightMatrixWarning
 from lightmatrix.files.headers import read_json, said_in
-from lightmatrix.files.images import fill_image, read_grey, read_image
+from lightmatrix.files.images import as_grey, fill_image, read_grey, read_image
 from lightmatrix.files.memory import check_room
-from lightmatrix.files.stack import ImageStack, list_images
+from lightmatrix.files.pages import Page
+from lightmatrix.files.stack import ImageStack, list_entries
 from lightmatrix.outputs.kinds import PATTERNS
 from lightmatrix.outputs.writing import atomic_folder
 from lightmatrix.patterns.kinds import from_description
@@ -65,8 +67,13 @@ def fill_pattern_folder(folder: Path, patterns: PatternSet) -> None:
     (folder / DESCRIPTION).write_text(json.dumps(content, indent=2) + "\n")
 
 
-def read_patterns(folder: str | Path) -> PatternSet:
-    """Read a folder of pattern images in natural order.
+def read_patterns(source: str | Path) -> PatternSet:
+    """Read a folder of pattern images in natural order, or a file that holds several.
+
+    Parameters
+    ----------
+    source : str or Path
+        The folder; or a TIFF of several pages, an npy or npz file of (K, rows, cols).
 
     Returns
     -------
@@ -77,7 +84,8 @@ def read_patterns(folder: str | Path) -> PatternSet:
     Raises
     ------
     InputError
-        On images that cannot be read or differ in size, or a damaged patterns.json.
+        On images that cannot be read or differ in size, integers that hardly leave 0, or a damaged
+        patterns.json.
 
     Examples
     --------
@@ -86,9 +94,11 @@ def read_patterns(folder: str | Path) -> PatternSet:
     >>> lm.read_patterns("patterns")
     BernoulliPatterns(shape=(8, 8), count=4, density=0.5, seed=0)
     """
-    place = Path(folder)
-    paths = list_images(place)
-    description = _read_description(place / DESCRIPTION)
+    place = Path(source)
+    entries = list_entries(place)
+    # Only images of their own have been written from an operator.
+    paths = [entry for entry in entries if isinstance(entry, Path)]
+    description = _read_description(place / DESCRIPTION) if paths else None
     odd = None
     if description is not None:
         odd = _misfit(description, paths)
@@ -104,14 +114,24 @@ def read_patterns(folder: str | Path) -> PatternSet:
             LightMatrixWarning,
             stacklevel=2,
         )
-    stack = ImageStack.open(paths)
-    check_room(place, 4 * len(paths) * stack.shape[0] * stack.shape[1])
-    images = np.empty((len(paths), *stack.shape[:2]), np.float32)
-    for k, path in enumerate(paths):
+    return ImagePatterns(_read_images(place, entries))
+
+
+def _read_images(place: Path, entries: list[Path | Page]) -> NDArray[np.float32]:
+    """Grey values of all patterns, (K, rows, cols) in [0, 1]."""
+    stack = ImageStack.open(entries)
+    check_room(place, 4 * len(entries) * stack.shape[0] * stack.shape[1])
+    images = np.empty((len(entries), *stack.shape[:2]), np.float32)
+    for k, entry in enumerate(entries):
         # The stack names the file whose size or type differs.
-        stack.read(k)
-        images[k] = read_grey(path)
-    return ImagePatterns(images)
+        images[k] = as_grey(str(entry), stack.read(k))
+    brightest = images.max()
+    if stack.dtype.kind == "u" and 0 < brightest <= 1 / np.iinfo(stack.dtype).max:
+        raise InputError(
+            f"{place}: no pattern is brighter than 1 of {np.iinfo(stack.dtype).max}",
+            hint="save zeros and ones as 0 and 255, or as bool or float",
+        )
+    return images
 
 
 def _read_description(file: Path) -> dict[str, Any] | None:
