@@ -34,6 +34,7 @@ from lightmatrix.capture.reader import Reader
 from lightmatrix.errors import InputError
 from lightmatrix.patterns.grids import block_size
 from lightmatrix.patterns.pattern_set import PatternSet
+from lightmatrix.patterns.response import ProjectorResponse
 from lightmatrix.reprs import html_table
 
 
@@ -152,6 +153,7 @@ class Capture:
         mask: str | Path | None = None,
         full_scale: float | None = None,
         black_exposure: float | None = None,
+        projector_response: str | Path | ProjectorResponse | None = None,
         bin_projector: int | tuple[int, int] = 1,
         bin_camera: int | tuple[int, int] = 1,
         check: bool = True,
@@ -185,6 +187,8 @@ class Capture:
             Raw level that the response calls 1; None means the end of the range.
         black_exposure : float, optional
             Exposure of the black frame; None means that of the frames, which must then be one.
+        projector_response : str, Path or ProjectorResponse, optional
+            The light of the patterns' grey values, if it is not proportional to them.
         bin_projector, bin_camera : int or (int, int)
             See `bin`.
         check, check_order : bool
@@ -207,6 +211,7 @@ class Capture:
             mask=mask,
             full_scale=full_scale,
             black_exposure=black_exposure,
+            projector_response=projector_response,
         )
         capture = cls(parts.patterns, parts.frames, parts.decoder, parts.mask)
         return capture._finish(bin_projector, bin_camera, check, check_order)

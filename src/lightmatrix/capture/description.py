@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.camera.levels import MOST_LEVEL
+from lightmatrix.camera.response import RESPONSES, curve_file
 from lightmatrix.errors import InputError
 from lightmatrix.files.headers import read_json
 from lightmatrix.files.reading import within
@@ -39,6 +40,8 @@ class Description:
     provenance : mapping
     silent_of : frozenset of str
         The keys that it does not have at all.
+    projector_response : Path, optional
+        File of a projector's response.
     """
 
     projector_shape: tuple[int, ...] | None = None
@@ -53,6 +56,7 @@ class Description:
     mask: Path | None = None
     provenance: Mapping[str, Any] = field(default_factory=dict)
     silent_of: frozenset[str] = frozenset()
+    projector_response: Path | None = None
 
 
 def read_description(file: Path, *, allow_outside: bool = False) -> Description:
@@ -88,9 +92,10 @@ def read_description(file: Path, *, allow_outside: bool = False) -> Description:
             )
         return named
 
-    response = found.get("response", _text, "linear, gamma:2.2, srgb or curve:FILE")
-    if response is not None and response.startswith("curve:"):
-        path(response.removeprefix("curve:"))
+    response = found.get("response", _text, RESPONSES)
+    if response is not None:
+        path(curve_file(response))
+    projector = found.get("projector_response", _text, "the name of a projector's curve")
     exposure = found.get("exposure", _several(_above_0), "a number above 0, or one for each frame")
     return Description(
         found.get("projector_shape", _shape, "two whole numbers, such as [64, 64]"),
@@ -105,12 +110,13 @@ def read_description(file: Path, *, allow_outside: bool = False) -> Description:
         path(found.get("mask", _text, "the name of an image")),
         found.get("provenance", _object, "an object; anything may stand in it") or {},
         KEYS - content.keys(),
+        path(projector),
     )
 
 
 KEYS = frozenset(
     {"format", "version", "projector_shape", "camera_shape", "provenance", "mask", "black"}
-    | {"exposure", "clip", "black_level", "full_scale", "response"}
+    | {"exposure", "clip", "black_level", "full_scale", "response", "projector_response"}
 )
 _BLACK_KEYS = frozenset({"file", "exposure"})
 _NULL_IS_NONE = frozenset({"black", "mask", "provenance"})

@@ -37,6 +37,7 @@ from lightmatrix.outputs.kinds import CAPTURE
 from lightmatrix.outputs.writing import atomic_folder
 from lightmatrix.patterns.folder import fill_pattern_folder, read_patterns
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
+from lightmatrix.patterns.response import ProjectorResponse
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +91,7 @@ def read_capture(
         check_name(place)
     told = read_description(file, allow_outside=allow_outside) if described else Description()
     told = with_files_beside(place, told, described)
-    patterns = read_patterns(shown)
+    patterns = _as_light(read_patterns(shown), told.projector_response)
     stack = ImageStack.open(taken)
     if counted:
         _check_counts(patterns, stack, taken)
@@ -138,6 +139,7 @@ def read_folders(
     mask: str | Path | None = None,
     full_scale: float | None = None,
     black_exposure: float | None = None,
+    projector_response: str | Path | ProjectorResponse | None = None,
     counted: bool = True,
 ) -> CaptureParts:
     """Read two plain folders of images, or stacks; parameters as of `Capture.from_folders`.
@@ -150,6 +152,7 @@ def read_folders(
         On numbers or sizes that differ, or files that cannot be read.
     """
     shown = patterns if isinstance(patterns, PatternSet) else read_patterns(patterns)
+    shown = _as_light(shown, projector_response)
     stack = ImageStack.open(images)
     if counted:
         _check_counts(shown, stack, Path(images))
@@ -194,14 +197,22 @@ def make_decoder(
         exposure than the frames where no black level is stated; on levels out of range.
     """
     top = 1.0 if stack.dtype.kind == "f" else float(np.iinfo(stack.dtype).max)
+    measured = response.full_scale
+    if measured is not None and measured > top:
+        raise InputError(
+            f"a response of levels up to {measured:g} for images of {stack.dtype}",
+            hint="measure it with images of that kind",
+        )
     if full_scale is None:
-        full_scale = top
+        full_scale = measured or top
     elif stack.dtype.kind == "u" and full_scale > top:
         raise InputError(
             f"a full scale of {full_scale:g} for images of {stack.dtype}",
             hint=f"use a raw level of at most {top:g}",
         )
-    assumed = clip is None
+    # A measured response knows where its camera clips.
+    assumed = clip is None and measured is None
+    response = response.of_full_scale(full_scale)
     clip = full_scale if clip is None else clip
     black_frame = None
     if isinstance(black, (int, float)):
@@ -391,6 +402,15 @@ def _check_counts(patterns: PatternSet, stack: ImageStack, images: Path) -> None
             f"{patterns.count} patterns, but {stack.count} images in {images}",
             hint="give one image for each pattern, both in natural order; is one missing?",
         )
+
+
+def _as_light(patterns: PatternSet, response: str | Path | ProjectorResponse | None) -> PatternSet:
+    """What the projector showed, where patterns are the grey values that it was given."""
+    if response is None:
+        return patterns
+    if not isinstance(response, ProjectorResponse):
+        response = ProjectorResponse.load(response)
+    return response.shown(patterns)
 
 
 def _response(response: Response | str | None, stack: ImageStack, folder: Path) -> Response:

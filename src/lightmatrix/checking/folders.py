@@ -19,6 +19,7 @@ from lightmatrix.checking.missing import check_counts
 from lightmatrix.checking.survey import Survey
 from lightmatrix.errors import InputError
 from lightmatrix.patterns.pattern_set import PatternSet
+from lightmatrix.patterns.response import ProjectorResponse
 
 
 def check(
@@ -35,6 +36,7 @@ def check(
     mask: str | Path | None = None,
     full_scale: float | None = None,
     black_exposure: float | None = None,
+    projector_response: str | Path | ProjectorResponse | None = None,
 ) -> list[Finding]:
     """What is wrong with a capture, as `lightmatrix check` says it.
 
@@ -49,6 +51,8 @@ def check(
     patterns, images : str or Path, optional
         The two folders; of what follows see `Capture.from_folders`.
     black, white, clip, response, black_level, exposure, mask, full_scale, black_exposure : optional
+        See `Capture.from_folders`.
+    projector_response : optional
         See `Capture.from_folders`.
 
     Returns
@@ -94,6 +98,7 @@ def check(
             mask=mask,
             full_scale=full_scale,
             black_exposure=black_exposure,
+            projector_response=projector_response,
             counted=False,
         )
     )

@@ -20,6 +20,7 @@ from lightmatrix.cli.source import (
     Mask,
     Patterns,
     Photographs,
+    ProjectorCurve,
     White,
     source,
 )
@@ -45,6 +46,7 @@ def check(
     clip: ClipLevel = None,
     full_scale: FullScale = None,
     response: ResponseCurve = None,
+    projector_response: ProjectorCurve = None,
     exposure: Exposure = None,
     as_json: Json = False,
 ) -> None:
@@ -67,6 +69,7 @@ def check(
         clip=clip,
         full_scale=full_scale,
         response=response,
+        projector_response=projector_response,
         exposure=exposure,
     )
     findings = lm.check(**where)

@@ -31,6 +31,7 @@ from lightmatrix.cli.source import (
     Mask,
     Patterns,
     Photographs,
+    ProjectorCurve,
     White,
     source,
 )
@@ -71,6 +72,7 @@ def estimate(
     clip: ClipLevel = None,
     full_scale: FullScale = None,
     response: ResponseCurve = None,
+    projector_response: ProjectorCurve = None,
     exposure: Exposure = None,
     solver: Annotated[SolverName, typer.Option(help=SOLVERS_HELP)] = "active-set",
     fidelity: Annotated[
@@ -155,6 +157,7 @@ def estimate(
         clip=clip,
         full_scale=full_scale,
         response=response,
+        projector_response=projector_response,
         exposure=exposure,
     )
     started = time.perf_counter()

@@ -21,7 +21,9 @@ Clip = Annotated[
 ResponseCurve = Annotated[
     str | None,
     typer.Option(
-        "--response", help="linear, gamma:2.2, srgb or curve:FILE.", show_default="linear"
+        "--response",
+        help="linear, gamma:2.2, srgb, or a curve's file from `lightmatrix response`.",
+        show_default="linear",
     ),
 ]
 Seed = Annotated[int, typer.Option(help="Seed of everything random.", min=0)]

@@ -73,6 +73,16 @@ Exposure = Annotated[
 ]
 
 
+ProjectorCurve = Annotated[
+    Path | None,
+    typer.Option(
+        "--projector-response",
+        help="Light of the patterns' grey values, from `response --projector`.",
+        show_default="linear",
+    ),
+]
+
+
 def source(
     capture: Path | None,
     photographs: Path | None,

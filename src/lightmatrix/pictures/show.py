@@ -17,13 +17,12 @@ from lightmatrix.outputs.kinds import IMAGE, NUMBERS, NUMBERS_MARK, PICTURES
 from lightmatrix.outputs.markers import FileKind
 from lightmatrix.outputs.writing import atomic_file, atomic_folder, check_output
 from lightmatrix.pictures import diagnostics, maps
-from lightmatrix.pictures.transport import Picture, show_column, show_dual, show_row
+from lightmatrix.pictures.transport import DPI, Picture, show_column, show_dual, show_row
 from lightmatrix.transport.correspondence import correspondence
 from lightmatrix.transport.matrix import LightTransport
 
 Numbers = Mapping[str, NDArray[Any]]
 _VERSION = 1
-_DPI = 150
 
 
 @dataclass(frozen=True)
@@ -225,4 +224,4 @@ def _write(
 
 
 def _save(drawing: Picture, file: Path) -> None:
-    drawing.savefig(file, facecolor="white", dpi=_DPI)
+    drawing.savefig(file, facecolor="white", dpi=DPI)
