@@ -29,6 +29,8 @@ from lightmatrix.outputs.kinds import IMAGE
 from lightmatrix.outputs.writing import atomic_file
 
 READABLE = (".png", ".tif", ".tiff", ".npy", ".jpg", ".jpeg", ".bmp", ".pgm")
+# Of the channels of a colour image, or of a colour projector.
+COLOURS = ("red", "green", "blue")
 FORMATS = "PNG, TIFF, npy, JPEG, BMP or PGM"
 
 
@@ -98,12 +100,13 @@ def read_grey(path: str | Path) -> NDArray[np.float32]:
     Returns
     -------
     (rows, cols) float32
-        Integer images over their full range; colour images only if their channels agree.
+        Integer images over their full range; colour images only if their channels agree, or only
+        one is lit at all.
 
     Raises
     ------
     InputError
-        As for `read_image`, and for coloured images or float values outside [0, 1].
+        As for `read_image`, and for images of several colours or float values outside [0, 1].
 
     Examples
     --------
@@ -118,12 +121,34 @@ def read_grey(path: str | Path) -> NDArray[np.float32]:
 def as_grey(name: str, image: NDArray[Any]) -> NDArray[np.float32]:
     """An image that `read_image` gave as a pattern; see `read_grey`."""
     if image.ndim == 3:
-        if (image != image[..., :1]).any():
+        lit = [bool(image[..., channel].any()) for channel in range(3)]
+        if sum(lit) > 1 and (image != image[..., :1]).any():
             raise InputError(
-                f"{name}: a coloured pattern",
-                hint="save patterns in grey; a colour projector is three projectors",
+                f"{name}: a pattern of several colours",
+                hint="a colour projector is three projectors: show and photograph all patterns in "
+                "red, then in green, then in blue, and estimate each by itself",
             )
-        image = image[..., 0]
+        image = image[..., lit.index(True) if any(lit) else 0]
+    return _as_light(name, image)
+
+
+def read_light(path: str | Path) -> NDArray[np.float32]:
+    """Read one pattern in grey or colour: values in [0, 1].
+
+    Returns
+    -------
+    (rows, cols) or (rows, cols, 3) float32
+        Integer images over their full range.
+
+    Raises
+    ------
+    InputError
+        As for `read_image`, and for float values outside [0, 1].
+    """
+    return _as_light(str(path), read_image(path))
+
+
+def _as_light(name: str, image: NDArray[Any]) -> NDArray[np.float32]:
     if image.dtype == np.float32:
         if image.min() < 0 or image.max() > 1:
             raise InputError(
@@ -132,6 +157,14 @@ def as_grey(name: str, image: NDArray[Any]) -> NDArray[np.float32]:
             )
         return image
     return (image / np.float32(np.iinfo(image.dtype).max)).astype(np.float32)
+
+
+def colour_of(image: NDArray[Any]) -> str:
+    """The colour that a pattern is shown in: "grey", "red", "green", "blue", or "" if all black."""
+    if image.ndim == 2:
+        return "grey" if image.any() else ""
+    lit = [name for channel, name in enumerate(COLOURS) if image[..., channel].any()]
+    return lit[0] if len(lit) == 1 else "grey" if lit else ""
 
 
 def write_image(

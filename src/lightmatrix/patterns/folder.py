@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from lightmatrix.errors import InputError, LightMatrixWarning
 from lightmatrix.files.headers import read_json, said_in
-from lightmatrix.files.images import as_grey, fill_image, read_grey, read_image
+from lightmatrix.files.images import COLOURS, as_grey, colour_of, fill_image, read_image
 from lightmatrix.files.memory import check_room
 from lightmatrix.files.pages import Page
 from lightmatrix.files.stack import ImageStack, list_entries
@@ -30,7 +30,13 @@ DESCRIPTION = "patterns.json"
 FORMAT, VERSION = "lightmatrix-patterns", 1
 
 
-def write_patterns(folder: str | Path, patterns: PatternSet, *, overwrite: bool = False) -> None:
+def write_patterns(
+    folder: str | Path,
+    patterns: PatternSet,
+    *,
+    colour: str | None = None,
+    overwrite: bool = False,
+) -> None:
     """Write a pattern set as 8-bit PNG files and patterns.json.
 
     Parameters
@@ -39,11 +45,15 @@ def write_patterns(folder: str | Path, patterns: PatternSet, *, overwrite: bool 
         The folder to make, whole or not at all.
     patterns : PatternSet
         K patterns, written as pattern_0000.png and on.
+    colour : {"red", "green", "blue"}, optional
+        The primary of a colour projector to show them in; None: white.
     overwrite : bool
         Whether an existing folder of patterns may be replaced.
 
     Raises
     ------
+    InputError
+        On another colour.
     OutputError
         If the folder exists, is not one of ours, or cannot be written.
 
@@ -52,16 +62,20 @@ def write_patterns(folder: str | Path, patterns: PatternSet, *, overwrite: bool 
     >>> import lightmatrix as lm
     >>> lm.write_patterns("written", lm.BernoulliPatterns((8, 8), 4))
     """
+    if colour is not None and colour not in COLOURS:
+        raise InputError(f"patterns in {colour!r}", hint=f"use {', '.join(COLOURS)}")
     with atomic_folder(folder, PATTERNS, overwrite=overwrite) as part:
-        fill_pattern_folder(part, patterns)
+        fill_pattern_folder(part, patterns, colour)
 
 
-def fill_pattern_folder(folder: Path, patterns: PatternSet) -> None:
+def fill_pattern_folder(folder: Path, patterns: PatternSet, colour: str | None = None) -> None:
     """Write the files of a pattern folder into an empty folder."""
     digits = max(4, len(str(patterns.count - 1)))
+    primary = np.array([name == colour for name in COLOURS], np.uint8)
     for start, block in patterns.chunks():
         for k, image in enumerate(to_grey(block.reshape(-1, *patterns.shape)), start):
-            fill_image(folder / f"pattern_{k:0{digits}d}.png", image)
+            shown = image if colour is None else image[..., None] * primary
+            fill_image(folder / f"pattern_{k:0{digits}d}.png", shown)
     header = {"format": FORMAT, "version": VERSION, "digest": patterns.digest}
     content = {**header, "description": patterns.description}
     (folder / DESCRIPTION).write_text(json.dumps(content, indent=2) + "\n")
@@ -84,8 +98,8 @@ def read_patterns(source: str | Path) -> PatternSet:
     Raises
     ------
     InputError
-        On images that cannot be read or differ in size, integers that hardly leave 0, or a damaged
-        patterns.json.
+        On images that cannot be read, differ in size or in the primary that they are shown in,
+        integers that hardly leave 0, or a damaged patterns.json.
 
     Examples
     --------
@@ -122,9 +136,10 @@ def _read_images(place: Path, entries: list[Path | Page]) -> NDArray[np.float32]
     stack = ImageStack.open(entries)
     check_room(place, 4 * len(entries) * stack.shape[0] * stack.shape[1])
     images = np.empty((len(entries), *stack.shape[:2]), np.float32)
+    colours = _Colours()
     for k, entry in enumerate(entries):
         # The stack names the file whose size or type differs.
-        images[k] = as_grey(str(entry), stack.read(k))
+        images[k] = colours.grey(entry, stack.read(k))
     brightest = images.max()
     if stack.dtype.kind == "u" and 0 < brightest <= 1 / np.iinfo(stack.dtype).max:
         raise InputError(
@@ -132,6 +147,26 @@ def _read_images(place: Path, entries: list[Path | Page]) -> NDArray[np.float32]
             hint="save zeros and ones as 0 and 255, or as bool or float",
         )
     return images
+
+
+class _Colours:
+    """Sees to it that all patterns of a set are shown in one colour."""
+
+    def __init__(self) -> None:
+        self._first: tuple[Path | Page, str] | None = None
+
+    def grey(self, entry: Path | Page, image: NDArray[Any]) -> NDArray[np.float32]:
+        """The grey values of the next one."""
+        grey, colour = as_grey(str(entry), image), colour_of(image)
+        if colour and self._first is None:
+            self._first = entry, colour
+        if colour and self._first is not None and colour != self._first[1]:
+            raise InputError(
+                f"{entry}: is {colour}, but {self._first[0].name} is {self._first[1]}",
+                hint="a colour projector is three projectors: put the patterns of each colour, and "
+                "their photographs, into a folder of their own",
+            )
+        return grey
 
 
 def _read_description(file: Path) -> dict[str, Any] | None:
@@ -167,9 +202,10 @@ def _first_difference(operator: PatternSet, paths: list[Path]) -> str | None:
     """How the images differ from an operator, in words; None if they do not."""
     if len(paths) != operator.count:
         return f"its {len(paths)} images are not"
+    colours = _Colours()
     for start, block in operator.chunks():
         expected = to_grey(block.reshape(-1, *operator.shape))
         for path, grey in zip(paths[start : start + len(block)], expected, strict=True):
-            if not np.array_equal(to_grey(read_grey(path)), grey):
+            if not np.array_equal(to_grey(colours.grey(path, read_image(path))), grey):
                 return f"{path.name} is not among"
     return None

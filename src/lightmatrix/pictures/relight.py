@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,7 @@ from PIL import Image
 
 from lightmatrix import store
 from lightmatrix.errors import InputError
-from lightmatrix.files.images import read_grey, write_image
+from lightmatrix.files.images import read_grey, read_light, write_image
 from lightmatrix.outputs.kinds import IMAGE
 from lightmatrix.outputs.writing import check_output
 from lightmatrix.patterns.grids import block_mean
@@ -21,7 +21,7 @@ from lightmatrix.transport.matrix import LightTransport
 
 
 def relight(
-    transport: LightTransport | str | Path,
+    transport: LightTransport | str | Path | Sequence[LightTransport | str | Path],
     pattern: NDArray[Any] | str | Path,
     *,
     exposure: float = 1.0,
@@ -34,11 +34,13 @@ def relight(
 
     Parameters
     ----------
-    transport : LightTransport, str or Path
-        T, or where `open` finds it.
+    transport : LightTransport, str or Path, or three of them
+        T, or where `open` finds it; of a colour projector those of its red, green and blue, whose
+        light adds up.
     pattern : (rows, cols) array, str or Path
-        Of the projector's size, in [0, 1]; or an image, whose largest grey value is 1. If the
-        projector was binned for T, it may have the size before, and is averaged likewise.
+        Of the projector's size, in [0, 1]; or an image, whose largest value is 1. For a colour
+        projector (rows, cols, 3), or grey as white light. If the projector was binned for T, it may
+        have the size before, and is averaged likewise.
     exposure : float
         Exposure e of the image, > 0.
     gamma : float
@@ -58,7 +60,8 @@ def relight(
     Raises
     ------
     InputError
-        On a pattern of another size, unless it is resized, and numbers out of range.
+        On a pattern of another size, unless it is resized, numbers out of range, and matrices of
+        different cameras or projectors, or of a number other than one and three.
     OutputError
         If the image cannot be written.
 
@@ -80,15 +83,49 @@ def relight(
                 f"a gamma of {gamma:g} for {target}, which keeps linear values",
                 hint="write a .png, or leave the gamma out",
             )
-    found = transport if isinstance(transport, LightTransport) else store.open(transport)
-    shown = read_grey(pattern) if isinstance(pattern, str | Path) else pattern
-    image = exposure * found.relight(_fitted(np.asarray(shown), found, resize))
+    given = [transport] if isinstance(transport, LightTransport | str | Path) else [*transport]
+    found = _of_one_rig(
+        [one if isinstance(one, LightTransport) else store.open(one) for one in given]
+    )
+    parts = _parts(pattern, len(found))
+    image = np.zeros(found[0].camera_shape, np.float32)
+    for one, part in zip(found, parts, strict=True):
+        image += exposure * one.relight(_fitted(part, one, resize))
     if output is not None:
         written = image
         if target.suffix.lower() == ".png":
             written = np.clip(image, 0, 1) ** (1 / gamma)
         write_image(output, written.astype(np.float32), overwrite=overwrite)
     return image
+
+
+def _of_one_rig(found: list[LightTransport]) -> list[LightTransport]:
+    """The matrices of a projector, one or three, which belong together."""
+    if len(found) not in (1, 3):
+        raise InputError(f"{len(found)} matrices", hint="give one, or those of red, green and blue")
+    for one in found[1:]:
+        for what in ("camera_shape", "projector_shape"):
+            if getattr(one, what) != getattr(found[0], what):
+                raise InputError(
+                    f"matrices of {what} {getattr(found[0], what)} and {getattr(one, what)}",
+                    hint="red, green and blue must be of one rig, binned alike",
+                )
+    return found
+
+
+def _parts(pattern: NDArray[Any] | str | Path, count: int) -> list[NDArray[Any]]:
+    """What each of the projector's primaries shows."""
+    if count == 1:
+        return [read_grey(pattern) if isinstance(pattern, str | Path) else np.asarray(pattern)]
+    shown = read_light(pattern) if isinstance(pattern, str | Path) else np.asarray(pattern)
+    if shown.ndim == 2:
+        return [shown] * count
+    if shown.ndim != 3 or shown.shape[2] != count:
+        raise InputError(
+            f"a pattern of shape {shown.shape} for a colour projector",
+            hint="give (rows, cols, 3), or (rows, cols) for white light",
+        )
+    return list(np.moveaxis(shown, 2, 0))
 
 
 def _fitted(pattern: NDArray[Any], transport: LightTransport, resize: bool) -> NDArray[Any]:

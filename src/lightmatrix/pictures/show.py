@@ -48,7 +48,7 @@ VIEWS: dict[str, _View] = {
     "column": _View(show_column, lambda transport, *index: {"values": transport.column(*index)}),
     "dual": _View(
         show_dual,
-        lambda transport: {"values": transport.dual(np.ones(transport.camera_shape, np.float32))},
+        lambda transport: {"values": transport.dual_image()},
     ),
     "correspondence": _View(diagnostics.show_correspondence, _correspondence),
     "clipping": _View(diagnostics.show_clipping, _values(maps.clipping_map), needs="clipped_share"),

@@ -165,7 +165,8 @@ def show_dual(transport: LightTransport, lights: NDArray[Any] | None = None) -> 
     ----------
     transport : LightTransport
     lights : camera_shape array, optional
-        How strongly each camera sample acts as a light. None: all alike.
+        How strongly each camera sample acts as a light. None: all alike, and a colour camera in
+        its colours.
 
     Returns
     -------
@@ -182,8 +183,7 @@ def show_dual(transport: LightTransport, lights: NDArray[Any] | None = None) -> 
     >>> import lightmatrix as lm
     >>> lm.show_dual(lm.truth("metal").transport()).savefig("dual.png")
     """
-    given = np.ones(transport.camera_shape, np.float32) if lights is None else lights
-    image = transport.dual(given)
+    image = transport.dual_image() if lights is None else transport.dual(lights)
     with mpl.rc_context(STYLE):
         drawing = Picture(figsize=(3.6, 3.6), layout="constrained")
         panel(drawing.subplots(), display(image, _white(image)), "Dual image: seen from projector")
