@@ -242,8 +242,10 @@ def test_show(
     _same_files(tmp_path / "shown", tmp_path / "made")
 
 
-@pytest.mark.parametrize("name", ["out.png", "out.PNG", "out.npy", "out.tiff"])
+@pytest.mark.parametrize("name", ["out.png", "out.PNG", "out.npy", "out.tiff", "out.exr"])
 def test_relight(name: str, work: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    if name.endswith("exr"):
+        pytest.importorskip("OpenEXR")
     pattern = work / "patterns" / "pattern_0003.png"
     gamma = 2.2 if name.lower().endswith("png") else 1.0
     (tmp_path / "shown").mkdir()

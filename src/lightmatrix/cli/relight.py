@@ -19,7 +19,9 @@ def relight(
     pattern: Annotated[
         Path, typer.Argument(metavar="PATTERN", help="Image of the projector's size.")
     ],
-    output: Annotated[Path, typer.Option("-o", "--output", help="Image: .png, .tiff or .npy.")],
+    output: Annotated[
+        Path, typer.Option("-o", "--output", help="Image: .png, .tiff, .exr or .npy.")
+    ],
     exposure: Annotated[float, typer.Option(help="Exposure e of the image.")] = 1.0,
     gamma: Annotated[
         float, typer.Option(help="Display gamma, of PNG only; 1 keeps it linear.")
@@ -38,8 +40,8 @@ def relight(
     """Compute the image under a new pattern.
 
     It is c = T p for a pattern p that need not have been projected. A PNG is cut off at full
-    scale; TIFF and npy keep all values. With --green and --blue the pattern is in colour, and each
-    primary of the projector has a T of its own.
+    scale; TIFF, EXR and npy keep all values. With --green and --blue the pattern is in colour, and
+    each primary of the projector has a T of its own.
     """
     if (green is None) != (blue is None):
         raise InputError(

@@ -18,8 +18,9 @@ import numpy as np
 import tifffile
 from numpy.typing import NDArray
 
-from lightmatrix.errors import InputError
+from lightmatrix.errors import InputError, LightMatrixError
 from lightmatrix.files import png, png16
+from lightmatrix.files.exr import fill_exr, read_exr
 from lightmatrix.files.limits import check_size
 from lightmatrix.files.npy import as_float32, read_npy
 from lightmatrix.files.pgm import read_pgm
@@ -28,10 +29,10 @@ from lightmatrix.files.tiff import read_tiff
 from lightmatrix.outputs.kinds import IMAGE
 from lightmatrix.outputs.writing import atomic_file
 
-READABLE = (".png", ".tif", ".tiff", ".npy", ".jpg", ".jpeg", ".bmp", ".pgm")
+READABLE = (".png", ".tif", ".tiff", ".npy", ".jpg", ".jpeg", ".bmp", ".pgm", ".exr")
 # Of the channels of a colour image, or of a colour projector.
 COLOURS = ("red", "green", "blue")
-FORMATS = "PNG, TIFF, npy, JPEG, BMP or PGM"
+FORMATS = "PNG, TIFF, npy, EXR, JPEG, BMP or PGM"
 
 
 def read_image(path: str | Path) -> NDArray[Any]:
@@ -40,8 +41,8 @@ def read_image(path: str | Path) -> NDArray[Any]:
     Parameters
     ----------
     path : str or Path
-        A PNG, TIFF, npy, JPEG, BMP or (binary) PGM file. Black-and-white images become 0/255, an
-        alpha channel that is opaque everywhere is dropped.
+        A PNG, TIFF, npy, EXR, JPEG, BMP or (binary) PGM file. Black-and-white images become 0/255,
+        an alpha channel that is opaque everywhere is dropped.
 
     Returns
     -------
@@ -79,7 +80,7 @@ def explained(name: str) -> Iterator[None]:
     """
     try:
         yield
-    except (InputError, MemoryError):
+    except (LightMatrixError, MemoryError):
         raise
     # Nearly anything, among them SyntaxError.
     except Exception as error:
@@ -175,10 +176,11 @@ def write_image(
     Parameters
     ----------
     path : str or Path
-        Ends in .png, .tif, .tiff or .npy.
+        Ends in .png, .tif, .tiff, .npy or .exr.
     image : (rows, cols) or (rows, cols, 1 or 3)
-        uint8 and uint16 are written as they are. Float values are written as float32, except to
-        PNG: there [0, 1] becomes the full range and what lies outside is cut off.
+        uint8 and uint16 are written as they are, to EXR as float. Float values are written as
+        float32, except to PNG: there [0, 1] becomes the full range and what lies outside is cut
+        off.
     bits : {8, 16}
         Bits of a float image written as PNG.
     overwrite : bool
@@ -226,6 +228,8 @@ def fill_image(path: Path, image: NDArray[Any], *, bits: int = 8) -> None:
         # By name, NumPy would add its own ending to one in capitals.
         with path.open("wb") as stream:
             np.save(stream, pixels)
+    elif suffix == ".exr":
+        fill_exr(path, np.asarray(pixels, np.float32))
     elif suffix in (".tif", ".tiff"):
         tifffile.imwrite(path, pixels, photometric="rgb" if pixels.ndim == 3 else "minisblack")
     else:
@@ -299,6 +303,7 @@ _READERS = {
     ".jpeg": _read_jpeg,
     ".bmp": _read_bmp,
     ".pgm": read_pgm,
+    ".exr": read_exr,
 }
 
 

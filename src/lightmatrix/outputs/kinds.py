@@ -23,7 +23,7 @@ TRANSPORT_MARK, TRUTH_MARK, PACKED_MARK, NUMBERS_MARK = (
 # The text that our mat files begin with; readers of the format pass over it.
 MAT_MARK = "MATLAB 5.0 MAT-file, written by lightmatrix"
 RIG_FORMAT, RESPONSE_FORMAT = "lightmatrix-rig", "lightmatrix-response"
-_IMAGES = (b"\x89PNG\r\n\x1a\n", b"\x93NUMPY", b"II*\0", b"MM\0*")
+_IMAGES = (b"\x89PNG\r\n\x1a\n", b"\x93NUMPY", b"II*\0", b"MM\0*", b"v/1\x01")
 
 
 def _begins_with(file: Path, *starts: bytes) -> bool:
@@ -58,7 +58,7 @@ NPZ = FileKind("exported matrix", (".npz",), lambda file: holds_member(file, TRA
 MAT = FileKind("exported matrix", (".mat",), lambda file: _begins_with(file, MAT_MARK.encode()))
 # Images say nothing of who wrote them: one may take the place of another.
 IMAGE = FileKind(
-    "image", (".png", ".tif", ".tiff", ".npy"), lambda file: _begins_with(file, *_IMAGES)
+    "image", (".png", ".tif", ".tiff", ".npy", ".exr"), lambda file: _begins_with(file, *_IMAGES)
 )
 PICTURE = FileKind("picture", (".png",), lambda file: _begins_with(file, _IMAGES[0]))
 

@@ -48,7 +48,8 @@ def relight(
     resize : bool
         Whether a pattern of any other size is resized to the projector.
     output : str or Path, optional
-        An image to write as well: .png (8 bits, cut off at full scale), .tiff or .npy (all values).
+        An image to write as well: .png (8 bits, cut off at full scale), .tiff, .exr or .npy (all
+        values).
     overwrite : bool
         Whether an existing image may be replaced.
 

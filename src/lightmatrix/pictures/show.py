@@ -87,7 +87,8 @@ def show(
         the projector pixel's row and column. Other views have none.
     output : str or Path, optional
         A file to write as well: .png, the picture; .npz, its numbers (``values``, or ``pixel``,
-        ``place`` and ``confidence`` of `Correspondence`); .tiff or .npy, its values as one image.
+        ``place`` and ``confidence`` of `Correspondence`); .tiff, .exr or .npy, its values as one
+        image.
     raw : bool
         Whether a .png holds numbers instead of a picture: of a correspondence the column, the row
         and the confidence (0 to 65535) as red, green and blue of 16 bits.
