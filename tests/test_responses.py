@@ -70,7 +70,6 @@ def errors(found: lm.CameraResponse, curve: Curve, black: int, clip: int) -> NDA
     ("name", "method", "black", "clip"),
     [
         ("linear", "debevec", 20, 255),
-        ("gamma", "debevec", 0, 255),
         ("srgb", "debevec", 0, 255),
         ("film", "debevec", 0, 250),
         ("gamma", "debevec", 256, 4095),

@@ -154,6 +154,7 @@ class Capture:
         full_scale: float | None = None,
         black_exposure: float | None = None,
         projector_response: str | Path | ProjectorResponse | None = None,
+        mosaic: bool = False,
         bin_projector: int | tuple[int, int] = 1,
         bin_camera: int | tuple[int, int] = 1,
         check: bool = True,
@@ -189,6 +190,9 @@ class Capture:
             Exposure of the black frame; None means that of the frames, which must then be one.
         projector_response : str, Path or ProjectorResponse, optional
             The light of the patterns' grey values, if it is not proportional to them.
+        mosaic : bool
+            Whether raw camera files are taken as they are, each pixel a sample behind its colour of
+            the filter, not interpolated to three channels.
         bin_projector, bin_camera : int or (int, int)
             See `bin`.
         check, check_order : bool
@@ -212,6 +216,7 @@ class Capture:
             full_scale=full_scale,
             black_exposure=black_exposure,
             projector_response=projector_response,
+            mosaic=mosaic,
         )
         capture = cls(parts.patterns, parts.frames, parts.decoder, parts.mask)
         return capture._finish(bin_projector, bin_camera, check, check_order)

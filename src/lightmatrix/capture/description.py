@@ -42,6 +42,8 @@ class Description:
         The keys that it does not have at all.
     projector_response : Path, optional
         File of a projector's response.
+    mosaic : bool
+        Whether raw camera files are not interpolated.
     """
 
     projector_shape: tuple[int, ...] | None = None
@@ -57,6 +59,7 @@ class Description:
     provenance: Mapping[str, Any] = field(default_factory=dict)
     silent_of: frozenset[str] = frozenset()
     projector_response: Path | None = None
+    mosaic: bool = False
 
 
 def read_description(file: Path, *, allow_outside: bool = False) -> Description:
@@ -111,12 +114,13 @@ def read_description(file: Path, *, allow_outside: bool = False) -> Description:
         found.get("provenance", _object, "an object; anything may stand in it") or {},
         KEYS - content.keys(),
         path(projector),
+        bool(found.get("mosaic", _truth, "true or false")),
     )
 
 
 KEYS = frozenset(
     {"format", "version", "projector_shape", "camera_shape", "provenance", "mask", "black"}
-    | {"exposure", "clip", "black_level", "full_scale", "response", "projector_response"}
+    | {"exposure", "clip", "black_level", "full_scale", "response", "projector_response", "mosaic"}
 )
 _BLACK_KEYS = frozenset({"file", "exposure"})
 _NULL_IS_NONE = frozenset({"black", "mask", "provenance"})
@@ -196,6 +200,10 @@ def _shape(value: Any) -> tuple[int, ...] | None:
 
 def _text(value: Any) -> str | None:
     return value if isinstance(value, str) and value and "\0" not in value else None
+
+
+def _truth(value: Any) -> bool | None:
+    return value if isinstance(value, bool) else None
 
 
 def _object(value: Any) -> dict[str, Any] | None:

@@ -92,7 +92,7 @@ def read_capture(
     told = read_description(file, allow_outside=allow_outside) if described else Description()
     told = with_files_beside(place, told, described)
     patterns = _as_light(read_patterns(shown), told.projector_response)
-    stack = ImageStack.open(taken)
+    stack = ImageStack.open(taken, mosaic=told.mosaic)
     if counted:
         _check_counts(patterns, stack, taken)
     for key, wanted, shape, what in (
@@ -140,6 +140,7 @@ def read_folders(
     full_scale: float | None = None,
     black_exposure: float | None = None,
     projector_response: str | Path | ProjectorResponse | None = None,
+    mosaic: bool = False,
     counted: bool = True,
 ) -> CaptureParts:
     """Read two plain folders of images, or stacks; parameters as of `Capture.from_folders`.
@@ -153,7 +154,7 @@ def read_folders(
     """
     shown = patterns if isinstance(patterns, PatternSet) else read_patterns(patterns)
     shown = _as_light(shown, projector_response)
-    stack = ImageStack.open(images)
+    stack = ImageStack.open(images, mosaic=mosaic)
     if counted:
         _check_counts(shown, stack, Path(images))
     if white is not None:
@@ -222,7 +223,7 @@ def make_decoder(
             )
         black_level = float(black)
     elif black is not None:
-        image = read_image(black)
+        image = read_image(black, mosaic=stack.mosaic)
         if image.ndim == 3 and stack.grey and (image == image[..., :1]).all():
             image = image[..., 0]
         if image.shape != stack.shape:

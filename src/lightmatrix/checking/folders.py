@@ -37,6 +37,7 @@ def check(
     full_scale: float | None = None,
     black_exposure: float | None = None,
     projector_response: str | Path | ProjectorResponse | None = None,
+    mosaic: bool = False,
 ) -> list[Finding]:
     """What is wrong with a capture, as `lightmatrix check` says it.
 
@@ -52,7 +53,7 @@ def check(
         The two folders; of what follows see `Capture.from_folders`.
     black, white, clip, response, black_level, exposure, mask, full_scale, black_exposure : optional
         See `Capture.from_folders`.
-    projector_response : optional
+    projector_response, mosaic : optional
         See `Capture.from_folders`.
 
     Returns
@@ -99,6 +100,7 @@ def check(
             full_scale=full_scale,
             black_exposure=black_exposure,
             projector_response=projector_response,
+            mosaic=mosaic,
             counted=False,
         )
     )

@@ -18,6 +18,7 @@ from lightmatrix.cli.source import (
     FullScale,
     Images,
     Mask,
+    Mosaic,
     Patterns,
     Photographs,
     ProjectorCurve,
@@ -48,6 +49,7 @@ def check(
     response: ResponseCurve = None,
     projector_response: ProjectorCurve = None,
     exposure: Exposure = None,
+    mosaic: Mosaic = False,
     as_json: Json = False,
 ) -> None:
     """Tell what is wrong with a capture, and what to do.
@@ -71,6 +73,7 @@ def check(
         response=response,
         projector_response=projector_response,
         exposure=exposure,
+        mosaic=mosaic or None,
     )
     findings = lm.check(**where)
     if as_json:

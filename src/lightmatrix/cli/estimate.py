@@ -29,6 +29,7 @@ from lightmatrix.cli.source import (
     FullScale,
     Images,
     Mask,
+    Mosaic,
     Patterns,
     Photographs,
     ProjectorCurve,
@@ -74,6 +75,7 @@ def estimate(
     response: ResponseCurve = None,
     projector_response: ProjectorCurve = None,
     exposure: Exposure = None,
+    mosaic: Mosaic = False,
     solver: Annotated[SolverName, typer.Option(help=SOLVERS_HELP)] = "active-set",
     fidelity: Annotated[
         FidelityName | None,
@@ -159,6 +161,7 @@ def estimate(
         response=response,
         projector_response=projector_response,
         exposure=exposure,
+        mosaic=mosaic or None,
     )
     started = time.perf_counter()
     estimator = lm.AutoEstimator(

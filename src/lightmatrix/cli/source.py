@@ -83,6 +83,14 @@ ProjectorCurve = Annotated[
 ]
 
 
+Mosaic = Annotated[
+    bool,
+    typer.Option(
+        "--mosaic", help="Raw camera files: each pixel a sample, not interpolated to colours."
+    ),
+]
+
+
 def source(
     capture: Path | None,
     photographs: Path | None,

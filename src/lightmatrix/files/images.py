@@ -24,25 +24,29 @@ from lightmatrix.files.exr import fill_exr, read_exr
 from lightmatrix.files.limits import check_size
 from lightmatrix.files.npy import as_float32, read_npy
 from lightmatrix.files.pgm import read_pgm
+from lightmatrix.files.raw import RAW, read_raw
 from lightmatrix.files.reading import regular_file
 from lightmatrix.files.tiff import read_tiff
 from lightmatrix.outputs.kinds import IMAGE
 from lightmatrix.outputs.writing import atomic_file
 
-READABLE = (".png", ".tif", ".tiff", ".npy", ".jpg", ".jpeg", ".bmp", ".pgm", ".exr")
+READABLE = (".png", ".tif", ".tiff", ".npy", ".jpg", ".jpeg", ".bmp", ".pgm", ".exr", *RAW)
 # Of the channels of a colour image, or of a colour projector.
 COLOURS = ("red", "green", "blue")
-FORMATS = "PNG, TIFF, npy, EXR, JPEG, BMP or PGM"
+FORMATS = "PNG, TIFF, npy, EXR, DNG and other raw files, JPEG, BMP or PGM"
 
 
-def read_image(path: str | Path) -> NDArray[Any]:
+def read_image(path: str | Path, *, mosaic: bool = False) -> NDArray[Any]:
     """Read one image as it is stored.
 
     Parameters
     ----------
     path : str or Path
         A PNG, TIFF, npy, EXR, JPEG, BMP or (binary) PGM file. Black-and-white images become 0/255,
-        an alpha channel that is opaque everywhere is dropped.
+        an alpha channel that is opaque everywhere is dropped. Raw camera files (DNG, CR2, NEF, ARW,
+        ...) come as light from 0, black, to 1, where the sensor clips, without white balance.
+    mosaic : bool
+        Whether raw files are read as they are, one sample a pixel, not interpolated to colours.
 
     Returns
     -------
@@ -64,8 +68,9 @@ def read_image(path: str | Path) -> NDArray[Any]:
     """
     file = Path(path)
     _check_file(file)
+    suffix = file.suffix.lower()
     with explained(str(file)):
-        image = _READERS[file.suffix.lower()](file)
+        image = read_raw(file, mosaic=mosaic) if suffix in RAW else _READERS[suffix](file)
     return as_stored(str(file), image)
 
 

@@ -77,9 +77,9 @@ class Page:
         return as_stored(str(self), image)
 
 
-def read_entry(entry: Path | Page) -> NDArray[Any]:
+def read_entry(entry: Path | Page, *, mosaic: bool = False) -> NDArray[Any]:
     """An image from a file of its own or from a stack; see `read_image`."""
-    return entry.read() if isinstance(entry, Page) else read_image(entry)
+    return entry.read() if isinstance(entry, Page) else read_image(entry, mosaic=mosaic)
 
 
 def is_stack(path: str | Path) -> bool:

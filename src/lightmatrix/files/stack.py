@@ -116,17 +116,22 @@ class ImageStack:
     grey : bool
         Whether the files hold three channels that are all the same, as grey cameras' JPEG often
         do; images are then read as one.
+    mosaic : bool
+        Whether raw camera files are read as they are; see `read_image`.
     """
 
     paths: tuple[Path | Page, ...]
     shape: tuple[int, ...]
     dtype: np.dtype[Any]
     grey: bool = False
+    mosaic: bool = False
 
     __repr__ = short_repr
 
     @classmethod
-    def open(cls, source: str | Path | Sequence[Path | Page]) -> ImageStack:
+    def open(
+        cls, source: str | Path | Sequence[Path | Page], *, mosaic: bool = False
+    ) -> ImageStack:
         """The images of a folder (natural order), of one file, or of a list (its order).
 
         Raises
@@ -137,10 +142,10 @@ class ImageStack:
         paths = list_entries(source) if isinstance(source, (str, Path)) else list(source)
         if not paths:
             raise InputError("an empty list of images", hint="give at least one file")
-        first = read_entry(paths[0])
+        first = read_entry(paths[0], mosaic=mosaic)
         if first.ndim == 3 and _all_grey(paths):
             return cls(tuple(paths), first.shape[:2], first.dtype, True)
-        return cls(tuple(paths), first.shape, first.dtype)
+        return cls(tuple(paths), first.shape, first.dtype, mosaic=mosaic)
 
     @property
     def count(self) -> int:
@@ -156,7 +161,7 @@ class ImageStack:
             If it cannot be read, or differs from the first image in shape or type.
         """
         path = self.paths[index]
-        image = read_entry(path)
+        image = read_entry(path, mosaic=self.mosaic)
         if self.grey:
             image = _one_channel(path, image)
         if image.shape != self.shape:
