@@ -14,7 +14,6 @@ from __future__ import annotations
 import json
 import os
 import shutil
-import warnings
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -28,11 +27,12 @@ from lightmatrix.camera.response import Response
 from lightmatrix.camera.sensor import Sensor
 from lightmatrix.capture.beside import check_name, find_images, with_files_beside
 from lightmatrix.capture.checks import check_per_frame
+from lightmatrix.capture.decoding import make_decoder, read_mask, stated_response
 from lightmatrix.capture.description import FORMAT, NAME, VERSION, Description, read_description
-from lightmatrix.errors import InputError, LightMatrixWarning
+from lightmatrix.errors import InputError
 from lightmatrix.files.headers import said_in
-from lightmatrix.files.images import fill_image, read_image
-from lightmatrix.files.stack import ImageStack, nonlinear_tag
+from lightmatrix.files.images import fill_image
+from lightmatrix.files.stack import ImageStack
 from lightmatrix.outputs.kinds import CAPTURE
 from lightmatrix.outputs.writing import atomic_folder
 from lightmatrix.patterns.folder import fill_pattern_folder, read_patterns
@@ -108,7 +108,7 @@ def read_capture(
         decoder = make_decoder(
             stack,
             clip=told.clip,
-            response=_response(told.response, stack, place),
+            response=stated_response(told.response, stack, place),
             exposure=told.exposure,
             black=told.black,
             black_level=told.black_level,
@@ -163,7 +163,7 @@ def read_folders(
     decoder = make_decoder(
         stack,
         clip=clip,
-        response=_response(response, stack, Path()),
+        response=stated_response(response, stack, Path()),
         exposure=exposure,
         black=black,
         black_level=black_level,
@@ -173,116 +173,6 @@ def read_folders(
     return CaptureParts(
         shown, stack, decoder, None if mask is None else read_mask(mask, stack.shape)
     )
-
-
-def make_decoder(
-    stack: ImageStack,
-    *,
-    clip: float | NDArray[Any] | None,
-    response: Response,
-    exposure: float | NDArray[Any],
-    black: str | Path | float | None,
-    black_level: float | NDArray[Any] | None = None,
-    black_exposure: float | None = None,
-    full_scale: float | None = None,
-) -> Decoder:
-    """The decoder of a stack, with its black frame read and its range filled in.
-
-    The black level, the camera's electronic pedestal, is 0 unless it is stated: a black frame holds
-    room light too, and must not change the unit of the samples.
-
-    Raises
-    ------
-    InputError
-        On a black frame of another size or bit depth, one that is clipped, or one of another
-        exposure than the frames where no black level is stated; on levels out of range.
-    """
-    top = 1.0 if stack.dtype.kind == "f" else float(np.iinfo(stack.dtype).max)
-    measured = response.full_scale
-    if measured is not None and measured > top:
-        raise InputError(
-            f"a response of levels up to {measured:g} for images of {stack.dtype}",
-            hint="measure it with images of that kind",
-        )
-    if full_scale is None:
-        full_scale = measured or top
-    elif stack.dtype.kind == "u" and full_scale > top:
-        raise InputError(
-            f"a full scale of {full_scale:g} for images of {stack.dtype}",
-            hint=f"use a raw level of at most {top:g}",
-        )
-    # A measured response knows where its camera clips.
-    assumed = clip is None and measured is None
-    response = response.of_full_scale(full_scale)
-    clip = full_scale if clip is None else clip
-    black_frame = None
-    if isinstance(black, (int, float)):
-        if black_level is not None:
-            raise InputError(
-                f"black levels of {black:g} and {black_level}", hint="give the black level once"
-            )
-        black_level = float(black)
-    elif black is not None:
-        image = read_image(black, mosaic=stack.mosaic)
-        if image.ndim == 3 and stack.grey and (image == image[..., :1]).all():
-            image = image[..., 0]
-        if image.shape != stack.shape:
-            raise InputError(
-                f"{black}: the black frame has shape {image.shape}, the images {stack.shape}",
-                hint="take the black frame with the same camera settings",
-            )
-        # The mean of several black frames may be kept as float, in levels of the frames.
-        if image.dtype != stack.dtype and image.dtype.kind != "f":
-            raise InputError(
-                f"{black}: the black frame is {image.dtype}, the images {stack.dtype}",
-                hint="save it with the bit depth of the images",
-            )
-        black_frame = image.ravel()
-        if float(np.median(black_frame)) >= np.min(clip):
-            raise InputError(
-                f"{black}: the black frame is clipped",
-                hint="take it with the projector showing black",
-            )
-        if black_level is None and _differs(black_exposure, exposure):
-            raise InputError(
-                f"{black}: its light is to be scaled to other exposures, but not its pedestal, and "
-                "no black level is given",
-                hint='give "black_level" in capture.json, 0 for a camera without pedestal',
-            )
-    return Decoder(
-        clip,
-        full_scale,
-        0.0 if black_level is None else black_level,
-        response,
-        exposure,
-        black_frame,
-        black_exposure,
-        assumed,
-    )
-
-
-def _differs(black_exposure: float | None, exposure: float | NDArray[Any]) -> bool:
-    """Whether a black frame's exposure is another than that of some frame."""
-    return black_exposure is not None and bool((np.asarray(exposure) != black_exposure).any())
-
-
-def read_mask(mask: str | Path, shape: tuple[int, ...]) -> NDArray[np.bool_]:
-    """Which camera samples count: those where a mask image is not 0.
-
-    Raises
-    ------
-    InputError
-        If it cannot be read or is not as large as the images.
-    """
-    image = read_image(mask)
-    if image.ndim == 2 and len(shape) == 3 and image.shape == shape[:2]:
-        image = np.repeat(image[..., None], shape[2], axis=2)
-    if image.shape != shape:
-        raise InputError(
-            f"{mask}: the mask has shape {image.shape}, the images {shape}",
-            hint="make the mask as large as the images",
-        )
-    return np.asarray(image > 0)
 
 
 def write_capture(
@@ -412,19 +302,3 @@ def _as_light(patterns: PatternSet, response: str | Path | ProjectorResponse | N
     if not isinstance(response, ProjectorResponse):
         response = ProjectorResponse.load(response)
     return response.shown(patterns)
-
-
-def _response(response: Response | str | None, stack: ImageStack, folder: Path) -> Response:
-    if isinstance(response, Response):
-        return response
-    if response is not None:
-        return Response.parse(str(response), folder)
-    tag = nonlinear_tag(stack.paths[0])
-    if tag is not None:
-        warnings.warn(
-            f"{stack.paths[0]}: {tag}, so probably not linear, but no response is given; "
-            "give one (srgb, gamma:2.2, ...), or linear if it is",
-            LightMatrixWarning,
-            stacklevel=2,
-        )
-    return Response()
