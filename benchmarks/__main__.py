@@ -3,7 +3,8 @@
 Answers are compared first: certified gaps, then agreement with an independent float64 solver, then
 objectives and gaps beside the peers'. Tables go to the terminal, everything to `bench-out/`
 (`solver.json`, `scaling.png`, `scaling.svg`). Exposure by the benchmark rule, noise 0.003 of the
-clip level, 8 bits, lambda = 0.32 clip levels at every number of patterns.
+clip level, 8 bits, lambda = 0.32 clip levels at every number of patterns. BLAS, which passes are
+measured against, runs the processor's own kernel whatever the environment asks for.
 
     python -m benchmarks [--quick] [--truth FOLDER] [-o bench-out]
 
@@ -27,6 +28,7 @@ import numpy as np
 from rich.console import Console
 
 from benchmarks import (
+    blas,
     peers,
     solver_claims,
     solver_plot,
@@ -44,9 +46,12 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--truth", type=Path, help="folder of rendered truths, SCENE.npz")
     parser.add_argument("-o", "--out", type=Path, default=Path("bench-out"))
     options = parser.parse_args(arguments)
+    if arguments is None:
+        blas.at_its_best()
     options.out.mkdir(parents=True, exist_ok=True)
     started = time.perf_counter()
     console = Console(width=150)
+    console.print(f"BLAS: {blas.told()}")
     quick = options.quick
     scenes = solver_rows.SCENES[:1] if quick else solver_rows.SCENES
     results: dict[str, Any] = {"machine": _machine(), "quick": quick}
@@ -165,6 +170,7 @@ def _machine() -> Row:
         "cores": os.cpu_count(),
         "processor": model or platform.processor() or platform.machine(),
         "instructions": core.instructions,
+        "blas": blas.kernels(),
         "python": platform.python_version(),
         "versions": {name: _version(name) for name in PACKAGES},
     }

@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 
 from lightmatrix.camera.samples import Samples
 from lightmatrix.errors import InputError
-from lightmatrix.patterns.bits import BernoulliPatterns, BitPatterns
+from lightmatrix.files.images import write_image
+from lightmatrix.patterns.bits import BernoulliPatterns, BitPatterns, with_white
 from lightmatrix.patterns.blocks import BlockPatterns, one_pixel_patterns, sampled_pixels
 from lightmatrix.patterns.folder import read_patterns, write_patterns
 from lightmatrix.patterns.grids import block_mean, grid_cells
@@ -241,3 +242,28 @@ def test_the_fast_solver_takes_a_mix_as_bits() -> None:
 def test_bad_patterns_are_refused_with_a_remedy(make: object, message: str) -> None:
     with pytest.raises(InputError, match=message):
         make()  # type: ignore[operator]
+
+
+@given(st.tuples(sizes, sizes), sizes, st.booleans())
+@settings(max_examples=20, deadline=None)
+def test_black_and_white_images_are_bits_as_generated_ones_are(
+    tmp_path_factory: pytest.TempPathFactory, shape: tuple[int, int], count: int, grey: bool
+) -> None:
+    made = BernoulliPatterns(shape, count, 0.5, 3)
+    folder = tmp_path_factory.mktemp("shown") / "p"
+    write_patterns(folder, made)
+    (folder / "patterns.json").unlink()
+    if grey:
+        # One pixel of the last image.
+        last = made.images()[-1]
+        last[-1, -1] = 0.2
+        write_image(sorted(folder.iterdir())[-1], last, overwrite=True)
+    found = read_patterns(folder)
+    assert isinstance(found, ImagePatterns if grey else BitPatterns)
+    if not grey:
+        np.testing.assert_array_equal(found.packed_bits(), made.bits)
+    assert (found.images()[:-1] == made.images()[:-1]).all()
+    whiter = with_white(found)
+    assert type(whiter) is type(found)
+    np.testing.assert_array_equal(whiter.images()[:-1], found.images())
+    assert (whiter.images()[-1] == 1).all()

@@ -16,7 +16,6 @@ import pytest
 
 import lightmatrix as lm
 from lightmatrix import cli
-from lightmatrix.cli import info as info_module
 from lightmatrix.cli import main
 from lightmatrix.rig.procedural import ProceduralScene
 from lightmatrix.solvers import solve
@@ -141,7 +140,7 @@ def test_ctrl_c_that_a_library_took_for_its_own(
         except KeyboardInterrupt as stop:
             raise ImportError("numpy failed to load") from stop
 
-    monkeypatch.setattr(info_module, "lm", type("Door", (), {"open": staticmethod(load)}))
+    monkeypatch.setattr(lm, "open", load)
     assert main(["info", "x.zarr"]) == 130
     assert capsys.readouterr().err == "stopped\n"
 
@@ -187,7 +186,7 @@ def test_every_end_has_one_message_and_a_code(
     def fail(path: Path) -> None:
         raise error
 
-    monkeypatch.setattr(info_module, "lm", type("Door", (), {"open": staticmethod(fail)}))
+    monkeypatch.setattr(lm, "open", fail)
     assert main(["info", "x.zarr"]) == code
     shown = capsys.readouterr().err
     assert shown.startswith(told)

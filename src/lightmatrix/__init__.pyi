@@ -30,11 +30,13 @@ from .camera.response import Response as Response
 from .camera.samples import Samples as Samples
 from .camera.sensor import Sensor as Sensor
 from .capture.capture import Capture as Capture
+from .capture.packing import pack as pack
 from .files.images import (
     read_grey as read_grey,
     read_image as read_image,
     write_image as write_image,
 )
+from .rig.at_scale import simulate_procedural as simulate_procedural
 from .rig.library import (
     scenes as scenes,
     truth as truth,
@@ -43,6 +45,7 @@ from .rig.photograph import (
     SimulatedCapture as SimulatedCapture,
     simulate as simulate,
 )
+from .rig.procedural import ProceduralScene as ProceduralScene
 from .rig.renderer import render as render
 from .rig.thumbnails import write_thumbnails as write_thumbnails
 from .rig.truth import Truth as Truth
@@ -119,7 +122,10 @@ from .pictures.transport import (
 from .report.make import report as report
 from .rig.evaluate import evaluate as evaluate
 from .store import (
+    ColumnIndex as ColumnIndex,
+    StoredTransport as StoredTransport,
     export as export,
+    index_columns as index_columns,
     open as open,
     save as save,
 )

@@ -103,10 +103,17 @@ class Response:
 
     def of_full_scale(self, full_scale: float) -> Response:
         """The same response where level 1 is to be another raw level, if it knows its own."""
-        if self.full_scale is None or self.levels is None or self.full_scale == full_scale:
+        if self.full_scale is None or self.full_scale == full_scale:
+            return self
+        if self.levels is None or self.light is None:
             return self
         levels = self.levels * (self.full_scale / full_scale)
-        return replace(self, levels=levels, full_scale=full_scale)
+        inside = levels < 1
+        end = np.interp(1, levels, self.light)
+        light = np.append(self.light[inside], end) / end
+        return replace(
+            self, levels=np.append(levels[inside], 1), light=light, full_scale=full_scale
+        )
 
 
 def curve_file(text: str) -> str | None:

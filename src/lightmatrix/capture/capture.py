@@ -27,7 +27,7 @@ from lightmatrix.capture.checks import (
     check_per_frame,
     warn_of_hidden_clipping,
 )
-from lightmatrix.capture.folder import read_capture, read_folders
+from lightmatrix.capture.folder import holds_capture, read_capture, read_folders
 from lightmatrix.capture.frames import ArrayStack, Frames
 from lightmatrix.capture.order import check_order
 from lightmatrix.capture.reader import Reader
@@ -113,13 +113,14 @@ class Capture:
         check_order: bool = True,
         allow_outside: bool = False,
     ) -> Capture:
-        """Read a capture folder.
+        """Read a capture folder, or a packed capture.
 
         Parameters
         ----------
         folder : str or Path
             Holds patterns/, images/ (or a stack of each, such as images.tif) and, for anything but
-            a linear camera of exposure 1 without black level, capture.json.
+            a linear camera of exposure 1 without black level, capture.json. Or a .zarr that `pack`
+            made of one, of which as much is read as is asked for.
         bin_projector, bin_camera : int or (int, int)
             See `bin`.
         check, check_order : bool
@@ -137,6 +138,14 @@ class Capture:
             parts.patterns, parts.frames, parts.decoder, parts.mask, provenance=parts.provenance
         )
         return capture._finish(bin_projector, bin_camera, check, check_order)
+
+    @staticmethod
+    def lies_at(path: str | Path) -> bool:
+        """Whether a path leads to a capture, packed or not, rather than to something else.
+
+        It may be damaged, which `open` finds out.
+        """
+        return holds_capture(Path(path))
 
     @classmethod
     def from_folders(
@@ -386,6 +395,10 @@ class Capture:
         """Hash of the patterns and of all samples, 16 hex digits."""
         return summary.digest(self.patterns, self.reader)
 
+    def summary(self) -> dict[str, Any]:
+        """Number of frames, shapes, kind of patterns, levels, exposures: as names and values."""
+        return summary.told(self.patterns, self.reader)
+
     @property
     def description(self) -> dict[str, Any]:
         """What the capture is and how it is read, JSON-ready."""
@@ -413,6 +426,6 @@ class Capture:
         check_depth(self.frames, self.decoder)
         check_light(self.tiles(), int(self.valid.sum()), self.decoder)
         if self.frames.dtype == np.uint16 and self.bin_camera == (1, 1):
-            warn_of_hidden_clipping(self.reader.raw, self.decoder)
+            warn_of_hidden_clipping(self.reader.level_blocks(), self.decoder)
         if order:
             check_order(self.patterns, self.tiles(), self.rows, self.frames.name)

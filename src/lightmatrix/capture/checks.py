@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from lightmatrix.camera.decoder import Decoder
 from lightmatrix.camera.samples import Samples
-from lightmatrix.capture.frames import Frames
+from lightmatrix.capture.frames import Frames, level_blocks
 from lightmatrix.errors import InputError, LightMatrixWarning
 from lightmatrix.patterns.pattern_set import PatternSet
 
@@ -108,8 +108,8 @@ def check_depth(frames: Frames, decoder: Decoder) -> None:
     if not decoder.clip_assumed or frames.dtype != np.uint16:
         return
     top = 0
-    for k in range(frames.count):
-        top = max(top, int(frames.read(k).max()))
+    for block in level_blocks(frames):
+        top = max(top, int(block.max()))
         if top > _TOPS[-1]:
             return
     likely = next(level for level in _TOPS if level >= top)
@@ -119,14 +119,21 @@ def check_depth(frames: Frames, decoder: Decoder) -> None:
     )
 
 
-def warn_of_hidden_clipping(raw: NDArray[np.integer], decoder: Decoder) -> None:
-    """Warn if 16-bit levels end where many cameras end, below the clip level."""
-    top = int(raw.max())
+def warn_of_hidden_clipping(blocks: Iterable[NDArray[np.integer]], decoder: Decoder) -> None:
+    """Warn if 16-bit levels, all of them block by block, end where many cameras end.
+
+    That is below the clip level.
+    """
+    top, many = 0, 0
+    for block in blocks:
+        highest = int(block.max(initial=0))
+        if highest > top:
+            top, many = highest, 0
+        # Asked of few blocks, since most levels are no camera's last one.
+        if highest == top and top in _TOPS_IN_16_BITS:
+            many += int((block == top).sum())
     clip = float(np.min(decoder.clip))
-    if top not in _TOPS_IN_16_BITS or top >= clip:
-        return
-    many = int((raw == top).sum())
-    if many > 3:
+    if top < clip and many > 3:
         warnings.warn(
             f"{many} samples are exactly {top}, the brightest level, at which many cameras clip, "
             f"but the clip level is {clip:g}: should it be {top}?",

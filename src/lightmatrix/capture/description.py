@@ -78,7 +78,13 @@ def read_description(file: Path, *, allow_outside: bool = False) -> Description:
         On a key that is unknown, at any level, or whose value is of another kind or out of range;
         on a file that lies outside the folder.
     """
-    content = read_json(file, FORMAT, VERSION)
+    return described(file, read_json(file, FORMAT, VERSION), allow_outside=allow_outside)
+
+
+def described(
+    file: Path, content: Mapping[str, Any], *, allow_outside: bool = False
+) -> Description:
+    """What keys and values say of a capture; parameters and errors as of `read_description`."""
     found = _Table(file, "", content, KEYS)
     black = found.get("black", _object, "an object with the black frame's file")
     frame = None if black is None else _Table(file, "black.", black, _BLACK_KEYS)

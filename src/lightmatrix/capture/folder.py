@@ -15,60 +15,50 @@ import json
 import os
 import shutil
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.camera.decoder import Decoder
 from lightmatrix.camera.response import Response
 from lightmatrix.camera.sensor import Sensor
 from lightmatrix.capture.beside import check_name, find_images, with_files_beside
 from lightmatrix.capture.checks import check_per_frame
 from lightmatrix.capture.decoding import make_decoder, read_mask, stated_response
 from lightmatrix.capture.description import FORMAT, NAME, VERSION, Description, read_description
+from lightmatrix.capture.packed import FORMAT as PACKED_FORMAT
+from lightmatrix.capture.packed import is_packed, read_packed
+from lightmatrix.capture.parts import CaptureParts
 from lightmatrix.errors import InputError
 from lightmatrix.files.headers import said_in
 from lightmatrix.files.images import fill_image
 from lightmatrix.files.stack import ImageStack
+from lightmatrix.files.zarr_arrays import read_attributes
 from lightmatrix.outputs.kinds import CAPTURE
 from lightmatrix.outputs.writing import atomic_folder
+from lightmatrix.patterns.bits import with_white
 from lightmatrix.patterns.folder import fill_pattern_folder, read_patterns
-from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
+from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.patterns.response import ProjectorResponse
 
 
-@dataclass(frozen=True, eq=False)
-class CaptureParts:
-    """What a capture is made of, as read from disk.
-
-    Parameters
-    ----------
-    patterns : PatternSet
-    frames : ImageStack
-    decoder : Decoder
-    mask : shape of a frame, bool, optional
-    provenance : mapping
-    """
-
-    patterns: PatternSet
-    frames: ImageStack
-    decoder: Decoder
-    mask: NDArray[np.bool_] | None = None
-    provenance: Mapping[str, Any] = field(default_factory=dict)
+def holds_capture(place: Path) -> bool:
+    """Whether a folder is a capture, packed or not; it may be damaged."""
+    packed = is_packed(place) and read_attributes(place).get("format") == PACKED_FORMAT
+    return packed or ((place / "images").is_dir() and (place / "patterns").is_dir())
 
 
 def read_capture(
     folder: str | Path, *, allow_outside: bool = False, counted: bool = True
 ) -> CaptureParts:
-    """Read a folder with patterns/, images/ and, perhaps, capture.json.
+    """Read a folder with patterns/, images/ and, perhaps, capture.json; or a packed capture.
 
     Parameters
     ----------
     folder : str or Path
-        The folder.
+        The folder, or what `pack` made.
     allow_outside : bool
         Whether the files that capture.json names may lie outside the folder.
     counted : bool
@@ -83,6 +73,8 @@ def read_capture(
     if not place.is_dir():
         problem = "is a file, not a capture folder" if place.exists() else "no such folder"
         raise InputError(f"{place}: {problem}", hint="give a folder with patterns/ and images/")
+    if is_packed(place):
+        return read_packed(place)
     shown, taken = find_images(place, "patterns"), find_images(place, "images")
     file = place / NAME
     # A link that leads nowhere is a description that is missing, not none.
@@ -158,7 +150,7 @@ def read_folders(
     if counted:
         _check_counts(shown, stack, Path(images))
     if white is not None:
-        shown = ImagePatterns(np.concatenate([shown.images(), np.ones((1, *shown.shape))]))
+        shown = with_white(shown)
         stack = replace(stack, paths=(*stack.paths, Path(white)))
     decoder = make_decoder(
         stack,

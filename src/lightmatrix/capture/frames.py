@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lightmatrix.files.ahead import read_ahead
 from lightmatrix.reprs import short_repr
+
+# Levels that are looked at together.
+_BLOCK_LEVELS = 1 << 24
 
 
 class Frames(Protocol):
@@ -35,6 +40,57 @@ class Frames(Protocol):
 
     def select(self, index: Sequence[int]) -> Frames:
         """The frames of the given indices."""
+
+
+@runtime_checkable
+class PixelFrames(Frames, Protocol):
+    """Frames that lie by camera pixel: a few pixels are read at once, a whole frame slowly."""
+
+    def levels(self, start: int, stop: int) -> NDArray[Any]:
+        """Raw levels of the camera samples start..stop in all frames, (stop - start, K)."""
+
+    def part(self, rows: slice, cols: slice) -> PixelFrames:
+        """A rectangle of the camera's pixels, with start and stop and without step."""
+
+
+def in_order(frames: Frames, start: int = 0, stop: int | None = None) -> Iterator[NDArray[Any]]:
+    """The frames start..stop one after the other, read ahead where they are files."""
+    stop = frames.count if stop is None else stop
+    threads = 1 if isinstance(frames, ArrayStack | PixelFrames) else None
+    return read_ahead(frames.read, range(start, stop), threads)
+
+
+def level_blocks(frames: Frames) -> Iterator[NDArray[Any]]:
+    """All raw levels once, in blocks of bounded size, in the order that is read fastest."""
+    if not isinstance(frames, PixelFrames):
+        yield from in_order(frames)
+        return
+    pixels, step = math.prod(frames.shape), max(1, _BLOCK_LEVELS // frames.count)
+    for start in range(0, pixels, step):
+        yield frames.levels(start, min(start + step, pixels))
+
+
+def levels_at(frames: Frames, places: NDArray[np.int64]) -> NDArray[Any]:
+    """Raw levels of some camera samples in all frames, (S, K); every frame is read once.
+
+    Parameters
+    ----------
+    frames : Frames
+        K frames.
+    places : (S,) int64
+        Which samples of a frame.
+    """
+    levels = np.empty((len(places), frames.count), frames.dtype)
+    if not isinstance(frames, PixelFrames):
+        for k, frame in enumerate(in_order(frames)):
+            levels[:, k] = frame.reshape(-1)[places]
+        return levels
+    start = 0
+    for block in level_blocks(frames):
+        inside = np.flatnonzero((places >= start) & (places < start + len(block)))
+        levels[inside] = block[places[inside] - start]
+        start += len(block)
+    return levels
 
 
 @dataclass(frozen=True, eq=False)

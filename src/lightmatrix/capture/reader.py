@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -13,8 +14,11 @@ from numpy.typing import NDArray
 from lightmatrix.camera.decoder import Decoder
 from lightmatrix.camera.noise import frame_weights
 from lightmatrix.camera.samples import Samples, bin_samples
-from lightmatrix.capture.frames import Frames
+from lightmatrix.capture.frames import Frames, PixelFrames, in_order
 from lightmatrix.files.scratch import scratch_array
+
+# Raw levels that are looked at together.
+_BLOCK_LEVELS = 1 << 24
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +67,7 @@ class Reader:
         """Samples of the camera rows start..stop; those that do not count are 0 and weigh 0."""
         stop = min(stop, self.rows)
         if self.block == (1, 1):
-            decoded = self.decoder.decode(self.raw[start:stop], first_row=start)
+            decoded = self.decoder.decode(self.levels(start, stop), first_row=start)
         else:
             decoded = self._binned.rows(slice(start, stop))
         valid = self.valid[start:stop]
@@ -94,6 +98,19 @@ class Reader:
         valid = np.ones(int(np.prod(self.frames.shape)), bool) if hot is None else ~hot
         return valid if self.mask is None else valid & self.mask.ravel()
 
+    def levels(self, start: int, stop: int) -> NDArray[Any]:
+        """Raw levels of the unbinned camera samples start..stop in all frames, (n, K)."""
+        if isinstance(self.frames, PixelFrames):
+            return self.frames.levels(start, stop)
+        return self.raw[start:stop]
+
+    def level_blocks(self) -> Iterator[NDArray[Any]]:
+        """All raw levels once, some camera samples at a time."""
+        pixels = int(np.prod(self.frames.shape))
+        step = max(1, _BLOCK_LEVELS // self.frames.count)
+        for start in range(0, pixels, step):
+            yield self.levels(start, min(start + step, pixels))
+
     @cached_property
     def raw(self) -> NDArray[Any]:
         """Raw levels (M, K), a camera sample's frames side by side as tiles need them."""
@@ -103,7 +120,7 @@ class Reader:
         group = max(1, min(64, (256 << 20) // max(1, pixels * raw.itemsize)))
         for start in range(0, self.frames.count, group):
             stop = min(start + group, self.frames.count)
-            images = [self.frames.read(k).reshape(-1) for k in range(start, stop)]
+            images = [frame.reshape(-1) for frame in in_order(self.frames, start, stop)]
             raw[:, start:stop] = np.stack(images, axis=1)
         return raw
 
@@ -112,17 +129,43 @@ class Reader:
         """Binned samples (M, K); smaller than the raw levels for blocks of 2 x 2 and more."""
         values = scratch_array((self.rows, self.frames.count), np.dtype(np.float32))
         clipped = scratch_array((self.rows, self.frames.count), np.dtype(np.bool_))
-        levels = []
-        for k in range(self.frames.count):
-            raw = self.frames.read(k).reshape(-1, 1)
-            decoded = self.decoder.decode(raw, first_frame=k)
-            binned, _ = bin_samples(decoded, self._valid_pixels, self.frames.shape, self.block)
-            values[:, k], clipped[:, k] = binned.values[:, 0], binned.clipped[:, 0]
-            levels.append(binned.clip_level)
-        if levels[0].ndim == 1:
-            level = np.concatenate(levels)
-        elif np.ptp(self.exposures) == 0 and np.ndim(self.decoder.clip) == 0:
-            level = np.broadcast_to(levels[0], values.shape)
-        else:
-            level = np.concatenate(levels, axis=1)
+        of_frames = np.empty(self.frames.count, np.float32)
+        of_one = (self.decoder.clip, self.decoder.black_level)
+        alike = np.ptp(self.exposures) == 0 and not any(map(np.ndim, of_one))
+        of_samples = None
+        for where, first, k, raw in self._columns():
+            decoded = self.decoder.decode(raw, first_row=first, first_frame=k)
+            shape = (len(raw) // math.prod(self.frames.shape[1:]), *self.frames.shape[1:])
+            valid = self._valid_pixels[first : first + len(raw)]
+            binned, _ = bin_samples(decoded, valid, shape, self.block)
+            values[where, k], clipped[where, k] = binned.values[:, 0], binned.clipped[:, 0]
+            if binned.clip_level.ndim == 1:
+                of_frames[k] = binned.clip_level[0]
+                continue
+            if of_samples is None:
+                columns = 1 if alike else self.frames.count
+                of_samples = scratch_array((self.rows, columns), np.dtype(np.float32))
+            if k == 0 or not alike:
+                of_samples[where, k] = binned.clip_level[:, 0]
+        level = of_frames if of_samples is None else np.broadcast_to(of_samples, values.shape)
         return Samples(values, clipped, level)
+
+    def _columns(self) -> Iterator[tuple[slice, int, int, NDArray[Any]]]:
+        """Whole frames, or strips of them where these are read faster, one by one.
+
+        The rows that they are of the binned samples, their first camera sample, the number of the
+        frame, and its levels, (n, 1).
+        """
+        frames, down = self.frames, self.block[0]
+        if not isinstance(frames, PixelFrames):
+            for k, frame in enumerate(in_order(frames)):
+                yield slice(None), 0, k, frame.reshape(-1, 1)
+            return
+        wide, narrow = (math.prod(shape[1:]) for shape in (frames.shape, self.camera_shape))
+        step = down * max(1, _BLOCK_LEVELS // (frames.count * wide * down))
+        for top in range(0, frames.shape[0], step):
+            end = min(top + step, frames.shape[0])
+            levels = frames.levels(top * wide, end * wide)
+            where = slice(top // down * narrow, -(-end // down) * narrow)
+            for k in range(frames.count):
+                yield where, top * wide, k, np.ascontiguousarray(levels[:, k : k + 1])

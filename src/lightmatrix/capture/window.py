@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.capture.capture import Capture
-from lightmatrix.capture.frames import Frames
+from lightmatrix.capture.frames import Frames, PixelFrames
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,10 +75,12 @@ def window(capture: Capture, rows: slice, cols: slice) -> Capture:
     if decoder.black_frame is not None:
         black = decoder.black_frame.reshape(capture.frames.shape)[inner, beside]
         decoder = replace(decoder, black_frame=black.ravel())
-    mask = capture.mask
+    mask, frames = capture.mask, capture.frames
     return Capture(
         capture.patterns,
-        _Part(capture.frames, inner, beside),
+        frames.part(inner, beside)
+        if isinstance(frames, PixelFrames)
+        else _Part(frames, inner, beside),
         decoder,
         None if mask is None else mask[inner, beside],
         capture.bin_projector,

@@ -11,13 +11,16 @@ from numpy.typing import NDArray
 from lightmatrix.camera.response import Response
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.checks import check_per_frame
-from lightmatrix.capture.folder import CaptureParts, read_capture, read_folders
+from lightmatrix.capture.folder import read_capture, read_folders
+from lightmatrix.capture.parts import CaptureParts
 from lightmatrix.checking.check import check_capture
 from lightmatrix.checking.finding import Finding
 from lightmatrix.checking.identity import check_patterns
 from lightmatrix.checking.missing import check_counts
 from lightmatrix.checking.survey import Survey
 from lightmatrix.errors import InputError
+from lightmatrix.files.pages import Page
+from lightmatrix.files.stack import ImageStack
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.patterns.response import ProjectorResponse
 
@@ -47,8 +50,8 @@ def check(
     Parameters
     ----------
     capture : Capture, str or Path, optional
-        A capture, looked at as it was taken whatever is binned; or a capture folder. None: two
-        plain folders.
+        A capture, looked at as it was taken whatever is binned; or a capture folder, packed or
+        not. None: two plain folders.
     patterns, images : str or Path, optional
         The two folders; of what follows see `Capture.from_folders`.
     black, white, clip, response, black_level, exposure, mask, full_scale, black_exposure : optional
@@ -121,7 +124,7 @@ def _check_parts(parts: CaptureParts) -> list[Finding]:
 
 def _check_uncounted(parts: CaptureParts) -> list[Finding]:
     # A page's name numbers nothing that a file may be missing from.
-    decoder, images = parts.decoder, [Path(entry.name) for entry in parts.frames.paths]
+    decoder, images = parts.decoder, [Path(entry.name) for entry in _paths(parts)]
     survey = None
     # Of levels that differ from frame to frame, it is not known either which belong to which.
     if not any(np.ndim(getattr(decoder, key)) for key in ("clip", "black_level", "exposure")):
@@ -132,15 +135,20 @@ def _check_uncounted(parts: CaptureParts) -> list[Finding]:
     ]
 
 
+def _paths(parts: CaptureParts) -> tuple[Path | Page, ...]:
+    """The files of the frames; none of those that lie packed."""
+    return parts.frames.paths if isinstance(parts.frames, ImageStack) else ()
+
+
 def _unread(parts: CaptureParts) -> list[Finding]:
     """Frames that cannot be read or are unlike the first; a finding for each way of being so."""
     problems: dict[str, tuple[list[int], InputError]] = {}
-    for k in range(parts.frames.count):
+    for k, path in enumerate(_paths(parts)):
         try:
             parts.frames.read(k)
         except InputError as error:
             # The same problem of another file is one more frame.
-            what = error.message.replace(str(parts.frames.paths[k]), "")
+            what = error.message.replace(str(path), "")
             problems.setdefault(what, ([], error))[0].append(k)
     found = []
     for frames, first in problems.values():

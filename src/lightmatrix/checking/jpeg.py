@@ -53,11 +53,11 @@ def check_jpeg(survey: Survey, names: Sequence[str]) -> list[Finding]:
     Parameters
     ----------
     survey : Survey
-        Only frames of 8 bits are looked at.
+        Only frames of 8 bits, and of 8 x 8 pixels or more, are looked at.
     names : sequence of str
         What the frames are called.
     """
-    if survey.raw.dtype != np.uint8:
+    if survey.raw.dtype != np.uint8 or min(survey.grid[1:3]) < BLOCK:
         return []
     frames = np.unique(np.linspace(0, survey.count - 1, _FRAMES).astype(int))
     images = np.moveaxis(survey.raw[:, frames].reshape(*survey.grid, len(frames)), -1, 0)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from lightmatrix.camera.decoder import Decoder
 from lightmatrix.camera.response import Response
 from lightmatrix.camera.samples import Samples
-from lightmatrix.capture.frames import Frames
+from lightmatrix.capture.frames import Frames, levels_at
 from lightmatrix.patterns.pattern_set import PatternSet
 
 # Raw levels kept at once.
@@ -105,9 +105,7 @@ class Survey:
             On a frame that cannot be read, or differs from the first in size or type.
         """
         places, grid = _places(frames.shape, _MOST_LEVELS // frames.count)
-        raw = np.empty((len(places), frames.count), frames.dtype)
-        for k in range(frames.count):
-            raw[:, k] = frames.read(k).reshape(-1)[places]
+        raw = levels_at(frames, places)
         valid = np.ones(len(places), bool)
         if decoder.hot is not None:
             valid &= ~decoder.hot[places]

@@ -24,6 +24,7 @@ from lightmatrix.cli.experiment import experiment
 from lightmatrix.cli.export import export
 from lightmatrix.cli.failures import report
 from lightmatrix.cli.info import info
+from lightmatrix.cli.pack import pack
 from lightmatrix.cli.patterns import patterns
 from lightmatrix.cli.plan import plan
 from lightmatrix.cli.relight import relight
@@ -42,7 +43,7 @@ COMPLETION = "_LIGHTMATRIX_COMPLETE"
 STAGES: dict[str, tuple[Callable[..., None], ...]] = {
     "Prepare": (plan, patterns),
     "Photograph": (capture, response),
-    "Measure and use": (check, estimate, info, show, relight, evaluate, export),
+    "Measure and use": (check, pack, estimate, info, show, relight, evaluate, export),
     "Simulate": (scenes, render, simulate),
     "Show": (demo, experiment),
 }

@@ -15,7 +15,11 @@ from lightmatrix.transport.labels import named
 def evaluate(
     scene: Store,
     truth: Annotated[
-        str, typer.Option(help="T.npz from `render` or `export`, or a scene, rendered if need be.")
+        str,
+        typer.Option(
+            help="T.npz from `render` or `export`, a simulated capture, or a scene, rendered if "
+            "need be."
+        ),
     ],
     exposure: Annotated[
         float,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Annotated
 
@@ -11,6 +12,7 @@ import lightmatrix as lm
 from lightmatrix.cli.claims import claim
 from lightmatrix.cli.options import Json, Overwrite, Store
 from lightmatrix.cli.terminal import say, show_json
+from lightmatrix.errors import InputError
 from lightmatrix.outputs.kinds import export_kind
 
 
@@ -21,6 +23,13 @@ def export(
         bool,
         typer.Option(help="Spread the background over all pixels: T whole, but not sparse."),
     ] = False,
+    region: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ROWS,COLS",
+            help="Only these camera pixels of a store, such as 100:200,0:640.",
+        ),
+    ] = None,
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
@@ -30,7 +39,11 @@ def export(
     kept beside it unless --dense-background spreads it in.
     """
     claim(output, export_kind(output), overwrite=overwrite)
-    transport = lm.open(scene)
+    if region is None:
+        transport = lm.open(scene)
+    else:
+        # Of a store no more is read than that.
+        transport = lm.StoredTransport.open(scene).region(*_region(region))
     lm.export(output, transport, dense_background=dense_background, overwrite=overwrite)
     left_out = 0.0 if dense_background else transport.background_share
     if as_json:
@@ -42,3 +55,14 @@ def export(
         note = f"; without the background ({100 * left_out:.1f} % of the light): "
         note += "--dense-background adds it"
     say(f"{output}, {output.stat().st_size / 2**20:.1f} MiB{note}")
+
+
+def _region(text: str) -> tuple[slice, slice]:
+    """Read camera rows and columns such as 100:200,0:640."""
+    match = re.fullmatch(r"(\d+):(\d+),(\d+):(\d+)", text.replace(" ", ""), flags=re.ASCII)
+    if match is None:
+        raise InputError(
+            f"a region of {text!r}", hint="write rows and columns, such as 100:200,0:640"
+        )
+    top, bottom, left, right = (int(n) for n in match.groups())
+    return slice(top, bottom), slice(left, right)

@@ -1,4 +1,4 @@
-"""`lightmatrix info`: what a store holds."""
+"""`lightmatrix info`: what a store or a capture holds."""
 
 from __future__ import annotations
 
@@ -9,13 +9,20 @@ from typing import Annotated, Any
 import typer
 
 import lightmatrix as lm
-from lightmatrix.cli.options import Json, Overwrite, Store
+from lightmatrix.cli.options import Json, Overwrite
 from lightmatrix.cli.terminal import say, show_json, show_table
+from lightmatrix.errors import InputError
 from lightmatrix.transport.labels import named
 
 
 def info(
-    scene: Store,
+    scene: Annotated[
+        Path,
+        typer.Argument(
+            metavar="SCENE.zarr|CAPTURE",
+            help="A store made by `estimate`, a T.npz, or a capture, packed or not.",
+        ),
+    ],
     pictures: Annotated[
         Path | None,
         typer.Option(
@@ -27,7 +34,21 @@ def info(
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
-    """Tell what a store holds: a verdict, shapes, clipping, gaps."""
+    """Tell what a store holds: a verdict, shapes, clipping, gaps.
+
+    Of a capture: its frames, patterns, levels and exposures.
+    """
+    if lm.Capture.lies_at(scene):
+        if pictures is not None:
+            raise InputError(
+                f"{scene}: is a capture, of which there are no maps", hint="leave out --pictures"
+            )
+        capture = lm.Capture.open(scene, check=False)
+        if as_json:
+            show_json(capture.description)
+        else:
+            show_table(str(scene), capture.summary())
+        return
     transport = lm.open(scene)
     judged = lm.verdict(transport)
     written = None

@@ -3,24 +3,64 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 import lightmatrix as lm
 from lightmatrix.cli.claims import claim
-from lightmatrix.cli.options import EXPOSURES_EXAMPLE, USUAL_NOISE, Json, Overwrite, Seed
+from lightmatrix.cli.options import (
+    EXPOSURES_EXAMPLE,
+    PROCEDURAL,
+    USUAL_COUNT,
+    USUAL_NOISE,
+    USUAL_SIZE,
+    Json,
+    Overwrite,
+    Seed,
+    size,
+)
 from lightmatrix.cli.terminal import progress, say, show_json
-from lightmatrix.outputs.kinds import CAPTURE
+from lightmatrix.errors import InputError
+from lightmatrix.outputs.kinds import CAPTURE, PACKED_CAPTURE
+
+if TYPE_CHECKING:
+    from lightmatrix import Capture, PatternSet
 
 
 def simulate(
-    scene: Annotated[str, typer.Argument(metavar="SCENE|T.npz", help="A scene or a truth file.")],
-    pattern_folder: Annotated[
-        Path, typer.Option("--patterns", help="Folder made by `lightmatrix patterns`.")
+    scene: Annotated[
+        str,
+        typer.Argument(
+            metavar="SCENE|T.npz|procedural", help="A scene, a truth file, or one made up."
+        ),
     ],
-    output: Annotated[Path, typer.Option("-o", "--output", help="Capture folder to write.")],
+    output: Annotated[
+        Path,
+        typer.Option(
+            "-o", "--output", help="Capture folder to write; packed, if it ends in .zarr."
+        ),
+    ],
+    pattern_folder: Annotated[
+        Path | None, typer.Option("--patterns", help="Folder made by `lightmatrix patterns`.")
+    ] = None,
+    camera: Annotated[
+        str | None, typer.Option(help="procedural: camera pixels, such as 1024x1024.")
+    ] = None,
+    projector: Annotated[
+        str | None,
+        typer.Option("--size", help="procedural: projector pixels, such as 768x1024."),
+    ] = None,
+    count: Annotated[
+        int | None,
+        typer.Option("-k", help="procedural: this many random patterns in place of --patterns."),
+    ] = None,
+    keep_truth: Annotated[
+        bool,
+        typer.Option("--truth", help="procedural: write truth.npz too, about 1.2 kB a pixel."),
+    ] = False,
     exposure: Annotated[
         str,
         typer.Option(
@@ -54,27 +94,44 @@ def simulate(
     """Photograph a scene under patterns.
 
     The scene's matrix is known: bundled, rendered on demand, or a file. What is written is a
-    capture folder to estimate from, with the matrix that was photographed as truth.npz.
+    capture folder to estimate from, with the matrix that was photographed as truth.npz. The scene
+    `procedural` is made up, of any --camera and --size, and photographed block by block; its
+    matrix is made again where it is asked for, such as by `evaluate --truth CAPTURE`.
     """
-    claim(output, CAPTURE, overwrite=overwrite)
+    packed = output.suffix.lower() == ".zarr"
+    claim(output, PACKED_CAPTURE if packed else CAPTURE, overwrite=overwrite)
+    common: dict[str, Any] = {
+        "exposure": exposure,
+        "bits": bits,
+        "noise": noise,
+        "shot_noise": shot_noise,
+        "black_level": black,
+        "seed": seed,
+    }
+    rig: dict[str, Any] = {"blur": blur, "leak": leak, "ambient": ambient, "vignetting": vignetting}
+    made_up = {"--camera": camera, "--size": projector, "-k": count, "--truth": keep_truth or None}
+    capture: Capture
     with progress("simulating", "rows") as report:
-        capture = lm.simulate(
-            scene,
-            pattern_folder,
-            exposure=exposure,
-            bits=bits,
-            noise=noise,
-            shot_noise=shot_noise,
-            black_level=black,
-            blur=blur,
-            leak=leak,
-            ambient=ambient,
-            vignetting=vignetting,
-            seed=seed,
-            progress=report,
-        )
-    capture.save(output, overwrite=overwrite)
-    clipped = capture.raw_clipped_share
+        if scene == PROCEDURAL:
+            _refuse({f"--{name}": value or None for name, value in rig.items()}, PROCEDURAL)
+            patterns = _patterns(pattern_folder, projector, count, seed)
+            capture = lm.simulate_procedural(
+                output,
+                lm.ProceduralScene(size(camera or projector or USUAL_SIZE), patterns.shape, seed),
+                patterns,
+                truth=keep_truth,
+                overwrite=overwrite,
+                progress=report,
+                **common,
+            )
+            clipped = capture.clipped_share
+        else:
+            _refuse(made_up, scene)
+            if pattern_folder is None:
+                raise InputError("--patterns is missing", hint="make some: lightmatrix patterns")
+            taken = lm.simulate(scene, pattern_folder, progress=report, **common, **rig)
+            taken.save(output, overwrite=overwrite)
+            capture, clipped = taken, taken.raw_clipped_share
     if as_json:
         show_json(
             {
@@ -86,3 +143,24 @@ def simulate(
         )
     else:
         say(f"{capture.count} frames in {output}, {100 * clipped:.1f} % of the samples clipped")
+
+
+def _patterns(
+    folder: Path | None, projector: str | None, count: int | None, seed: int
+) -> PatternSet:
+    """The patterns of a folder, or random ones of the projector's size."""
+    if folder is None:
+        return lm.BernoulliPatterns(
+            size(projector or USUAL_SIZE), USUAL_COUNT if count is None else count, seed=seed
+        )
+    _refuse({"--size": projector, "-k": count}, "patterns of a folder")
+    return lm.read_patterns(folder)
+
+
+def _refuse(options: Mapping[str, object], scene: str) -> None:
+    given = [name for name, value in options.items() if value is not None]
+    if given:
+        raise InputError(
+            f"{', '.join(given)} for {scene}",
+            hint="leave it out; lightmatrix simulate --help says what goes with what",
+        )

@@ -6,7 +6,9 @@ Pixels come back as they were stored (uint8, uint16 or float32); what they mean 
 
 from __future__ import annotations
 
+import math
 import struct
+import threading
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -17,6 +19,7 @@ import imageio.v3 as imageio
 import numpy as np
 import tifffile
 from numpy.typing import NDArray
+from PIL import Image
 
 from lightmatrix.errors import InputError, LightMatrixError
 from lightmatrix.files import png, png16
@@ -34,6 +37,7 @@ READABLE = (".png", ".tif", ".tiff", ".npy", ".jpg", ".jpeg", ".bmp", ".pgm", ".
 # Of the channels of a colour image, or of a colour projector.
 COLOURS = ("red", "green", "blue")
 FORMATS = "PNG, TIFF, npy, EXR, DNG and other raw files, JPEG, BMP or PGM"
+_filters = threading.Lock()
 
 
 def read_image(path: str | Path, *, mosaic: bool = False) -> NDArray[Any]:
@@ -269,10 +273,11 @@ def _read_png(file: Path) -> NDArray[Any]:
         return png16.decode(chunks)
     # Pillow stops at the last pixel and never asks for the checksum behind it.
     png.verify_pixels(chunks.get(b"IDAT", b""), header.inflated_bytes)
+    pixels = header.rows * header.cols
     if header.colour == png.PALETTE:
         # Pillow makes colours of the indices, and black of those that have none.
-        png.verify_indices(_read_by_pillow(data, mode="P"), chunks.get(b"PLTE", b""))
-    return _read_by_pillow(data)
+        png.verify_indices(_read_by_pillow(data, pixels, mode="P"), chunks.get(b"PLTE", b""))
+    return _read_by_pillow(data, pixels)
 
 
 def _read_jpeg(file: Path) -> NDArray[Any]:
@@ -288,15 +293,22 @@ def _read_signed(file: Path, signature: bytes, kind: str) -> NDArray[Any]:
     data = file.read_bytes()
     if not data.startswith(signature):
         raise ValueError(f"not a {kind} file")
-    check_size(file, imageio.improps(data, plugin="pillow", index=0).shape)
-    return _read_by_pillow(data)
+    shape = imageio.improps(data, plugin="pillow", index=0).shape
+    check_size(file, shape)
+    return _read_by_pillow(data, math.prod(shape[:2]))
 
 
-def _read_by_pillow(data: bytes, **options: Any) -> NDArray[Any]:
-    with warnings.catch_warnings():
+def _read_by_pillow(data: bytes, pixels: int, **options: Any) -> NDArray[Any]:
+    def read() -> NDArray[Any]:
+        return np.asarray(imageio.imread(data, plugin="pillow", index=0, **options))
+
+    if pixels <= (Image.MAX_IMAGE_PIXELS or math.inf):
+        return read()
+    # Filters of warnings are the whole process's, while several threads may read.
+    with _filters, warnings.catch_warnings():
         # Of large images; their size was checked.
         warnings.filterwarnings("ignore", message=".*decompression bomb", category=Warning)
-        return np.asarray(imageio.imread(data, plugin="pillow", index=0, **options))
+        return read()
 
 
 _READERS = {

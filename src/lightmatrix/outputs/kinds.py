@@ -44,6 +44,7 @@ LIVE_CAPTURE = FolderKind("capture", running=PARTIAL)
 STORE = FolderKind(
     "light transport matrix", (".zarr",), ("zarr.json", "attributes", "output"), running=PARTIAL
 )
+PACKED_CAPTURE = FolderKind("packed capture", (".zarr",), ("zarr.json", "attributes", "output"))
 PICTURES = FolderKind("folder of pictures")
 THUMBNAILS = FolderKind("folder of scene pictures")
 DEMO = FolderKind("demo report")

@@ -91,15 +91,16 @@ class FolderKind:
         files = {name: size for name, size in listed(folder) if name != self.marker[0]}
         content = {"format": FORMAT, "version": VERSION, "kind": self.name, "files": files}
         file = folder / self.marker[0]
-        if len(self.marker) == 1:
-            file.write_text(json.dumps(content, indent=1) + "\n")
-            return
-        whole = json.loads(file.read_text())
-        inner = whole
-        for key in self.marker[1:-1]:
-            inner = inner[key]
-        inner[self.marker[-1]] = content
-        file.write_text(json.dumps(whole, indent=1) + "\n")
+        whole: Any = content
+        if len(self.marker) > 1:
+            inner = whole = json.loads(file.read_text())
+            for key in self.marker[1:-1]:
+                inner = inner[key]
+            inner[self.marker[-1]] = content
+        # In one step, since a folder that is in use may be marked again.
+        written = file.with_name(f"{file.name}.new")
+        written.write_text(json.dumps(whole, indent=1) + "\n")
+        os.replace(written, file)
 
     def _read(self, folder: Path) -> dict[str, Any] | None:
         content = read_object(folder / self.marker[0])

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from lightmatrix import _core
 from lightmatrix.errors import InputError
-from lightmatrix.patterns.pattern_set import PatternSet, check_geometry
+from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet, check_geometry
 from lightmatrix.ranges import check_seed
 from lightmatrix.reprs import short_repr
 
@@ -164,3 +164,13 @@ class BernoulliPatterns(PackedPatterns):
             "density": self.density,
             "seed": self.seed,
         }
+
+
+def with_white(patterns: PatternSet) -> PatternSet:
+    """The patterns and a white one behind them, as bits if they are black and white."""
+    bits = patterns.packed_bits()
+    if bits is None:
+        white = np.ones((1, *patterns.shape), np.float32)
+        return ImagePatterns(np.concatenate([patterns.images(), white]))
+    lit = np.packbits(np.ones((1, patterns.pixels), bool), axis=1, bitorder="little")
+    return BitPatterns(patterns.shape, np.concatenate([bits, lit]))

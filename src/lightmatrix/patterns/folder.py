@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import os
 import warnings
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.errors import InputError, LightMatrixWarning
+from lightmatrix.files.ahead import read_ahead
 from lightmatrix.files.headers import read_json, said_in
 from lightmatrix.files.images import COLOURS, as_grey, colour_of, fill_image, read_image
 from lightmatrix.files.memory import check_room
@@ -23,6 +25,7 @@ from lightmatrix.files.pages import Page
 from lightmatrix.files.stack import ImageStack, list_entries
 from lightmatrix.outputs.kinds import PATTERNS
 from lightmatrix.outputs.writing import atomic_folder
+from lightmatrix.patterns.bits import BitPatterns
 from lightmatrix.patterns.kinds import from_description
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet, to_grey
 
@@ -93,7 +96,8 @@ def read_patterns(source: str | Path) -> PatternSet:
     -------
     PatternSet
         The operator that patterns.json describes if the images agree with it; else (with a
-        warning) or without patterns.json the images themselves.
+        warning) or without patterns.json the images themselves: as bits, as fast as a set that was
+        generated, if all of them are black and white.
 
     Raises
     ------
@@ -128,25 +132,36 @@ def read_patterns(source: str | Path) -> PatternSet:
             LightMatrixWarning,
             stacklevel=2,
         )
-    return ImagePatterns(_read_images(place, entries))
+    return _from_images(place, entries)
 
 
-def _read_images(place: Path, entries: list[Path | Page]) -> NDArray[np.float32]:
-    """Grey values of all patterns, (K, rows, cols) in [0, 1]."""
+def _from_images(place: Path, entries: list[Path | Page]) -> PatternSet:
+    """The patterns as their images show them: bits, unless one of them has a grey pixel."""
     stack = ImageStack.open(entries)
-    check_room(place, 4 * len(entries) * stack.shape[0] * stack.shape[1])
-    images = np.empty((len(entries), *stack.shape[:2]), np.float32)
-    colours = _Colours()
-    for k, entry in enumerate(entries):
-        # The stack names the file whose size or type differs.
-        images[k] = colours.grey(entry, stack.read(k))
-    brightest = images.max()
-    if stack.dtype.kind == "u" and 0 < brightest <= 1 / np.iinfo(stack.dtype).max:
+    shape, count = (stack.shape[0], stack.shape[1]), len(entries)
+    pixels = shape[0] * shape[1]
+    bits = np.empty((count, (pixels + 7) // 8), np.uint8)
+    images: NDArray[np.float32] | None = None
+    colours, brightest = _Colours(), 0.0
+    # The stack names the file whose size or type differs.
+    for k, image in enumerate(read_ahead(stack.read, range(count))):
+        grey = colours.grey(entries[k], image)
+        brightest = max(brightest, float(grey.max()))
+        if images is None:
+            lit = grey == 1
+            if (lit | (grey == 0)).all():
+                bits[k] = np.packbits(lit, bitorder="little")
+                continue
+            check_room(place, 4 * count * pixels)
+            images = np.empty((count, *shape), np.float32)
+            images[:k] = BitPatterns(shape, bits).images(0, k)
+        images[k] = grey
+    if stack.dtype.kind == "u" and 0 < brightest <= 1.01 / np.iinfo(stack.dtype).max:
         raise InputError(
             f"{place}: no pattern is brighter than 1 of {np.iinfo(stack.dtype).max}",
             hint="save zeros and ones as 0 and 255, or as bool or float",
         )
-    return images
+    return BitPatterns(shape, bits) if images is None else ImagePatterns(images)
 
 
 class _Colours:
@@ -205,7 +220,13 @@ def _first_difference(operator: PatternSet, paths: list[Path]) -> str | None:
     colours = _Colours()
     for start, block in operator.chunks():
         expected = to_grey(block.reshape(-1, *operator.shape))
-        for path, grey in zip(paths[start : start + len(block)], expected, strict=True):
-            if not np.array_equal(to_grey(colours.grey(path, read_image(path))), grey):
+        some = paths[start : start + len(block)]
+        shown = read_ahead(partial(_read_one, some), range(len(some)))
+        for path, found, grey in zip(some, shown, expected, strict=True):
+            if not np.array_equal(to_grey(colours.grey(path, found)), grey):
                 return f"{path.name} is not among"
     return None
+
+
+def _read_one(paths: list[Path], k: int) -> NDArray[Any]:
+    return read_image(paths[k])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ from PIL import Image
 
 from lightmatrix import store
 from lightmatrix.errors import InputError
+from lightmatrix.files.headers import said_in
 from lightmatrix.files.images import read_grey, read_light, write_image
 from lightmatrix.outputs.kinds import IMAGE
 from lightmatrix.outputs.writing import check_output
@@ -19,9 +21,11 @@ from lightmatrix.patterns.grids import block_mean
 from lightmatrix.ranges import check_number
 from lightmatrix.transport.matrix import LightTransport
 
+Relit = LightTransport | store.StoredTransport
+
 
 def relight(
-    transport: LightTransport | str | Path | Sequence[LightTransport | str | Path],
+    transport: Relit | str | Path | Sequence[Relit | str | Path],
     pattern: NDArray[Any] | str | Path,
     *,
     exposure: float = 1.0,
@@ -34,9 +38,9 @@ def relight(
 
     Parameters
     ----------
-    transport : LightTransport, str or Path, or three of them
+    transport : LightTransport, StoredTransport, str or Path, or three of them
         T, or where `open` finds it; of a colour projector those of its red, green and blue, whose
-        light adds up.
+        light adds up. Of a store no more than a part is in memory at a time.
     pattern : (rows, cols) array, str or Path
         Of the projector's size, in [0, 1]; or an image, whose largest value is 1. For a colour
         projector (rows, cols, 3), or grey as white light. If the projector was binned for T, it may
@@ -84,14 +88,16 @@ def relight(
                 f"a gamma of {gamma:g} for {target}, which keeps linear values",
                 hint="write a .png, or leave the gamma out",
             )
-    given = [transport] if isinstance(transport, LightTransport | str | Path) else [*transport]
-    found = _of_one_rig(
-        [one if isinstance(one, LightTransport) else store.open(one) for one in given]
-    )
-    parts = _parts(pattern, len(found))
+    single = isinstance(transport, LightTransport | store.StoredTransport | str | Path)
+    given: list[Any] = [transport] if single else [*transport]  # type: ignore[misc]
+    found = _of_one_rig([_opened(one) for one in given])
     image = np.zeros(found[0].camera_shape, np.float32)
-    for one, part in zip(found, parts, strict=True):
-        image += exposure * one.relight(_fitted(part, one, resize))
+    for one, name, part in zip(found, given, _parts(pattern, len(found)), strict=True):
+        # A store that was damaged may be what does not fit.
+        named = said_in(Path(name)) if isinstance(name, str | Path) else nullcontext()
+        with named:
+            light = _fitted(part, one, resize)
+        image += exposure * one.relight(light)
     if output is not None:
         written = image
         if target.suffix.lower() == ".png":
@@ -100,7 +106,7 @@ def relight(
     return image
 
 
-def _of_one_rig(found: list[LightTransport]) -> list[LightTransport]:
+def _of_one_rig(found: list[Relit]) -> list[Relit]:
     """The matrices of a projector, one or three, which belong together."""
     if len(found) not in (1, 3):
         raise InputError(f"{len(found)} matrices", hint="give one, or those of red, green and blue")
@@ -129,7 +135,16 @@ def _parts(pattern: NDArray[Any] | str | Path, count: int) -> list[NDArray[Any]]
     return list(np.moveaxis(shown, 2, 0))
 
 
-def _fitted(pattern: NDArray[Any], transport: LightTransport, resize: bool) -> NDArray[Any]:
+def _opened(transport: Relit | str | Path) -> Relit:
+    """A matrix as it is; a store is left on disk and read block by block."""
+    if isinstance(transport, LightTransport | store.StoredTransport):
+        return transport
+    if Path(transport).suffix.lower() == ".npz":
+        return store.open(transport)
+    return store.StoredTransport.open(transport)
+
+
+def _fitted(pattern: NDArray[Any], transport: Relit, resize: bool) -> NDArray[Any]:
     """A pattern in the size of the projector of T, where it can be known or is asked for."""
     wanted = transport.projector_shape
     if pattern.ndim != 2 or pattern.shape == wanted:

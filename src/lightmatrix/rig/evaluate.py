@@ -28,7 +28,7 @@ def evaluate(
     estimate : LightTransport, str or Path
         The estimate, or where `open` finds it.
     truth : LightTransport, Truth, str or Path
-        What is known; a truth file, T.npz; or a scene, rendered if need be.
+        What is known; a truth file, T.npz; a simulated capture; or a scene, rendered if need be.
     exposure : float
         Exposure of the capture: tells which rows clip under one projector pixel.
     progress : callable, optional
@@ -73,7 +73,8 @@ def _known(
     truth: Truth | str | Path,
     progress: Callable[[int, int], None] | None,
 ) -> LightTransport:
-    if isinstance(truth, str) and not truth.lower().endswith(".npz"):
+    a_file = isinstance(truth, str) and (truth.lower().endswith(".npz") or Path(truth).is_dir())
+    if isinstance(truth, str) and not a_file:
         _check_scene(estimate, truth)
     return library.truth(truth, estimate.projector_shape, progress=progress).transport()
 

@@ -9,7 +9,10 @@ from typing import NamedTuple
 
 import platformdirs
 
+from lightmatrix.capture.capture import Capture
+from lightmatrix.capture.packing import TRUTH
 from lightmatrix.errors import InputError, LightMatrixWarning, OutputError
+from lightmatrix.rig.at_scale import PROCEDURAL, truth_of
 from lightmatrix.rig.pack import pack, unpack
 from lightmatrix.rig.renderer import Progress, render
 from lightmatrix.rig.scenes import names, scene
@@ -32,12 +35,13 @@ def truth(
 ) -> Truth:
     """The light transport matrix of a scene: bundled, from the cache, or rendered and cached.
 
-    Or that of a truth file, wherever one of either is asked for.
+    Or that of a truth file, or of a capture that was simulated, wherever one is asked for.
 
     Parameters
     ----------
     name : str, Path or Truth
-        A scene, which `scenes` lists; a truth file, T.npz; or a truth, given back as it is.
+        A scene, which `scenes` lists; a truth file, T.npz; a capture with a truth.npz, packed or
+        not, or of a procedural scene, whose truth is made again; or a truth, given back as it is.
     size : (rows, cols)
         Of a scene, camera and projector size. The bundled scenes come at 64 x 64.
     samples : int, optional
@@ -69,6 +73,8 @@ def truth(
         return name
     if str(name).lower().endswith(".npz"):
         return Truth.load(Path(name))
+    if Path(name).is_dir() and not (isinstance(name, str) and name in names()):
+        return _beside(Path(name))
     name = str(name)
     described = scene(name)
     if name in BUNDLED and size == BUNDLED_SIZE and samples is None and seed == 0:
@@ -89,6 +95,19 @@ def truth(
     except OutputError as error:
         warnings.warn(f"not cached: {error.message}", LightMatrixWarning, stacklevel=2)
     return rendered
+
+
+def _beside(folder: Path) -> Truth:
+    """The truth of a simulated capture: the file in it, or made again."""
+    if (folder / TRUTH).is_file():
+        return Truth.load(folder / TRUTH)
+    found = truth_of(Capture.open(folder, check=False), folder)
+    if found is None:
+        raise InputError(
+            f"{folder}: holds no {TRUTH}, and is of no {PROCEDURAL} scene",
+            hint="give a T.npz file, a capture made by `lightmatrix simulate`, or a scene",
+        )
+    return found
 
 
 class SceneSummary(NamedTuple):

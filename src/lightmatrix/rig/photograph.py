@@ -14,6 +14,7 @@ from lightmatrix.camera.sensor import Sensor
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.folder import write_capture
 from lightmatrix.capture.frames import ArrayStack
+from lightmatrix.capture.packing import TRUTH, pack_capture
 from lightmatrix.errors import InputError
 from lightmatrix.patterns.folder import read_patterns
 from lightmatrix.patterns.pattern_set import PatternSet
@@ -23,8 +24,6 @@ from lightmatrix.rig.simulate import irradiance
 from lightmatrix.rig.truth import Truth
 
 Progress = Callable[[int, int], None]
-# What a simulated capture folder holds beside a photographed one.
-TRUTH = "truth.npz"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -60,12 +59,12 @@ class SimulatedCapture(Capture):
         return float(np.mean(shares))
 
     def save(self, folder: str | Path, *, overwrite: bool = False) -> None:
-        """Write a capture folder that `Capture.open` reads, with the T photographed as truth.npz.
+        """Write a capture that `Capture.open` reads, with the T photographed as truth.npz.
 
         Parameters
         ----------
         folder : str or Path
-            The folder to make, whole or not at all.
+            The folder to make, whole or not at all; packed (see `pack`) if it ends in .zarr.
         overwrite : bool
             Whether an existing capture may be replaced.
 
@@ -78,6 +77,14 @@ class SimulatedCapture(Capture):
         """
         if self.bin_projector != (1, 1) or self.bin_camera != (1, 1):
             raise InputError("a binned capture cannot be saved", hint="save it first, then bin it")
+        if Path(folder).suffix.lower() == ".zarr":
+            pack_capture(
+                self,
+                folder,
+                beside=lambda part: self.truth.save(part / TRUTH),
+                overwrite=overwrite,
+            )
+            return
         decoder = self.decoder
         black = decoder.black_frame
         write_capture(

@@ -36,6 +36,14 @@ class ProceduralScene:
         is held by 64 entries a row, a sample of the smooth whole.
     relief : float
         Largest disparity of the depth map, as a share of the projector's width.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> scene = lm.ProceduralScene((1024, 1024), (768, 1024))
+    >>> rows, direct = scene.rows(524_288, 524_292)
+    >>> rows.shape, len(direct) == rows.nnz
+    ((4, 786432), True)
     """
 
     camera_shape: tuple[int, int]
@@ -55,6 +63,11 @@ class ProceduralScene:
                 raise InputError(f"{name} is {getattr(self, name)}", hint="use 0 or more")
         if not 0 <= self.relief <= 1:
             raise InputError(f"a relief of {self.relief}", hint="use a share from 0 to 1")
+
+    @property
+    def row_entries(self) -> int:
+        """Entries that a row of T has at most."""
+        return 4 + self.bounces * bool(self.indirect) + 64 * bool(self.background)
 
     def rows(self, start: int, stop: int) -> tuple[csr_array, NDArray[np.float32]]:
         """Rows start..stop of T, and the direct part of each stored entry."""

@@ -72,14 +72,27 @@ def checked_matrix(
     if indices.dtype.kind not in "iu" or indptr.dtype.kind not in "iu":
         raise ValueError("its indices are not whole numbers")
     values = finite(data, "data")
-    # Compared as they are: differences of unsigned numbers are never negative.
-    if indptr[0] != 0 or indptr[-1] != len(data) or (indptr[1:] < indptr[:-1]).any():
-        raise ValueError("indptr does not rise from 0 to the number of entries")
+    check_indptr(indptr, len(data))
     if len(indices) and not (indices.min() >= 0 and indices.max() < cols):
         raise ValueError(f"an index lies outside the {cols} columns")
     matrix = csr_array((values, indices, indptr), shape=shape)
     matrix.check_format(full_check=True)
     return matrix
+
+
+def check_indptr(indptr: NDArray[Any], entries: int) -> None:
+    """Whether ends of rows can be those of so many entries.
+
+    Raises
+    ------
+    ValueError
+        If they do not rise from 0 to the number of entries.
+    """
+    if indptr.dtype.kind not in "iu":
+        raise ValueError("its indices are not whole numbers")
+    # Compared as they are: differences of unsigned numbers are never negative.
+    if indptr[0] != 0 or indptr[-1] != entries or (indptr[1:] < indptr[:-1]).any():
+        raise ValueError("indptr does not rise from 0 to the number of entries")
 
 
 def finite(values: NDArray[Any], name: str) -> NDArray[np.float32]:

@@ -10,8 +10,9 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -25,7 +26,8 @@ from lightmatrix.outputs.kinds import PARTIAL, STORE
 from lightmatrix.outputs.markers import read_object
 from lightmatrix.outputs.running import RunningFolder
 from lightmatrix.outputs.writing import claimed
-from lightmatrix.store.zarr_file import save
+from lightmatrix.store import zarr_file
+from lightmatrix.store.zarr_file import save_rows
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.transport.sparse_rows import SparseRows
 
@@ -147,6 +149,8 @@ class Checkpoint:
     ) -> LightTransport:
         """Join the tiles that this run wrote or found into the output, then throw them away.
 
+        They are joined on disk, so that the matrix is in memory once, when it is whole.
+
         Raises
         ------
         InputError
@@ -159,26 +163,17 @@ class Checkpoint:
         rows = int(np.prod(camera_shape))
         if [start for start, _ in spans] != edges[:-1] or edges[-1] != rows:
             raise InputError(f"{self._kept.path}: the tiles do not cover all {rows} rows once")
-        tiles = [_tile(self._kept, span) for span in spans]
-        whole = [tile for tile in tiles if tile is not None]
-        if len(whole) < len(tiles):
-            damaged = _name(*spans[tiles.index(None)])
-            raise InputError(
-                f"{self._kept.path}: the tile {damaged} was damaged meanwhile",
-                hint="run the same estimate again; it computes that tile anew",
-            )
-        found = SparseRows.joined(whole)
-        transport = LightTransport(
-            found.coefficients,
-            found.background,
-            camera_shape,
-            projector_shape,
-            background_grid,
-            found.diagnostics,
-            dict(provenance or {}),
-        )
+        told = dict(provenance or {})
         try:
-            save(self._path, transport, overwrite=self._overwrite)
+            save_rows(
+                self._path,
+                self._tiles(spans),
+                camera_shape=camera_shape,
+                projector_shape=projector_shape,
+                background_grid=background_grid,
+                provenance=told,
+                overwrite=self._overwrite,
+            )
         except OutputError as error:
             raise OutputError(
                 error.message,
@@ -186,7 +181,18 @@ class Checkpoint:
                 "permissions and the free space, and run the same estimate again",
             ) from error
         self._kept.discard()
-        return transport
+        return replace(zarr_file.open(self._path), provenance=told)
+
+    def _tiles(self, spans: Sequence[_Span]) -> Iterator[SparseRows]:
+        """Finished tiles one after the other, so that they are never all in memory."""
+        for span in spans:
+            tile = _tile(self._kept, span)
+            if tile is None:
+                raise InputError(
+                    f"{self._kept.path}: the tile {_name(*span)} was damaged meanwhile",
+                    hint="run the same estimate again; it computes that tile anew",
+                )
+            yield tile
 
     def _keep(self, name: str, rows: SparseRows) -> None:
         with self._kept.keep(name) as part:

@@ -150,13 +150,7 @@ class LightTransport:
             If the patterns do not have the projector's shape, or values outside [0, 1], such as
             the raw levels of an image.
         """
-        stack = _light(patterns)
-        if stack.shape[-2:] != self.projector_shape or stack.ndim not in (2, 3):
-            raise InputError(
-                f"a pattern of shape {stack.shape} for a projector of "
-                f"{self.projector_shape[0]} x {self.projector_shape[1]}",
-                hint="resize the pattern to the projector",
-            )
+        stack = as_light(patterns, self.projector_shape)
         p = stack.reshape(-1, self.shape[1]).T
         camera = self.sparse @ p + self.background @ (self.pooling @ p)
         images = np.asarray(camera.T, np.float32).reshape(-1, *self.camera_shape)
@@ -289,8 +283,14 @@ class LightTransport:
         return csr_array(self.sparse + csr_array(self.background) @ self.pooling)
 
 
-def _light(patterns: NDArray[Any]) -> NDArray[np.float32]:
-    """Patterns as light, float32 in [0, 1]."""
+def as_light(patterns: NDArray[Any], projector_shape: tuple[int, int]) -> NDArray[np.float32]:
+    """Patterns as light, (rows, cols) or (K, rows, cols) float32 in [0, 1].
+
+    Raises
+    ------
+    InputError
+        If they do not have the projector's shape, or values outside [0, 1].
+    """
     given = np.asarray(patterns)
     if given.dtype.kind not in "bfiu":
         raise InputError(f"a pattern of {given.dtype} values", hint="give values in [0, 1]")
@@ -301,6 +301,12 @@ def _light(patterns: NDArray[Any]) -> NDArray[np.float32]:
             f"a pattern with values from {given.min():g} to {given.max():g}",
             hint="light is in [0, 1]"
             + (": divide raw levels by their largest one, such as 255" if raw else ""),
+        )
+    if given.shape[-2:] != projector_shape or given.ndim not in (2, 3):
+        raise InputError(
+            f"a pattern of shape {given.shape} for a projector of "
+            f"{projector_shape[0]} x {projector_shape[1]}",
+            hint="resize the pattern to the projector",
         )
     return np.asarray(given, np.float32)
 

@@ -1,0 +1,322 @@
+"""Packed captures: all frames in one array of Zarr v3, chunked by tiles of camera pixels.
+
+A tile of camera pixels is read without the rest of the frames. docs/scale.md has the format;
+`packing.py` writes it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightmatrix.camera.decoder import Decoder
+from lightmatrix.camera.response import Response
+from lightmatrix.capture.checks import check_per_frame
+from lightmatrix.capture.description import KEYS, Description, described
+from lightmatrix.capture.parts import CaptureParts
+from lightmatrix.errors import InputError
+from lightmatrix.files.limits import check_size
+from lightmatrix.files.memory import check_room
+from lightmatrix.files.zarr_arrays import (
+    CHUNK,
+    HEADER,
+    StoredArray,
+    damage_explained,
+    read_attributes,
+)
+from lightmatrix.outputs.kinds import PACKED_CAPTURE, STORE
+from lightmatrix.patterns.bits import BitPatterns
+from lightmatrix.patterns.kinds import from_description
+from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
+from lightmatrix.reprs import short_repr
+
+FORMAT, VERSION = "lightmatrix-packed-capture", 1
+# The arrays of the group.
+FRAMES, BITS, LEVELS, BLACK, MASK, CURVE = (
+    "frames",
+    "pattern_bits",
+    "pattern_levels",
+    "black_frame",
+    "mask",
+    "response_curve",
+)
+_AGAIN = "restore it, or pack the capture again"
+# What capture.json says too, each key held to the same kind and range.
+_UNTOLD = {"format", "version", "black", "mask", "response", "projector_response", "mosaic"}
+_TOLD = KEYS - _UNTOLD
+_KEYS = _TOLD | {"format", "version", "output", "response", "names", "patterns"}
+_KEYS |= {"black_exposure", "clip_assumed"}
+
+
+@dataclass(frozen=True, eq=False)
+class PackedFrames:
+    """The frames of a packed capture, of which a tile of camera pixels is read at a time.
+
+    Parameters
+    ----------
+    array : StoredArray
+        Raw levels (K, rows, cols[, channels]); a chunk holds all frames of some camera rows, or of
+        a part of one.
+    names : tuple of str
+        What the frames were called.
+    index : (K',) int64
+        Which of the frames these are.
+    rows, cols : slice
+        Which rectangle of their pixels.
+    """
+
+    array: StoredArray
+    names: tuple[str, ...]
+    index: NDArray[np.int64]
+    rows: slice
+    cols: slice
+    # The strip of chunks that was read last: tiles of rows are smaller, and follow each other.
+    _last: dict[int, NDArray[Any]] = field(default_factory=dict, repr=False)
+
+    __repr__ = short_repr
+
+    @property
+    def count(self) -> int:
+        """Number of frames K'."""
+        return len(self.index)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Shape of a frame."""
+        rows, cols = self.rows, self.cols
+        return rows.stop - rows.start, cols.stop - cols.start, *self.array.shape[3:]
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """Type of the levels."""
+        return self.array.dtype
+
+    def read(self, index: int) -> NDArray[Any]:
+        """One frame, for which all of them are decompressed.
+
+        Raises
+        ------
+        InputError
+            Naming a chunk that is damaged.
+        """
+        k = int(self.index[index])
+        with damage_explained(self.array.place.parent, _AGAIN):
+            return self.array.read(slice(k, k + 1), self.rows, self.cols)[0]
+
+    def name(self, index: int) -> str:
+        """What the frame was called before it was packed."""
+        return self.names[self.index[index]]
+
+    def select(self, index: Sequence[int]) -> PackedFrames:
+        """The frames of the given indices."""
+        return replace(self, index=self.index[list(index)], _last={})
+
+    def part(self, rows: slice, cols: slice) -> PackedFrames:
+        """A rectangle of the pixels."""
+        return replace(self, rows=_within(self.rows, rows), cols=_within(self.cols, cols), _last={})
+
+    def levels(self, start: int, stop: int) -> NDArray[Any]:
+        """Raw levels of the camera samples start..stop in all frames, (stop - start, K').
+
+        Raises
+        ------
+        InputError
+            Naming a chunk that is damaged.
+        """
+        width = int(np.prod(self.shape[1:]))
+        found = np.empty((stop - start, self.count), self.dtype)
+        top, end = self.rows.start + start // width, self.rows.start - (-stop // width)
+        height = self.array.chunks[1]
+        for number in range(top // height, -(-end // height)):
+            strip = self._strip(number)
+            # Its samples by their numbers within the rectangle.
+            first = (max(number * height, self.rows.start) - self.rows.start) * width
+            low, high = max(start, first), min(stop, first + strip.shape[1])
+            found[low - start : high - start] = strip[:, low - first : high - first].T
+        return found
+
+    def _strip(self, number: int) -> NDArray[Any]:
+        """All frames' levels in a row of chunks, as far as they lie in the rectangle, (K', n)."""
+        strip = self._last.get(number)
+        if strip is None:
+            height = self.array.chunks[1]
+            rows = slice(
+                max(number * height, self.rows.start), min((number + 1) * height, self.rows.stop)
+            )
+            with damage_explained(self.array.place.parent, _AGAIN):
+                read = self.array.read(slice(None), rows, self.cols)
+            strip = read.reshape(len(read), -1)
+            if not np.array_equal(self.index, np.arange(len(strip))):
+                strip = strip[self.index]
+            self._last.clear()
+            self._last[number] = strip
+        return strip
+
+
+def is_packed(place: Path) -> bool:
+    """Whether a folder is a group of Zarr rather than a plain capture folder."""
+    return (place / HEADER).is_file()
+
+
+def read_packed(place: Path) -> CaptureParts:
+    """Open a packed capture: everything but the frames is read, and checked whole.
+
+    Parameters
+    ----------
+    place : Path
+        A folder with a zarr.json.
+
+    Raises
+    ------
+    InputError
+        If it is no packed capture, is damaged, or was packed by a later version.
+    """
+    attributes = read_attributes(place)
+    if attributes.get("format") != FORMAT:
+        output = attributes.get("output")
+        kind = output.get("kind") if isinstance(output, dict) else None
+        if kind == STORE.name:
+            raise InputError(
+                f"{place}: is a {STORE.name}, not a capture",
+                hint="give the capture that it was estimated from",
+            )
+        raise InputError(
+            f"{place}: is not a {PACKED_CAPTURE.name}",
+            hint="give a capture folder, or what `lightmatrix pack` made of one",
+        )
+    if attributes.get("version") != VERSION:
+        raise InputError(
+            f"{place}: has format version {str(attributes.get('version'))[:20]}, this lightmatrix "
+            f"reads {VERSION}",
+            hint="update lightmatrix, or pack the capture again",
+        )
+    with damage_explained(place, _AGAIN):
+        unknown = sorted(set(attributes) - _KEYS)
+        if unknown:
+            raise ValueError(f"does not know {str(unknown[0])[:60]!r}")
+        told = described(place / HEADER, {k: v for k, v in attributes.items() if k in _TOLD})
+        frames = _frames(place, attributes, told)
+        decoder = _decoder(place, attributes, told, frames)
+        check_per_frame(decoder, frames.count)
+        patterns = _patterns(place, attributes, frames.count)
+        if told.projector_shape != patterns.shape:
+            raise ValueError(f"its patterns are {patterns.shape}")
+        mask = _array(place, MASK, frames.shape, "b")
+    return CaptureParts(patterns, frames, decoder, mask, dict(told.provenance))
+
+
+def _frames(place: Path, attributes: Mapping[str, Any], told: Description) -> PackedFrames:
+    names = attributes.get("names")
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+        raise ValueError("its frames have no names")
+    if told.camera_shape is None or not names:
+        raise ValueError("it has no frames")
+    check_size(place, told.camera_shape)
+    channels = told.camera_shape[2] if len(told.camera_shape) == 3 else 1
+    # All frames of a pixel lie in one chunk, however many they are.
+    array = StoredArray.open(place / FRAMES, max(CHUNK, len(names) * channels))
+    if array.shape != (len(names), *told.camera_shape):
+        raise ValueError(f"its frames have shape {array.shape}")
+    if array.dtype not in (np.uint8, np.uint16, np.float32):
+        raise ValueError(f"its frames are {array.dtype}")
+    if array.chunks[0] != len(names):
+        raise ValueError("its chunks do not hold all frames")
+    rows, cols = told.camera_shape[:2]
+    every = np.arange(len(names))
+    return PackedFrames(array, tuple(names), every, slice(0, rows), slice(0, cols))
+
+
+def _decoder(
+    place: Path, attributes: Mapping[str, Any], told: Description, frames: PackedFrames
+) -> Decoder:
+    top = float(np.iinfo(frames.dtype).max) if frames.dtype.kind == "u" else np.inf
+    if told.clip is None or told.full_scale is None or not told.full_scale <= top:
+        raise ValueError("it does not say its clip level, or a full scale that no image has")
+    black_exposure = attributes.get("black_exposure")
+    if black_exposure is not None and type(black_exposure) not in (int, float):
+        raise ValueError("the exposure of its black frame is no number")
+    black = _array(place, BLACK, frames.shape, "uf")
+    return Decoder(
+        told.clip,
+        told.full_scale,
+        0.0 if told.black_level is None else told.black_level,
+        _response(place, attributes),
+        told.exposure,
+        None if black is None else black.ravel(),
+        black_exposure,
+        attributes.get("clip_assumed") is True,
+    )
+
+
+def _response(place: Path, attributes: Mapping[str, Any]) -> Response:
+    name = attributes.get("response")
+    if not isinstance(name, str):
+        raise ValueError("its response has no name")
+    if not (place / CURVE).exists():
+        if name != Response().name:
+            raise ValueError(f"the curve of its response {name[:60]!r} is missing")
+        return Response()
+    curve = StoredArray.open(place / CURVE)
+    if len(curve.shape) != 2 or curve.shape[0] != 2 or curve.shape[1] < 2:
+        raise ValueError("the curve of its response has no points")
+    check_room(place, curve.bytes)
+    levels, light = curve.read().astype(np.float64)
+    rising = (np.diff(levels) > 0).all() and (np.diff(light) >= 0).all()
+    ends = (levels[0] >= 0, levels[-1] <= 1, light[0] >= 0, light[-1] <= 1)
+    # Written so that NaN is refused too.
+    if not (rising and all(ends)):
+        raise ValueError("the curve of its response does not rise from 0 to 1")
+    return Response(levels, light, name)
+
+
+def _patterns(place: Path, attributes: Mapping[str, Any], count: int) -> PatternSet:
+    said = attributes.get("patterns")
+    description = said.get("description") if isinstance(said, dict) else None
+    if not isinstance(description, dict):
+        raise ValueError("its patterns are not described")
+    shape = attributes["projector_shape"]
+    if not (isinstance(shape, list) and len(shape) == 2):
+        raise ValueError("its projector has no shape")
+    rows, cols = (int(n) for n in shape)
+    check_size(place, (rows, cols))
+    if (place / LEVELS).exists():
+        levels = _array(place, LEVELS, (count, rows, cols), "f")
+        assert levels is not None
+        return ImagePatterns(levels)
+    bits = _array(place, BITS, (count, (rows * cols + 7) // 8), "u")
+    if bits is None or bits.dtype != np.uint8:
+        raise ValueError("its patterns are missing")
+    if rows * cols % 8 and (bits[:, -1] >> (rows * cols % 8)).any():
+        raise ValueError("its patterns have bits beyond their last pixel")
+    shown = BitPatterns((rows, cols), bits)
+    if description.get("count", count) != count or description.get("shape") != shape:
+        raise ValueError("the description of its patterns is of others")
+    # The fast operator they were made by, if it still makes the very same.
+    made = from_description(description)
+    if made is None or made.count != count or made.shape != (rows, cols):
+        return shown
+    again = made.packed_bits()
+    return made if again is not None and np.array_equal(again, bits) else shown
+
+
+def _array(place: Path, name: str, shape: tuple[int, ...], kinds: str) -> NDArray[Any] | None:
+    """A small array, read whole; None if there is none."""
+    if not (place / name).exists():
+        return None
+    array = StoredArray.open(place / name)
+    if array.shape != shape or array.dtype.kind not in kinds:
+        raise ValueError(f"its {name} is {array.dtype} of shape {array.shape}")
+    check_room(place, array.bytes)
+    values = array.read()
+    if array.dtype.kind == "f" and not np.isfinite(values).all():
+        raise ValueError(f"its {name} is not finite")
+    return values
+
+
+def _within(outer: slice, inner: slice) -> slice:
+    return slice(outer.start + inner.start, outer.start + inner.stop)

@@ -1,0 +1,293 @@
+"""Arrays of Zarr v3 as we store them, and no others: written in chunks, read as far as asked.
+
+A codec may be anything, up to a program, so only what `create_array` writes is read back: bytes,
+Blosc, a checksum. Chunks are looked at before they are decoded, and a damaged one is named.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import os
+import struct
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import zarr
+from numpy.typing import NDArray
+from zarr.codecs import BloscCodec, Crc32cCodec
+
+from lightmatrix.errors import InputError
+from lightmatrix.files.headers import parse_json
+from lightmatrix.files.reading import read_text, regular_file
+
+HEADER = "zarr.json"
+# Values of a chunk where nothing speaks for another number.
+CHUNK = 1 << 20
+_CODECS = ("bytes", "blosc", "crc32c")
+_KEYS = {"name": "default", "configuration": {"separator": "/"}}
+# The header of a Blosc chunk: version, flags, sizes; the first of these is that of its content.
+_BLOSC = struct.Struct("<4xIII")
+
+
+def create_array(
+    group: zarr.Group, name: str, shape: tuple[int, ...], dtype: Any, chunks: tuple[int, ...]
+) -> zarr.Array[Any]:
+    """Begin an array, to be filled chunk by chunk.
+
+    Parameters
+    ----------
+    group : zarr.Group
+        Of Zarr v3, which it becomes a member of.
+    name : str
+    shape, chunks : tuple of int
+        Of one length; chunks of at least 1.
+    dtype : numpy.dtype
+        Truth values, integers or floats.
+    """
+    return group.create_array(
+        name,
+        shape=shape,
+        chunks=chunks,
+        dtype=dtype,
+        # The checksum because Blosc may take a truncated chunk for a whole one.
+        compressors=[BloscCodec(cname="zstd", clevel=5, shuffle="shuffle"), Crc32cCodec()],
+        # Chunks of zeros are written too, so that a missing chunk is known to be missing.
+        config={"write_empty_chunks": True},
+    )
+
+
+def write_array(group: zarr.Group, name: str, values: NDArray[Any]) -> None:
+    """Write an array in chunks of whole rows, about a million values each."""
+    width = int(np.prod(values.shape[1:]))
+    rows = max(1, min(len(values), CHUNK // max(1, width)))
+    chunks = (rows, *values.shape[1:])
+    create_array(group, name, values.shape, values.dtype, chunks)[...] = values
+
+
+class GrowingArray:
+    """An array that is written from its beginning to an end that is not known yet.
+
+    Chunks go to the disk as they fill, so that no more than about one is in memory. An array of
+    less than a chunk gets one of its own size.
+
+    Parameters
+    ----------
+    group : zarr.Group
+    name : str
+    dtype : numpy.dtype
+        What the values are stored as.
+    chunk : int, optional
+        Values of a chunk; None for as many as usual.
+    """
+
+    def __init__(self, group: zarr.Group, name: str, dtype: Any, chunk: int | None = None) -> None:
+        self._group, self._name, self._dtype = group, name, np.dtype(dtype)
+        self._chunk = chunk
+        self._waiting: list[NDArray[Any]] = []
+        self._array: zarr.Array[Any] | None = None
+
+    def add(self, values: NDArray[Any]) -> None:
+        """Put values behind those that are there, along the first axis."""
+        self._waiting.append(np.asarray(values, self._dtype))
+        chunk = max(1, (self._chunk or CHUNK) // max(1, int(np.prod(values.shape[1:]))))
+        if sum(map(len, self._waiting)) >= chunk:
+            self._write(chunk, last=False)
+
+    def close(self) -> None:
+        """Write what is left; something must have been added, if only an empty array."""
+        self._write(max(1, sum(map(len, self._waiting))), last=True)
+
+    def _write(self, chunk: int, *, last: bool) -> None:
+        values = np.concatenate(self._waiting)
+        if self._array is None:
+            shape = (0, *values.shape[1:])
+            chunks = (chunk, *(max(1, n) for n in values.shape[1:]))
+            self._array = create_array(self._group, self._name, shape, self._dtype, chunks)
+        ready = len(values) if last else len(values) // chunk * chunk
+        done = self._array.shape[0]
+        self._array.resize((done + ready, *values.shape[1:]))
+        if ready:
+            self._array[done : done + ready] = values[:ready]
+        self._waiting = [values[ready:]]
+
+
+def read_metadata(place: Path) -> dict[str, Any]:
+    """The metadata of a group or array of Zarr version 3.
+
+    Raises
+    ------
+    InputError, ValueError
+        If it cannot be read or is of another kind.
+    """
+    file = place / HEADER
+    content = parse_json(read_text(file), str(file), finite=False)
+    if not isinstance(content, dict) or content.get("zarr_format") != 3:
+        raise ValueError(f"{file} is no metadata of Zarr 3")
+    return content
+
+
+def read_attributes(place: Path) -> dict[str, Any]:
+    """The attributes of a group; empty if nothing that could be read as one is there."""
+    if not place.is_dir() or not os.path.lexists(place / HEADER):
+        return {}
+    try:
+        attributes = read_metadata(place).get("attributes")
+    except (InputError, ValueError):
+        return {}
+    return attributes if isinstance(attributes, dict) else {}
+
+
+@contextmanager
+def damage_explained(place: Path, hint: str) -> Iterator[None]:
+    """Whatever goes wrong within is damage of a folder, said with what to do.
+
+    Raises
+    ------
+    InputError
+        Naming the folder, and what is wrong in it.
+    """
+    try:
+        yield
+    except MemoryError:
+        raise
+    # The codecs raise nearly anything on damaged chunks.
+    except Exception as error:
+        if "can't start new thread" in str(error):
+            raise MemoryError(str(error)) from error
+        words = " ".join(str(getattr(error, "message", error)).split())[:120]
+        raise InputError(
+            f"{place}: is damaged ({type(error).__name__}: {words})", hint=hint
+        ) from error
+
+
+@dataclass(frozen=True, eq=False)
+class StoredArray:
+    """An array on disk, of which only what is asked for is read.
+
+    Made by `open`, which reads no values.
+
+    Parameters
+    ----------
+    place : Path
+        Its folder.
+    shape, chunks : tuple of int
+    dtype : numpy.dtype
+    array : zarr.Array
+    """
+
+    place: Path
+    shape: tuple[int, ...]
+    chunks: tuple[int, ...]
+    dtype: np.dtype[Any]
+    array: zarr.Array[Any]
+
+    @classmethod
+    def open(cls, place: Path, most_chunk: int = CHUNK) -> StoredArray:
+        """Look at what an array announces.
+
+        Parameters
+        ----------
+        place : Path
+            Its folder.
+        most_chunk : int
+            Values that one chunk may hold, even if the array has fewer.
+
+        Raises
+        ------
+        ValueError
+            On codecs, types or chunks that we do not write.
+        """
+        shape, chunks, dtype = _checked_header(place, read_metadata(place), most_chunk)
+        # Nothing but version 3: through others, other codecs come in.
+        array = zarr.open_array(place, mode="r", zarr_format=3)
+        if (array.shape, array.dtype) != (shape, dtype):
+            raise ValueError(f"{place.name} is not an array")
+        return cls(place, shape, chunks, dtype, array)
+
+    @property
+    def bytes(self) -> int:
+        """Of all its values."""
+        return math.prod(self.shape) * self.dtype.itemsize
+
+    def read(self, *where: slice) -> NDArray[Any]:
+        """The values of a box; axes that are not named are read whole.
+
+        Raises
+        ------
+        ValueError
+            Naming a chunk that is missing or damaged.
+        """
+        asked = (*where, *(slice(None) for _ in self.shape[len(where) :]))
+        spans = [
+            slice(*part.indices(size)[:2]) for part, size in zip(asked, self.shape, strict=True)
+        ]
+        grid = [
+            range(span.start // chunk, -(-span.stop // chunk)) if span.stop > span.start else []
+            for span, chunk in zip(spans, self.chunks, strict=True)
+        ]
+        for index in itertools.product(*grid):
+            self._check_chunk(index)
+        try:
+            return np.asarray(self.array[tuple(spans)])
+        except MemoryError:
+            raise
+        except Exception as error:
+            if "can't start new thread" in str(error):
+                raise
+            for index in itertools.product(*grid):
+                self._decode(index)
+            raise ValueError(f"{self.place.name} cannot be read ({error})") from error
+
+    def chunk_file(self, index: tuple[int, ...]) -> Path:
+        """The file of a chunk."""
+        return self.place.joinpath("c", *map(str, index))
+
+    def _check_chunk(self, index: tuple[int, ...]) -> None:
+        """Whether a chunk is a regular file that announces no more than its place in the array."""
+        most = math.prod(self.chunks) * self.dtype.itemsize
+        file = self.chunk_file(index)
+        # One that is missing would be read as zeros.
+        if not os.path.lexists(file):
+            raise ValueError(f"the chunk {self._named(index)} is missing")
+        with regular_file(file).open("rb") as stream:
+            header = stream.read(_BLOSC.size)
+        if len(header) < _BLOSC.size or _BLOSC.unpack(header)[0] > most:
+            raise ValueError(f"the chunk {self._named(index)} is not what the array needs")
+
+    def _decode(self, index: tuple[int, ...]) -> None:
+        cuts = zip(index, self.chunks, strict=True)
+        try:
+            self.array[tuple(slice(i * chunk, (i + 1) * chunk) for i, chunk in cuts)]
+        except Exception as error:
+            words = " ".join(str(error).split())[:80]
+            raise ValueError(f"the chunk {self._named(index)}: {words}") from error
+
+    def _named(self, index: tuple[int, ...]) -> str:
+        return str(self.chunk_file(index).relative_to(self.place.parent))
+
+
+def _checked_header(
+    place: Path, metadata: Mapping[str, Any], most_chunk: int
+) -> tuple[tuple[int, ...], tuple[int, ...], np.dtype[Any]]:
+    try:
+        codecs = tuple(codec["name"] for codec in metadata["codecs"])
+        chunks = tuple(metadata["chunk_grid"]["configuration"]["chunk_shape"])
+        shape, dtype = tuple(metadata["shape"]), np.dtype(metadata["data_type"])
+        keys = metadata["chunk_key_encoding"]
+    except (KeyError, TypeError, AttributeError) as error:
+        raise ValueError(f"{place.name} is not an array ({error})") from error
+    ours = codecs == _CODECS and keys == _KEYS and dtype.kind in "bfiu"
+    if not ours or metadata.get("storage_transformers"):
+        raise ValueError(f"{place.name} is stored in a way of others")
+    whole = all(type(n) is int and n >= 0 for n in (*shape, *chunks))
+    if not whole or len(chunks) != len(shape) or min(chunks, default=1) < 1:
+        raise ValueError(f"{place.name} has a shape that no array has")
+    # Of one chunk no more than the array itself, or what we put into one.
+    if math.prod(chunks) > max(most_chunk, math.prod(shape)):
+        raise ValueError(f"{place.name} has chunks of {math.prod(chunks)} values")
+    return shape, chunks, dtype

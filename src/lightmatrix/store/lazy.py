@@ -1,0 +1,317 @@
+"""Matrices that stay on disk: rows, columns, relighting and regions without loading the whole."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+
+from lightmatrix.errors import InputError
+from lightmatrix.files.memory import check_room
+from lightmatrix.files.zarr_arrays import StoredArray, damage_explained
+from lightmatrix.store.checked import (
+    check_indptr,
+    checked_diagnostics,
+    checked_matrix,
+    finite,
+)
+from lightmatrix.store.zarr_file import RESTORE, Stored, diagnostics_of, look
+from lightmatrix.transport.matrix import LightTransport, as_light, cell_means
+from lightmatrix.transport.sparse_rows import SparseRows
+
+# Entries of T that are worked on together: eight chunks, which keeps those small that are read
+# twice since a block ends within them.
+_BLOCK_ENTRIES = 1 << 23
+# Blocks are kept once they were read, up to so many bytes.
+KEPT = 1 << 30
+
+
+@dataclass(frozen=True, eq=False)
+class StoredTransport:
+    """A light transport matrix on disk, of which as much is read as is asked for.
+
+    Made by `open`. Blocks of rows that were read are kept, up to a gigabyte, so that a matrix that
+    fits is decompressed once.
+
+    Parameters
+    ----------
+    stored : Stored
+        What the store announces.
+    memory : int
+        Bytes of blocks that are kept.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> lm.save("lazy.zarr", lm.truth("metal").transport())
+    >>> stored = lm.StoredTransport.open("lazy.zarr")
+    >>> stored.relight(np.ones(stored.projector_shape)).shape, stored.row(20, 30).shape
+    ((64, 64), (64, 64))
+    >>> stored.region(slice(8, 16), slice(0, 64))
+    LightTransport(camera 8 x 64, projector 64 x 64, 214586 entries, metal)
+    """
+
+    stored: Stored
+    memory: int = KEPT
+    _kept: dict[int, SparseRows] = field(default_factory=dict, repr=False)
+
+    def __repr__(self) -> str:
+        camera, projector = (
+            " x ".join(map(str, shape)) for shape in (self.camera_shape, self.projector_shape)
+        )
+        return (
+            f"StoredTransport({self.stored.place}, camera {camera}, projector {projector}, "
+            f"{self.entries} entries)"
+        )
+
+    @classmethod
+    def open(cls, path: str | Path, *, memory: int = KEPT) -> Self:
+        """Open a store, reading no more than where its rows begin.
+
+        Parameters
+        ----------
+        path : str or Path
+            A .zarr folder from `estimate` or `save`.
+        memory : int
+            Bytes of blocks that are kept once they were read.
+
+        Raises
+        ------
+        InputError
+            If there is none, it is incomplete, damaged, or of a later format version. What is read
+            later is checked when it is read, and damage named by its chunk.
+        """
+        found = cls(look(path), memory)
+        # Damage of it is said at once.
+        check_room(found.stored.place, found.stored.arrays["indptr"].bytes)
+        assert len(found._indptr) > 0
+        return found
+
+    # ---- what it is
+
+    @property
+    def camera_shape(self) -> tuple[int, ...]:
+        """(rows, cols) or (rows, cols, channels)."""
+        return self.stored.camera_shape
+
+    @property
+    def projector_shape(self) -> tuple[int, int]:
+        """(rows, cols)."""
+        return self.stored.projector_shape
+
+    @property
+    def background_grid(self) -> tuple[int, int]:
+        """Rows and columns of the background's grid."""
+        return self.stored.background_grid
+
+    @property
+    def provenance(self) -> Mapping[str, Any]:
+        """What made it."""
+        return self.stored.provenance
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Camera samples and projector pixels (M, N)."""
+        return self.stored.shape
+
+    @property
+    def entries(self) -> int:
+        """Entries of the sparse part."""
+        return int(self._indptr[-1])
+
+    @cached_property
+    def pooling(self) -> csr_array:
+        """The operator m: mean over each cell of the background grid, (B, N)."""
+        return cell_means(self.projector_shape, self.background_grid)
+
+    # ---- parts of it
+
+    def rows(self, start: int, stop: int) -> SparseRows:
+        """Some rows of T, read from their chunks alone.
+
+        Parameters
+        ----------
+        start, stop : int
+            Camera samples, 0 <= start <= stop <= M.
+
+        Returns
+        -------
+        SparseRows
+            Their coefficients, background and diagnostics.
+
+        Raises
+        ------
+        InputError
+            Naming a chunk that is damaged.
+        """
+        if not 0 <= start <= stop <= self.shape[0]:
+            raise InputError(
+                f"rows {start} to {stop} of a matrix of {self.shape[0]}", hint="ask for its rows"
+            )
+        told: dict[str, StoredArray] = diagnostics_of(self.stored.arrays)
+        with damage_explained(self.stored.place, RESTORE):
+            read = {name: array.read(slice(start, stop)) for name, array in told.items()}
+            diagnostics = checked_diagnostics(read, stop - start)
+        return replace(self._rows(start, stop), diagnostics=diagnostics)
+
+    def _rows(self, start: int, stop: int) -> SparseRows:
+        """Rows without their diagnostics, which light needs not."""
+        arrays = self.stored.arrays
+        ends = self._indptr[start : stop + 1]
+        entries, part = slice(int(ends[0]), int(ends[-1])), slice(start, stop)
+        with damage_explained(self.stored.place, RESTORE):
+            matrix = checked_matrix(
+                arrays["data"].read(entries),
+                arrays["indices"].read(entries),
+                ends - ends[0],
+                (stop - start, self.shape[1]),
+            )
+            return SparseRows(matrix, finite(arrays["background"].read(part), "background"))
+
+    def blocks(self) -> Iterator[tuple[int, SparseRows]]:
+        """All rows in blocks of bounded size, without diagnostics: (first row, rows)."""
+        for start, stop in zip(self._cuts[:-1], self._cuts[1:], strict=True):
+            yield int(start), self._block(int(start), int(stop))
+
+    def region(self, rows: slice, cols: slice) -> LightTransport:
+        """A rectangle of the camera's pixels as a matrix in memory.
+
+        Parameters
+        ----------
+        rows, cols : slice
+            With start and stop within the camera and without step.
+
+        Raises
+        ------
+        InputError
+            If it is empty or leaves the camera.
+        """
+        height, width, *channels = self.camera_shape
+        for part, size in ((rows, height), (cols, width)):
+            if part.step not in (None, 1) or not 0 <= part.start < part.stop <= size:
+                raise InputError(
+                    f"a region of {rows.start}:{rows.stop}, {cols.start}:{cols.stop} of a camera "
+                    f"of {height} x {width}",
+                    hint="name rows and columns that it has",
+                )
+        depth = math.prod(channels)
+        lines = [
+            self.rows((r * width + cols.start) * depth, (r * width + cols.stop) * depth)
+            for r in range(rows.start, rows.stop)
+        ]
+        found = SparseRows.joined(lines)
+        return LightTransport(
+            found.coefficients,
+            found.background,
+            (rows.stop - rows.start, cols.stop - cols.start, *channels),
+            self.projector_shape,
+            self.background_grid,
+            found.diagnostics,
+            self.provenance,
+        )
+
+    def load(self) -> LightTransport:
+        """All of it in memory, as `open` of the door gives it."""
+        arrays = self.stored.arrays
+        check_room(self.stored.place, sum(array.bytes for array in arrays.values()))
+        found = self.rows(0, self.shape[0])
+        return LightTransport(
+            found.coefficients,
+            found.background,
+            self.camera_shape,
+            self.projector_shape,
+            self.background_grid,
+            found.diagnostics,
+            self.provenance,
+        )
+
+    # ---- what is done with it, as with `LightTransport`
+
+    def relight(self, patterns: NDArray[Any]) -> NDArray[np.float32]:
+        """Camera images under patterns; see `LightTransport.relight`."""
+        stack = as_light(patterns, self.projector_shape)
+        lit = stack.reshape(-1, self.shape[1]).T
+        pooled = self.pooling @ lit
+        images = np.empty((lit.shape[1], self.shape[0]), np.float32)
+        for start, block in self.blocks():
+            light = block.coefficients @ lit + block.background @ pooled
+            images[:, start : start + block.count] = light.T
+        images = images.reshape(-1, *self.camera_shape)
+        return images if stack.ndim == 3 else images[0]
+
+    def dual(self, lights: NDArray[Any]) -> NDArray[np.float32]:
+        """The scene seen from the projector; see `LightTransport.dual`."""
+        light = np.asarray(lights, np.float32)
+        if light.shape != self.camera_shape:
+            raise InputError(
+                f"camera lights of shape {light.shape}", hint=f"give shape {self.camera_shape}"
+            )
+        flat = light.ravel()
+        image = np.zeros(self.shape[1])
+        diffuse = np.zeros(math.prod(self.background_grid))
+        for start, block in self.blocks():
+            part = flat[start : start + block.count]
+            image += block.coefficients.T @ part
+            diffuse += block.background.T @ part
+        image += self.pooling.T @ diffuse
+        return image.astype(np.float32).reshape(self.projector_shape)
+
+    def row(self, *camera_index: int) -> NDArray[np.float32]:
+        """How each projector pixel reaches one camera sample, as a projector image."""
+        index = int(np.ravel_multi_index(camera_index, self.camera_shape))
+        found = self._rows(index, index + 1)
+        values = found.coefficients.toarray() + found.background @ self.pooling
+        return np.asarray(values, np.float32).reshape(self.projector_shape)
+
+    def column(self, row: int, col: int) -> NDArray[np.float32]:
+        """The camera image when one projector pixel is lit."""
+        index = int(np.ravel_multi_index((row, col), self.projector_shape))
+        return self.dense_columns(np.array([index]))[:, 0].reshape(self.camera_shape)
+
+    def dense_columns(self, index: NDArray[np.integer]) -> NDArray[np.float32]:
+        """Chosen columns of T, background included: (M, len(index)) float32."""
+        pooled = self.pooling[:, index].toarray()
+        found = np.empty((self.shape[0], len(index)), np.float32)
+        for start, block in self.blocks():
+            values = block.coefficients[:, index].toarray() + block.background @ pooled
+            found[start : start + block.count] = values
+        return found
+
+    # ---- how it is read
+
+    @cached_property
+    def _indptr(self) -> NDArray[np.int64]:
+        with damage_explained(self.stored.place, RESTORE):
+            indptr = self.stored.arrays["indptr"].read()
+            check_indptr(indptr, self.stored.arrays["data"].shape[0])
+        return indptr.astype(np.int64)
+
+    @cached_property
+    def _cuts(self) -> NDArray[np.int64]:
+        """First rows of the blocks, and M."""
+        parts = max(1, -(-self.entries // _BLOCK_ENTRIES))
+        inner = np.linspace(0, self.entries, parts + 1)[1:-1]
+        return np.unique([0, *np.searchsorted(self._indptr, inner), self.shape[0]])
+
+    def _block(self, start: int, stop: int) -> SparseRows:
+        kept = self._kept.get(start)
+        if kept is not None:
+            return kept
+        found = self._rows(start, stop)
+        # The first ones stay: what is gone through in order would push out what comes next.
+        if sum(map(_bytes, self._kept.values())) + _bytes(found) <= self.memory:
+            self._kept[start] = found
+        return found
+
+
+def _bytes(rows: SparseRows) -> int:
+    matrix = rows.coefficients
+    parts = (matrix.data, matrix.indices, matrix.indptr, rows.background)
+    return sum(part.nbytes for part in parts)

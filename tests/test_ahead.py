@@ -1,0 +1,43 @@
+"""Reading ahead keeps the order, holds little, and fails in its turn."""
+
+from __future__ import annotations
+
+import threading
+
+import pytest
+
+from lightmatrix.files.ahead import read_ahead
+
+
+@pytest.mark.parametrize("threads", [1, 2, 5, None])
+def test_results_come_in_order(threads: int | None) -> None:
+    assert list(read_ahead(lambda k: k * k, range(40), threads)) == [k * k for k in range(40)]
+    assert list(read_ahead(lambda k: k, [], threads)) == []
+
+
+def test_no_more_is_read_than_is_soon_wanted() -> None:
+    read: list[int] = []
+    guard = threading.Lock()
+
+    def one(k: int) -> int:
+        with guard:
+            read.append(k)
+        return k
+
+    results = read_ahead(one, range(1000), 3)
+    assert [next(results) for _ in range(5)] == [0, 1, 2, 3, 4]
+    results.close()  # type: ignore[attr-defined]
+    assert len(read) <= 5 + 2 * 3
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+def test_an_error_is_raised_in_its_turn(threads: int) -> None:
+    def one(k: int) -> int:
+        if k in (4, 6):
+            raise ValueError(f"{k} is damaged")
+        return k
+
+    results = read_ahead(one, range(9), threads)
+    assert [next(results) for _ in range(4)] == [0, 1, 2, 3]
+    with pytest.raises(ValueError, match="4 is damaged"):
+        next(results)
