@@ -22,7 +22,7 @@ $(VENV)/.installed: $(BIN)/python $(CORE)
 	@touch $@
 
 $(VENV)/.test-installed: $(VENV)/.installed
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev,render,docs]'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev,render,docs,response,exr,raw]'
 	for extra in window aravis gentl video dslr; do \
 	  $(BIN)/python tools/requirements.py $$extra | \
 	    $(BIN)/python -m pip install --quiet --disable-pip-version-check -r /dev/stdin || \

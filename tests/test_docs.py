@@ -100,13 +100,14 @@ def test_what_a_page_says_to_type_works(
 
 
 def _in_colour(capture: lm.SimulatedCapture) -> None:
-    """Photographs of three channels, in place of the grey ones, and a matrix of each."""
+    """Photographs of three channels, in place of the grey ones, and a matrix of each primary."""
     lm.write_patterns("patterns", capture.patterns)
     for k in range(capture.count):
         frame = capture.frame(k)
         shown = np.stack([frame, frame // 2, frame // 3], axis=-1)
         lm.write_image(f"photos/photo_{k:03d}.png", shown)
-    for colour in ("red", "green", "blue"):
-        lm.save(f"{colour}.zarr", lm.open("scene.zarr"))
     colourful = lm.Capture.from_folders("patterns", "photos")
-    lm.estimate(colourful, coherent=False, output="scene.zarr", overwrite=True)
+    found = lm.estimate(colourful, coherent=False, output="scene.zarr", overwrite=True)
+    for colour in ("red", "green", "blue"):
+        lm.save(f"{colour}.zarr", found)
+    lm.write_image("picture.png", np.random.default_rng(0).random((32, 32, 3)))

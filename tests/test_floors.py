@@ -24,12 +24,13 @@ FLOORS = [
     {"camera", "transport"},
     {"capture", "solvers", "store"},
     {"rig", "estimators", "pictures", "checking"},
-    {"planning", "report"},
+    {"planning", "report", "responses"},
     {"experiments", "live"},
     {"cli"},
 ]
 # Extras are imported inside the functions that need them, and nowhere else.
 EXTRAS = {"mitsuba", "drjit", "glfw", "moderngl", "gi", "harvesters", "genicam", "av", "gphoto2"}
+EXTRAS |= {"cv2", "OpenEXR", "rawpy"}
 # The compiled core stands in the table by its crates.
 CORE = "_core"
 # Loads all else within the `try` that waits for a Ctrl-C.

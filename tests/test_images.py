@@ -161,7 +161,7 @@ def truncated(path: Path, share: float = 0.6) -> None:
 BAD_FILES = {
     "missing.png": "no such file",
     "folder.png": "is a folder, not an image file",
-    "raw.cr2": "files ending in .cr2 are not read",
+    "raw.x3f": "files ending in .x3f are not read",
     "empty.png": "is empty",
     "text.png": "cannot be read as an image",
     "half.png": "damaged or truncated",
@@ -181,7 +181,7 @@ BAD_FILES = {
 def bad_files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("bad")
     (folder / "folder.png").mkdir()
-    (folder / "raw.cr2").write_bytes(b"raw")
+    (folder / "raw.x3f").write_bytes(b"raw")
     (folder / "empty.png").touch()
     (folder / "text.png").write_text("not an image")
     image = noise((40, 50), np.uint8)

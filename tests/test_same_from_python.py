@@ -242,8 +242,10 @@ def test_show(
     _same_files(tmp_path / "shown", tmp_path / "made")
 
 
-@pytest.mark.parametrize("name", ["out.png", "out.PNG", "out.npy", "out.tiff"])
+@pytest.mark.parametrize("name", ["out.png", "out.PNG", "out.npy", "out.tiff", "out.exr"])
 def test_relight(name: str, work: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    if name.endswith("exr"):
+        pytest.importorskip("OpenEXR")
     pattern = work / "patterns" / "pattern_0003.png"
     gamma = 2.2 if name.lower().endswith("png") else 1.0
     (tmp_path / "shown").mkdir()
@@ -385,10 +387,34 @@ def test_rig(part: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> N
     }  # fmt: skip
 
 
+@pytest.mark.parametrize("device", ["camera", "projector"])
+def test_response(device: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    if device == "camera":
+        pytest.importorskip("cv2")
+    light = np.geomspace(0.002, 1, 4000).reshape(50, 80)
+    times = [0.125, 0.25, 0.5, 1, 2, 4] if device == "camera" else np.linspace(0, 1, 6) ** 2
+    levels = np.array([np.rint(200 * np.clip(time * light, 0, 1)) for time in times])
+    np.save(tmp_path / "s.npy", levels.astype(np.uint8))
+    for name in ("shown", "made"):
+        (tmp_path / name).mkdir()
+    said = "--exposure 0.125,0.25,0.5,1,2,4 --clip 200" if device == "camera" else "--projector"
+    made, shown = tmp_path / "made", tmp_path / "shown"
+    line = f"response {tmp_path}/s.npy {said} -o {shown}/c.json --picture {shown}/c.png"
+    told = _run(line, capsys)
+    files: dict[str, Any] = {"output": made / "c.json", "picture": made / "c.png"}
+    if device == "camera":
+        found = lm.camera_response(tmp_path / "s.npy", np.array(times), clip=200, **files)
+        assert told["misfit"] == found.as_dict()["misfit"]
+    else:
+        assert told["gamma"] == lm.projector_response(tmp_path / "s.npy", **files).gamma
+    _same_files(shown, made)
+
+
 def test_every_command_is_held_to_its_function() -> None:
     commands = {command.__name__ for members in STAGES.values() for command in members}
     # The folders of these names are not in the way of the functions take_capture and make_patterns.
-    named_otherwise = {"info", "patterns", "capture"}
+    # One command for cameras and projectors, which are two functions.
+    named_otherwise = {"info", "patterns", "capture", "response"}
     assert commands == {name for name in dir(lm) if name in commands} | named_otherwise
 
 

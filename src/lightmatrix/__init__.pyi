@@ -73,6 +73,14 @@ from .live.rig import Rig as Rig
 from .checking.finding import Finding as Finding
 from .checking.folders import check as check
 
+# Responses, measured from photographs.
+from .patterns.response import ProjectorResponse as ProjectorResponse
+from .responses.camera import (
+    CameraResponse as CameraResponse,
+    camera_response as camera_response,
+)
+from .responses.projector import projector_response as projector_response
+
 # Estimates.
 from .estimators.auto import (
     AutoEstimator as AutoEstimator,

@@ -15,10 +15,10 @@ from lightmatrix.live.calibration.exposure import ExposureAdvice
 from lightmatrix.live.calibration.flicker import Flicker
 from lightmatrix.live.calibration.keeping import Calibration
 from lightmatrix.live.calibration.linearity import CameraLinearity
-from lightmatrix.live.calibration.response import ProjectorResponse
 from lightmatrix.live.calibration.settle import SettleTime
 from lightmatrix.live.projectors.folder import SHOWN
 from lightmatrix.live.rig import Rig
+from lightmatrix.patterns.response import ProjectorResponse
 
 _BLACK, _NOISE = 8.0, 1.2
 # Size of a JPEG file: virtual cameras look at it once.

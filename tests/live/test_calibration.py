@@ -11,8 +11,8 @@ import pytest
 
 import lightmatrix as lm
 from lightmatrix.live.calibration.keeping import PARTS, outdated
-from lightmatrix.live.calibration.response import ProjectorResponse
 from lightmatrix.live.rig import Rig
+from lightmatrix.patterns.response import ProjectorResponse
 
 _RIG = "virtual:procedural,size=12,real=0"
 

@@ -75,6 +75,15 @@ def _are_trusted(checks: dict[str, int], count: int = 32) -> None:
     assert sum(checks.values()) == count
 
 
+def test_a_measured_curve_goes_with_the_capture(tmp_path: Path) -> None:
+    curve = tmp_path / "curve.txt"
+    curve.write_text("0 0\n1 1\n")
+    with lm.open_rig("virtual:procedural,size=16,real=0") as rig:
+        lm.take_capture(tmp_path / "taken", rig, count=20, response=f"curve:{curve}")
+    curve.unlink()
+    assert lm.Capture.open(tmp_path / "taken").decoder.response.name == "curve:curve.txt"
+
+
 def test_a_capture_is_as_good_as_a_simulated_one() -> None:
     with lm.open_rig("virtual:procedural,size=24,real=0") as rig:
         capture = lm.take_capture("capture", rig)

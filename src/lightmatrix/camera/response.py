@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from lightmatrix.camera.levels import MOST_LEVEL
 from lightmatrix.errors import InputError
+from lightmatrix.files.curves import CurveFile
 from lightmatrix.files.npy import read_npy
 from lightmatrix.files.reading import read_text
 
@@ -18,6 +19,8 @@ from lightmatrix.files.reading import read_text
 _MOST_CURVE = 16 << 20
 # In whatever unit a curve counts its light; beyond it, numbers are slips of the pen.
 _MOST_LIGHT = 1e30
+_CURVES = (".json", ".txt", ".csv", ".npy")
+RESPONSES = "linear, gamma:2.2, srgb, or a curve's file"
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,10 +30,12 @@ class Response:
     Parameters
     ----------
     levels, light : (n,) float64
-        Matching points of the curve, both from 0 to 1, levels increasing, light not decreasing;
+        Matching points of the curve, from 0 to 1, levels increasing, light not decreasing;
         straight in between. None for the linear response.
     name : str
         As given to `parse`.
+    full_scale : float, optional
+        Raw level of level 1, where the response was measured of raw levels. None: of any camera.
 
     Examples
     --------
@@ -42,14 +47,16 @@ class Response:
     levels: NDArray[np.float64] | None = None
     light: NDArray[np.float64] | None = None
     name: str = "linear"
+    full_scale: float | None = None
 
     @classmethod
     def parse(cls, text: str, folder: Path = Path()) -> Response:
         """Read a response: ``linear``, ``gamma:2.2``, ``srgb`` or ``curve:FILE``.
 
-        A curve is a text file (or npy) of two columns, level and light, each from 0 to its own
-        maximum; or of one column, the light at equally spaced levels. A relative FILE is looked
-        for in `folder`.
+        A curve is what `lightmatrix response` measured (.json); or a text file (or npy) of two
+        columns, level and light, each from 0 to its own maximum; or of one column, the light at
+        equally spaced levels. A relative FILE is looked for in `folder`. Where it ends in .json,
+        .txt, .csv or .npy, ``curve:`` may be left out.
 
         Raises
         ------
@@ -73,16 +80,19 @@ class Response:
             if not 0.1 <= gamma <= 10:
                 raise InputError(f"a response of {text!r}", hint="write for example gamma:2.2")
             return cls(levels, levels**gamma, text)
-        if kind == "curve" and argument:
+        if named := curve_file(text):
+            file = folder / named
             try:
-                return cls(*_read_curve(folder / argument), text)
+                if file.suffix.lower() == ".json":
+                    told = CurveFile.load(file, "camera")
+                    top = float(told.levels[-1])
+                    return cls(told.levels / top, told.light, text, top)
+                return cls(*_read_curve(file), text)
             except InputError as error:
                 # Which file is meant is clear from what it was asked for.
                 message = f"the response curve {error.message}"
                 raise InputError(message, hint=error.hint) from error
-        raise InputError(
-            f"a response of {text!r}", hint="use linear, gamma:2.2, srgb or curve:FILE"
-        )
+        raise InputError(f"a response of {text!r}", hint=f"use {RESPONSES}")
 
     def linearise(self, share: NDArray[Any]) -> NDArray[np.float64]:
         """Light, as a share of its maximum, at levels given as a share of theirs."""
@@ -90,6 +100,27 @@ class Response:
         if self.levels is None or self.light is None:
             return share
         return np.interp(share, self.levels, self.light)
+
+    def of_full_scale(self, full_scale: float) -> Response:
+        """The same response where level 1 is to be another raw level, if it knows its own."""
+        if self.full_scale is None or self.full_scale == full_scale:
+            return self
+        if self.levels is None or self.light is None:
+            return self
+        levels = self.levels * (self.full_scale / full_scale)
+        inside = levels < 1
+        end = np.interp(1, levels, self.light)
+        light = np.append(self.light[inside], end) / end
+        return replace(
+            self, levels=np.append(levels[inside], 1), light=light, full_scale=full_scale
+        )
+
+
+def curve_file(text: str) -> str | None:
+    """The file that a response is read from, as it is written; None if from none."""
+    if text.startswith("curve:"):
+        return text.removeprefix("curve:") or None
+    return text if Path(text).suffix.lower() in _CURVES else None
 
 
 def _as_columns(values: Any) -> NDArray[np.float64]:

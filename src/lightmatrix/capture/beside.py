@@ -1,4 +1,4 @@
-"""What lies in a capture folder without being named: used or not, but never without a word."""
+"""What lies in a capture folder under a known name: used or not, but never without a word."""
 
 from __future__ import annotations
 
@@ -9,6 +9,35 @@ from pathlib import Path
 from lightmatrix.capture.description import NAME, Description
 from lightmatrix.errors import InputError, LightMatrixWarning
 from lightmatrix.files.images import READABLE
+from lightmatrix.files.pages import is_stack
+
+
+def find_images(place: Path, name: str) -> Path:
+    """The folder `name` of a capture, or the one file of all its images, such as images.tif.
+
+    Raises
+    ------
+    InputError
+        If there is neither, or more than one.
+    """
+    folder = place / name
+    found = [folder] if folder.is_dir() else []
+    found += [
+        entry
+        for entry in sorted(place.iterdir())
+        if entry.stem == name and is_stack(entry) and not entry.is_dir()
+    ]
+    if not found:
+        raise InputError(
+            f"{place}: has no folder {name}/",
+            hint="give a folder with patterns/ and images/ (or a stack of each, such as "
+            "images.tif), or --patterns and --images",
+        )
+    if len(found) > 1:
+        raise InputError(
+            f"{place}: holds {found[0].name} and {found[1].name}", hint="keep the one that is meant"
+        )
+    return found[0]
 
 
 def check_name(place: Path) -> None:

@@ -34,6 +34,7 @@ from lightmatrix.capture.reader import Reader
 from lightmatrix.errors import InputError
 from lightmatrix.patterns.grids import block_size
 from lightmatrix.patterns.pattern_set import PatternSet
+from lightmatrix.patterns.response import ProjectorResponse
 from lightmatrix.regions import Region
 from lightmatrix.reprs import html_table
 
@@ -122,9 +123,9 @@ class Capture:
         Parameters
         ----------
         folder : str or Path
-            Holds patterns/, images/ and, for anything but a linear camera of exposure 1 without
-            black level, capture.json. Or a .zarr that `pack` made of one, of which as much is read
-            as is asked for.
+            Holds patterns/, images/ (or a stack of each, such as images.tif) and, for anything but
+            a linear camera of exposure 1 without black level, capture.json. Or a .zarr that `pack`
+            made of one, of which as much is read as is asked for.
         crop : ((int, int), (int, int)), optional
             Corner and shape of a rectangle of the photographs, see `crop`. None: all of them.
         bin_projector, bin_camera : int or (int, int)
@@ -169,19 +170,22 @@ class Capture:
         full_scale: float | None = None,
         black_exposure: float | None = None,
         crop: Crop | None = None,
+        projector_response: str | Path | ProjectorResponse | None = None,
+        mosaic: bool = False,
         bin_projector: int | tuple[int, int] = 1,
         bin_camera: int | tuple[int, int] = 1,
         check: bool = True,
         check_order: bool = True,
     ) -> Capture:
-        """A capture from two plain folders of images, in natural order.
+        """A capture from two plain folders of images in natural order, or two stacks.
 
         Parameters
         ----------
         patterns : str, Path or PatternSet
-            Folder of the patterns as projected, or the set itself.
+            Folder of the patterns as projected; a TIFF of several pages, npy or npz file of
+            (K, rows, cols); or the set itself.
         images : str or Path
-            Folder of the camera's frames.
+            Folder of the camera's frames, or such a file, in colour of (K, rows, cols, 3).
         black : str, Path or float, optional
             Image under a black pattern, which is subtracted; or a number, as `black_level`.
         white : str or Path, optional
@@ -203,6 +207,11 @@ class Capture:
             Exposure of the black frame; None means that of the frames, which must then be one.
         crop : ((int, int), (int, int)), optional
             Corner and shape of a rectangle of the photographs, see `crop`. None: all of them.
+        projector_response : str, Path or ProjectorResponse, optional
+            The light of the patterns' grey values, if it is not proportional to them.
+        mosaic : bool
+            Whether raw camera files are taken as they are, each pixel a sample behind its colour of
+            the filter, not interpolated to three channels.
         bin_projector, bin_camera : int or (int, int)
             See `bin`.
         check, check_order : bool
@@ -225,6 +234,8 @@ class Capture:
             mask=mask,
             full_scale=full_scale,
             black_exposure=black_exposure,
+            projector_response=projector_response,
+            mosaic=mosaic,
         )
         capture = cls(parts.patterns, parts.frames, parts.decoder, parts.mask)
         return capture._finish(crop, bin_projector, bin_camera, check, check_order)

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.camera.levels import MOST_LEVEL
+from lightmatrix.camera.response import RESPONSES, curve_file
 from lightmatrix.errors import InputError
 from lightmatrix.files.headers import read_json
 from lightmatrix.files.reading import within
@@ -39,6 +40,10 @@ class Description:
     provenance : mapping
     silent_of : frozenset of str
         The keys that it does not have at all.
+    projector_response : Path, optional
+        File of a projector's response.
+    mosaic : bool
+        Whether raw camera files are not interpolated.
     """
 
     projector_shape: tuple[int, ...] | None = None
@@ -53,6 +58,8 @@ class Description:
     mask: Path | None = None
     provenance: Mapping[str, Any] = field(default_factory=dict)
     silent_of: frozenset[str] = frozenset()
+    projector_response: Path | None = None
+    mosaic: bool = False
 
 
 def read_description(file: Path, *, allow_outside: bool = False) -> Description:
@@ -94,9 +101,10 @@ def described(
             )
         return named
 
-    response = found.get("response", _text, "linear, gamma:2.2, srgb or curve:FILE")
-    if response is not None and response.startswith("curve:"):
-        path(response.removeprefix("curve:"))
+    response = found.get("response", _text, RESPONSES)
+    if response is not None:
+        path(curve_file(response))
+    projector = found.get("projector_response", _text, "the name of a projector's curve")
     exposure = found.get("exposure", _several(_above_0), "a number above 0, or one for each frame")
     return Description(
         found.get("projector_shape", _shape, "two whole numbers, such as [64, 64]"),
@@ -111,12 +119,14 @@ def described(
         path(found.get("mask", _text, "the name of an image")),
         found.get("provenance", _object, "an object; anything may stand in it") or {},
         KEYS - content.keys(),
+        path(projector),
+        bool(found.get("mosaic", _truth, "true or false")),
     )
 
 
 KEYS = frozenset(
     {"format", "version", "projector_shape", "camera_shape", "provenance", "mask", "black"}
-    | {"exposure", "clip", "black_level", "full_scale", "response"}
+    | {"exposure", "clip", "black_level", "full_scale", "response", "projector_response", "mosaic"}
 )
 _BLACK_KEYS = frozenset({"file", "exposure"})
 _NULL_IS_NONE = frozenset({"black", "mask", "provenance"})
@@ -196,6 +206,10 @@ def _shape(value: Any) -> tuple[int, ...] | None:
 
 def _text(value: Any) -> str | None:
     return value if isinstance(value, str) and value and "\0" not in value else None
+
+
+def _truth(value: Any) -> bool | None:
+    return value if isinstance(value, bool) else None
 
 
 def _object(value: Any) -> dict[str, Any] | None:

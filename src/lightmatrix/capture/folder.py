@@ -5,6 +5,8 @@ The folder holds::
     patterns/      one image a pattern, and patterns.json if they can be remade
     images/        one image a frame, in the same natural order
     capture.json   exposure, clip and black level, response, ... (all optional)
+
+In place of either folder there may be one file of all its images, such as images.tif.
 """
 
 from __future__ import annotations
@@ -12,7 +14,6 @@ from __future__ import annotations
 import json
 import os
 import shutil
-import warnings
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -21,25 +22,26 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.camera.decoder import Decoder
 from lightmatrix.camera.response import Response
 from lightmatrix.camera.sensor import Sensor
-from lightmatrix.capture.beside import check_name, with_files_beside
+from lightmatrix.capture.beside import check_name, find_images, with_files_beside
 from lightmatrix.capture.checks import check_per_frame
+from lightmatrix.capture.decoding import make_decoder, read_mask, stated_response
 from lightmatrix.capture.description import FORMAT, NAME, VERSION, Description, read_description
 from lightmatrix.capture.packed import FORMAT as PACKED_FORMAT
 from lightmatrix.capture.packed import is_packed, read_packed
 from lightmatrix.capture.parts import CaptureParts
-from lightmatrix.errors import InputError, LightMatrixWarning
+from lightmatrix.errors import InputError
 from lightmatrix.files.headers import said_in
-from lightmatrix.files.images import fill_image, read_image
-from lightmatrix.files.stack import ImageStack, nonlinear_tag
+from lightmatrix.files.images import fill_image
+from lightmatrix.files.stack import ImageStack
 from lightmatrix.files.zarr_arrays import read_attributes
 from lightmatrix.outputs.kinds import CAPTURE
 from lightmatrix.outputs.writing import atomic_folder
 from lightmatrix.patterns.bits import with_white
 from lightmatrix.patterns.folder import fill_pattern_folder, read_patterns
 from lightmatrix.patterns.pattern_set import PatternSet
+from lightmatrix.patterns.response import ProjectorResponse
 
 
 def holds_capture(place: Path) -> bool:
@@ -73,12 +75,7 @@ def read_capture(
         raise InputError(f"{place}: {problem}", hint="give a folder with patterns/ and images/")
     if is_packed(place):
         return read_packed(place)
-    for name in ("patterns", "images"):
-        if not (place / name).is_dir():
-            raise InputError(
-                f"{place}: has no folder {name}/",
-                hint="give a folder with patterns/ and images/, or --patterns and --images",
-            )
+    shown, taken = find_images(place, "patterns"), find_images(place, "images")
     file = place / NAME
     # A link that leads nowhere is a description that is missing, not none.
     described = os.path.lexists(file)
@@ -86,10 +83,10 @@ def read_capture(
         check_name(place)
     told = read_description(file, allow_outside=allow_outside) if described else Description()
     told = with_files_beside(place, told, described)
-    patterns = read_patterns(place / "patterns")
-    stack = ImageStack.open(place / "images")
+    patterns = _as_light(read_patterns(shown), told.projector_response)
+    stack = ImageStack.open(taken, mosaic=told.mosaic)
     if counted:
-        _check_counts(patterns, stack, place / "images")
+        _check_counts(patterns, stack, taken)
     for key, wanted, shape, what in (
         ("projector_shape", told.projector_shape, patterns.shape, "patterns"),
         ("camera_shape", told.camera_shape, stack.shape, "images"),
@@ -103,7 +100,7 @@ def read_capture(
         decoder = make_decoder(
             stack,
             clip=told.clip,
-            response=_response(told.response, stack, place),
+            response=stated_response(told.response, stack, place),
             exposure=told.exposure,
             black=told.black,
             black_level=told.black_level,
@@ -134,9 +131,11 @@ def read_folders(
     mask: str | Path | None = None,
     full_scale: float | None = None,
     black_exposure: float | None = None,
+    projector_response: str | Path | ProjectorResponse | None = None,
+    mosaic: bool = False,
     counted: bool = True,
 ) -> CaptureParts:
-    """Read two plain folders of images; the parameters are those of `Capture.from_folders`.
+    """Read two plain folders of images, or stacks; parameters as of `Capture.from_folders`.
 
     `counted` says whether patterns and frames must be of one number.
 
@@ -146,7 +145,8 @@ def read_folders(
         On numbers or sizes that differ, or files that cannot be read.
     """
     shown = patterns if isinstance(patterns, PatternSet) else read_patterns(patterns)
-    stack = ImageStack.open(images)
+    shown = _as_light(shown, projector_response)
+    stack = ImageStack.open(images, mosaic=mosaic)
     if counted:
         _check_counts(shown, stack, Path(images))
     if white is not None:
@@ -155,7 +155,7 @@ def read_folders(
     decoder = make_decoder(
         stack,
         clip=clip,
-        response=_response(response, stack, Path()),
+        response=stated_response(response, stack, Path()),
         exposure=exposure,
         black=black,
         black_level=black_level,
@@ -165,108 +165,6 @@ def read_folders(
     return CaptureParts(
         shown, stack, decoder, None if mask is None else read_mask(mask, stack.shape)
     )
-
-
-def make_decoder(
-    stack: ImageStack,
-    *,
-    clip: float | NDArray[Any] | None,
-    response: Response,
-    exposure: float | NDArray[Any],
-    black: str | Path | float | None,
-    black_level: float | NDArray[Any] | None = None,
-    black_exposure: float | None = None,
-    full_scale: float | None = None,
-) -> Decoder:
-    """The decoder of a stack, with its black frame read and its range filled in.
-
-    The black level, the camera's electronic pedestal, is 0 unless it is stated: a black frame holds
-    room light too, and must not change the unit of the samples.
-
-    Raises
-    ------
-    InputError
-        On a black frame of another size or bit depth, one that is clipped, or one of another
-        exposure than the frames where no black level is stated; on levels out of range.
-    """
-    top = 1.0 if stack.dtype.kind == "f" else float(np.iinfo(stack.dtype).max)
-    if full_scale is None:
-        full_scale = top
-    elif stack.dtype.kind == "u" and full_scale > top:
-        raise InputError(
-            f"a full scale of {full_scale:g} for images of {stack.dtype}",
-            hint=f"use a raw level of at most {top:g}",
-        )
-    assumed = clip is None
-    clip = full_scale if clip is None else clip
-    black_frame = None
-    if isinstance(black, (int, float)):
-        if black_level is not None:
-            raise InputError(
-                f"black levels of {black:g} and {black_level}", hint="give the black level once"
-            )
-        black_level = float(black)
-    elif black is not None:
-        image = read_image(black)
-        if image.ndim == 3 and stack.grey and (image == image[..., :1]).all():
-            image = image[..., 0]
-        if image.shape != stack.shape:
-            raise InputError(
-                f"{black}: the black frame has shape {image.shape}, the images {stack.shape}",
-                hint="take the black frame with the same camera settings",
-            )
-        # The mean of several black frames may be kept as float, in levels of the frames.
-        if image.dtype != stack.dtype and image.dtype.kind != "f":
-            raise InputError(
-                f"{black}: the black frame is {image.dtype}, the images {stack.dtype}",
-                hint="save it with the bit depth of the images",
-            )
-        black_frame = image.ravel()
-        if float(np.median(black_frame)) >= np.min(clip):
-            raise InputError(
-                f"{black}: the black frame is clipped",
-                hint="take it with the projector showing black",
-            )
-        if black_level is None and _differs(black_exposure, exposure):
-            raise InputError(
-                f"{black}: its light is to be scaled to other exposures, but not its pedestal, and "
-                "no black level is given",
-                hint='give "black_level" in capture.json, 0 for a camera without pedestal',
-            )
-    return Decoder(
-        clip,
-        full_scale,
-        0.0 if black_level is None else black_level,
-        response,
-        exposure,
-        black_frame,
-        black_exposure,
-        assumed,
-    )
-
-
-def _differs(black_exposure: float | None, exposure: float | NDArray[Any]) -> bool:
-    """Whether a black frame's exposure is another than that of some frame."""
-    return black_exposure is not None and bool((np.asarray(exposure) != black_exposure).any())
-
-
-def read_mask(mask: str | Path, shape: tuple[int, ...]) -> NDArray[np.bool_]:
-    """Which camera samples count: those where a mask image is not 0.
-
-    Raises
-    ------
-    InputError
-        If it cannot be read or is not as large as the images.
-    """
-    image = read_image(mask)
-    if image.ndim == 2 and len(shape) == 3 and image.shape == shape[:2]:
-        image = np.repeat(image[..., None], shape[2], axis=2)
-    if image.shape != shape:
-        raise InputError(
-            f"{mask}: the mask has shape {image.shape}, the images {shape}",
-            hint="make the mask as large as the images",
-        )
-    return np.asarray(image > 0)
 
 
 def write_capture(
@@ -389,17 +287,10 @@ def _check_counts(patterns: PatternSet, stack: ImageStack, images: Path) -> None
         )
 
 
-def _response(response: Response | str | None, stack: ImageStack, folder: Path) -> Response:
-    if isinstance(response, Response):
-        return response
-    if response is not None:
-        return Response.parse(str(response), folder)
-    tag = nonlinear_tag(stack.paths[0])
-    if tag is not None:
-        warnings.warn(
-            f"{stack.paths[0]}: {tag}, so probably not linear, but no response is given; "
-            "give one (srgb, gamma:2.2, ...), or linear if it is",
-            LightMatrixWarning,
-            stacklevel=2,
-        )
-    return Response()
+def _as_light(patterns: PatternSet, response: str | Path | ProjectorResponse | None) -> PatternSet:
+    """What the projector showed, where patterns are the grey values that it was given."""
+    if response is None:
+        return patterns
+    if not isinstance(response, ProjectorResponse):
+        response = ProjectorResponse.load(response)
+    return response.shown(patterns)

@@ -47,7 +47,8 @@ FRAMES, BITS, LEVELS, BLACK, MASK, CURVE = (
 )
 _AGAIN = "restore it, or pack the capture again"
 # What capture.json says too, each key held to the same kind and range.
-_TOLD = KEYS - {"format", "version", "black", "mask", "response"}
+_UNTOLD = {"format", "version", "black", "mask", "response", "projector_response", "mosaic"}
+_TOLD = KEYS - _UNTOLD
 _KEYS = _TOLD | {"format", "version", "output", "response", "names", "patterns"}
 _KEYS |= {"black_exposure", "clip_assumed"}
 

@@ -9,7 +9,7 @@ import numpy as np
 from lightmatrix.camera.response import Response
 from lightmatrix.camera.samples import Samples
 from lightmatrix.capture.checks import check_depth
-from lightmatrix.capture.folder import make_decoder
+from lightmatrix.capture.decoding import make_decoder
 from lightmatrix.errors import InputError
 from lightmatrix.files.stack import ImageStack
 

@@ -19,8 +19,10 @@ from lightmatrix.checking.identity import check_patterns
 from lightmatrix.checking.missing import check_counts
 from lightmatrix.checking.survey import Survey
 from lightmatrix.errors import InputError
+from lightmatrix.files.pages import Page
 from lightmatrix.files.stack import ImageStack
 from lightmatrix.patterns.pattern_set import PatternSet
+from lightmatrix.patterns.response import ProjectorResponse
 
 
 def check(
@@ -38,6 +40,8 @@ def check(
     full_scale: float | None = None,
     black_exposure: float | None = None,
     crop: Crop | None = None,
+    projector_response: str | Path | ProjectorResponse | None = None,
+    mosaic: bool = False,
 ) -> list[Finding]:
     """What is wrong with a capture, as `lightmatrix check` says it.
 
@@ -55,6 +59,8 @@ def check(
         See `Capture.from_folders`.
     crop : ((int, int), (int, int)), optional
         Corner and shape of the rectangle of the photographs that is looked at. None: all of them.
+    projector_response, mosaic : optional
+        See `Capture.from_folders`.
 
     Returns
     -------
@@ -99,6 +105,8 @@ def check(
             mask=mask,
             full_scale=full_scale,
             black_exposure=black_exposure,
+            projector_response=projector_response,
+            mosaic=mosaic,
             counted=False,
         ),
         crop,
@@ -120,7 +128,8 @@ def _check_parts(parts: CaptureParts, crop: Crop | None) -> list[Finding]:
 
 
 def _check_uncounted(parts: CaptureParts) -> list[Finding]:
-    decoder, images = parts.decoder, _paths(parts)
+    # A page's name numbers nothing that a file may be missing from.
+    decoder, images = parts.decoder, [Path(entry.name) for entry in _paths(parts)]
     survey = None
     # Of levels that differ from frame to frame, it is not known either which belong to which.
     if not any(np.ndim(getattr(decoder, key)) for key in ("clip", "black_level", "exposure")):
@@ -131,7 +140,7 @@ def _check_uncounted(parts: CaptureParts) -> list[Finding]:
     ]
 
 
-def _paths(parts: CaptureParts) -> tuple[Path, ...]:
+def _paths(parts: CaptureParts) -> tuple[Path | Page, ...]:
     """The files of the frames; none of those that lie packed."""
     return parts.frames.paths if isinstance(parts.frames, ImageStack) else ()
 

@@ -29,6 +29,7 @@ from lightmatrix.cli.patterns import patterns
 from lightmatrix.cli.plan import plan
 from lightmatrix.cli.relight import relight
 from lightmatrix.cli.render import render
+from lightmatrix.cli.response import response
 from lightmatrix.cli.rig import app as rig
 from lightmatrix.cli.scenes import scenes
 from lightmatrix.cli.show import show
@@ -41,7 +42,7 @@ COMPLETION = "_LIGHTMATRIX_COMPLETE"
 # By stage of the work.
 STAGES: dict[str, tuple[Callable[..., None], ...]] = {
     "Prepare": (plan, patterns),
-    "Photograph": (capture,),
+    "Photograph": (capture, response),
     "Measure and use": (check, pack, estimate, info, show, relight, evaluate, export),
     "Simulate": (scenes, render, simulate),
     "Show": (demo, experiment),

@@ -58,7 +58,7 @@ def capture(
         typer.Option(help="Seconds to wait after showing a pattern.", show_default="as measured"),
     ] = None,
     response: Annotated[
-        str, typer.Option(help="Response of the camera: linear, gamma:2.2 or srgb.")
+        str, typer.Option(help="Of the camera: linear, gamma:2.2, srgb, FILE.")
     ] = "linear",
     patience: Patience = USUAL_PATIENCE,
     rig_file: RigFile = Path(RIG_FILE),

@@ -19,7 +19,10 @@ from lightmatrix.cli.source import (
     FullScale,
     Images,
     Mask,
+    Mosaic,
     Patterns,
+    Photographs,
+    ProjectorCurve,
     White,
     source,
 )
@@ -34,6 +37,7 @@ FOUND = 1
 
 def check(
     capture: Folder = None,
+    photographs: Photographs = None,
     patterns: Patterns = None,
     images: Images = None,
     black: Black = None,
@@ -44,18 +48,21 @@ def check(
     clip: ClipLevel = None,
     full_scale: FullScale = None,
     response: ResponseCurve = None,
+    projector_response: ProjectorCurve = None,
     exposure: Exposure = None,
     crop: Crop = None,
+    mosaic: Mosaic = False,
     as_json: Json = False,
 ) -> None:
     """Tell what is wrong with a capture, and what to do.
 
-    Give a capture folder, or --patterns and --images. Frames lost, late, swapped, black or odd;
-    gamma and JPEG; motion and flicker; light; what the patterns cannot tell. Exits with 0 if
-    nothing is found, with 1 if something is.
+    Give a capture folder; or patterns and images, each a folder or a stack. Frames lost, late,
+    swapped, black or odd; gamma and JPEG; motion and flicker; light; what the patterns cannot
+    tell. Exits with 0 if nothing is found, with 1 if something is.
     """
     where = source(
         capture,
+        photographs,
         patterns,
         images,
         crop=crop,
@@ -67,7 +74,9 @@ def check(
         clip=clip,
         full_scale=full_scale,
         response=response,
+        projector_response=projector_response,
         exposure=exposure,
+        mosaic=mosaic or None,
     )
     findings = lm.check(**where)
     if as_json:

@@ -30,7 +30,10 @@ from lightmatrix.cli.source import (
     FullScale,
     Images,
     Mask,
+    Mosaic,
     Patterns,
+    Photographs,
+    ProjectorCurve,
     White,
     source,
 )
@@ -60,6 +63,7 @@ FIDELITY_HELP = (
 
 def estimate(
     capture: Folder = None,
+    photographs: Photographs = None,
     output: Annotated[
         Path, typer.Option("-o", "--output", help="The store to write, ending in .zarr.")
     ] = Path("scene.zarr"),
@@ -73,8 +77,10 @@ def estimate(
     clip: ClipLevel = None,
     full_scale: FullScale = None,
     response: ResponseCurve = None,
+    projector_response: ProjectorCurve = None,
     exposure: Exposure = None,
     crop: Crop = None,
+    mosaic: Mosaic = False,
     solver: Annotated[SolverName, typer.Option(help=SOLVERS_HELP)] = "active-set",
     fidelity: Annotated[
         FidelityName | None,
@@ -146,11 +152,12 @@ def estimate(
 ) -> None:
     """Estimate T; interrupted runs go on.
 
-    Give a capture folder, or --patterns and --images. A run that was interrupted goes on where it
-    stopped if given again.
+    Give a capture folder; or patterns and images, each a folder or a stack. A run that was
+    interrupted goes on where it stopped if given again.
     """
     where = source(
         capture,
+        photographs,
         patterns,
         images,
         crop=crop,
@@ -162,7 +169,9 @@ def estimate(
         clip=clip,
         full_scale=full_scale,
         response=response,
+        projector_response=projector_response,
         exposure=exposure,
+        mosaic=mosaic or None,
     )
     started = time.perf_counter()
     estimator = lm.AutoEstimator(
@@ -205,7 +214,7 @@ def estimate(
     seconds = round(time.perf_counter() - started, 2)
     told = None
     if report is not None:
-        told = _report(report, output, capture, transport, opened, estimator, findings, overwrite)
+        told = _report(report, output, where, transport, opened, estimator, findings, overwrite)
     summary = transport.summary()
     if as_json:
         found = [finding.as_dict() for finding in findings]
@@ -264,7 +273,7 @@ def _refuse_disorder(findings: list[Finding]) -> None:
 def _report(
     folder: Path,
     store: Path,
-    source: Path | None,
+    where: dict[str, Any],
     transport: LightTransport,
     capture: Capture,
     estimator: AutoEstimator,
@@ -277,7 +286,7 @@ def _report(
             folder,
             transport,
             capture,
-            truth=_truth(source, transport),
+            truth=_truth(where.get("capture"), transport),
             estimator=estimator,
             title=store.name,
             findings=findings,

@@ -22,7 +22,7 @@ ResponseCurve = Annotated[
     str | None,
     typer.Option(
         "--response",
-        help="Response of the camera: linear, gamma:2.2, srgb or curve:FILE.",
+        help="linear, gamma:2.2, srgb, or a curve's file from `lightmatrix response`.",
         show_default="linear",
     ),
 ]

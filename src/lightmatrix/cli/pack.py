@@ -20,7 +20,10 @@ from lightmatrix.cli.source import (
     FullScale,
     Images,
     Mask,
+    Mosaic,
     Patterns,
+    Photographs,
+    ProjectorCurve,
     White,
     source,
 )
@@ -30,6 +33,7 @@ from lightmatrix.outputs.kinds import PACKED_CAPTURE
 
 def pack(
     capture: Folder = None,
+    photographs: Photographs = None,
     output: Annotated[
         Path, typer.Option("-o", "--output", help="Packed capture to write, ending in .zarr.")
     ] = Path("capture.zarr"),
@@ -43,7 +47,9 @@ def pack(
     clip: ClipLevel = None,
     full_scale: FullScale = None,
     response: ResponseCurve = None,
+    projector_response: ProjectorCurve = None,
     exposure: Exposure = None,
+    mosaic: Mosaic = False,
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
@@ -55,6 +61,7 @@ def pack(
     """
     where = source(
         capture,
+        photographs,
         patterns,
         images,
         black=black,
@@ -65,7 +72,9 @@ def pack(
         clip=clip,
         full_scale=full_scale,
         response=response,
+        projector_response=projector_response,
         exposure=exposure,
+        mosaic=mosaic or None,
     )
     claim(output, PACKED_CAPTURE, overwrite=overwrite)
     opened = (

@@ -23,6 +23,7 @@ from lightmatrix.errors import InputError
 from lightmatrix.outputs.kinds import PATTERNS
 
 Kind = Literal["bernoulli", "hadamard", "onepixel", "blocks", "mix"]
+Colour = Literal["red", "green", "blue"]
 Order = Literal["natural", "sequency", "random"]
 
 
@@ -50,6 +51,10 @@ def patterns(
     order: Annotated[Order, typer.Option(help="Hadamard: which come first.")] = "sequency",
     permute: Annotated[bool, typer.Option(help="Hadamard: shuffle the pixels.")] = False,
     block: Annotated[str, typer.Option(help="Blocks: rows x columns of one block.")] = "8x8",
+    colour: Annotated[
+        Colour | None,
+        typer.Option(help="Primary of a colour projector to show them in.", show_default="white"),
+    ] = None,
     seed: Seed = 0,
     overwrite: Overwrite = False,
     as_json: Json = False,
@@ -69,7 +74,7 @@ def patterns(
         block=size(block),
         seed=seed,
     )
-    lm.write_patterns(output, made, overwrite=overwrite)
+    lm.write_patterns(output, made, colour=colour, overwrite=overwrite)
     result = {**made.description, "count": made.count, "digest": made.digest, "output": output}
     if as_json:
         show_json(result)

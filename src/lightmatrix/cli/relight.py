@@ -11,6 +11,7 @@ import typer
 import lightmatrix as lm
 from lightmatrix.cli.options import Json, Overwrite, Store
 from lightmatrix.cli.terminal import say, show_json
+from lightmatrix.errors import InputError
 
 
 def relight(
@@ -18,11 +19,18 @@ def relight(
     pattern: Annotated[
         Path, typer.Argument(metavar="PATTERN", help="Image of the projector's size.")
     ],
-    output: Annotated[Path, typer.Option("-o", "--output", help="Image: .png, .tiff or .npy.")],
+    output: Annotated[
+        Path, typer.Option("-o", "--output", help="Image: .png, .tiff, .exr or .npy.")
+    ],
     exposure: Annotated[float, typer.Option(help="Exposure e of the image.")] = 1.0,
     gamma: Annotated[
         float, typer.Option(help="Display gamma, of PNG only; 1 keeps it linear.")
     ] = 1.0,
+    green: Annotated[
+        Path | None,
+        typer.Option(help="Of a colour projector: T of its green. SCENE is that of its red then."),
+    ] = None,
+    blue: Annotated[Path | None, typer.Option(help="Of a colour projector: T of its blue.")] = None,
     resize: Annotated[
         bool, typer.Option("--resize", help="Resize a pattern of another size to the projector.")
     ] = False,
@@ -32,10 +40,16 @@ def relight(
     """Compute the image under a new pattern.
 
     It is c = T p for a pattern p that need not have been projected. A PNG is cut off at full
-    scale; TIFF and npy keep all values.
+    scale; TIFF, EXR and npy keep all values. With --green and --blue the pattern is in colour, and
+    each primary of the projector has a T of its own.
     """
+    if (green is None) != (blue is None):
+        raise InputError(
+            f"--{'blue' if blue is None else 'green'} is missing",
+            hint="a colour projector has three matrices: give red as the scene, --green and --blue",
+        )
     image = lm.relight(
-        scene,
+        scene if green is None or blue is None else (scene, green, blue),
         pattern,
         exposure=exposure,
         gamma=gamma,

@@ -18,7 +18,9 @@ def show(
     output: Annotated[
         Path,
         typer.Option(
-            "-o", "--output", help="Picture: .png. Numbers: .npz, or .tiff and .npy for one image."
+            "-o",
+            "--output",
+            help="Picture: .png. Numbers: .npz, or .tiff, .exr and .npy for one image.",
         ),
     ],
     row: Annotated[

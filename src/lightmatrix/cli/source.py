@@ -1,4 +1,4 @@
-"""Where a capture comes from: a folder that says all of it, or two plain folders and options."""
+"""Where a capture comes from: a folder that says all of it, or patterns, images and options."""
 
 from __future__ import annotations
 
@@ -17,10 +17,23 @@ _EACH = "one number, numbers a,b,c or a text file of one for each frame"
 
 Folder = Annotated[
     Path | None,
-    typer.Argument(metavar="CAPTURE", help="Capture folder (patterns/, images/, capture.json)."),
+    typer.Argument(
+        metavar="CAPTURE",
+        help="Capture folder (patterns/, images/, capture.json); or the patterns, see --patterns.",
+    ),
 ]
-Patterns = Annotated[Path | None, typer.Option("--patterns", help="Folder of pattern images.")]
-Images = Annotated[Path | None, typer.Option("--images", help="Folder of photographs, same order.")]
+Photographs = Annotated[
+    Path | None,
+    typer.Argument(metavar="IMAGES", help="The photographs, if the patterns came before."),
+]
+Patterns = Annotated[
+    Path | None,
+    typer.Option("--patterns", help="Pattern images: a folder, or a stack (TIFF, npy, npz)."),
+]
+Images = Annotated[
+    Path | None,
+    typer.Option("--images", help="Photographs in the same order: a folder, or a stack."),
+]
 Black = Annotated[
     str | None,
     typer.Option(
@@ -72,8 +85,27 @@ Crop = Annotated[
 ]
 
 
+ProjectorCurve = Annotated[
+    Path | None,
+    typer.Option(
+        "--projector-response",
+        help="Light of the patterns' grey values, from `response --projector`.",
+        show_default="linear",
+    ),
+]
+
+
+Mosaic = Annotated[
+    bool,
+    typer.Option(
+        "--mosaic", help="Raw camera files: each pixel a sample, not interpolated to colours."
+    ),
+]
+
+
 def source(
     capture: Path | None,
+    photographs: Path | None,
     patterns: Path | None,
     images: Path | None,
     *,
@@ -84,7 +116,9 @@ def source(
 
     Parameters
     ----------
-    capture, patterns, images : Path, optional
+    capture, photographs : Path, optional
+        The first and the second place that were given without an option.
+    patterns, images : Path, optional
         As given.
     crop : str, optional
         A rectangle of the photographs, wherever they come from.
@@ -99,9 +133,16 @@ def source(
     Raises
     ------
     InputError
-        Unless there is a capture folder alone, or both plain folders.
+        Unless there is a capture folder alone, or patterns and images.
     """
     cut = {} if crop is None else {"crop": rectangle(crop)}
+    if photographs is not None:
+        if patterns is not None or images is not None:
+            raise InputError(
+                f"{capture} and {photographs}, and --patterns or --images besides, were given",
+                hint="give patterns and images once",
+            )
+        capture, patterns, images = None, capture, photographs
     said = {name: value for name, value in options.items() if value is not None}
     if capture is not None:
         plain = {"patterns": patterns, "images": images, **said}
@@ -121,7 +162,7 @@ def source(
         )
     if patterns is None or images is None:
         missing = "--patterns" if patterns is None else "--images"
-        raise InputError(f"{missing} is missing", hint="give both folders, or a capture folder")
+        raise InputError(f"{missing} is missing", hint="give both, or a capture folder")
     return {"patterns": patterns, "images": images, **cut, **_read(said)}
 
 

@@ -10,6 +10,8 @@ import math
 import struct
 import threading
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -19,29 +21,36 @@ import tifffile
 from numpy.typing import NDArray
 from PIL import Image
 
-from lightmatrix.errors import InputError
+from lightmatrix.errors import InputError, LightMatrixError
 from lightmatrix.files import png, png16
+from lightmatrix.files.exr import fill_exr, read_exr
 from lightmatrix.files.limits import check_size
 from lightmatrix.files.npy import as_float32, read_npy
 from lightmatrix.files.pgm import read_pgm
+from lightmatrix.files.raw import RAW, read_raw
 from lightmatrix.files.reading import regular_file
 from lightmatrix.files.tiff import read_tiff
 from lightmatrix.outputs.kinds import IMAGE
 from lightmatrix.outputs.writing import atomic_file
 
-READABLE = (".png", ".tif", ".tiff", ".npy", ".jpg", ".jpeg", ".bmp", ".pgm")
-FORMATS = "PNG, TIFF, npy, JPEG, BMP or PGM"
+READABLE = (".png", ".tif", ".tiff", ".npy", ".jpg", ".jpeg", ".bmp", ".pgm", ".exr", *RAW)
+# Of the channels of a colour image, or of a colour projector.
+COLOURS = ("red", "green", "blue")
+FORMATS = "PNG, TIFF, npy, EXR, DNG and other raw files, JPEG, BMP or PGM"
 _filters = threading.Lock()
 
 
-def read_image(path: str | Path) -> NDArray[Any]:
+def read_image(path: str | Path, *, mosaic: bool = False) -> NDArray[Any]:
     """Read one image as it is stored.
 
     Parameters
     ----------
     path : str or Path
-        A PNG, TIFF, npy, JPEG, BMP or (binary) PGM file. Black-and-white images become 0/255, an
-        alpha channel that is opaque everywhere is dropped.
+        A PNG, TIFF, npy, EXR, JPEG, BMP or (binary) PGM file. Black-and-white images become 0/255,
+        an alpha channel that is opaque everywhere is dropped. Raw camera files (DNG, CR2, NEF, ARW,
+        ...) come as light from 0, black, to 1, where the sensor clips, without white balance.
+    mosaic : bool
+        Whether raw files are read as they are, one sample a pixel, not interpolated to colours.
 
     Returns
     -------
@@ -63,22 +72,36 @@ def read_image(path: str | Path) -> NDArray[Any]:
     """
     file = Path(path)
     _check_file(file)
+    suffix = file.suffix.lower()
+    with explained(str(file)):
+        image = read_raw(file, mosaic=mosaic) if suffix in RAW else _READERS[suffix](file)
+    return as_stored(str(file), image)
+
+
+@contextmanager
+def explained(name: str) -> Iterator[None]:
+    """Say of which image it is that a library fails on it.
+
+    Raises
+    ------
+    InputError
+        In place of anything that such libraries raise on damaged files.
+    """
     try:
-        image = _READERS[file.suffix.lower()](file)
-    except (InputError, MemoryError):
+        yield
+    except (LightMatrixError, MemoryError):
         raise
-    # Image libraries raise nearly anything on damaged files, among them SyntaxError.
+    # Nearly anything, among them SyntaxError.
     except Exception as error:
         # Reading past the end, and formats that no reader knows, are told without helpful words.
         reason = " ".join(str(error).split())[:120]
         if isinstance(error, (IndexError, struct.error)) or "given uri" in reason:
             reason = ""
         raise InputError(
-            f"{file}: cannot be read as an image, damaged or truncated"
+            f"{name}: cannot be read as an image, damaged or truncated"
             + (f" ({reason})" if reason else ""),
             hint="copy or export the file again",
         ) from error
-    return _as_stored(file, image)
 
 
 def read_grey(path: str | Path) -> NDArray[np.float32]:
@@ -87,12 +110,13 @@ def read_grey(path: str | Path) -> NDArray[np.float32]:
     Returns
     -------
     (rows, cols) float32
-        Integer images over their full range; colour images only if their channels agree.
+        Integer images over their full range; colour images only if their channels agree, or only
+        one is lit at all.
 
     Raises
     ------
     InputError
-        As for `read_image`, and for coloured images or float values outside [0, 1].
+        As for `read_image`, and for images of several colours or float values outside [0, 1].
 
     Examples
     --------
@@ -101,26 +125,56 @@ def read_grey(path: str | Path) -> NDArray[np.float32]:
     >>> lm.read_grey("grey.png")
     array([[0. , 0.2, 1. ]], dtype=float32)
     """
-    return as_grey(path, read_image(path))
+    return as_grey(str(path), read_image(path))
 
 
-def as_grey(path: str | Path, image: NDArray[Any]) -> NDArray[np.float32]:
-    """An image that was read already as `read_grey` gives it; the path is for messages."""
+def as_grey(name: str, image: NDArray[Any]) -> NDArray[np.float32]:
+    """An image that `read_image` gave as a pattern; see `read_grey`."""
     if image.ndim == 3:
-        if (image != image[..., :1]).any():
+        lit = [bool(image[..., channel].any()) for channel in range(3)]
+        if sum(lit) > 1 and (image != image[..., :1]).any():
             raise InputError(
-                f"{path}: a coloured pattern",
-                hint="save patterns in grey; a colour projector is three projectors",
+                f"{name}: a pattern of several colours",
+                hint="a colour projector is three projectors: show and photograph all patterns in "
+                "red, then in green, then in blue, and estimate each by itself",
             )
-        image = image[..., 0]
+        image = image[..., lit.index(True) if any(lit) else 0]
+    return _as_light(name, image)
+
+
+def read_light(path: str | Path) -> NDArray[np.float32]:
+    """Read one pattern in grey or colour: values in [0, 1].
+
+    Returns
+    -------
+    (rows, cols) or (rows, cols, 3) float32
+        Integer images over their full range.
+
+    Raises
+    ------
+    InputError
+        As for `read_image`, and for float values outside [0, 1].
+    """
+    return _as_light(str(path), read_image(path))
+
+
+def _as_light(name: str, image: NDArray[Any]) -> NDArray[np.float32]:
     if image.dtype == np.float32:
         if image.min() < 0 or image.max() > 1:
             raise InputError(
-                f"{path}: pattern values from {image.min():g} to {image.max():g}",
+                f"{name}: pattern values from {image.min():g} to {image.max():g}",
                 hint="scale the pattern to [0, 1]",
             )
         return image
     return (image / np.float32(np.iinfo(image.dtype).max)).astype(np.float32)
+
+
+def colour_of(image: NDArray[Any]) -> str:
+    """The colour that a pattern is shown in: "grey", "red", "green", "blue", or "" if all black."""
+    if image.ndim == 2:
+        return "grey" if image.any() else ""
+    lit = [name for channel, name in enumerate(COLOURS) if image[..., channel].any()]
+    return lit[0] if len(lit) == 1 else "grey" if lit else ""
 
 
 def write_image(
@@ -131,10 +185,11 @@ def write_image(
     Parameters
     ----------
     path : str or Path
-        Ends in .png, .tif, .tiff or .npy.
+        Ends in .png, .tif, .tiff, .npy or .exr.
     image : (rows, cols) or (rows, cols, 1 or 3)
-        uint8 and uint16 are written as they are. Float values are written as float32, except to
-        PNG: there [0, 1] becomes the full range and what lies outside is cut off.
+        uint8 and uint16 are written as they are, to EXR as float. Float values are written as
+        float32, except to PNG: there [0, 1] becomes the full range and what lies outside is cut
+        off.
     bits : {8, 16}
         Bits of a float image written as PNG.
     overwrite : bool
@@ -182,6 +237,8 @@ def fill_image(path: Path, image: NDArray[Any], *, bits: int = 8) -> None:
         # By name, NumPy would add its own ending to one in capitals.
         with path.open("wb") as stream:
             np.save(stream, pixels)
+    elif suffix == ".exr":
+        fill_exr(path, np.asarray(pixels, np.float32))
     elif suffix in (".tif", ".tiff"):
         tifffile.imwrite(path, pixels, photometric="rgb" if pixels.ndim == 3 else "minisblack")
     else:
@@ -263,19 +320,27 @@ _READERS = {
     ".jpeg": _read_jpeg,
     ".bmp": _read_bmp,
     ".pgm": read_pgm,
+    ".exr": read_exr,
 }
 
 
-def _as_stored(file: Path, image: NDArray[Any]) -> NDArray[Any]:
+def as_stored(name: str, image: NDArray[Any]) -> NDArray[Any]:
+    """What a library read as an image of ours; see `read_image`.
+
+    Raises
+    ------
+    InputError
+        Naming the image, if it has another shape or type, or values that are not finite.
+    """
     if image.dtype == np.bool_:
         image = image.astype(np.uint8) * np.uint8(255)
     if image.ndim == 3 and image.shape[-1] in (2, 4):
-        image = _without_alpha(file, image)
+        image = _without_alpha(name, image)
     if image.ndim == 3 and image.shape[-1] == 1:
         image = image[..., 0]
     if image.ndim not in (2, 3) or (image.ndim == 3 and image.shape[-1] != 3) or image.size == 0:
         raise InputError(
-            f"{file}: holds an array of shape {image.shape}",
+            f"{name}: holds an array of shape {image.shape}",
             hint="save one image a file, (rows, cols) or (rows, cols, 3)",
         )
     if image.dtype.kind == "f":
@@ -283,7 +348,7 @@ def _as_stored(file: Path, image: NDArray[Any]) -> NDArray[Any]:
         if not np.isfinite(values).all():
             at = tuple(int(i) for i in np.argwhere(~np.isfinite(values))[0])
             raise InputError(
-                f"{file}: the value at {at} is {image[at]}",
+                f"{name}: the value at {at} is {image[at]}",
                 hint="replace it, and mask the pixel if it is broken in every frame",
             )
         return np.ascontiguousarray(values)
@@ -292,16 +357,16 @@ def _as_stored(file: Path, image: NDArray[Any]) -> NDArray[Any]:
         return image.astype(np.uint16)
     if image.dtype.newbyteorder("=") not in (np.uint8, np.uint16):
         raise InputError(
-            f"{file}: holds {image.dtype} values", hint="save it as uint8, uint16 or float32"
+            f"{name}: holds {image.dtype} values", hint="save it as uint8, uint16 or float32"
         )
     return np.ascontiguousarray(image, image.dtype.newbyteorder("="))
 
 
-def _without_alpha(file: Path, image: NDArray[Any]) -> NDArray[Any]:
+def _without_alpha(name: str, image: NDArray[Any]) -> NDArray[Any]:
     opaque = np.iinfo(image.dtype).max if image.dtype.kind == "u" else 1
     if (image[..., -1] != opaque).any():
         raise InputError(
-            f"{file}: is partly transparent", hint="save the image without an alpha channel"
+            f"{name}: is partly transparent", hint="save the image without an alpha channel"
         )
     return image[..., :-1]
 

@@ -1,4 +1,4 @@
-"""Stacks of images: the image files of a folder in natural order, read one at a time."""
+"""Stacks of images, read one at a time: the files of a folder in natural order, or one file's."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from lightmatrix.errors import InputError
 from lightmatrix.files import png
-from lightmatrix.files.images import FORMATS, READABLE, read_image
+from lightmatrix.files.images import FORMATS, READABLE
+from lightmatrix.files.pages import STACK_FORMATS, Page, holds_several, is_stack, pages, read_entry
 from lightmatrix.files.reading import regular_file
 from lightmatrix.reprs import short_repr
 
@@ -35,7 +36,8 @@ def list_images(folder: str | Path) -> list[Path]:
         raise InputError(f"{place}: no such folder", hint="check the name")
     if not place.is_dir():
         raise InputError(
-            f"{place}: is a file, not a folder of images", hint="give the folder that holds it"
+            f"{place}: is a file, not a folder of images",
+            hint=f"give the folder that holds it, or a stack: {STACK_FORMATS}",
         )
     files = [entry for entry in place.iterdir() if not entry.is_dir() and entry.name[0] != "."]
     images = sorted((file for file in files if file.suffix.lower() in READABLE), key=_natural)
@@ -55,12 +57,31 @@ def list_images(folder: str | Path) -> list[Path]:
     return images
 
 
-def nonlinear_tag(path: str | Path) -> str | None:
+def list_entries(source: str | Path) -> list[Path | Page]:
+    """The images of a folder in natural order, or of a file that holds several.
+
+    A folder that holds a single file of several images is taken for that file.
+
+    Raises
+    ------
+    InputError
+        As `list_images` and `pages`.
+    """
+    place = Path(source)
+    if is_stack(place) and not place.is_dir():
+        return list(pages(place))
+    files = list_images(place)
+    if len(files) == 1 and is_stack(files[0]) and holds_several(files[0]):
+        return list(pages(files[0]))
+    return list(files)
+
+
+def nonlinear_tag(path: str | Path | Page) -> str | None:
     """Why an image file is probably not linear: "JPEG", "tagged sRGB", ...; None if it may be.
 
     A PNG file is tagged by its sRGB, iCCP, cICP or gAMA chunk (a gamma of 1 is linear).
     """
-    file = Path(path)
+    file = path.file if isinstance(path, Page) else Path(path)
     if file.suffix.lower() in (".jpg", ".jpeg"):
         return "JPEG"
     if file.suffix.lower() != ".png":
@@ -86,8 +107,8 @@ class ImageStack:
 
     Parameters
     ----------
-    paths : tuple of Path
-        The files, in the order of the frames.
+    paths : tuple of Path or Page
+        The files, or the pages of one, in the order of the frames.
     shape : (rows, cols) or (rows, cols, 3)
         Of every image.
     dtype : numpy.dtype
@@ -95,31 +116,36 @@ class ImageStack:
     grey : bool
         Whether the files hold three channels that are all the same, as grey cameras' JPEG often
         do; images are then read as one.
+    mosaic : bool
+        Whether raw camera files are read as they are; see `read_image`.
     """
 
-    paths: tuple[Path, ...]
+    paths: tuple[Path | Page, ...]
     shape: tuple[int, ...]
     dtype: np.dtype[Any]
     grey: bool = False
+    mosaic: bool = False
 
     __repr__ = short_repr
 
     @classmethod
-    def open(cls, source: str | Path | Sequence[Path]) -> ImageStack:
-        """The images of a folder (natural order) or of a list of files (its order).
+    def open(
+        cls, source: str | Path | Sequence[Path | Page], *, mosaic: bool = False
+    ) -> ImageStack:
+        """The images of a folder (natural order), of one file, or of a list (its order).
 
         Raises
         ------
         InputError
             If there are none or the first one cannot be read; later ones are checked when read.
         """
-        paths = list_images(source) if isinstance(source, (str, Path)) else list(source)
+        paths = list_entries(source) if isinstance(source, (str, Path)) else list(source)
         if not paths:
             raise InputError("an empty list of images", hint="give at least one file")
-        first = read_image(paths[0])
+        first = read_entry(paths[0], mosaic=mosaic)
         if first.ndim == 3 and _all_grey(paths):
             return cls(tuple(paths), first.shape[:2], first.dtype, True)
-        return cls(tuple(paths), first.shape, first.dtype)
+        return cls(tuple(paths), first.shape, first.dtype, mosaic=mosaic)
 
     @property
     def count(self) -> int:
@@ -135,7 +161,7 @@ class ImageStack:
             If it cannot be read, or differs from the first image in shape or type.
         """
         path = self.paths[index]
-        image = read_image(path)
+        image = read_entry(path, mosaic=self.mosaic)
         if self.grey:
             image = _one_channel(path, image)
         if image.shape != self.shape:
@@ -163,13 +189,13 @@ class ImageStack:
         return replace(self, paths=tuple(self.paths[i] for i in index))
 
 
-def _all_grey(paths: Sequence[Path]) -> bool:
+def _all_grey(paths: Sequence[Path | Page]) -> bool:
     """Whether files of three channels are grey, as some of them say that are not one level."""
     looked = [paths[k] for k in sorted({0, len(paths) // 3, 2 * len(paths) // 3, len(paths) - 1})]
     telling = 0
     for path in looked:
         try:
-            image = read_image(path)
+            image = read_entry(path)
         except InputError:
             # It is named when it is read in its turn.
             return False
@@ -183,7 +209,7 @@ def _is_grey(image: NDArray[Any]) -> bool:
     return bool((image == image[..., :1]).all())
 
 
-def _one_channel(path: Path, image: NDArray[Any]) -> NDArray[Any]:
+def _one_channel(path: Path | Page, image: NDArray[Any]) -> NDArray[Any]:
     """A grey image stored in one or three channels as one."""
     if image.ndim == 2:
         return image

@@ -20,6 +20,7 @@ _INVERTED, _PALETTE, _YCBCR = 0, 3, 6
 # Grey either way, RGB, and the mosaics of raw files, whose every pixel is a sample of its own.
 _PHOTOMETRIC = (_INVERTED, 1, 2, 32803, 34892)
 _BITS = (1, 8, 16, 32, 64)
+_ONE = "save one image a file, or give this file in place of the folder, as a stack"
 
 
 def read_tiff(file: Path) -> NDArray[Any]:
@@ -35,33 +36,39 @@ def read_tiff(file: Path) -> NDArray[Any]:
     """
     with tifffile.TiffFile(file) as tiff:
         if len(tiff.pages) != 1:
-            raise InputError(f"{file}: holds {len(tiff.pages)} pages", hint="save one image a file")
+            raise InputError(f"{file}: holds {len(tiff.pages)} pages", hint=_ONE)
         page = tiff.pages.first
-        _check_page(file, tiff, page)
-        plain = page.compression == _UNCOMPRESSED or page.compression in _DEFLATE
-        if plain:
-            image = np.asarray(page.asarray())
-        else:
-            # Other compressions are Pillow's, as far as it keeps the depth.
-            image = np.asarray(imageio.imread(file, plugin="pillow"))
-            if image.dtype != page.dtype:
-                kind = int(page.compression)
-                raise InputError(
-                    f"{file}: {page.dtype} values with compression {kind} are not read",
-                    hint="save it uncompressed or as PNG",
-                )
-        if plain and page.axes == "SYX":
-            image = np.moveaxis(image, 0, -1)
-        if page.photometric == _INVERTED and image.dtype.kind == "u":
-            image = np.iinfo(image.dtype).max - image
-        return image
+        check_size(file, page.shape)
+        # ImageJ and tifffile write many images behind the description of one.
+        if (tiff.is_imagej or tiff.is_shaped) and tiff.series[0].size != page.size:
+            raise InputError(f"{file}: holds several images", hint=_ONE)
+        return read_page(file, page, 0)
 
 
-def _check_page(file: Path, tiff: tifffile.TiffFile, page: tifffile.TiffPage) -> None:
+def read_page(file: Path, page: tifffile.TiffPage, index: int) -> NDArray[Any]:
+    """Read one page, number `index`, of an open TIFF file; see `read_tiff`."""
+    _check_page(file, page)
+    plain = page.compression == _UNCOMPRESSED or page.compression in _DEFLATE
+    if plain:
+        image = np.asarray(page.asarray())
+    else:
+        # Other compressions are Pillow's, as far as it keeps the depth.
+        image = np.asarray(imageio.imread(file, plugin="pillow", index=index))
+        if image.dtype != page.dtype:
+            kind = int(page.compression)
+            raise InputError(
+                f"{file}: {page.dtype} values with compression {kind} are not read",
+                hint="save it uncompressed or as PNG",
+            )
+    if plain and page.axes == "SYX":
+        image = np.moveaxis(image, 0, -1)
+    if page.photometric == _INVERTED and image.dtype.kind == "u":
+        image = np.iinfo(image.dtype).max - image
+    return image
+
+
+def _check_page(file: Path, page: tifffile.TiffPage) -> None:
     check_size(file, page.shape)
-    # ImageJ and tifffile write many images behind the description of one.
-    if (tiff.is_imagej or tiff.is_shaped) and tiff.series[0].size != page.size:
-        raise InputError(f"{file}: holds several images", hint="save one image a file")
     colours = int(page.photometric)
     decoded = page.compression not in (_UNCOMPRESSED, *_DEFLATE)
     if colours not in _PHOTOMETRIC and not (colours == _YCBCR and decoded):
@@ -72,10 +79,10 @@ def _check_page(file: Path, tiff: tifffile.TiffFile, page: tifffile.TiffPage) ->
     bits = page.bitspersample
     if bits not in _BITS:
         raise InputError(f"{file}: has {bits} bits a value", hint="save it with 8 or 16 bits")
-    _check_segments(file, page)
+    check_segments(file, page)
 
 
-def _check_segments(file: Path, page: tifffile.TiffPage) -> None:
+def check_segments(file: Path, page: tifffile.TiffPage) -> None:
     """Whether all strips or tiles lie in the file and hold what they have to."""
     counts, offsets = page.databytecounts, page.dataoffsets
     if not len(counts) == len(offsets) == math.prod(page.chunked):

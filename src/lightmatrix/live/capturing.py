@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import warnings
 from collections import Counter
 from collections.abc import Callable
@@ -13,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.camera.exposures import of_frames
-from lightmatrix.camera.response import Response
+from lightmatrix.camera.response import Response, curve_file
 from lightmatrix.capture.capture import Capture
 from lightmatrix.errors import DeviceError, InputError, LightMatrixWarning
 from lightmatrix.live.agreement import Drift, References, drift
@@ -298,7 +299,11 @@ def _finish(
     assert black is not None
     pedestal = 0.0 if known.exposure is None else known.exposure.pedestal
 
+    curve = curve_file(response)
+
     def beside(part: Path) -> None:
+        if curve is not None:
+            shutil.copyfile(curve, part / Path(curve).name)
         if rig.truth is not None and cell == 1:
             # T is what the longest exposure sees.
             scale = np.float32(longest / rig.unit)
@@ -314,7 +319,7 @@ def _finish(
         black=black.astype(np.float32),
         black_exposure=references.black.exposure / longest,
         black_level=pedestal,
-        response=response,
+        response=response if curve is None else f"curve:{Path(curve).name}",
         provenance=_provenance(record, known, longest, patterns, cell),
         beside=beside,
         overwrite=overwrite,

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.errors import InputError
-from lightmatrix.live.calibration.response import ProjectorResponse
 from lightmatrix.patterns.pattern_set import PatternSet, to_grey
+from lightmatrix.patterns.response import ProjectorResponse
 
 
 @dataclass(frozen=True, eq=False)

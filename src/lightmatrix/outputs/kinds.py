@@ -22,8 +22,8 @@ TRANSPORT_MARK, TRUTH_MARK, PACKED_MARK, NUMBERS_MARK = (
 )
 # The text that our mat files begin with; readers of the format pass over it.
 MAT_MARK = "MATLAB 5.0 MAT-file, written by lightmatrix"
-RIG_FORMAT = "lightmatrix-rig"
-_IMAGES = (b"\x89PNG\r\n\x1a\n", b"\x93NUMPY", b"II*\0", b"MM\0*")
+RIG_FORMAT, RESPONSE_FORMAT = "lightmatrix-rig", "lightmatrix-response"
+_IMAGES = (b"\x89PNG\r\n\x1a\n", b"\x93NUMPY", b"II*\0", b"MM\0*", b"v/1\x01")
 
 
 def _begins_with(file: Path, *starts: bytes) -> bool:
@@ -54,12 +54,14 @@ TRUTH = FileKind("rendered matrix", (".npz",), lambda file: holds_member(file, T
 PACKED = FileKind("packed scene", (".npz",), lambda file: holds_member(file, PACKED_MARK))
 NUMBERS = FileKind("numbers of a picture", (".npz",), lambda file: holds_member(file, NUMBERS_MARK))
 RIG = FileKind("calibration of a rig", (".json",), lambda file: _is_json(file, RIG_FORMAT))
+RESPONSE = FileKind("measured response", (".json",), lambda file: _is_json(file, RESPONSE_FORMAT))
 NPZ = FileKind("exported matrix", (".npz",), lambda file: holds_member(file, TRANSPORT_MARK))
 MAT = FileKind("exported matrix", (".mat",), lambda file: _begins_with(file, MAT_MARK.encode()))
 # Images say nothing of who wrote them: one may take the place of another.
 IMAGE = FileKind(
-    "image", (".png", ".tif", ".tiff", ".npy"), lambda file: _begins_with(file, *_IMAGES)
+    "image", (".png", ".tif", ".tiff", ".npy", ".exr"), lambda file: _begins_with(file, *_IMAGES)
 )
+PICTURE = FileKind("picture", (".png",), lambda file: _begins_with(file, _IMAGES[0]))
 
 
 def export_kind(path: str | Path) -> FileKind:

@@ -19,9 +19,10 @@ from numpy.typing import NDArray
 from lightmatrix.errors import InputError, LightMatrixWarning
 from lightmatrix.files.ahead import read_ahead
 from lightmatrix.files.headers import read_json, said_in
-from lightmatrix.files.images import as_grey, fill_image, read_grey, read_image
+from lightmatrix.files.images import COLOURS, as_grey, colour_of, fill_image, read_image
 from lightmatrix.files.memory import check_room
-from lightmatrix.files.stack import ImageStack, list_images
+from lightmatrix.files.pages import Page
+from lightmatrix.files.stack import ImageStack, list_entries
 from lightmatrix.outputs.kinds import PATTERNS
 from lightmatrix.outputs.writing import atomic_folder
 from lightmatrix.patterns.bits import BitPatterns
@@ -32,7 +33,13 @@ DESCRIPTION = "patterns.json"
 FORMAT, VERSION = "lightmatrix-patterns", 1
 
 
-def write_patterns(folder: str | Path, patterns: PatternSet, *, overwrite: bool = False) -> None:
+def write_patterns(
+    folder: str | Path,
+    patterns: PatternSet,
+    *,
+    colour: str | None = None,
+    overwrite: bool = False,
+) -> None:
     """Write a pattern set as 8-bit PNG files and patterns.json.
 
     Parameters
@@ -41,11 +48,15 @@ def write_patterns(folder: str | Path, patterns: PatternSet, *, overwrite: bool 
         The folder to make, whole or not at all.
     patterns : PatternSet
         K patterns, written as pattern_0000.png and on.
+    colour : {"red", "green", "blue"}, optional
+        The primary of a colour projector to show them in; None: white.
     overwrite : bool
         Whether an existing folder of patterns may be replaced.
 
     Raises
     ------
+    InputError
+        On another colour.
     OutputError
         If the folder exists, is not one of ours, or cannot be written.
 
@@ -54,23 +65,32 @@ def write_patterns(folder: str | Path, patterns: PatternSet, *, overwrite: bool 
     >>> import lightmatrix as lm
     >>> lm.write_patterns("written", lm.BernoulliPatterns((8, 8), 4))
     """
+    if colour is not None and colour not in COLOURS:
+        raise InputError(f"patterns in {colour!r}", hint=f"use {', '.join(COLOURS)}")
     with atomic_folder(folder, PATTERNS, overwrite=overwrite) as part:
-        fill_pattern_folder(part, patterns)
+        fill_pattern_folder(part, patterns, colour)
 
 
-def fill_pattern_folder(folder: Path, patterns: PatternSet) -> None:
+def fill_pattern_folder(folder: Path, patterns: PatternSet, colour: str | None = None) -> None:
     """Write the files of a pattern folder into an empty folder."""
     digits = max(4, len(str(patterns.count - 1)))
+    primary = np.array([name == colour for name in COLOURS], np.uint8)
     for start, block in patterns.chunks():
         for k, image in enumerate(to_grey(block.reshape(-1, *patterns.shape)), start):
-            fill_image(folder / f"pattern_{k:0{digits}d}.png", image)
+            shown = image if colour is None else image[..., None] * primary
+            fill_image(folder / f"pattern_{k:0{digits}d}.png", shown)
     header = {"format": FORMAT, "version": VERSION, "digest": patterns.digest}
     content = {**header, "description": patterns.description}
     (folder / DESCRIPTION).write_text(json.dumps(content, indent=2) + "\n")
 
 
-def read_patterns(folder: str | Path) -> PatternSet:
-    """Read a folder of pattern images in natural order.
+def read_patterns(source: str | Path) -> PatternSet:
+    """Read a folder of pattern images in natural order, or a file that holds several.
+
+    Parameters
+    ----------
+    source : str or Path
+        The folder; or a TIFF of several pages, an npy or npz file of (K, rows, cols).
 
     Returns
     -------
@@ -82,7 +102,8 @@ def read_patterns(folder: str | Path) -> PatternSet:
     Raises
     ------
     InputError
-        On images that cannot be read or differ in size, or a damaged patterns.json.
+        On images that cannot be read, differ in size or in the primary that they are shown in,
+        integers that hardly leave 0, or a damaged patterns.json.
 
     Examples
     --------
@@ -91,9 +112,11 @@ def read_patterns(folder: str | Path) -> PatternSet:
     >>> lm.read_patterns("patterns")
     BernoulliPatterns(shape=(8, 8), count=4, density=0.5, seed=0)
     """
-    place = Path(folder)
-    paths = list_images(place)
-    description = _read_description(place / DESCRIPTION)
+    place = Path(source)
+    entries = list_entries(place)
+    # Only images of their own have been written from an operator.
+    paths = [entry for entry in entries if isinstance(entry, Path)]
+    description = _read_description(place / DESCRIPTION) if paths else None
     odd = None
     if description is not None:
         odd = _misfit(description, paths)
@@ -109,22 +132,21 @@ def read_patterns(folder: str | Path) -> PatternSet:
             LightMatrixWarning,
             stacklevel=2,
         )
-    return _from_images(place, paths)
+    return _from_images(place, entries)
 
 
-def _from_images(place: Path, paths: list[Path]) -> PatternSet:
+def _from_images(place: Path, entries: list[Path | Page]) -> PatternSet:
     """The patterns as their images show them: bits, unless one of them has a grey pixel."""
-    stack = ImageStack.open(paths)
-    shape, count = (stack.shape[0], stack.shape[1]), len(paths)
+    stack = ImageStack.open(entries)
+    shape, count = (stack.shape[0], stack.shape[1]), len(entries)
     pixels = shape[0] * shape[1]
     bits = np.empty((count, (pixels + 7) // 8), np.uint8)
     images: NDArray[np.float32] | None = None
-
-    def read(k: int) -> NDArray[np.float32]:
-        # The stack names the file whose size or type differs.
-        return as_grey(paths[k], stack.read(k))
-
-    for k, grey in enumerate(read_ahead(read, range(count))):
+    colours, brightest = _Colours(), 0.0
+    # The stack names the file whose size or type differs.
+    for k, image in enumerate(read_ahead(stack.read, range(count))):
+        grey = colours.grey(entries[k], image)
+        brightest = max(brightest, float(grey.max()))
         if images is None:
             lit = grey == 1
             if (lit | (grey == 0)).all():
@@ -134,7 +156,32 @@ def _from_images(place: Path, paths: list[Path]) -> PatternSet:
             images = np.empty((count, *shape), np.float32)
             images[:k] = BitPatterns(shape, bits).images(0, k)
         images[k] = grey
+    if stack.dtype.kind == "u" and 0 < brightest <= 1.01 / np.iinfo(stack.dtype).max:
+        raise InputError(
+            f"{place}: no pattern is brighter than 1 of {np.iinfo(stack.dtype).max}",
+            hint="save zeros and ones as 0 and 255, or as bool or float",
+        )
     return BitPatterns(shape, bits) if images is None else ImagePatterns(images)
+
+
+class _Colours:
+    """Sees to it that all patterns of a set are shown in one colour."""
+
+    def __init__(self) -> None:
+        self._first: tuple[Path | Page, str] | None = None
+
+    def grey(self, entry: Path | Page, image: NDArray[Any]) -> NDArray[np.float32]:
+        """The grey values of the next one."""
+        grey, colour = as_grey(str(entry), image), colour_of(image)
+        if colour and self._first is None:
+            self._first = entry, colour
+        if colour and self._first is not None and colour != self._first[1]:
+            raise InputError(
+                f"{entry}: is {colour}, but {self._first[0].name} is {self._first[1]}",
+                hint="a colour projector is three projectors: put the patterns of each colour, and "
+                "their photographs, into a folder of their own",
+            )
+        return grey
 
 
 def _read_description(file: Path) -> dict[str, Any] | None:
@@ -170,15 +217,16 @@ def _first_difference(operator: PatternSet, paths: list[Path]) -> str | None:
     """How the images differ from an operator, in words; None if they do not."""
     if len(paths) != operator.count:
         return f"its {len(paths)} images are not"
+    colours = _Colours()
     for start, block in operator.chunks():
         expected = to_grey(block.reshape(-1, *operator.shape))
         some = paths[start : start + len(block)]
-        shown = read_ahead(partial(_shown, some), range(len(some)))
+        shown = read_ahead(partial(_read_one, some), range(len(some)))
         for path, found, grey in zip(some, shown, expected, strict=True):
-            if not np.array_equal(found, grey):
+            if not np.array_equal(to_grey(colours.grey(path, found)), grey):
                 return f"{path.name} is not among"
     return None
 
 
-def _shown(paths: list[Path], k: int) -> NDArray[np.uint8]:
-    return to_grey(read_grey(paths[k]))
+def _read_one(paths: list[Path], k: int) -> NDArray[Any]:
+    return read_image(paths[k])

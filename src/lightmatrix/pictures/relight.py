@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ from PIL import Image
 from lightmatrix import store
 from lightmatrix.errors import InputError
 from lightmatrix.files.headers import said_in
-from lightmatrix.files.images import read_grey, write_image
+from lightmatrix.files.images import read_grey, read_light, write_image
 from lightmatrix.outputs.kinds import IMAGE
 from lightmatrix.outputs.writing import check_output
 from lightmatrix.patterns.grids import block_mean
@@ -25,7 +25,7 @@ Relit = LightTransport | store.StoredTransport
 
 
 def relight(
-    transport: Relit | str | Path,
+    transport: Relit | str | Path | Sequence[Relit | str | Path],
     pattern: NDArray[Any] | str | Path,
     *,
     exposure: float = 1.0,
@@ -38,11 +38,13 @@ def relight(
 
     Parameters
     ----------
-    transport : LightTransport, StoredTransport, str or Path
-        T, or where `open` finds it. Of a store no more than a part is in memory at a time.
+    transport : LightTransport, StoredTransport, str or Path, or three of them
+        T, or where `open` finds it; of a colour projector those of its red, green and blue, whose
+        light adds up. Of a store no more than a part is in memory at a time.
     pattern : (rows, cols) array, str or Path
-        Of the projector's size, in [0, 1]; or an image, whose largest grey value is 1. If the
-        projector was binned for T, it may have the size before, and is averaged likewise.
+        Of the projector's size, in [0, 1]; or an image, whose largest value is 1. For a colour
+        projector (rows, cols, 3), or grey as white light. If the projector was binned for T, it may
+        have the size before, and is averaged likewise.
     exposure : float
         Exposure e of the image, > 0.
     gamma : float
@@ -50,7 +52,8 @@ def relight(
     resize : bool
         Whether a pattern of any other size is resized to the projector.
     output : str or Path, optional
-        An image to write as well: .png (8 bits, cut off at full scale), .tiff or .npy (all values).
+        An image to write as well: .png (8 bits, cut off at full scale), .tiff, .exr or .npy (all
+        values).
     overwrite : bool
         Whether an existing image may be replaced.
 
@@ -62,7 +65,8 @@ def relight(
     Raises
     ------
     InputError
-        On a pattern of another size, unless it is resized, and numbers out of range.
+        On a pattern of another size, unless it is resized, numbers out of range, and matrices of
+        different cameras or projectors, or of a number other than one and three.
     OutputError
         If the image cannot be written.
 
@@ -84,19 +88,51 @@ def relight(
                 f"a gamma of {gamma:g} for {target}, which keeps linear values",
                 hint="write a .png, or leave the gamma out",
             )
-    found = _opened(transport)
-    shown = read_grey(pattern) if isinstance(pattern, str | Path) else pattern
-    # A store that was damaged may be what does not fit.
-    named = said_in(Path(transport)) if isinstance(transport, str | Path) else nullcontext()
-    with named:
-        light = _fitted(np.asarray(shown), found, resize)
-    image = exposure * found.relight(light)
+    single = isinstance(transport, LightTransport | store.StoredTransport | str | Path)
+    given: list[Any] = [transport] if single else [*transport]  # type: ignore[misc]
+    found = _of_one_rig([_opened(one) for one in given])
+    image = np.zeros(found[0].camera_shape, np.float32)
+    for one, name, part in zip(found, given, _parts(pattern, len(found)), strict=True):
+        # A store that was damaged may be what does not fit.
+        named = said_in(Path(name)) if isinstance(name, str | Path) else nullcontext()
+        with named:
+            light = _fitted(part, one, resize)
+        image += exposure * one.relight(light)
     if output is not None:
         written = image
         if target.suffix.lower() == ".png":
             written = np.clip(image, 0, 1) ** (1 / gamma)
         write_image(output, written.astype(np.float32), overwrite=overwrite)
     return image
+
+
+def _of_one_rig(found: list[Relit]) -> list[Relit]:
+    """The matrices of a projector, one or three, which belong together."""
+    if len(found) not in (1, 3):
+        raise InputError(f"{len(found)} matrices", hint="give one, or those of red, green and blue")
+    for one in found[1:]:
+        for what in ("camera_shape", "projector_shape"):
+            if getattr(one, what) != getattr(found[0], what):
+                raise InputError(
+                    f"matrices of {what} {getattr(found[0], what)} and {getattr(one, what)}",
+                    hint="red, green and blue must be of one rig, binned alike",
+                )
+    return found
+
+
+def _parts(pattern: NDArray[Any] | str | Path, count: int) -> list[NDArray[Any]]:
+    """What each of the projector's primaries shows."""
+    if count == 1:
+        return [read_grey(pattern) if isinstance(pattern, str | Path) else np.asarray(pattern)]
+    shown = read_light(pattern) if isinstance(pattern, str | Path) else np.asarray(pattern)
+    if shown.ndim == 2:
+        return [shown] * count
+    if shown.ndim != 3 or shown.shape[2] != count:
+        raise InputError(
+            f"a pattern of shape {shown.shape} for a colour projector",
+            hint="give (rows, cols, 3), or (rows, cols) for white light",
+        )
+    return list(np.moveaxis(shown, 2, 0))
 
 
 def _opened(transport: Relit | str | Path) -> Relit:

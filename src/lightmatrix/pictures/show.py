@@ -17,13 +17,12 @@ from lightmatrix.outputs.kinds import IMAGE, NUMBERS, NUMBERS_MARK, PICTURES
 from lightmatrix.outputs.markers import FileKind
 from lightmatrix.outputs.writing import atomic_file, atomic_folder, check_output
 from lightmatrix.pictures import diagnostics, maps
-from lightmatrix.pictures.transport import Picture, show_column, show_dual, show_row
+from lightmatrix.pictures.transport import DPI, Picture, show_column, show_dual, show_row
 from lightmatrix.transport.correspondence import correspondence
 from lightmatrix.transport.matrix import LightTransport
 
 Numbers = Mapping[str, NDArray[Any]]
 _VERSION = 1
-_DPI = 150
 
 
 @dataclass(frozen=True)
@@ -49,7 +48,7 @@ VIEWS: dict[str, _View] = {
     "column": _View(show_column, lambda transport, *index: {"values": transport.column(*index)}),
     "dual": _View(
         show_dual,
-        lambda transport: {"values": transport.dual(np.ones(transport.camera_shape, np.float32))},
+        lambda transport: {"values": transport.dual_image()},
     ),
     "correspondence": _View(diagnostics.show_correspondence, _correspondence),
     "clipping": _View(diagnostics.show_clipping, _values(maps.clipping_map), needs="clipped_share"),
@@ -88,7 +87,8 @@ def show(
         the projector pixel's row and column. Other views have none.
     output : str or Path, optional
         A file to write as well: .png, the picture; .npz, its numbers (``values``, or ``pixel``,
-        ``place`` and ``confidence`` of `Correspondence`); .tiff or .npy, its values as one image.
+        ``place`` and ``confidence`` of `Correspondence`); .tiff, .exr or .npy, its values as one
+        image.
     raw : bool
         Whether a .png holds numbers instead of a picture: of a correspondence the column, the row
         and the confidence (0 to 65535) as red, green and blue of 16 bits.
@@ -225,4 +225,4 @@ def _write(
 
 
 def _save(drawing: Picture, file: Path) -> None:
-    drawing.savefig(file, facecolor="white", dpi=_DPI)
+    drawing.savefig(file, facecolor="white", dpi=DPI)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
@@ -12,6 +13,8 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from lightmatrix.errors import InputError
+from lightmatrix.outputs.kinds import PICTURE
+from lightmatrix.outputs.writing import atomic_file
 from lightmatrix.patterns.pattern_set import to_grey
 from lightmatrix.pictures.style import CLIPPED_COLOUR, STYLE, display, mark_clipped, panel
 from lightmatrix.ranges import check_number
@@ -22,6 +25,8 @@ _UNIT = "camera full scale per projector pixel"
 FAINT = 0.35
 # Of the brightest pixels of a picture, the share that is shown as white whatever it is.
 _GLINTS = 0.005
+# Of pictures in files.
+DPI = 150
 
 
 class Picture(Figure):
@@ -31,6 +36,17 @@ class Picture(Figure):
         stream = io.BytesIO()
         self.savefig(stream, format="png", facecolor="white", dpi=self.dpi)
         return stream.getvalue()
+
+    def write(self, path: str | Path, *, overwrite: bool = False) -> None:
+        """Write it as a .png file, whole or not at all.
+
+        Raises
+        ------
+        OutputError
+            If there is a file that is no picture or must not be replaced, or the disk fails.
+        """
+        with atomic_file(path, PICTURE, overwrite=overwrite) as part:
+            self.savefig(part, facecolor="white", dpi=DPI)
 
 
 def show_row(transport: LightTransport, *camera_index: int) -> Picture:
@@ -149,7 +165,8 @@ def show_dual(transport: LightTransport, lights: NDArray[Any] | None = None) -> 
     ----------
     transport : LightTransport
     lights : camera_shape array, optional
-        How strongly each camera sample acts as a light. None: all alike.
+        How strongly each camera sample acts as a light. None: all alike, and a colour camera in
+        its colours.
 
     Returns
     -------
@@ -166,8 +183,7 @@ def show_dual(transport: LightTransport, lights: NDArray[Any] | None = None) -> 
     >>> import lightmatrix as lm
     >>> lm.show_dual(lm.truth("metal").transport()).savefig("dual.png")
     """
-    given = np.ones(transport.camera_shape, np.float32) if lights is None else lights
-    image = transport.dual(given)
+    image = transport.dual_image() if lights is None else transport.dual(lights)
     with mpl.rc_context(STYLE):
         drawing = Picture(figsize=(3.6, 3.6), layout="constrained")
         panel(drawing.subplots(), display(image, _white(image)), "Dual image: seen from projector")

@@ -212,7 +212,7 @@ def plan(
     clip : float, optional
         Raw level at which samples clip. None: the end of the range.
     response : str, optional
-        linear, gamma:2.2, srgb or curve:FILE. None: linear.
+        See `Response.parse`. None: linear.
     progress : callable, optional
         Called with (done, total) paths where a scene has to be rendered.
 

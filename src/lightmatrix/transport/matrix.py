@@ -184,6 +184,22 @@ class LightTransport:
         image = self.sparse.T @ flat + self.pooling.T @ (self.background.T @ flat)
         return np.asarray(image, np.float32).reshape(self.projector_shape)
 
+    def dual_image(self) -> NDArray[np.float32]:
+        """The scene seen from the projector, lit evenly from the camera.
+
+        Returns
+        -------
+        (rows, cols) or (rows, cols, channels) float32
+            Of a colour camera in its colours: what each of its channels sees.
+        """
+        if len(self.camera_shape) == 2:
+            return self.dual(np.ones(self.camera_shape, np.float32))
+        channels = range(self.camera_shape[2])
+        lights = np.zeros((len(channels), *self.camera_shape), np.float32)
+        for channel in channels:
+            lights[channel, ..., channel] = 1
+        return np.stack([self.dual(light) for light in lights], axis=-1)
+
     def row(self, *camera_index: int) -> NDArray[np.float32]:
         """How each projector pixel reaches one camera sample, as a projector image.
 

@@ -272,7 +272,7 @@ def _names() -> list[Case]:
     return [
         Case("no words at all for estimate", "estimate", "nothing to look at|capture"),
         Case("an unknown command", "photograph", "photograph"),
-        Case("an unknown option", f"{PATTERNS} --colour red", "--colour"),
+        Case("an unknown option", f"{PATTERNS} --shade red", "--shade"),
         Case(
             "a name of 300 letters for an output",
             f"patterns bernoulli -k 2 --size 8x8 -o {long}",

@@ -16,7 +16,7 @@ from lightmatrix.files.headers import read_json
 from lightmatrix.live.calibration.exposure import ExposureAdvice, measure_exposure
 from lightmatrix.live.calibration.flicker import Flicker, measure_flicker
 from lightmatrix.live.calibration.linearity import CameraLinearity, measure_linearity
-from lightmatrix.live.calibration.response import ProjectorResponse, measure_response
+from lightmatrix.live.calibration.response import measure_response
 from lightmatrix.live.calibration.settle import SettleTime, measure_settle
 from lightmatrix.live.calibration.white import FIRST_SETTLE, Whites, find_white, images
 from lightmatrix.live.limits import set_exposure
@@ -25,6 +25,7 @@ from lightmatrix.live.steady import take_steady
 from lightmatrix.live.taking import Taker, UntrustedFrameError
 from lightmatrix.outputs.kinds import RIG, RIG_FORMAT
 from lightmatrix.outputs.writing import atomic_file
+from lightmatrix.patterns.response import ProjectorResponse
 
 VERSION = 1
 # In the order in which each can use those before it.

@@ -1,47 +1,18 @@
-"""The projector's response: the light it gives for each grey value, and the way back."""
+"""Measuring the light that a projector gives for each grey value."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lightmatrix.live.calibration.white import Whites, find_white
 from lightmatrix.live.rig import Rig
 from lightmatrix.live.steady import take_steady
 from lightmatrix.live.taking import Taker
+from lightmatrix.patterns.response import ProjectorResponse
 
 _STEPS = 17
-# Of white: darker steps say little of the exponent.
-_FAINT = 0.02
-
-
-@dataclass(frozen=True)
-class ProjectorResponse:
-    """Light of grey values.
-
-    Parameters
-    ----------
-    levels : tuple of int
-        Grey values, from 0 to 255.
-    light : tuple of float
-        Light of each, from 0 to 1; never decreasing.
-    gamma : float
-        The power of the grey value that comes nearest.
-    """
-
-    levels: tuple[int, ...]
-    light: tuple[float, ...]
-    gamma: float
-
-    def grey_for(self, light: NDArray[np.floating]) -> NDArray[np.uint8]:
-        """Grey values (uint8) that give the wanted light, in [0, 1]."""
-        # Between the steps the curve is nearly straight in this measure, but not in light itself.
-        bent = np.asarray(self.light) ** (1 / self.gamma)
-        wanted = np.asarray(light, np.float64) ** (1 / self.gamma)
-        return np.rint(np.interp(wanted, bent, self.levels)).astype(np.uint8)
 
 
 def measure_response(
@@ -89,9 +60,4 @@ def measure_response(
         light[k] = whites.level(take_steady(taker, image, whites.exposure, 3).mean)
         if progress is not None:
             progress(k + 1, _STEPS)
-    light = (light - light[0]) / (light[-1] - light[0])
-    light = np.maximum.accumulate(np.clip(light, 0, 1))
-    clear = (light > _FAINT) & (light < 1)
-    bent, value = np.log(light[clear]), np.log(levels[clear] / 255)
-    gamma = float(np.clip((bent @ value) / (value @ value), 0.1, 10)) if clear.any() else 1.0
-    return ProjectorResponse(tuple(map(int, levels)), tuple(map(float, light)), gamma)
+    return ProjectorResponse.of_light(levels, light)

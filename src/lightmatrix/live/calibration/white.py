@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from lightmatrix.camera.between import lit_samples, share_of_white
 from lightmatrix.live.limits import exposure_limits
 from lightmatrix.live.rig import Rig, UnfitRigError
 from lightmatrix.live.steady import Steady, take_steady
@@ -50,14 +51,11 @@ class Whites:
     @property
     def lit(self) -> NDArray[np.bool_]:
         """Samples that the projector lights well and that do not clip."""
-        free = self.white.mean < 0.98 * self.white.clip_level
-        return np.asarray(free & (self.light > 0.1 * np.quantile(self.light, _BRIGHT)))
+        return lit_samples(self.white.mean, self.black.mean, self.white.clip_level)
 
     def level(self, frame: NDArray[np.generic]) -> float:
         """How far a frame is from black (0) to white (1), over the samples that are lit."""
-        light = self.light[self.lit].astype(np.float64)
-        above = np.asarray(frame, np.float64)[self.lit] - self.black.mean[self.lit]
-        return float(above @ light / (light @ light))
+        return share_of_white(frame, self.white.mean, self.black.mean, self.lit)
 
 
 def images(rig: Rig) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:

@@ -49,7 +49,7 @@ def _views(facts: Facts) -> tuple[Image, ...]:
     background = transport.background.sum(axis=1).reshape(transport.camera_shape)
     share = percent(transport.background_share)
     level = float(np.quantile(facts.white, 0.99))
-    dual = transport.dual(np.ones(transport.camera_shape, np.float32))
+    dual = transport.dual_image()
     return (
         photograph(
             facts.white,

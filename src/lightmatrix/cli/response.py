@@ -1,0 +1,150 @@
+"""`lightmatrix response`: the curve of a camera or a projector, from photographs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+
+import lightmatrix as lm
+from lightmatrix.cli.options import Json, Overwrite, ResponseCurve
+from lightmatrix.cli.source import level_or_file, numbers
+from lightmatrix.cli.terminal import say, show_json
+from lightmatrix.errors import InputError
+
+if TYPE_CHECKING:
+    from lightmatrix import CameraResponse, ProjectorResponse
+
+Method = Literal["debevec", "robertson"]
+# Beyond it, a curve misses more than estimates should.
+_MISFIT, _CHANNELS = 0.02, 0.03
+
+
+def response(
+    photographs: Annotated[
+        Path,
+        typer.Argument(
+            metavar="PHOTOS",
+            help="One scene at several exposures: a folder, or a stack (TIFF, npy, npz).",
+        ),
+    ],
+    output: Annotated[Path, typer.Option("-o", "--output", help="The curve to write: .json.")],
+    picture: Annotated[
+        Path | None, typer.Option("--picture", help="A picture of the curve as well: .png.")
+    ] = None,
+    exposure: Annotated[
+        str | None,
+        typer.Option(
+            "--exposure",
+            help="Exposure of each photograph, in any unit: 1,2,4 or a text file of them.",
+            show_default="as the camera wrote it into JPEG and TIFF files",
+        ),
+    ] = None,
+    method: Annotated[
+        Method, typer.Option(help="Debevec's curve is smooth; Robertson's follows bends.")
+    ] = "debevec",
+    black: Annotated[
+        str | None,
+        typer.Option(
+            help="Photograph with the cap on, or the raw level without light.", show_default="0"
+        ),
+    ] = None,
+    clip: Annotated[
+        float | None,
+        typer.Option(
+            help="Raw level at which the camera clips.", show_default="255, 65535, or 1 for float"
+        ),
+    ] = None,
+    projector: Annotated[
+        bool,
+        typer.Option(
+            "--projector",
+            help="The projector's curve: each photograph of another grey value, at one exposure.",
+        ),
+    ] = False,
+    levels: Annotated[
+        str | None,
+        typer.Option(
+            help="The projector's grey values: 0,16,32,...,255 or a text file of them.",
+            show_default="evenly from 0 to 255",
+        ),
+    ] = None,
+    camera: ResponseCurve = None,
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+) -> None:
+    """Measure the response of a camera, or of a projector.
+
+    Photograph a scene that does not change, with dark and bright parts, at 5 to 9 exposures, each
+    about twice the one before. The curve is for `estimate`, `check` and `plan --response`, and for
+    capture.json. With --projector, photograph grey values from black to white at one exposure
+    (--response says the camera's curve); that curve is for --projector-response.
+    """
+    if projector:
+        _refuse("--projector", {"--exposure": exposure, "--black": black})
+        grey = None if levels is None else numbers(levels, "--levels")
+        ramp = lm.projector_response(
+            photographs,
+            [grey] if isinstance(grey, float) else grey,
+            response=camera,
+            clip=clip,
+            output=output,
+            picture=picture,
+            overwrite=overwrite,
+        )
+        _show_projector(ramp, output, picture, as_json)
+        return
+    _refuse("a camera's curve", {"--levels": levels, "--response": camera})
+    found = lm.camera_response(
+        photographs,
+        None if exposure is None else numbers(exposure, "--exposure"),
+        method=method,
+        black=None if black is None else level_or_file(black),
+        clip=clip,
+        output=output,
+        picture=picture,
+        overwrite=overwrite,
+    )
+    _show_camera(found, output, picture, as_json)
+
+
+def _refuse(what: str, options: dict[str, str | None]) -> None:
+    given = [name for name, value in options.items() if value is not None]
+    if given:
+        hint = "leave it out" if what == "--projector" else "add --projector, or leave it out"
+        raise InputError(f"{given[0]} does not go with {what}", hint=hint)
+
+
+def _show_projector(
+    found: ProjectorResponse, output: Path, picture: Path | None, as_json: bool
+) -> None:
+    if as_json:
+        show_json({"output": output, "picture": picture, "gamma": found.gamma})
+        return
+    say(f"{output}: the projector's gamma is about {found.gamma:.2f}")
+    say(f"use it with: lightmatrix estimate ... --projector-response {output}")
+
+
+def _show_camera(found: CameraResponse, output: Path, picture: Path | None, as_json: bool) -> None:
+    if as_json:
+        show_json({"output": output, "picture": picture, **found.as_dict()})
+        return
+    say(
+        f"{output}: the camera's gamma is about {found.gamma:.2f}; the curve is known to "
+        f"{100 * max(found.uncertainty, found.misfit):.1f} % of full light"
+    )
+    if not found.misfit <= _MISFIT:
+        say(
+            f"its light is up to {100 * found.misfit:.0f} % off growing with the exposure: did the "
+            "scene, the light or a setting of the camera (ISO, aperture, white balance, "
+            "contrast) change between the photographs?",
+            style="yellow",
+        )
+    if found.channels is not None and found.channels > _CHANNELS:
+        say(
+            f"the curves of the channels differ by up to {100 * found.channels:.0f} % of full "
+            "light, and one for all is a compromise: turn colour enhancement and white balance off",
+            style="yellow",
+        )
+    say(f"use it with: lightmatrix estimate ... --response {output}")

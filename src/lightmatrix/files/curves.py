@@ -1,0 +1,106 @@
+"""Measured curves as files: JSON of levels and the light that belongs to each."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightmatrix.errors import InputError
+from lightmatrix.files.headers import read_json
+from lightmatrix.outputs.kinds import RESPONSE, RESPONSE_FORMAT
+from lightmatrix.outputs.writing import atomic_file
+
+_VERSION = 1
+_MOST_POINTS = 65_536
+
+
+@dataclass(frozen=True, eq=False)
+class CurveFile:
+    """What a file says of a curve.
+
+    Parameters
+    ----------
+    device : {"camera", "projector"}
+        What the curve is of.
+    levels, light : (n,) float64
+        Points of it: levels that increase, from 0, and light that does not decrease, from 0 to 1.
+    facts : mapping
+        What else is known of it, JSON-ready.
+    """
+
+    device: str
+    levels: NDArray[np.float64]
+    light: NDArray[np.float64]
+    facts: Mapping[str, Any] = field(default_factory=dict)
+
+    def save(self, path: str | Path, *, overwrite: bool = False) -> None:
+        """Write it as JSON, whole or not at all.
+
+        Raises
+        ------
+        OutputError
+            If there is a file that is none of them or must not be replaced, or the disk fails.
+        """
+        content = {
+            "format": RESPONSE_FORMAT,
+            "version": _VERSION,
+            "device": self.device,
+            **self.facts,
+            "levels": _short(self.levels),
+            "light": _short(self.light),
+        }
+        with atomic_file(path, RESPONSE, overwrite=overwrite) as part:
+            part.write_text(json.dumps(content, indent=1) + "\n")
+
+    @classmethod
+    def load(cls, path: str | Path, device: str) -> CurveFile:
+        """Read what `save` wrote of a camera or of a projector.
+
+        Raises
+        ------
+        InputError
+            On a file that is missing, damaged, something else, or of the other device.
+        """
+        file = Path(path)
+        content = read_json(file, RESPONSE_FORMAT, _VERSION)
+        if content.get("device") != device:
+            said = str(content.get("device"))[:20]
+            raise InputError(
+                f"{file}: is the response of a {said}, not of a {device}",
+                hint="`lightmatrix response` measures cameras, with --projector projectors",
+            )
+        levels, light = _numbers(content.get("levels")), _numbers(content.get("light"))
+        if levels is None or light is None or not _is_curve(levels, light):
+            raise InputError(
+                f"{file}: holds no curve: levels that increase from 0, and light from 0 to 1",
+                hint="measure it again with `lightmatrix response`",
+            )
+        known = {"format", "version", "device", "levels", "light"}
+        facts = {key: value for key, value in content.items() if key not in known}
+        return cls(device, levels, light, facts)
+
+
+def _short(values: Sequence[float] | NDArray[np.float64]) -> list[float]:
+    """Numbers of as many digits as a measurement has."""
+    return [float(f"{value:.7g}") for value in values]
+
+
+def _numbers(found: Any) -> NDArray[np.float64] | None:
+    if not isinstance(found, list) or not 2 <= len(found) <= _MOST_POINTS:
+        return None
+    # True is a number to Python.
+    if any(type(value) not in (int, float) or abs(value) > 1e9 for value in found):
+        return None
+    return np.array(found, np.float64)
+
+
+def _is_curve(levels: NDArray[np.float64], light: NDArray[np.float64]) -> bool:
+    increases = len(levels) == len(light) and bool((np.diff(levels) > 0).all())
+    ends = levels[0] == 0 and light[0] >= 0 and light[-1] == 1
+    return bool(increases and ends and (np.diff(light) >= 0).all())

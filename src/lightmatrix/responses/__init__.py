@@ -1,0 +1,1 @@
+"""Measuring responses from photographs: the camera's and the projector's."""

@@ -1,0 +1,84 @@
+"""The photographs that a response is measured from."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightmatrix.capture.frames import ArrayStack, Frames
+from lightmatrix.errors import InputError
+from lightmatrix.files.exif import exposure_time
+from lightmatrix.files.images import read_image
+from lightmatrix.files.raw import RAW, shutter_time
+from lightmatrix.files.stack import ImageStack
+
+Photographs = str | Path | NDArray[Any]
+
+
+def open_photographs(source: Photographs) -> Frames:
+    """Photographs of a folder, of one file of several, or in memory.
+
+    Raises
+    ------
+    InputError
+        On files that cannot be read, or arrays that are none of (K, rows, cols[, 3]).
+    """
+    if isinstance(source, str | Path):
+        return ImageStack.open(source)
+    if source.ndim not in (3, 4) or source.dtype not in (np.uint8, np.uint16, np.float32):
+        raise InputError(
+            f"photographs of shape {source.shape} and type {source.dtype}",
+            hint="give (K, rows, cols) or (K, rows, cols, 3) uint8, uint16 or float32",
+        )
+    return ArrayStack(source)
+
+
+def exposures_of(frames: Frames, said: float | NDArray[Any] | None) -> NDArray[np.float64]:
+    """Exposure of each photograph, (K,): as said, or as the camera wrote it into the files.
+
+    Raises
+    ------
+    InputError
+        If they are unknown, not one a photograph, or no positive numbers.
+    """
+    if said is None:
+        return _written(frames)
+    exposures = np.atleast_1d(np.asarray(said, np.float64))
+    if exposures.shape != (frames.count,):
+        raise InputError(
+            f"{exposures.size} exposures for {frames.count} photographs",
+            hint="give one for each, in the order of the photographs",
+        )
+    if not (np.isfinite(exposures).all() and (exposures > 0).all()):
+        raise InputError(
+            f"an exposure of {exposures.min():g}", hint="use positive numbers, in any unit"
+        )
+    return exposures
+
+
+def level_or_median(black: str | Path | float | None) -> float:
+    """The level without light: a number, or the median of a photograph; 0 if nothing is said."""
+    if black is None:
+        return 0.0
+    if isinstance(black, int | float):
+        return float(black)
+    return float(np.median(read_image(black)))
+
+
+def _written(frames: Frames) -> NDArray[np.float64]:
+    paths = frames.paths if isinstance(frames, ImageStack) else ()
+    found = [
+        shutter_time(path) if path.suffix.lower() in RAW else exposure_time(path)
+        for path in paths
+        if isinstance(path, Path)
+    ]
+    if not found or None in found:
+        which = f"{paths[found.index(None)]}: " if None in found else ""
+        raise InputError(
+            f"{which}how long the photographs were exposed is not known",
+            hint="say it, --exposure 1,2,4,8 in any unit, in the order of the photographs",
+        )
+    return np.array(found, np.float64)
