@@ -49,7 +49,15 @@ WITHOUT: dict[str, tuple[Change, dict[str, Any]]] = {
     ),
     "without spots (single pixels only)": (nullcontext, {"sizes": (0.0,)}),
     "without single pixels within spots": (
-        partial(patch.object, neighbourhood, "WITHIN", 1e-9),
+        partial(patch.multiple, neighbourhood, WITHIN_AT_FIRST=1e-9, WITHIN=1e-9),
+        {},
+    ),
+    "without wider spots in the place of narrow ones": (
+        partial(patch.multiple, neighbourhood, WIDER_PIXEL=0.0, WIDER_SPOT=0.0),
+        {},
+    ),
+    "with single pixels believed in everywhere": (
+        partial(patch.object, neighbourhood, "PIXELS_LEAST", 1.0),
         {},
     ),
     "without movement (votes where neighbours see them)": (

@@ -268,7 +268,7 @@ except (MemoryError, OSError) as error:
             2**28,
             "_core.likely_pixels(__import__('scipy.sparse').sparse.csr_array((1, 2**30), "
             "dtype=np.float32), (1, 1, 1), (1, 2**15, 2**15), np.zeros((1, 4), np.float32), "
-            "[np.ones(1, np.float32)], 0.1, (1, 1), 5, (0, 1))",
+            "[np.ones(1, np.float32)], 0.1, *[np.ones(1, np.float32)] * 2, (1, 1), 5, (0, 1))",
             "MemoryError not enough memory for sums over the pixels",
         ),
     ],

@@ -19,6 +19,8 @@ def likely_pixels(
     movement: NDArray[np.float32],
     spots: list[NDArray[np.float32]],
     within: float,
+    wider: NDArray[np.float32],
+    singles: NDArray[np.float32],
     reach: tuple[int, int],
     most: int,
     range: tuple[int, int],

@@ -47,6 +47,8 @@ fn likely_pixels<'py>(
     movement: &Bound<'py, PyAny>,
     spots: Vec<Bound<'py, PyAny>>,
     within: &Bound<'py, PyAny>,
+    wider: &Bound<'py, PyAny>,
+    singles: &Bound<'py, PyAny>,
     reach: (Bound<'py, PyAny>, Bound<'py, PyAny>),
     most: &Bound<'py, PyAny>,
     range: (Bound<'py, PyAny>, Bound<'py, PyAny>),
@@ -70,7 +72,26 @@ fn likely_pixels<'py>(
             projector[0]
         )));
     }
+    let wider = Values::<f32>::reals(wider, "wider")?;
+    let singles = Values::<f32>::reals(singles, "singles")?;
+    let (wider, singles) = (wider.as_slice()?, singles.as_slice()?);
+    let believed = singles.iter().all(|share| (0.0..=1.0).contains(share));
+    if wider.len() != projector[0] || wider.iter().any(|&share| share < 0.0) {
+        return Err(PyValueError::new_err(format!(
+            "{} shares of the next wider spots for {} planes, expected one of each, from 0 on",
+            wider.len(),
+            projector[0]
+        )));
+    }
+    if singles.len() != count || !believed {
+        return Err(PyValueError::new_err(format!(
+            "{} shares of single pixels for {count} rows, expected one of each in [0, 1]",
+            singles.len()
+        )));
+    }
     let windows = Windows {
+        wider,
+        singles,
         spots: &spots,
         within: positive(within, "within")? as f32,
         camera,

@@ -22,6 +22,10 @@ pub struct Windows<'a> {
     pub spots: &'a [&'a [f32]],
     /// by this share.
     pub within: f32,
+    /// At the same place the next wider spot becomes likely by this share, one for each plane.
+    pub wider: &'a [f32],
+    /// How far single pixels are believed in, in [0, 1], for each row.
+    pub singles: &'a [f32],
     /// Half widths of the box windows, in camera and projector pixels.
     pub camera_reach: usize,
     pub projector_reach: usize,
@@ -48,6 +52,7 @@ pub fn likely(
             },
             |sums, row| {
                 sums.add_neighbours(matrix, windows, row);
+                sums.believe(windows, windows.singles[row]);
                 sums.take(windows.most)
             },
         )
@@ -77,6 +82,7 @@ impl Sums {
                         if let Some(place) = moved_back(windows.projector, pixel, moved) {
                             self.add_blurred(windows, place, value / most);
                             self.add_within(windows, place, value / most);
+                            self.add_wider(windows, place, value / most);
                         }
                     }
                 }
@@ -113,6 +119,25 @@ impl Sums {
                 if share > 0.0 {
                     self.add(other_r * cols + other_c, share);
                 }
+            }
+        }
+    }
+
+    /// Several spots may be one that is wider: where it is not, the samples object.
+    fn add_wider(&mut self, windows: Windows, atom: usize, value: f32) {
+        let [planes, rows, cols] = windows.projector;
+        let plane = atom / (rows * cols);
+        if plane + 1 < planes && windows.wider[plane] > 0.0 {
+            self.add(atom + rows * cols, windows.wider[plane] * value);
+        }
+    }
+
+    /// Scale the sums of single pixels.
+    fn believe(&mut self, windows: Windows, share: f32) {
+        let [_, rows, cols] = windows.projector;
+        for &atom in &self.touched {
+            if (atom as usize) < rows * cols {
+                self.values[atom as usize] *= share;
             }
         }
     }

@@ -174,6 +174,8 @@ fn likely_pixels_are_the_neighbours_rows_over_their_maximum_blurred() {
         movement: &still,
         spots: &spots,
         within: 0.1,
+        wider: &[2.0],
+        singles: &[1.0; 6],
         camera_reach,
         projector_reach,
         most,
@@ -203,6 +205,8 @@ fn likely_atoms_are_moved_back_and_make_single_pixels_within_them_likely() {
         movement: &movement,
         spots: &spots,
         within: 0.1,
+        wider: &[0.5, 2.0],
+        singles: &[1.0, 0.4],
         camera_reach: 1,
         projector_reach: 0,
         most: 99,
@@ -220,5 +224,12 @@ fn likely_atoms_are_moved_back_and_make_single_pixels_within_them_likely() {
     let expected = [0.025, 0.05, 0.025, 0.05, 0.1, 0.05, 0.025, 0.05, 0.025, 1.0];
     for (share, expected) in found.1.iter().zip(expected) {
         assert!((share - expected).abs() < 1e-6);
+    }
+    // In row 1 the pixel, half as bright as the spot, makes the spot in its place half as likely as
+    // itself, and is believed in by two fifths, as are the pixels within the spot.
+    let found = likely(matrix, windows, 1..2).remove(0);
+    let share = |atom| found.1[found.0.iter().position(|&other| other == atom).unwrap()];
+    for (atom, expected) in [(0, 0.2), (6, 0.04), (12, 0.25), (12 + 6, 1.0)] {
+        assert!((share(atom) - expected).abs() < 1e-6);
     }
 }

@@ -15,6 +15,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter
 from scipy.sparse import csr_array
 
 from lightmatrix import _core
@@ -39,8 +40,18 @@ COMMON_ERROR = 0.02
 # They help rows of few known samples. With more than this many they weigh less in proportion, for
 # what neighbours err in common does not average out.
 ENOUGH = 16
-# By this share of what makes a spot likely the pixels within it become likely too.
-WITHIN = 0.1
+# By this share of what makes a spot likely the pixels within it become likely too: little at first,
+# for single pixels explain everything, noise as well; more once they are believed in only where
+# they were needed.
+WITHIN_AT_FIRST, WITHIN = 0.08, 0.3
+# By this share of what makes a pixel likely, and of what makes a spot likely, the next wider spot
+# in its place becomes likely too: several narrow spots are often one that is wider, and cheaper.
+WIDER_PIXEL, WIDER_SPOT = 0.25, 2.0
+# Single pixels are believed in to the full where they hold this share of the light around, and as
+# the square of it where they hold less, down to the least.
+PIXELS_BELIEVED, PIXELS_LEAST = 0.4, 0.001
+# Around is a square of so many camera pixels.
+PIXELS_AROUND = 9
 # Lighter samples are left out.
 LEAST_WEIGHT = 1e-4
 
@@ -141,8 +152,30 @@ class Neighbourhood:
         """The rows' light at the middles of their spots, (M, N)."""
         return self.atoms.centres(self.rows.coefficients)
 
+    @cached_property
+    def singles(self) -> NDArray[np.float32]:
+        """How far single pixels are believed in, in [0, 1], by the light they hold around, (M,)."""
+        found = self.rows.coefficients
+        single = np.where(found.indices < self.atoms.single.pixels, found.data, 0)
+        pixels = csr_array((single, found.indices, found.indptr), shape=found.shape)
+        whole = found.sum(axis=1).reshape(self.camera)
+        part = pixels.sum(axis=1).reshape(self.camera)
+        lit = whole > 0
+        share = np.divide(part, whole, out=np.zeros(self.camera), where=lit)
+        window = (PIXELS_AROUND, PIXELS_AROUND, 1)
+        lit_around = uniform_filter(lit.astype(np.float64), window, mode="nearest")
+        around = uniform_filter(share, window, mode="nearest") / np.maximum(lit_around, 1e-9)
+        belief = np.clip((around / PIXELS_BELIEVED) ** 2, PIXELS_LEAST, 1)
+        return belief.astype(np.float32).ravel()
+
     def likely(
-        self, reach: tuple[int, int], most: int, trust: float, rows: tuple[int, int]
+        self,
+        reach: tuple[int, int],
+        most: int,
+        trust: float,
+        rows: tuple[int, int],
+        *,
+        first: bool = False,
     ) -> Candidates:
         """The likeliest atoms of the rows start..stop, with penalties by what neighbours hold.
 
@@ -155,14 +188,20 @@ class Neighbourhood:
         trust : float
             How little light among the neighbours makes an atom likely.
         rows : (int, int)
+        first : bool
+            Whether nothing was settled yet, and single pixels are believed in everywhere.
         """
+        wider = np.full(self.atoms.planes, WIDER_SPOT, np.float32)
+        wider[0] = WIDER_PIXEL
         indptr, atoms, shares = _core.likely_pixels(
             self.rows.coefficients,
             self.camera,
             self.projector,
             self.movement,
             self.atoms.spots,
-            WITHIN,
+            WITHIN_AT_FIRST if first else WITHIN,
+            wider,
+            np.ones(self.rows.count, np.float32) if first else self.singles,
             reach,
             most,
             rows,

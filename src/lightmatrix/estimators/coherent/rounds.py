@@ -211,7 +211,13 @@ class Rounds:
         background = self._halos(known, start, stop)[:, : cells.means.shape[1]]
         return solve_weighted(
             problem,
-            known.likely(self.windows[number - 1], self.candidates, self.trust, (start, stop)),
+            known.likely(
+                self.windows[number - 1],
+                self.candidates,
+                self.trust,
+                (start, stop),
+                first=number == 1,
+            ),
             cells,
             self.solver,
             expected=expected,
