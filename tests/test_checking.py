@@ -169,7 +169,8 @@ def test_colour_and_several_exposures_are_left_alone() -> None:
     patterns = lm.BernoulliPatterns((64, 64), 48)
     capture = lm.simulate("metal", patterns, exposure="0.4:0.5,0.1:0.5", leak=0.01, ambient=0.05)
     assert lm.check(capture) == []
-    frames = np.stack([lm.simulate("metal", patterns, exposure=0.1).frame(k) for k in range(48)])
+    grey = lm.simulate("metal", patterns, exposure=0.1)
+    frames = np.stack([grey.frame(k) for k in range(48)])
     colour = np.rint(frames[..., None] * np.array([1, 0.8, 0.5])).astype(np.uint8)
     assert lm.check(lm.Capture.from_arrays(patterns, colour, CAMERA)) == []
 
@@ -188,8 +189,9 @@ def test_light(capsys: pytest.CaptureFixture[str]) -> None:
 def test_pixels_that_never_see_the_projector() -> None:
     patterns = lm.BernoulliPatterns((64, 64), 16)
     frames = np.zeros((16, 220, 220), np.uint8)
+    seen = lm.simulate("metal", patterns, exposure=0.1)
     for k in range(16):
-        frames[k, 80:144, 80:144] = lm.simulate("metal", patterns, exposure=0.1).frame(k)
+        frames[k, 80:144, 80:144] = seen.frame(k)
     found = lm.check(lm.Capture.from_arrays(patterns, frames, CAMERA, check=False))
     assert [each.kind for each in found] == ["unseen"]
 

@@ -241,11 +241,14 @@ from hostile_core import CLIPPED, SHOWN, VALUES, chosen, samples
 SHOWN.scores(np.ones((1, 9)))
 pages = int(open("/proc/self/statm").read().split()[0])
 limit = pages * resource.getpagesize() + {room}
-resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
+soft, hard = resource.getrlimit(resource.RLIMIT_AS)
+resource.setrlimit(resource.RLIMIT_AS, (limit, hard))
 try:
     {call}
 except (MemoryError, OSError) as error:
     print(type(error).__name__, error)
+# Threads that end need room too.
+resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
 """
 
 

@@ -43,7 +43,11 @@ def test_its_commands_run(
     assert "the projector's gamma is 2.20" in told
     (python,) = _blocks("python")
     exec(compile(_without_waiting(python), "first-capture.md", "exec"), {})
-    assert "'matched': 64" in capsys.readouterr().out
+    told = capsys.readouterr().out
+    # Some near chance are photographed twice.
+    counts = [int(number) for number in re.findall(r"'(?:matched|confirmed)': (\d+)", told)]
+    assert sum(counts) == 64
+    assert max(counts) > 40
 
 
 def test_it_knows_every_option_of_a_virtual_rig() -> None:

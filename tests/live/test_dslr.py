@@ -108,10 +108,10 @@ def _fill(camera: Camera) -> None:
         camera.trigger()
 
 
-def test_raw_files_are_not_read(picture: Picture) -> None:
+def test_files_that_are_no_photographs(picture: Picture) -> None:
     camera = open_dslr(Address("dslr"))
-    with pytest.raises(DeviceError, match=r"\.nef files, which are not read"):
-        camera._frame("DSC_1.NEF", b"", 0.0)
+    with pytest.raises(DeviceError, match=r"\.mov files, which are not read"):
+        camera._frame("DSC_1.MOV", b"", 0.0)
     with pytest.raises(DeviceError, match=r"DSC_1\.JPG came damaged"):
         camera._frame("DSC_1.JPG", b"half of it", 0.0)
     camera.close()

@@ -256,7 +256,7 @@ def _frames() -> list[Case]:
         Case("no patterns/", ESTIMATE, "patterns", remove("capture/patterns")),
         Case("a capture that is a pipe", "estimate in -o new.zarr", "in", pipe("in")),
         Case("a capture that is a store", "estimate plain.zarr -o new.zarr", "plain.zarr"),
-        Case("info of a capture", "info capture", "capture"),
+        Case("info of photographs alone", "info photos", "photos"),
         Case("a lost last frame", ESTIMATE, "31 images", remove("capture/images/image_0031.png")),
     ]
 

@@ -1,4 +1,4 @@
-"""Five hundred mutations at each run of the tests; `make fuzz` does 20,000."""
+"""Three hundred mutations at each run of the tests; `make fuzz` does 20,000."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import pytest
 from ..case import GOOD
 from ..workers import Pool
 
-COUNT = 500
+COUNT = 300
 
 
 def test_what_is_damaged_is_refused_or_read_rightly() -> None:
