@@ -12,10 +12,13 @@ from scipy.ndimage import gaussian_filter
 from scipy.sparse import csr_array
 
 from lightmatrix.errors import InputError
+from lightmatrix.estimators.coherent import neighbourhood
+from lightmatrix.estimators.coherent.neighbourhood import Neighbourhood
 from lightmatrix.patterns.atoms import AtomPatterns
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.hadamard import HadamardPatterns
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
+from lightmatrix.transport.sparse_rows import SparseRows
 
 SIZES = (0.0, 0.7, 1.4)
 
@@ -111,3 +114,22 @@ def test_columns_of_all_sizes_have_the_same_contrast() -> None:
 def test_sizes_and_gains_out_of_range(sizes: Any, gains: Any) -> None:
     with pytest.raises(InputError, match=r"sizes|gains"):
         AtomPatterns(BernoulliPatterns((8, 8), 4), sizes, gains)
+
+
+def test_single_pixels_are_believed_in_where_they_hold_light() -> None:
+    """On the left all light is single pixels', on the right spots'; nothing was found in the last row."""
+    atoms = AtomPatterns(BernoulliPatterns((8, 8), 16), (0.0, 1.0))
+    camera = (30, 60, 1)
+    light = np.zeros((30, 60, atoms.pixels), np.float32)
+    light[:-1, :30, 5] = 1
+    light[:-1, 30:, 64 + 5] = 2
+    rows = csr_array(light.reshape(1800, -1))
+    count = rows.shape[0]
+    found = SparseRows(rows, np.zeros((count, 1), np.float32), {})
+    belief = Neighbourhood(found, camera, atoms).singles.reshape(30, 60)
+    np.testing.assert_array_equal(belief[:, :26], 1)
+    np.testing.assert_array_equal(belief[:, 34:], np.float32(neighbourhood.PIXELS_LEAST))
+    # Two of the nine columns around hold single pixels.
+    np.testing.assert_allclose(
+        belief[:, 32], (2 / 9 / neighbourhood.PIXELS_BELIEVED) ** 2, rtol=1e-5
+    )
