@@ -117,7 +117,7 @@ def test_sizes_and_gains_out_of_range(sizes: Any, gains: Any) -> None:
 
 
 def test_single_pixels_are_believed_in_where_they_hold_light() -> None:
-    """On the left all light is single pixels', on the right spots'; nothing was found in the last row."""
+    """On the left all light is single pixels', on the right spots'; the last row found nothing."""
     atoms = AtomPatterns(BernoulliPatterns((8, 8), 16), (0.0, 1.0))
     camera = (30, 60, 1)
     light = np.zeros((30, 60, atoms.pixels), np.float32)
