@@ -13,6 +13,11 @@ from lightmatrix.errors import InputError
 MOST_LEVEL = 2.0**32
 
 
+def range_end(dtype: np.dtype[Any]) -> float:
+    """The highest raw level that images of a type hold: 1 for float."""
+    return 1.0 if dtype.kind == "f" else float(np.iinfo(dtype).max)
+
+
 def of_frames(value: float | NDArray[Any], start: int, stop: int, name: str) -> NDArray[np.float64]:
     """The values of the frames start..stop: one for all, or a list of one each."""
     array = np.asarray(value, np.float64)

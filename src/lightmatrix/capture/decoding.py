@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.camera.decoder import Decoder
+from lightmatrix.camera.levels import range_end
 from lightmatrix.camera.response import Response
 from lightmatrix.errors import InputError, LightMatrixWarning
-from lightmatrix.files.images import read_image
+from lightmatrix.files.images import is_grey, read_image
 from lightmatrix.files.stack import ImageStack, nonlinear_tag
 
 
@@ -38,7 +39,7 @@ def make_decoder(
         On a black frame of another size or bit depth, one that is clipped, or one of another
         exposure than the frames where no black level is stated; on levels out of range.
     """
-    top = 1.0 if stack.dtype.kind == "f" else float(np.iinfo(stack.dtype).max)
+    top = range_end(stack.dtype)
     measured = response.full_scale
     if measured is not None and measured > top:
         raise InputError(
@@ -65,7 +66,7 @@ def make_decoder(
         black_level = float(black)
     elif black is not None:
         image = read_image(black, mosaic=stack.mosaic)
-        if image.ndim == 3 and stack.grey and (image == image[..., :1]).all():
+        if image.ndim == 3 and stack.grey and is_grey(image):
             image = image[..., 0]
         if image.shape != stack.shape:
             raise InputError(

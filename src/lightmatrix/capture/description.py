@@ -17,6 +17,8 @@ from lightmatrix.files.headers import read_json
 from lightmatrix.files.reading import within
 
 NAME = "capture.json"
+# What a simulated capture holds beside a photographed one, packed or not.
+TRUTH = "truth.npz"
 FORMAT, VERSION = "lightmatrix-capture", 1
 
 Levels = float | NDArray[np.float64]

@@ -16,7 +16,7 @@ from lightmatrix.regions import Region
 from lightmatrix.reprs import short_repr
 
 # Levels that are looked at together.
-_BLOCK_LEVELS = 1 << 24
+BLOCK_LEVELS = 1 << 24
 
 
 class Frames(Protocol):
@@ -70,7 +70,7 @@ def level_blocks(frames: Frames) -> Iterator[NDArray[Any]]:
     if not isinstance(frames, PixelFrames):
         yield from in_order(frames)
         return
-    pixels, step = math.prod(frames.shape), max(1, _BLOCK_LEVELS // frames.count)
+    pixels, step = math.prod(frames.shape), max(1, BLOCK_LEVELS // frames.count)
     for start in range(0, pixels, step):
         yield frames.levels(start, min(start + step, pixels))
 

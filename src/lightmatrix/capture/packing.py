@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from lightmatrix.camera.decoder import Decoder
 from lightmatrix.capture.capture import Capture
+from lightmatrix.capture.description import TRUTH
 from lightmatrix.capture.folder import jsonable
 from lightmatrix.capture.frames import Frames, PixelFrames, in_order
 from lightmatrix.capture.packed import (
@@ -40,8 +41,6 @@ Progress = Callable[[int, int], None]
 # rows as it is asked for, the last fewer.
 Strips = Callable[[int], Iterator[NDArray[Any]]]
 
-# What a simulated capture holds beside a photographed one, packed or not.
-TRUTH = "truth.npz"
 # Of one chunk: small enough that a tile of camera pixels reads little more than its own samples.
 _CHUNK_BYTES = 1 << 20
 # Frames up to half of this are turned over in memory, more of them through a file.

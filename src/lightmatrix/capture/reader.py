@@ -14,11 +14,10 @@ from numpy.typing import NDArray
 from lightmatrix.camera.decoder import Decoder
 from lightmatrix.camera.noise import frame_weights
 from lightmatrix.camera.samples import Samples, bin_samples
-from lightmatrix.capture.frames import Frames, PixelFrames, in_order
+from lightmatrix.capture.frames import BLOCK_LEVELS, Frames, PixelFrames, in_order
 from lightmatrix.files.scratch import scratch_array
 
-# Raw levels that are looked at together, and samples of one frame that are binned at a time.
-_BLOCK_LEVELS = 1 << 24
+# Samples of one frame that are binned at a time.
 _STRIP = 1 << 20
 
 
@@ -124,7 +123,7 @@ class Reader:
     def level_blocks(self) -> Iterator[NDArray[Any]]:
         """All raw levels once, some camera samples at a time."""
         pixels = int(np.prod(self.frames.shape))
-        step = max(1, _BLOCK_LEVELS // self.frames.count)
+        step = max(1, BLOCK_LEVELS // self.frames.count)
         for start in range(0, pixels, step):
             yield self.levels(start, min(start + step, pixels))
 
@@ -181,7 +180,7 @@ class Reader:
                     where = slice(rows.start // down * narrow, -(-rows.stop // down) * narrow)
                     yield where, pixels.start, k, frame[rows].reshape(-1, 1)
             return
-        step = down * max(1, _BLOCK_LEVELS // (frames.count * wide * down))
+        step = down * max(1, BLOCK_LEVELS // (frames.count * wide * down))
         for top in range(0, frames.shape[0], step):
             end = min(top + step, frames.shape[0])
             levels = frames.levels(top * wide, end * wide)

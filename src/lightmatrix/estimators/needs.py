@@ -17,10 +17,12 @@ from typing import Any
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.frames import CutFrames
 from lightmatrix.errors import InputError
+from lightmatrix.estimators.coherent.neighbourhood import UNSEEN
 from lightmatrix.estimators.join import TILE_BYTES
 from lightmatrix.files.memory import available_bytes
 from lightmatrix.files.scratch import MEMORY_BYTES
 from lightmatrix.patterns.pattern_set import ImagePatterns
+from lightmatrix.solvers.active_set import ActiveSet
 
 # Of `memory_terms` in bytes and of `time_terms` in seconds of one core.
 COEFFICIENTS: Mapping[str, Mapping[str, Mapping[str, float]]] = {
@@ -43,9 +45,6 @@ COEFFICIENTS: Mapping[str, Mapping[str, Mapping[str, float]]] = {
 LOADED_BYTES = 130 << 20
 # The checks look at so many levels of the photographs at most, each taking so many bytes.
 _LOOKED_LEVELS, _LOOK_BYTES = 48 << 20, 12
-# Patterns that the coherent estimate adds (`coherent.neighbourhood.UNSEEN`), and bytes of a
-# candidate's row in its tiles.
-_UNSEEN, _CANDIDATES = 64, 8000
 # What is proposed takes no more than this share of the free memory, and this many seconds.
 _SHARE, _PATIENCE = 0.8, 3600.0
 _BLOCKS = (2, 3, 4, 5, 6, 8, 10, 12, 16, 20, 24, 32)
@@ -112,13 +111,19 @@ class Size:
         return _words(self.memory, self.seconds(_cores()))
 
 
+def coherent_row_bytes(count: int, candidates: int = 250) -> int:
+    """What a row of the coherent estimate takes while it is solved."""
+    # Samples and expected ones twice, and candidates with what is found of them.
+    return 32 * (count + UNSEEN) + 32 * candidates
+
+
 def memory_terms(kind: str, rows: int, pixels: int, count: int, grey: bool) -> dict[str, float]:
     """What memory grows with."""
     if kind == "coherent":
-        row_bytes = 32 * (count + _UNSEEN) + _CANDIDATES
-        values = pixels * (count + _UNSEEN)
+        row_bytes = coherent_row_bytes(count)
+        values = pixels * (count + UNSEEN)
     else:
-        row_bytes = 24 * count + 2 * pixels + 8192
+        row_bytes = ActiveSet().row_bytes(count, pixels)
         values = pixels * count
     return {
         "pixel": pixels,
@@ -134,7 +139,7 @@ def time_terms(kind: str, rows: int, pixels: int, count: int, grey: bool) -> dic
     """What time grows with."""
     others = {"row": rows, "sample": rows * count, "grey entry": rows * pixels * count * grey}
     if kind == "coherent":
-        return {"value": pixels * (count + _UNSEEN), "entry": rows * pixels, **others}
+        return {"value": pixels * (count + UNSEEN), "entry": rows * pixels, **others}
     return {"entry": rows * pixels * count, **others}
 
 

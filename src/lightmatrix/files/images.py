@@ -132,7 +132,7 @@ def as_grey(name: str, image: NDArray[Any]) -> NDArray[np.float32]:
     """An image that `read_image` gave as a pattern; see `read_grey`."""
     if image.ndim == 3:
         lit = [bool(image[..., channel].any()) for channel in range(3)]
-        if sum(lit) > 1 and (image != image[..., :1]).any():
+        if sum(lit) > 1 and not is_grey(image):
             raise InputError(
                 f"{name}: a pattern of several colours",
                 hint="a colour projector is three projectors: show and photograph all patterns in "
@@ -140,6 +140,11 @@ def as_grey(name: str, image: NDArray[Any]) -> NDArray[np.float32]:
             )
         image = image[..., lit.index(True) if any(lit) else 0]
     return _as_light(name, image)
+
+
+def is_grey(image: NDArray[Any]) -> bool:
+    """Whether the channels of an image, (rows, cols, channels), are all the same."""
+    return bool((image == image[..., :1]).all())
 
 
 def read_light(path: str | Path) -> NDArray[np.float32]:

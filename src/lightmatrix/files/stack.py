@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from lightmatrix.errors import InputError
 from lightmatrix.files import png
-from lightmatrix.files.images import FORMATS, READABLE
+from lightmatrix.files.images import FORMATS, READABLE, is_grey
 from lightmatrix.files.pages import STACK_FORMATS, Page, holds_several, is_stack, pages, read_entry
 from lightmatrix.files.reading import regular_file
 from lightmatrix.reprs import short_repr
@@ -199,21 +199,17 @@ def _all_grey(paths: Sequence[Path | Page]) -> bool:
         except InputError:
             # It is named when it is read in its turn.
             return False
-        if image.ndim != 3 or not _is_grey(image):
+        if image.ndim != 3 or not is_grey(image):
             return False
         telling += bool(np.ptp(image) > 0)
     return telling > len(looked) // 2
-
-
-def _is_grey(image: NDArray[Any]) -> bool:
-    return bool((image == image[..., :1]).all())
 
 
 def _one_channel(path: Path | Page, image: NDArray[Any]) -> NDArray[Any]:
     """A grey image stored in one or three channels as one."""
     if image.ndim == 2:
         return image
-    if not _is_grey(image):
+    if not is_grey(image):
         raise InputError(
             f"{path}: is in colour, but other images of the folder are grey in three channels",
             hint="save all of them in grey, or all in colour",

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from lightmatrix.camera.exposures import of_frames
 from lightmatrix.camera.response import Response, curve_file
 from lightmatrix.capture.capture import Capture
+from lightmatrix.capture.description import TRUTH
 from lightmatrix.errors import DeviceError, InputError, LightMatrixWarning
 from lightmatrix.live.agreement import Drift, References, drift
 from lightmatrix.live.calibration.keeping import PARTS, Calibration, calibrate, outdated
@@ -43,8 +44,6 @@ _SEEN = 0.01
 _BLACK, _WHITE = "black.npy", "white.npy"
 # Of white: what the room's light may vary by.
 _ROOM = 0.02
-# What the T of a virtual rig is kept as.
-_TRUTH = "truth.npz"
 
 
 def take_capture(
@@ -309,7 +308,7 @@ def _finish(
             scale = np.float32(longest / rig.unit)
             matrix = rig.truth.with_data(rig.truth.matrix.data * scale)
             direct = rig.truth.direct_data * scale
-            replace(rig.truth, matrix=matrix, direct_data=direct).save(part / _TRUTH)
+            replace(rig.truth, matrix=matrix, direct_data=direct).save(part / TRUTH)
 
     record.finish(
         patterns,

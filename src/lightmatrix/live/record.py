@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from lightmatrix.camera.sensor import Sensor
 from lightmatrix.capture.folder import jsonable, write_capture
 from lightmatrix.errors import InputError, OutputError
-from lightmatrix.files.images import fill_image, read_image
+from lightmatrix.files.images import fill_image, is_grey, read_image
 from lightmatrix.outputs.kinds import PARTIAL
 from lightmatrix.outputs.markers import read_object
 from lightmatrix.outputs.running import RunningFolder
@@ -266,7 +266,7 @@ class Record:
 
     def _is_grey(self, frame: int) -> bool:
         image = self.read(frame)
-        return image is not None and bool((image == image[..., :1]).all())
+        return image is not None and is_grey(image)
 
     def _name(self, frame: int) -> str:
         # Packing the noise of a large frame as PNG takes longer than photographing it.

@@ -9,7 +9,6 @@ from __future__ import annotations
 import json
 import os
 import warnings
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -221,12 +220,8 @@ def _first_difference(operator: PatternSet, paths: list[Path]) -> str | None:
     for start, block in operator.chunks():
         expected = to_grey(block.reshape(-1, *operator.shape))
         some = paths[start : start + len(block)]
-        shown = read_ahead(partial(_read_one, some), range(len(some)))
+        shown = read_ahead(read_image, some)
         for path, found, grey in zip(some, shown, expected, strict=True):
             if not np.array_equal(to_grey(colours.grey(path, found)), grey):
                 return f"{path.name} is not among"
     return None
-
-
-def _read_one(paths: list[Path], k: int) -> NDArray[Any]:
-    return read_image(paths[k])

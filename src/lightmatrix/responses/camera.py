@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import isotonic_regression
 
+from lightmatrix.camera.levels import range_end
 from lightmatrix.camera.response import Response
-from lightmatrix.capture.frames import Frames
 from lightmatrix.errors import InputError, MissingExtraError
 from lightmatrix.files.curves import CurveFile
 from lightmatrix.outputs.kinds import PICTURE, RESPONSE
@@ -185,9 +185,10 @@ def camera_response(
     frames = open_photographs(photographs)
     times = exposures_of(frames, None if exposures is None else np.asarray(exposures))
     _check_exposures(times, method)
-    top = _top(frames) if clip is None else float(clip)
+    end = range_end(frames.dtype)
+    top = end if clip is None else float(clip)
     dark = level_or_median(black)
-    if not 0 <= dark < 0.9 * top <= 0.9 * _top(frames):
+    if not 0 <= dark < 0.9 * top <= 0.9 * end:
         raise InputError(
             f"levels from {dark:g} without light to {top:g} where the camera clips, in images of "
             f"{frames.dtype}",
@@ -218,10 +219,6 @@ def camera_response(
         drawing = draw_camera_response(found.response, residuals, found.gamma)
         drawing.write(picture, overwrite=overwrite)
     return found
-
-
-def _top(frames: Frames) -> float:
-    return 1.0 if frames.dtype.kind == "f" else float(np.iinfo(frames.dtype).max)
 
 
 def _check_exposures(times: NDArray[np.float64], method: str) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.camera.between import lit_samples, share_of_white
+from lightmatrix.camera.levels import range_end
 from lightmatrix.camera.response import Response
 from lightmatrix.errors import InputError
 from lightmatrix.outputs.kinds import PICTURE, RESPONSE
@@ -80,8 +81,7 @@ def projector_response(
     frames = open_photographs(photographs)
     grey = _grey(levels, frames.count)
     camera = response if isinstance(response, Response) else Response.parse(response or "linear")
-    top = 1.0 if frames.dtype.kind == "f" else float(np.iinfo(frames.dtype).max)
-    scale = camera.full_scale or top
+    scale = camera.full_scale or range_end(frames.dtype)
     ceiling = float(camera.linearise(np.array((clip or scale) / scale)))
 
     def light(index: int) -> NDArray[np.float64]:

@@ -20,8 +20,9 @@ from lightmatrix.camera.exposures import of_frames, parse_exposures
 from lightmatrix.camera.noise import USUAL_NOISE
 from lightmatrix.camera.sensor import Sensor
 from lightmatrix.capture.capture import Capture
+from lightmatrix.capture.description import TRUTH
 from lightmatrix.capture.folder import write_capture
-from lightmatrix.capture.packing import TRUTH, write_packed
+from lightmatrix.capture.packing import write_packed
 from lightmatrix.errors import InputError
 from lightmatrix.files.memory import check_room
 from lightmatrix.files.scratch import scratch_array

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import platformdirs
 
 from lightmatrix.capture.capture import Capture
-from lightmatrix.capture.packing import TRUTH
+from lightmatrix.capture.description import TRUTH
 from lightmatrix.errors import InputError, LightMatrixWarning, OutputError
 from lightmatrix.rig.at_scale import PROCEDURAL, truth_of
 from lightmatrix.rig.pack import pack, unpack

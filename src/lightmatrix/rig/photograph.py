@@ -12,9 +12,10 @@ from lightmatrix.camera.exposures import of_frames, parse_exposures
 from lightmatrix.camera.noise import USUAL_NOISE
 from lightmatrix.camera.sensor import Sensor
 from lightmatrix.capture.capture import Capture
+from lightmatrix.capture.description import TRUTH
 from lightmatrix.capture.folder import write_capture
 from lightmatrix.capture.frames import ArrayStack
-from lightmatrix.capture.packing import TRUTH, pack_capture
+from lightmatrix.capture.packing import pack_capture
 from lightmatrix.errors import InputError
 from lightmatrix.patterns.folder import read_patterns
 from lightmatrix.patterns.pattern_set import PatternSet

@@ -22,7 +22,7 @@ from lightmatrix.store.checked import (
     checked_matrix,
     finite,
 )
-from lightmatrix.store.zarr_file import RESTORE, Stored, diagnostics_of, look
+from lightmatrix.store.zarr_file import RESTORE, Stored, diagnostics_of, look, read_whole
 from lightmatrix.transport.matrix import LightTransport, as_light, cell_means
 from lightmatrix.transport.sparse_rows import SparseRows
 
@@ -219,18 +219,7 @@ class StoredTransport:
 
     def load(self) -> LightTransport:
         """All of it in memory, as `open` of the door gives it."""
-        arrays = self.stored.arrays
-        check_room(self.stored.place, sum(array.bytes for array in arrays.values()))
-        found = self.rows(0, self.shape[0])
-        return LightTransport(
-            found.coefficients,
-            found.background,
-            self.camera_shape,
-            self.projector_shape,
-            self.background_grid,
-            found.diagnostics,
-            self.provenance,
-        )
+        return read_whole(self.stored)
 
     # ---- what is done with it, as with `LightTransport`
 

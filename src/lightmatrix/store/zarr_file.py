@@ -142,10 +142,7 @@ def open(path: str | Path) -> LightTransport:
         If there is none, it is incomplete, damaged, of a later format version, or not stored the
         way that `save` does. All of it is checked: indices, finite values, shapes.
     """
-    stored = look(path)
-    check_room(stored.place, sum(array.bytes for array in stored.arrays.values()))
-    with damage_explained(stored.place, RESTORE):
-        return _read(stored)
+    return read_whole(look(path))
 
 
 @dataclass(frozen=True, eq=False)
@@ -236,17 +233,26 @@ def _announced(place: Path, attributes: Mapping[str, Any]) -> Stored:
     return Stored(place, camera, (rows, cols), (grid_rows, grid_cols), provenance, arrays)
 
 
-def _read(stored: Stored) -> LightTransport:
-    read = {name: array.read() for name, array in stored.arrays.items()}
-    return LightTransport(
-        checked_matrix(read["data"], read["indices"], read["indptr"], stored.shape),
-        finite(read["background"], "background"),
-        stored.camera_shape,
-        stored.projector_shape,
-        stored.background_grid,
-        checked_diagnostics(diagnostics_of(read), stored.shape[0]),
-        stored.provenance,
-    )
+def read_whole(stored: Stored) -> LightTransport:
+    """All of a store in memory.
+
+    Raises
+    ------
+    InputError
+        If it does not fit, or naming what is damaged.
+    """
+    check_room(stored.place, sum(array.bytes for array in stored.arrays.values()))
+    with damage_explained(stored.place, RESTORE):
+        read = {name: array.read() for name, array in stored.arrays.items()}
+        return LightTransport(
+            checked_matrix(read["data"], read["indices"], read["indptr"], stored.shape),
+            finite(read["background"], "background"),
+            stored.camera_shape,
+            stored.projector_shape,
+            stored.background_grid,
+            checked_diagnostics(diagnostics_of(read), stored.shape[0]),
+            stored.provenance,
+        )
 
 
 def diagnostics_of(arrays: Mapping[str, Any]) -> dict[str, Any]:

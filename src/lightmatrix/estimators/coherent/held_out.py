@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter
 
 from lightmatrix.camera.samples import Samples
+from lightmatrix.estimators.coherent.pooling import mean_around
 
 # One frame of so many is held out, but at least two; of fewer frames than this, none.
 EVERY = 8
@@ -73,11 +73,7 @@ def pooled(squares: NDArray[np.float32], camera: tuple[int, int, int]) -> NDArra
     """Means over the camera's neighbourhoods, without what is the camera's noise, (M,)."""
     image = squares.reshape(camera).astype(np.float64)
     known = np.isfinite(image)
-    window = (POOLED, POOLED, 1)
-    sums = uniform_filter(np.where(known, image, 0), window, mode="nearest")
-    shares = uniform_filter(known.astype(np.float64), window, mode="nearest")
-    with np.errstate(invalid="ignore", divide="ignore"):
-        means = np.where(shares > 1e-9, sums / shares, np.nan)
+    means = mean_around(image, known, POOLED)
     if not known.any():
         return np.asarray(means.ravel(), np.float32)
     noise = np.quantile(image[known], DARKEST)

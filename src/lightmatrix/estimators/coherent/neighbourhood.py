@@ -15,12 +15,12 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter
 from scipy.sparse import csr_array
 
 from lightmatrix import _core
 from lightmatrix.camera.samples import Samples
 from lightmatrix.estimators.coherent.movement import measured_movement
+from lightmatrix.estimators.coherent.pooling import mean_around
 from lightmatrix.patterns.atoms import AtomPatterns
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.pattern_set import PatternSet
@@ -162,9 +162,7 @@ class Neighbourhood:
         part = pixels.sum(axis=1).reshape(self.camera)
         lit = whole > 0
         share = np.divide(part, whole, out=np.zeros(self.camera), where=lit)
-        window = (PIXELS_AROUND, PIXELS_AROUND, 1)
-        lit_around = uniform_filter(lit.astype(np.float64), window, mode="nearest")
-        around = uniform_filter(share, window, mode="nearest") / np.maximum(lit_around, 1e-9)
+        around = np.nan_to_num(mean_around(share, lit, PIXELS_AROUND))
         belief = np.clip((around / PIXELS_BELIEVED) ** 2, PIXELS_LEAST, 1)
         return belief.astype(np.float32).ravel()
 

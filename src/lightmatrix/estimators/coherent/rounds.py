@@ -18,9 +18,9 @@ from lightmatrix.estimators.coherent.held_out import (
     squared_misfit,
     without,
 )
-from lightmatrix.estimators.coherent.neighbourhood import UNSEEN, Neighbourhood, unseen_patterns
+from lightmatrix.estimators.coherent.neighbourhood import Neighbourhood, unseen_patterns
 from lightmatrix.estimators.join import TILE_BYTES, Progress, SolveTile, kept
-from lightmatrix.estimators.needs import first_round_share
+from lightmatrix.estimators.needs import coherent_row_bytes, first_round_share
 from lightmatrix.patterns.atoms import AtomPatterns
 from lightmatrix.solvers.active_set import ActiveSet
 from lightmatrix.solvers.fidelity import Fidelity
@@ -98,8 +98,7 @@ class Rounds:
 
     def ranges(self) -> Iterator[tuple[int, int]]:
         """Rows solved at a time."""
-        # Samples and expected ones twice, and candidates with what is found of them.
-        row_bytes = 32 * (self.capture.count + UNSEEN) + 32 * self.candidates
+        row_bytes = coherent_row_bytes(self.capture.count, self.candidates)
         tile = self.tile_rows or max(1, TILE_BYTES // row_bytes)
         for start in range(0, self.capture.rows, tile):
             yield start, min(start + tile, self.capture.rows)
