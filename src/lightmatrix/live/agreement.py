@@ -69,7 +69,7 @@ class References:
         gain = float((first * second).sum()) / power if power else 1.0
         if abs(gain - 1) > max(_GAIN, _GAIN_ERRORS * self.white.gain):
             # Of a dark frame only the noise is left to agree.
-            if float(np.sqrt(power / max(1, free.sum()))) > 3 * self._noise:
+            if float(np.sqrt(power / max(1, free.sum()))) > 3 * self.noise:
                 return False
             gain = 1.0
         apart = np.where(free, first - gain * second, 0.0)
@@ -79,7 +79,7 @@ class References:
                 # What a change of brightness does is no mixture.
                 towards -= float((towards * second).sum()) / power * second
             size = float((towards**2).sum())
-            error = np.sqrt(2) * self._noise / np.sqrt(max(size, 1e-9))
+            error = np.sqrt(2) * self.noise / np.sqrt(max(size, 1e-9))
             mixed = abs(float((apart * towards).sum())) / max(size, 1e-9)
             if mixed > max(_MIXED, _MIXED_ERRORS * error):
                 return False
@@ -87,13 +87,14 @@ class References:
         for rows in np.array_split(np.arange(len(one)), min(_BANDS, len(one))):
             count = max(1, int(free[rows].sum()))
             light = float(np.sqrt((self.light[rows] ** 2).mean())) * scale
-            allowed = _NOISE * np.sqrt(2) * self._noise + _LIGHT * light + 0.3
+            allowed = _NOISE * np.sqrt(2) * self.noise + _LIGHT * light + 0.3
             if float(np.sqrt((apart[rows] ** 2).sum() / count)) > allowed:
                 return False
         return True
 
     @property
-    def _noise(self) -> float:
+    def noise(self) -> float:
+        """Standard deviation of a sample from frame to frame, in raw levels."""
         return max(self.black.noise, self.white.noise)
 
 

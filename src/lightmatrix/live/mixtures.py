@@ -13,12 +13,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-# Standard errors of a share beyond which the frame is taken again to be sure, and beyond which it
-# is certain that it is mixed. One right frame in 15 is taken twice.
+# Standard errors of a share beyond which it is doubted that there is none, and beyond which it is
+# certain that there is one.
 _DOUBTED, _CERTAIN = 1.5, 5.0
-# Shares above this have to be seen: one of this size is doubted unless chance takes so many
-# standard errors off it, which it does once in 40 times.
-_MATTERS, _MISSED = 0.03, 2.0
+# Shares that add less light than this, or less than the noise, do no harm. One that does is doubted
+# unless chance takes so many standard errors off it, which it does once in 40 times.
+_HARMLESS, _MISSED = 0.01, 2.0
 # Rows at one end of the image: among so many looks, some go far by chance, and errors of the
 # prediction are alike where they are near to each other.
 _TORN, _TORN_ERRORS = 0.015, 6.0
@@ -38,25 +38,33 @@ class Mixture:
         Standard error of it.
     torn : bool
         Whether some rows at the top or bottom show the other pattern.
+    contrast : float
+        How far apart the light of both patterns is (root mean square), in levels.
     """
 
     share: float
     error: float
     torn: bool
+    contrast: float
 
-    @property
-    def fine(self) -> bool:
-        """Whether the error is so small that a share that matters is seen."""
-        return (_DOUBTED + _MISSED) * self.error <= _MATTERS
+    def excluded(self, noise: float) -> bool:
+        """Whether no share that does harm is in the frame.
+
+        Parameters
+        ----------
+        noise : float
+            Standard deviation of a sample, in levels.
+        """
+        harmful = max(_HARMLESS, noise / max(self.contrast, 1e-9))
+        seen = (_DOUBTED + _MISSED) * self.error <= harmful
+        return seen and self.share <= _DOUBTED * self.error
 
     def said(self) -> str | None:
-        """What is wrong with the frame; None if nothing is seen."""
+        """What is wrong with the frame; None if nothing is certain."""
         if self.share > _CERTAIN * self.error:
             return f"shows {100 * min(self.share, 1):.0f} % of the pattern before"
         if self.torn:
             return "shows some of the pattern before in some of its rows"
-        if self.share > _DOUBTED * self.error:
-            return "may show a little of the pattern before"
         return None
 
 
@@ -95,4 +103,5 @@ def find_mixture(
         share = np.cumsum(left[ordered] * towards[ordered]) / weight
         clear = (share > _TORN) & (share * np.sqrt(weight) > _TORN_ERRORS * scale)
         torn = torn or bool(clear[_FEWEST_TORN - 1 :].any())
-    return Mixture(float(share[-1]), scale / float(np.sqrt(weight[-1])), torn)
+    contrast = float(np.sqrt(((other - own) ** 2).mean()))
+    return Mixture(float(share[-1]), scale / float(np.sqrt(weight[-1])), torn, contrast)

@@ -49,6 +49,8 @@ class Taken:
     check : {"matched", "confirmed", "unchecked"}
         Whether it meets what the other frames predict for its pattern, agrees with a second
         photograph, or neither has been asked yet.
+    still : bool
+        Whether a photograph straight after it shows the same: no picture came within its exposure.
     """
 
     exposure: float
@@ -57,6 +59,7 @@ class Taken:
     before: int
     tries: int
     check: str
+    still: bool = False
 
 
 @dataclass

@@ -1,9 +1,10 @@
 """The loop: shows, waits, grabs, checks, keeps, and takes again what is not right.
 
-A frame is kept only if it can be right (`taking.py`), and trusted only if it is shown to be: it
-meets what the other frames predict for its pattern, and nothing of what was shown before is in it
-(`watching.py`), or it agrees with a second photograph before which something else was shown, so
-that nothing late can be in both (`agreement.py`).
+A frame is kept only if it can be right (`taking.py`), and trusted only if it is shown to be. Either
+it meets what the other frames predict for its pattern, and nothing of what was shown before is in
+it: the prediction tells (`watching.py`), or a photograph straight after it, since a picture that
+came within the exposure is whole by then. Or it agrees with a second photograph before which
+something else was shown, so that nothing late can be in both (`agreement.py`).
 """
 
 from __future__ import annotations
@@ -173,15 +174,13 @@ class Session:
                 self._before = k
                 continue
             self._note(k, shot.data, shot.exposure)
-            told = self._judge(k, before, shot, doubted, last=rival is not None)
-            if told in (MATCHED, CONFIRMED, UNCHECKED):
-                taken = Taken(
-                    shot.exposure, shot.frame.id, shot.delay, before, tried, told
-                )  # fmt: skip
+            taken = Taken(shot.exposure, shot.frame.id, shot.delay, before, tried, UNCHECKED)
+            complaint = self._judge(k, taken, shot, doubted) if self.check else None
+            if complaint is None:
                 self.record.keep(k, shot.data, taken)
-                self._tell(shot, told)
+                self._tell(shot, taken.check)
                 return True
-            reason = told
+            reason = complaint
             self._count(reason)
             doubted.append((shot.data, before))
         self._watch.forget(k)
@@ -190,28 +189,39 @@ class Session:
         self.record.save()
         return False
 
-    def _judge(self, k: int, before: int, shot: Shot, doubted: list[Rival], last: bool) -> str:
-        """What a frame is shown to be, or what is wrong with it.
-
-        `last` says that it will not be judged again when more frames are there.
-        """
-        if not self.check:
-            return UNCHECKED
+    def _judge(self, k: int, taken: Taken, shot: Shot, doubted: list[Rival]) -> str | None:
+        """What is wrong with a frame; None, and its check noted, if nothing is."""
+        before, exposure = taken.before, taken.exposure
         for other, other_before in doubted:
             # After the same picture, both may show that, late.
             if before != other_before and self.references.agree(
-                shot.data, other, shot.exposure, self._lights((before, other_before), shot.exposure)
+                shot.data, other, exposure, self._lights((before, other_before), exposure)
             ):
-                return CONFIRMED
+                taken.check = CONFIRMED
+                return None
         if self._watch.predictive:
             if (complaint := self._watch.complaint(k, before)) is not None:
                 return complaint
-            if self._watch.would_see(k, before):
-                return MATCHED
-            if not last:
-                return UNCHECKED
-        # With another photograph to compare with, it has to agree.
-        return "two photographs of the pattern differ" if doubted else UNCHECKED
+        elif doubted:
+            # With another photograph to compare with, it has to agree.
+            return "two photographs of the pattern differ"
+        if not self._excludes(k, taken):
+            try:
+                after = self.taker.take(self.image(k), float(self.exposures[k]), settle=0.0)
+            except UntrustedFrameError as error:
+                return error.message
+            lights = self._lights((before,), exposure)
+            if not self.references.agree(shot.data, after.data, exposure, lights):
+                return "a photograph straight after it differs"
+            taken.still = True
+        if self._watch.predictive:
+            taken.check = MATCHED
+        return None
+
+    def _excludes(self, k: int, taken: Taken) -> bool:
+        """Whether the prediction tells that nothing of what was shown before is in a frame."""
+        noise = self.references.noise / taken.exposure
+        return self._watch.predictive and self._watch.excludes(k, taken.before, noise)
 
     def _show_other(self, k: int, befores: set[int]) -> None:
         """Show another pattern than k and those before, so that none of these is in the next frame.
@@ -280,8 +290,8 @@ class Session:
                 if taken.check == CONFIRMED:
                     continue
                 complaint = self._watch.complaint(k, taken.before)
-                seen = complaint is None and self._watch.would_see(k, taken.before)
-                taken.check = MATCHED if seen else UNCHECKED
+                right = complaint is None and (taken.still or self._excludes(k, taken))
+                taken.check = MATCHED if right else UNCHECKED
                 if complaint:
                     bad.append(k)
                     self._count(complaint)

@@ -162,13 +162,20 @@ class Watch:
             return "does not show its pattern"
         return None
 
-    def would_see(self, frame: int, before: int) -> bool:
-        """Whether a share of the pattern shown before it that matters would be seen in a frame.
+    def excludes(self, frame: int, before: int, noise: float) -> bool:
+        """Whether a frame has no share of the pattern shown before it that does harm.
 
-        Not after black or white, which change a frame as a lamp does that flickers.
+        That is never known after black or white, which change a frame as a lamp does that flickers.
+
+        Parameters
+        ----------
+        frame, before
+            As `complaint` has them.
+        noise : float
+            Standard deviation of a sample, in the unit of what was put.
         """
         mix = self._mixture(frame, before)
-        return mix is not None and mix.fine
+        return mix is not None and mix.excluded(noise)
 
     def _missed(self, frame: int) -> float:
         """Share of a frame's variance that its prediction misses."""
