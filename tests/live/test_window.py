@@ -103,7 +103,7 @@ def test_gamma_ramps_are_reported_and_made_straight(two_screens: str) -> None:
         bent = ramp_of_open = open_window(Address("window", "1"))
         reported = ramp_of_open.info()["gamma_ramp"]
         assert not reported["linear"]
-        assert reported["red"][128] == pytest.approx((128 / 255) ** (1 / 2.2), abs=0.01)
+        assert reported["red"][8] == pytest.approx(0.5 ** (1 / 2.2), abs=0.01)
         straight = open_window(Address("window", "1", {"gamma": "linear"}))
         assert straight.info()["gamma_ramp"] == {"linear": True}
         straight.close()

@@ -171,9 +171,8 @@ def _value(value: Any, wanted: str) -> Any:
 
 
 def _jsonable(info: Mapping[str, Any]) -> dict[str, Any]:
-    """What a device says of itself, as a file keeps it; without tables such as a gamma ramp."""
-    short = {key: value for key, value in info.items() if not isinstance(value, Mapping)}
-    read: dict[str, Any] = json.loads(json.dumps(short, default=str))
+    """What a device says of itself, as a file keeps it."""
+    read: dict[str, Any] = json.loads(json.dumps(info, default=str))
     return read
 
 

@@ -39,6 +39,8 @@ void main() {
 """
 _GL_DITHER = 0x0BD0
 _GLFW_MESSAGE = re.compile(r"^\([0-9]+\) b?['\"]?(.*?) ?['\"]?$")
+# At which a bent gamma ramp is told.
+_RAMP_STEPS = 17
 _windows = 0
 
 
@@ -292,19 +294,25 @@ def _full_screen(glfw: Any, monitor: Any, mode: Any) -> Any:
 
 
 def _gamma_ramp(glfw: Any, monitor: Any) -> dict[str, Any] | None:
-    """The graphics card's ramp, 0 to 1, and whether it changes nothing; None if it has none."""
+    """The graphics card's ramp, 0 to 1, and whether it changes nothing; None if it has none.
+
+    What one that is bent makes of 0, 1/16, ... 1 is said of each colour.
+    """
     try:
         ramp = glfw.get_gamma_ramp(monitor)
     # Not to be had under Wayland.
     except glfw.GLFWError:
         return None
     channels = {name: np.array(getattr(ramp, name)) for name in ("red", "green", "blue")}
-    if not len(ramp.red):
+    # Virtual screens give an empty one, or zeros throughout, and show pictures all the same.
+    if not any(values.any() for values in channels.values()):
         return None
     straight = np.linspace(0, 1, len(ramp.red))
-    linear = all(np.abs(values - straight).max() < 1 / 255 for values in channels.values())
-    rounded = {name: np.round(values, 5).tolist() for name, values in channels.items()}
-    return {"linear": linear} if linear else {"linear": linear, **rounded}
+    if all(np.abs(values - straight).max() < 1 / 255 for values in channels.values()):
+        return {"linear": True}
+    steps = np.linspace(0, 1, _RAMP_STEPS)
+    bent = {name: np.interp(steps, straight, values) for name, values in channels.items()}
+    return {"linear": False, **{name: np.round(bent[name], 4).tolist() for name in bent}}
 
 
 def _name(glfw: Any, monitor: Any) -> str:
