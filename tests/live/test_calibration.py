@@ -69,6 +69,14 @@ def test_flicker_is_noticed_and_avoided(fps: float) -> None:
         assert seconds * 100 == pytest.approx(round(seconds * 100), abs=1e-3)
 
 
+def test_a_room_whose_light_varies() -> None:
+    # A sine's standard deviation is 0.71 of its amplitude; a short exposure averages little of it.
+    flicker = lm.measure_flicker(_rig(",room=0.1,room_flicker=0.5,fps=0"), settle=0.05)
+    assert flicker.room == pytest.approx(0.71 * 0.5 * 0.1, rel=0.3)
+    # White pictures flicker with it, and exposures of whole periods are rid of it.
+    assert flicker.frequency == 100
+
+
 def test_no_flicker_where_there_is_none() -> None:
     for seed in range(5):
         flicker = lm.measure_flicker(_rig(f",fps=0,seed={seed}"), settle=0.05)

@@ -239,7 +239,7 @@ def test_one_bad_frame_after_the_other_ends_the_session(monkeypatch: pytest.Monk
     ("what", "words"), [("room", "the room's light changed"), ("lamp", "the light is 90 % of")]
 )
 def test_light_that_changes_meanwhile_is_named(what: str, words: str) -> None:
-    with lm.open_rig(QUIET + ",fps=0") as rig:
+    with lm.open_rig(QUIET + ",fps=0,dropped=0.2") as rig:
         light: Any = rig.camera._light  # type: ignore[attr-defined]
 
         def change(step: Step) -> None:

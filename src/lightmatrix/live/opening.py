@@ -95,7 +95,7 @@ def _virtual(settings: VirtualSettings) -> Rig:
     truth = realism.defocus(_scene(settings), settings.blur)
     room = realism.ambient(truth, settings.room)
     clock = SystemClock() if settings.real else SimulatedClock()
-    light = Light(truth, room, settings)
+    light = Light(truth, room, settings, clock.now())
     camera = VirtualCamera(light, settings, clock)
     # What a black pixel leaks is in the black frame, as the room's light is.
     contrast = np.float32(1 - settings.leak)

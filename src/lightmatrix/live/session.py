@@ -315,8 +315,8 @@ class Session:
     def _look_at_reference(self) -> None:
         """See whether light, scene or room changed."""
         seen = self._reference_now(1)
-        if seen is not None and seen.said() is not None:
-            # A late or torn reference is no drift.
+        if seen is None or seen.said() is not None:
+            # One that was lost is no look, and a late or torn one no drift.
             seen = self._reference_now(3)
         if seen is not None:
             self.record.state.drift.append({"frames": len(self._taken), **asdict(seen)})

@@ -27,12 +27,15 @@ class Light:
     room : (M,) float32
         Irradiance by the room's light.
     settings : VirtualSettings
-        Gamma, leaking black and flicker of the projector.
+        Gamma, leaking black, flicker and fading of the projector; flicker of the room's light.
+    begun : float
+        When the lamp was as bright as T says.
     """
 
     truth: Truth
     room: NDArray[np.float32]
     settings: VirtualSettings
+    begun: float = 0.0
     # Since when which irradiance by the projector, in the order of time.
     _shown: deque[tuple[float, NDArray[np.float32]]] = field(default_factory=deque)
 
@@ -62,13 +65,22 @@ class Light:
         for (since, irradiance), end in zip(self._shown, ends, strict=True):
             first, last = max(start, since), min(stop, end)
             if last > first:
-                total += self._brightness(first, last) * irradiance
-        return np.asarray(total / (stop - start) + self.room, np.float32)
+                total += self._lamp(first, last) * irradiance
+        total += self._flickering(start, stop, self.settings.room_flicker) * self.room
+        return np.asarray(total / (stop - start), np.float32)
 
-    def _brightness(self, start: float, stop: float) -> float:
-        """The lamp's light over a time, its flicker included; 1 a second."""
+    def _lamp(self, start: float, stop: float) -> float:
+        """The lamp's light over a time; at first, and but for its flicker, 1 a second."""
+        light = self._flickering(start, stop, self.settings.flicker)
+        if self.settings.fading:
+            minutes = (0.5 * (start + stop) - self.begun) / 60
+            light *= (1 - self.settings.fading) ** max(0.0, minutes)
+        return light
+
+    def _flickering(self, start: float, stop: float, amplitude: float) -> float:
+        """Light of 1 a second over a time, if it flickers."""
         turn = 2 * math.pi * self.settings.flicker_hz
-        if not self.settings.flicker or not turn:
+        if not amplitude or not turn:
             return stop - start
         waves = (math.cos(turn * start) - math.cos(turn * stop)) / turn
-        return stop - start + self.settings.flicker * waves
+        return stop - start + amplitude * waves

@@ -39,6 +39,10 @@ class VirtualSettings:
         Room light, as a share of the mean white image.
     flicker, flicker_hz : float
         Amplitude of the flicker of the projector's lamp, as a share of its light; its frequency.
+    room_flicker : float
+        Amplitude of the flicker of the room's light, as a share of it, at the same frequency.
+    fading : float
+        Share of its light that the lamp loses in each minute.
     fps : float
         Frames that the camera takes in a second, whoever asks; 0: one for each trigger.
     buffers : int
@@ -79,6 +83,8 @@ class VirtualSettings:
     room: float = 0.02
     flicker: float = 0.0
     flicker_hz: float = 100.0
+    room_flicker: float = 0.0
+    fading: float = 0.0
     fps: float = 30.0
     buffers: int = 4
     latency: float = 0.004
@@ -121,7 +127,9 @@ class VirtualSettings:
         return 1 / self.fps if self.fps else 0.0
 
 
-_RATES = {"late", "dropped", "duplicate", "torn", "leak", "flicker"}
+_RATES = {
+    "late", "dropped", "duplicate", "torn", "leak", "flicker", "room_flicker", "fading",
+}  # fmt: skip
 _LEAST = {"size": 2, "refresh": 1.0, "gamma": 0.1, "curve": 0.1, "unit": 1e-6, "buffers": 1}
 
 
