@@ -1,0 +1,58 @@
+"""What is done once for all tests."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from lightmatrix.rig import library
+from lightmatrix.rig.truth import Truth
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _scenes_are_unpacked_once() -> Iterator[None]:
+    """The bundled scenes, which take up to a second each and are asked for hundreds of times."""
+    unpack = library.unpack
+
+    @cache
+    def once(path: Path) -> Truth:
+        truth = unpack(path)
+        # No test may change what the next ones get.
+        for values in (truth.matrix.data, truth.matrix.indices, truth.matrix.indptr):
+            values.flags.writeable = False
+        truth.direct_data.flags.writeable = False
+        return truth
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(library, "unpack", once)
+        yield
+
+
+# One process at a time can serve a camera on the loopback network, or look for cameras there and
+# find none; the fault tests share their workers.
+_TOGETHER = {
+    "tests/live/test_aravis.py": "gige",
+    "tests/live/test_devices.py": "gige",
+    "tests/live/test_gige_capture.py": "gige",
+    "tests/faults/fuzz/test_fuzz.py": "faults",
+    "tests/faults/test_table.py": "faults",
+}
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """Each file to one process, as it has fixtures of its own, and some files to the same one."""
+    if config.getoption("dist") != "loadfile":
+        return None
+    from xdist.scheduler import LoadFileScheduling
+
+    class Scheduling(LoadFileScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            file = nodeid.split("::", 1)[0]
+            return _TOGETHER.get(file, file)
+
+    return Scheduling(config, log)
