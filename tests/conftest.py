@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 from lightmatrix.rig import library
+from lightmatrix.rig.coarse import coarse
 from lightmatrix.rig.truth import Truth
 
 
@@ -29,6 +30,23 @@ def _scenes_are_unpacked_once() -> Iterator[None]:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(library, "unpack", once)
+        yield
+
+
+@pytest.fixture(scope="module")
+def small_scenes() -> Iterator[None]:
+    """The bundled scenes at 32 x 32 too, binned, where they would be rendered."""
+    bundled = library.truth
+
+    def truth(
+        name: str | Path | Truth, size: tuple[int, int] = library.BUNDLED_SIZE, **options: Any
+    ) -> Truth:
+        if name in library.BUNDLED and size == (32, 32):
+            return coarse(bundled(name), 2)
+        return bundled(name, size, **options)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(library, "truth", truth)
         yield
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -17,32 +16,14 @@ from lightmatrix.estimators.coherent.estimator import CoherentEstimator
 from lightmatrix.experiments import rigs
 from lightmatrix.experiments.rigs import Case, measure, photographed, rig_truth
 from lightmatrix.experiments.run import EXPERIMENTS
-from lightmatrix.rig import library
-from lightmatrix.rig.coarse import coarse
 from lightmatrix.rig.truth import Truth
 from lightmatrix.rig.views import mapped, seen
 from lightmatrix.transport.metrics import relative_error
 
+pytestmark = pytest.mark.usefixtures("small_scenes")
+# Errors are those of 64 x 64, in a quarter of the time: .027 and .025 for l_objects blurred, .0102
+# and .0123 for gripper turned.
 SIDE = 32
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _at_half_their_size() -> Iterator[None]:
-    """The bundled scenes at 32 x 32, at which errors are those of 64 x 64 in a quarter of the time.
-
-    Relative errors of T at 32 and at 64, for example: l_objects blurred .027 and .025, gripper
-    turned .0102 and .0123.
-    """
-    bundled = library.truth
-
-    def truth(name: Any, size: tuple[int, int] = library.BUNDLED_SIZE, **options: Any) -> Truth:
-        if name in library.BUNDLED and size == (SIDE, SIDE):
-            return coarse(bundled(name), 64 // SIDE)
-        return bundled(name, size, **options)
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(library, "truth", truth)
-        yield
 
 
 def error_of(case: Case, estimator: CoherentEstimator | None = None) -> float:
