@@ -11,13 +11,13 @@ import pytest
 
 from lightmatrix.rig import library
 from lightmatrix.rig.coarse import coarse
+from lightmatrix.rig.pack import unpack
 from lightmatrix.rig.truth import Truth
 
 
 @pytest.fixture(scope="session", autouse=True)
 def _scenes_are_unpacked_once() -> Iterator[None]:
     """The bundled scenes, which take up to a second each and are asked for hundreds of times."""
-    unpack = library.unpack
 
     @cache
     def once(path: Path) -> Truth:
@@ -29,7 +29,7 @@ def _scenes_are_unpacked_once() -> Iterator[None]:
         return truth
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(library, "unpack", once)
+        patch.setattr("lightmatrix.rig.library.unpack", once)
         yield
 
 
@@ -68,9 +68,10 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
         return None
     from xdist.scheduler import LoadFileScheduling
 
-    class Scheduling(LoadFileScheduling):
-        def _split_scope(self, nodeid: str) -> str:
-            file = nodeid.split("::", 1)[0]
-            return _TOGETHER.get(file, file)
+    def group(nodeid: str) -> str:
+        file = nodeid.split("::", 1)[0]
+        return _TOGETHER.get(file, file)
 
-    return Scheduling(config, log)
+    scheduling = LoadFileScheduling(config, log)
+    scheduling._split_scope = group
+    return scheduling
