@@ -14,13 +14,17 @@ from lightmatrix.live.limits import same_exposure, set_exposure
 from lightmatrix.live.rig import Rig
 from lightmatrix.live.taking import Taker
 
-_FRAMES = 48
+# Frames of each of white and black: to measure it, and to see whether it is as it was.
+_FRAMES, _FEW = 48, 7
 # Twice the mains, which lamps follow.
 _MAINS = (100.0, 120.0)
 # Exposures far below a period, where the light allows it.
 _SHORT = 0.002
 # Of the brightness: below this nothing is called flicker, nor within so many standard errors.
 _NOTICED, _ERRORS = 0.004, 4.0
+# Of the brightness: a light that varies by twice what it did, and this, has changed.
+_MORE = 0.01
+_Series = tuple[NDArray[np.float64], NDArray[np.float64]]
 
 
 @dataclass(frozen=True)
@@ -96,27 +100,9 @@ def measure_flicker(
     """
     taker = Taker(rig, settle)
     whites = whites or find_white(taker)
-    camera = rig.camera
-    exposure = set_exposure(camera, min(_SHORT, whites.exposure))
-    series = []
-    for number, image in enumerate(reversed(images(rig))):
-        shown = rig.projector.show(image)
-        # As long as the latest pattern may take.
-        rig.clock.sleep(shown + settle + 0.3 - rig.clock.now())
-        camera.flush()
-
-        def tell(done: int, first: int = number * _FRAMES) -> None:
-            if progress is not None:
-                progress(first + done, 2 * _FRAMES)
-
-        found = _series(rig, whites, tell)
-        if not same_exposure(camera.exposure, exposure):
-            # Another program has changed it.
-            set_exposure(camera, exposure)
-            found = _series(rig, whites, tell)
-        series.append(found)
-    times, bright = series[0]
-    _, dark = series[1]
+    exposure = set_exposure(rig.camera, min(_SHORT, whites.exposure))
+    series = _white_and_black(rig, whites, exposure, settle, _FRAMES, progress)
+    (times, bright), (_, dark) = series
     level = float(np.median(bright) - np.median(dark))
     refresh = float(rig.projector.info().get("refresh") or 60.0)
     tried = dict.fromkeys((*_MAINS, refresh, 2 * refresh))
@@ -130,15 +116,73 @@ def measure_flicker(
     return Flicker(amplitude, frequency, float(bright.std()) / level, float(dark.std()) / level)
 
 
-def _series(
-    rig: Rig, whites: Whites, tell: Callable[[int], None]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def flickers_anew(rig: Rig, known: Flicker, *, settle: float, whites: Whites) -> bool:
+    """Whether the lamp's light or the room's varies clearly more than it did, by a few frames.
+
+    Parameters
+    ----------
+    rig : Rig
+    known : Flicker
+        What was measured at length before.
+    settle : float
+        Seconds.
+    whites : Whites
+        White and black frame of now.
+
+    Raises
+    ------
+    DeviceError
+        If the camera is lost, or gives no frames.
+    """
+    exposure = set_exposure(rig.camera, min(_SHORT, whites.exposure))
+    series = _white_and_black(rig, whites, exposure, settle, _FEW)
+    bright, dark = (levels for _, levels in series)
+    level = float(np.median(bright) - np.median(dark))
+    # By medians: one of the frames may be a copy of an earlier one, or torn.
+    lamp, room = (
+        1.48 * float(np.median(np.abs(levels - np.median(levels)))) / level
+        for levels in (bright, dark)
+    )
+    return lamp > 2 * known.spread + _MORE or room > 2 * known.room + _MORE
+
+
+def _white_and_black(
+    rig: Rig,
+    whites: Whites,
+    exposure: float,
+    settle: float,
+    count: int,
+    progress: Callable[[int, int], None] | None = None,
+) -> list[_Series]:
+    """Series of frames of a white and of a black picture, at an exposure that is set."""
+    camera = rig.camera
+    series = []
+    for number, image in enumerate(reversed(images(rig))):
+        shown = rig.projector.show(image)
+        # As long as the latest pattern may take.
+        rig.clock.sleep(shown + settle + 0.3 - rig.clock.now())
+        camera.flush()
+
+        def tell(done: int, first: int = number * count) -> None:
+            if progress is not None:
+                progress(first + done, 2 * count)
+
+        found = _series(rig, whites, count, tell)
+        if not same_exposure(camera.exposure, exposure):
+            # Another program has changed it.
+            set_exposure(camera, exposure)
+            found = _series(rig, whites, count, tell)
+        series.append(found)
+    return series
+
+
+def _series(rig: Rig, whites: Whites, count: int, tell: Callable[[int], None]) -> _Series:
     """Times of frames and their mean levels over the lit samples."""
     lit = whites.lit
     generator = np.random.default_rng(0)
     times, levels = [], []
     seen = -np.inf
-    for count in range(2 * _FRAMES):
+    for tried in range(2 * count):
         # A camera that is triggered could else keep step with the light.
         rig.clock.sleep(float(generator.random()) * 0.012)
         rig.camera.trigger()
@@ -150,8 +194,8 @@ def _series(
             seen = frame.timestamp
             times.append(frame.timestamp)
             levels.append(float(np.asarray(frame.data, np.float64)[lit].mean()))
-            tell(min(count + 1, _FRAMES))
-        if len(times) == _FRAMES:
+            tell(min(tried + 1, count))
+        if len(times) == count:
             break
     return np.array(times), np.array(levels)
 

@@ -14,7 +14,7 @@ import numpy as np
 from lightmatrix.errors import InputError
 from lightmatrix.files.headers import read_json
 from lightmatrix.live.calibration.exposure import ExposureAdvice, measure_exposure
-from lightmatrix.live.calibration.flicker import Flicker, measure_flicker
+from lightmatrix.live.calibration.flicker import Flicker, flickers_anew, measure_flicker
 from lightmatrix.live.calibration.linearity import CameraLinearity, measure_linearity
 from lightmatrix.live.calibration.response import measure_response
 from lightmatrix.live.calibration.settle import SettleTime, measure_settle
@@ -331,4 +331,8 @@ def outdated(rig: Rig, known: Calibration) -> list[str]:
     if abs(_brightness(whites) / known.brightness - 1) > _SAME_LIGHT:
         # Another lens opening, distance, scene, or lamp.
         found.append("exposure")
+    wait = known.settle.seconds
+    if known.flicker is not None and flickers_anew(rig, known.flicker, settle=wait, whites=whites):
+        # Exposures are multiples of its period.
+        found += [part for part in ("flicker", "exposure") if part not in found]
     return found
