@@ -244,7 +244,7 @@ def _show_needs(needs: Needs, as_json: bool) -> None:
     if as_json:
         show_json(needs.as_dict())
         return
-    free = f"{needs.available / 2**30:.0f} GiB are free"
+    free = f"{needs.available / 2**30:.3g} GiB are free"
     say(f"the estimate takes {needs} ({free})", style=None if needs.fits else "yellow")
     if needs.advice:
         say(needs.advice)
