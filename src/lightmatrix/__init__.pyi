@@ -123,6 +123,7 @@ from .pictures.transport import (
 )
 from .report.make import report as report
 from .rig.evaluate import evaluate as evaluate
+from .rig.evaluate import evaluate_colour as evaluate_colour
 from .store import (
     ColumnIndex as ColumnIndex,
     StoredTransport as StoredTransport,
@@ -135,6 +136,7 @@ from .transport.correspondence import (
     Correspondence as Correspondence,
     correspondence as correspondence,
 )
+from .transport.evaluation import ColourErrors as ColourErrors
 from .transport.evaluation import Errors as Errors
 from .transport.matrix import LightTransport as LightTransport
 from .transport.verdict import (

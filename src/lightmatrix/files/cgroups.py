@@ -20,7 +20,7 @@ def memory_left() -> int | None:
         None where nothing is limited, or no such groups are known.
     """
     try:
-        lines = _MINE.read_text().splitlines()
+        lines = _MINE.read_text(encoding="utf-8").splitlines()
     except OSError:
         return None
     left = []

@@ -11,7 +11,7 @@ from lightmatrix.files.cgroups import memory_left
 
 
 def available_bytes() -> int:
-    """Memory that is free without swapping: on this machine, and within the limits of a container."""
+    """Memory that is free without swapping, on this machine and within limits of a container."""
     free = int(psutil.virtual_memory().available)
     left = memory_left()
     return free if left is None else min(free, left)
