@@ -22,7 +22,7 @@ from scipy.ndimage import gaussian_filter
 import lightmatrix as lm
 
 Curve = Callable[[NDArray[np.float64]], NDArray[np.float64]]
-TIMES = (0.125, 0.25, 0.5, 1, 2, 4, 8)
+TIMES: list[float] = [0.125, 0.25, 0.5, 1, 2, 4, 8]
 
 
 def srgb(light: NDArray[np.float64]) -> NDArray[np.float64]:

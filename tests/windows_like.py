@@ -92,7 +92,7 @@ def _msvcrt() -> types.ModuleType:
 
     module: Any = types.ModuleType("msvcrt")
     module.locking, module.LK_NBLCK = locking, 2
-    return module  # type: ignore[no-any-return]
+    return module
 
 
 def pretend() -> None:

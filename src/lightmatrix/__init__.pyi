@@ -70,8 +70,8 @@ from .live.opening import open_rig as open_rig
 from .live.rig import Rig as Rig
 
 # What is wrong with a capture.
-from .checking.finding import Finding as Finding
-from .checking.folders import check as check
+from .capture.checking.finding import Finding as Finding
+from .capture.checking.folders import check as check
 
 # Responses, measured from photographs.
 from .patterns.response import ProjectorResponse as ProjectorResponse

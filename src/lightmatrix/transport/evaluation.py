@@ -147,7 +147,9 @@ def errors_in_colour(
     ]
     found, known = (np.reshape(images, (len(patterns), -1)) for images in lit)
     off = np.linalg.norm(found - known, axis=1) / np.linalg.norm(known, axis=1)
-    return ColourErrors(*each, float(np.sqrt(missed.sum() / energies.sum())), float(off.mean()))
+    red, green, blue = each
+    whole = float(np.sqrt(missed.sum() / energies.sum()))
+    return ColourErrors(red, green, blue, whole, float(off.mean()))
 
 
 def errors_by_rows(estimate: LightTransport, truth: LightTransport, exposure: float) -> Errors:
