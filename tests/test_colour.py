@@ -107,16 +107,18 @@ def test_three_matrices_are_evaluated_together(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     patterns = lm.BernoulliPatterns((16, 16), 8)
-    taken = [lm.simulate("metal", patterns, primary=colour) for colour in COLOURS]
+    scene = ProceduralScene((16, 16), (16, 16)).truth()
+    taken = [lm.simulate(scene, patterns, primary=colour) for colour in COLOURS]
     known = [one.truth.transport() for one in taken]
     # As each filter lets pass, and no light that is not the primary's.
-    grey = lm.truth("metal", (16, 16)).matrix.toarray()
+    grey = scene.matrix.toarray()
     for k, one in enumerate(taken):
         assert one.camera_shape == (16, 16, 3)
         parts = one.truth.matrix.toarray().reshape(256, 3, 256)
         for channel in range(3):
             np.testing.assert_allclose(parts[:, channel], FILTERS[channel, k] * grey, rtol=1e-5)
-        assert 0 < one.truth.direct_data.sum() < one.truth.matrix.data.sum()
+        light = scene.direct_data.sum() * FILTERS[:, k].sum()
+        assert one.truth.direct_data.sum() == pytest.approx(light, rel=1e-5)
     # Of a scene in colour each primary is reflected as its own channel.
     colourful = lm.Truth(
         csr_array(np.repeat(grey, 3, axis=0) * np.tile([[1], [2], [4]], (256, 1))),
@@ -147,7 +149,7 @@ def test_three_matrices_are_evaluated_together(
     with pytest.raises(InputError, match="2 truths"):
         lm.evaluate_colour(wrong, known[:2])
     with pytest.raises(InputError, match="a primary 'pink'"):
-        lm.simulate("metal", patterns, primary="pink")
+        lm.simulate(scene, patterns, primary="pink")
 
 
 def test_what_three_matrices_must_have_in_common(rig: tuple[Path, float]) -> None:

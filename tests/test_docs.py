@@ -105,7 +105,8 @@ def _of_each_colour(line: str) -> list[str]:
     """A line of a loop over the colours, smaller than it is shown; green tells enough of some."""
     if "$colour" not in line:
         return [line]
-    line = line.replace("-k 64 --size 64", "-k 16 --size 16")
+    line = line.replace("-k 64 --size 64", "-k 16 --size 32")
+    line = line.replace("l_objects", "capture/truth.npz")
     green = line.replace("$colour", "green")
     if "check" in line:
         return [green]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -226,13 +225,9 @@ def test_predictions_never_use_the_frame_they_predict() -> None:
     assert after.own[7] > 0
 
 
-def test_opening_a_capture_judges_as_check_does(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    patterns = BernoulliPatterns((32, 32), 32)
-    taken = lm.simulate("metal", patterns, exposure=0.3)
-    order = swapped(32, 4, 9)
-    mixed = Capture.from_arrays(patterns, np.stack([taken.frame(k) for k in order]), taken.sensor)
+def test_a_capture_is_judged_as_check_does(monkeypatch: pytest.MonkeyPatch) -> None:
+    patterns = BernoulliPatterns(SHAPE, 64)
+    mixed = capture(patterns, swapped(64, 4, 9))
     told = [finding for finding in lm.check(mixed) if finding.kind == "order"]
     with pytest.raises(InputError) as refused:
         mixed.check()
@@ -240,6 +235,6 @@ def test_opening_a_capture_judges_as_check_does(
     # What the first look suspects, and the second does not confirm, is held against nobody.
     suspected = Disorder((4, 9), "frame 4 and frame 9 look swapped")
     monkeypatch.setattr(checking, "find_disorder", lambda *_: suspected)
-    taken.save(tmp_path / "taken")
-    assert lm.check(tmp_path / "taken") == []
-    lm.Capture.open(tmp_path / "taken", bin_camera=2)
+    taken = capture(patterns)
+    assert lm.check(taken) == []
+    taken.check()

@@ -128,13 +128,17 @@ def main(folder: str) -> None:
     """Write every kind of output, and replace it."""
     pretend()
     from lightmatrix.cli import main as run
+    from lightmatrix.rig.procedural import ProceduralScene
 
     os.chdir(folder)
+    for seed in range(2):
+        scene = ProceduralScene((8, 8), (8, 8), seed)
+        scene.truth().save(Path(f"{seed}.npz"))
     Path("out").mkdir()  # An empty folder is taken as it is.
     for more in ("", " --overwrite"):
         for line in (
             f"patterns bernoulli -k 8 --size 8 -o out{more}",
-            f"simulate {'gripper' if more else 'metal'} --patterns out -o taken{more}",
+            f"simulate {int(bool(more))}.npz --patterns out -o taken{more}",
             f"estimate taken -o scene.zarr --no-coherent --no-check{more}",
             f"pack taken -o taken.zarr{more}",
             f"relight scene.zarr out/pattern_0000.png -o relit.tiff{more}",

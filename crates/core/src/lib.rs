@@ -3,7 +3,13 @@
 // Other processors than x86-64 have the portable kernels only, and leave unused what the rest takes.
 #![cfg_attr(
     not(target_arch = "x86_64"),
-    allow(dead_code, unused_imports, unused_variables, unused_mut, clippy::ptr_arg)
+    allow(
+        dead_code,
+        unused_imports,
+        unused_variables,
+        unused_mut,
+        clippy::ptr_arg
+    )
 )]
 
 pub mod active_set;

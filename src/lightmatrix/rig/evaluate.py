@@ -94,7 +94,8 @@ def evaluate_colour(
     --------
     >>> import lightmatrix as lm
     >>> shown = lm.BernoulliPatterns((16, 16), 8)
-    >>> taken = [lm.simulate("metal", shown, primary=name) for name in ("red", "green", "blue")]
+    >>> scene = lm.ProceduralScene((16, 16), (16, 16)).truth()
+    >>> taken = [lm.simulate(scene, shown, primary=name) for name in ("red", "green", "blue")]
     >>> known = [one.truth for one in taken]
     >>> found = [one.transport() for one in known]
     >>> lm.evaluate_colour(found, known).relative_error

@@ -92,7 +92,7 @@ class ColourErrors:
     Examples
     --------
     >>> import lightmatrix as lm
-    >>> known = [lm.truth("metal", (16, 16)).transport()] * 3
+    >>> known = [lm.ProceduralScene((16, 16), (16, 16)).truth().transport()] * 3
     >>> errors = lm.evaluate_colour(known, known)
     >>> errors.green.relative_error, errors.relighting_error
     (0.0, 0.0)
