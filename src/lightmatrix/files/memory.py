@@ -7,11 +7,14 @@ from pathlib import Path
 import psutil
 
 from lightmatrix.errors import InputError
+from lightmatrix.files.cgroups import memory_left
 
 
 def available_bytes() -> int:
-    """Memory that is free on this machine, without swapping."""
-    return int(psutil.virtual_memory().available)
+    """Memory that is free without swapping, on this machine and within limits of a container."""
+    free = int(psutil.virtual_memory().available)
+    left = memory_left()
+    return free if left is None else min(free, left)
 
 
 def check_room(file: Path, needed: int) -> None:
