@@ -162,8 +162,16 @@ class PreparedPatterns:
         """
 
     def atoms(
-        self, shape: tuple[int, int], planes: list[tuple[NDArray[np.float32], float]]
-    ) -> PreparedPatterns: ...
+        self,
+        shape: tuple[int, int],
+        planes: list[tuple[NDArray[np.float32], float]],
+        narrow: bool = False,
+    ) -> PreparedPatterns:
+        """The atoms of planes (kernel, gain); `narrow` keeps columns to within 1e-5."""
+
+    def columns(self, index: NDArray[np.integer]) -> NDArray[np.float32]:
+        """The columns of some pixels or atoms, (m, K)."""
+
     def pass_only(self, e: NDArray[np.float64]) -> None:
         """One correlation pass on one thread whose scores are thrown away: for timing."""
 

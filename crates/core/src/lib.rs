@@ -13,3 +13,4 @@ pub mod problem;
 pub mod simd;
 mod subsets;
 pub mod vector;
+pub mod words;

@@ -73,11 +73,17 @@ class Neighbourhood:
         Rows, columns and channels of the camera, M in all.
     atoms : AtomPatterns
         What the atoms give under the patterns shown.
+    spacing : int
+        Every so-manieth pixel of the camera is a row, both ways.
+    moved : (M, 4) float32, optional
+        How footprints move, where that is known already. None: it is measured.
     """
 
     rows: SparseRows
     camera: tuple[int, int, int]
     atoms: AtomPatterns
+    spacing: int = 1
+    moved: NDArray[np.float32] | None = None
 
     def around(self, start: int, stop: int) -> tuple[int, int]:
         """Range of the rows that start..stop have around them."""
@@ -145,7 +151,10 @@ class Neighbourhood:
 
         (M, 4) float32: rows by rows, rows by columns, columns by rows, columns by columns.
         """
-        return measured_movement(self.rows.coefficients, self.camera, self.atoms.shape)
+        if self.moved is not None:
+            return self.moved
+        found = self.rows.coefficients
+        return measured_movement(found, self.camera, self.atoms.shape, self.spacing)
 
     @cached_property
     def centres(self) -> csr_array:
