@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
 from lightmatrix.camera.samples import Samples
 from lightmatrix.estimators.coherent.certificate import holds_everywhere, sampled
@@ -23,7 +24,7 @@ from lightmatrix.estimators.coherent.neighbourhood import Neighbourhood
 from lightmatrix.estimators.coherent.solving import Solving
 from lightmatrix.estimators.coherent.stages import Stage
 from lightmatrix.estimators.join import TILE_BYTES, Progress, SolveTile, kept
-from lightmatrix.estimators.needs import coherent_row_bytes, first_round_share
+from lightmatrix.estimators.needs import coherent_row_bytes, first_round_cost
 from lightmatrix.solvers.problem import Result
 from lightmatrix.store import Checkpoint
 from lightmatrix.transport.footprints import footprint_sizes
@@ -32,6 +33,8 @@ from lightmatrix.transport.sparse_rows import SparseRows
 # Of each row of a large frame: whether it looked at every projector pixel; and, of some rows,
 # whether none beside its likeliest would enter it, NaN of the others.
 LOOKED, HOLDS = "looked_everywhere", "holds_everywhere"
+# What a checkpoint calls the misfit under the frames held out.
+HELD_OUT = "held-out"
 
 
 @dataclass(frozen=True)
@@ -58,7 +61,12 @@ class Rounds:
     def begin(self, running: Checkpoint | None) -> SolveTile:
         """All rounds but the last, whose tiles the result solves."""
         known = self._known(len(self.stages) - 1, self._before_last(running))
-        return partial(self._last, known, self._misfit(known))
+        misfit = self._recalled_misfit(running)
+        if misfit is None:
+            misfit = self._misfit(known)
+            if running is not None:
+                running.remember(HELD_OUT, self._facts(misfit))
+        return partial(self._last, known, misfit)
 
     def ranges(self, stage: Stage | None = None) -> Iterator[tuple[int, int]]:
         """Rows of a stage that are solved at a time; None is the last."""
@@ -140,6 +148,20 @@ class Rounds:
         order[odd[some]] = found.count + np.flatnonzero(some)
         both = SparseRows.joined([found, self._found(again, np.ones(len(odd), np.float32))])
         return both.rows(order)
+
+    def _recalled_misfit(self, running: Checkpoint | None) -> NDArray[np.float32] | None:
+        """What a checkpoint remembers of `_misfit`; None if nothing whole."""
+        if running is None or (found := running.recall(HELD_OUT)) is None:
+            return None
+        misfit = found.diagnostics.get(HELD_OUT)
+        fits = misfit is not None and misfit.shape == (self.solving.capture.rows,)
+        return misfit if fits and misfit.dtype == np.float32 else None
+
+    def _facts(self, misfit: NDArray[np.float32]) -> SparseRows:
+        """Facts of all rows as a checkpoint keeps them: of rows without light."""
+        count = len(misfit)
+        nothing = csr_array((count, self.solving.atoms.pixels), dtype=np.float32)
+        return SparseRows(nothing, np.zeros((count, 1), np.float32), {HELD_OUT: misfit})
 
     def _misfit(self, known: Neighbourhood) -> NDArray[np.float32]:
         """Squared errors of all rows under frames that are held out of the last round, (M,)."""
@@ -224,10 +246,9 @@ class Rounds:
     def _costs(self) -> list[float]:
         """What each round costs, and the last one twice, in rows that look at few atoms."""
         capture = self.solving.capture
-        patterns, usual = capture.patterns, len(self.stages)
+        patterns = capture.patterns
         grey = patterns.packed_bits() is None
-        first = first_round_share(capture.rows, patterns.pixels, patterns.count, grey)
-        everywhere = usual * first / (1 - first)
+        everywhere = first_round_cost(capture.rows, patterns.pixels, patterns.count, grey)
         costs = [
             self._grid(stage).count * (everywhere if stage.window is None else 1.0)
             for stage in self.stages
