@@ -116,7 +116,8 @@ def test_what_no_seed_sees_is_found(scene: Truth) -> None:
     for row, place in zip(odd, places.ravel(), strict=True):
         changed[row] = 0
         changed[row, place] = 0.5
-    truth = Truth(csr_array(changed.tocsr()), None, CAMERA, scene.projector_shape, {})
+    matrix = csr_array(changed.tocsr())
+    truth = Truth(matrix, matrix.data, CAMERA, scene.projector_shape, {})
     found = CoherentEstimator().estimate(photographed(truth))
     assert found.diagnostics[LOOKED][odd].any()
     strongest = np.asarray(found.sparse[odd].argmax(axis=1)).ravel()

@@ -134,6 +134,8 @@ class Size:
         told = COEFFICIENTS[kind]["bytes"]
         samples = self.rows * self.count * (self.sample_bytes - 1) - self.temporary
         solving = sum(told[name] * terms[name] for name in told) + samples
+        if self.method == "other":
+            solving += terms["tile"]
         return int(LOADED_BYTES + max(solving, self.look_bytes))
 
     @property

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
@@ -58,7 +60,7 @@ def holds_everywhere(
             upper += _upper(solving.unseen, unseen[part])
         for i, bounds in enumerate(upper, start=first):
             near = np.flatnonzero(bounds > limit)
-            exact = solving.atoms.prepared.columns(near) @ shown[i]
+            exact: NDArray[Any] = solving.atoms.prepared.columns(near) @ shown[i]
             if unseen is not None:
                 exact = exact + solving.unseen.prepared.columns(near) @ unseen[i]
             result[i] = not (exact > limit).any()

@@ -154,8 +154,9 @@ class Rounds:
         if running is None or (found := running.recall(HELD_OUT)) is None:
             return None
         misfit = found.diagnostics.get(HELD_OUT)
-        fits = misfit is not None and misfit.shape == (self.solving.capture.rows,)
-        return misfit if fits and misfit.dtype == np.float32 else None
+        if misfit is None or misfit.dtype != np.float32:
+            return None
+        return misfit if len(misfit) == self.solving.capture.rows else None
 
     def _facts(self, misfit: NDArray[np.float32]) -> SparseRows:
         """Facts of all rows as a checkpoint keeps them: of rows without light."""
