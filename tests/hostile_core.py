@@ -409,6 +409,14 @@ def hostile_rows() -> dict[str, Call]:
         "likely: range back": lambda: likely(range=(5, 3)),
         "likely: range too long": lambda: likely(range=(0, ROWS + 1)),
         "likely: range below 0": lambda: likely(range=(-1, 3)),
+        "likely: index beyond": lambda: likely(index=np.array([ROWS])),
+        "likely: index below 0": lambda: likely(index=np.array([-1])),
+        "likely: index twice": lambda: likely(index=np.array([1, 1])),
+        "likely: index back": lambda: likely(index=np.array([1, 0])),
+        "likely: index of floats": lambda: likely(index=np.zeros(1)),
+        "expected: index of other rows": lambda: expected(index=np.arange(ROWS - 1)),
+        "expected: index beyond": lambda: expected(index=np.arange(1, ROWS + 1)),
+        "expected: index back": lambda: expected(index=np.arange(ROWS)[::-1]),
         "likely: range of one": lambda: likely(range=(1,)),
     }
 

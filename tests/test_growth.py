@@ -70,15 +70,17 @@ def test_small_frames_look_everywhere_and_large_ones_grow() -> None:
     assert {stage.spacing for stage in usual} == {1}
     assert not any(stage.again for stage in usual)
     grown = stages.stages((1024, 1024), 768 * 1024, WINDOWS)
-    assert [stage.spacing for stage in grown] == [8] * 8 + [4] * 5 + [1] * 5
+    assert [stage.spacing for stage in grown] == [16] * 8 + [4] * 5 + [1] * 5
     assert [stage.window is None for stage in grown] == [True] + [False] * 17
     assert [stage.last for stage in grown] == [False] * 17 + [True]
     assert [i for i, stage in enumerate(grown) if stage.again] == [9, 14]
+    assert [i for i, stage in enumerate(grown) if stage.still] == [11, 12, 15, 16]
     # Narrow windows would leave gaps between seeds, and thin cameras have no neighbours.
     assert stages.spacings((1024, 1024), 768 * 1024, ((1, 1),)) == (1,)
     assert stages.spacings((10, 100_000), 768 * 1024, WINDOWS) == (1,)
     short = stages.stages((1024, 1024), 768 * 1024, ((2, 1),))
-    assert [stage.spacing for stage in short] == [8, 4, 1, 1]
+    assert [stage.spacing for stage in short] == [16, 4, 1, 1]
+    assert stages.spacings((128, 1000), 768 * 1024, WINDOWS) == (8, 4, 1)
 
 
 @pytest.fixture(scope="module")
@@ -202,7 +204,7 @@ def test_rows_that_left_something_out_do_not_hold(scene: Truth) -> None:
     for coefficients, hold in ((alone.coefficients, True), (corner, False)):
         found = SparseRows(coefficients, alone.background, alone.diagnostics)
         known = Neighbourhood(found, (*CAMERA, 1), solving.atoms)
-        solved, weighing = solving.near(samples, 0, count, stage, known)
+        solved, weighing = solving.near(samples, np.arange(count), stage, known)
         held = holds_everywhere(solving, weighing, solved, rows)
         # By the definition: the gradient of the weighted problem.
         shown, unseen = _residuals(solving, weighing, solved, rows)

@@ -24,6 +24,7 @@ def likely_pixels(
     reach: tuple[int, int],
     most: int,
     range: tuple[int, int],
+    index: NDArray[np.integer] | None = None,
 ) -> tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.float32]]: ...
 def expected_samples(
     shown: PreparedPatterns,
@@ -35,6 +36,7 @@ def expected_samples(
     reach: int,
     start: int,
     level: float,
+    index: NDArray[np.integer] | None = None,
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]: ...
 def solve_weighted(
     prepared: PreparedPatterns,

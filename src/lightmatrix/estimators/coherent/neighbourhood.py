@@ -97,7 +97,7 @@ class Neighbourhood:
         samples: Samples,
         clipped: NDArray[np.bool_],
         level: float,
-        start: int,
+        rows: NDArray[np.int64],
         background: NDArray[np.float32],
     ) -> Expectation:
         """Expected samples of some rows, in place of clipped ones and under unseen patterns.
@@ -107,15 +107,15 @@ class Neighbourhood:
         unseen : PatternSet
             E patterns over the same atoms.
         samples : Samples
-            (m, K), of the rows start..start + m.
+            (m, K), of these rows.
         clipped : (m, K) bool
             Samples that are lower bounds.
         level : float
             Clip level that deviations are relative to.
-        start : int
-            The first of the rows.
+        rows : (m,) int
+            Ascending.
         background : (n, K + E) float32
-            What the backgrounds of the rows `around` give under all patterns.
+            What the backgrounds of the rows `around` the first to the last give under all patterns.
         """
         weights = samples.weights
         values, variances = _core.expected_samples(
@@ -125,8 +125,9 @@ class Neighbourhood:
             self,
             background,
             reach=REACH,
-            start=start,
+            start=int(rows[0]),
             level=level,
+            index=rows - rows[0],
         )
         count = self.atoms.count
         np.maximum(values[:, :count], samples.clip_level, out=values[:, :count], where=clipped)
@@ -180,11 +181,11 @@ class Neighbourhood:
         reach: tuple[int, int],
         most: int,
         trust: float,
-        rows: tuple[int, int],
+        rows: NDArray[np.int64],
         *,
         first: bool = False,
     ) -> Candidates:
-        """The likeliest atoms of the rows start..stop, with penalties by what neighbours hold.
+        """The likeliest atoms of some rows, with penalties by what neighbours hold.
 
         Parameters
         ----------
@@ -194,7 +195,8 @@ class Neighbourhood:
             Atoms kept of each row.
         trust : float
             How little light among the neighbours makes an atom likely.
-        rows : (int, int)
+        rows : (m,) int
+            Ascending.
         first : bool
             Whether nothing was settled yet, and single pixels are believed in everywhere.
         """
@@ -211,6 +213,7 @@ class Neighbourhood:
             np.ones(self.rows.count, np.float32) if first else self.singles,
             reach,
             most,
+            (0, self.rows.count),
             rows,
         )
         return Candidates(indptr, atoms, (2 * trust / (trust + shares)).astype(np.float32))

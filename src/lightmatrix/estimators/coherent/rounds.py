@@ -21,6 +21,13 @@ from lightmatrix.estimators.coherent.held_out import (
     without,
 )
 from lightmatrix.estimators.coherent.neighbourhood import Neighbourhood
+from lightmatrix.estimators.coherent.settling import (
+    CHANGE,
+    as_they_were,
+    replaced,
+    unsettled,
+    with_change,
+)
 from lightmatrix.estimators.coherent.solving import Solving
 from lightmatrix.estimators.coherent.stages import Stage
 from lightmatrix.estimators.join import TILE_BYTES, Progress, SolveTile, kept
@@ -126,28 +133,37 @@ class Rounds:
     def _first(self, start: int, stop: int) -> SparseRows:
         samples = self._grid(self.stages[0]).samples(start, stop)
         solved = self.solving.everywhere(samples, self._report(0, start))
-        return self._found(solved, np.ones(stop - start, np.float32))
+        return _looked(solved) if self._grown else _found(solved)
 
     def _again(self, number: int, known: Neighbourhood, start: int, stop: int) -> SparseRows:
+        """The rows start..stop of a round, with what neighbours found in the one before."""
         stage = self.stages[number]
         samples = self._grid(stage).samples(start, stop)
-        report = self._report(number, start)
-        solved, _ = self.solving.near(samples, start, stop, stage, known, report)
-        looked = known.rows.diagnostics[LOOKED][start:stop] if self._grown else None
-        found = self._found(solved, looked)
-        return self._explained(samples, solved, found) if stage.again else found
+        rows, report = np.arange(start, stop), self._report(number, start)
+        if not self._grown:
+            return _found(self.solving.near(samples, rows, stage, known, report)[0])
+        before = known.rows.rows(rows)
+        if not stage.still:
+            solved, _ = self.solving.near(samples, rows, stage, known, report)
+            found = _found(solved, before)
+            if stage.again:
+                found = self._explained(samples, solved, found)
+            return with_change(found, before)
+        moving = np.flatnonzero(unsettled(known.rows, known.camera)[start:stop])
+        if not len(moving):
+            return as_they_were(before)
+        some = before.rows(moving)
+        solved, _ = self.solving.near(samples.rows(moving), rows[moving], stage, known, report)
+        return replaced(before, with_change(_found(solved, some), some), moving)
 
     def _explained(self, samples: Samples, solved: Result, found: SparseRows) -> SparseRows:
         """Rows as they were found; those that are not explained look everywhere."""
         odd = self.solving.unexplained(samples, solved)
         if not len(odd):
             return found
-        again = self.solving.everywhere(samples.rows(odd))
-        some = np.diff(again.coefficients.indptr) > 0
-        order = np.arange(found.count)
-        order[odd[some]] = found.count + np.flatnonzero(some)
-        both = SparseRows.joined([found, self._found(again, np.ones(len(odd), np.float32))])
-        return both.rows(order)
+        again = _looked(self.solving.everywhere(samples.rows(odd)))
+        lit = np.flatnonzero(np.diff(again.coefficients.indptr) > 0)
+        return replaced(found, again.rows(lit), odd[lit]) if len(lit) else found
 
     def _recalled_misfit(self, running: Checkpoint | None) -> NDArray[np.float32] | None:
         """What a checkpoint remembers of `_misfit`; None if nothing whole."""
@@ -176,8 +192,9 @@ class Rounds:
             samples = solving.capture.samples(start, stop)
             report = self._report(len(self.stages) - 1, start)
             part = without(samples, held)
-            solved, _ = solving.near(part, start, stop, stage, known, report)
-            light = solved.background[:, None] * solving.halos(known, start, stop)[:, held]
+            solved, _ = solving.near(part, np.arange(start, stop), stage, known, report)
+            halos = solving.halos(known, slice(start, stop))[:, held]
+            light = solved.background[:, None] * halos
             if solved.cells.shape[1]:
                 light += solved.cells @ solving.backgrounds.shown_means[:, held]
             predicted = solved.coefficients @ shown.T + light
@@ -192,7 +209,8 @@ class Rounds:
         samples = solving.capture.samples(start, stop)
         # The last round is solved twice: first without the frames held out.
         report = self._report(len(self.stages), start)
-        solved, weighing = solving.near(samples, start, stop, stage, known, report)
+        rows = np.arange(start, stop)
+        solved, weighing = solving.near(samples, rows, stage, known, report)
         shares = solving.backgrounds.spread(known.centres[start:stop])
         background = solved.background[:, None] * shares
         if solved.cells.shape[1]:
@@ -211,9 +229,9 @@ class Rounds:
             "estimated_error": error,
         }
         if self._grown:
-            rows = sampled(start, stop, known.rows.count) - start
+            some = sampled(start, stop, known.rows.count) - start
             holds = np.full(stop - start, np.nan)
-            holds[rows] = holds_everywhere(solving, weighing, solved, rows)
+            holds[some] = holds_everywhere(solving, weighing, solved, some)
             told |= {LOOKED: known.rows.diagnostics[LOOKED][start:stop], HOLDS: holds}
         facts = {name: values.astype(np.float32) for name, values in told.items()}
         return replace(whole, diagnostics=dict(whole.diagnostics) | facts)
@@ -227,11 +245,6 @@ class Rounds:
             return known
         grown, moved = grid.grown(before, found), grid.movement(before, known.movement)
         return Neighbourhood(grown, grid.camera, atoms, grid.spacing, moved)
-
-    def _found(self, solved: Result, looked: NDArray[np.float32] | None) -> SparseRows:
-        """What the next round asks of this one."""
-        facts = {LOOKED: looked} if self._grown and looked is not None else {}
-        return replace(solved.rows.single(), diagnostics=facts)
 
     def _report(self, number: int, start: int) -> Progress | None:
         """Tells rows as if all took alike: each round counts by the time that it usually takes."""
@@ -255,3 +268,15 @@ class Rounds:
             for stage in self.stages
         ]
         return [*costs, costs[-1]]
+
+
+def _found(solved: Result, before: SparseRows | None = None) -> SparseRows:
+    """What the next round asks of this one, with what was known of the same rows before."""
+    facts = {} if before is None else before.diagnostics
+    return replace(solved.rows.single(), diagnostics=facts)
+
+
+def _looked(solved: Result) -> SparseRows:
+    """The same of rows of large frames that looked everywhere."""
+    ones = np.ones(solved.rows.count, np.float32)
+    return replace(solved.rows.single(), diagnostics={LOOKED: ones, CHANGE: ones})

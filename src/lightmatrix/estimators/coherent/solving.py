@@ -7,6 +7,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
 from lightmatrix.camera.samples import Samples
 from lightmatrix.capture.capture import Capture
@@ -116,37 +117,38 @@ class Solving:
         return np.flatnonzero(bright & odd)
 
     def weighing(
-        self, samples: Samples, start: int, stop: int, stage: Stage, known: Neighbourhood
+        self,
+        samples: Samples,
+        rows: NDArray[np.int64],
+        stage: Stage,
+        known: Neighbourhood,
     ) -> Weighing:
-        """The rows start..stop with penalties from what was found before."""
+        """Rows, ascending, with penalties from what was found before."""
         assert stage.window is not None
         problem = self._problem(samples, self.penalty)
         expected = None
         if stage.expecting:
-            expected = self._expected(samples, start, stop, known)
+            expected = self._expected(samples, rows, known)
         unseen = expected is not None
         cells = Cells.none(self.capture.patterns, self.unseen if unseen else None)
         # Cells join in the last round, when it is clear where most of the light is.
         if stage.last:
             cost = self.level / problem.regularization
             cells = self.backgrounds.cells(cost, unseen=unseen)
-        background = self.halos(known, start, stop)[:, : cells.means.shape[1]]
-        likely = known.likely(
-            stage.window, self.candidates, self.trust, (start, stop), first=stage.age == 1
-        )
+        background = self.halos(known, rows)[:, : cells.means.shape[1]]
+        likely = known.likely(stage.window, self.candidates, self.trust, rows, first=stage.age == 1)
         return Weighing(problem, likely, cells, expected, np.ascontiguousarray(background))
 
     def near(
         self,
         samples: Samples,
-        start: int,
-        stop: int,
+        rows: NDArray[np.int64],
         stage: Stage,
         known: Neighbourhood,
         progress: Progress | None = None,
     ) -> tuple[Result, Weighing]:
-        """The rows start..stop on their likeliest atoms, and the problem that they solve."""
-        weighing = self.weighing(samples, start, stop, stage, known)
+        """Rows, ascending, on their likeliest atoms, and the problem that they solve."""
+        weighing = self.weighing(samples, rows, stage, known)
         solved = solve_weighted(
             weighing.problem,
             weighing.candidates,
@@ -154,28 +156,29 @@ class Solving:
             self.solver,
             expected=weighing.expected,
             background=weighing.background,
-            start=known.rows.rows(slice(start, stop)),
+            start=known.rows.rows(rows),
             progress=progress,
         )
         return solved, weighing
 
-    def halos(self, known: Neighbourhood, start: int, stop: int) -> NDArray[np.float32]:
-        """What the backgrounds of the rows start..stop give under shown and unseen patterns."""
+    def halos(self, known: Neighbourhood, rows: slice | NDArray[np.int64]) -> NDArray[np.float32]:
+        """What the backgrounds of some rows give under shown and unseen patterns."""
         backgrounds = self.backgrounds
-        return backgrounds.under_patterns(backgrounds.spread(known.centres[start:stop]))
+        return backgrounds.under_patterns(backgrounds.spread(csr_array(known.centres[rows])))
 
     def _expected(
-        self, samples: Samples, start: int, stop: int, known: Neighbourhood
+        self, samples: Samples, rows: NDArray[np.int64], known: Neighbourhood
     ) -> Expectation:
-        """What neighbours' rows, and their backgrounds, say of the samples of start..stop."""
-        first, last = known.around(start, stop)
-        background = known.rows.background[first:last] * self.halos(known, first, last)
+        """What neighbours' rows, and their backgrounds, say of the samples of some rows."""
+        first, last = known.around(int(rows[0]), int(rows[-1]) + 1)
+        halos = self.halos(known, slice(first, last))
+        background = known.rows.background[first:last] * halos
         return known.expected(
             self.unseen,
             samples,
             samples.clipped & Fidelity(self.solver.fidelity).term.clip_aware,
             self.capture.reference_level,
-            start,
+            rows,
             background,
         )
 

@@ -1,10 +1,10 @@
 """Which camera pixels are solved when, and where each of them looks for light.
 
 In a small frame every camera pixel first looks at every projector pixel. The cost of that grows
-with the product of both. In a large frame only seeds do, every eighth camera pixel both ways. They
-settle among themselves, then light grows from neighbour to neighbour, as PatchMatch does for stereo
-(Barnes et al. 2009): onto every fourth camera pixel, onto all. Camera pixels whose own samples are
-not explained then look everywhere for themselves.
+with the product of both. In a large frame only seeds do, every sixteenth camera pixel both ways.
+They settle among themselves, then light grows from neighbour to neighbour, as PatchMatch does for
+stereo (Barnes et al. 2009): onto every fourth camera pixel, onto all. Camera pixels whose own
+samples are not explained then look everywhere for themselves.
 """
 
 from __future__ import annotations
@@ -14,11 +14,12 @@ from dataclasses import dataclass
 # Frames are large from so many camera samples times projector pixels on; 128 x 128 of both, in
 # colour too, are below.
 LARGE = 1 << 30
-# Every so-manieth camera pixel both ways is solved, in these steps. The first round of a step
-# reaches two camera pixels far, so that steps by more than 4 would leave gaps.
-SPACINGS = (8, 4, 1)
+# Every so-manieth camera pixel both ways is solved, in the first of these rows of steps for which
+# the camera is large enough. The first round of a step reaches two camera pixels far, so that steps
+# by more than 4 would leave gaps.
+SPACINGS = ((16, 4, 1), (8, 4, 1), (4, 1))
 STEP_REACH = 2
-# Steps with fewer camera pixels along a side have no neighbours to speak of, and are left out.
+# With fewer seeds along a side they would have no neighbours to speak of.
 FEWEST_SEEDS = 16
 # Of each finer step, so many rounds come after the one in which light grows onto it.
 SETTLING = 4
@@ -45,6 +46,8 @@ class Stage:
         Whether what comes out is the result.
     again : bool
         Whether rows that are not explained look everywhere.
+    still : bool
+        Whether rows stay as they are where nothing changed around them in the round before.
     """
 
     spacing: int
@@ -52,6 +55,7 @@ class Stage:
     age: int
     last: bool = False
     again: bool = False
+    still: bool = False
 
     @property
     def expecting(self) -> bool:
@@ -82,10 +86,9 @@ def stages(
         if spacing > 1:
             own = (windows[0], *windows[-SETTLING - 1 : -1])
         grown = min(GROWN, len(own) - 1)
-        found += [
-            Stage(spacing, window, EXPECTING + i, again=i + 1 == grown)
-            for i, window in enumerate(own)
-        ]
+        for i, window in enumerate(own):
+            still = i >= grown and window == own[i - 1]
+            found.append(Stage(spacing, window, EXPECTING + i, again=i + 1 == grown, still=still))
     last = found.pop()
     return (*found, Stage(last.spacing, last.window, last.age, last=True))
 
@@ -98,5 +101,5 @@ def spacings(
     samples = rows * cols * (channels[0] if channels else 1)
     if samples * pixels <= LARGE or windows[0][0] < STEP_REACH:
         return (1,)
-    enough = [s for s in SPACINGS if min(rows, cols) >= s * FEWEST_SEEDS]
-    return tuple(enough) or (1,)
+    side = min(rows, cols)
+    return next((steps for steps in SPACINGS if side >= steps[0] * FEWEST_SEEDS), (1,))
