@@ -22,7 +22,8 @@ $(VENV)/.installed: $(BIN)/python $(CORE)
 	@touch $@
 
 $(VENV)/.test-installed: $(VENV)/.installed
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev,render,docs,response,exr,raw]'
+	$(BIN)/python tools/requirements.py dev render docs response exr raw | \
+	  $(BIN)/python -m pip install --quiet --disable-pip-version-check -r /dev/stdin
 	for extra in window aravis gentl video dslr; do \
 	  $(BIN)/python tools/requirements.py $$extra | \
 	    $(BIN)/python -m pip install --quiet --disable-pip-version-check -r /dev/stdin || \
@@ -38,7 +39,9 @@ demo: install ## simulate, estimate and evaluate a bundled scene; a report in re
 
 test-install: $(VENV)/.test-installed
 
-test: test-install lint types rust-test py-test ## every check: formats, types, Rust, Python, README
+test: test-install ## every check: formats, types, Rust, Python, README
+	$(MAKE) --jobs=2 lint types rust-test
+	$(MAKE) py-test
 
 lint:
 	$(BIN)/ruff check .
@@ -50,10 +53,12 @@ types:
 	$(BIN)/mypy
 
 rust-test:
-	cargo test --quiet --package lightmatrix-core --release
+	cargo test --quiet --package lightmatrix-core --profile quick
 
+# Two processes, since many tests of devices wait; what they calculate with takes one thread each.
 py-test:
-	$(BIN)/python -m pytest
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 \
+	  $(BIN)/python -m pytest --numprocesses 2 --dist loadfile --no-loadscope-reorder
 
 faults: test-install ## the table of faults, counted by what became of each
 	$(BIN)/python -m tests.faults.table -v

@@ -18,6 +18,8 @@ from lightmatrix.solvers.objective import objective, predictions, relative_gap
 from lightmatrix.solvers.system import System
 
 CONVEX = [Fidelity.LINEAR, Fidelity.ONE_SIDED, Fidelity.REJECTION, Fidelity.LIKELIHOOD]
+# Rows that are solved to the last digit: at 9 x 11 some take 13,000 iterations, here 1,800.
+QUICK: dict[str, Any] = {"rows": 4, "shape": (6, 7), "count": 24}
 
 
 def _augmented(problem: Problem, scale: float) -> np.ndarray[Any, Any]:
@@ -132,7 +134,7 @@ def _assert_z_is_best(z: Any, q: Any, mu: float, problem: Problem, scale: float)
 @pytest.mark.parametrize("nonnegative", [False, True])
 @pytest.mark.parametrize("background", [False, True])
 def test_two_solvers_one_problem(nonnegative: bool, background: bool) -> None:
-    problem, _ = clipping_problem(nonnegative=nonnegative, background=background)
+    problem, _ = clipping_problem(nonnegative=nonnegative, background=background, **QUICK)
     unclipped = with_samples(problem, clipped=np.zeros_like(problem.samples.clipped))
     solvers = [ADMM(max_iterations=20_000, tolerance=1e-8)]
     solvers += [SaturationADMM(f, max_iterations=20_000, tolerance=1e-8) for f in CONVEX]  # type: ignore[misc]
@@ -140,7 +142,7 @@ def test_two_solvers_one_problem(nonnegative: bool, background: bool) -> None:
     for solver, result in zip(solvers, found, strict=True):
         again = objective(unclipped, result.coefficients, result.background, Fidelity.LINEAR)
         np.testing.assert_allclose(again, result.objective, rtol=1e-9)
-        np.testing.assert_allclose(again, found[0].objective, rtol=1e-4, err_msg=str(solver))
+        np.testing.assert_allclose(again, found[0].objective, rtol=1e-9, err_msg=str(solver))
 
 
 @pytest.mark.parametrize("fidelity", CONVEX)
@@ -149,11 +151,11 @@ def test_two_solvers_one_problem(nonnegative: bool, background: bool) -> None:
 def test_optimum_is_certified_by_its_duality_gap(
     fidelity: Fidelity, nonnegative: bool, background: bool
 ) -> None:
-    problem, _ = clipping_problem(nonnegative=nonnegative, background=background)
+    problem, _ = clipping_problem(nonnegative=nonnegative, background=background, **QUICK)
     result = solve(problem, SaturationADMM(fidelity, max_iterations=20_000, tolerance=1e-9))
     assert problem.samples.clipped.any()
     assert (result.gap > -1e-9).all()
-    assert result.gap.max() < 1e-4
+    assert result.gap.max() < 1e-5
 
 
 def test_likelihood_with_a_narrow_edge_is_one_sided() -> None:
@@ -194,7 +196,7 @@ def test_no_dual_value_is_above_any_primal_one(fidelity: Fidelity, nonnegative: 
     The gap of one point alone says little: far from the optimum its dual value is next to nothing,
     whatever the bound is worth.
     """
-    problem, _ = clipping_problem(rows=4, nonnegative=nonnegative, seed=3)
+    problem, _ = clipping_problem(nonnegative=nonnegative, seed=3, **QUICK)
     solver = SaturationADMM(fidelity, max_iterations=20_000, tolerance=1e-9)
     best = solve(problem, solver)
     x, b = best.coefficients.toarray(), best.background

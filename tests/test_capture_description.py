@@ -123,6 +123,14 @@ def test_how_a_description_may_be_stored(tmp_path: Path) -> None:
         Capture.open(place)
 
 
+@pytest.fixture(scope="module")
+def described(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A capture, and beside its description a copy of it."""
+    place = write_plain(tmp_path_factory.mktemp("described"))
+    shutil.copyfile(place / "capture.json", place / "as-it-was.json")
+    return place
+
+
 @given(
     st.dictionaries(
         st.sampled_from(["exposure", "clip", "black_level", "full_scale", "mask", "black", "x"]),
@@ -137,10 +145,9 @@ def test_how_a_description_may_be_stored(tmp_path: Path) -> None:
     )
 )
 @settings(max_examples=150, deadline=None)
-def test_any_description_is_read_or_refused(
-    tmp_path_factory: pytest.TempPathFactory, change: dict[str, Any]
-) -> None:
-    place = write_plain(tmp_path_factory.mktemp("c"))
+def test_any_description_is_read_or_refused(described: Path, change: dict[str, Any]) -> None:
+    place = described
+    shutil.copyfile(place / "as-it-was.json", place / "capture.json")
     describe(place, **change)
     try:
         capture = Capture.open(place, check=False)

@@ -18,7 +18,8 @@ from lightmatrix.experiments.run import EXPERIMENTS
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.rig import library
 
-SMALL = Case("gripper", "coherent", 64, 0, size=(64, 64))
+pytestmark = pytest.mark.usefixtures("small_scenes")
+SMALL = Case("gripper", "coherent", 64, 0, size=(32, 32))
 
 
 def test_coherent_is_nearly_as_good_as_knowing_where_the_light_is() -> None:

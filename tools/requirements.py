@@ -1,4 +1,4 @@
-"""The requirements of one extra, a line each: to install them without building us again."""
+"""The requirements of extras, a line each: to install them without building us again."""
 
 from __future__ import annotations
 
@@ -9,4 +9,5 @@ from pathlib import Path
 if __name__ == "__main__":
     with (Path(__file__).parent.parent / "pyproject.toml").open("rb") as file:
         project = tomllib.load(file)["project"]
-    print(*project["optional-dependencies"][sys.argv[1]], sep="\n")
+    extras = project["optional-dependencies"]
+    print(*(line for extra in sys.argv[1:] for line in extras[extra]), sep="\n")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from concurrent.futures import Future
 from typing import Any
 
@@ -16,7 +15,7 @@ Answers = dict[str, Future[dict[str, Any]]]
 
 
 @pytest.fixture(scope="module")
-def answers(request: pytest.FixtureRequest) -> Iterator[Answers]:
+def answers(request: pytest.FixtureRequest, pool: Pool) -> Answers:
     """The answers to all cases that were chosen, worked out ahead by two processes."""
     wanted = [
         str(item.callspec.params["name"])
@@ -25,8 +24,7 @@ def answers(request: pytest.FixtureRequest) -> Iterator[Answers]:
         and item.originalname == "test_a_fault_is_borne"
         and hasattr(item, "callspec")
     ]
-    with Pool() as pool:
-        yield {name: pool.submit({"do": "case", "name": name}) for name in wanted}
+    return {name: pool.submit({"do": "case", "name": name}) for name in wanted}
 
 
 @pytest.mark.parametrize("name", ALL)

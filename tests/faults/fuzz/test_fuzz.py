@@ -10,14 +10,13 @@ from ..workers import Pool
 COUNT = 300
 
 
-def test_what_is_damaged_is_refused_or_read_rightly() -> None:
-    with Pool() as pool:
-        answers = pool.answers({"do": "fuzz", "number": number} for number in range(COUNT))
-        bad = [
-            f"{answer['outcome']}, `python -m tests.faults.fuzz --case {request['number']}`: "
-            f"{answer['detail']}"
-            for request, answer in answers
-            if answer["outcome"] not in GOOD
-        ]
+def test_what_is_damaged_is_refused_or_read_rightly(pool: Pool) -> None:
+    answers = pool.answers({"do": "fuzz", "number": number} for number in range(COUNT))
+    bad = [
+        f"{answer['outcome']}, `python -m tests.faults.fuzz --case {request['number']}`: "
+        f"{answer['detail']}"
+        for request, answer in answers
+        if answer["outcome"] not in GOOD
+    ]
     if bad:
         pytest.fail("\n".join([f"{len(bad)} of {COUNT}", *sorted(bad)]), pytrace=False)

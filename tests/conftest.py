@@ -1,0 +1,77 @@
+"""What is done once for all tests."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from lightmatrix.rig import library
+from lightmatrix.rig.coarse import coarse
+from lightmatrix.rig.pack import unpack
+from lightmatrix.rig.truth import Truth
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _scenes_are_unpacked_once() -> Iterator[None]:
+    """The bundled scenes, which take up to a second each and are asked for hundreds of times."""
+
+    @cache
+    def once(path: Path) -> Truth:
+        truth = unpack(path)
+        # No test may change what the next ones get.
+        for values in (truth.matrix.data, truth.matrix.indices, truth.matrix.indptr):
+            values.flags.writeable = False
+        truth.direct_data.flags.writeable = False
+        return truth
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("lightmatrix.rig.library.unpack", once)
+        yield
+
+
+@pytest.fixture(scope="module")
+def small_scenes() -> Iterator[None]:
+    """The bundled scenes at 32 x 32 too, binned, where they would be rendered."""
+    bundled = library.truth
+
+    def truth(
+        name: str | Path | Truth, size: tuple[int, int] = library.BUNDLED_SIZE, **options: Any
+    ) -> Truth:
+        if name in library.BUNDLED and size == (32, 32):
+            return coarse(bundled(name), 2)
+        return bundled(name, size, **options)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(library, "truth", truth)
+        yield
+
+
+# One process at a time can serve a camera on the loopback network, or look for cameras there and
+# find none; the fault tests share their workers.
+_TOGETHER = {
+    "tests/live/test_aravis.py": "gige",
+    "tests/live/test_devices.py": "gige",
+    "tests/live/test_gige_capture.py": "gige",
+    "tests/faults/fuzz/test_fuzz.py": "faults",
+    "tests/faults/test_table.py": "faults",
+}
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """Each file to one process, as it has fixtures of its own, and some files to the same one."""
+    if config.getoption("dist") != "loadfile":
+        return None
+    from xdist.scheduler import LoadFileScheduling
+
+    def group(nodeid: str) -> str:
+        file = nodeid.split("::", 1)[0]
+        return _TOGETHER.get(file, file)
+
+    scheduling = LoadFileScheduling(config, log)
+    scheduling._split_scope = group
+    return scheduling
