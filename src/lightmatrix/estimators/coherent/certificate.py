@@ -74,7 +74,7 @@ def _residuals(
     problem, expected = weighing.problem, weighing.expected
     count = problem.patterns.count
     found = csr_array(solved.coefficients[rows])
-    light = solved.background[rows][:, None] * weighing.background[rows]
+    light: NDArray[Any] = solved.background[rows][:, None] * weighing.background[rows]
     light = light + solved.cells[rows] @ weighing.cells.means
     seen = problem.observed.at(rows).astype(np.float64)
     predicted = _under(solving.atoms, found) + light[:, :count]
