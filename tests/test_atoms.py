@@ -130,6 +130,6 @@ def test_single_pixels_are_believed_in_where_they_hold_light() -> None:
     np.testing.assert_array_equal(belief[:, :26], 1)
     np.testing.assert_array_equal(belief[:, 34:], np.float32(neighbourhood.PIXELS_LEAST))
     # Two of the nine columns around hold single pixels.
-    np.testing.assert_allclose(
-        belief[:, 32], (2 / 9 / neighbourhood.PIXELS_BELIEVED) ** 2, rtol=1e-5
-    )
+    share = 2 / 9 / neighbourhood.PIXELS_BELIEVED
+    expected = max(share**neighbourhood.PIXELS_POWER, neighbourhood.PIXELS_LEAST)
+    np.testing.assert_allclose(belief[:, 32], expected, rtol=1e-5)

@@ -7,6 +7,10 @@ use std::ops::Range;
 /// Rows that one thread takes on at a time.
 const TASK: usize = 64;
 
+/// Where no neighbour holds light, twice as far is looked, again and again up to so many camera
+/// pixels: so light that was found in few rows reaches the others in few rounds.
+pub(super) const FURTHEST: usize = 16;
+
 /// The grids that rows and columns of the matrix lie on, and the windows.
 #[derive(Clone, Copy)]
 pub struct Windows<'a> {
@@ -47,7 +51,12 @@ pub fn likely(matrix: Sparse<f32>, windows: Windows, asked: &[usize]) -> Vec<(Ve
                 touched: Vec::new(),
             },
             |sums, &row| {
-                sums.add_neighbours(matrix, windows, row);
+                let mut reach = windows.camera_reach;
+                sums.add_neighbours(matrix, windows, row, reach);
+                while sums.touched.is_empty() && 0 < reach && reach < FURTHEST {
+                    reach *= 2;
+                    sums.add_neighbours(matrix, windows, row, reach);
+                }
                 sums.believe(windows, windows.singles[row]);
                 sums.take(windows.most)
             },
@@ -62,13 +71,13 @@ struct Sums {
 }
 
 impl Sums {
-    fn add_neighbours(&mut self, matrix: Sparse<f32>, windows: Windows, row: usize) {
+    fn add_neighbours(&mut self, matrix: Sparse<f32>, windows: Windows, row: usize, reach: usize) {
         let [camera_rows, camera_cols, channels] = windows.camera;
         let (pixel, channel) = (row / channels, row % channels);
         let (r, c) = (pixel / camera_cols, pixel % camera_cols);
         let movement = &windows.movement[4 * row..][..4];
-        for other_r in around(r, windows.camera_reach, camera_rows) {
-            for other_c in around(c, windows.camera_reach, camera_cols) {
+        for other_r in around(r, reach, camera_rows) {
+            for other_c in around(c, reach, camera_cols) {
                 let other = (other_r * camera_cols + other_c) * channels + channel;
                 let (pixels, values) = matrix.row(other);
                 let most = values.iter().fold(0f32, |most, &v| most.max(v));

@@ -1,3 +1,4 @@
+use super::likely::FURTHEST;
 use super::*;
 use crate::bits::Bits;
 use crate::columns::{BitColumns, Columns};
@@ -232,4 +233,42 @@ fn likely_atoms_are_moved_back_and_make_single_pixels_within_them_likely() {
     for (atom, expected) in [(0, 0.2), (6, 0.04), (12, 0.25), (12 + 6, 1.0)] {
         assert!((share(atom) - expected).abs() < 1e-6);
     }
+}
+
+#[test]
+fn where_no_neighbour_holds_light_rows_further_away_are_asked() {
+    // A camera of 1 x 40, of which the first pixel alone holds light, two pixels' worth.
+    const ROWS: usize = 40;
+    let mut indptr = [2i64; ROWS + 1];
+    indptr[0] = 0;
+    let matrix = Sparse {
+        indptr: &indptr,
+        indices: &[3, 6],
+        values: &[1.0, 4.0],
+    };
+    let spots: [&[f32]; 1] = [&[1.0]];
+    let windows = |camera_reach| Windows {
+        camera: [1, ROWS, 1],
+        projector: [1, 4, 5],
+        movement: &[0.0; 4 * ROWS],
+        spots: &spots,
+        within: 0.1,
+        wider: &[2.0],
+        singles: &[1.0; ROWS],
+        camera_reach,
+        projector_reach: 0,
+        most: 9,
+    };
+    let found = likely(matrix, windows(2), &(0..ROWS).collect::<Vec<_>>());
+    for (row, found) in found.iter().enumerate() {
+        let lit = (vec![3, 6], vec![0.25, 1.0]);
+        let expected = if row <= FURTHEST {
+            lit
+        } else {
+            (vec![], vec![])
+        };
+        assert_eq!(*found, expected, "row {row}");
+    }
+    // A window of one pixel stays one.
+    assert_eq!(likely(matrix, windows(0), &[1]), [(vec![], vec![])]);
 }

@@ -43,13 +43,14 @@ ENOUGH = 16
 # By this share of what makes a spot likely the pixels within it become likely too: little at first,
 # for single pixels explain everything, noise as well; more once they are believed in only where
 # they were needed.
-WITHIN_AT_FIRST, WITHIN = 0.08, 0.3
+WITHIN_AT_FIRST, WITHIN = 0.04, 0.5
 # By this share of what makes a pixel likely, and of what makes a spot likely, the next wider spot
 # in its place becomes likely too: several narrow spots are often one that is wider, and cheaper.
 WIDER_PIXEL, WIDER_SPOT = 0.25, 2.0
-# Single pixels are believed in to the full where they hold this share of the light around, and as
-# the square of it where they hold less, down to the least.
-PIXELS_BELIEVED, PIXELS_LEAST = 0.4, 0.001
+# Single pixels are believed in to the full where they hold this share of the light around, and by
+# this power of it where they hold less, down to the least: where footprints are wide the first
+# rounds give them a twentieth, from which they must not grow, and where they are not a fifth.
+PIXELS_BELIEVED, PIXELS_POWER, PIXELS_LEAST = 0.25, 6, 0.001
 # Around is a square of so many camera pixels.
 PIXELS_AROUND = 9
 # Lighter samples are left out.
@@ -173,7 +174,7 @@ class Neighbourhood:
         lit = whole > 0
         share = np.divide(part, whole, out=np.zeros(self.camera), where=lit)
         around = np.nan_to_num(mean_around(share, lit, PIXELS_AROUND))
-        belief = np.clip((around / PIXELS_BELIEVED) ** 2, PIXELS_LEAST, 1)
+        belief = np.clip((around / PIXELS_BELIEVED) ** PIXELS_POWER, PIXELS_LEAST, 1)
         return belief.astype(np.float32).ravel()
 
     def likely(
