@@ -42,10 +42,10 @@ COEFFICIENTS: Mapping[str, Mapping[str, Mapping[str, float]]] = {
         "bytes": {"pixel": 1200, "value": 14, "tile": 0.4, "row": 1310, "sample": 1},
         "seconds": {
             "value": 3.0e-7,
-            "row": 2.4e-4,
-            "sample": 6.0e-6,
-            "entry": 9.0e-10,
-            "grey entry": 2.0e-11,
+            "row": 2.0e-4,
+            "sample": 5.6e-6,
+            "entry": 4.0e-10,
+            "grey entry": 1.0e-11,
         },
     },
     "plain": {
