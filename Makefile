@@ -7,7 +7,7 @@ BIN := $(VENV)/bin
 CORE := $(shell find crates -name '*.rs' -o -name Cargo.toml) Cargo.toml pyproject.toml
 
 .PHONY: help install demo test test-install lint types rust-test py-test faults fuzz live-faults kills mutants format \
-	bench experiments docs gallery screenshots wheel wheel-test needs system-deps clean
+	bench experiments docs gallery screenshots wheel wheel-test wheel-demo needs system-deps clean
 
 help:
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 16
@@ -39,9 +39,10 @@ demo: install ## simulate, estimate and evaluate a bundled scene; a report in re
 
 test-install: $(VENV)/.test-installed
 
-test: test-install ## every check: formats, types, Rust, Python, README
+test: test-install ## every check: formats, types, Rust, Python, README, wheel
 	$(MAKE) --jobs=2 lint types rust-test
 	$(MAKE) py-test
+	$(MAKE) wheel-demo
 
 lint:
 	$(BIN)/ruff check .
@@ -110,6 +111,9 @@ wheel: $(BIN)/python ## a wheel for any CPU of this kind of system, with its che
 
 wheel-test: wheel ## install it into an empty environment without a compiler and run the demo from it
 	$(PYTHON) tools/wheel_test.py dist $$(command -v qemu-x86_64 >/dev/null && echo --cpu Nehalem)
+
+wheel-demo: wheel
+	$(PYTHON) tools/wheel_test.py dist --quick
 
 needs: test-install ## measure what estimates take of memory and time; takes half an hour
 	$(BIN)/python -m benchmarks.needs

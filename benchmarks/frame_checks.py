@@ -25,10 +25,10 @@ from numpy.typing import NDArray
 
 from lightmatrix.camera.sensor import Sensor
 from lightmatrix.capture.capture import Capture
-from lightmatrix.checking.check import check_capture
-from lightmatrix.checking.finding import Finding
-from lightmatrix.checking.missing import missing_places
-from lightmatrix.checking.survey import Survey
+from lightmatrix.capture.checking.finding import Finding
+from lightmatrix.capture.checking.folders import check_capture
+from lightmatrix.capture.checking.missing import missing_places
+from lightmatrix.capture.checking.survey import Survey
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.rig import library

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from systems import PIPES
 from test_capture import COUNT, SETS, light, photographs, write_folders, write_plain
 
 from lightmatrix.camera.decoder import Decoder
@@ -101,6 +102,7 @@ def test_json_that_is_none(tmp_path: Path, text: str, message: str) -> None:
         Capture.open(place)
 
 
+@PIPES
 def test_how_a_description_may_be_stored(tmp_path: Path) -> None:
     place = write_plain(tmp_path)
     file = place / "capture.json"
@@ -238,6 +240,7 @@ def test_a_curve_that_is_none_is_not_quoted(tmp_path: Path, name: str, content: 
     assert "secret" not in str(refused.value)
 
 
+@PIPES
 def test_curves_are_regular_files_of_a_sane_size(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
     for name, message in (

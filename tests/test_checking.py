@@ -19,12 +19,12 @@ from numpy.typing import NDArray
 
 import lightmatrix as lm
 from benchmarks import frame_checks
-from lightmatrix.checking import jpeg
-from lightmatrix.checking.finding import KINDS
-from lightmatrix.checking.frames import check_frame
-from lightmatrix.checking.missing import missing_places
-from lightmatrix.checking.pairs import Pairs
-from lightmatrix.checking.survey import Survey
+from lightmatrix.capture.checking import jpeg
+from lightmatrix.capture.checking.finding import KINDS
+from lightmatrix.capture.checking.frames import check_frame
+from lightmatrix.capture.checking.missing import missing_places
+from lightmatrix.capture.checking.pairs import Pairs
+from lightmatrix.capture.checking.survey import Survey
 from lightmatrix.cli import main
 from lightmatrix.files.stack import ImageStack
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from scipy.sparse import csr_array
 import lightmatrix as lm
 from lightmatrix.cli import main
 from lightmatrix.errors import InputError
+from lightmatrix.rig.colour import FILTERS, in_primary
 from lightmatrix.rig.procedural import ProceduralScene
 
 PATTERNS = lm.BernoulliPatterns((12, 12), 48)
@@ -99,6 +101,55 @@ def test_a_colour_projector_is_three(
     assert main([*line.split(), "--blue", str(stores[2]), "-o", f"{tmp_path}/a.tiff"]) == 0
     made = lm.relight(stores, tmp_path / "shown.png", exposure=exposure)
     np.testing.assert_array_equal(lm.read_image(tmp_path / "a.tiff"), made)
+
+
+def test_three_matrices_are_evaluated_together(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    patterns = lm.BernoulliPatterns((16, 16), 8)
+    scene = ProceduralScene((16, 16), (16, 16)).truth()
+    taken = [lm.simulate(scene, patterns, primary=colour) for colour in COLOURS]
+    known = [one.truth.transport() for one in taken]
+    # As each filter lets pass, and no light that is not the primary's.
+    grey = scene.matrix.toarray()
+    for k, one in enumerate(taken):
+        assert one.camera_shape == (16, 16, 3)
+        parts = one.truth.matrix.toarray().reshape(256, 3, 256)
+        for channel in range(3):
+            np.testing.assert_allclose(parts[:, channel], FILTERS[channel, k] * grey, rtol=1e-5)
+        light = scene.direct_data.sum() * FILTERS[:, k].sum()
+        assert one.truth.direct_data.sum() == pytest.approx(light, rel=1e-5)
+    # Of a scene in colour each primary is reflected as its own channel.
+    colourful = lm.Truth(
+        csr_array(np.repeat(grey, 3, axis=0) * np.tile([[1], [2], [4]], (256, 1))),
+        np.zeros(np.count_nonzero(grey) * 3, np.float32), (16, 16, 3), (16, 16),
+    )  # fmt: skip
+    blue = in_primary(colourful, "blue").matrix.toarray().reshape(256, 3, 256)
+    np.testing.assert_allclose(blue[:, 1], 4 * FILTERS[1, 2] * grey, rtol=1e-5)
+
+    # Green is a tenth too bright: known in all errors.
+    wrong = [replace(one, sparse=one.sparse * np.float32(1 + 0.1 * (k == 1)))
+             for k, one in enumerate(known)]  # fmt: skip
+    errors = lm.evaluate_colour(wrong, known)
+    assert errors.green.relative_error == pytest.approx(0.1, rel=1e-4)
+    assert errors.red.relative_error == errors.blue.relative_error == 0
+    energy = [float((one.sparse**2).sum()) for one in known]
+    wanted = 0.1 * np.sqrt(energy[1] / sum(energy))
+    assert errors.relative_error == pytest.approx(wanted, rel=1e-4)
+    assert 0.02 < errors.relighting_error < 0.1
+    assert "green: relative error of T" in repr(errors)
+    for k, colour in enumerate(COLOURS):
+        taken[k].save(tmp_path / colour)
+        lm.save(tmp_path / f"{colour}.zarr", wrong[k])
+    line = f"evaluate {tmp_path}/red.zarr --green {tmp_path}/green.zarr --truth {tmp_path} --json"
+    assert main(line.split()) == 2
+    assert "--blue is missing" in capsys.readouterr().err
+    assert main([*line.split(), "--blue", f"{tmp_path}/blue.zarr"]) == 0
+    assert json.loads(capsys.readouterr().out) == lm.evaluate_colour(wrong, known).as_dict()
+    with pytest.raises(InputError, match="2 truths"):
+        lm.evaluate_colour(wrong, known[:2])
+    with pytest.raises(InputError, match="a primary 'pink'"):
+        lm.simulate(scene, patterns, primary="pink")
 
 
 def test_what_three_matrices_must_have_in_common(rig: tuple[Path, float]) -> None:

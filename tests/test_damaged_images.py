@@ -19,6 +19,7 @@ import tifffile
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from systems import PIPES
 
 from lightmatrix.errors import InputError
 from lightmatrix.files import png
@@ -338,6 +339,7 @@ def test_values_beyond_single_precision(tmp_path: Path, value: float) -> None:
         write_image(tmp_path / "b.npy", image)
 
 
+@PIPES
 def test_only_regular_files_are_read(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe.png")
     (tmp_path / "link.png").symlink_to(tmp_path / "nowhere.png")

@@ -23,7 +23,7 @@ FLOORS = [
     {"patterns"},
     {"camera", "transport"},
     {"capture", "solvers", "store"},
-    {"rig", "estimators", "pictures", "checking"},
+    {"rig", "estimators", "pictures"},
     {"planning", "report", "responses"},
     {"experiments", "live"},
     {"cli"},

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import resource
 import struct
+import sys
 import zlib
 from pathlib import Path
 from typing import Any
@@ -15,11 +15,15 @@ import tifffile
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from systems import LIMITS
 
 from lightmatrix.errors import InputError, OutputError
 from lightmatrix.files import png, png16
 from lightmatrix.files.images import read_grey, read_image, write_image
 from lightmatrix.files.stack import ImageStack, list_images, nonlinear_tag
+
+if sys.platform != "win32":
+    import resource
 
 
 def noise(shape: tuple[int, ...], dtype: Any, seed: int = 0) -> NDArray[Any]:
@@ -304,6 +308,7 @@ def test_an_existing_output_needs_overwrite(tmp_path: Path) -> None:
     assert read_image(file).max() == 255
 
 
+@LIMITS
 def test_a_failing_write_leaves_nothing_and_spares_the_old_file(tmp_path: Path) -> None:
     file = tmp_path / "a.npy"
     write_image(file, np.zeros((2, 2)))

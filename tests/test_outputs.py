@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import errno
-import fcntl
 import json
 import os
-import resource
 import shutil
 import signal
 import socket
@@ -24,6 +22,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from systems import FLOCKS, FORKS, LIMITS, PIPES, SIGNALS
 
 from lightmatrix.cli import main
 from lightmatrix.errors import LightMatrixError, LightMatrixWarning, OutputError
@@ -37,6 +36,10 @@ from lightmatrix.outputs.kinds import IMAGE, MAT, NPZ
 from lightmatrix.outputs.markers import FileKind, FolderKind, OutputKind
 from lightmatrix.outputs.running import RunningFolder
 from lightmatrix.outputs.writing import atomic_file, atomic_folder, check_output, claimed
+
+if sys.platform != "win32":
+    import fcntl
+    import resource
 
 CAPTURE = FolderKind("capture")
 TEXT = FileKind("text", (), lambda file: file.read_text().startswith("ours"))
@@ -89,6 +92,7 @@ NAMES = st.sampled_from(["photo.jpg", "0.png ", "capture.json~", ".hidden", "\ud
 CHANGES = st.sampled_from(["add", "link", "folder link", "pipe", "edit", "unmark", "nothing"])
 
 
+@PIPES
 @settings(max_examples=60, deadline=None)
 @given(PLACES, NAMES, CHANGES)
 def test_a_folder_with_anything_foreign_in_it_is_left_alone(
@@ -183,9 +187,10 @@ def make_device(path: Path) -> None:
         pytest.skip("only root makes devices")
 
 
-SPECIAL = {"a device": make_device, "a pipe": os.mkfifo, "a socket": make_socket}
+SPECIAL = {"a device": make_device, "a pipe": lambda path: os.mkfifo(path), "a socket": make_socket}
 
 
+@PIPES
 @pytest.mark.parametrize("kind", [CAPTURE, TEXT])
 @pytest.mark.parametrize("what", SPECIAL)
 def test_devices_pipes_and_sockets_stay(
@@ -302,6 +307,7 @@ print(step)
 """
 
 
+@FORKS
 @pytest.mark.parametrize("mode", ["file", "exchanged", "moved aside"])
 def test_killed_at_any_step_the_old_output_or_the_new_one_is_there(
     tmp_path: Path, mode: str
@@ -369,6 +375,7 @@ def test_clean_up_is_claimed_only_when_it_was_done(
     assert os.listdir(tmp_path) == ["out"]
 
 
+@LIMITS
 @pytest.mark.parametrize("size", [0, 20, 100, 400, 2000])
 def test_a_full_disk_spares_the_old_folder(tmp_path: Path, size: int) -> None:
     write(tmp_path / "out")
@@ -434,6 +441,7 @@ def test_two_processes_do_not_write_one_output(
     write(tmp_path / "out")
 
 
+@SIGNALS
 def test_the_lock_of_a_dead_process_is_taken_over(
     tmp_path: Path, holder: subprocess.Popen[str]
 ) -> None:
@@ -462,6 +470,7 @@ def test_a_thread_holds_its_lock_once_and_keeps_others_out(tmp_path: Path) -> No
     assert os.listdir(tmp_path) == ["out"]
 
 
+@PIPES
 def test_a_file_that_is_no_lock_is_neither_used_nor_removed(tmp_path: Path) -> None:
     (tmp_path / ".a.lock").write_text("mine")
     (tmp_path / ".b.lock").symlink_to(".a.lock")
@@ -473,6 +482,7 @@ def test_a_file_that_is_no_lock_is_neither_used_nor_removed(tmp_path: Path) -> N
     assert snapshot(tmp_path) == before
 
 
+@FLOCKS
 def test_file_systems_without_locks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def unknown(*_: object) -> None:
         raise OSError(errno.ENOLCK, "No locks available")
@@ -620,6 +630,7 @@ def test_overwrite_spares_photographs(tmp_path: Path, monkeypatch: pytest.Monkey
 # ---- temporary data
 
 
+@LIMITS
 def test_large_arrays_ask_for_their_space_first(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -12,58 +11,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from PIL import Image
-from scipy.ndimage import gaussian_filter
 
 import lightmatrix as lm
+from benchmarks.response_curves import CURVES, TIMES, errors, srgb, stack
 from lightmatrix.cli import main
 from lightmatrix.errors import InputError, MissingExtraError
 
 pytest.importorskip("cv2")
-Curve = Callable[[NDArray[np.float64]], NDArray[np.float64]]
-TIMES = [0.125, 0.25, 0.5, 1, 2, 4, 8]
-
-
-def srgb(light: NDArray[np.float64]) -> NDArray[np.float64]:
-    bent = 1.055 * np.maximum(light, 1e-12) ** (1 / 2.4) - 0.055
-    return np.where(light <= 0.0031308, 12.92 * light, bent)
-
-
-def film(light: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Like those measured of cameras with a contrast curve."""
-    return 1.17 * light**0.7 / (light**0.7 + 0.3) + 0.1 * light
-
-
-CURVES: dict[str, Curve] = {
-    "linear": lambda light: light,
-    "gamma": lambda light: light ** (1 / 2.2),
-    "srgb": srgb,
-    "film": film,
-}
-
-
-def stack(
-    curve: Curve, times: list[float], *, black: int = 0, clip: int = 255, noise: float = 0.005
-) -> NDArray[Any]:
-    """Photographs of a smooth scene of 200 : 1, with noise and clipping, in whole levels."""
-    random = np.random.default_rng(0)
-    scene = gaussian_filter(random.normal(size=(48, 64)), 2)
-    scene = np.exp((scene - scene.min()) / np.ptp(scene) * np.log(200) - np.log(200))
-    frames = []
-    for time in times:
-        light = scene * time
-        light = light + noise * np.sqrt(0.1 + light) * random.normal(size=scene.shape)
-        frames.append(np.rint(black + (clip - black) * curve(np.clip(light, 0, 1))))
-    return np.array(frames).astype(np.uint8 if clip < 256 else np.uint16)
-
-
-def errors(found: lm.CameraResponse, curve: Curve, black: int, clip: int) -> NDArray[np.float64]:
-    response = found.response
-    assert response.light is not None
-    assert response.full_scale == clip
-    light = np.linspace(0, 1, 100_001)
-    share = (np.arange(256) / 255 * clip - black) / (clip - black)
-    shape = curve(light) / curve(light[-1:])
-    return np.asarray(response.light - np.interp(share, shape, light))
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import resource
 import signal
 import subprocess
 import sys
@@ -20,11 +19,15 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.io import loadmat
 from scipy.sparse import csr_array
+from systems import LIMITS, SIGNALS
 
 from lightmatrix import store
 from lightmatrix.errors import InputError, OutputError
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.transport.sparse_rows import SparseRows
+
+if sys.platform != "win32":
+    import resource
 
 
 def transport(
@@ -108,6 +111,7 @@ def test_outputs_of_the_wrong_name(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
+@LIMITS
 @pytest.mark.parametrize("name", ["scene.zarr", "T.npz", "T.mat"])
 def test_a_full_disk_leaves_the_old_output_and_nothing_else(tmp_path: Path, name: str) -> None:
     write = store.save if name.endswith("zarr") else store.export
@@ -291,6 +295,7 @@ test_store.run(test_store.Path({path!r}))
 """
 
 
+@SIGNALS
 def test_a_killed_run_loses_only_the_tile_it_was_writing(tmp_path: Path) -> None:
     path = tmp_path / "scene.zarr"
     script = KILLED.format(tests=str(Path(__file__).parent), path=str(path))
@@ -385,6 +390,7 @@ def test_tiles_under_each_others_names_are_computed_again(tmp_path: Path) -> Non
     assert_same(store.open(path), transport())
 
 
+@LIMITS
 def test_a_full_disk_keeps_the_finished_tiles(tmp_path: Path) -> None:
     path = tmp_path / "scene.zarr"
     with pytest.raises(KeyboardInterrupt):

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from systems import SHELL, SIGNALS
 
 import lightmatrix as lm
 from lightmatrix import cli
@@ -80,6 +81,7 @@ def test_a_name_cannot_move_the_cursor(capsys: pytest.CaptureFixture[str]) -> No
     assert "\x1b" not in capsys.readouterr().err
 
 
+@SHELL
 @pytest.mark.parametrize(
     ("line", "code", "told"),
     [
@@ -104,6 +106,7 @@ def test_streams_that_fail(line: str, code: int, told: bytes, store: Path) -> No
         assert word not in done.stderr
 
 
+@SIGNALS
 def test_ctrl_c_while_modules_are_loaded(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -119,6 +122,7 @@ def test_ctrl_c_while_modules_are_loaded(
     assert capsys.readouterr().err == "stopped\n"
 
 
+@SIGNALS
 def test_ctrl_c_within_the_first_moments(store: Path) -> None:
     for delay in (0.4, 0.8, 1.2):
         process = subprocess.Popen(
@@ -247,6 +251,7 @@ def test_help_tells_the_exit_codes_and_the_stages(capsys: pytest.CaptureFixture[
     assert cli.console.__doc__
 
 
+@SIGNALS
 def test_destructors_met_by_a_stop_say_nothing() -> None:
     script = (
         "import os, signal\n"
@@ -271,6 +276,7 @@ def test_destructors_met_by_a_stop_say_nothing() -> None:
     assert done.stderr.count("half made") == 1  # of the first, before the stop
 
 
+@SIGNALS
 def test_a_stop_met_by_a_module_that_catches_everything_is_not_lost(tmp_path: Path) -> None:
     (tmp_path / "greedy.py").write_text(
         "import os, signal, time\n"
@@ -296,6 +302,7 @@ def test_a_stop_met_by_a_module_that_catches_everything_is_not_lost(tmp_path: Pa
     assert (done.stdout, done.stderr) == ("stopped\n", "")
 
 
+@SHELL
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
@@ -315,6 +322,7 @@ def test_a_shell_completes_commands_and_options(
     assert capsys.readouterr().out.split() == expected
 
 
+@SHELL
 def test_completion_installs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:

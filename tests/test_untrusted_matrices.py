@@ -19,6 +19,7 @@ import zarr
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from systems import PIPES
 from test_store import FINGERPRINT, TILES, assert_same, run, transport
 from zarr.codecs import BloscCodec, Crc32cCodec
 
@@ -161,6 +162,7 @@ def test_other_codecs_and_other_versions_of_zarr_are_not_let_in(tmp_path: Path) 
         store.open(place)
 
 
+@PIPES
 def test_a_store_of_pipes_links_and_bombs(tmp_path: Path) -> None:
     place = tmp_path / "scene.zarr"
     for name in ("zarr.json", "data/zarr.json", "data/c/0"):
@@ -292,6 +294,7 @@ def test_archives_that_numpy_never_wrote(npz: Path) -> None:
             store.import_npz(npz)
 
 
+@PIPES
 def test_a_zip_bomb_is_refused_by_what_it_announces(
     npz: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -401,6 +404,7 @@ def test_flipped_bits_in_tiles_and_what_is_remembered(tmp_path: Path) -> None:
         assert_same(store.open(path), transport())
 
 
+@PIPES
 def test_files_that_are_no_tiles_are_not_taken_for_some(tmp_path: Path) -> None:
     path = tmp_path / "scene.zarr"
     with pytest.raises(KeyboardInterrupt):

@@ -1,11 +1,13 @@
 """Try a wheel as a newcomer gets it: an empty environment, no compiler, then the demo.
 
-    python tools/wheel_test.py dist [--cpu Nehalem]
+    python tools/wheel_test.py dist [--quick | --cpu Nehalem]
 
 The first argument is a wheel, or a folder that holds one for this system. Nothing but the new
-environment is on PATH, and pip takes no source packages. `--cpu` runs an estimate on an emulated
-processor too (qemu-user's names; Nehalem is x86-64-v2, the least that NumPy's own wheels need).
-Works without a shell, on Linux, macOS and Windows.
+environment is on PATH, and pip takes no source packages. What is installed must stay below
+MOST_MEGABYTES. `--quick` does not compile all modules beforehand, which takes longest, nor counts
+what that adds. `--cpu` runs an estimate on an emulated processor too (qemu-user's names; Nehalem is
+x86-64-v2, the least that NumPy's own wheels need). Works without a shell, on Linux, macOS and
+Windows.
 """
 
 from __future__ import annotations
@@ -32,6 +34,8 @@ except Exception as refusal:
 transport = lm.estimate(lm.simulate("metal", patterns), coherent=False, iterations=3)
 print(transport)
 """
+# Of the base install, without extras and without what an empty environment holds.
+MOST_MEGABYTES = 420
 # They would lead to other code than the wheel's, or to kernels that an emulated CPU has not.
 _FOREIGN = ("PYTHONPATH", "PYTHONHOME", "VIRTUAL_ENV", "OPENBLAS_CORETYPE")
 
@@ -46,7 +50,7 @@ def find(place: Path) -> Path:
     return wheels[-1]
 
 
-def try_wheel(wheel: Path, folder: Path, cpu: str | None) -> None:
+def try_wheel(wheel: Path, folder: Path, cpu: str | None, quick: bool) -> None:
     """Install a wheel into a new environment and run the demo from it."""
     place = folder / "environment"
     venv.create(place, with_pip=True)
@@ -60,9 +64,13 @@ def try_wheel(wheel: Path, folder: Path, cpu: str | None) -> None:
         subprocess.run([str(word) for word in words], check=True, env=environment, cwd=folder)
 
     python = scripts / ("python.exe" if os.name == "nt" else "python")
-    size = _megabytes(place)
-    run(python, "-m", "pip", "install", "--quiet", "--only-binary", ":all:", wheel.absolute())
-    print(f"{wheel.name}: installed, {_megabytes(place)} MB with {size} of the empty environment")
+    empty = _megabytes(place)
+    options = ["--quiet", "--only-binary", ":all:", *(["--no-compile"] if quick else [])]
+    run(python, "-m", "pip", "install", *options, wheel.absolute())
+    size = _megabytes(place) - empty
+    print(f"{wheel.name}: installed, {size:.0f} MB beside {empty:.0f} of the empty environment")
+    if size > MOST_MEGABYTES:
+        sys.exit(f"the base install takes {size:.0f} MB, more than {MOST_MEGABYTES}")
     started = time.perf_counter()
     run(scripts / "lightmatrix", "demo", "-o", "report")
     assert (folder / "report" / "report.html").stat().st_size > 100_000
@@ -75,20 +83,21 @@ def try_wheel(wheel: Path, folder: Path, cpu: str | None) -> None:
         print(f"runs on {cpu}")
 
 
-def _megabytes(folder: Path) -> int:
-    """Size of the files in a folder, as `du --apparent-size -BM` counts them."""
+def _megabytes(folder: Path) -> float:
+    """Size of the files in a folder, in millions of bytes."""
     files = (file for file in folder.rglob("*") if file.is_file() and not file.is_symlink())
-    return round(sum(file.stat().st_size for file in files) / 2**20)
+    return sum(file.stat().st_size for file in files) / 1e6
 
 
 def main() -> None:
     """Read the arguments and try the wheel."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("wheel", type=Path, help="a wheel, or a folder with one")
+    parser.add_argument("--quick", action="store_true", help="compile no modules beforehand")
     parser.add_argument("--cpu", help="a processor of qemu-user to emulate too")
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        try_wheel(find(arguments.wheel), Path(folder), arguments.cpu)
+        try_wheel(find(arguments.wheel), Path(folder), arguments.cpu, arguments.quick)
 
 
 if __name__ == "__main__":

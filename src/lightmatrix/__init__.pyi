@@ -70,8 +70,8 @@ from .live.opening import open_rig as open_rig
 from .live.rig import Rig as Rig
 
 # What is wrong with a capture.
-from .checking.finding import Finding as Finding
-from .checking.folders import check as check
+from .capture.checking.finding import Finding as Finding
+from .capture.checking.folders import check as check
 
 # Responses, measured from photographs.
 from .patterns.response import ProjectorResponse as ProjectorResponse
@@ -123,6 +123,7 @@ from .pictures.transport import (
 )
 from .report.make import report as report
 from .rig.evaluate import evaluate as evaluate
+from .rig.evaluate import evaluate_colour as evaluate_colour
 from .store import (
     ColumnIndex as ColumnIndex,
     StoredTransport as StoredTransport,
@@ -135,6 +136,7 @@ from .transport.correspondence import (
     Correspondence as Correspondence,
     correspondence as correspondence,
 )
+from .transport.evaluation import ColourErrors as ColourErrors
 from .transport.evaluation import Errors as Errors
 from .transport.matrix import LightTransport as LightTransport
 from .transport.verdict import (

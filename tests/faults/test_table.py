@@ -6,10 +6,14 @@ from concurrent.futures import Future
 from typing import Any
 
 import pytest
+from systems import FORKS
 
 from .case import GOOD, Outcome
 from .cases import ALL
 from .workers import Pool
+
+# Cases are run by processes that were forked off.
+pytestmark = FORKS
 
 Answers = dict[str, Future[dict[str, Any]]]
 

@@ -9,7 +9,6 @@ import contextlib
 import ctypes
 import io
 import os
-import resource
 import select
 import shlex
 import signal
@@ -21,6 +20,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 from .case import Limits, Ran, SkipError
+
+if sys.platform != "win32":
+    import resource
 
 # Exit code of a child that let an exception out.
 _ESCAPED = 99

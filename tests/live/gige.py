@@ -6,7 +6,7 @@ It photographs what a callable says, a virtual screen for instance, as clip(e T 
 from __future__ import annotations
 
 import ctypes
-import fcntl
+import sys
 import tempfile
 import time
 from collections.abc import Callable
@@ -17,6 +17,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
+
+if sys.platform != "win32":
+    import fcntl
 
 # At this exposure time e is 1.
 UNIT_EXPOSURE = 0.01

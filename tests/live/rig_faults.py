@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import argparse
 import multiprocessing
-import resource
 import sys
 import tempfile
 import time
@@ -32,6 +31,9 @@ from lightmatrix.patterns.making import make_patterns
 from lightmatrix.patterns.pattern_set import to_grey
 
 from .small_disk import SmallDisk, small_disk
+
+if sys.platform != "win32":
+    import resource
 
 RATES = {"late": 0.05, "dropped": 0.03, "duplicate": 0.02, "torn": 0.01}
 # Of a sample's noise: none of the frames' samples is farther from what it should be.

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from systems import SIGNALS
 
 import lightmatrix as lm
 from lightmatrix.cli import main
@@ -406,6 +407,7 @@ def test_the_whole_way_by_one_command(capsys: pytest.CaptureFixture[str]) -> Non
     assert "exists already" in capsys.readouterr().err
 
 
+@SIGNALS
 def test_ctrl_c_keeps_the_frames() -> None:
     # What is known of the rig need not be measured in real time.
     with lm.open_rig(QUIET) as rig:

@@ -1,5 +1,17 @@
 //! Bit-packed pattern products and solvers for light transport estimation; knows no Python.
 
+// Other processors than x86-64 have the portable kernels only, and leave unused what the rest takes.
+#![cfg_attr(
+    not(target_arch = "x86_64"),
+    allow(
+        dead_code,
+        unused_imports,
+        unused_variables,
+        unused_mut,
+        clippy::ptr_arg
+    )
+)]
+
 pub mod active_set;
 pub mod atoms;
 pub mod bits;

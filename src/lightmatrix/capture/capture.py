@@ -20,6 +20,9 @@ from lightmatrix.camera.response import Response
 from lightmatrix.camera.samples import Samples
 from lightmatrix.camera.sensor import Sensor
 from lightmatrix.capture import summary
+from lightmatrix.capture.checking.check import check_survey
+from lightmatrix.capture.checking.finding import refuse_disorder
+from lightmatrix.capture.checking.survey import Survey
 from lightmatrix.capture.checks import (
     check_depth,
     check_light,
@@ -29,7 +32,6 @@ from lightmatrix.capture.checks import (
 )
 from lightmatrix.capture.folder import holds_capture, read_capture, read_folders
 from lightmatrix.capture.frames import ArrayStack, Frames, cut
-from lightmatrix.capture.order import check_order
 from lightmatrix.capture.reader import Reader
 from lightmatrix.errors import InputError
 from lightmatrix.patterns.grids import block_size
@@ -290,8 +292,16 @@ class Capture:
         whole = self if crop is None else self.crop(*crop)
         capture = whole.bin(bin_projector, bin_camera)
         if check:
-            capture.check(order=order)
+            capture.check(order=False)
+        if check and order:
+            # Of all that was photographed, as `lightmatrix check` judges it.
+            whole._refuse_disorder()
         return capture
+
+    def _refuse_disorder(self) -> None:
+        survey = Survey.take(self.patterns, self.frames, self.decoder, self.mask)
+        names = [self.frames.name(k) for k in range(self.count)]
+        refuse_disorder(check_survey(survey, names, order_only=True))
 
     # ---- shape
 
@@ -462,7 +472,8 @@ class Capture:
         Parameters
         ----------
         order : bool
-            Also look for frames that do not follow the patterns (swapped, missing, late).
+            Also look for frames that do not follow the patterns (swapped, missing, late), as
+            `lightmatrix check` does.
 
         Raises
         ------
@@ -477,4 +488,4 @@ class Capture:
         if self.frames.dtype == np.uint16 and self.bin_camera == (1, 1):
             warn_of_hidden_clipping(self.reader.level_blocks(), self.decoder)
         if order:
-            check_order(self.patterns, self.tiles(), self.rows, self.frames.name)
+            self._refuse_disorder()

@@ -30,7 +30,6 @@ from lightmatrix.capture.prediction import (
     likeliest_assumption,
     prediction_misses,
 )
-from lightmatrix.errors import InputError
 from lightmatrix.patterns.pattern_set import PatternSet
 
 # A frame alone is out of place if another prediction misses it by less than this share of what
@@ -56,38 +55,6 @@ _MOST_ROWS = 200
 _WORK = 2e10
 
 
-def check_order(
-    patterns: PatternSet,
-    tiles: Iterable[tuple[int, Samples]],
-    rows: int,
-    name: Callable[[int], str] = "frame {}".format,
-) -> None:
-    """Refuse frames that are swapped, shifted or reversed against the patterns.
-
-    Parameters
-    ----------
-    patterns : PatternSet
-        K patterns.
-    tiles : iterable of (int, Samples)
-        Samples (m, K) of all camera rows, tile by tile.
-    rows : int
-        Number of camera rows M.
-    name : callable
-        What to call the frame of an index.
-
-    Raises
-    ------
-    InputError
-        Naming the frames.
-    """
-    found = find_disorder(patterns, tiles, rows, name)
-    if found is not None:
-        raise InputError(
-            found.message,
-            hint="put the images in the order of the patterns; --no-check takes them as they are",
-        )
-
-
 @dataclass(frozen=True)
 class Disorder:
     """Frames that do not follow the patterns.
@@ -110,7 +77,18 @@ def find_disorder(
     rows: int,
     name: Callable[[int], str] = "frame {}".format,
 ) -> Disorder | None:
-    """Look for frames that do not follow the patterns, as `check_order` does.
+    """Look for frames that are swapped, shifted or reversed against the patterns.
+
+    Parameters
+    ----------
+    patterns : PatternSet
+        K patterns.
+    tiles : iterable of (int, Samples)
+        Samples (m, K) of all camera rows, tile by tile.
+    rows : int
+        Number of camera rows M.
+    name : callable
+        What to call the frame of an index.
 
     Returns
     -------

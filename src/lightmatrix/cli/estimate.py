@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 import lightmatrix as lm
+from lightmatrix.capture.checking.finding import refuse_disorder
 from lightmatrix.cli.claims import claim
 from lightmatrix.cli.options import (
     ADMM_ITERATIONS,
@@ -38,7 +39,6 @@ from lightmatrix.cli.source import (
     source,
 )
 from lightmatrix.cli.terminal import Stopped, progress, say, show_json, show_table, warn
-from lightmatrix.errors import InputError
 from lightmatrix.outputs.kinds import PARTIAL, REPORT, STORE
 from lightmatrix.transport.labels import named
 
@@ -207,7 +207,7 @@ def estimate(
     _tell_needs(needs, check)
     opened.check(order=False)
     findings = lm.check(taken) if check else []
-    _refuse_disorder(findings)
+    refuse_disorder(findings)
     # What else is wrong spoils less than all of it.
     for finding in findings:
         warn(f"{finding.kind}: {finding.message}\n  {finding.advice}", style="yellow")
@@ -254,7 +254,7 @@ def _show_needs(needs: Needs, as_json: bool) -> None:
         show_json(needs.as_dict())
         return
     whose = "allowed" if needs.limited else "free"
-    free = f"{needs.available / 2**30:.2g} GiB are {whose}"
+    free = f"{needs.available / 2**30:.3g} GiB are {whose}"
     say(f"the estimate takes {needs} ({free})", style=None if needs.fits else "yellow")
     if needs.advice:
         say(needs.advice)
@@ -269,15 +269,6 @@ def _tell_needs(needs: Needs, check: bool) -> None:
         warn(f"this takes {needs}")
     if needs.advice:
         warn(f"less: {needs.advice}", style="yellow")
-
-
-def _refuse_disorder(findings: list[Finding]) -> None:
-    """Refuse frames that are out of order, which spoil all of an estimate."""
-    for finding in findings:
-        if finding.kind == "order":
-            raise InputError(
-                finding.message, hint=f"{finding.advice}; --no-check takes them as they are"
-            )
 
 
 def _report(

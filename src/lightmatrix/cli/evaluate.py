@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated
 
 import typer
 
 import lightmatrix as lm
-from lightmatrix.cli.options import Json, Store
+from lightmatrix.cli.options import COLOURS, Blue, Green, Json, Store, primaries
 from lightmatrix.cli.terminal import progress, show_json, show_table
 from lightmatrix.transport.labels import named
 
@@ -18,9 +19,11 @@ def evaluate(
         str,
         typer.Option(
             help="T.npz from `render` or `export`, a simulated capture, or a scene, rendered if "
-            "need be."
+            "need be; with --green and --blue a folder of three captures, red, green and blue."
         ),
     ],
+    green: Green = None,
+    blue: Blue = None,
     exposure: Annotated[
         float,
         typer.Option(
@@ -31,12 +34,23 @@ def evaluate(
 ) -> None:
     """Compare an estimate with the truth.
 
-    Gives the relative error, the RMSE and the relighting error, of all rows and of some kinds.
+    Gives the relative error, the RMSE and the relighting error, of all rows and of some kinds. With
+    --green and --blue the matrices of a colour projector are compared, each and together.
     """
+    three = primaries(scene, green, blue)
+    title = f"{scene} against {truth}"
+    if three is not None:
+        known = [Path(truth) / colour for colour in COLOURS]
+        joint = lm.evaluate_colour(three, known, exposure)
+        if as_json:
+            show_json(joint.as_dict())
+        else:
+            show_table(title, named(joint.table()))
+        return
     with progress("rendering", "paths") as report:
         errors = lm.evaluate(scene, truth, exposure, progress=report).as_dict()
     if as_json:
         show_json(errors)
         return
     del errors["exposure"]
-    show_table(f"{scene} against {truth}", named(errors))
+    show_table(title, named(errors))

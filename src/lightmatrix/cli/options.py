@@ -30,6 +30,17 @@ Seed = Annotated[int, typer.Option(help="Seed of everything random.", min=0)]
 Store = Annotated[
     Path, typer.Argument(metavar="SCENE.zarr", help="A store made by `estimate`, or a T.npz.")
 ]
+Green = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="GREEN.zarr",
+        help="Of a colour projector: T of its green. SCENE is that of its red then.",
+    ),
+]
+Blue = Annotated[
+    Path | None,
+    typer.Option(metavar="BLUE.zarr", help="Of a colour projector: T of its blue."),
+]
 RigName = Annotated[
     str | None,
     typer.Option("--rig", metavar="virtual:SCENE", help="A virtual rig, to try things with."),
@@ -58,6 +69,7 @@ COHERENT_UP_TO = 256
 PASSES, ADMM_ITERATIONS = 200, 1000
 USUAL_SIZE = "128x128"
 PROCEDURAL = "procedural"
+COLOURS = ("red", "green", "blue")
 MOST_PIXELS = 2**31 - 1
 
 
@@ -73,3 +85,15 @@ def size(text: str) -> tuple[int, int]:
             f"a size of {text!r}", hint=f"use at least 1x1 and at most {MOST_PIXELS:,} pixels"
         )
     return rows, cols
+
+
+def primaries(red: Path, green: Path | None, blue: Path | None) -> tuple[Path, Path, Path] | None:
+    """The three matrices of a colour projector; None of a grey one, which has only the first."""
+    if green is None and blue is None:
+        return None
+    if green is None or blue is None:
+        raise InputError(
+            f"--{'blue' if blue is None else 'green'} is missing",
+            hint="a colour projector has three matrices: give red as the scene, --green and --blue",
+        )
+    return red, green, blue

@@ -9,9 +9,8 @@ from typing import Annotated
 import typer
 
 import lightmatrix as lm
-from lightmatrix.cli.options import Json, Overwrite, Store
+from lightmatrix.cli.options import Blue, Green, Json, Overwrite, Store, primaries
 from lightmatrix.cli.terminal import say, show_json
-from lightmatrix.errors import InputError
 
 
 def relight(
@@ -26,11 +25,8 @@ def relight(
     gamma: Annotated[
         float, typer.Option(help="Display gamma, of PNG only; 1 keeps it linear.")
     ] = 1.0,
-    green: Annotated[
-        Path | None,
-        typer.Option(help="Of a colour projector: T of its green. SCENE is that of its red then."),
-    ] = None,
-    blue: Annotated[Path | None, typer.Option(help="Of a colour projector: T of its blue.")] = None,
+    green: Green = None,
+    blue: Blue = None,
     resize: Annotated[
         bool, typer.Option("--resize", help="Resize a pattern of another size to the projector.")
     ] = False,
@@ -43,13 +39,8 @@ def relight(
     scale; TIFF, EXR and npy keep all values. With --green and --blue the pattern is in colour, and
     each primary of the projector has a T of its own.
     """
-    if (green is None) != (blue is None):
-        raise InputError(
-            f"--{'blue' if blue is None else 'green'} is missing",
-            hint="a colour projector has three matrices: give red as the scene, --green and --blue",
-        )
     image = lm.relight(
-        scene if green is None or blue is None else (scene, green, blue),
+        primaries(scene, green, blue) or scene,
         pattern,
         exposure=exposure,
         gamma=gamma,

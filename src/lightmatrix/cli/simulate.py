@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -87,6 +87,14 @@ def simulate(
     vignetting: Annotated[
         float, typer.Option(help="Share of the light lost in the camera's corners.")
     ] = 0.0,
+    primary: Annotated[
+        Literal["red", "green", "blue"] | None,
+        typer.Option(
+            help="Primary of a colour projector that shows the patterns; the camera is one of "
+            "three channels then.",
+            show_default="white",
+        ),
+    ] = None,
     seed: Seed = 0,
     overwrite: Overwrite = False,
     as_json: Json = False,
@@ -109,6 +117,7 @@ def simulate(
         "seed": seed,
     }
     rig: dict[str, Any] = {"blur": blur, "leak": leak, "ambient": ambient, "vignetting": vignetting}
+    rig["primary"] = primary
     made_up = {"--camera": camera, "--size": projector, "-k": count, "--truth": keep_truth or None}
     capture: Capture
     with progress("simulating", "rows") as report:

@@ -129,7 +129,7 @@ class Experiment(Generic[C]):
 
 def write_table(file: Path, rows: Sequence[Row]) -> None:
     """Write rows of equal keys as CSV."""
-    with file.open("w", newline="") as opened:
+    with file.open("w", newline="", encoding="utf-8") as opened:
         table = csv.DictWriter(opened, list(rows[0]))
         table.writeheader()
         table.writerows(rows)

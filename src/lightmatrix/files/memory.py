@@ -8,14 +8,17 @@ from pathlib import Path
 import psutil
 
 from lightmatrix.errors import InputError
+from lightmatrix.files.cgroups import memory_left
 
 # Bytes of what amounts of memory are written in.
 UNITS = {"mb": 10**6, "gb": 10**9, "tb": 10**12, "mib": 2**20, "gib": 2**30, "tib": 2**40}
 
 
 def available_bytes() -> int:
-    """Memory that is free on this machine, without swapping."""
-    return int(psutil.virtual_memory().available)
+    """Memory that is free without swapping, on this machine and within limits of a container."""
+    free = int(psutil.virtual_memory().available)
+    left = memory_left()
+    return free if left is None else min(free, left)
 
 
 def memory_bytes(text: str) -> int:

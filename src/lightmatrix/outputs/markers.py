@@ -93,7 +93,7 @@ class FolderKind:
         file = folder / self.marker[0]
         whole: Any = content
         if len(self.marker) > 1:
-            inner = whole = json.loads(file.read_text())
+            inner = whole = json.loads(file.read_text(encoding="utf-8"))
             for key in self.marker[1:-1]:
                 inner = inner[key]
             inner[self.marker[-1]] = content
@@ -196,7 +196,7 @@ def read_object(file: Path) -> dict[str, Any] | None:
     try:
         if file.is_symlink() or not file.is_file() or file.stat().st_size > _MOST_BYTES:
             return None
-        content = json.loads(file.read_text())
+        content = json.loads(file.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError):
         return None
     return content if isinstance(content, dict) else None

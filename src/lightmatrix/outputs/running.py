@@ -171,7 +171,8 @@ def _lines(marker: Path) -> list[object]:
     """What the lines of a marker say; None for one that cannot be read."""
     if marker.is_symlink() or not marker.is_file():
         return []
-    return [_line(line) for line in marker.read_text(errors="replace").split("\n")]
+    text = marker.read_text(encoding="utf-8", errors="replace")
+    return [_line(line) for line in text.split("\n")]
 
 
 def _line(text: str) -> object:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import errno
 import os
+import sys
 from pathlib import Path
 
 _AT_FDCWD = -100
@@ -26,6 +27,8 @@ def exchange(one: Path, other: Path) -> bool:
     OSError
         If the disk fails.
     """
+    if sys.platform == "win32":
+        return False
     # Python has no function for it.
     rename = getattr(ctypes.CDLL(None, use_errno=True), "renameat2", None)
     if rename is None:

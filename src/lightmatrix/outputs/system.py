@@ -1,4 +1,4 @@
-"""What differs between systems where files are locked: Linux and macOS, and Windows."""
+"""What differs between systems where files are locked and moved: Linux and macOS, and Windows."""
 
 from __future__ import annotations
 
@@ -69,3 +69,12 @@ def remove_locked(path: Path, file: int) -> None:
     else:
         path.unlink(missing_ok=True)
         os.close(file)
+
+
+def rename_folder(folder: Path, target: Path) -> None:
+    """Give a folder a name at which there is nothing, or an empty folder."""
+    if sys.platform == "win32":
+        # Nothing is renamed there onto what exists.
+        if target.exists():
+            target.rmdir()
+    folder.rename(target)

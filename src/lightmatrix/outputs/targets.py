@@ -80,7 +80,7 @@ def failure(output: str | Path, error: OSError, left: str = "") -> OutputError:
 def mount_points() -> list[Path]:
     """The places where file systems are mounted, single files among them; as far as is known."""
     try:
-        lines = _MOUNTS.read_text(errors="surrogateescape").splitlines()
+        lines = _MOUNTS.read_text(encoding="utf-8", errors="surrogateescape").splitlines()
     except OSError:
         return []
     # Blanks in these names are written as octal numbers.

@@ -22,6 +22,7 @@ from lightmatrix.outputs.locks import check_unlocked, locked
 from lightmatrix.outputs.markers import MARKER, FolderKind, OutputKind, read_object
 from lightmatrix.outputs.running import check_running
 from lightmatrix.outputs.swap import exchange
+from lightmatrix.outputs.system import rename_folder
 from lightmatrix.outputs.targets import explained, failure, final_target
 
 TEMPORARY = "lightmatrix-temporary"
@@ -180,7 +181,7 @@ def _remove(path: Path) -> None:
 def _put(part: Path, target: Path, old: Path) -> None:
     """Let a whole folder take the place of the output."""
     if not os.path.lexists(target) or not any(target.iterdir()):
-        os.rename(part, target)
+        rename_folder(part, target)
     elif not exchange(part, target):
         os.rename(target, old)
         try:

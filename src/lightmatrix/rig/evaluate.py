@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from lightmatrix import store
@@ -10,7 +10,12 @@ from lightmatrix.errors import InputError
 from lightmatrix.rig import library
 from lightmatrix.rig.scenes import scene as find_scene
 from lightmatrix.rig.truth import Truth
-from lightmatrix.transport.evaluation import Errors, errors_by_rows
+from lightmatrix.transport.evaluation import (
+    ColourErrors,
+    Errors,
+    errors_by_rows,
+    errors_in_colour,
+)
 from lightmatrix.transport.matrix import LightTransport
 
 
@@ -54,6 +59,61 @@ def evaluate(
     >>> 0.01 < errors.relative_error < 0.5
     True
     """
+    return errors_by_rows(*_pair(estimate, truth, progress), exposure)
+
+
+def evaluate_colour(
+    estimates: Sequence[LightTransport | str | Path],
+    truths: Sequence[LightTransport | Truth | str | Path],
+    exposure: float = 1.0,
+    *,
+    progress: Callable[[int, int], None] | None = None,
+) -> ColourErrors:
+    """Compare the three matrices of a colour projector with the truth.
+
+    Parameters
+    ----------
+    estimates, truths : sequence of three
+        Of red, green and blue, each as `evaluate` takes it.
+    exposure : float
+        Exposure of the captures: tells which rows clip under one projector pixel.
+    progress : callable, optional
+        Called with (done, total) paths where a scene has to be rendered.
+
+    Returns
+    -------
+    ColourErrors
+        Those of each matrix, and of the three together.
+
+    Raises
+    ------
+    InputError
+        As `evaluate`, and on a number of matrices other than three.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> shown = lm.BernoulliPatterns((16, 16), 8)
+    >>> scene = lm.ProceduralScene((16, 16), (16, 16)).truth()
+    >>> taken = [lm.simulate(scene, shown, primary=name) for name in ("red", "green", "blue")]
+    >>> known = [one.truth for one in taken]
+    >>> found = [one.transport() for one in known]
+    >>> lm.evaluate_colour(found, known).relative_error
+    0.0
+    """
+    for given, word in ((estimates, "estimates"), (truths, "truths")):
+        if len(given) != 3:
+            raise InputError(f"{len(given)} {word}", hint="give those of red, green and blue")
+    pairs = [_pair(*pair, progress) for pair in zip(estimates, truths, strict=True)]
+    return errors_in_colour([one for one, _ in pairs], [known for _, known in pairs], exposure)
+
+
+def _pair(
+    estimate: LightTransport | str | Path,
+    truth: LightTransport | Truth | str | Path,
+    progress: Callable[[int, int], None] | None,
+) -> tuple[LightTransport, LightTransport]:
+    """An estimate, and the truth of its rows."""
     found = estimate if isinstance(estimate, LightTransport) else store.open(estimate)
     known = truth if isinstance(truth, LightTransport) else _known(found, truth, progress)
     known = known.cut_alike(found)
@@ -67,7 +127,7 @@ def evaluate(
             f"{names[1]} is {known.shape[0]} x {known.shape[1]}",
             hint="compare matrices of one rig, binned alike",
         )
-    return errors_by_rows(found, known, exposure)
+    return found, known
 
 
 def _known(

@@ -22,6 +22,7 @@ from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.ranges import check_seed
 from lightmatrix.regions import Region
 from lightmatrix.rig import library, realism
+from lightmatrix.rig.colour import in_primary
 from lightmatrix.rig.simulate import irradiance
 from lightmatrix.rig.truth import Truth
 
@@ -134,6 +135,7 @@ def simulate(
     leak: float = 0.0,
     ambient: float = 0.0,
     vignetting: float = 0.0,
+    primary: str | None = None,
     seed: int = 0,
     progress: Progress | None = None,
 ) -> SimulatedCapture:
@@ -166,6 +168,9 @@ def simulate(
         is taken too.
     vignetting : float
         Share of the light lost in the camera's corners, in [0, 1).
+    primary : {"red", "green", "blue"}, optional
+        The primary of a colour projector that shows the patterns; the camera then has three
+        channels, whose filters overlap. None: a grey projector, and the camera of the scene.
     seed : int
         Seed of the noise.
     progress : callable, optional
@@ -197,6 +202,8 @@ def simulate(
     sensor = Sensor(of_frames(exposures, shown), float(black_level), noise, shot_noise, bits)
     realism.check_realism(shown.shape, blur=blur, vignetting=vignetting, leak=leak, ambient=ambient)
     truth = library.truth(scene, shown.shape, progress=progress)
+    if primary is not None:
+        truth = in_primary(truth, primary)
     truth = realism.vignetting(realism.defocus(truth, blur), vignetting)
     room = realism.ambient(truth, ambient)
     light = irradiance(truth.matrix, shown, progress=progress)

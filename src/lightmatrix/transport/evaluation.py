@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 
@@ -16,6 +18,7 @@ from lightmatrix.transport.metrics import (
     relative_error,
     relighting_error,
     response_rmse,
+    row_energies,
     unclipped_rows,
     unseen_patterns,
 )
@@ -71,6 +74,82 @@ class Errors:
 
     def _repr_html_(self) -> str:
         return html_table("Errors", named(self.as_dict()))
+
+
+@dataclass(frozen=True)
+class ColourErrors:
+    """The errors of the three matrices of a colour projector.
+
+    Parameters
+    ----------
+    red, green, blue : Errors
+        Of each primary's own matrix.
+    relative_error : float
+        ||T_est - T||_F / ||T||_F over the three together.
+    relighting_error : float
+        Relative L2 error of linear, unclipped images under patterns in colour, averaged.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> known = [lm.ProceduralScene((16, 16), (16, 16)).truth().transport()] * 3
+    >>> errors = lm.evaluate_colour(known, known)
+    >>> errors.green.relative_error, errors.relighting_error
+    (0.0, 0.0)
+    """
+
+    red: Errors
+    green: Errors
+    blue: Errors
+    relative_error: float
+    relighting_error: float
+
+    def as_dict(self) -> dict[str, Any]:
+        """Names and values, JSON-ready; each primary's under its name."""
+        joint = {name: getattr(self, name) for name in ("relative_error", "relighting_error")}
+        return joint | {name: getattr(self, name).as_dict() for name in ("red", "green", "blue")}
+
+    def __repr__(self) -> str:
+        return text_table("Errors in colour", named(self.table()))
+
+    def _repr_html_(self) -> str:
+        return html_table("Errors in colour", named(self.table()))
+
+    def table(self) -> dict[str, float]:
+        """The errors that matter most in one list: of the three together, and of each."""
+        joint = {name: getattr(self, name) for name in ("relative_error", "relighting_error")}
+        return joint | {
+            f"{error}_{colour}": getattr(getattr(self, colour), error)
+            for colour in ("red", "green", "blue")
+            for error in joint
+        }
+
+
+def errors_in_colour(
+    estimates: Sequence[LightTransport], truths: Sequence[LightTransport], exposure: float
+) -> ColourErrors:
+    """The errors of the matrices of red, green and blue, each and together.
+
+    Raises
+    ------
+    InputError
+        On matrices of different rigs, or an exposure out of range.
+    """
+    each = [errors_by_rows(*pair, exposure) for pair in zip(estimates, truths, strict=True)]
+    energies = np.array([float(row_energies(truth).sum()) for truth in truths])
+    missed = np.array([one.relative_error for one in each]) ** 2 * energies
+    patterns = np.stack(list(unseen_patterns(truths[0].projector_shape).values()))
+    # Each primary shows another one of them, so that all colours are there.
+    shown = [np.roll(patterns, k, axis=0) for k in range(len(truths))]
+    lit = [
+        sum(one.relight(part).astype(np.float64) for one, part in zip(some, shown, strict=True))
+        for some in (estimates, truths)
+    ]
+    found, known = (np.reshape(images, (len(patterns), -1)) for images in lit)
+    off = np.linalg.norm(found - known, axis=1) / np.linalg.norm(known, axis=1)
+    red, green, blue = each
+    whole = float(np.sqrt(missed.sum() / energies.sum()))
+    return ColourErrors(red, green, blue, whole, float(off.mean()))
 
 
 def errors_by_rows(estimate: LightTransport, truth: LightTransport, exposure: float) -> Errors:

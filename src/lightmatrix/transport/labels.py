@@ -28,6 +28,13 @@ _MEANING = {
     "share_of_rows_diffuse": "diffuse rows",
     "relative_error_diffuse": "relative error of T in diffuse rows",
     "relighting_error_diffuse": "relative error of relit images in diffuse rows",
+} | {
+    f"{error}_{colour}": f"{colour}: {words}"
+    for error, words in (
+        ("relative_error", "relative error of T"),
+        ("relighting_error", "relative error of relit images"),
+    )
+    for colour in ("red", "green", "blue")
 }
 _SHARES = {
     "background_share",

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import pytest
+from systems import FORKS
 
 from ..case import GOOD
 from ..workers import Pool
 
 COUNT = 300
+
+# Cases are run by processes that were forked off.
+pytestmark = FORKS
 
 
 def test_what_is_damaged_is_refused_or_read_rightly(pool: Pool) -> None:

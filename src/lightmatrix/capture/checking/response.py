@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.camera.response import Response
-from lightmatrix.checking.finding import Finding
-from lightmatrix.checking.local import Prediction, predict
-from lightmatrix.checking.survey import Survey
+from lightmatrix.capture.checking.finding import Finding
+from lightmatrix.capture.checking.local import Prediction, predict
+from lightmatrix.capture.checking.survey import Survey
 
 # Tried first; then, in the direction that helps, the others.
 _FIRST = (1.5, 2.2, 0.65)

@@ -10,8 +10,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.checking.finding import Finding, listed
-from lightmatrix.checking.local import Prediction
+from lightmatrix.capture.checking.finding import Finding, listed
+from lightmatrix.capture.checking.local import Prediction
 
 # A frame that misses its prediction by more than this share of its variation, and by this many
 # times what the usual frame does, shows something else; of less it may be suspected.

@@ -18,10 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.camera.samples import Samples
-from lightmatrix.checking.finding import Finding
-from lightmatrix.checking.local import find_places
-from lightmatrix.checking.outlines import agreed_shift, describe_shift
-from lightmatrix.checking.survey import MARGIN, Survey
+from lightmatrix.capture.checking.finding import Finding
+from lightmatrix.capture.checking.local import find_places
+from lightmatrix.capture.checking.outlines import agreed_shift, describe_shift
+from lightmatrix.capture.checking.survey import MARGIN, Survey
 from lightmatrix.patterns.pattern_set import PatternSet
 
 # Of all frames, that must be in pairs.

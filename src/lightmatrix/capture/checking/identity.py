@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from lightmatrix.checking.finding import Finding
-from lightmatrix.checking.survey import Survey
+from lightmatrix.capture.checking.finding import Finding
+from lightmatrix.capture.checking.survey import Survey
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
 
 # Rows or columns of a pattern that differ by less are the same.

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.checking.finding import Finding, listed
-from lightmatrix.checking.survey import Survey
+from lightmatrix.capture.checking.finding import Finding, listed
+from lightmatrix.capture.checking.survey import Survey
 
 # Of all samples that count.
 _MOST_CLIPPED = 2 / 3

@@ -11,8 +11,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.checking.finding import Finding, listed
-from lightmatrix.checking.local import Prediction
+from lightmatrix.capture.checking.finding import Finding, listed
+from lightmatrix.capture.checking.local import Prediction
 
 # Smaller variations do no harm; of larger ones a single frame is named.
 _HARMLESS, _NAMED = 0.012, 0.04

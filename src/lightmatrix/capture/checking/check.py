@@ -7,20 +7,19 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.capture.capture import Capture
+from lightmatrix.capture.checking.brightness import check_brightness, gains
+from lightmatrix.capture.checking.content import SUSPECT, check_content, wrong_frames
+from lightmatrix.capture.checking.finding import Finding
+from lightmatrix.capture.checking.identity import check_interchanged, check_patterns
+from lightmatrix.capture.checking.jpeg import check_jpeg
+from lightmatrix.capture.checking.levels import check_light, check_plain_frames
+from lightmatrix.capture.checking.local import Prediction, predict
+from lightmatrix.capture.checking.motion import check_motion
+from lightmatrix.capture.checking.pairs import Pairs, check_pairs, pair_gains
+from lightmatrix.capture.checking.response import check_response
+from lightmatrix.capture.checking.rows import lively_rows
+from lightmatrix.capture.checking.survey import Survey
 from lightmatrix.capture.order import Disorder, find_disorder
-from lightmatrix.checking.brightness import check_brightness, gains
-from lightmatrix.checking.content import SUSPECT, check_content, wrong_frames
-from lightmatrix.checking.finding import Finding
-from lightmatrix.checking.identity import check_interchanged, check_patterns
-from lightmatrix.checking.jpeg import check_jpeg
-from lightmatrix.checking.levels import check_light, check_plain_frames
-from lightmatrix.checking.local import Prediction, predict
-from lightmatrix.checking.motion import check_motion
-from lightmatrix.checking.pairs import Pairs, check_pairs, pair_gains
-from lightmatrix.checking.response import check_response
-from lightmatrix.checking.rows import lively_rows
-from lightmatrix.checking.survey import Survey
 
 # Nothing is told from fewer frames, or fewer camera pixels that can be predicted.
 _FEWEST_FRAMES, _FEWEST_ROWS = 12, 20
@@ -29,34 +28,14 @@ _FEW = 0.25
 # Gains told from inverse pairs, medians over many pixels, are as exact as the camera is linear.
 _PAIR_ERROR = 0.004
 
-How = Callable[[Survey, NDArray[np.int64], Sequence[str], bool], list[Finding]]
+# The last says whether the light is looked at, too: None, no; False, but for its response, since
+# JPEG rounds dark and bright by other steps, which looks like a gamma.
+How = Callable[[Survey, NDArray[np.int64], Sequence[str], bool | None], list[Finding]]
 
 
-def check_capture(capture: Capture) -> list[Finding]:
-    """Everything that seems wrong with a capture.
-
-    Parameters
-    ----------
-    capture : Capture
-        Its frames are looked at as they were taken, whatever is binned.
-
-    Returns
-    -------
-    list of Finding
-        Empty if nothing seems wrong. What too few frames or a diffuse scene cannot tell is not
-        found.
-
-    Raises
-    ------
-    InputError
-        On a frame that cannot be read, or differs from the others in size or type.
-    """
-    survey = Survey.take(capture.patterns, capture.frames, capture.decoder, capture.mask)
-    names = [capture.frames.name(k) for k in range(capture.count)]
-    return check_survey(survey, names)
-
-
-def check_survey(survey: Survey, names: Sequence[str]) -> list[Finding]:
+def check_survey(
+    survey: Survey, names: Sequence[str], *, order_only: bool = False
+) -> list[Finding]:
     """Everything that seems wrong with what was surveyed of a capture.
 
     Parameters
@@ -65,31 +44,37 @@ def check_survey(survey: Survey, names: Sequence[str]) -> list[Finding]:
         With as many frames as patterns.
     names : sequence of str
         What the frames are called.
+    order_only : bool
+        Leave out what does not bear on the order of the frames; what is said of that is the same.
     """
     interchanged = check_interchanged(survey)
     if interchanged:
         return interchanged
-    found = [*check_patterns(survey.patterns), *check_light(survey), *check_jpeg(survey, names)]
+    found = []
+    if not order_only:
+        found += [*check_patterns(survey.patterns), *check_light(survey)]
+        found += check_jpeg(survey, names)
     rows = lively_rows(survey)
     if survey.count < _FEWEST_FRAMES or len(rows) < _FEWEST_ROWS:
         return found
     pairs = Pairs.find(survey.patterns)
     how = _by_prediction if pairs is None else _by_pairs(pairs)
-    return found + how(survey, rows, names, any(each.kind == "jpeg" for each in found))
+    light = None if order_only else not any(each.kind == "jpeg" for each in found)
+    return found + how(survey, rows, names, light)
 
 
 def _by_pairs(pairs: Pairs) -> How:
     """Checks of patterns that come with their inverse."""
 
     def check(
-        survey: Survey, rows: NDArray[np.int64], names: Sequence[str], lossy: bool
+        survey: Survey, rows: NDArray[np.int64], names: Sequence[str], light: bool | None
     ) -> list[Finding]:
         plain = check_plain_frames(survey, rows, names)
         found, right, doubted = check_pairs(survey, rows, pairs, names)
-        if any(each.kind == "motion" for each in found):
+        if light is None or any(each.kind == "motion" for each in found):
             return [*plain, *found]
         # What does not add up since it is not linear is no change of the light.
-        bent = [] if lossy else check_response(right, rows, doubted, steady=False)
+        bent = check_response(right, rows, doubted, steady=False) if light else []
         if not bent:
             gains, frames = pair_gains(right, rows, pairs, doubted)
             bent = check_brightness(gains, np.full(len(gains), _PAIR_ERROR), frames, names)
@@ -99,7 +84,7 @@ def _by_pairs(pairs: Pairs) -> How:
 
 
 def _by_prediction(
-    survey: Survey, rows: NDArray[np.int64], names: Sequence[str], lossy: bool
+    survey: Survey, rows: NDArray[np.int64], names: Sequence[str], light: bool | None
 ) -> list[Finding]:
     """Checks of patterns that have nothing to do with each other."""
     disorder = find_disorder(survey.patterns, survey.tiles(), len(survey.raw), names.__getitem__)
@@ -129,9 +114,10 @@ def _by_prediction(
         found.append(_as_finding(disorder))
     right = np.flatnonzero(~wrong & ~doubted)
     found += check_content(prediction, wrong & ~doubted, names)
+    if light is None:
+        return found
     found += check_brightness(*gains(prediction.frames(right)), right, names)
-    # JPEG rounds dark and bright by other steps, which looks like a gamma.
-    if not lossy:
+    if light:
         steady = not any(each.kind == "flicker" for each in found)
         found += check_response(survey, rows, suspects | wrong, steady=steady)
     return found

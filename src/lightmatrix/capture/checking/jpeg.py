@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import dctn, idctn
 
-from lightmatrix.checking.finding import Finding
-from lightmatrix.checking.survey import BLOCK, Survey
+from lightmatrix.capture.checking.finding import Finding
+from lightmatrix.capture.checking.survey import BLOCK, Survey
 
 # Steps that are looked for. Rounding to whole levels hides finer ones.
 _STEPS = np.arange(3, 128)

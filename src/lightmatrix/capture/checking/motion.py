@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.camera.samples import Samples
-from lightmatrix.checking.finding import Finding
-from lightmatrix.checking.local import predict
-from lightmatrix.checking.outlines import agreed_shift, describe_shift
-from lightmatrix.checking.survey import MARGIN, Survey
+from lightmatrix.capture.checking.finding import Finding
+from lightmatrix.capture.checking.local import predict
+from lightmatrix.capture.checking.outlines import agreed_shift, describe_shift
+from lightmatrix.capture.checking.survey import MARGIN, Survey
 
 _FEWEST_FRAMES = 9
 # Rows that are followed, and while the shift is looked for.

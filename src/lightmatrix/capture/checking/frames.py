@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.camera.decoder import Decoder
-from lightmatrix.checking.finding import Finding
+from lightmatrix.capture.checking.finding import Finding
 
 # Of the samples of one frame.
 _MOST_CLIPPED = 2 / 3

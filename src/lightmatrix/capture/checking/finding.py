@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from lightmatrix.errors import InputError
+
 # Every kind of finding, and what it says in a few words.
 KINDS = {
     "files": "files that cannot be read, or do not fit together",
@@ -69,3 +71,18 @@ def listed(names: Sequence[str], most: int = 5) -> str:
     if len(names) < 2:
         return "".join(names)
     return f"{', '.join(names[:-1])} and {names[-1]}"
+
+
+def refuse_disorder(findings: Sequence[Finding]) -> None:
+    """Refuse frames that are out of order, which spoil all of an estimate.
+
+    Raises
+    ------
+    InputError
+        If one of the findings says so.
+    """
+    for finding in findings:
+        if finding.kind == "order":
+            raise InputError(
+                finding.message, hint=f"{finding.advice}; --no-check takes them as they are"
+            )

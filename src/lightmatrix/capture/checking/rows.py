@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.checking.survey import Survey
+from lightmatrix.capture.checking.survey import Survey
 
 # Camera pixels that clip more often are only used where there are too few others.
 _CLIPPED = (0.02, 0.1, 0.2, 0.3, 0.5)

@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.checking.survey import MARGIN, Survey
+from lightmatrix.capture.checking.survey import MARGIN, Survey
 
 # How much closer the two images must be when shifted, in standard errors over parts of the image
 # and as a share.

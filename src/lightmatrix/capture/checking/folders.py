@@ -10,14 +10,14 @@ from numpy.typing import NDArray
 
 from lightmatrix.camera.response import Response
 from lightmatrix.capture.capture import Capture, Crop
+from lightmatrix.capture.checking.check import check_survey
+from lightmatrix.capture.checking.finding import Finding
+from lightmatrix.capture.checking.identity import check_patterns
+from lightmatrix.capture.checking.missing import check_counts
+from lightmatrix.capture.checking.survey import Survey
 from lightmatrix.capture.checks import check_per_frame
 from lightmatrix.capture.folder import read_capture, read_folders
 from lightmatrix.capture.parts import CaptureParts
-from lightmatrix.checking.check import check_capture
-from lightmatrix.checking.finding import Finding
-from lightmatrix.checking.identity import check_patterns
-from lightmatrix.checking.missing import check_counts
-from lightmatrix.checking.survey import Survey
 from lightmatrix.errors import InputError
 from lightmatrix.files.pages import Page
 from lightmatrix.files.stack import ImageStack
@@ -161,3 +161,27 @@ def _unread(parts: CaptureParts) -> list[Finding]:
         advice = first.hint or "take the photograph again, or save it again"
         found.append(Finding("files", tuple(frames), first.message + more, advice))
     return found
+
+
+def check_capture(capture: Capture) -> list[Finding]:
+    """Everything that seems wrong with a capture.
+
+    Parameters
+    ----------
+    capture : Capture
+        Its frames are looked at as they were taken, whatever is binned.
+
+    Returns
+    -------
+    list of Finding
+        Empty if nothing seems wrong. What too few frames or a diffuse scene cannot tell is not
+        found.
+
+    Raises
+    ------
+    InputError
+        On a frame that cannot be read, or differs from the others in size or type.
+    """
+    survey = Survey.take(capture.patterns, capture.frames, capture.decoder, capture.mask)
+    names = [capture.frames.name(k) for k in range(capture.count)]
+    return check_survey(survey, names)

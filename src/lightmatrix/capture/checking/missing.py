@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.camera.samples import Samples
-from lightmatrix.checking.finding import Finding
-from lightmatrix.checking.local import predict
-from lightmatrix.checking.pairs import Pairs, missing_of_pairs
-from lightmatrix.checking.rows import lively_rows
-from lightmatrix.checking.survey import Survey
+from lightmatrix.capture.checking.finding import Finding
+from lightmatrix.capture.checking.local import predict
+from lightmatrix.capture.checking.pairs import Pairs, missing_of_pairs
+from lightmatrix.capture.checking.rows import lively_rows
+from lightmatrix.capture.checking.survey import Survey
 
 _FEWEST_FRAMES = 12
 # Multiplications; about two seconds.
