@@ -6,7 +6,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 CORE := $(shell find crates -name '*.rs' -o -name Cargo.toml) Cargo.toml pyproject.toml
 
-.PHONY: help install demo test test-install lint types rust-test py-test faults fuzz live-faults mutants format \
+.PHONY: help install demo test test-install lint types rust-test py-test faults fuzz live-faults kills mutants format \
 	bench experiments docs gallery screenshots wheel wheel-test wheel-demo needs system-deps clean
 
 help:
@@ -70,6 +70,9 @@ fuzz: test-install ## N damaged inputs, 20,000 unless said: make fuzz N=500
 
 live-faults: test-install ## N captures of a rig that fails and is killed, 200 unless said: make live-faults N=20
 	$(BIN)/python -m tests.live.rig_faults --count $(or $(filter-out 20000,$(N)),200)
+
+kills: test-install ## N estimates killed at random moments, 50 unless said: make kills N=10
+	$(BIN)/python -m tests.kills --count $(or $(filter-out 20000,$(N)),50)
 
 mutants: test-install ## break 200 things in solvers, estimators, capture: how many do tests notice?
 	$(BIN)/python tools/mutants.py --count 200 --least 0.8

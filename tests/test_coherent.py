@@ -13,7 +13,7 @@ from lightmatrix import store
 from lightmatrix.camera.sensor import Sensor
 from lightmatrix.capture.capture import Capture
 from lightmatrix.errors import InputError
-from lightmatrix.estimators.coherent import rounds
+from lightmatrix.estimators.coherent import stages
 from lightmatrix.estimators.coherent.backgrounds import Backgrounds
 from lightmatrix.estimators.coherent.estimator import CoherentEstimator
 from lightmatrix.estimators.plain import PlainEstimator
@@ -80,7 +80,7 @@ def test_expected_samples_and_halos_are_worth_something(monkeypatch: pytest.Monk
     capture, known, rows = rendered("l_objects")
     whole = relative_error(CoherentEstimator().estimate(capture), known, rows)
     with monkeypatch.context() as patch:
-        patch.setattr(rounds, "EXPECTING", 99)
+        patch.setattr(stages, "EXPECTING", 99)
         unexpecting = relative_error(CoherentEstimator().estimate(capture), known, rows)
     assert whole < 0.9 * unexpecting
 

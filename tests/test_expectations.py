@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from lightmatrix.camera.samples import Samples
@@ -97,6 +98,10 @@ def by_definition(
     return mean, np.average((np.array(guesses) - mean) ** 2, axis=0, weights=counts)
 
 
+def all_of(samples: Samples) -> NDArray[np.int64]:
+    return np.arange(samples.count)
+
+
 @settings(max_examples=25, deadline=None)
 @given(
     st.tuples(st.integers(1, 5), st.integers(1, 5), st.sampled_from([1, 3])),
@@ -109,7 +114,9 @@ def test_they_are_the_mean_of_the_guesses(camera: Any, projector: Any, k: int, s
     around = neighbourhood(camera, shown, seed)
     samples = samples_of(shown, around.rows.count, seed)
     background = backgrounds_of(around.rows.count, k + unseen.count, seed)
-    found = around.expected(single(unseen), samples, samples.clipped, LEVEL, 0, background)
+    found = around.expected(
+        single(unseen), samples, samples.clipped, LEVEL, all_of(samples), background
+    )
     for row in range(around.rows.count):
         mean, variance = by_definition(around, shown, unseen, samples, background, row)
         if mean is None:
@@ -132,17 +139,16 @@ def test_rows_asked_for_apart_are_the_same() -> None:
     around = neighbourhood((7, 6, 1), shown, 3)
     samples = samples_of(shown, 42, 1)
     background = backgrounds_of(42, 20 + unseen.count, 2)
-    whole = around.expected(single(unseen), samples, samples.clipped, LEVEL, 0, background)
-    part = slice(17, 30)
-    assert samples.weights is not None
-    some = Samples(
-        samples.values[part], samples.clipped[part], samples.clip_level, samples.weights[part]
+    whole = around.expected(
+        single(unseen), samples, samples.clipped, LEVEL, all_of(samples), background
     )
-    first, last = around.around(17, 30)
-    near = background[first:last].copy()
-    found = around.expected(single(unseen), some, some.clipped, LEVEL, 17, near)
-    assert np.array_equal(found.values, whole.values[part])
-    assert np.array_equal(found.weights, whole.weights[part])
+    for part in (np.arange(17, 30), np.array([17, 18, 23, 29])):
+        some = samples.rows(part)
+        first, last = around.around(17, 30)
+        near = background[first:last].copy()
+        found = around.expected(single(unseen), some, some.clipped, LEVEL, part, near)
+        assert np.array_equal(found.values, whole.values[part])
+        assert np.array_equal(found.weights, whole.weights[part])
 
 
 @pytest.mark.parametrize("turn", range(4))
@@ -165,7 +171,7 @@ def test_footprints_are_followed_however_the_projector_is_turned(turn: int, fine
     seen = np.where(clipped, LEVEL, values)
     samples = Samples(seen, clipped, np.full(30, LEVEL, np.float32), None)
     dark = np.zeros((side**2, 30 + unseen.count), np.float32)
-    found = around.expected(single(unseen), samples, clipped, LEVEL, 0, dark)
+    found = around.expected(single(unseen), samples, clipped, LEVEL, all_of(samples), dark)
     inside = np.zeros((side, side), bool)
     inside[5:-5, 5:-5] = True
     middle = inside.ravel()
@@ -180,6 +186,8 @@ def test_neighbours_that_know_nothing_are_not_asked() -> None:
     dark = replace(around, rows=without_background(csr_array((16, 25), dtype=np.float32)))
     samples = samples_of(shown, 16, 0)
     background = backgrounds_of(16, 9 + unseen.count, 0)
-    found = dark.expected(single(unseen), samples, samples.clipped, LEVEL, 0, background)
+    found = dark.expected(
+        single(unseen), samples, samples.clipped, LEVEL, all_of(samples), background
+    )
     assert not found.weights.any()
     assert np.isfinite(found.values).all()

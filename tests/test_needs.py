@@ -142,3 +142,48 @@ def test_photographs_are_binned_in_strips(
     assert expected.clipped.any()
     for name in ("values", "clipped", "clip_level", "weights"):
         np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
+
+
+def test_a_bound_of_memory_makes_tiles_smaller_and_is_kept() -> None:
+    patterns = lm.BernoulliPatterns((256, 256), 64)
+    capture = lm.Capture(patterns, Unread(64, (512, 512), np.dtype(np.uint8)), lm.Decoder(255, 255))
+    usual = lm.needs(capture)
+    for solver in ("active-set", "admm"):
+        free = lm.AutoEstimator(solver=solver)
+        most = free.needs(capture).memory - (100 << 20)
+        bounded = lm.AutoEstimator(solver=solver, memory=most)
+        needs = bounded.needs(capture)
+        assert needs.fits
+        assert needs.memory <= most
+        assert needs.size.tile_bytes < usual.size.tile_bytes
+        assert bounded.estimator(capture).tile_rows == needs.size.tile_rows  # type: ignore[union-attr]
+    with pytest.raises(lm.InputError, match=r"0\.2 GiB are allowed") as refused:
+        lm.estimate(capture, memory="0.2GiB")
+    assert refused.value.hint
+    # More than there is does not help.
+    assert lm.AutoEstimator(memory="1TiB").needs(capture).available == 16 * GIB
+
+
+@pytest.mark.parametrize(
+    ("settings", "what"),
+    [
+        ({"memory": "4 apples"}, "4 apples"),
+        ({"memory": "GiB"}, "'GiB'"),
+        ({"memory": 0}, "0 bytes"),
+        ({"memory": "4GiB", "tile_rows": 5}, "tile rows and a bound"),
+        ({"memory": "4GiB", "multi_scale": True}, "multi-scale"),
+    ],
+)
+def test_bounds_that_are_none(settings: dict[str, Any], what: str) -> None:
+    with pytest.raises(lm.InputError, match=what):
+        lm.AutoEstimator(**settings)
+
+
+def test_large_frames_take_less_than_looking_everywhere_would(large: lm.Capture) -> None:
+    small = lm.Capture(large.patterns, Unread(64, (32, 32), large.frames.dtype), large.decoder)
+    assert lm.needs(small).size.kind == "coherent"
+    assert lm.needs(large).size.kind == "growing"
+    seconds = [lm.needs(capture).seconds for capture in (small, large)]
+    assert seconds[0] is not None
+    assert seconds[1] is not None
+    assert seconds[1] / large.rows < 0.1 * seconds[0] / small.rows

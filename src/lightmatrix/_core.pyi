@@ -24,6 +24,7 @@ def likely_pixels(
     reach: tuple[int, int],
     most: int,
     range: tuple[int, int],
+    index: NDArray[np.integer] | None = None,
 ) -> tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.float32]]: ...
 def expected_samples(
     shown: PreparedPatterns,
@@ -35,6 +36,7 @@ def expected_samples(
     reach: int,
     start: int,
     level: float,
+    index: NDArray[np.integer] | None = None,
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]: ...
 def solve_weighted(
     prepared: PreparedPatterns,
@@ -162,8 +164,16 @@ class PreparedPatterns:
         """
 
     def atoms(
-        self, shape: tuple[int, int], planes: list[tuple[NDArray[np.float32], float]]
-    ) -> PreparedPatterns: ...
+        self,
+        shape: tuple[int, int],
+        planes: list[tuple[NDArray[np.float32], float]],
+        narrow: bool = False,
+    ) -> PreparedPatterns:
+        """The atoms of planes (kernel, gain); `narrow` keeps columns to within 1e-5."""
+
+    def columns(self, index: NDArray[np.integer]) -> NDArray[np.float32]:
+        """The columns of some pixels or atoms, (m, K)."""
+
     def pass_only(self, e: NDArray[np.float64]) -> None:
         """One correlation pass on one thread whose scores are thrown away: for timing."""
 

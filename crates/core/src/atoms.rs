@@ -7,6 +7,7 @@
 use crate::columns::{Columns, DenseColumns};
 use crate::simd::{multiversion, Level};
 use crate::vector::padded;
+use crate::words::{to_words, WordColumns};
 use rayon::prelude::*;
 
 /// Columns of a stretch that stays in registers.
@@ -44,36 +45,68 @@ impl Atoms {
 
     /// What each atom gives under the patterns whose columns these are.
     pub fn columns(&self, level: Level, columns: &Columns, patterns: usize) -> DenseColumns {
-        let [rows, cols] = self.grid;
         let stride = padded(patterns);
+        let mut values = vec![0f32; self.count() * stride];
+        self.each(level, columns, stride, &mut values, |sum, out| {
+            out.copy_from_slice(sum)
+        });
+        DenseColumns::from_padded(values, patterns, 1.0)
+    }
+
+    /// The same in half the memory, each value rounded.
+    pub fn words(&self, level: Level, columns: &Columns, patterns: usize) -> WordColumns {
+        let stride = padded(patterns);
+        let mut values = vec![0u16; self.count() * stride];
+        self.each(level, columns, stride, &mut values, |sum, out| {
+            to_words(level, sum, out)
+        });
+        WordColumns::from_padded(values, stride)
+    }
+
+    /// Keeps the column of each atom, `stride` values, as `keep` does.
+    fn each<T: Send>(
+        &self,
+        level: Level,
+        columns: &Columns,
+        stride: usize,
+        kept: &mut [T],
+        keep: impl Fn(&[f32], &mut [T]) + Sync,
+    ) {
+        let [rows, cols] = self.grid;
         let mut plain = vec![0f32; self.pixels() * stride];
-        let each = |values: &mut [f32], set: &(dyn Fn(usize, &mut [f32]) + Sync)| {
-            let places = values.par_chunks_exact_mut(stride).enumerate();
-            places.with_min_len(TASK).for_each(|(i, out)| set(i, out));
-        };
-        each(&mut plain, &|pixel, out| {
+        at_places(stride, &mut plain, |pixel, out| {
             columns.copy_scaled(level, pixel as u32, 1.0, out);
         });
-        let mut values = vec![0f32; self.count() * stride];
         let mut across = vec![0f32; plain.len()];
-        for (plane, out) in (self.planes.iter()).zip(values.chunks_exact_mut(plain.len())) {
-            across.fill(0.0);
-            each(&mut across, &|place, sum| {
+        for (plane, kept) in (self.planes.iter()).zip(kept.chunks_exact_mut(plain.len())) {
+            at_places(stride, &mut across, |place, sum| {
                 let (r, c) = (place / cols, place % cols);
+                sum.fill(0.0);
                 for (other, weight) in taps(&plane.kernel, c, cols) {
                     add(level, weight, &plain[(r * cols + other) * stride..], sum);
                 }
             });
-            each(out, &|place, sum| {
-                let (r, c) = (place / cols, place % cols);
-                for (other, weight) in taps(&plane.kernel, r, rows) {
-                    let weight = weight * plane.gain;
-                    add(level, weight, &across[(other * cols + c) * stride..], sum);
-                }
-            });
+            let places = kept.par_chunks_exact_mut(stride).enumerate();
+            places.with_min_len(TASK).for_each_init(
+                || vec![0f32; stride],
+                |sum, (place, kept)| {
+                    let (r, c) = (place / cols, place % cols);
+                    sum.fill(0.0);
+                    for (other, weight) in taps(&plane.kernel, r, rows) {
+                        let weight = weight * plane.gain;
+                        add(level, weight, &across[(other * cols + c) * stride..], sum);
+                    }
+                    keep(sum, kept);
+                },
+            );
         }
-        DenseColumns::from_padded(values, patterns, 1.0)
     }
+}
+
+/// Sets the `stride` values of every place on all threads.
+fn at_places(stride: usize, values: &mut [f32], set: impl Fn(usize, &mut [f32]) + Sync) {
+    let places = values.par_chunks_exact_mut(stride).enumerate();
+    (places.with_min_len(TASK)).for_each(|(place, out)| set(place, out));
 }
 
 /// Places on a line of `length` under a kernel that lies at `place`, and its values there.

@@ -3,6 +3,7 @@
 use crate::bits::{column_codes, Bits};
 use crate::simd::{multiversion, Kind, Level};
 use crate::vector::{fold, padded, SUMS};
+use crate::words::WordColumns;
 use rayon::prelude::*;
 
 /// Columns of 0/1 patterns as words of 64 samples, least significant bit first.
@@ -107,9 +108,18 @@ impl DenseColumns {
 pub enum Columns {
     Bits(BitColumns),
     Dense(DenseColumns),
+    Words(WordColumns),
 }
 
 impl Columns {
+    /// Most that a value may differ from the pattern's own.
+    pub fn lost(&self) -> f64 {
+        match self {
+            Columns::Bits(_) | Columns::Dense(_) => 0.0,
+            Columns::Words(_) => WordColumns::LOST,
+        }
+    }
+
     /// a_j . e for each of `pixels`, in float64; `e` is padded.
     pub fn correlate(&self, level: Level, pixels: &[u32], e: &[f64], out: &mut [f64]) {
         assert_eq!(pixels.len(), out.len());
@@ -130,6 +140,11 @@ impl Columns {
                     *out = mixed_dot(level, dense.column(*pixel), e);
                 }
             }
+            Columns::Words(words) => {
+                for (out, pixel) in out.iter_mut().zip(pixels) {
+                    *out = words.correlate(level, *pixel, e);
+                }
+            }
         }
     }
 
@@ -142,6 +157,7 @@ impl Columns {
                     *out = factor * a;
                 }
             }
+            Columns::Words(words) => words.copy_scaled(level, pixel, factor, out),
         }
     }
 
@@ -150,6 +166,7 @@ impl Columns {
         match self {
             Columns::Bits(bits) => masked_add(level, bits.column(pixel), factor, u),
             Columns::Dense(dense) => mixed_add(level, dense.column(pixel), factor, u),
+            Columns::Words(words) => words.add(level, pixel, factor, u),
         }
     }
 
@@ -158,6 +175,7 @@ impl Columns {
         match self {
             Columns::Bits(bits) => masked(level, bits.column(pixel), d, out),
             Columns::Dense(dense) => mixed_product(level, dense.column(pixel), d, out),
+            Columns::Words(words) => words.scaled(level, pixel, d, out),
         }
     }
 }

@@ -25,3 +25,4 @@ pub mod problem;
 pub mod simd;
 mod subsets;
 pub mod vector;
+pub mod words;

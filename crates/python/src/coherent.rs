@@ -1,7 +1,8 @@
 //! Likely pixels of every row, and rows solved on given pixels.
 
-use crate::arrays::{attribute, check_shape, grid, positive, room, whole, Values};
+use crate::arrays::{attribute, check_shape, grid, long_or_short, positive, room, whole, Values};
 use crate::input::{Samples, Settings, SparseRows, Start};
+use crate::products::below;
 use crate::solver::{PreparedPatterns, Solved};
 use crate::threads::{count_of, on_all_cores, run_interruptibly};
 use lightmatrix_core::coherent::{
@@ -28,6 +29,20 @@ fn range(value: (Bound<'_, PyAny>, Bound<'_, PyAny>), rows: usize) -> PyResult<R
     Ok(start..stop)
 }
 
+/// The rows of a range, or those of them that an ascending index from its start on says.
+fn asked(index: Option<&Bound<'_, PyAny>>, range: Range<usize>) -> PyResult<Vec<usize>> {
+    let Some(index) = index else {
+        return Ok(range.collect());
+    };
+    let index = long_or_short(index, "index")?;
+    check_shape("index", index.shape(), &[None], "rows of the range")?;
+    let index: Vec<usize> = below(index.as_slice()?, range.len(), "index")?;
+    if !index.is_sorted_by(|a, b| a < b) {
+        return Err(PyValueError::new_err("index does not ascend"));
+    }
+    Ok(index.into_iter().map(|row| range.start + row).collect())
+}
+
 /// How footprints move: four numbers for each row.
 fn movement<'py>(value: &Bound<'py, PyAny>, what: &str, rows: usize) -> PyResult<Values<'py, f32>> {
     let movement = Values::<f32>::reals(value, what)?;
@@ -38,6 +53,10 @@ fn movement<'py>(value: &Bound<'py, PyAny>, what: &str, rows: usize) -> PyResult
 
 /// The atoms that each row of a range (start, stop) probably holds, as the parts of a CSR matrix.
 #[pyfunction]
+#[pyo3(signature = (
+    rows, camera, projector, movement, spots, within, wider, singles, reach, most, range,
+    index=None
+))]
 #[allow(clippy::too_many_arguments)]
 fn likely_pixels<'py>(
     py: Python<'py>,
@@ -52,6 +71,7 @@ fn likely_pixels<'py>(
     reach: (Bound<'py, PyAny>, Bound<'py, PyAny>),
     most: &Bound<'py, PyAny>,
     range: (Bound<'py, PyAny>, Bound<'py, PyAny>),
+    index: Option<&Bound<'py, PyAny>>,
 ) -> PyResult<Csr<'py>> {
     let (camera, count) = grid(camera, "camera")?;
     let (projector, pixels) = grid(projector, "projector")?;
@@ -101,13 +121,13 @@ fn likely_pixels<'py>(
         projector_reach: whole(&reach.1, "the reach in the projector", 0..=NUMBERS)?,
         most: whole(most, "most", 1..=NUMBERS)?,
     };
-    let range = self::range(range, count)?;
+    let asked = self::asked(index, self::range(range, count)?)?;
     let rows = SparseRows::<f32>::read(rows, "rows", (count, pixels))?;
     let matrix = rows.view()?;
     room::<f32>(&[count_of(None), pixels], "sums over the pixels")?;
     let most = windows.most.min(pixels);
-    room::<(i32, f32)>(&[range.len(), most], "the likely pixels")?;
-    let found = on_all_cores(py, || coherent::likely(matrix, windows, range))?;
+    room::<(i32, f32)>(&[asked.len(), most], "the likely pixels")?;
+    let found = on_all_cores(py, || coherent::likely(matrix, windows, &asked))?;
     let mut indptr = vec![0i64];
     let (mut indices, mut values) = (Vec::new(), Vec::new());
     for (pixels, shares) in found {
@@ -135,7 +155,9 @@ fn check_pixels(prepared: &PreparedPatterns, pixels: usize, what: &str) -> PyRes
 /// Expected samples and their variances, each (m, K + E); see
 /// `lightmatrix.estimators.coherent.expectations`.
 #[pyfunction]
-#[pyo3(signature = (shown, unseen, samples, neighbourhood, background, *, reach, start, level))]
+#[pyo3(signature = (
+    shown, unseen, samples, neighbourhood, background, *, reach, start, level, index=None
+))]
 // The last three are numbers with names; a group of them would have none.
 #[allow(clippy::too_many_arguments)]
 fn expected_samples<'py>(
@@ -148,6 +170,7 @@ fn expected_samples<'py>(
     reach: &Bound<'py, PyAny>,
     start: &Bound<'py, PyAny>,
     level: &Bound<'py, PyAny>,
+    index: Option<&Bound<'py, PyAny>>,
 ) -> PyResult<(Bound<'py, PyAny>, Bound<'py, PyAny>)> {
     let part = |name| attribute(neighbourhood, name, "neighbourhood");
     let (camera, total) = grid(&part("camera")?, "neighbourhood.camera")?;
@@ -164,19 +187,30 @@ fn expected_samples<'py>(
         )));
     }
     let start = whole(start, "start", 0..=total - count)?;
+    let asked = match index {
+        None => (start..start + count).collect(),
+        Some(_) => self::asked(index, start..total)?,
+    };
+    if asked.len() != count {
+        return Err(PyValueError::new_err(format!(
+            "an index of {} rows for samples of {count}",
+            asked.len()
+        )));
+    }
+    let stop = asked.last().map_or(start, |last| last + 1);
     let level = positive(level, "level")?;
     let farthest = camera[0].max(camera[1]);
     let reach = whole(reach, "reach", 0..=NUMBERS)?.min(farthest);
 
     let movement = self::movement(&part("movement")?, "neighbourhood.movement", total)?;
-    let movement = &movement.as_slice()?[4 * start..][..4 * count];
+    let movement = movement.as_slice()?;
 
     // The rows that the first and the last row asked for have around them.
     let halo = reach
         .saturating_mul(camera[1] + 1)
         .saturating_mul(camera[2]);
     let first = start.saturating_sub(halo);
-    let around = (start + count).saturating_add(halo).min(total) - first;
+    let around = stop.saturating_add(halo).min(total) - first;
     let all = shown.dictionary.patterns + unseen.dictionary.patterns;
     let background = Values::<f32>::reals(background, "background")?;
     let why = "of the rows around, under the patterns shown and the unseen ones";
@@ -196,7 +230,7 @@ fn expected_samples<'py>(
     room::<[f32; 2]>(&[count, all], "the expected samples")?;
     let (shown, unseen) = (&shown.dictionary, &unseen.dictionary);
     let Expected { values, variances } = on_all_cores(py, || {
-        coherent::expected(shown, unseen, neighbours, rows, level, start..start + count)
+        coherent::expected(shown, unseen, neighbours, rows, level, &asked)
     })?;
     let shaped = |values: Vec<f32>| {
         values

@@ -200,11 +200,14 @@ impl PreparedPatterns {
     }
 
     /// What atoms give under the patterns, (kernel, gain) a plane; see `lightmatrix_core::atoms`.
+    /// `narrow` keeps columns in half the memory, each value to within 1e-5.
+    #[pyo3(signature = (shape, planes, narrow=false))]
     fn atoms<'py>(
         &self,
         py: Python<'py>,
         shape: &Bound<'py, PyAny>,
         planes: Vec<(Bound<'py, PyAny>, Bound<'py, PyAny>)>,
+        narrow: bool,
     ) -> PyResult<Self> {
         let (grid, pixels) = grid(shape, "shape")?;
         let single = Arc::clone(&self.dictionary);
@@ -219,11 +222,15 @@ impl PreparedPatterns {
         let atoms = Atoms { grid, planes };
         let (level, patterns) = (single.level, single.patterns);
         // The columns, and those of one plane twice on the way.
-        let sides = [atoms.planes.len() + 2, pixels, padded(patterns)];
-        room::<f32>(&sides, "the prepared atoms")?;
+        let size = atoms.planes.len() * if narrow { 2 } else { 4 } + 2 * size_of::<f32>();
+        room::<u8>(&[size, pixels, padded(patterns)], "the prepared atoms")?;
         let dictionary = on_all_cores(py, || Dictionary {
             level,
-            columns: Columns::Dense(atoms.columns(level, &single.columns, patterns)),
+            columns: if narrow {
+                Columns::Words(atoms.words(level, &single.columns, patterns))
+            } else {
+                Columns::Dense(atoms.columns(level, &single.columns, patterns))
+            },
             means: single.means.clone(),
             patterns,
             pixels: atoms.count(),
@@ -238,6 +245,30 @@ impl PreparedPatterns {
         Ok(PreparedPatterns {
             dictionary: Arc::new(dictionary),
         })
+    }
+
+    /// The columns of some atoms or pixels, (m, K) float32.
+    fn columns<'py>(
+        &self,
+        py: Python<'py>,
+        index: &Bound<'py, PyAny>,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        let dictionary = &self.dictionary;
+        let index = long_or_short(index, "index")?;
+        check_shape("index", index.shape(), &[None], "one a column")?;
+        let index: Vec<u32> = below(index.as_slice()?, dictionary.pixels, "index")?;
+        let (count, stride) = (dictionary.patterns, padded(dictionary.patterns));
+        room::<f32>(&[index.len(), count], "the columns")?;
+        let mut values = vec![0f32; index.len() * count];
+        let mut column = vec![0f32; stride];
+        for (out, &pixel) in values.chunks_exact_mut(count).zip(&index) {
+            let columns = &dictionary.columns;
+            columns.copy_scaled(dictionary.level, pixel, 1.0, &mut column);
+            out.copy_from_slice(&column[..count]);
+        }
+        values
+            .into_pyarray(py)
+            .call_method1("reshape", (index.len(), count))
     }
 
     #[getter]

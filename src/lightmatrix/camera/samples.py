@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -114,6 +115,17 @@ class Samples:
             chosen(self.clipped),
             chosen(self.clip_level),
             None if self.weights is None else chosen(self.weights),
+        )
+
+    @classmethod
+    def joined(cls, parts: Sequence[Samples]) -> Samples:
+        """The rows of one or more parts below each other, with a clip level and weight each."""
+        weighted = any(part.weights is not None for part in parts)
+        return cls(
+            np.concatenate([part.values for part in parts]),
+            np.concatenate([part.clipped for part in parts]),
+            np.concatenate([part.clip_levels_of_all() for part in parts]),
+            np.concatenate([part.weights_of_all() for part in parts]) if weighted else None,
         )
 
     def weights_of_all(self) -> NDArray[Any]:

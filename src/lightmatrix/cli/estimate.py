@@ -129,6 +129,14 @@ def estimate(
             help="Camera samples solved at a time.", min=1, show_default="as half a gigabyte holds"
         ),
     ] = None,
+    memory: Annotated[
+        str | None,
+        typer.Option(
+            help="Memory that it may take at most, such as 4GiB; said before, and kept by solving "
+            "fewer camera samples at a time.",
+            show_default="what is free",
+        ),
+    ] = None,
     check: Annotated[
         bool,
         typer.Option(
@@ -184,6 +192,7 @@ def estimate(
         signed=signed,
         iterations=iterations,
         tile_rows=tile_rows,
+        memory=memory,
     )
     if not dry_run:
         claim(output, STORE, overwrite=overwrite)
@@ -244,7 +253,8 @@ def _show_needs(needs: Needs, as_json: bool) -> None:
     if as_json:
         show_json(needs.as_dict())
         return
-    free = f"{needs.available / 2**30:.3g} GiB are free"
+    whose = "allowed" if needs.limited else "free"
+    free = f"{needs.available / 2**30:.3g} GiB are {whose}"
     say(f"the estimate takes {needs} ({free})", style=None if needs.fits else "yellow")
     if needs.advice:
         say(needs.advice)
@@ -252,7 +262,7 @@ def _show_needs(needs: Needs, as_json: bool) -> None:
 
 def _tell_needs(needs: Needs, check: bool) -> None:
     """Refuse what does not fit, and say what takes long or much."""
-    if check:
+    if check or needs.limited:
         needs.check()
     much = needs.memory > _MUCH * needs.available
     if much or (needs.seconds or 0) > _LONG:

@@ -13,6 +13,7 @@ from lightmatrix.estimators.multiscale.estimator import MultiScaleEstimator
 from lightmatrix.estimators.needs import Needs, needs_of
 from lightmatrix.estimators.plain import PlainEstimator
 from lightmatrix.estimators.regularization import held_out_path
+from lightmatrix.files.memory import memory_bytes
 from lightmatrix.outputs.kinds import STORE
 from lightmatrix.outputs.writing import check_output
 from lightmatrix.ranges import check_number
@@ -59,6 +60,7 @@ class AutoEstimator:
     signed: bool = False
     iterations: int | None = None
     tile_rows: int | None = None
+    memory: int | str | None = None
 
     def __post_init__(self) -> None:
         if self.solver not in SOLVERS:
@@ -74,11 +76,18 @@ class AutoEstimator:
             raise InputError(f"{limit} iterations", hint=f"use 1 to {MOST_ITERATIONS}")
         if self.tile_rows is not None and self.tile_rows < 1:
             raise InputError(f"tiles of {self.tile_rows} rows", hint="use at least 1")
-        if self.multi_scale and self.tile_rows is not None:
+        given = {"tile rows": self.tile_rows, "a bound of memory": self.memory}
+        both = [name for name, value in given.items() if value is not None]
+        if len(both) > 1:
+            raise InputError(" and ".join(both), hint="leave out one of the two")
+        if self.multi_scale and both:
             raise InputError(
-                "tile rows with the multi-scale estimate, which solves strips of camera blocks",
+                f"{both[0]} with the multi-scale estimate, which solves strips of camera blocks",
                 hint="leave out one of the two",
             )
+        most = self._most
+        if most is not None and most < 1:
+            raise InputError(f"a bound of {most} bytes of memory", hint="give one such as 4GiB")
         self._check_regularization()
         fitting = self._why_not_coherent()
         if self.coherent and fitting is not None:
@@ -96,6 +105,9 @@ class AutoEstimator:
             If there are too few patterns or rows for a path of regularizations.
         """
         chosen, value = self._solver(), self._value(capture)
+        tile_rows = self.tile_rows
+        if self._most is not None:
+            tile_rows = self.needs(capture).size.tile_rows
         if self.multi_scale:
             return MultiScaleEstimator(chosen, value, not self.signed, self.background)
         if self._is_coherent(capture) and isinstance(chosen, ActiveSet):
@@ -103,9 +115,9 @@ class AutoEstimator:
                 value,
                 fidelity=chosen.fidelity,
                 max_passes=chosen.max_passes,
-                tile_rows=self.tile_rows,
+                tile_rows=tile_rows,
             )
-        return PlainEstimator(chosen, value, not self.signed, self.background, self.tile_rows)
+        return PlainEstimator(chosen, value, not self.signed, self.background, tile_rows)
 
     def needs(self, capture: Capture) -> Needs:
         """What `estimate` will take of memory and time; reads no frame.
@@ -115,11 +127,11 @@ class AutoEstimator:
         capture : Capture
         """
         if self._is_coherent(capture):
-            return needs_of(capture, "coherent")
+            return needs_of(capture, "coherent", most=self._most)
         if self.solver == "active-set" and not self.multi_scale:
-            return needs_of(capture, "plain")
-        solver = self._solver()
-        return needs_of(capture, "other", solver.row_bytes(capture.count, capture.patterns.pixels))
+            return needs_of(capture, "plain", most=self._most)
+        row_bytes = self._solver().row_bytes(capture.count, capture.patterns.pixels)
+        return needs_of(capture, "other", row_bytes, self._most)
 
     def estimate(
         self,
@@ -150,6 +162,11 @@ class AutoEstimator:
         return self.estimator(capture).estimate(
             capture, checkpoint=checkpoint, overwrite=overwrite, progress=progress
         )
+
+    @property
+    def _most(self) -> int | None:
+        """Bytes of memory that an estimate may take."""
+        return memory_bytes(self.memory) if isinstance(self.memory, str) else self.memory
 
     def _is_coherent(self, capture: Capture) -> bool:
         if self.coherent is not None:
@@ -224,6 +241,7 @@ def estimate(
     signed: bool = False,
     iterations: int | None = None,
     tile_rows: int | None = None,
+    memory: int | str | None = None,
     output: str | Path | None = None,
     overwrite: bool = False,
     progress: Progress | None = None,
@@ -260,6 +278,9 @@ def estimate(
         Most iterations (rounds for romp, passes for active-set), 1 to 10^9.
     tile_rows : int, optional
         Camera samples solved at a time. None: as many as half a gigabyte holds.
+    memory : int or str, optional
+        Bytes, or an amount such as "4GiB", that the estimate may take at most. Fewer camera samples
+        are then solved at a time; results do not depend on it. None: as much as is free.
     output : str or Path, optional
         A store (.zarr) to write as well. Finished tiles are kept beside it, so that an interrupted
         run goes on where it stopped.
@@ -298,6 +319,7 @@ def estimate(
         signed,
         iterations,
         tile_rows,
+        memory,
     )
     if output is not None:
         check_output(output, STORE, overwrite=overwrite)

@@ -18,13 +18,15 @@ from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.frames import CutFrames
 from lightmatrix.errors import InputError
 from lightmatrix.estimators.coherent.neighbourhood import UNSEEN
+from lightmatrix.estimators.coherent.stages import LARGE
 from lightmatrix.estimators.join import TILE_BYTES
 from lightmatrix.files.memory import available_bytes
 from lightmatrix.files.scratch import MEMORY_BYTES
 from lightmatrix.patterns.pattern_set import ImagePatterns
 from lightmatrix.solvers.active_set import ActiveSet
 
-# Of `memory_terms` in bytes and of `time_terms` in seconds of one core.
+# Of `memory_terms` in bytes and of `time_terms` in seconds of one core; growing is the coherent
+# estimate of large frames, where few rows look everywhere.
 COEFFICIENTS: Mapping[str, Mapping[str, Mapping[str, float]]] = {
     "coherent": {
         "bytes": {"pixel": 2048, "value": 31, "tile": 0.62, "row": 1580, "sample": 1},
@@ -34,6 +36,16 @@ COEFFICIENTS: Mapping[str, Mapping[str, Mapping[str, float]]] = {
             "sample": 7.1e-6,
             "entry": 5.7e-8,
             "grey entry": 4.8e-10,
+        },
+    },
+    "growing": {
+        "bytes": {"pixel": 1200, "value": 14, "tile": 0.4, "row": 1310, "sample": 1},
+        "seconds": {
+            "value": 3.0e-7,
+            "row": 2.0e-4,
+            "sample": 5.6e-6,
+            "entry": 4.0e-10,
+            "grey entry": 1.0e-11,
         },
     },
     "plain": {
@@ -50,6 +62,10 @@ _SHARE, _PATIENCE = 0.8, 3600.0
 _BLOCKS = (2, 3, 4, 5, 6, 8, 10, 12, 16, 20, 24, 32)
 # Crops are proposed in steps of sixteen pixels.
 _STEP = 16
+# Tiles are made no smaller than this to fit into memory: rows solved at a time keep cores busy.
+_LEAST_TILE = 8 << 20
+# Rounds after the first one that the coherent coefficients were measured with, the last one twice.
+_ROUNDS = 9
 
 
 @dataclass(frozen=True)
@@ -70,6 +86,8 @@ class Size:
         That a row takes while it is solved, where the method has tiles of its own kind.
     look_bytes : int
         That the look at the photographs takes before.
+    tile_bytes : int
+        Working memory of rows that are solved at a time.
     """
 
     method: str
@@ -80,17 +98,44 @@ class Size:
     sample_bytes: int = 1
     row_bytes: int = 0
     look_bytes: int = 0
+    tile_bytes: int = TILE_BYTES
+
+    @property
+    def kind(self) -> str:
+        """Whose coefficients tell what it takes."""
+        if self.method == "coherent":
+            return "growing" if self.rows * self.pixels > LARGE else "coherent"
+        return "plain"
+
+    @property
+    def solved_bytes(self) -> int:
+        """What one row takes while it is solved."""
+        other = self.method == "other"
+        return self.row_bytes if other else _row_bytes(self.kind, self.count, self.pixels)
+
+    @property
+    def tile_rows(self) -> int:
+        """Rows that are solved at a time."""
+        return max(1, self.tile_bytes // max(1, self.solved_bytes))
+
+    def within(self, most: int) -> Size:
+        """The same by smaller tiles, as far as that helps to take no more than `most` bytes."""
+        size = self
+        while size.memory > most and size.tile_bytes > _LEAST_TILE:
+            size = replace(size, tile_bytes=size.tile_bytes // 2)
+        return size
 
     @property
     def memory(self) -> int:
         """Peak of memory in bytes."""
-        kind = "coherent" if self.method == "coherent" else "plain"
+        kind = self.kind
         terms = memory_terms(kind, self.rows, self.pixels, self.count, self.grey)
-        if self.method == "other":
-            terms["tile"] = min(self.rows * self.row_bytes, TILE_BYTES)
+        terms["tile"] = min(self.rows * self.solved_bytes, self.tile_bytes)
         told = COEFFICIENTS[kind]["bytes"]
         samples = self.rows * self.count * (self.sample_bytes - 1) - self.temporary
         solving = sum(told[name] * terms[name] for name in told) + samples
+        if self.method == "other":
+            solving += terms["tile"]
         return int(LOADED_BYTES + max(solving, self.look_bytes))
 
     @property
@@ -103,8 +148,8 @@ class Size:
         """Time on so many cores; None where it is not known."""
         if self.method == "other":
             return None
-        terms = time_terms(self.method, self.rows, self.pixels, self.count, self.grey)
-        told = COEFFICIENTS[self.method]["seconds"]
+        terms = time_terms(self.kind, self.rows, self.pixels, self.count, self.grey)
+        told = COEFFICIENTS[self.kind]["seconds"]
         return sum(told[name] * terms[name] for name in told) / cores
 
     def __str__(self) -> str:
@@ -117,14 +162,15 @@ def coherent_row_bytes(count: int, candidates: int = 250) -> int:
     return 32 * (count + UNSEEN) + 32 * candidates
 
 
+def _row_bytes(kind: str, count: int, pixels: int) -> int:
+    """What a row takes while it is solved."""
+    return ActiveSet().row_bytes(count, pixels) if kind == "plain" else coherent_row_bytes(count)
+
+
 def memory_terms(kind: str, rows: int, pixels: int, count: int, grey: bool) -> dict[str, float]:
     """What memory grows with."""
-    if kind == "coherent":
-        row_bytes = coherent_row_bytes(count)
-        values = pixels * (count + UNSEEN)
-    else:
-        row_bytes = ActiveSet().row_bytes(count, pixels)
-        values = pixels * count
+    row_bytes = _row_bytes(kind, count, pixels)
+    values = pixels * (count if kind == "plain" else count + UNSEEN)
     return {
         "pixel": pixels,
         "value": values,
@@ -138,17 +184,21 @@ def memory_terms(kind: str, rows: int, pixels: int, count: int, grey: bool) -> d
 def time_terms(kind: str, rows: int, pixels: int, count: int, grey: bool) -> dict[str, float]:
     """What time grows with."""
     others = {"row": rows, "sample": rows * count, "grey entry": rows * pixels * count * grey}
-    if kind == "coherent":
+    if kind != "plain":
         return {"value": pixels * (count + UNSEEN), "entry": rows * pixels, **others}
     return {"entry": rows * pixels * count, **others}
 
 
-def first_round_share(rows: int, pixels: int, count: int, grey: bool) -> float:
-    """Of the time of a coherent estimate, that of its first round, which looks at every pixel."""
+def first_round_cost(rows: int, pixels: int, count: int, grey: bool) -> float:
+    """What the first round of a coherent estimate, which looks at every pixel, takes.
+
+    In rounds of those that come after it.
+    """
     terms = time_terms("coherent", rows, pixels, count, grey)
     told = COEFFICIENTS["coherent"]["seconds"]
     whole = sum(told[name] * terms[name] for name in told)
-    return sum(told[name] * terms[name] for name in told if "entry" in name) / whole
+    first = sum(told[name] * terms[name] for name in told if "entry" in name)
+    return _ROUNDS * first / (whole - first)
 
 
 @dataclass(frozen=True)
@@ -167,6 +217,8 @@ class Needs:
         Bytes of memory that are free.
     options : tuple of (str, Size)
         What takes less, as it is said on the command line; empty where nothing has to.
+    limited : bool
+        Whether no more than the available memory is allowed, though more may be free.
 
     Examples
     --------
@@ -183,6 +235,7 @@ class Needs:
     seconds: float | None
     available: int
     options: tuple[tuple[str, Size], ...] = ()
+    limited: bool = False
 
     @property
     def fits(self) -> bool:
@@ -212,7 +265,7 @@ class Needs:
         raise InputError(
             f"{size.rows:,} camera samples under {size.count} patterns of {size.pixels:,} projector"
             f" pixels take about {_gigabytes(self.memory)} of memory, "
-            f"{_gigabytes(self.available)} are free",
+            f"{_gigabytes(self.available)} are {'allowed' if self.limited else 'free'}",
             hint=self.advice or "use a machine with more memory, or bin camera and projector",
         )
 
@@ -232,7 +285,7 @@ class Needs:
         }
 
 
-def needs_of(capture: Capture, method: str, row_bytes: int = 0) -> Needs:
+def needs_of(capture: Capture, method: str, row_bytes: int = 0, most: int | None = None) -> Needs:
     """What an estimate from a capture will take, by a method of `Size`; reads no frame.
 
     Parameters
@@ -241,6 +294,8 @@ def needs_of(capture: Capture, method: str, row_bytes: int = 0) -> Needs:
     method : {"coherent", "plain", "other"}
     row_bytes : int
         Of "other", what a row takes while it is solved.
+    most : int, optional
+        Bytes of memory that it may take; None: all that are free.
     """
     binned = capture.bin_camera != (1, 1)
     size = Size(
@@ -254,9 +309,13 @@ def needs_of(capture: Capture, method: str, row_bytes: int = 0) -> Needs:
         _LOOK_BYTES * min(math.prod(capture.frames.shape) * capture.count, _LOOKED_LEVELS),
     )
     seconds, available = size.seconds(_cores()), available_bytes()
+    limited = most is not None and most < available
+    if most is not None:
+        available = min(most, available)
+        size = size.within(available)
     fine = size.memory <= available and (seconds is None or seconds <= _PATIENCE)
     options = () if fine else tuple(_options(capture, size, available))
-    return Needs(size, size.memory, size.temporary, seconds, available, options)
+    return Needs(size, size.memory, size.temporary, seconds, available, options, limited)
 
 
 def _options(capture: Capture, size: Size, available: int) -> Iterator[tuple[str, Size]]:

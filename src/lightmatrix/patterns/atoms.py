@@ -45,6 +45,8 @@ class AtomPatterns(PatternSet):
         Standard deviations of the spots in projector pixels, ascending; the first is 0, a pixel.
     gains : tuple of float
         In (0, 1], one a size. None given: those of the patterns' own contrast.
+    narrow : bool
+        Whether the compiled solver keeps columns in half the memory, to within 1e-5.
 
     Raises
     ------
@@ -62,6 +64,7 @@ class AtomPatterns(PatternSet):
     single: PatternSet
     sizes: tuple[float, ...]
     gains: tuple[float, ...] = ()
+    narrow: bool = False
 
     def __post_init__(self) -> None:
         sizes = self.sizes
@@ -138,7 +141,7 @@ class AtomPatterns(PatternSet):
     ) -> _core.PreparedPatterns:
         single = self.single.prepare(column, instructions)
         planes = [(k, float(gain)) for k, gain in zip(self.kernels, self._gain, strict=True)]
-        return single.atoms(self.shape, planes)
+        return single.atoms(self.shape, planes, self.narrow)
 
     def centres(self, rows: csr_array) -> csr_array:
         """Coefficients (M, S N) as light at the middles of their spots, (M, N)."""

@@ -17,6 +17,8 @@ _MEANING = {
     "converged_rows": "rows that converged",
     "gap_median": "relative duality gap, median of rows",
     "gap_max": "largest relative duality gap",
+    "rows_looked_everywhere": "rows that looked at every projector pixel",
+    "rows_that_hold_everywhere": "rows, of a sample, certified against every projector pixel",
     "relative_error": "relative error of T",
     "relighting_error": "relative error of relit images",
     "response_rmse": "RMSE of single responses, of the clip level",
@@ -39,6 +41,8 @@ _SHARES = {
     "clipped_samples",
     "rows_half_clipped",
     "converged_rows",
+    "rows_looked_everywhere",
+    "rows_that_hold_everywhere",
     "share_of_rows_unclipped_responses",
     "share_of_rows_diffuse",
 }

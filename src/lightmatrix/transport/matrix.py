@@ -280,6 +280,11 @@ class LightTransport:
         if "gap" in diagnostics and np.isfinite(diagnostics["gap"]).any():
             result["gap_median"] = float(np.nanmedian(diagnostics["gap"]))
             result["gap_max"] = float(np.nanmax(diagnostics["gap"]))
+        if "looked_everywhere" in diagnostics:
+            result["rows_looked_everywhere"] = float(np.mean(diagnostics["looked_everywhere"]))
+        if "holds_everywhere" in diagnostics and np.isfinite(diagnostics["holds_everywhere"]).any():
+            held = float(np.nanmean(diagnostics["holds_everywhere"]))
+            result["rows_that_hold_everywhere"] = held
         result |= {name: self.provenance[name] for name in _TOLD if name in self.provenance}
         parameters = self.provenance.get("solver_parameters")
         if isinstance(parameters, Mapping) and "fidelity" in parameters:

@@ -8,7 +8,6 @@ use super::likely::{around, moved, moved_back};
 use crate::problem::{Dictionary, Rows, Sparse};
 use crate::vector::padded;
 use rayon::prelude::*;
-use std::ops::Range;
 
 /// Rows that one thread takes on at a time.
 const TASK: usize = 64;
@@ -31,7 +30,7 @@ pub struct Neighbours<'a> {
     /// Half width of the camera window.
     pub reach: usize,
     /// How far footprints move, in projector rows and columns, a camera row and a camera column
-    /// on: four numbers for each row asked for.
+    /// on: four numbers for each row.
     pub movement: &'a [f32],
     /// What the background of some rows, the first of which is `first`, gives under all patterns:
     /// those shown, then the unseen ones.
@@ -46,7 +45,7 @@ pub struct Expected {
     pub variances: Vec<f32>,
 }
 
-/// Expected samples of the rows of `range` under the patterns `shown` and the `unseen` ones, with
+/// Expected samples of the rows `asked` under the patterns `shown` and the `unseen` ones, with
 /// `rows` the samples that are known and `level` the clip level.
 ///
 /// # Panics
@@ -57,11 +56,10 @@ pub fn expected(
     neighbours: Neighbours,
     rows: Rows,
     level: f64,
-    range: Range<usize>,
+    asked: &[usize],
 ) -> Expected {
     let all = shown.patterns + unseen.patterns;
-    assert_eq!(rows.count, range.len());
-    assert_eq!(neighbours.movement.len(), 4 * rows.count);
+    assert_eq!(rows.count, asked.len());
     let mut result = Expected {
         values: vec![0.0; rows.count * all],
         variances: vec![f32::INFINITY; rows.count * all],
@@ -72,7 +70,7 @@ pub fn expected(
         || Guesses::new(shown.patterns, unseen.patterns),
         |guesses, (i, (values, variances))| {
             guesses.load(rows, i);
-            guesses.gather(shown, unseen, neighbours, range.start + i, i, level);
+            guesses.gather(shown, unseen, neighbours, asked[i], level);
             guesses.write(values, variances);
         },
     );
@@ -121,20 +119,19 @@ impl Guesses {
         self.total = 0.0;
     }
 
-    /// Asks all neighbours of `row`, which is the i-th of those asked for.
+    /// Asks all neighbours of `row`.
     fn gather(
         &mut self,
         shown: &Dictionary,
         unseen: &Dictionary,
         neighbours: Neighbours,
         row: usize,
-        i: usize,
         level: f64,
     ) {
         let [camera_rows, camera_cols, channels] = neighbours.camera;
         let (pixel, channel) = (row / channels, row % channels);
         let (r, c) = (pixel / camera_cols, pixel % camera_cols);
-        let movement = &neighbours.movement[4 * i..][..4];
+        let movement = &neighbours.movement[4 * row..][..4];
         for other_r in around(r, neighbours.reach, camera_rows) {
             for other_c in around(c, neighbours.reach, camera_cols) {
                 if (other_r, other_c) == (r, c) {

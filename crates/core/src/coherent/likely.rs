@@ -37,24 +37,20 @@ pub struct Windows<'a> {
     pub most: usize,
 }
 
-/// For each row of `range` the strongest atoms, ascending, of the sum of its neighbours' rows
+/// For each of the rows `asked` the strongest atoms, ascending, of the sum of its neighbours' rows
 /// (itself among them), each moved back, over its own maximum and blurred by the projector window;
 /// and the sums, relative to the strongest.
-pub fn likely(
-    matrix: Sparse<f32>,
-    windows: Windows,
-    range: Range<usize>,
-) -> Vec<(Vec<i32>, Vec<f32>)> {
+pub fn likely(matrix: Sparse<f32>, windows: Windows, asked: &[usize]) -> Vec<(Vec<i32>, Vec<f32>)> {
     let pixels = windows.projector.iter().product();
-    range
-        .into_par_iter()
+    asked
+        .par_iter()
         .with_min_len(TASK)
         .map_init(
             || Sums {
                 values: vec![0.0; pixels],
                 touched: Vec::new(),
             },
-            |sums, row| {
+            |sums, &row| {
                 let mut reach = windows.camera_reach;
                 sums.add_neighbours(matrix, windows, row, reach);
                 while sums.touched.is_empty() && 0 < reach && reach < FURTHEST {

@@ -21,6 +21,7 @@ use crate::atoms::Atoms;
 use crate::bits::Bits;
 use crate::columns::Columns;
 use crate::simd::Level;
+use crate::vector::signed_sums;
 use blurred::{Blurred, Buffers};
 use dense::Dense;
 use lookup::Lookup;
@@ -155,7 +156,12 @@ impl Correlator {
                 let mut single: Vec<&mut Scores> =
                     scratch.single.iter_mut().take(e.len()).collect();
                 pass(e, &mut single, scratch.inner.get_or_insert_default());
-                for (single, out) in single.iter().zip(out) {
+                for ((single, out), e) in single.iter_mut().zip(out).zip(e) {
+                    // Columns that were rounded differ from the blurred patterns by so much.
+                    let (negative, positive) = signed_sums(self.level, e);
+                    let lost = columns.lost() * (positive - negative) / single.unit;
+                    single.up += lost;
+                    single.down += lost;
                     blurred.run(self.level, single, out, &mut scratch.blurred);
                 }
                 return;

@@ -19,6 +19,8 @@ from typing import Any
 from lightmatrix.capture.capture import Capture
 from lightmatrix.errors import InputError
 from lightmatrix.estimators.coherent.rounds import Rounds
+from lightmatrix.estimators.coherent.solving import Solving
+from lightmatrix.estimators.coherent.stages import spacings, stages
 from lightmatrix.estimators.join import Progress, capture_provenance, joined, solver_provenance
 from lightmatrix.solvers.active_set import ActiveSet
 from lightmatrix.solvers.fidelity import Fidelity
@@ -154,26 +156,26 @@ class CoherentEstimator:
         InputError, SolverError, OutputError
             On unusable captures or outputs that cannot be written.
         """
-        rounds = Rounds(
+        plan = stages(capture.camera_shape, capture.patterns.pixels, self.windows)
+        solving = Solving(
             capture,
             self._solver,
             self.regularization,
             self.trust,
-            self.windows,
             self.candidates,
             self.sizes,
             self.background_grid,
-            self.tile_rows,
-            progress,
+            narrow=plan[0].spacing > 1,
         )
+        rounds = Rounds(solving, plan, self.tile_rows, progress)
         return joined(
             capture,
             rounds.ranges(),
             rounds.begin,
-            self.provenance(capture, rounds.penalty),
+            self.provenance(capture, solving.penalty),
             checkpoint=checkpoint,
             overwrite=overwrite,
-            background_grid=rounds.backgrounds.grid,
+            background_grid=solving.backgrounds.grid,
         )
 
     def provenance(self, capture: Capture, regularization: float) -> dict[str, Any]:
@@ -185,12 +187,18 @@ class CoherentEstimator:
             "candidates": self.candidates,
             "sizes": list(self.sizes),
         }
+        certificate = (
+            "the weighted problem of each row on its likeliest pixels, with expected samples"
+        )
+        steps = spacings(capture.camera_shape, capture.patterns.pixels, self.windows)
+        if len(steps) > 1:
+            made["solver_parameters"] |= {"spacings": list(steps)}
+            certificate += "; that of some rows, evenly spread, against all pixels too"
         return {
             "estimator": "coherent",
             **made,
             "regularization": regularization,
-            "certificate": "the weighted problem of each row on its likeliest pixels, with "
-            "expected samples",
+            "certificate": certificate,
             **capture_provenance(capture),
         }
 

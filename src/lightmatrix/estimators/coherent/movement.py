@@ -29,7 +29,7 @@ UNLIKE = 2.0
 
 
 def measured_movement(
-    rows: csr_array, camera: tuple[int, int, int], projector: tuple[int, int]
+    rows: csr_array, camera: tuple[int, int, int], projector: tuple[int, int], spacing: int = 1
 ) -> NDArray[np.float32]:
     """Projector rows and columns that footprints move a camera row and a camera column on.
 
@@ -41,6 +41,8 @@ def measured_movement(
         Rows, columns and channels of the camera, M in all.
     projector : (int, int)
         Rows and columns of the projector, N in all.
+    spacing : int
+        Of the rows, in camera pixels: they may move so many times as far.
 
     Returns
     -------
@@ -52,7 +54,7 @@ def measured_movement(
     lit = (np.diff(rows.indptr) > 0).reshape(camera)
     result = np.empty((*camera, 4), np.float32)
     for axis in (0, 1):
-        usual = _peak(places, lit, axis)
+        usual = _peak(places, lit, axis, FASTEST * spacing)
         slopes = [_slope(place, axis) for place in places]
         off = np.hypot(slopes[0] - usual[0], slopes[1] - usual[1])
         odd = (off > UNLIKE * max(1.0, float(np.hypot(*usual)))) | ~lit
@@ -74,7 +76,7 @@ def strongest(rows: csr_array) -> NDArray[np.int64]:
 
 
 def _peak(
-    places: list[NDArray[np.int64]], lit: NDArray[np.bool_], axis: int
+    places: list[NDArray[np.int64]], lit: NDArray[np.bool_], axis: int, fastest: int
 ) -> tuple[float, float]:
     """The commonest movement along an axis of the camera; (0, 0) where there is none."""
     length = lit.shape[axis]
@@ -85,7 +87,7 @@ def _peak(
         both = lit.take(here, axis) & lit.take(there, axis)
         steps = [(place.take(there, axis) - place.take(here, axis))[both] for place in places]
         middle = [round(m * distance) for m in movement]
-        reach = FASTEST if distance == 1 else max(3, int(np.ceil(NEARBY * distance)))
+        reach = fastest if distance == 1 else max(3, int(np.ceil(NEARBY * distance)))
         found = _commonest([s - m for s, m in zip(steps, middle, strict=True)], reach)
         if found is None:
             break

@@ -74,11 +74,17 @@ class Neighbourhood:
         Rows, columns and channels of the camera, M in all.
     atoms : AtomPatterns
         What the atoms give under the patterns shown.
+    spacing : int
+        Every so-manieth pixel of the camera is a row, both ways.
+    moved : (M, 4) float32, optional
+        How footprints move, where that is known already. None: it is measured.
     """
 
     rows: SparseRows
     camera: tuple[int, int, int]
     atoms: AtomPatterns
+    spacing: int = 1
+    moved: NDArray[np.float32] | None = None
 
     def around(self, start: int, stop: int) -> tuple[int, int]:
         """Range of the rows that start..stop have around them."""
@@ -92,7 +98,7 @@ class Neighbourhood:
         samples: Samples,
         clipped: NDArray[np.bool_],
         level: float,
-        start: int,
+        rows: NDArray[np.int64],
         background: NDArray[np.float32],
     ) -> Expectation:
         """Expected samples of some rows, in place of clipped ones and under unseen patterns.
@@ -102,15 +108,15 @@ class Neighbourhood:
         unseen : PatternSet
             E patterns over the same atoms.
         samples : Samples
-            (m, K), of the rows start..start + m.
+            (m, K), of these rows.
         clipped : (m, K) bool
             Samples that are lower bounds.
         level : float
             Clip level that deviations are relative to.
-        start : int
-            The first of the rows.
+        rows : (m,) int
+            Ascending.
         background : (n, K + E) float32
-            What the backgrounds of the rows `around` give under all patterns.
+            What the backgrounds of the rows `around` the first to the last give under all patterns.
         """
         weights = samples.weights
         values, variances = _core.expected_samples(
@@ -120,8 +126,9 @@ class Neighbourhood:
             self,
             background,
             reach=REACH,
-            start=start,
+            start=int(rows[0]),
             level=level,
+            index=rows - rows[0],
         )
         count = self.atoms.count
         np.maximum(values[:, :count], samples.clip_level, out=values[:, :count], where=clipped)
@@ -146,7 +153,10 @@ class Neighbourhood:
 
         (M, 4) float32: rows by rows, rows by columns, columns by rows, columns by columns.
         """
-        return measured_movement(self.rows.coefficients, self.camera, self.atoms.shape)
+        if self.moved is not None:
+            return self.moved
+        found = self.rows.coefficients
+        return measured_movement(found, self.camera, self.atoms.shape, self.spacing)
 
     @cached_property
     def centres(self) -> csr_array:
@@ -172,11 +182,11 @@ class Neighbourhood:
         reach: tuple[int, int],
         most: int,
         trust: float,
-        rows: tuple[int, int],
+        rows: NDArray[np.int64],
         *,
         first: bool = False,
     ) -> Candidates:
-        """The likeliest atoms of the rows start..stop, with penalties by what neighbours hold.
+        """The likeliest atoms of some rows, with penalties by what neighbours hold.
 
         Parameters
         ----------
@@ -186,7 +196,8 @@ class Neighbourhood:
             Atoms kept of each row.
         trust : float
             How little light among the neighbours makes an atom likely.
-        rows : (int, int)
+        rows : (m,) int
+            Ascending.
         first : bool
             Whether nothing was settled yet, and single pixels are believed in everywhere.
         """
@@ -203,6 +214,7 @@ class Neighbourhood:
             np.ones(self.rows.count, np.float32) if first else self.singles,
             reach,
             most,
+            (0, self.rows.count),
             rows,
         )
         return Candidates(indptr, atoms, (2 * trust / (trust + shares)).astype(np.float32))
