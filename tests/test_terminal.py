@@ -327,6 +327,8 @@ def test_completion_installs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv("HOME", str(tmp_path))
+    # Which is looked for among the parents of the process, and tests may run without one.
+    monkeypatch.setattr("shellingham.detect_shell", lambda *_: ("bash", "/bin/bash"))
     assert main(["--install-completion", "bash"]) == 0
     assert "installed" in capfd.readouterr().out
     written = (tmp_path / ".bashrc").read_text()

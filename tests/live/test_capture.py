@@ -410,8 +410,9 @@ def test_ctrl_c_keeps_the_frames() -> None:
     # What is known of the rig need not be measured in real time.
     with lm.open_rig(QUIET) as rig:
         lm.calibrate(rig, ["settle", "flicker", "response", "linearity"], keep="rig.json")
+    # Slow enough not to be over before it is stopped, however busy the machine.
     command = [sys.executable, "-c", "from lightmatrix.cli import console; console()", "capture"]
-    words = f"--rig {QUIET},real=1,fps=0 -k 40 --exposure 0.01 --settle 0.05 -o capture"
+    words = f"--rig {QUIET},real=1,fps=0 -k 40 --exposure 0.01 --settle 0.5 -o capture"
     process = subprocess.Popen(
         [*command, *words.split()], stderr=subprocess.PIPE, text=True, env={**os.environ}
     )
@@ -423,5 +424,5 @@ def test_ctrl_c_keeps_the_frames() -> None:
     assert process.returncode == 130
     assert told == "stopped; finished frames are kept, run again to go on\n"
     with lm.open_rig(QUIET) as rig:
-        capture = lm.take_capture("capture", rig, count=40, exposure=0.01, settle=0.05)
+        capture = lm.take_capture("capture", rig, count=40, exposure=0.01, settle=0.5)
     assert capture.count == 40

@@ -201,14 +201,10 @@ def _calibrated(
             if settle is not None and known.settle is not None:
                 known = replace(known, settle=replace(known.settle, seconds=settle))
             if not missing and known.exposure is not None:
-                missing = _outdated(rig, known)
+                missing = outdated(rig, known)
             if not missing:
                 return known
     return calibrate(rig, missing, keep=keep, settle=settle, progress=calibrating)
-
-
-def _outdated(rig: Rig, known: Calibration) -> list[str]:
-    return rig.persistently(lambda: outdated(rig, known))
 
 
 def _made(

@@ -306,6 +306,20 @@ def outdated(rig: Rig, known: Calibration) -> list[str]:
     DeviceError
         If the camera does not see the projector, or is lost.
     """
+    # Two looks, each begun again if the camera is lost: some have room for a few pictures only.
+    whites, found = rig.persistently(lambda: _changed_levels(rig, known))
+    assert known.settle is not None
+    settle, flicker = known.settle.seconds, known.flicker
+    if flicker is not None and rig.persistently(
+        lambda: flickers_anew(rig, flicker, settle=settle, whites=whites)
+    ):
+        # Exposures are multiples of its period.
+        found += [part for part in ("flicker", "exposure") if part not in found]
+    return found
+
+
+def _changed_levels(rig: Rig, known: Calibration) -> tuple[Whites, list[str]]:
+    """White and black, and the parts that levels of frames say are outdated."""
     assert known.settle is not None
     assert known.exposure is not None
     exposure = known.exposure.seconds[-1]
@@ -331,8 +345,4 @@ def outdated(rig: Rig, known: Calibration) -> list[str]:
     if abs(_brightness(whites) / known.brightness - 1) > _SAME_LIGHT:
         # Another lens opening, distance, scene, or lamp.
         found.append("exposure")
-    wait = known.settle.seconds
-    if known.flicker is not None and flickers_anew(rig, known.flicker, settle=wait, whites=whites):
-        # Exposures are multiples of its period.
-        found += [part for part in ("flicker", "exposure") if part not in found]
-    return found
+    return whites, found
