@@ -134,7 +134,8 @@ def test_what_no_longer_holds_is_noticed() -> None:
     known = lm.calibrate(_rig(",delay=2,fps=0"))
     assert outdated(_rig(",delay=2,fps=0,noise=0.004"), known) == []
     assert outdated(_rig(",delay=4,fps=0"), known) == ["settle"]
-    assert outdated(_rig(",delay=2,fps=0,gamma=2.5"), known) == ["response"]
+    assert outdated(_rig(",delay=2,fps=0,gamma=2.5"), known) == ["response", "linearity"]
+    assert "linearity" in outdated(_rig(",delay=2,fps=0,curve=0.8"), known)
     assert outdated(_rig(",delay=2,fps=0,unit=0.023"), known) == ["exposure"]
     for words in (",flicker=0.1", ",room_flicker=0.8,room=0.1"):
         assert outdated(_rig(",delay=2,fps=0" + words), known)[-2:] == ["flicker", "exposure"]

@@ -341,7 +341,8 @@ def _changed_levels(rig: Rig, known: Calibration) -> tuple[Whites, list[str]]:
         light = float(np.interp(grey, known.response.levels, known.response.light))
         shown = take_steady(taker, np.full_like(images(rig)[0], grey), exposure, 3)
         if abs(whites.level(shown.mean) - light) > _SAME_GREY:
-            found.append("response")
+            # The projector's curve is another, or the camera's.
+            found += ["response", "linearity"]
     if abs(_brightness(whites) / known.brightness - 1) > _SAME_LIGHT:
         # Another lens opening, distance, scene, or lamp.
         found.append("exposure")
