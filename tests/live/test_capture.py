@@ -411,7 +411,14 @@ def test_ctrl_c_keeps_the_frames() -> None:
     with lm.open_rig(QUIET) as rig:
         lm.calibrate(rig, ["settle", "flicker", "response", "linearity"], keep="rig.json")
     # Slow enough not to be over before it is stopped, however busy the machine.
-    command = [sys.executable, "-c", "from lightmatrix.cli import console; console()", "capture"]
+    started = (
+        "import signal\n"
+        # Whatever started the tests may ignore it, as shells do for what is in their background.
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        "from lightmatrix.cli import console\n"
+        "console()"
+    )
+    command = [sys.executable, "-c", started, "capture"]
     words = f"--rig {QUIET},real=1,fps=0 -k 40 --exposure 0.01 --settle 0.5 -o capture"
     process = subprocess.Popen(
         [*command, *words.split()], stderr=subprocess.PIPE, text=True, env={**os.environ}
