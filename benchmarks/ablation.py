@@ -1,7 +1,7 @@
 """What each part of the coherent estimate is worth: errors without it, on sharp and blurred rigs.
 
 python -m benchmarks.ablation                 128 x 128, 32 patterns, one seed
-python -m benchmarks.ablation --patterns 16 --side 64
+python -m benchmarks.ablation --side 64 --rigs sharp "blur 2"
 """
 
 from __future__ import annotations
@@ -19,14 +19,15 @@ from rich.console import Console
 from rich.table import Table
 from scipy.sparse import csr_array
 
-from lightmatrix.estimators.coherent import neighbourhood, rounds
+from lightmatrix.estimators.coherent import neighbourhood, stages
 from lightmatrix.estimators.coherent.backgrounds import Backgrounds
 from lightmatrix.estimators.coherent.estimator import CoherentEstimator
 from lightmatrix.experiments.measured_scene import SCENES
-from lightmatrix.experiments.rigs import Case, photographed, rig_truth
+from lightmatrix.experiments.rigs import RIGS, Case, photographed, rig_truth
 from lightmatrix.transport.metrics import relative_error
 
-RIGS = ("sharp", "blur 1", "camera 4x coarser")
+# Those in which each part has its use.
+USUAL_RIGS = ("sharp", "blur 1", "camera 4x coarser")
 
 
 def _evenly(backgrounds: Backgrounds, rows: csr_array) -> NDArray[np.float32]:
@@ -64,7 +65,7 @@ WITHOUT: dict[str, tuple[Change, dict[str, Any]]] = {
         partial(patch.object, neighbourhood, "measured_movement", _still),
         {},
     ),
-    "without expected samples": (partial(patch.object, rounds, "EXPECTING", 99), {}),
+    "without expected samples": (partial(patch.object, stages, "EXPECTING", 99), {}),
     "without halos (an even background)": (
         partial(patch.object, Backgrounds, "spread", _evenly),
         {},
@@ -88,8 +89,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--patterns", type=int, default=32)
     parser.add_argument("--side", type=int, default=128)
+    parser.add_argument("--rigs", nargs="+", choices=RIGS, default=USUAL_RIGS)
     arguments = parser.parse_args()
-    columns = [(scene, rig) for rig in RIGS for scene in SCENES]
+    columns = [(scene, rig) for rig in arguments.rigs for scene in SCENES]
     table = Table(title=f"Relative error of T, {arguments.patterns} patterns")
     table.add_column("")
     for scene, rig in columns:
