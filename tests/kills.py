@@ -19,6 +19,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -58,10 +59,17 @@ def in_child(work: Callable[[], None], seconds: float | None = None) -> bool:
     return False
 
 
-def estimated(capture: Path, target: Path, windows: tuple[tuple[int, int], ...]) -> None:
+def estimated(
+    capture: Path,
+    target: Path,
+    windows: tuple[tuple[int, int], ...],
+    *,
+    overwrite: bool = False,
+) -> None:
     """Begin an estimate, or go on with it."""
     estimator = CoherentEstimator(windows=windows, tile_rows=200, threads=1)
-    estimator.estimate(Capture.open(capture, check=False), checkpoint=target)
+    opened = Capture.open(capture, check=False)
+    estimator.estimate(opened, checkpoint=target, overwrite=overwrite)
 
 
 def digest(target: Path) -> str:
@@ -99,16 +107,17 @@ def main() -> int:
             place.mkdir()
             target = place / "scene.zarr"
 
-            def work(target: Path = target) -> None:
-                estimated(capture, target, windows)
+            def work(target: Path = target, *, overwrite: bool = False) -> None:
+                estimated(capture, target, windows, overwrite=overwrite)
 
             killed = 0
             for _ in range(draw.randint(1, MOST_KILLS)):
                 if target.exists():
                     break
                 killed += in_child(work, draw.uniform(0, usual))
-            if not target.exists():
-                in_child(work)
+            # Killed between its last renaming and tidying up, an estimate is whole, and the next
+            # one in its place tidies up.
+            in_child(partial(work, overwrite=target.exists()))
             left = sorted(entry.name for entry in place.iterdir())
             right = digest(target) == wanted and left == ["scene.zarr"]
             kills, wrong = kills + killed, wrong + (not right)
