@@ -64,15 +64,14 @@ py-test:
 faults: test-install ## the table of faults, counted by what became of each
 	$(BIN)/python -m tests.faults.table -v
 
-N := 20000
 fuzz: test-install ## N damaged inputs, 20,000 unless said: make fuzz N=500
-	$(BIN)/python -m tests.faults.fuzz --count $(N)
+	$(BIN)/python -m tests.faults.fuzz --count $(or $(N),20000)
 
 live-faults: test-install ## N captures of a rig that fails and is killed, 200 unless said: make live-faults N=20
-	$(BIN)/python -m tests.live.rig_faults --count $(or $(filter-out 20000,$(N)),200)
+	$(BIN)/python -m tests.live.rig_faults --count $(or $(N),200)
 
 kills: test-install ## N estimates killed at random moments, 50 unless said: make kills N=10
-	$(BIN)/python -m tests.kills --count $(or $(filter-out 20000,$(N)),50)
+	$(BIN)/python -m tests.kills --count $(or $(N),50)
 
 mutants: test-install ## break 200 things in solvers, estimators, capture: how many do tests notice?
 	$(BIN)/python tools/mutants.py --count 200 --least 0.8

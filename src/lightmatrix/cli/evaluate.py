@@ -8,8 +8,9 @@ from typing import Annotated
 import typer
 
 import lightmatrix as lm
-from lightmatrix.cli.options import COLOURS, Blue, Green, Json, Store, primaries
+from lightmatrix.cli.options import Blue, Green, Json, Store, primaries
 from lightmatrix.cli.terminal import progress, show_json, show_table
+from lightmatrix.files.colours import COLOURS
 from lightmatrix.transport.labels import named
 
 

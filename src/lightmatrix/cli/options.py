@@ -69,7 +69,6 @@ COHERENT_UP_TO = 256
 PASSES, ADMM_ITERATIONS = 200, 1000
 USUAL_SIZE = "128x128"
 PROCEDURAL = "procedural"
-COLOURS = ("red", "green", "blue")
 MOST_PIXELS = 2**31 - 1
 
 

@@ -18,7 +18,7 @@ from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.frames import CutFrames
 from lightmatrix.errors import InputError
 from lightmatrix.estimators.coherent.neighbourhood import UNSEEN
-from lightmatrix.estimators.coherent.stages import LARGE
+from lightmatrix.estimators.coherent.stages import is_large
 from lightmatrix.estimators.join import TILE_BYTES
 from lightmatrix.files.memory import available_bytes
 from lightmatrix.files.scratch import MEMORY_BYTES
@@ -104,7 +104,7 @@ class Size:
     def kind(self) -> str:
         """Whose coefficients tell what it takes."""
         if self.method == "coherent":
-            return "growing" if self.rows * self.pixels > LARGE else "coherent"
+            return "growing" if is_large(self.rows, self.pixels) else "coherent"
         return "plain"
 
     @property

@@ -23,6 +23,7 @@ from PIL import Image
 
 from lightmatrix.errors import InputError, LightMatrixError
 from lightmatrix.files import png, png16
+from lightmatrix.files.colours import COLOURS
 from lightmatrix.files.exr import fill_exr, read_exr
 from lightmatrix.files.limits import check_size
 from lightmatrix.files.npy import as_float32, read_npy
@@ -34,8 +35,6 @@ from lightmatrix.outputs.kinds import IMAGE
 from lightmatrix.outputs.writing import atomic_file
 
 READABLE = (".png", ".tif", ".tiff", ".npy", ".jpg", ".jpeg", ".bmp", ".pgm", ".exr", *RAW)
-# Of the channels of a colour image, or of a colour projector.
-COLOURS = ("red", "green", "blue")
 FORMATS = "PNG, TIFF, npy, EXR, DNG and other raw files, JPEG, BMP or PGM"
 _filters = threading.Lock()
 

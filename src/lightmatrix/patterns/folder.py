@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 
 from lightmatrix.errors import InputError, LightMatrixWarning
 from lightmatrix.files.ahead import read_ahead
+from lightmatrix.files.colours import COLOURS
 from lightmatrix.files.headers import read_json, said_in
-from lightmatrix.files.images import COLOURS, as_grey, colour_of, fill_image, read_image
+from lightmatrix.files.images import as_grey, colour_of, fill_image, read_image
 from lightmatrix.files.memory import check_room
 from lightmatrix.files.pages import Page
 from lightmatrix.files.stack import ImageStack, list_entries

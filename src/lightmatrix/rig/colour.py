@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.errors import InputError
-from lightmatrix.files.images import COLOURS
+from lightmatrix.files.colours import COLOURS
 from lightmatrix.rig.truth import Truth
 
 # How much of each primary's light passes the filters of the camera's channels: (channel, primary),

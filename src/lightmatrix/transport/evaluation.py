@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from lightmatrix.files.colours import COLOURS
 from lightmatrix.ranges import check_number
 from lightmatrix.reprs import html_table, text_table
 from lightmatrix.transport.labels import named
@@ -107,7 +108,7 @@ class ColourErrors:
     def as_dict(self) -> dict[str, Any]:
         """Names and values, JSON-ready; each primary's under its name."""
         joint = {name: getattr(self, name) for name in ("relative_error", "relighting_error")}
-        return joint | {name: getattr(self, name).as_dict() for name in ("red", "green", "blue")}
+        return joint | {name: getattr(self, name).as_dict() for name in COLOURS}
 
     def __repr__(self) -> str:
         return text_table("Errors in colour", named(self.table()))

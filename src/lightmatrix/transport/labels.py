@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from lightmatrix.files.colours import COLOURS
+
 # What the keys of the JSON mean, where their words do not say it.
 _MEANING = {
     "entries": "entries of T",
@@ -34,7 +36,7 @@ _MEANING = {
         ("relative_error", "relative error of T"),
         ("relighting_error", "relative error of relit images"),
     )
-    for colour in ("red", "green", "blue")
+    for colour in COLOURS
 }
 _SHARES = {
     "background_share",

@@ -93,13 +93,18 @@ def stages(
     return (*found, Stage(last.spacing, last.window, last.age, last=True))
 
 
+def is_large(samples: int, pixels: int) -> bool:
+    """Whether a frame of so many camera samples is too large for all to look everywhere."""
+    return samples * pixels > LARGE
+
+
 def spacings(
     camera: tuple[int, ...], pixels: int, windows: tuple[tuple[int, int], ...]
 ) -> tuple[int, ...]:
     """The steps, from the seeds to all camera pixels; (1,) of a small frame."""
     rows, cols, *channels = camera
     samples = rows * cols * (channels[0] if channels else 1)
-    if samples * pixels <= LARGE or windows[0][0] < STEP_REACH:
+    if not is_large(samples, pixels) or windows[0][0] < STEP_REACH:
         return (1,)
     side = min(rows, cols)
     return next((steps for steps in SPACINGS if side >= steps[0] * FEWEST_SEEDS), (1,))
