@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 import pytest
 import tifffile
+from camera_files import SECONDS, black_image, write_arw, write_nef
 from numpy.typing import NDArray
 
 import lightmatrix as lm
 from lightmatrix.cli import main
 from lightmatrix.errors import InputError, MissingExtraError
 from lightmatrix.files.raw import shutter_time
-from tests.camera_files import SECONDS, black_image, write_arw, write_nef
 
 pytest.importorskip("rawpy")
 BLACK, WHITE = 256, 4095
