@@ -119,8 +119,8 @@ wheel-arm64: install ## a wheel for 64-bit ARM, and its results under qemu; take
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check 'maturin[zig]>=1.12,<2'
 	rustup target add aarch64-unknown-linux-gnu
 	PATH="$(CURDIR)/$(BIN):$$PATH" env -u CARGO_ENCODED_RUSTFLAGS RUSTFLAGS= $(BIN)/maturin build --release --locked \
-	  --target aarch64-unknown-linux-gnu --zig --compatibility manylinux_2_28 --out dist
-	$(BIN)/python tools/wheel_arm64.py dist
+	  --target aarch64-unknown-linux-gnu --zig --compatibility manylinux_2_28 --out dist/arm64
+	$(BIN)/python tools/wheel_arm64.py dist/arm64
 
 needs: test-install ## measure what estimates take of memory and time; takes half an hour
 	$(BIN)/python -m benchmarks.needs

@@ -22,9 +22,10 @@ _REMEDY = (
     "more patterns help most, then an exposure that uses the camera's range, or projector pixels "
     "binned together; neighbouring camera pixels must see neighbouring projector pixels"
 )
-# Of the rows: with more whose single responses clip no estimate is called good. What they state of
-# their errors, and photographs held out, know nothing of the light beyond the clip level.
-SINGLY_CLIPPED = 0.02
+# Of the rows: with more whose single responses clip no estimate is called good; fewer are worth a
+# word, as they are bright. What they state of their errors, and photographs held out, know nothing
+# of the light beyond the clip level.
+SINGLY_CLIPPED, _SOME_CLIPPED = 0.02, 0.002
 # Of the rows: more that clip in half of their samples, or did not converge, are worth a word.
 _MANY_CLIPPED, _MANY_UNFINISHED = 0.1, 0.01
 
@@ -105,10 +106,12 @@ def limited(level: Level, clipped: float) -> tuple[Level, list[str]]:
     clipped : float
         Share of the rows whose single responses clip.
     """
-    if clipped <= SINGLY_CLIPPED:
+    if clipped <= _SOME_CLIPPED:
         return level, []
     told = f"but {percent(clipped)} of the rows clip under a single projector pixel, and nobody "
-    return "fair" if level == "good" else level, [told + "saw by how much"]
+    if level == "good" and clipped > SINGLY_CLIPPED:
+        level = "fair"
+    return level, [told + "saw by how much"]
 
 
 def _shortest(transport: LightTransport) -> float:
