@@ -7,7 +7,7 @@ BIN := $(VENV)/bin
 CORE := $(shell find crates -name '*.rs' -o -name Cargo.toml) Cargo.toml pyproject.toml
 
 .PHONY: help install demo test test-install lint types rust-test py-test faults fuzz live-faults kills mutants format \
-	bench experiments docs gallery screenshots wheel wheel-test wheel-demo needs system-deps clean
+	bench experiments docs gallery screenshots wheel wheel-test wheel-demo wheel-arm64 needs system-deps clean
 
 help:
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 16
@@ -113,6 +113,14 @@ wheel-test: wheel ## install it into an empty environment without a compiler and
 
 wheel-demo: wheel
 	$(PYTHON) tools/wheel_test.py dist --quick
+
+# Cross-compiled by zig, tried in emulation: on a machine with this processor, `make wheel-test`.
+wheel-arm64: install ## a wheel for 64-bit ARM, and its results under qemu; takes ten minutes
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check 'maturin[zig]>=1.12,<2'
+	rustup target add aarch64-unknown-linux-gnu
+	PATH="$(CURDIR)/$(BIN):$$PATH" env -u CARGO_ENCODED_RUSTFLAGS RUSTFLAGS= $(BIN)/maturin build --release --locked \
+	  --target aarch64-unknown-linux-gnu --zig --compatibility manylinux_2_28 --out dist/arm64
+	$(BIN)/python tools/wheel_arm64.py dist/arm64
 
 needs: test-install ## measure what estimates take of memory and time; takes half an hour
 	$(BIN)/python -m benchmarks.needs

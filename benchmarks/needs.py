@@ -1,4 +1,4 @@
-"""What an estimate takes of memory and time: the numbers of `lightmatrix.estimators.needs`.
+"""What an estimate takes of memory and time: the numbers of `lightmatrix.estimators.costs`.
 
     python -m benchmarks.needs [--quick] [-o needs.json]
 
@@ -26,7 +26,7 @@ import psutil
 from scipy.optimize import nnls
 
 import lightmatrix as lm
-from lightmatrix.estimators import needs
+from lightmatrix.estimators import costs
 from lightmatrix.rig.procedural import ProceduralScene
 
 Case = tuple[str, int, int, int, bool]
@@ -112,13 +112,13 @@ def fit(rows: list[dict[str, Any]], method: str) -> None:
     """Print the coefficients that fit best, beside those in the code."""
     some = [row for row in rows if row["method"] == method]
     sizes = [(r["camera"] ** 2, r["projector"] ** 2, r["count"], r["grey"]) for r in some]
-    for what, terms in (("bytes", needs.memory_terms), ("seconds", needs.time_terms)):
+    for what, terms in (("bytes", costs.memory_terms), ("seconds", costs.time_terms)):
         measured = np.array([row[what] for row in some])
         columns = [terms(method, *size) for size in sizes]
         names = list(columns[0])
         matrix = np.array([[column[name] for name in names] for column in columns])
         found, _ = nnls(matrix / measured[:, None], np.ones(len(some)))
-        now = needs.COEFFICIENTS[method][what]
+        now = costs.COEFFICIENTS[method][what]
         print(f"\n{method}, {what}:")
         for name, value in zip(names, found, strict=True):
             print(f"  {name:<20} {value:12.4g}   in the code {now.get(name, 0):.4g}")

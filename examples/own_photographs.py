@@ -25,7 +25,7 @@ def main(out: Path) -> dict[str, object]:
     """Write patterns and photographs, estimate T from them, and write the report."""
     patterns = lm.BernoulliPatterns((64, 64), 32)
     lm.write_patterns(out / "patterns", patterns)
-    photographed = lm.simulate("metal", patterns, exposure=0.5)
+    photographed = lm.simulate("metal", patterns, exposure=0.3)
     for k in range(photographed.count):
         lm.write_image(out / "photos" / f"photo_{k:04d}.png", photographed.frame(k))
 

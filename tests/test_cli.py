@@ -244,9 +244,10 @@ def test_every_command_has_help(capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_the_installed_command_runs_without_a_terminal() -> None:
     command = Path(sys.executable).with_name("lightmatrix")
-    result = subprocess.run([command, "--version"], capture_output=True, text=True, check=True)
-    assert result.stdout == f"lightmatrix {lightmatrix.__version__}\n"
-    assert result.stderr == ""
+    for words in ([command], [sys.executable, "-m", "lightmatrix"]):
+        result = subprocess.run([*words, "--version"], capture_output=True, text=True, check=True)
+        assert result.stdout == f"lightmatrix {lightmatrix.__version__}\n"
+        assert result.stderr == ""
 
 
 def test_usage_errors_end_with_code_2(capsys: pytest.CaptureFixture[str]) -> None:

@@ -131,3 +131,24 @@ def test_the_verdict_follows_what_rows_state(transport: lm.LightTransport) -> No
     expected = np.sqrt((energy[known] * errors[known] ** 2).sum() / energy[known].sum())
     assert stated_error(mixed) == pytest.approx(expected, rel=1e-5)
     assert verdict(mixed).level == "fair"
+
+
+def test_an_estimate_that_did_not_see_its_brightest_light_is_not_called_good(
+    transport: lm.LightTransport,
+) -> None:
+    brightest = float(transport.dense_rows(np.arange(30)).max())
+
+    def judged(exposure: object) -> lm.Verdict:
+        known = {"estimated_error": np.full(30, 0.01)}
+        made = {"capture_description": {"exposure": exposure}}
+        return verdict(replace(transport, diagnostics=known, provenance=made))
+
+    assert judged(0.5 / brightest).level == "good"
+    clipped = judged([1e3 / brightest, 2e3 / brightest])
+    assert clipped.level == "fair"
+    assert "of the rows clip under a single projector pixel" in clipped.sentence
+    # The shortest of several exposures saw it.
+    assert judged([1e3 / brightest, 0.5 / brightest]).level == "good"
+    damaged: object
+    for damaged in ("much", None, [], {}, float("nan"), ["a"]):
+        assert judged(damaged).level == "good"

@@ -27,6 +27,7 @@ FLOORS = [
     {"planning", "report", "responses"},
     {"experiments", "live"},
     {"cli"},
+    {"__main__"},
 ]
 # Extras are imported inside the functions that need them, and nowhere else.
 EXTRAS = {"mitsuba", "drjit", "glfw", "moderngl", "gi", "harvesters", "genicam", "av", "gphoto2"}

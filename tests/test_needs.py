@@ -17,7 +17,8 @@ import lightmatrix as lm
 from lightmatrix.cli import main
 from lightmatrix.cli.source import rectangle
 from lightmatrix.estimators import needs as needs_module
-from lightmatrix.estimators.needs import COEFFICIENTS, memory_terms, time_terms
+from lightmatrix.estimators.coherent.stages import spacings
+from lightmatrix.estimators.costs import COEFFICIENTS, memory_terms, time_terms
 
 GIB = 2**30
 
@@ -187,3 +188,29 @@ def test_large_frames_take_less_than_looking_everywhere_would(large: lm.Capture)
     assert seconds[0] is not None
     assert seconds[1] is not None
     assert seconds[1] / large.rows < 0.1 * seconds[0] / small.rows
+
+
+def test_small_cameras_under_huge_projectors_are_told_what_they_take() -> None:
+    """They have too few camera pixels for seeds, so that all look everywhere."""
+
+    def capture(rows: int, cols: int, *channels: int) -> lm.Capture:
+        patterns = lm.BernoulliPatterns((1024, 1024), 32)
+        frames = Unread(32, (rows, cols, *channels), np.dtype(np.uint8))
+        return lm.Capture(patterns, frames, lm.Decoder(255, 255))
+
+    seconds = {}
+    for shape in ((48, 48), (48, 500), (64, 64), (64, 64, 3), (128, 128), (256, 256)):
+        taken = capture(*shape)
+        needs = lm.needs(taken)
+        steps = spacings(taken.camera_shape, taken.patterns.pixels, lm.CoherentEstimator.windows)
+        assert needs.size.kind == ("growing" if len(steps) > 1 else "coherent"), shape
+        assert needs.seconds is not None
+        seconds[shape] = needs.seconds
+    assert seconds[48, 48] > 3 * seconds[64, 64]
+    # The fewer rows are seeds, the less each row takes.
+    each = [seconds[side, side] / side**2 for side in (48, 64, 128, 256)]
+    assert each == sorted(each, reverse=True)
+    # What is proposed instead is told by its own sides.
+    proposed = dict(lm.needs(capture(40_000, 70)).options)
+    binned = next(size for words, size in proposed.items() if words.startswith("--bin-camera"))
+    assert binned.kind == "coherent"

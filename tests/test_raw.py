@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Callable
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -11,11 +12,13 @@ from typing import Any
 import numpy as np
 import pytest
 import tifffile
+from camera_files import SECONDS, black_image, write_arw, write_nef
 from numpy.typing import NDArray
 
 import lightmatrix as lm
 from lightmatrix.cli import main
 from lightmatrix.errors import InputError, MissingExtraError
+from lightmatrix.files.raw import shutter_time
 
 pytest.importorskip("rawpy")
 BLACK, WHITE = 256, 4095
@@ -82,6 +85,34 @@ def test_colours_are_interpolated_linearly(tmp_path: Path) -> None:
     flat = np.broadcast_to([0.1, 0.4, 0.8], (*SHAPE, 3))
     image = lm.read_image(write_dng(tmp_path / "flat.dng", levels(mosaic_of(flat))))
     np.testing.assert_allclose(image, flat, atol=2e-4)
+
+
+@pytest.mark.parametrize(
+    # LibRaw knows that Nikon's sensors clip below the end of the range.
+    ("write", "name", "clip"),
+    [(write_nef, "a.nef", 61247), (write_arw, "a.arw", 16383)],
+)
+def test_files_as_nikon_and_sony_lay_them_out(
+    write: Callable[..., Path], name: str, clip: int, tmp_path: Path
+) -> None:
+    """Their four black levels are told apart, once each."""
+    blacks = (512, 520, 530, 540)
+    black = black_image((48, 64), blacks)
+    electrons = np.random.default_rng(0).integers(-40, 9000, (48, 64))
+    file = write(tmp_path / name, black + electrons, blacks)
+    mosaic = lm.read_image(file, mosaic=True)
+    np.testing.assert_allclose(mosaic, electrons / (clip - black), atol=1e-6)
+    # The same light everywhere: what is interpolated is what is there.
+    image = lm.read_image(write(tmp_path / name, black + 6000, blacks))
+    assert image.shape == (48, 64, 3)
+    spans = clip - np.array([blacks[0], max(blacks[1:3]), blacks[3]])
+    np.testing.assert_allclose(image, np.broadcast_to(6000 / spans, image.shape), atol=1e-6)
+    clipped = lm.read_image(write(tmp_path / name, np.full((48, 64), clip), blacks))
+    assert clipped.min() >= 1 - 1e-6
+    assert shutter_time(file) == pytest.approx(SECONDS[0] / SECONDS[1])
+    file.write_bytes(file.read_bytes()[:4000])
+    with pytest.raises(InputError, match=rf"{name}: cannot be read as an image"):
+        lm.read_image(file)
 
 
 @pytest.mark.parametrize("mosaic", [False, True])

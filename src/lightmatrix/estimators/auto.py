@@ -127,11 +127,12 @@ class AutoEstimator:
         capture : Capture
         """
         if self._is_coherent(capture):
-            return needs_of(capture, "coherent", most=self._most)
+            windows = CoherentEstimator.windows
+            return needs_of(capture, "coherent", windows=windows, most=self._most)
         if self.solver == "active-set" and not self.multi_scale:
             return needs_of(capture, "plain", most=self._most)
         row_bytes = self._solver().row_bytes(capture.count, capture.patterns.pixels)
-        return needs_of(capture, "other", row_bytes, self._most)
+        return needs_of(capture, "other", row_bytes=row_bytes, most=self._most)
 
     def estimate(
         self,

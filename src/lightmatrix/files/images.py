@@ -134,8 +134,8 @@ def as_grey(name: str, image: NDArray[Any]) -> NDArray[np.float32]:
         if sum(lit) > 1 and not is_grey(image):
             raise InputError(
                 f"{name}: a pattern of several colours",
-                hint="a colour projector is three projectors: show and photograph all patterns in "
-                "red, then in green, then in blue, and estimate each by itself",
+                hint="make it grey; a colour projector is three: show and photograph all "
+                "patterns in red, then in green, then in blue, and estimate each by itself",
             )
         image = image[..., lit.index(True) if any(lit) else 0]
     return _as_light(name, image)

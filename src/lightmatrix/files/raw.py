@@ -55,6 +55,9 @@ def read_raw(file: Path, *, mosaic: bool = False) -> NDArray[np.float32]:
             place = np.asarray(opened.raw_colors_visible)
             levels = np.asarray(opened.raw_image_visible, np.float32)
             return ((levels - black[place]) / (clip - black)[place]).astype(np.float32)
+        span = clip - black
+        if flat:
+            black, span = _as_three(opened, black, span)
         levels = opened.postprocess(
             demosaic_algorithm=library.DemosaicAlgorithm.LINEAR,
             output_color=library.ColorSpace.raw,
@@ -66,9 +69,29 @@ def read_raw(file: Path, *, mosaic: bool = False) -> NDArray[np.float32]:
             no_auto_scale=True,
             # Subtracted here: LibRaw would cut off what noise makes darker than black.
             user_black=0,
+            user_cblack=[0, 0, 0, 0],
             user_flip=0,
         )
-        return ((levels - black[:3]) / (clip - black)[:3]).astype(np.float32)
+        return ((levels - black[:3]) / span[:3]).astype(np.float32)
+
+
+def _as_three(
+    opened: Any, black: NDArray[np.float32], span: NDArray[np.float32]
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Give all colours the least black level, in the opened file too: both greens become one.
+
+    Returns the black levels and, from them to where a colour clips, the spans.
+    """
+    place = np.asarray(opened.raw_colors_visible)
+    colours = np.unique(place)
+    least = black[colours].min()
+    above = np.maximum(black - least, 0).astype(np.uint16)
+    if above[colours].any():
+        levels = opened.raw_image_visible
+        levels -= np.minimum(levels, above[place])
+    if 3 in colours:
+        span = np.where([False, True, False, True], span[[1, 3]].min(), span)
+    return np.full(4, least, np.float32), span
 
 
 def shutter_time(file: Path) -> float | None:

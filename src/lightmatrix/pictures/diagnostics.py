@@ -173,7 +173,8 @@ def draw(shown: Map) -> Picture:
 def _draw_into(drawing: Figure, axes: Axes, shown: Map) -> None:
     options = {"cmap": shown.colour_map, "norm": shown.norm, "vmin": None, "vmax": None}
     drawn = panel(axes, shown.shown, shown.title, **options)
-    drawing.colorbar(drawn, ax=axes, label=shown.label)
+    # As high as the picture, whatever the frame's shape.
+    drawing.colorbar(drawn, cax=axes.inset_axes((1.03, 0, 0.05, 1)), label=shown.label)
 
 
 def _draw_lines(axes: Axes, shown: Map) -> None:

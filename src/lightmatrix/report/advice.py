@@ -8,11 +8,11 @@ from lightmatrix.capture.capture import Capture
 from lightmatrix.pictures.maps import has_diagnostic
 from lightmatrix.report.facts import Facts
 from lightmatrix.report.held_out import HeldOut
-from lightmatrix.transport.verdict import FAIR, GOOD, percent
+from lightmatrix.transport.verdict import FAIR, GOOD, SINGLY_CLIPPED, percent
 
-# Of the rows: more that clip in half of their samples, whose single responses clip, that did not
-# converge, or see no projector, are worth a word.
-_OFTEN_CLIPPED, _SINGLY_CLIPPED, _UNFINISHED, _DARK = 0.1, 0.02, 0.01, 0.2
+# Of the rows: more that clip in half of their samples, that did not converge, or see no projector,
+# are worth a word.
+_OFTEN_CLIPPED, _UNFINISHED, _DARK = 0.1, 0.01, 0.2
 # Brighter frames than this use the camera's range.
 _DIM = 0.1
 # Projector pixels of a footprint of a projector in focus, and the light in a large background.
@@ -37,7 +37,7 @@ def _about_exposure(facts: Facts) -> list[str]:
     found = []
     shares = np.asarray(facts.transport.diagnostics.get("clipped_share", np.zeros(1)))
     often = float(np.mean(shares > 0.5))
-    if facts.singly_clipped > _SINGLY_CLIPPED:
+    if facts.singly_clipped > SINGLY_CLIPPED:
         found.append(
             f"{percent(facts.singly_clipped)} of the rows clip under a single projector pixel: "
             "their strongest entry is only a lower bound. Take a few frames at a quarter of the "

@@ -13,8 +13,17 @@ from lightmatrix.report.held_out import HeldOut
 from lightmatrix.transport.correspondence import Correspondence, correspondence
 from lightmatrix.transport.evaluation import Errors, errors_by_rows
 from lightmatrix.transport.matrix import LightTransport
-from lightmatrix.transport.metrics import relative_error, squared_errors, unclipped_rows
-from lightmatrix.transport.verdict import FAIR, Verdict, level_of, percent, stated_error, verdict
+from lightmatrix.transport.metrics import relative_error, squared_errors
+from lightmatrix.transport.verdict import (
+    FAIR,
+    Verdict,
+    level_of,
+    limited,
+    percent,
+    singly_clipped,
+    stated_error,
+    verdict,
+)
 
 # A camera pixel below this share of a bright one's white level sees next to nothing.
 _DARK = 0.02
@@ -90,8 +99,7 @@ class Facts:
     @cached_property
     def singly_clipped(self) -> float:
         """Share of the rows whose strongest single response clips at every exposure."""
-        shortest = float(self.capture.exposures.min())
-        return 1 - float(np.mean(unclipped_rows(self.transport, shortest)))
+        return singly_clipped(self.transport, float(self.capture.exposures.min()))
 
     @cached_property
     def relative_error(self) -> float | None:
@@ -139,4 +147,7 @@ class Facts:
             told.append(f"its rows state an error of T of {percent(stated)}")
         if not told:
             return verdict(self.transport, f"no photograph was held out: {self.held}")
-        return Verdict(level_of(max(errors)), "; ".join(told))
+        level, unseen = level_of(max(errors)), list[str]()
+        if self.relative_error is None:
+            level, unseen = limited(level, self.singly_clipped)
+        return Verdict(level, "; ".join([*told, *unseen]))

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from lightmatrix.transport.matrix import LightTransport
-from lightmatrix.transport.metrics import row_energies
+from lightmatrix.transport.metrics import row_energies, unclipped_rows
 
 Level = Literal["good", "fair", "doubtful", "not tested"]
 
@@ -21,6 +22,10 @@ _REMEDY = (
     "more patterns help most, then an exposure that uses the camera's range, or projector pixels "
     "binned together; neighbouring camera pixels must see neighbouring projector pixels"
 )
+# Of the rows: with more whose single responses clip no estimate is called good; fewer are worth a
+# word, as they are bright. What they state of their errors, and photographs held out, know nothing
+# of the light beyond the clip level.
+SINGLY_CLIPPED, _SOME_CLIPPED = 0.02, 0.002
 # Of the rows: more that clip in half of their samples, or did not converge, are worth a word.
 _MANY_CLIPPED, _MANY_UNFINISHED = 0.1, 0.01
 
@@ -80,10 +85,44 @@ def verdict(transport: LightTransport, why_untested: str = _UNTESTED) -> Verdict
     if stated is None:
         return Verdict("not tested", "; ".join([*remarks, why_untested]))
     said = f"the rows state a relative error of T of {percent(stated)}"
-    level = level_of(stated)
+    level, unseen = limited(level_of(stated), singly_clipped(transport, _shortest(transport)))
     if level == "doubtful":
         remarks.append(_REMEDY)
-    return Verdict(level, "; ".join([said, *remarks]))
+    return Verdict(level, "; ".join([said, *unseen, *remarks]))
+
+
+def singly_clipped(transport: LightTransport, exposure: float) -> float:
+    """Share of the rows whose strongest single response clips at an exposure, the shortest."""
+    return 1 - float(np.mean(unclipped_rows(transport, exposure)))
+
+
+def limited(level: Level, clipped: float) -> tuple[Level, list[str]]:
+    """A level that does not trust in light that nobody saw, and what to say of it.
+
+    Parameters
+    ----------
+    level : {"good", "fair", "doubtful"}
+        By what rows state and photographs say, which know nothing of it.
+    clipped : float
+        Share of the rows whose single responses clip.
+    """
+    if clipped <= _SOME_CLIPPED:
+        return level, []
+    told = f"but {percent(clipped)} of the rows clip under a single projector pixel, and nobody "
+    if level == "good" and clipped > SINGLY_CLIPPED:
+        level = "fair"
+    return level, [told + "saw by how much"]
+
+
+def _shortest(transport: LightTransport) -> float:
+    """Its shortest exposure by its provenance; 0, at which nothing clips, if that has none."""
+    told = transport.provenance.get("capture_description")
+    # A store may say anything.
+    try:
+        exposure = float(np.min(told["exposure"])) if isinstance(told, Mapping) else 0.0
+    except (TypeError, ValueError, KeyError):
+        return 0.0
+    return exposure if np.isfinite(exposure) else 0.0
 
 
 def stated_error(transport: LightTransport) -> float | None:

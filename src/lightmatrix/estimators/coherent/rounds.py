@@ -30,8 +30,8 @@ from lightmatrix.estimators.coherent.settling import (
 )
 from lightmatrix.estimators.coherent.solving import Solving
 from lightmatrix.estimators.coherent.stages import Stage
+from lightmatrix.estimators.costs import coherent_row_bytes, first_round_cost
 from lightmatrix.estimators.join import TILE_BYTES, Progress, SolveTile, kept
-from lightmatrix.estimators.needs import coherent_row_bytes, first_round_cost
 from lightmatrix.solvers.problem import Result
 from lightmatrix.store import Checkpoint
 from lightmatrix.transport.footprints import footprint_sizes

@@ -1,0 +1,127 @@
+"""Try a wheel for 64-bit ARM on another processor: qemu runs it, and its results are compared.
+
+    python tools/wheel_arm64.py dist/arm64 [--folder target/arm64]
+
+The first argument is a wheel for aarch64, or a folder that holds one (`make wheel-arm64`). An arm64
+Python comes from Debian's archive, by an apt of its own that installs nothing on this system; what
+lightmatrix needs comes from PyPI, as wheels for arm64. The same small estimates are then made by
+this Python and in emulation, which takes minutes, and must agree. Needs apt-get, dpkg-deb and
+qemu-aarch64 (qemu-user). On a machine with such a processor `make wheel-test` does more.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+# Bernoulli bits and grey patterns, rows with neighbours and by themselves: all kernels of the core.
+QUESTION = """
+import platform, sys
+import numpy as np
+import lightmatrix as lm
+print(platform.machine(), "Python", platform.python_version(), "NumPy", np.__version__)
+patterns = lm.BernoulliPatterns((64, 64), 16)
+capture = lm.simulate("metal", patterns, exposure=0.5, noise=0.003)
+# With fewer, rows by themselves have many solutions as good as the best.
+many = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 128), exposure=0.5, noise=0.003)
+grey = lm.ImagePatterns(np.random.default_rng(0).random((16, 64, 64)).astype(np.float32))
+other = lm.simulate("metal", grey, exposure=0.5, noise=0.003)
+found = {
+    "coherent": lm.estimate(capture),
+    "by rows": lm.estimate(many, coherent=False),
+    "grey, by rows": lm.estimate(other, coherent=False),
+}
+kept = {}
+for name, transport in found.items():
+    error = lm.evaluate(transport, capture.truth).relative_error
+    print(f"{name}: relative error {error:.9f}", flush=True)
+    kept[name] = transport.relight(np.eye(64, dtype=np.float32))
+    kept[name + ", dual"] = transport.dual(np.eye(64))
+np.savez(sys.argv[1], **kept)
+"""
+# Debian's Python of our oldest version, and what wheels link to.
+DEBIAN = "deb [signed-by={key}] http://deb.debian.org/debian bookworm main"
+KEY = "/usr/share/keyrings/debian-archive-keyring.gpg"
+PACKAGES = ("python3.11", "libstdc++6", "libgomp1")
+# Sums of float32 in another order.
+AGREE = 1e-4
+
+
+def fetch_root(folder: Path) -> Path:
+    """A folder with an arm64 Python, which apt fetches and nobody installs."""
+    root, apt = folder / "root", folder / "apt"
+    if (root / "usr/bin/python3.11").exists():
+        return root
+    for place in ("state/lists/partial", "cache/archives/partial"):
+        (apt / place).mkdir(parents=True, exist_ok=True)
+    (apt / "sources.list").write_text(DEBIAN.format(key=KEY) + "\n")
+    (apt / "status").touch()
+    (apt / "apt.conf").write_text(
+        'APT::Architecture "arm64";\nAPT::Architectures { "arm64"; };\n'
+        f'Dir::Etc::SourceList "{apt}/sources.list";\nDir::Etc::SourceParts "/dev/null";\n'
+        f'Dir::State "{apt}/state";\nDir::State::status "{apt}/status";\n'
+        f'Dir::Cache "{apt}/cache";\nAPT::Install-Recommends "false";\n'
+    )
+    environment = {**os.environ, "APT_CONFIG": str(apt / "apt.conf")}
+    for words in (["update"], ["install", "--download-only", "--yes", *PACKAGES]):
+        subprocess.run(["apt-get", "-qq", *words], check=True, env=environment)
+    for package in sorted((apt / "cache/archives").glob("*.deb")):
+        subprocess.run(["dpkg-deb", "--extract", package, root], check=True)
+    return root
+
+
+def install(wheel: Path, folder: Path) -> Path:
+    """The wheel and all that it needs, for arm64, in a folder of its own."""
+    site = folder / "site"
+    shutil.rmtree(site, ignore_errors=True)
+    platforms = [f"--platform=manylinux_{name}_aarch64" for name in ("2_28", "2_27", "2_17")]
+    subprocess.run(
+        [sys.executable, "-m", "pip", "install", "--quiet", "--disable-pip-version-check",
+         "--only-binary=:all:", "--python-version=3.11", "--implementation=cp", *platforms,
+         f"--target={site}", str(wheel)],
+        check=True,
+    )  # fmt: skip
+    return site
+
+
+def main() -> None:
+    """Read the arguments and try the wheel."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("wheel", type=Path, help="a wheel for aarch64, or a folder with one")
+    parser.add_argument(
+        "--folder", type=Path, default=Path("target/arm64"), help="kept between runs"
+    )
+    arguments = parser.parse_args()
+    for command in ("apt-get", "dpkg-deb", "qemu-aarch64"):
+        if shutil.which(command) is None:
+            sys.exit(f"{command} is missing: this needs a Debian with the package qemu-user")
+    wheels = sorted(arguments.wheel.glob("*aarch64.whl")) or [arguments.wheel]
+    folder = arguments.folder.absolute()
+    root, site = fetch_root(folder), install(wheels[-1], folder)
+    # BLAS may have been told of a kernel that the other processor has not.
+    kept = {name: value for name, value in os.environ.items() if not name.startswith("OPENBLAS")}
+    emulated = ["qemu-aarch64", "-L", str(root), str(root / "usr/bin/python3.11")]
+    environment = {**kept, "PYTHONPATH": str(site)}
+    subprocess.run([*emulated, "-m", "lightmatrix", "--version"], check=True, env=environment)
+    results: list[dict[str, NDArray[np.floating]]] = []
+    for python, own in (([sys.executable], kept), (emulated, environment)):
+        file = folder / f"results-{len(results)}.npz"
+        subprocess.run([*python, "-c", QUESTION, str(file)], check=True, env=own)
+        results.append(dict(np.load(file)))
+    here, there = results
+    for name, image in here.items():
+        difference = float(np.abs(image - there[name]).max() / np.abs(image).max())
+        print(f"{name}: differs by {difference:.1e} of the greatest value")
+        if difference > AGREE:
+            sys.exit(f"{name} is another on arm64")
+
+
+if __name__ == "__main__":
+    main()
