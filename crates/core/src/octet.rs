@@ -12,7 +12,6 @@ pub trait Octet: Copy {
     unsafe fn load(values: &[f64; 8]) -> Self;
     unsafe fn store(self, values: &mut [f64; 8]);
     unsafe fn plus(self, other: Self) -> Self;
-    unsafe fn minus(self, other: Self) -> Self;
     unsafe fn times(self, other: Self) -> Self;
     /// self - a b; in one rounding where the CPU has an instruction for it.
     unsafe fn minus_product(self, a: Self, b: Self) -> Self;
@@ -40,10 +39,6 @@ impl Octet for Array {
     #[inline(always)]
     unsafe fn plus(self, other: Self) -> Self {
         Array(std::array::from_fn(|i| self.0[i] + other.0[i]))
-    }
-    #[inline(always)]
-    unsafe fn minus(self, other: Self) -> Self {
-        Array(std::array::from_fn(|i| self.0[i] - other.0[i]))
     }
     #[inline(always)]
     unsafe fn times(self, other: Self) -> Self {
@@ -88,10 +83,6 @@ mod register {
         #[inline(always)]
         unsafe fn plus(self, other: Self) -> Self {
             unsafe { Register(_mm512_add_pd(self.0, other.0)) }
-        }
-        #[inline(always)]
-        unsafe fn minus(self, other: Self) -> Self {
-            unsafe { Register(_mm512_sub_pd(self.0, other.0)) }
         }
         #[inline(always)]
         unsafe fn times(self, other: Self) -> Self {
