@@ -93,12 +93,7 @@ impl Model {
             self.active.resize(self.curvature.len() / 64, 0);
             positive(self.level, &self.curvature, &mut self.active);
         }
-        product(
-            self.level,
-            &self.curvature,
-            means,
-            &mut self.weighted_means,
-        );
+        product(self.level, &self.curvature, means, &mut self.weighted_means);
         self.coupled = false;
         self.forget_rows();
     }

@@ -34,7 +34,9 @@ const LANES: [u64; PATTERNS] = [
 pub fn codes(bits: Bits, length: usize) -> Vec<u8> {
     let (bytes, tables) = (column_codes(bits), count(bits.patterns()));
     let mut codes = vec![0; tables * length];
-    let stretches = codes.par_chunks_mut((2 * STEPS * length).max(1)).enumerate();
+    let stretches = codes
+        .par_chunks_mut((2 * STEPS * length).max(1))
+        .enumerate();
     stretches.for_each(|(stretch, codes)| {
         let first = 2 * STEPS * stretch;
         let steps = (tables - first).min(2 * STEPS) / 2;
@@ -144,8 +146,7 @@ unsafe fn pass<const R: usize>(
     let all = codes.len() / length.max(1) / 2;
     let ones = _mm512_set1_epi8(1);
     let out = out.map(|out| out.as_mut_ptr());
-    let shifts: [__m512i; R] =
-        std::array::from_fn(|r| _mm512_set1_epi16(shifts[r].wrapping_neg()));
+    let shifts: [__m512i; R] = std::array::from_fn(|r| _mm512_set1_epi16(shifts[r].wrapping_neg()));
     let mut code = codes.as_ptr();
     for first in (0..all).step_by(STEPS) {
         let steps = STEPS.min(all - first);
