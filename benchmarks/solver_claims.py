@@ -12,9 +12,11 @@ from benchmarks.solver_rows import REGULARIZATION
 Row = dict[str, Any]
 # Limits in seconds are for two cores with AVX-512.
 FRAME_SECONDS = {256: 1.5, 1024: 5.0}
-PASS_TIMES = {"tables, avx512": 8.0, "tables, avx2": 3.0}
-HADAMARD_TIMES = {1024: 50.0}
-CELER_TIMES = {64: 200.0, 256: 400.0, 1024: 300.0}
+# Against BLAS with the processor's own kernel, 1.6 times as fast as the one that these limits were
+# first set against (then AVX2 3 times, Hadamard 50).
+PASS_TIMES = {"tables, avx512": 8.0, "tables, avx2": 2.0}
+HADAMARD_TIMES = {1024: 35.0}
+CELER_TIMES = {64: 200.0, 256: 500.0, 1024: 300.0}
 
 
 def claims(results: dict[str, Any]) -> list[Row]:
@@ -42,8 +44,9 @@ def claims(results: dict[str, Any]) -> list[Row]:
     for count, limit in FRAME_SECONDS.items():
         chosen = [f for f in frames if f["patterns"] == count]
         table.append(_most(f"whole frame, K = {count}, s", [f["seconds"] for f in chosen], limit))
-        over = f"over one SGEMM pass, one core, K = {count}"
-        table.append(_most(over, [f["core_ratio"] for f in chosen], 1.0))
+        for where, ratio in (("one core", "core_ratio"), ("whole frame", "ratio")):
+            over = f"over one SGEMM pass, {where}, K = {count}"
+            table.append(_most(over, [f[ratio] for f in chosen], 1.0))
     for count, limit in CELER_TIMES.items():
         found = [
             p["times_active_set"]

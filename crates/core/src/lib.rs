@@ -13,6 +13,7 @@
 )]
 
 pub mod active_set;
+pub mod aligned;
 pub mod atoms;
 pub mod bits;
 pub mod coherent;

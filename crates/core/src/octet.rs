@@ -12,8 +12,11 @@ pub trait Octet: Copy {
     unsafe fn load(values: &[f64; 8]) -> Self;
     unsafe fn store(self, values: &mut [f64; 8]);
     unsafe fn plus(self, other: Self) -> Self;
-    unsafe fn minus(self, other: Self) -> Self;
     unsafe fn times(self, other: Self) -> Self;
+    /// self - a b; in one rounding where the CPU has an instruction for it.
+    unsafe fn minus_product(self, a: Self, b: Self) -> Self;
+    /// Bits of the numbers above zero.
+    unsafe fn positive(self) -> u8;
 }
 
 /// For any CPU.
@@ -38,12 +41,16 @@ impl Octet for Array {
         Array(std::array::from_fn(|i| self.0[i] + other.0[i]))
     }
     #[inline(always)]
-    unsafe fn minus(self, other: Self) -> Self {
-        Array(std::array::from_fn(|i| self.0[i] - other.0[i]))
-    }
-    #[inline(always)]
     unsafe fn times(self, other: Self) -> Self {
         Array(std::array::from_fn(|i| self.0[i] * other.0[i]))
+    }
+    #[inline(always)]
+    unsafe fn minus_product(self, a: Self, b: Self) -> Self {
+        Array(std::array::from_fn(|i| self.0[i] - a.0[i] * b.0[i]))
+    }
+    #[inline(always)]
+    unsafe fn positive(self) -> u8 {
+        (0..8).fold(0, |bits, i| bits | u8::from(self.0[i] > 0.0) << i)
     }
 }
 
@@ -78,12 +85,16 @@ mod register {
             unsafe { Register(_mm512_add_pd(self.0, other.0)) }
         }
         #[inline(always)]
-        unsafe fn minus(self, other: Self) -> Self {
-            unsafe { Register(_mm512_sub_pd(self.0, other.0)) }
-        }
-        #[inline(always)]
         unsafe fn times(self, other: Self) -> Self {
             unsafe { Register(_mm512_mul_pd(self.0, other.0)) }
+        }
+        #[inline(always)]
+        unsafe fn minus_product(self, a: Self, b: Self) -> Self {
+            unsafe { Register(_mm512_fnmadd_pd(a.0, b.0, self.0)) }
+        }
+        #[inline(always)]
+        unsafe fn positive(self) -> u8 {
+            unsafe { _mm512_cmp_pd_mask::<_CMP_GT_OQ>(self.0, _mm512_setzero_pd()) }
         }
     }
 }

@@ -35,6 +35,7 @@ impl Level {
                     && has!("avx512dq")
                     && has!("avx512vl")
                     && has!("avx512vpopcntdq")
+                    && has!("avx512vbmi")
                 {
                     levels.push(Level(Kind::Avx512));
                 }

@@ -72,7 +72,57 @@ multiversion! {
 pub struct DataTerm {
     pub y: Vec<f64>,
     pub weights: Vec<f64>,
+    /// One over the weights, 0 where they are: a division takes ten times a product.
+    pub inverse: Vec<f64>,
     pub lower: Vec<f64>,
+}
+
+multiversion! {
+    /// out = 1 / w, or 0 where w is.
+    pub fn invert(weights: &[f64], out: &mut [f64]) {
+        for (out, w) in out.iter_mut().zip(weights) {
+            *out = if *w > 0.0 { 1.0 / w } else { 0.0 };
+        }
+    }
+}
+
+multiversion! {
+    /// out = 0 where a sample is clipped, minus infinity elsewhere.
+    pub fn one_sided(clipped: &[bool], out: &mut [f64]) {
+        for (out, clipped) in out.iter_mut().zip(clipped) {
+            *out = if *clipped { 0.0 } else { f64::NEG_INFINITY };
+        }
+    }
+}
+
+multiversion! {
+    /// The energy of the means over two-sided samples that count.
+    pub fn free_energy(means: &[f64], weights: &[f64], lower: &[f64]) -> f64 {
+        let mut sums = [0.0; SUMS];
+        let n = means.len();
+        let (weights, lower) = (&weights[..n], &lower[..n]);
+        for start in (0..n / SUMS).map(|i| i * SUMS) {
+            let means = &means[start..start + SUMS];
+            let (weights, lower) = (&weights[start..start + SUMS], &lower[start..start + SUMS]);
+            for i in 0..SUMS {
+                let free = (weights[i] > 0.0) & (lower[i] == f64::NEG_INFINITY);
+                sums[i] += if free { means[i] * means[i] } else { 0.0 };
+            }
+        }
+        fold(sums)
+    }
+}
+
+multiversion! {
+    /// theta -= factor m on two-sided samples that count.
+    pub fn subtract_free(
+        theta: &mut [f64], factor: f64, means: &[f64], weights: &[f64], lower: &[f64]
+    ) {
+        for (((theta, m), w), l) in theta.iter_mut().zip(means).zip(weights).zip(lower) {
+            let free = (*w > 0.0) & (*l == f64::NEG_INFINITY);
+            *theta -= if free { factor * m } else { 0.0 };
+        }
+    }
 }
 
 multiversion! {
@@ -134,14 +184,19 @@ multiversion! {
 }
 
 multiversion! {
-    /// sum theta^2 / w over the samples that count.
-    pub fn weighted_square(theta: &[f64], weights: &[f64]) -> f64 {
-        let mut sums = [0.0; SUMS];
-        for (t, w) in theta.chunks_exact(SUMS).zip(weights.chunks_exact(SUMS)) {
+    /// sum y theta and sum theta^2 / w over the samples that count.
+    pub fn dual_sums(y: &[f64], inverse: &[f64], theta: &[f64]) -> (f64, f64) {
+        let (mut linear, mut square) = ([0.0; SUMS], [0.0; SUMS]);
+        let n = theta.len();
+        let (y, inverse) = (&y[..n], &inverse[..n]);
+        for start in (0..n / SUMS).map(|i| i * SUMS) {
+            let (y, inverse) = (&y[start..start + SUMS], &inverse[start..start + SUMS]);
+            let theta = &theta[start..start + SUMS];
             for i in 0..SUMS {
-                sums[i] += if w[i] > 0.0 { t[i] * t[i] / w[i] } else { 0.0 };
+                linear[i] += y[i] * theta[i];
+                square[i] += theta[i] * theta[i] * inverse[i];
             }
         }
-        fold(sums)
+        (fold(linear), fold(square))
     }
 }

@@ -7,7 +7,11 @@ mod products;
 mod solver;
 mod threads;
 
+use lightmatrix_core::aligned::Aligned;
 use pyo3::prelude::*;
+
+#[global_allocator]
+static ALLOCATOR: Aligned = Aligned;
 
 #[pymodule]
 fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {

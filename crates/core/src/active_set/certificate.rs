@@ -7,7 +7,7 @@
 
 use crate::problem::Settings;
 use crate::simd::Level;
-use crate::vector::{dot, weighted_square, DataTerm};
+use crate::vector::{dot, dual_sums, free_energy, subtract_free, DataTerm};
 
 /// Near the optimum the best scaling is 1; far beyond, it would only magnify rounding errors in
 /// m' theta = 0.
@@ -30,15 +30,10 @@ pub fn orthogonal_to_means(
     if excess == 0.0 || (settings.nonnegative && excess < 0.0) {
         return 0.0;
     }
-    let free = |k: usize| data.weights[k] > 0.0 && data.lower[k] == f64::NEG_INFINITY;
-    let energy: f64 = (0..theta.len())
-        .filter(|&k| free(k))
-        .map(|k| means[k] * means[k])
-        .sum();
+    let (weights, lower) = (&data.weights, &data.lower);
+    let energy = free_energy(level, means, weights, lower);
     if energy > 0.0 {
-        for k in (0..theta.len()).filter(|&k| free(k)) {
-            theta[k] -= excess / energy * means[k];
-        }
+        subtract_free(level, theta, excess / energy, means, weights, lower);
     } else {
         // What counts against the means lies on one-sided samples: leave those out.
         for k in (0..theta.len()).filter(|&k| means[k] > 0.0) {
@@ -57,8 +52,7 @@ pub fn dual_value(
     theta: &[f64],
     largest: f64,
 ) -> f64 {
-    let linear = dot(level, &data.y, theta);
-    let square = weighted_square(level, theta, &data.weights);
+    let (linear, square) = dual_sums(level, &data.y, &data.inverse, theta);
     if square <= 0.0 {
         return 0.0;
     }

@@ -9,9 +9,9 @@ use crate::simd::{multiversion, Level};
 /// Largest order.
 pub const LARGEST: usize = 256;
 const LANES: usize = 8;
-/// Rows are this far apart: room for the right side, and no power of two, which would crowd one
-/// cache set.
-const STRIDE: usize = LARGEST + LANES;
+/// Rows are this far apart: room for the right side and an octet more, which comes along where
+/// octets go in pairs, and no power of two, which would crowd one cache set.
+const STRIDE: usize = LARGEST + 2 * LANES;
 /// Pivots below this share of their diagonal mean that a column depends on those before it.
 const DEPENDENT: f64 = 1e-10;
 /// Rows factorised at a time.
@@ -98,15 +98,40 @@ octets! {
         let end = (size + 1).div_ceil(LANES);
         for first in (0..size).step_by(PANEL) {
             let count = PANEL.min(size - first);
-            let (panel, rest) = r[first * STRIDE..].split_at_mut(PANEL * STRIDE);
+            let (above, panel) = r.split_at_mut(first * STRIDE);
             let start = first / LANES;
+            // All rows above at once, so that the panel stays in registers meanwhile: two octets
+            // wide, that loads of factors are shared.
+            for column in (start..end).step_by(2) {
+                let at = |row: usize, part: usize| row * STRIDE + (column + part) * LANES;
+                let load = |from: &[f64], place: usize| {
+                    O::load(from[place..].first_chunk().expect("whole octets"))
+                };
+                let mut sums: [[O; 2]; PANEL] =
+                    std::array::from_fn(|k| std::array::from_fn(|part| load(panel, at(k, part))));
+                for row in above.chunks_exact(STRIDE) {
+                    let factors: &[f64; PANEL] = row[first..].first_chunk().expect("whole panels");
+                    let there = [0, 1].map(|part| load(row, at(0, part)));
+                    for (sums, factor) in sums.iter_mut().zip(factors) {
+                        let factor = O::splat(*factor);
+                        for (sum, there) in sums.iter_mut().zip(there) {
+                            *sum = sum.minus_product(factor, there);
+                        }
+                    }
+                }
+                for (k, sums) in sums.into_iter().enumerate() {
+                    for (part, sum) in sums.into_iter().enumerate() {
+                        sum.store(panel[at(k, part)..].first_chunk_mut().expect("whole octets"));
+                    }
+                }
+            }
             for k in 0..count {
                 let (above, row) = panel.split_at_mut(k * STRIDE);
                 let row = &mut row.as_chunks_mut().0[start..end];
                 for above in above.chunks_exact(STRIDE) {
                     let factor = O::splat(above[first + k]);
                     for (row, above) in row.iter_mut().zip(&above.as_chunks().0[start..end]) {
-                        O::load(row).minus(factor.times(O::load(above))).store(row);
+                        O::load(row).minus_product(factor, O::load(above)).store(row);
                     }
                 }
                 let pivot = row[0][first + k - start * LANES];
@@ -116,23 +141,6 @@ octets! {
                 let scale = O::splat(1.0 / pivot.sqrt());
                 for row in row {
                     O::load(row).times(scale).store(row);
-                }
-            }
-            if count < PANEL {
-                break;
-            }
-            let (a, others) = panel.split_at(STRIDE);
-            let (b, others) = others.split_at(STRIDE);
-            let (c, d) = others.split_at(STRIDE);
-            for (i, row) in (first + PANEL..size).zip(rest.chunks_exact_mut(STRIDE)) {
-                let [f, g, h, k] = [O::splat(a[i]), O::splat(b[i]), O::splat(c[i]), O::splat(d[i])];
-                let whole = i / LANES..end;
-                let [a, b, c, d] = [a, b, c, d].map(|row| &row.as_chunks().0[whole.clone()]);
-                let row = &mut row.as_chunks_mut().0[whole];
-                for ((((row, a), b), c), d) in row.iter_mut().zip(a).zip(b).zip(c).zip(d) {
-                    let first = f.times(O::load(a)).plus(g.times(O::load(b)));
-                    let second = h.times(O::load(c)).plus(k.times(O::load(d)));
-                    O::load(row).minus(first.plus(second)).store(row);
                 }
             }
         }
@@ -150,11 +158,11 @@ octets! {
             };
             let ((pairs, place), (factor_pairs, factor)) = (places.as_chunks::<2>(), factors.as_chunks::<2>());
             for (places, factors) in pairs.iter().zip(factor_pairs) {
-                even = even.minus(O::splat(factors[0]).times(row(places[0])));
-                odd = odd.minus(O::splat(factors[1]).times(row(places[1])));
+                even = even.minus_product(O::splat(factors[0]), row(places[0]));
+                odd = odd.minus_product(O::splat(factors[1]), row(places[1]));
             }
             for (place, factor) in place.iter().zip(factor) {
-                even = even.minus(O::splat(*factor).times(row(*place)));
+                even = even.minus_product(O::splat(*factor), row(*place));
             }
             even.plus(odd).store(values);
         }

@@ -5,9 +5,9 @@
 //! are.
 
 use super::gram::GramSource;
-use crate::octet::WIDTH;
+use crate::octet::{octets, WIDTH};
 use crate::problem::Dictionary;
-use crate::simd::Level;
+use crate::simd::{multiversion, Level};
 use crate::vector::{dot, DataTerm};
 
 /// Columns with less curvature than this share of the samples are combinations of the background.
@@ -90,21 +90,10 @@ impl Model {
         std::mem::swap(curvature, &mut self.curvature);
         self.active.clear();
         if self.unit_weights {
-            let words = self.curvature.chunks_exact(64).map(|d| {
-                d.iter()
-                    .enumerate()
-                    .fold(0u64, |word, (i, &d)| word | u64::from(d > 0.0) << i)
-            });
-            self.active.extend(words);
+            self.active.resize(self.curvature.len() / 64, 0);
+            positive(self.level, &self.curvature, &mut self.active);
         }
-        for ((dm, d), m) in self
-            .weighted_means
-            .iter_mut()
-            .zip(&self.curvature)
-            .zip(means)
-        {
-            *dm = d * m;
-        }
+        product(self.level, &self.curvature, means, &mut self.weighted_means);
         self.coupled = false;
         self.forget_rows();
     }
@@ -183,6 +172,24 @@ impl Model {
         if row[j] > FLAT * self.curvature.len() as f64 {
             self.inverse[j] = 1.0 / row[j];
             self.diagonal[j] = row[j];
+        }
+    }
+}
+
+octets! {
+    /// Bits of the values above zero, 64 a word.
+    fn positive<O>(values: &[f64], words: &mut [u64]) {
+        for (word, values) in words.iter_mut().zip(values.as_chunks::<64>().0) {
+            let octets = values.as_chunks().0.iter().enumerate();
+            *word = octets.fold(0, |word, (i, v)| word | u64::from(O::load(v).positive()) << (8 * i));
+        }
+    }
+}
+
+multiversion! {
+    fn product(a: &[f64], b: &[f64], out: &mut [f64]) {
+        for ((out, a), b) in out.iter_mut().zip(a).zip(b) {
+            *out = a * b;
         }
     }
 }

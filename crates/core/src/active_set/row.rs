@@ -6,7 +6,7 @@ use super::pricing::Pricing;
 use super::restricted::Restricted;
 use crate::correlate::Scores;
 use crate::problem::{Dictionary, Fidelity, Rows, Settings, Solution, Values};
-use crate::vector::{padded, residual, signed_sums, DataTerm};
+use crate::vector::{dot, invert, one_sided, padded, residual, signed_sums, DataTerm};
 
 /// New pixels taken in after the first pass,
 const FIRST_PIXELS: usize = 8;
@@ -67,6 +67,7 @@ impl<'a> RowSolver<'a> {
             data: DataTerm {
                 y: zeros(),
                 weights: zeros(),
+                inverse: zeros(),
                 lower: vec![f64::NEG_INFINITY; n],
             },
             energy: 0.0,
@@ -202,16 +203,20 @@ impl<'a> RowSolver<'a> {
             }
             Some(values) => Values::copy(&values, first, &mut self.data.weights[..n]),
         }
-        self.data.lower[..n].fill(f64::NEG_INFINITY);
         let clipped = &rows.clipped[first..first + n];
-        for k in (0..n).filter(|&k| clipped[k]) {
-            match self.settings.fidelity {
-                Fidelity::Linear => {}
-                Fidelity::OneSided => self.data.lower[k] = 0.0,
-                Fidelity::Rejection => self.data.weights[k] = 0.0,
+        let level = self.dictionary.level;
+        self.data.lower[..n].fill(f64::NEG_INFINITY);
+        match self.settings.fidelity {
+            Fidelity::Linear => {}
+            Fidelity::OneSided => one_sided(level, clipped, &mut self.data.lower[..n]),
+            Fidelity::Rejection => {
+                for (weight, &clipped) in self.data.weights.iter_mut().zip(clipped) {
+                    *weight = if clipped { 0.0 } else { *weight };
+                }
             }
         }
-        self.energy = self.data.y.iter().map(|y| y * y).sum::<f64>() / 2.0;
+        invert(level, &self.data.weights, &mut self.data.inverse);
+        self.energy = dot(level, &self.data.y, &self.data.y) / 2.0;
         self.held = false;
     }
 

@@ -1,129 +1,182 @@
-//! The look-up pass with AVX-512: tables of six patterns, 64 sums in two registers, one permute.
+//! The look-up pass with AVX-512: tables of six patterns, 64 sums of a byte each in one register.
+//!
+//! A step takes two tables. Adjacent bytes belong to one pixel, the even one an index into the first
+//! table and the odd one into the second: one permute looks both up for 32 pixels, and one product
+//! with ones adds the two in 16 bits.
 
 use super::scores::Scores;
+use super::tables::{count, PATTERNS};
+use crate::bits::{column_codes, Bits};
 use crate::simd::{Kind, Level};
+use rayon::prelude::*;
 use std::arch::x86_64::*;
 
-/// Pixels whose sums stay in the first-level cache while all patterns pass.
-const TILE: usize = 2048;
-/// Values of the four tables of one step (two planes are two steps' worth each of two tables).
+/// Entries of a table, and bytes of a register.
 const TABLE: usize = 64;
-/// Planes of twelve patterns taken at a time.
-const PLANES: usize = 2;
+/// Pixels of a register: two bytes each.
+const HALF: usize = 32;
+/// Pixels whose sums are in registers while patterns pass.
+const BLOCK: usize = 2 * HALF;
+/// Steps at a time: tables of so many stay in the first-level cache.
+const STEPS: usize = 32;
+/// Bit i of each index below 64.
+const LANES: [u64; PATTERNS] = [
+    0xaaaa_aaaa_aaaa_aaaa,
+    0xcccc_cccc_cccc_cccc,
+    0xf0f0_f0f0_f0f0_f0f0,
+    0xff00_ff00_ff00_ff00,
+    0xffff_0000_ffff_0000,
+    0xffff_ffff_0000_0000,
+];
+
+/// Indices of all pixels, in the order in which `run` reads them: `STEPS` steps at a time, blocks of
+/// pixels one after the other, within each all steps.
+pub fn codes(bits: Bits, length: usize) -> Vec<u8> {
+    let (bytes, tables) = (column_codes(bits), count(bits.patterns()));
+    let mut codes = vec![0; tables * length];
+    let stretches = codes
+        .par_chunks_mut((2 * STEPS * length).max(1))
+        .enumerate();
+    stretches.for_each(|(stretch, codes)| {
+        let first = 2 * STEPS * stretch;
+        let steps = (tables - first).min(2 * STEPS) / 2;
+        let halves = codes.par_chunks_exact_mut(steps * 2 * BLOCK).enumerate();
+        halves.for_each(|(block, codes)| {
+            for (i, half) in codes.chunks_exact_mut(2 * HALF).enumerate() {
+                let (table, pixel) = (first + i / 2 * 2, block * BLOCK + i % 2 * HALF);
+                let [even, odd] = [table, table + 1].map(|t| indices(&bytes, bits, t, pixel));
+                for ((pair, even), odd) in half.as_chunks_mut::<2>().0.iter_mut().zip(even).zip(odd)
+                {
+                    *pair = [even, odd | TABLE as u8];
+                }
+            }
+        });
+    });
+    codes
+}
+
+/// Indices into one table of `HALF` pixels from `first` on.
+fn indices(bytes: &[u8], bits: Bits, table: usize, first: usize) -> [u8; HALF] {
+    let mut indices = [0; HALF];
+    let end = bits.pixels().min(first + HALF);
+    for i in 0..PATTERNS {
+        let pattern = table + i * count(bits.patterns());
+        if pattern < bits.patterns() && first < end {
+            let plane = &bytes[pattern / 8 * bits.pixels()..][first..end];
+            for (index, byte) in indices.iter_mut().zip(plane) {
+                *index |= (byte >> (pattern % 8) & 1) << i;
+            }
+        }
+    }
+    indices
+}
 
 /// # Panics
 /// If the level is not AVX-512 or the lengths do not fit.
 pub fn run(
     level: Level,
-    codes: &[u16],
+    codes: &[u8],
     length: usize,
     rows: &[Vec<i16>],
-    tables: &mut Vec<i16>,
+    tables: &mut Vec<u8>,
     out: &mut [&mut Scores],
 ) {
     assert_eq!(level.kind(), Kind::Avx512);
-    let planes = codes.len() / length.max(1);
-    assert!(planes.is_multiple_of(PLANES) && length.is_multiple_of(32));
-    assert!(rows.iter().all(|row| row.len() <= 12 * planes));
+    let each = codes.len() / length.max(1);
+    assert!(each.is_multiple_of(2) && length.is_multiple_of(BLOCK));
+    assert!(rows.iter().all(|row| count(row.len()) == each));
     assert!(out.iter().all(|out| out.values.len() == length));
     tables.clear();
-    tables.resize(rows.len() * 2 * planes * TABLE, 0);
-    for (row, tables) in rows.iter().zip(tables.chunks_exact_mut(2 * planes * TABLE)) {
-        for (values, table) in row.chunks(6).zip(tables.chunks_exact_mut(TABLE)) {
-            let mut six = [0; 6];
-            six[..values.len()].copy_from_slice(values);
-            // SAFETY: the level proves the instructions.
-            unsafe { subset_sums(six, table) };
-        }
+    tables.resize(rows.len() * each * TABLE, 0);
+    let mut shifts = [0; super::scores::BATCH];
+    let parts = tables.chunks_exact_mut((each * TABLE).max(1));
+    for ((row, tables), shift) in rows.iter().zip(parts).zip(&mut shifts) {
+        // SAFETY: the level proves the instructions.
+        *shift = unsafe { make_tables(row, tables) };
     }
     // SAFETY, for all: the level proves the instructions; the asserts above are the contract.
     match out {
-        [a] => unsafe { pass(codes, length, tables, [&mut a.values]) },
-        [a, b] => unsafe { pass(codes, length, tables, [&mut a.values, &mut b.values]) },
+        [a] => unsafe { pass(codes, length, tables, &shifts, [&mut a.values]) },
+        [a, b] => unsafe {
+            let out = [&mut a.values[..], &mut b.values];
+            pass(codes, length, tables, &shifts, out);
+        },
         [a, b, c] => unsafe {
-            pass(
-                codes,
-                length,
-                tables,
-                [&mut a.values, &mut b.values, &mut c.values],
-            );
+            let out = [&mut a.values[..], &mut b.values, &mut c.values];
+            pass(codes, length, tables, &shifts, out);
         },
         _ => assert!(out.is_empty()),
     }
 }
 
-/// `subsets::subset_sums` of six values, whose table is two registers: with the common one a pass
-/// over 512 patterns takes 8 % longer at 128 x 128 pixels and 19 % longer at 32 x 32.
+/// The tables of a row, each shifted so that its least sum is 0; returns what all shifts together
+/// add to a score.
 #[target_feature(enable = "avx512f,avx512bw")]
-fn subset_sums(values: [i16; 6], table: &mut [i16]) {
-    let lanes = [
-        0xaaaa_aaaa,
-        0xcccc_cccc,
-        0xf0f0_f0f0,
-        0xff00_ff00,
-        0xffff_0000,
-    ];
-    let mut low = _mm512_setzero_si512();
-    for (mask, value) in lanes.into_iter().zip(values) {
-        low = _mm512_add_epi16(low, _mm512_maskz_set1_epi16(mask, value));
+fn make_tables(row: &[i16], tables: &mut [u8]) -> i16 {
+    let each = tables.len() / TABLE;
+    let mut all = 0i16;
+    for (t, table) in tables.as_chunks_mut::<TABLE>().0.iter_mut().enumerate() {
+        let values = || row[t..].iter().step_by(each);
+        let shift: i16 = values().map(|value| -value.min(&0)).sum();
+        all = all.wrapping_add(shift);
+        // The sums of a table span no more than 255, so that bytes hold them whatever they wrap on
+        // the way.
+        let mut sums = _mm512_set1_epi8(shift as i8);
+        for (value, lanes) in values().zip(LANES) {
+            let value = _mm512_maskz_set1_epi8(lanes, *value as i8);
+            sums = _mm512_add_epi8(sums, value);
+        }
+        // SAFETY: a table holds one register.
+        unsafe { _mm512_storeu_si512(table.as_mut_ptr().cast(), sums) };
     }
-    let high = _mm512_add_epi16(low, _mm512_set1_epi16(values[5]));
-    let (first, second) = table.split_at_mut(32);
-    assert!(first.len() == 32 && second.len() == 32);
-    // SAFETY: each half holds one register.
-    unsafe {
-        _mm512_storeu_si512(first.as_mut_ptr().cast(), low);
-        _mm512_storeu_si512(second.as_mut_ptr().cast(), high);
-    }
+    all
 }
 
 /// # Safety
-/// `codes` holds an even number of planes of `length` words, `length` a multiple of 32; `tables`
-/// two tables a plane for each row; each `out` has `length` values.
-#[target_feature(enable = "avx512f,avx512bw")]
-unsafe fn pass<const R: usize>(codes: &[u16], length: usize, tables: &[i16], out: [&mut [i16]; R]) {
-    let planes = codes.len() / length;
+/// `length` is a multiple of `BLOCK`; `codes` holds an even number of bytes a pixel, `tables` a table
+/// for each of them and row; each `out` has `length` values.
+#[target_feature(enable = "avx512f,avx512bw,avx512vbmi")]
+unsafe fn pass<const R: usize>(
+    codes: &[u8],
+    length: usize,
+    tables: &[u8],
+    shifts: &[i16],
+    out: [&mut [i16]; R],
+) {
+    let all = codes.len() / length.max(1) / 2;
+    let ones = _mm512_set1_epi8(1);
     let out = out.map(|out| out.as_mut_ptr());
-    for tile in (0..length).step_by(TILE) {
-        let end = (tile + TILE).min(length);
-        for plane in (0..planes).step_by(PLANES) {
-            let mut sums = [[[_mm512_setzero_si512(); 4]; PLANES]; R];
-            for (r, sums) in sums.iter_mut().enumerate() {
-                for (p, sums) in sums.iter_mut().enumerate() {
-                    for (half, sums) in sums.iter_mut().enumerate() {
-                        let at = (2 * (r * planes + plane + p)) * TABLE + 32 * half;
-                        // SAFETY: r < R and plane + p < planes, so 128 values follow 128 times
-                        // (r planes + plane + p).
-                        *sums = unsafe { _mm512_loadu_si512(tables.as_ptr().add(at).cast()) };
+    let shifts: [__m512i; R] = std::array::from_fn(|r| _mm512_set1_epi16(shifts[r].wrapping_neg()));
+    let mut code = codes.as_ptr();
+    for first in (0..all).step_by(STEPS) {
+        let steps = STEPS.min(all - first);
+        for pixel in (0..length).step_by(BLOCK) {
+            // SAFETY: codes of `steps` steps are read for each block, once each; a row has `all`
+            // pairs of tables; pixel + BLOCK <= length bounds the sums.
+            unsafe {
+                let mut sums = shifts.map(|shift| [shift; 2]);
+                if first > 0 {
+                    for (sums, out) in sums.iter_mut().zip(out) {
+                        let there = |half: usize| out.add(pixel + half * HALF).cast_const().cast();
+                        *sums = [0, 1].map(|half| _mm512_loadu_si512(there(half)));
                     }
                 }
-            }
-            for pixel in (tile..end).step_by(32) {
-                // SAFETY: pixel + 32 <= length, and so are the reads and writes of 32 values.
-                unsafe {
-                    let mut total = [_mm512_setzero_si512(); R];
-                    if plane > 0 {
-                        for r in 0..R {
-                            total[r] = _mm512_loadu_si512(out[r].add(pixel).cast());
+                for step in first..first + steps {
+                    let index = [0, 1].map(|half| _mm512_loadu_si512(code.add(half * 64).cast()));
+                    code = code.add(2 * BLOCK);
+                    for (r, sums) in sums.iter_mut().enumerate() {
+                        let table = tables.as_ptr().add((r * all + step) * 2 * TABLE);
+                        let even = _mm512_loadu_si512(table.cast());
+                        let odd = _mm512_loadu_si512(table.add(TABLE).cast());
+                        for (sum, index) in sums.iter_mut().zip(index) {
+                            let both = _mm512_permutex2var_epi8(even, index, odd);
+                            *sum = _mm512_add_epi16(*sum, _mm512_maddubs_epi16(both, ones));
                         }
                     }
-                    // An index, not an iterator: it walks the second axis of `sums`.
-                    #[allow(clippy::needless_range_loop)]
-                    for p in 0..PLANES {
-                        let at = (plane + p) * length + pixel;
-                        let low = _mm512_loadu_si512(codes.as_ptr().add(at).cast());
-                        // The permute reads the six low bits of each index only.
-                        let high = _mm512_srli_epi16::<6>(low);
-                        for r in 0..R {
-                            let [a, b, c, d] = sums[r][p];
-                            let first = _mm512_permutex2var_epi16(a, low, b);
-                            let second = _mm512_permutex2var_epi16(c, high, d);
-                            total[r] = _mm512_add_epi16(total[r], first);
-                            total[r] = _mm512_add_epi16(total[r], second);
-                        }
-                    }
-                    for r in 0..R {
-                        _mm512_storeu_si512(out[r].add(pixel).cast(), total[r]);
+                }
+                for (sums, out) in sums.into_iter().zip(out) {
+                    for (half, sum) in sums.into_iter().enumerate() {
+                        _mm512_storeu_si512(out.add(pixel + half * HALF).cast(), sum);
                     }
                 }
             }

@@ -15,6 +15,7 @@ mod lookup;
 mod quantise;
 mod scores;
 mod select;
+mod tables;
 mod transform;
 
 use crate::atoms::Atoms;
@@ -52,7 +53,7 @@ enum Kind {
 #[derive(Default)]
 pub struct Scratch {
     quantised: [Vec<i16>; BATCH],
-    tables: Vec<i16>,
+    tables: Vec<u8>,
     /// For atoms: what the pass over single pixels gives, and works in.
     single: [Scores; BATCH],
     inner: Option<Box<Scratch>>,

@@ -1,12 +1,13 @@
 //! Rounding to integers whose sums fit 16 bits, with a sure bound on what it does to any sum.
 
+use super::tables::{self, largest_span};
 use crate::simd::{multiversion, Level};
 use crate::vector::signed_sums;
 
 /// Which sums of the integers have to fit.
 #[derive(Clone, Copy, PartialEq)]
 pub enum Sums {
-    /// Sums over subsets (0/1 patterns).
+    /// Sums over subsets (0/1 patterns), and those of a table in a byte.
     OfSubsets,
     /// Sums with any signs (+1/-1 patterns).
     Signed,
@@ -42,12 +43,19 @@ pub fn quantise(level: Level, e: &[f64], count: usize, sums: Sums, out: &mut Vec
     // Denormal residuals would make the unit zero; as zeros they change no decision.
     let (unit, lost) = if range < f64::MIN_POSITIVE * 1e6 {
         (1.0, (0.0, 0.0))
-    } else if count <= NEAREST {
-        let unit = range / (LARGEST - count as f64 / 2.0);
-        (unit, to_nearest(level, e, 1.0 / unit, out))
     } else {
-        let unit = range / LARGEST;
-        (unit, towards_zero(e, 1.0 / unit, out))
+        let span = match sums {
+            Sums::OfSubsets => largest_span(level, &e[..count]),
+            Sums::Signed => 0.0,
+        };
+        if count <= NEAREST {
+            let byte = tables::SPAN - tables::PATTERNS as f64 / 2.0;
+            let unit = (range / (LARGEST - count as f64 / 2.0)).max(span / byte);
+            (unit, to_nearest(level, e, 1.0 / unit, out))
+        } else {
+            let unit = (range / LARGEST).max(span / tables::SPAN);
+            (unit, towards_zero(e, 1.0 / unit, out))
+        }
     };
     out.truncate(count);
     Rounded {

@@ -51,6 +51,15 @@ pub unsafe fn sweep(
             let band = _mm512_loadu_pd(band.as_ptr().add(block));
             let mut pull = _mm512_loadu_pd(pulls.add(block));
             let mut moved = zero;
+            // Where none would move at first none will: most blocks of pixels that stay at zero.
+            let first = if signed {
+                _mm512_min_pd(back, _mm512_add_pd(pull, band))
+            } else {
+                back
+            };
+            if _mm512_cmp_pd_mask::<_CMP_NEQ_UQ>(_mm512_max_pd(pull, first), zero) == 0 {
+                continue;
+            }
             let mut moves = [zero; WIDTH];
             for (i, by) in moves.iter_mut().enumerate() {
                 let back = if signed {
@@ -62,10 +71,7 @@ pub unsafe fn sweep(
                 moved = _mm512_mask_mov_pd(moved, 1 << i, all);
                 *by = _mm512_permutexvar_pd(_mm512_set1_epi64(i as i64), all);
                 let row = _mm512_loadu_pd(rows.add(i * size + block));
-                pull = _mm512_sub_pd(pull, _mm512_mul_pd(*by, row));
-            }
-            if _mm512_cmp_pd_mask::<_CMP_NEQ_UQ>(moved, zero) == 0 {
-                continue;
+                pull = _mm512_fnmadd_pd(*by, row, pull);
             }
             // A pixel that goes back to zero lands on it exactly.
             _mm512_storeu_pd(at, _mm512_add_pd(x, moved));
@@ -75,12 +81,15 @@ pub unsafe fn sweep(
             // The next block first: it waits for nothing else.
             let others = (block + WIDTH..size).chain(0..block);
             for other in others.step_by(WIDTH) {
-                let row =
-                    |i: usize| _mm512_mul_pd(moves[i], _mm512_loadu_pd(rows.add(i * size + other)));
-                let a = _mm512_add_pd(_mm512_add_pd(row(0), row(1)), _mm512_add_pd(row(2), row(3)));
-                let b = _mm512_add_pd(_mm512_add_pd(row(4), row(5)), _mm512_add_pd(row(6), row(7)));
-                let old = _mm512_loadu_pd(pulls.add(other));
-                _mm512_storeu_pd(pulls.add(other), _mm512_sub_pd(old, _mm512_add_pd(a, b)));
+                let row = |i: usize| _mm512_loadu_pd(rows.add(i * size + other));
+                let mut a = _mm512_loadu_pd(pulls.add(other));
+                let mut b = _mm512_mul_pd(moves[1], row(1));
+                a = _mm512_fnmadd_pd(moves[0], row(0), a);
+                for i in [2, 4, 6] {
+                    a = _mm512_fnmadd_pd(moves[i], row(i), a);
+                    b = _mm512_fmadd_pd(moves[i + 1], row(i + 1), b);
+                }
+                _mm512_storeu_pd(pulls.add(other), _mm512_sub_pd(a, b));
             }
         }
     }

@@ -53,6 +53,7 @@ fn sweeps_as_defined() {
     let data = DataTerm {
         y: vec![1.0; n],
         weights: vec![1.0; n],
+        inverse: vec![1.0; n],
         lower: vec![f64::NEG_INFINITY; n],
     };
     for level in Level::available() {
