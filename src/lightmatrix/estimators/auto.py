@@ -8,11 +8,11 @@ from pathlib import Path
 from lightmatrix.capture.capture import Capture
 from lightmatrix.errors import InputError
 from lightmatrix.estimators.coherent.estimator import WORTH_IT_UP_TO, CoherentEstimator
-from lightmatrix.estimators.join import Progress
 from lightmatrix.estimators.multiscale.estimator import MultiScaleEstimator
 from lightmatrix.estimators.needs import Needs, needs_of
 from lightmatrix.estimators.plain import PlainEstimator
 from lightmatrix.estimators.regularization import held_out_path
+from lightmatrix.estimators.steps import Progress
 from lightmatrix.files.memory import memory_bytes
 from lightmatrix.outputs.kinds import STORE
 from lightmatrix.outputs.writing import check_output
