@@ -76,11 +76,10 @@ class Checkpoint:
             or the disk fails.
         """
         wanted = json.loads(json.dumps(dict(fingerprint), default=str))
-        token = hashlib.sha256(json.dumps(wanted, sort_keys=True).encode()).hexdigest()
         with ExitStack() as claim:
             target = claim.enter_context(claimed(path, STORE, overwrite=overwrite))
             kept = _begun(target, wanted, overwrite)
-            return cls(Path(path), kept, token, overwrite, claim.pop_all())
+            return cls(Path(path), kept, _token(wanted), overwrite, claim.pop_all())
 
     def __enter__(self) -> Self:
         return self
@@ -154,6 +153,17 @@ class Checkpoint:
         """
         return SparseRows.joined(list(self._tiles(step)))
 
+    def keep(self, name: str, data: bytes) -> None:
+        """Keep a file of another kind until the output is whole.
+
+        Raises
+        ------
+        OutputError
+            If the disk fails.
+        """
+        with self._kept.keep(name) as part:
+            part.write_bytes(data)
+
     def forget(self, step: str) -> None:
         """Throw away the tiles of a step."""
         for name in self._kept.names:
@@ -224,6 +234,16 @@ class Checkpoint:
         """A finished tile; None if it is damaged."""
         file = self._kept.file(tile_name(step, span))
         return read_tile(file, self.token, span[1] - span[0])
+
+
+def fingerprint_token(folder: Path) -> str | None:
+    """What the tiles of a folder of running results are marked with; None if there are none."""
+    found = read_object(folder / _FINGERPRINT)
+    return None if found is None else _token(found)
+
+
+def _token(fingerprint: Mapping[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(fingerprint, sort_keys=True).encode()).hexdigest()
 
 
 def _begun(target: Path, wanted: Mapping[str, Any], overwrite: bool) -> RunningFolder:
