@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -137,6 +138,24 @@ def estimate(
             show_default="what is free",
         ),
     ] = None,
+    workers: Annotated[
+        int | None,
+        typer.Option(
+            help="Processes on this machine that solve rows, and share its cores and --memory; the "
+            "result is the same. Needs the extra cluster.",
+            min=1,
+            show_default="this one",
+        ),
+    ] = None,
+    cluster: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ADDRESS",
+            help="Let the workers of the Dask scheduler at this address solve rows, such as "
+            "tcp://10.0.0.1:8786; all see capture and output by the same paths. --memory is that "
+            "of each.",
+        ),
+    ] = None,
     check: Annotated[
         bool,
         typer.Option(
@@ -193,6 +212,8 @@ def estimate(
         iterations=iterations,
         tile_rows=tile_rows,
         memory=memory,
+        workers=workers,
+        cluster=cluster,
     )
     if not dry_run:
         claim(output, STORE, overwrite=overwrite)
@@ -205,17 +226,16 @@ def estimate(
         _show_needs(needs, as_json)
         return
     _tell_needs(needs, check)
-    opened.check(order=False)
-    findings = lm.check(taken) if check else []
-    refuse_disorder(findings)
-    # What else is wrong spoils less than all of it.
-    for finding in findings:
-        warn(f"{finding.kind}: {finding.message}\n  {finding.advice}", style="yellow")
     try:
-        with progress("estimating", "rows") as step:
-            transport = estimator.estimate(
-                opened, checkpoint=output, overwrite=overwrite, progress=step
-            )
+        # What is wrong with workers is said before frames are read.
+        with estimator.crew(opened) as crew:
+            if crew is not None:
+                warn(str(crew))
+            findings = _findings(opened, taken, check)
+            with progress("estimating", "rows") as step:
+                transport = estimator.estimate(
+                    opened, checkpoint=output, overwrite=overwrite, progress=step, crew=crew
+                )
     except KeyboardInterrupt:
         kept = output.with_name(output.name + PARTIAL).exists()
         note = "finished tiles are kept, run again to go on" if kept else "nothing was finished yet"
@@ -223,7 +243,9 @@ def estimate(
     seconds = round(time.perf_counter() - started, 2)
     told = None
     if report is not None:
-        told = _report(report, output, where, transport, opened, estimator, findings, overwrite)
+        # Photographs are held out of a part of the camera, which this process does by itself.
+        here = replace(estimator, workers=None, cluster=None)
+        told = _report(report, output, where, transport, opened, here, findings, overwrite)
     summary = transport.summary()
     if as_json:
         found = [finding.as_dict() for finding in findings]
@@ -269,6 +291,17 @@ def _tell_needs(needs: Needs, check: bool) -> None:
         warn(f"this takes {needs}")
     if needs.advice:
         warn(f"less: {needs.advice}", style="yellow")
+
+
+def _findings(opened: Capture, taken: Capture, check: bool) -> list[Finding]:
+    """What is wrong with the frames, told; what makes an estimate impossible is refused."""
+    opened.check(order=False)
+    findings = lm.check(taken) if check else []
+    refuse_disorder(findings)
+    # What else is wrong spoils less than all of it.
+    for finding in findings:
+        warn(f"{finding.kind}: {finding.message}\n  {finding.advice}", style="yellow")
+    return findings
 
 
 def _report(

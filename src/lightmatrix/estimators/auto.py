@@ -145,6 +145,20 @@ class AutoEstimator:
         elsewhere = self.cluster is not None
         return needs_of(capture, method, row_bytes, self._most, self.workers or 1, elsewhere)
 
+    def check_shared(self, output: str | Path | None) -> None:
+        """Refuse a cluster without an output.
+
+        Raises
+        ------
+        InputError
+            As workers have nowhere to write what they find.
+        """
+        if self.cluster is not None and output is None:
+            raise InputError(
+                "workers of a cluster, and no output where they write what they find",
+                hint="give an output on a file system that all of them share",
+            )
+
     def crew(self, capture: Capture) -> AbstractContextManager[Crew | None]:
         """The workers that were asked for, started or found and checked; None: this process.
 
@@ -195,11 +209,7 @@ class AutoEstimator:
         ClusterError
             On workers that cannot be reached or do not see the capture or the output, or all die.
         """
-        if self.cluster is not None and checkpoint is None:
-            raise InputError(
-                "workers of a cluster, and no output where they write what they find",
-                hint="give an output on a file system that all of them share",
-            )
+        self.check_shared(checkpoint)
         with nullcontext(crew) if crew is not None else self.crew(capture) as found:
             return self.estimator(capture).estimate(
                 capture,
@@ -380,6 +390,7 @@ def estimate(
         workers,
         cluster,
     )
+    estimator.check_shared(output)
     if output is not None:
         check_output(output, STORE, overwrite=overwrite)
     taken = capture if isinstance(capture, Capture) else Capture.open(capture, check=False)

@@ -270,7 +270,7 @@ def _begun(target: Path, wanted: Mapping[str, Any], overwrite: bool) -> RunningF
 
 
 def _results(kept: RunningFolder) -> bool:
-    return any(name != _FINGERPRINT for name in kept.names)
+    return any(tile_of(name) is not None for name in kept.names)
 
 
 def _span(name: str, step: str) -> Span | None:

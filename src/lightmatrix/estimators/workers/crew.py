@@ -32,14 +32,25 @@ class DaskCrew:
     ----------
     client : distributed.Client
         Of a scheduler whose workers were checked.
+    cores : int
+        Threads of all of them.
+    memory : int
+        Bytes that each is expected to take.
     """
 
     client: Client
+    cores: int
+    memory: int
     _jobs: dict[str, Job] = field(default_factory=dict)
+
+    def __str__(self) -> str:
+        count = len(self.threads)
+        workers = f"{count} worker{'s' if count > 1 else ''}"
+        return f"{workers}, {self.cores} threads in all, about {self.memory / 2**30:.2g} GiB each"
 
     @property
     def threads(self) -> dict[str, int]:
-        """Threads of each worker that is there, by its address."""
+        """Threads of each worker that is there, as Dask counts them, by its address."""
         return dict(self.client.nthreads())
 
     @property

@@ -38,7 +38,7 @@ def opened(
     cluster : str, optional
         The address of a scheduler of Dask, such as tcp://10.0.0.1:8786, with workers.
     memory : int
-        Bytes that each worker of a cluster will take.
+        Bytes that each worker will take.
 
     Raises
     ------
@@ -64,7 +64,7 @@ def opened(
         facts = _facts(client, cluster or "the workers started here")
         if cluster is not None:
             _check_memory(facts, memory)
-        crew = DaskCrew(client)
+        crew = DaskCrew(client, sum(fact["threads"] for fact in facts), memory)
         stack.callback(crew.close)
         yield crew
 

@@ -20,6 +20,7 @@ from lightmatrix._version import __version__
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.frames import PixelFrames
 from lightmatrix.errors import ClusterError, InputError, LightMatrixError
+from lightmatrix.estimators.needs import usual_threads
 from lightmatrix.estimators.steps import SolveTile, Work
 from lightmatrix.estimators.workers.travel import unpacked
 from lightmatrix.files.memory import available_bytes
@@ -80,9 +81,12 @@ class _Bench:
 _bench = _Bench()
 
 
-def about() -> dict[str, Any]:
+def about(dask_worker: Any) -> dict[str, Any]:
     """What a worker is, JSON-ready: compared with what the client is."""
+    # Started by us it is told its threads; by others it has those that Dask knows of.
+    os.environ.setdefault(_THREADS, str(dask_worker.state.nthreads))
     return {
+        "threads": usual_threads(),
         "versions": versions(),
         "host": platform.node(),
         "process": os.getpid(),
