@@ -115,11 +115,12 @@ def joined(
         if crew is None:
             complete(plan.work, running)
         else:
-            complete(plan.work, running, parts=crew.parts, solve=partial(_elsewhere, crew, running))
+            complete(plan.work, running, parts=crew.parts, solve=partial(elsewhere, crew, running))
         return running.finish(**plan.shapes)
 
 
-def _elsewhere(crew: Crew, running: Checkpoint, work: Work, step: str, spans: list[Span]) -> None:
+def elsewhere(crew: Crew, running: Checkpoint, work: Work, step: str, spans: list[Span]) -> None:
+    """Let a crew solve tiles of a step, as `complete` wants it done."""
     crew.solve(work, step, spans, running)
 
 
