@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import pickle
 import signal
+import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator
@@ -18,6 +19,7 @@ import pytest
 
 import lightmatrix as lm
 from lightmatrix import store
+from lightmatrix.capture.packed import PackedFrames
 from lightmatrix.cli import main
 from lightmatrix.errors import ClusterError, InputError, MissingExtraError
 from lightmatrix.estimators.coherent import stages
@@ -58,6 +60,12 @@ def capture(tmp_path_factory: pytest.TempPathFactory) -> lm.Capture:
     scene = lm.ProceduralScene((24, 22), (24, 24))
     lm.simulate_procedural(folder, scene, lm.BernoulliPatterns((24, 24), 24))
     return lm.Capture.open(folder, check=False)
+
+
+def place_of(capture: lm.Capture) -> Path:
+    """Where it lies."""
+    assert isinstance(capture.frames, PackedFrames)
+    return capture.frames.array.place.parent
 
 
 def same(one: LightTransport, other: LightTransport) -> bool:
@@ -126,6 +134,38 @@ def test_a_worker_that_dies_costs_its_tile_only(
     assert os.listdir(tmp_path) == ["s.zarr"]
 
 
+KILLED = """
+import os, pathlib, signal, sys
+import lightmatrix as lm
+from tests.test_workers import ESTIMATORS
+from lightmatrix.estimators.join import joined
+from lightmatrix.estimators.workers.opening import opened
+capture = lm.Capture.open(sys.argv[1], check=False)
+kill = lambda done, total: done > total / 2 and os.kill(os.getpid(), signal.SIGKILL)
+with opened(cluster=sys.argv[2]) as crew:
+    plan = ESTIMATORS["coherent"].plan(capture, kill)
+    joined(plan, checkpoint=pathlib.Path(sys.argv[3]), overwrite=False, crew=crew)
+"""
+
+
+@SIGNALS
+def test_a_killed_estimate_goes_on_with_its_workers(
+    capture: lm.Capture, cluster: Any, tmp_path: Path
+) -> None:
+    address, target = cluster.scheduler_address, tmp_path / "s.zarr"
+    command = [sys.executable, "-c", KILLED, str(place_of(capture)), address, str(target)]
+    killed = subprocess.run(command, cwd=Path(__file__).parents[1], check=False)
+    assert killed.returncode == -signal.SIGKILL
+    assert not target.exists()
+    told = list[int]()
+    plan = ESTIMATORS["coherent"].plan(capture, lambda done, total: told.append(done))
+    with opened(cluster=address) as crew:
+        found = joined(plan, checkpoint=target, overwrite=False, crew=crew)
+    assert min(told) > 0.4 * capture.rows
+    assert same(found, ESTIMATORS["coherent"].estimate(capture))
+    assert os.listdir(tmp_path) == ["s.zarr"]
+
+
 def test_with_workers_and_without_runs_go_on_where_they_stopped(
     capture: lm.Capture, cluster: Any, tmp_path: Path
 ) -> None:
@@ -161,9 +201,16 @@ def test_the_command_starts_workers_of_its_own(
     capture: lm.Capture, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     output = tmp_path / "s.zarr"
-    folder = str(capture.frames.array.place.parent)  # type: ignore[attr-defined]
     threads = threading.active_count()
-    command = ["estimate", folder, "-o", str(output), "--no-coherent", "--workers", "2"]
+    command = [
+        "estimate",
+        str(place_of(capture)),
+        "-o",
+        str(output),
+        "--no-coherent",
+        "--workers",
+        "2",
+    ]
     assert main([*command, "--memory", "2GiB", "--no-check"]) == 0
     assert "2 workers" in capsys.readouterr().err
     assert same(store.open(output), lm.estimate(capture, coherent=False))
