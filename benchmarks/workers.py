@@ -1,11 +1,11 @@
 """How much faster two workers are than one: `python -m benchmarks.workers`.
 
-Workers have one thread each. First both give the same bits as no worker does; then each estimates in
-turn, so that other work on the machine meets both alike, and the best of the repeats counts. Starting
-the workers does not count; reading, solving, writing and joining do. Beside the clock's time stands
-the processors', of workers and of the process that hands out tiles: on a machine that is busy with
-other work the clock tells nothing, and what more of the processors two workers take than one bounds
-what they would gain on two idle cores.
+Workers have one thread each. First both give the same bits as no worker does; then each estimates
+in turn, so that other work on the machine meets both alike, and the best of the repeats counts.
+Starting the workers does not count; reading, solving, writing and joining do. Beside the clock's
+time stands the processors', of workers and of the process that hands out tiles: on a machine that
+is busy with other work the clock tells little, and how much more of the processors two workers take
+bounds what they would gain on two idle cores.
 
     python -m benchmarks.workers [--camera 96] [--projector 96] [--count 64] [--repeats 3]
 """

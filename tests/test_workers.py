@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from systems import SIGNALS
 
 import lightmatrix as lm
 from lightmatrix import store
@@ -32,7 +33,6 @@ from lightmatrix.estimators.workers import opening, travel
 from lightmatrix.estimators.workers.opening import opened
 from lightmatrix.solvers import ActiveSet
 from lightmatrix.transport.matrix import LightTransport
-from tests.systems import SIGNALS
 
 distributed = pytest.importorskip("distributed")
 WINDOWS = ((2, 1), (1, 1))
@@ -110,6 +110,13 @@ def test_workers_find_the_same(
     assert os.listdir(tmp_path) == ["s.zarr"]
 
 
+def test_a_crew_makes_one_estimate_after_the_other(capture: lm.Capture, cluster: Any) -> None:
+    alone = ESTIMATORS["plain"].estimate(capture)
+    with opened(cluster=cluster.scheduler_address) as crew:
+        for _ in range(2):
+            assert same(ESTIMATORS["plain"].estimate(capture, crew=crew), alone)
+
+
 @SIGNALS
 def test_a_worker_that_dies_costs_its_tile_only(
     capture: lm.Capture, cluster: Any, tmp_path: Path
@@ -137,7 +144,7 @@ def test_a_worker_that_dies_costs_its_tile_only(
 KILLED = """
 import os, pathlib, signal, sys
 import lightmatrix as lm
-from tests.test_workers import ESTIMATORS
+from test_workers import ESTIMATORS
 from lightmatrix.estimators.join import joined
 from lightmatrix.estimators.workers.opening import opened
 capture = lm.Capture.open(sys.argv[1], check=False)
@@ -154,7 +161,7 @@ def test_a_killed_estimate_goes_on_with_its_workers(
 ) -> None:
     address, target = cluster.scheduler_address, tmp_path / "s.zarr"
     command = [sys.executable, "-c", KILLED, str(place_of(capture)), address, str(target)]
-    killed = subprocess.run(command, cwd=Path(__file__).parents[1], check=False)
+    killed = subprocess.run(command, cwd=Path(__file__).parent, check=False)
     assert killed.returncode == -signal.SIGKILL
     assert not target.exists()
     told = list[int]()

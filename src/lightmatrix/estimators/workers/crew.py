@@ -7,6 +7,7 @@ import time
 from collections import deque
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
+from weakref import WeakKeyDictionary
 
 from lightmatrix.errors import ClusterError, LightMatrixError
 from lightmatrix.estimators.steps import Work
@@ -41,7 +42,7 @@ class DaskCrew:
     client: Client
     cores: int
     memory: int
-    _jobs: dict[str, Job] = field(default_factory=dict)
+    _jobs: WeakKeyDictionary[Checkpoint, Job] = field(default_factory=WeakKeyDictionary)
 
     def __str__(self) -> str:
         count = len(self.threads)
@@ -111,12 +112,11 @@ class DaskCrew:
 
     def close(self) -> None:
         """Let the workers close what they opened."""
-        for job in self._jobs.values():
-            self.client.run(forget, job.digest, on_error="ignore")
+        self.client.run(forget, on_error="ignore")
 
     def _job(self, work: Work, running: Checkpoint) -> Job:
         """The estimate where workers find it, which each of them was asked about."""
-        if running.token not in self._jobs:
+        if running not in self._jobs:
             data = packed(work)
             running.keep(JOB, data)
             digest = hashlib.sha256(data).hexdigest()
@@ -124,8 +124,8 @@ class DaskCrew:
             for address, answer in self.client.run(look, job, on_error="return").items():
                 if isinstance(answer, BaseException):
                     raise _of_worker(address, answer)
-            self._jobs[running.token] = job
-        return self._jobs[running.token]
+            self._jobs[running] = job
+        return self._jobs[running]
 
     def _submit(
         self,

@@ -67,7 +67,7 @@ class Job:
 class _Bench:
     """The one estimate that a worker has open, and the step of it that it is at."""
 
-    digest: str = ""
+    job: Job | None = None
     work: Work | None = None
     step: str = ""
     solve_tile: SolveTile | None = None
@@ -75,7 +75,7 @@ class _Bench:
     lock: threading.Lock = field(default_factory=threading.Lock)
 
     def clear(self) -> None:
-        self.digest, self.work, self.step, self.solve_tile = "", None, "", None
+        self.job, self.work, self.step, self.solve_tile = None, None, "", None
 
 
 _bench = _Bench()
@@ -186,9 +186,9 @@ def solve(job: Job, step: str, span: Span, before: Mapping[str, list[Span]], thr
         write_tile(Path(job.folder) / tile_name(step, span), job.token, rows)
 
 
-def forget(digest: str) -> None:
+def forget() -> None:
     """Close an estimate that is done."""
-    if _bench.digest == digest and _bench.lock.acquire(blocking=False):
+    if _bench.lock.acquire(blocking=False):
         try:
             _bench.clear()
         finally:
@@ -196,7 +196,7 @@ def forget(digest: str) -> None:
 
 
 def _opened(job: Job) -> Work:
-    if _bench.digest != job.digest or _bench.work is None:
+    if _bench.job != job or _bench.work is None:
         _bench.clear()
         file = Path(job.folder) / JOB
         data = _patiently(lambda: _bytes_of(file, job.digest))
@@ -205,7 +205,7 @@ def _opened(job: Job) -> Work:
                 f"does not find the estimate in {file}",
                 hint="write the output to a file system that all workers share, by the same path",
             )
-        _bench.digest, _bench.work = job.digest, unpacked(data)
+        _bench.job, _bench.work = job, unpacked(data)
     return _bench.work
 
 
