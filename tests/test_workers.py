@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import threading
+import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -41,16 +42,22 @@ WINDOWS = ((2, 1), (1, 1))
 @pytest.fixture(scope="module")
 def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     """Two workers that somebody else started."""
-    with distributed.LocalCluster(
-        n_workers=2,
-        threads_per_worker=1,
-        host="127.0.0.1",
-        dashboard_address=None,
-        silence_logs=50,
-        memory_limit=0,
-        local_directory=str(tmp_path_factory.mktemp("dask")),
-    ) as started:
-        yield started
+    # On a busy machine Dask warns of slow disks and slow ends.
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        started = distributed.LocalCluster(
+            n_workers=2,
+            threads_per_worker=1,
+            host="127.0.0.1",
+            dashboard_address=None,
+            silence_logs=50,
+            memory_limit=0,
+            local_directory=str(tmp_path_factory.mktemp("dask")),
+        )
+    yield started
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        started.close()
 
 
 @pytest.fixture(scope="module")

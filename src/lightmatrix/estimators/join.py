@@ -18,6 +18,8 @@ from lightmatrix._version import __version__
 from lightmatrix.camera.samples import Samples
 from lightmatrix.capture.capture import Capture
 from lightmatrix.estimators.steps import InMemory, Work, complete
+from lightmatrix.outputs.room import check_disk
+from lightmatrix.outputs.targets import final_target
 from lightmatrix.solvers import Solver
 from lightmatrix.solvers.problem import Result, check_regularization
 from lightmatrix.store import ROWS, Checkpoint
@@ -27,6 +29,8 @@ from lightmatrix.transport.sparse_rows import SparseRows
 
 # Working memory of one tile of rows, well below the 4 GiB that any estimate may take.
 TILE_BYTES = 512 << 20
+# Of a row; most have more.
+_FEW_ENTRIES = 16
 
 
 class Crew(Protocol):
@@ -111,12 +115,22 @@ def joined(
         return LightTransport(
             rows.coefficients, rows.background, diagnostics=rows.diagnostics, **plan.shapes
         )
+    target = final_target(checkpoint)
+    check_disk(target.parent, _least_bytes(plan), checkpoint, "at least about")
     with Checkpoint.open(checkpoint, plan.fingerprint, overwrite=overwrite) as running:
         if crew is None:
             complete(plan.work, running)
         else:
             complete(plan.work, running, parts=crew.parts, solve=partial(elsewhere, crew, running))
         return running.finish(**plan.shapes)
+
+
+def _least_bytes(plan: Plan) -> int:
+    """Bytes that tiles and the output will take together, with few entries a row."""
+    cells = plan.background_grid[0] * plan.background_grid[1]
+    # Tiles are kept until the output is whole, which is compressed.
+    row = 6 * cells + 8 * _FEW_ENTRIES + 40
+    return row * plan.work.capture.rows
 
 
 def elsewhere(crew: Crew, running: Checkpoint, work: Work, step: str, spans: list[Span]) -> None:

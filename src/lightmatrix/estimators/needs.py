@@ -282,6 +282,7 @@ class Needs:
             "seconds": self.seconds,
             "available_bytes": self.available,
             "fits": self.fits,
+            "workers": self.workers,
             "options": [
                 {"say": words, "memory_bytes": size.memory, "seconds": size.seconds(cores)}
                 for words, size in self.options

@@ -178,6 +178,8 @@ def _quiet() -> Iterator[None]:
     try:
         with warnings.catch_warnings():
             warnings.filterwarnings("ignore", module=r"distributed(\..*)?")
+            # Told as if others said it, where the machine is busy.
+            warnings.filterwarnings("ignore", message="Creating scratch directories")
             yield
     finally:
         logger.setLevel(level)
