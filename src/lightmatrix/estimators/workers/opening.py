@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from lightmatrix.errors import ClusterError, MissingExtraError
 from lightmatrix.estimators.needs import usual_threads
+from lightmatrix.estimators.workers import started
 from lightmatrix.estimators.workers.crew import SAME, DaskCrew
 from lightmatrix.estimators.workers.solving import about, versions
 
@@ -95,6 +96,7 @@ def _started(workers: int) -> Iterator[Client]:
                     # A tile is what bounds memory, not Dask, which would kill at a share of it.
                     memory_limit=0,
                     local_directory=folder,
+                    preload=[started.__name__],
                     env=dict.fromkeys(_THREADS, str(threads_each(workers))),
                 )
             )
