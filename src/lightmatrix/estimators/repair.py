@@ -31,6 +31,12 @@ class Repair:
         Files within the store that were damaged, and are whole again.
     rows : int
         Camera samples that were solved again for it.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> lm.Repair(("data/c/0",), 4096).chunks
+    ('data/c/0',)
     """
 
     chunks: tuple[str, ...]
@@ -80,11 +86,11 @@ def repair(
     Examples
     --------
     >>> import lightmatrix as lm
+    >>> from pathlib import Path
     >>> capture = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 32))
-    >>> settings = lm.AutoEstimator(coherent=False, iterations=20)
-    >>> _ = settings.estimate(capture, checkpoint=Path("damaged.zarr"))
-    >>> (Path("damaged.zarr") / "diagnostics" / "gap" / "c" / "0").unlink()
-    >>> lm.repair("damaged.zarr", capture, estimator=settings)
+    >>> _ = lm.estimate(capture, coherent=False, output="damaged.zarr")
+    >>> Path("damaged.zarr/diagnostics/gap/c/0").unlink()
+    >>> lm.repair("damaged.zarr", capture, estimator=lm.AutoEstimator(coherent=False))
     Repair(chunks=('diagnostics/gap/c/0',), rows=4096)
     """
     place = Path(path)
