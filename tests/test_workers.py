@@ -11,6 +11,7 @@ import threading
 import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from multiprocessing import spawn
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -338,6 +339,16 @@ def test_workers_share_memory_and_threads(
     assert "(2 workers)" in str(two)
     monkeypatch.setenv("RAYON_NUM_THREADS", "8")
     assert [opening.threads_each(workers) for workers in (1, 3, 16)] == [8, 2, 1]
+
+
+def test_workers_do_not_read_the_script_that_starts_them() -> None:
+    def told(name: str) -> set[str]:
+        return {key for key in spawn.get_preparation_data(name) if key.startswith("init_main")}
+
+    with opening._without_script():
+        assert not told("Dask Worker process (from Nanny)")
+        assert told("another's")
+    assert told("Dask Worker process (from Nanny)")
 
 
 def test_what_travels_leaves_behind_what_was_worked_out(

@@ -7,7 +7,7 @@ import warnings
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
-from multiprocessing import current_process
+from multiprocessing import spawn
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 # Seconds that a scheduler may take to answer, and its first worker to come.
 ANSWER, ARRIVAL = 10, 30
+# What Dask calls the processes of its workers.
+_WORKER = "Dask Worker process"
 # Of the compiled core and of BLAS.
 _THREADS = ("RAYON_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
@@ -79,12 +81,8 @@ def threads_each(workers: int) -> int:
 def _started(workers: int) -> Iterator[Client]:
     from distributed import Client, LocalCluster
 
-    if getattr(current_process(), "_inheriting", False):
-        raise ClusterError(
-            "a worker runs the script that it was started from",
-            hint="estimate with workers under `if __name__ == '__main__':`",
-        )
     with TemporaryDirectory(prefix="lightmatrix-workers-") as folder, ExitStack() as stack:
+        stack.enter_context(_without_script())
         try:
             cluster = stack.enter_context(
                 LocalCluster(
@@ -105,10 +103,31 @@ def _started(workers: int) -> Iterator[Client]:
             told = " ".join(str(error).split())[:200]
             raise ClusterError(
                 f"{workers} workers could not be started ({type(error).__name__}: {told})",
-                hint="a script that estimates with workers does so under "
-                "`if __name__ == '__main__':`; or use fewer of them",
+                hint="use fewer of them, or none",
             ) from error
         yield client
+
+
+@contextmanager
+def _without_script() -> Iterator[None]:
+    """Start workers without the script that is running, which spawned processes read again.
+
+    They need nothing of it, and one that estimates with workers as it is read would start others.
+    """
+    usual = spawn.get_preparation_data
+
+    def prepared(name: str) -> dict[str, Any]:
+        told = usual(name)
+        if name.startswith(_WORKER):
+            told.pop("init_main_from_name", None)
+            told.pop("init_main_from_path", None)
+        return told
+
+    spawn.get_preparation_data = prepared
+    try:
+        yield
+    finally:
+        spawn.get_preparation_data = usual
 
 
 @contextmanager
