@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.sparse import csr_array
 
-from lightmatrix.estimators.coherent.backgrounds import CORE, Backgrounds
+from lightmatrix.estimators.coherent.backgrounds import WALL, Backgrounds
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.transport.matrix import cell_means
 
@@ -35,7 +35,7 @@ def test_halos_are_the_kernel_summed_over_cells(
     place = np.indices(shape).reshape(2, -1).astype(float)
     distance = ((place[:, :, None] - place[:, None, :]) ** 2).sum(axis=0)
     inside = cell_means(shape, grid).toarray() > 0
-    light = rows @ (1 / (distance + CORE**2)) @ inside.T
+    light = rows @ (distance + (WALL * max(shape)) ** 2) ** -2.0 @ inside.T
     light[~rows.any(axis=1)] = inside.sum(axis=1)
     np.testing.assert_allclose(found, light / light.sum(axis=1, keepdims=True), rtol=2e-4)
 

@@ -128,7 +128,7 @@ def test_they_are_the_mean_of_the_guesses(camera: Any, projector: Any, k: int, s
         weights[:k] *= samples.clipped[row]
         assert samples.weights is not None
         used = samples.weights[row] > 0
-        weights *= used.any() * min(1, 16 / max(1, (used & ~samples.clipped[row]).sum()))
+        weights *= used.any() * min(1, 32 / max(1, (used & ~samples.clipped[row]).sum())) ** 2
         weights[weights < 1e-4] = 0
         near = np.isclose(found.weights[row], weights, rtol=0.02, atol=2e-4)
         assert near.all()

@@ -36,7 +36,7 @@ def test_blur_costs_no_patterns() -> None:
     """Measured: .027; by single pixels only several times as much."""
     case = Case("l_objects", "blur 1", 32, side=SIDE)
     assert error_of(case) < 0.035
-    assert error_of(case, CoherentEstimator(sizes=(0.0,))) > 3 * 0.035
+    assert error_of(case, CoherentEstimator(sizes=(0.0,))) > 2.5 * 0.035
 
 
 def test_it_does_not_matter_how_the_camera_is_held() -> None:

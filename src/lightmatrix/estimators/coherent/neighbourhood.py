@@ -37,9 +37,10 @@ UNSEEN_SEED = 0x5EED_0F_64
 SAMPLE_DEVIATION = 0.0033
 # Guesses are never surer than this share of their mean: neighbours err alike.
 COMMON_ERROR = 0.02
-# They help rows of few known samples. With more than this many they weigh less in proportion, for
-# what neighbours err in common does not average out.
-ENOUGH = 16
+# They help rows of few known samples. With more than this many they weigh less, by the square of
+# the proportion: what a row says of itself grows with its samples, what neighbours err in common
+# stays.
+ENOUGH = 32
 # By this share of what makes a spot likely the pixels within it become likely too: little at first,
 # for single pixels explain everything, noise as well; more once they are believed in only where
 # they were needed.
@@ -138,7 +139,8 @@ class Neighbourhood:
         # Masked rows, none of whose samples counts, stay empty.
         used = np.broadcast_to(weights is None or weights > 0, clipped.shape)
         known = (used & ~clipped).sum(axis=1, keepdims=True)
-        weight *= used.any(axis=1, keepdims=True) * np.minimum(1, ENOUGH / np.maximum(known, 1))
+        helped = np.minimum(1, (ENOUGH / np.maximum(known, 1)) ** 2)
+        weight *= helped * used.any(axis=1, keepdims=True)
         weight[weight < LEAST_WEIGHT] = 0
         return Expectation(unseen, values, weight)
 
