@@ -22,7 +22,7 @@ $(VENV)/.installed: $(BIN)/python $(CORE)
 	@touch $@
 
 $(VENV)/.test-installed: $(VENV)/.installed
-	$(BIN)/python tools/requirements.py dev render docs response exr raw | \
+	$(BIN)/python tools/requirements.py dev render docs response exr raw cluster | \
 	  $(BIN)/python -m pip install --quiet --disable-pip-version-check -r /dev/stdin
 	for extra in window aravis gentl video dslr; do \
 	  $(BIN)/python tools/requirements.py $$extra | \
@@ -70,8 +70,9 @@ fuzz: test-install ## N damaged inputs, 20,000 unless said: make fuzz N=500
 live-faults: test-install ## N captures of a rig that fails and is killed, 200 unless said: make live-faults N=20
 	$(BIN)/python -m tests.live.rig_faults --count $(or $(N),200)
 
-kills: test-install ## N estimates killed at random moments, 50 unless said: make kills N=10
+kills: test-install ## N estimates killed at random moments, and N whose workers are; 50 unless said: make kills N=10
 	$(BIN)/python -m tests.kills --count $(or $(N),50)
+	$(BIN)/python -m tests.kills --count $(or $(N),50) --small --workers 2
 
 mutants: test-install ## break 200 things in solvers, estimators, capture: how many do tests notice?
 	$(BIN)/python tools/mutants.py --count 200 --least 0.8

@@ -20,7 +20,7 @@ HEAVY = ("numpy", "scipy", "matplotlib", "zarr", "rich", "typer", "PIL", "imagei
 NAMES = sorted(name for name in dir(lm) if not name.startswith("_"))
 # Errors are told apart by their names and documented by their base.
 PLAIN = {"InputError", "OutputError", "SolverError", "MissingExtraError", "LightMatrixWarning"}
-PLAIN |= {"DeviceError", "FrameTimeoutError"}
+PLAIN |= {"ClusterError", "DeviceError", "FrameTimeoutError"}
 
 
 @pytest.fixture(autouse=True)

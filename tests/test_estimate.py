@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import json
+import os
+import shutil
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -14,7 +17,7 @@ from lightmatrix import store
 from lightmatrix.camera.sensor import Sensor
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.folder import write_capture
-from lightmatrix.errors import InputError
+from lightmatrix.errors import InputError, OutputError
 from lightmatrix.estimators import plain
 from lightmatrix.estimators.join import solver_provenance
 from lightmatrix.estimators.plain import PlainEstimator
@@ -116,6 +119,16 @@ def test_regularization_defaults_to_the_rule(rig: tuple[Path, Truth]) -> None:
     assert found.provenance["regularization"] == pytest.approx(0.16 / EXPOSURE)
     chosen = replace(PlainEstimator(SaturationADMM(max_iterations=1)), regularization=0.7)
     assert chosen.estimate(capture).provenance["regularization"] == 0.7
+
+
+def test_a_disk_that_is_too_small_is_said_before_anything_is_solved(
+    rig: tuple[Path, Truth], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(shutil, "disk_usage", lambda place: SimpleNamespace(free=5000))
+    monkeypatch.setattr(plain, "solve", None)
+    with pytest.raises(OutputError, match="takes at least about"):
+        PlainEstimator(ActiveSet()).estimate(Capture.open(rig[0]), checkpoint=tmp_path / "s.zarr")
+    assert not os.listdir(tmp_path)
 
 
 def test_empty_tiles_are_refused() -> None:

@@ -505,7 +505,7 @@ def test_running_results_are_kept_found_and_removed(tmp_path: Path) -> None:
     with kept.keep("c.json") as part:
         part.write_text("3")
     # As a killed run leaves it.
-    (kept.path / ".b.part.json").touch()
+    (kept.path / ".b.0123abcd.part.json").touch()
     (kept.path / "d.json").write_text("of somebody else")
     again = RunningFolder.open(tmp_path / "out", ".cases")
     assert again.names == ["a.json", "c.json"]

@@ -23,6 +23,7 @@ from systems import LIMITS, SIGNALS
 
 from lightmatrix import store
 from lightmatrix.errors import InputError, OutputError
+from lightmatrix.store.tiles import gaps
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.transport.sparse_rows import SparseRows
 
@@ -252,7 +253,7 @@ def run(path: Path, fail_at: int | None = None, overwrite: bool = False) -> int:
         for start, stop in TILES:
             if start == fail_at:
                 raise KeyboardInterrupt
-            if not running.has(start, stop):
+            if (start, stop) not in running.spans():
                 write_tile(running, start, stop)
         finish(running)
     return resumed
@@ -334,7 +335,9 @@ def test_a_complete_output_needs_overwrite_and_stays_until_replaced(tmp_path: Pa
     assert_same(store.open(path), transport())
 
 
-def test_another_tiling_starts_anew_and_a_damaged_tile_is_computed_again(tmp_path: Path) -> None:
+def test_another_tiling_keeps_what_is_there_and_a_damaged_tile_is_computed_again(
+    tmp_path: Path,
+) -> None:
     path = tmp_path / "scene.zarr"
     with pytest.raises(KeyboardInterrupt):
         run(path, fail_at=16)
@@ -342,12 +345,13 @@ def test_another_tiling_starts_anew_and_a_damaged_tile_is_computed_again(tmp_pat
     tile.write_bytes(tile.read_bytes()[:200])
     with store.Checkpoint.open(path, FINGERPRINT) as running:
         assert running.resumed_rows == 8
-        assert not running.has(0, 8)
-        assert not running.has(0, 10)
-        write_tile(running, 0, 10)
+        assert running.spans() == [(8, 16)]
         with pytest.raises(InputError, match="do not cover all 20 rows"):
             finish(running)
-        write_tile(running, 10, 20)
+        missing = gaps([(0, 10), (10, 20)], running.spans())
+        assert missing == [(0, 8), (16, 20)]
+        for start, stop in missing:
+            write_tile(running, start, stop)
         assert_same(finish(running), transport())
 
 

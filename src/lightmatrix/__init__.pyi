@@ -91,6 +91,10 @@ from .estimators.needs import Needs as Needs
 from .estimators.coherent.estimator import CoherentEstimator as CoherentEstimator
 from .estimators.multiscale.estimator import MultiScaleEstimator as MultiScaleEstimator
 from .estimators.plain import PlainEstimator as PlainEstimator
+from .estimators.repair import (
+    Repair as Repair,
+    repair as repair,
+)
 from .solvers import (
     ADMM as ADMM,
     ROMP as ROMP,
@@ -156,6 +160,7 @@ from .planning.plan import (
 
 # Errors.
 from .errors import (
+    ClusterError as ClusterError,
     DeviceError as DeviceError,
     FrameTimeoutError as FrameTimeoutError,
     InputError as InputError,

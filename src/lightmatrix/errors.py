@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 
 class LightMatrixError(Exception):
     """Base of every error that lightmatrix raises on purpose.
@@ -28,6 +30,10 @@ class LightMatrixError(Exception):
         self.message = message
         self.hint = hint
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        # Errors of a worker come back in a pickle, which knows no keywords.
+        return _again, (type(self), self.message, self.hint)
+
 
 class InputError(LightMatrixError):
     """The input is unusable: wrong shape, wrong range, unreadable or contradictory."""
@@ -39,6 +45,10 @@ class OutputError(LightMatrixError):
 
 class MissingExtraError(LightMatrixError):
     """An optional part is not installed; the hint names the extra that brings it."""
+
+
+class ClusterError(LightMatrixError):
+    """Worker processes cannot be reached, are not what they should be, or die again and again."""
 
 
 class SolverError(LightMatrixError):
@@ -55,3 +65,7 @@ class FrameTimeoutError(DeviceError):
 
 class LightMatrixWarning(UserWarning):
     """The input is usable but probably not what was meant; the message says what to check."""
+
+
+def _again(kind: type[LightMatrixError], message: str, hint: str | None) -> LightMatrixError:
+    return kind(message, hint=hint)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -137,6 +138,24 @@ def estimate(
             show_default="what is free",
         ),
     ] = None,
+    workers: Annotated[
+        int | None,
+        typer.Option(
+            help="Processes on this machine that solve rows, and share its cores and --memory; the "
+            "result is the same. Needs the extra cluster.",
+            min=1,
+            show_default="this one",
+        ),
+    ] = None,
+    cluster: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ADDRESS",
+            help="Let the workers of the Dask scheduler at this address solve rows, such as "
+            "tcp://10.0.0.1:8786; all see capture and output by the same paths. --memory is that "
+            "of each.",
+        ),
+    ] = None,
     check: Annotated[
         bool,
         typer.Option(
@@ -154,6 +173,15 @@ def estimate(
     ] = None,
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Say what memory and time it will take, and stop.")
+    ] = False,
+    repair: Annotated[
+        bool,
+        typer.Option(
+            "--repair",
+            help="Make a damaged output whole: say what made it, and only the rows that lie in "
+            "damaged chunks are solved again, compared with what is left of them, and put back. A "
+            "coherent estimate goes through all its rounds again for it.",
+        ),
     ] = False,
     overwrite: Overwrite = False,
     as_json: Json = False,
@@ -193,8 +221,10 @@ def estimate(
         iterations=iterations,
         tile_rows=tile_rows,
         memory=memory,
+        workers=workers,
+        cluster=cluster,
     )
-    if not dry_run:
+    if not (dry_run or repair):
         claim(output, STORE, overwrite=overwrite)
         if report is not None:
             claim(report, REPORT, overwrite=overwrite)
@@ -205,17 +235,19 @@ def estimate(
         _show_needs(needs, as_json)
         return
     _tell_needs(needs, check)
-    opened.check(order=False)
-    findings = lm.check(taken) if check else []
-    refuse_disorder(findings)
-    # What else is wrong spoils less than all of it.
-    for finding in findings:
-        warn(f"{finding.kind}: {finding.message}\n  {finding.advice}", style="yellow")
+    if repair:
+        _repair(output, opened, estimator, as_json)
+        return
     try:
-        with progress("estimating", "rows") as step:
-            transport = estimator.estimate(
-                opened, checkpoint=output, overwrite=overwrite, progress=step
-            )
+        # What is wrong with workers is said before frames are read.
+        with estimator.crew(opened) as crew:
+            if crew is not None:
+                warn(str(crew))
+            findings = _findings(opened, taken, check)
+            with progress("estimating", "rows") as step:
+                transport = estimator.estimate(
+                    opened, checkpoint=output, overwrite=overwrite, progress=step, crew=crew
+                )
     except KeyboardInterrupt:
         kept = output.with_name(output.name + PARTIAL).exists()
         note = "finished tiles are kept, run again to go on" if kept else "nothing was finished yet"
@@ -223,7 +255,9 @@ def estimate(
     seconds = round(time.perf_counter() - started, 2)
     told = None
     if report is not None:
-        told = _report(report, output, where, transport, opened, estimator, findings, overwrite)
+        # Photographs are held out of a part of the camera, which this process does by itself.
+        here = replace(estimator, workers=None, cluster=None)
+        told = _report(report, output, where, transport, opened, here, findings, overwrite)
     summary = transport.summary()
     if as_json:
         found = [finding.as_dict() for finding in findings]
@@ -269,6 +303,29 @@ def _tell_needs(needs: Needs, check: bool) -> None:
         warn(f"this takes {needs}")
     if needs.advice:
         warn(f"less: {needs.advice}", style="yellow")
+
+
+def _repair(output: Path, capture: Capture, estimator: AutoEstimator, as_json: bool) -> None:
+    """Solve the damaged rows of an output again."""
+    with progress("solving again", "rows") as step:
+        done = lm.repair(output, capture, estimator=estimator, progress=step)
+    if as_json:
+        show_json({"output": output, "chunks": done.chunks, "rows": done.rows})
+    elif not done.chunks:
+        say(f"{output}: nothing is damaged")
+    else:
+        say(f"{output}: whole again, {done.rows} rows solved for {', '.join(done.chunks)}")
+
+
+def _findings(opened: Capture, taken: Capture, check: bool) -> list[Finding]:
+    """What is wrong with the frames, told; what makes an estimate impossible is refused."""
+    opened.check(order=False)
+    findings = lm.check(taken) if check else []
+    refuse_disorder(findings)
+    # What else is wrong spoils less than all of it.
+    for finding in findings:
+        warn(f"{finding.kind}: {finding.message}\n  {finding.advice}", style="yellow")
+    return findings
 
 
 def _report(

@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
 from lightmatrix.capture.capture import Capture
 from lightmatrix.errors import InputError
 from lightmatrix.estimators.coherent.estimator import WORTH_IT_UP_TO, CoherentEstimator
-from lightmatrix.estimators.join import Progress
+from lightmatrix.estimators.join import Crew
 from lightmatrix.estimators.multiscale.estimator import MultiScaleEstimator
 from lightmatrix.estimators.needs import Needs, needs_of
 from lightmatrix.estimators.plain import PlainEstimator
 from lightmatrix.estimators.regularization import held_out_path
+from lightmatrix.estimators.steps import Progress
+from lightmatrix.estimators.workers.opening import opened
 from lightmatrix.files.memory import memory_bytes
 from lightmatrix.outputs.kinds import STORE
 from lightmatrix.outputs.writing import check_output
 from lightmatrix.ranges import check_number
 from lightmatrix.solvers import ADMM, ROMP, ActiveSet, Fidelity, SaturationADMM, Solver
+from lightmatrix.solvers.parameters import check_count
 from lightmatrix.transport.matrix import LightTransport
 
 # Solvers by name, each with the fidelity that it has unless another is asked for.
@@ -61,6 +65,8 @@ class AutoEstimator:
     iterations: int | None = None
     tile_rows: int | None = None
     memory: int | str | None = None
+    workers: int | None = None
+    cluster: str | None = None
 
     def __post_init__(self) -> None:
         if self.solver not in SOLVERS:
@@ -88,6 +94,9 @@ class AutoEstimator:
         most = self._most
         if most is not None and most < 1:
             raise InputError(f"a bound of {most} bytes of memory", hint="give one such as 4GiB")
+        if self.workers is not None and self.cluster is not None:
+            raise InputError("workers here and a cluster", hint="leave out one of the two")
+        check_count(workers=self.workers)
         self._check_regularization()
         fitting = self._why_not_coherent()
         if self.coherent and fitting is not None:
@@ -126,13 +135,56 @@ class AutoEstimator:
         ----------
         capture : Capture
         """
+        method, row_bytes = "other", 0
         if self._is_coherent(capture):
-            windows = CoherentEstimator.windows
-            return needs_of(capture, "coherent", windows=windows, most=self._most)
-        if self.solver == "active-set" and not self.multi_scale:
-            return needs_of(capture, "plain", most=self._most)
-        row_bytes = self._solver().row_bytes(capture.count, capture.patterns.pixels)
-        return needs_of(capture, "other", row_bytes=row_bytes, most=self._most)
+            method = "coherent"
+        elif self.solver == "active-set" and not self.multi_scale:
+            method = "plain"
+        else:
+            row_bytes = self._solver().row_bytes(capture.count, capture.patterns.pixels)
+        elsewhere = self.cluster is not None
+        return needs_of(
+            capture,
+            method,
+            windows=CoherentEstimator.windows,
+            row_bytes=row_bytes,
+            most=self._most,
+            workers=self.workers or 1,
+            elsewhere=elsewhere,
+        )
+
+    def check_shared(self, output: str | Path | None) -> None:
+        """Refuse a cluster without an output.
+
+        Raises
+        ------
+        InputError
+            As workers have nowhere to write what they find.
+        """
+        if self.cluster is not None and output is None:
+            raise InputError(
+                "workers of a cluster, and no output where they write what they find",
+                hint="give an output on a file system that all of them share",
+            )
+
+    def crew(self, capture: Capture) -> AbstractContextManager[Crew | None]:
+        """The workers that were asked for, started or found and checked; None: this process.
+
+        Parameters
+        ----------
+        capture : Capture
+            What they are to estimate from; no frame is read.
+
+        Raises
+        ------
+        MissingExtraError
+            Without Dask.
+        ClusterError
+            If workers cannot be started or reached, or are not what they should be.
+        """
+        if self.workers is None and self.cluster is None:
+            return nullcontext(None)
+        return opened(self.workers, self.cluster, self.needs(capture).size.memory)
 
     def estimate(
         self,
@@ -141,6 +193,7 @@ class AutoEstimator:
         checkpoint: Path | None = None,
         overwrite: bool = False,
         progress: Progress | None = None,
+        crew: Crew | None = None,
     ) -> LightTransport:
         """From a capture to its light transport matrix, as every estimator does.
 
@@ -154,15 +207,25 @@ class AutoEstimator:
             Whether a complete store at `checkpoint` may be replaced.
         progress : callable, optional
             Called with (done, total) rows.
+        crew : Crew, optional
+            What `crew` opened; None: it is opened for this estimate.
 
         Raises
         ------
         InputError, SolverError, OutputError
             On unusable captures or outputs that cannot be written.
+        ClusterError
+            On workers that cannot be reached or do not see the capture or the output, or all die.
         """
-        return self.estimator(capture).estimate(
-            capture, checkpoint=checkpoint, overwrite=overwrite, progress=progress
-        )
+        self.check_shared(checkpoint)
+        with nullcontext(crew) if crew is not None else self.crew(capture) as found:
+            return self.estimator(capture).estimate(
+                capture,
+                checkpoint=checkpoint,
+                overwrite=overwrite,
+                progress=progress,
+                crew=found,
+            )
 
     @property
     def _most(self) -> int | None:
@@ -243,6 +306,8 @@ def estimate(
     iterations: int | None = None,
     tile_rows: int | None = None,
     memory: int | str | None = None,
+    workers: int | None = None,
+    cluster: str | None = None,
     output: str | Path | None = None,
     overwrite: bool = False,
     progress: Progress | None = None,
@@ -281,7 +346,14 @@ def estimate(
         Camera samples solved at a time. None: as many as half a gigabyte holds.
     memory : int or str, optional
         Bytes, or an amount such as "4GiB", that the estimate may take at most. Fewer camera samples
-        are then solved at a time; results do not depend on it. None: as much as is free.
+        are then solved at a time; results do not depend on it. None: as much as is free. Workers of
+        this machine share it; of a cluster each may take so much.
+    workers : int, optional
+        Processes on this machine that solve rows, and share its cores; results do not depend on
+        their number. Needs the extra cluster. None: this process.
+    cluster : str, optional
+        Address of a scheduler of Dask, such as tcp://10.0.0.1:8786, whose workers solve rows (see
+        docs/clusters.md). They read the capture, and write beside the output, by their paths.
     output : str or Path, optional
         A store (.zarr) to write as well. Finished tiles are kept beside it, so that an interrupted
         run goes on where it stopped.
@@ -301,6 +373,8 @@ def estimate(
     InputError, SolverError, OutputError
         On settings that do not go together, unusable captures, what does not fit into memory (see
         `needs`), or outputs that cannot be written.
+    ClusterError, MissingExtraError
+        On workers that cannot be reached or are not what they should be, or without Dask.
 
     Examples
     --------
@@ -321,19 +395,25 @@ def estimate(
         iterations,
         tile_rows,
         memory,
+        workers,
+        cluster,
     )
+    estimator.check_shared(output)
     if output is not None:
         check_output(output, STORE, overwrite=overwrite)
-    opened = capture if isinstance(capture, Capture) else Capture.open(capture, check=False)
-    estimator.needs(opened).check()
-    if opened is not capture:
-        opened.check()
-    return estimator.estimate(
-        opened,
-        checkpoint=None if output is None else Path(output),
-        overwrite=overwrite,
-        progress=progress,
-    )
+    taken = capture if isinstance(capture, Capture) else Capture.open(capture, check=False)
+    estimator.needs(taken).check()
+    # What is wrong with workers is said before frames are read.
+    with estimator.crew(taken) as crew:
+        if taken is not capture:
+            taken.check()
+        return estimator.estimate(
+            taken,
+            checkpoint=None if output is None else Path(output),
+            overwrite=overwrite,
+            progress=progress,
+            crew=crew,
+        )
 
 
 def needs(capture: Capture | str | Path, *, estimator: AutoEstimator | None = None) -> Needs:
@@ -363,5 +443,5 @@ def needs(capture: Capture | str | Path, *, estimator: AutoEstimator | None = No
     >>> lm.needs(capture).fits
     True
     """
-    opened = capture if isinstance(capture, Capture) else Capture.open(capture, check=False)
-    return (estimator or AutoEstimator()).needs(opened)
+    taken = capture if isinstance(capture, Capture) else Capture.open(capture, check=False)
+    return (estimator or AutoEstimator()).needs(taken)

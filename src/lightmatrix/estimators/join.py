@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import platform
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import asdict, replace
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import Any, cast
+from tempfile import TemporaryDirectory
+from typing import Any, Protocol, cast
 
 import numpy as np
 import scipy
@@ -15,49 +17,81 @@ from numpy.typing import NDArray
 from lightmatrix._version import __version__
 from lightmatrix.camera.samples import Samples
 from lightmatrix.capture.capture import Capture
+from lightmatrix.estimators.steps import InMemory, Work, complete
+from lightmatrix.outputs.room import check_disk
+from lightmatrix.outputs.targets import final_target
 from lightmatrix.solvers import Solver
 from lightmatrix.solvers.problem import Result, check_regularization
-from lightmatrix.store import Checkpoint
+from lightmatrix.store import ROWS, Checkpoint
+from lightmatrix.store.tiles import Span
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.transport.sparse_rows import SparseRows
 
-Progress = Callable[[int, int], None]
-# Solves the rows start..stop.
-SolveTile = Callable[[int, int], SparseRows]
-
 # Working memory of one tile of rows, well below the 4 GiB that any estimate may take.
 TILE_BYTES = 512 << 20
+# Of a row; most have more.
+_FEW_ENTRIES = 16
 
 
-def joined(
-    capture: Capture,
-    ranges: Iterable[tuple[int, int]],
-    begin: Callable[[Checkpoint | None], SolveTile],
-    provenance: Mapping[str, Any],
-    *,
-    checkpoint: Path | None,
-    overwrite: bool,
-    background_grid: tuple[int, int] = (1, 1),
-) -> LightTransport:
-    """Solve tiles one after the other and join them.
+class Crew(Protocol):
+    """Other processes that solve tiles, and write them where the checkpoint keeps them."""
+
+    @property
+    def parts(self) -> int:
+        """Into how many tiles a step is cut at least, so that all have something to do."""
+
+    def solve(self, work: Work, step: str, spans: list[Span], running: Checkpoint) -> None:
+        """Solve tiles of a step, and count them as finished."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """An estimate before it is made.
 
     Parameters
     ----------
-    ranges : iterable of (start, stop)
-        Rows of each tile; together all rows of the capture, in order.
-    begin : callable
-        Does what comes before the first tile, and gives what solves the rows start..stop. It may
-        keep what it has found in the checkpoint it is given, and is not called if all tiles are
-        there.
+    work : Work
     provenance : mapping
-        What made the estimate, JSON-ready; its regularization is checked before anything is made.
+        What makes the estimate, JSON-ready; its regularization is checked before anything is made.
+    background_grid : (int, int)
+        Cells of the tiles' background.
+    """
+
+    work: Work
+    provenance: Mapping[str, Any]
+    background_grid: tuple[int, int] = (1, 1)
+
+    @property
+    def shapes(self) -> dict[str, Any]:
+        """What a light transport has beside its rows."""
+        return {
+            "camera_shape": self.work.capture.camera_shape,
+            "projector_shape": self.work.capture.projector_shape,
+            "background_grid": self.background_grid,
+            "provenance": dict(self.provenance),
+        }
+
+    @property
+    def fingerprint(self) -> dict[str, Any]:
+        """Everything that the result depends on."""
+        return {**self.provenance, "capture": self.work.capture.digest}
+
+
+def joined(
+    plan: Plan, *, checkpoint: Path | None, overwrite: bool, crew: Crew | None = None
+) -> LightTransport:
+    """Solve the tiles of all steps and join those of the last.
+
+    Parameters
+    ----------
+    plan : Plan
     checkpoint : Path or None
         The store to write. Finished tiles are kept beside it, so that an interrupted run goes on
         where it stopped.
     overwrite : bool
         Whether a complete store at `checkpoint` may be replaced.
-    background_grid : (int, int)
-        Cells of the tiles' background.
+    crew : Crew, optional
+        Who solves the tiles; None: this process, one after the other.
 
     Raises
     ------
@@ -65,28 +99,43 @@ def joined(
         On a regularization that is none.
     OutputError
         On outputs that cannot be written.
+    ClusterError
+        If the crew cannot work.
     """
-    check_regularization(provenance["regularization"])
-    shapes: dict[str, Any] = {
-        "camera_shape": capture.camera_shape,
-        "projector_shape": capture.projector_shape,
-        "background_grid": background_grid,
-        "provenance": dict(provenance),
-    }
+    check_regularization(plan.provenance["regularization"])
+    if checkpoint is None and crew is not None:
+        # What other processes find has to lie somewhere.
+        with TemporaryDirectory(prefix="lightmatrix-") as folder:
+            place = Path(folder) / "scene.zarr"
+            return joined(plan, checkpoint=place, overwrite=False, crew=crew)
     if checkpoint is None:
-        solve_tile = begin(None)
-        rows = SparseRows.joined([solve_tile(start, stop) for start, stop in ranges])
+        tiles = InMemory()
+        complete(plan.work, tiles)
+        rows = tiles.read(ROWS)
         return LightTransport(
-            rows.coefficients, rows.background, diagnostics=rows.diagnostics, **shapes
+            rows.coefficients, rows.background, diagnostics=rows.diagnostics, **plan.shapes
         )
-    fingerprint = {**provenance, "capture": capture.digest}
-    with Checkpoint.open(checkpoint, fingerprint, overwrite=overwrite) as running:
-        missing = [(start, stop) for start, stop in ranges if not running.has(start, stop)]
-        if missing:
-            solve_tile = begin(running)
-        for start, stop in missing:
-            running.write(start, stop, solve_tile(start, stop))
-        return running.finish(**shapes)
+    target = final_target(checkpoint)
+    check_disk(target.parent, _least_bytes(plan), checkpoint, "at least about")
+    with Checkpoint.open(checkpoint, plan.fingerprint, overwrite=overwrite) as running:
+        if crew is None:
+            complete(plan.work, running)
+        else:
+            complete(plan.work, running, parts=crew.parts, solve=partial(elsewhere, crew, running))
+        return running.finish(**plan.shapes)
+
+
+def _least_bytes(plan: Plan) -> int:
+    """Bytes that tiles and the output will take together, with few entries a row."""
+    cells = plan.background_grid[0] * plan.background_grid[1]
+    # Tiles are kept until the output is whole, which is compressed.
+    row = 6 * cells + 8 * _FEW_ENTRIES + 40
+    return row * plan.work.capture.rows
+
+
+def elsewhere(crew: Crew, running: Checkpoint, work: Work, step: str, spans: list[Span]) -> None:
+    """Let a crew solve tiles of a step, as `complete` wants it done."""
+    crew.solve(work, step, spans, running)
 
 
 def kept(samples: Samples, result: Result, **more: NDArray[Any]) -> SparseRows:

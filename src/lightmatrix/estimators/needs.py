@@ -42,6 +42,8 @@ class Needs:
         What takes less, as it is said on the command line; empty where nothing has to.
     limited : bool
         Whether no more than the available memory is allowed, though more may be free.
+    workers : int
+        Processes that take this memory together.
 
     Examples
     --------
@@ -59,6 +61,7 @@ class Needs:
     available: int
     options: tuple[tuple[str, Size], ...] = ()
     limited: bool = False
+    workers: int = 1
 
     @property
     def fits(self) -> bool:
@@ -67,12 +70,13 @@ class Needs:
 
     def __str__(self) -> str:
         disk = f" and {_gigabytes(self.temporary)} of temporary files" if self.temporary else ""
-        return _words(self.memory, self.seconds) + disk
+        shared = f" ({self.workers} workers)" if self.workers > 1 else ""
+        return _words(self.memory, self.seconds) + shared + disk
 
     @property
     def advice(self) -> str:
         """What takes less, in words; empty where nothing has to."""
-        cores = _cores()
+        cores = usual_threads()
         return "; ".join(
             f"{words} takes {_words(size.memory, size.seconds(cores))}"
             for words, size in self.options
@@ -98,13 +102,14 @@ class Needs:
 
     def as_dict(self) -> dict[str, Any]:
         """The same, JSON-ready."""
-        cores = _cores()
+        cores = usual_threads()
         return {
             "memory_bytes": self.memory,
             "temporary_bytes": self.temporary,
             "seconds": self.seconds,
             "available_bytes": self.available,
             "fits": self.fits,
+            "workers": self.workers,
             "options": [
                 {"say": words, "memory_bytes": size.memory, "seconds": size.seconds(cores)}
                 for words, size in self.options
@@ -119,6 +124,8 @@ def needs_of(
     windows: tuple[tuple[int, int], ...] = (),
     row_bytes: int = 0,
     most: int | None = None,
+    workers: int = 1,
+    elsewhere: bool = False,
 ) -> Needs:
     """What an estimate from a capture will take, by a method of `Size`; reads no frame.
 
@@ -132,6 +139,11 @@ def needs_of(
         Of "other", what a row takes while it is solved.
     most : int, optional
         Bytes of memory that it may take; None: all that are free.
+    workers : int
+        Processes on this machine that share this memory, each with the patterns and a tile.
+    elsewhere : bool
+        Whether it is solved on other machines: what is told is each worker's, and what is free here
+        says nothing of it.
     """
     binned = capture.bin_camera != (1, 1)
     size = Size(
@@ -145,19 +157,22 @@ def needs_of(
         _LOOK_BYTES * min(math.prod(capture.frames.shape) * capture.count, _LOOKED_LEVELS),
         windows=windows,
     )
-    seconds, available = size.seconds(_cores()), available_bytes()
-    limited = most is not None and most < available
+    seconds, available = size.seconds(usual_threads()), available_bytes()
+    limited = most is not None and (elsewhere or most < available)
     if most is not None:
-        available = min(most, available)
-        size = size.within(available)
-    fine = size.memory <= available and (seconds is None or seconds <= _PATIENCE)
-    options = () if fine else tuple(_options(capture, size, available))
-    return Needs(size, size.memory, size.temporary, seconds, available, options, limited)
+        available = most if elsewhere else min(most, available)
+        size = size.within(available // workers)
+    elif elsewhere:
+        available = size.memory
+    fine = workers * size.memory <= available and (seconds is None or seconds <= _PATIENCE)
+    options = () if fine else tuple(_options(capture, size, available // workers))
+    taken, temporary = workers * size.memory, workers * size.temporary
+    return Needs(size, taken, temporary, seconds, available, options, limited, workers)
 
 
 def _options(capture: Capture, size: Size, available: int) -> Iterator[tuple[str, Size]]:
     """What takes less, the way that costs least of each kind."""
-    cores = _cores()
+    cores = usual_threads()
 
     def fine(other: Size) -> bool:
         seconds = other.seconds(cores)
@@ -215,7 +230,7 @@ def _rectangle(capture: Capture, part: list[int]) -> str:
     return f"{corner[0]},{corner[1]}:{shape[0]}x{shape[1]}"
 
 
-def _cores() -> int:
+def usual_threads() -> int:
     """Threads that the compiled core will use."""
     asked = os.environ.get("RAYON_NUM_THREADS", "")
     return int(asked) if asked.isdecimal() and int(asked) else os.cpu_count() or 1

@@ -2,25 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
-from functools import partial
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from lightmatrix.capture.capture import Capture
 from lightmatrix.estimators.join import (
     TILE_BYTES,
-    Progress,
+    Crew,
+    Plan,
     capture_provenance,
     joined,
     kept,
     solver_provenance,
 )
 from lightmatrix.estimators.regularization import automatic_regularization
+from lightmatrix.estimators.steps import Found, Progress, SolveTile, cut
 from lightmatrix.solvers import Solver, solve
 from lightmatrix.solvers.parameters import check_count
 from lightmatrix.solvers.problem import Problem
+from lightmatrix.store import ROWS
+from lightmatrix.store.tiles import Span
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.transport.sparse_rows import SparseRows
 
@@ -67,6 +70,7 @@ class PlainEstimator:
         checkpoint: Path | None = None,
         overwrite: bool = False,
         progress: Progress | None = None,
+        crew: Crew | None = None,
     ) -> LightTransport:
         """From a capture to its light transport matrix.
 
@@ -81,6 +85,8 @@ class PlainEstimator:
             Whether a complete store at `checkpoint` may be replaced.
         progress : callable, optional
             Called with (done, total) rows.
+        crew : Crew, optional
+            Other processes that solve the rows, see `lightmatrix.estimators.workers`.
 
         Returns
         -------
@@ -92,16 +98,14 @@ class PlainEstimator:
         InputError, SolverError, OutputError
             On unusable captures, problems the solver cannot treat, or outputs it cannot write.
         """
-        tiles = _Tiles(self, capture, self._regularization(capture))
-        provenance = self.provenance(capture, tiles.regularization)
-        return joined(
-            capture,
-            tiles.ranges(),
-            lambda _: partial(tiles.solve, progress=progress),
-            provenance,
-            checkpoint=checkpoint,
-            overwrite=overwrite,
-        )
+        plan = self.plan(capture, progress)
+        return joined(plan, checkpoint=checkpoint, overwrite=overwrite, crew=crew)
+
+    def plan(self, capture: Capture, progress: Progress | None = None) -> Plan:
+        """The estimate before it is made; parameters are those of `estimate`."""
+        regularization = self._regularization(capture)
+        work = _Tiles(self, capture, regularization, progress)
+        return Plan(work, self.provenance(capture, regularization))
 
     def provenance(self, capture: Capture, regularization: float) -> dict[str, Any]:
         """What made the estimate, JSON-ready."""
@@ -127,13 +131,27 @@ class _Tiles:
     estimator: PlainEstimator
     capture: Capture
     regularization: float
+    progress: Progress | None
 
-    def ranges(self) -> Iterator[tuple[int, int]]:
-        rows = self.estimator.tile_rows or self._fitting_rows()
-        for start in range(0, self.capture.rows, rows):
-            yield start, min(start + rows, self.capture.rows)
+    @property
+    def steps(self) -> Mapping[str, tuple[str, ...]]:
+        return {ROWS: ()}
 
-    def solve(self, start: int, stop: int, progress: Progress | None) -> SparseRows:
+    def ranges(self, step: str, parts: int = 1) -> Iterator[Span]:
+        most = self.estimator.tile_rows or self._fitting_rows()
+        return cut(self.capture.rows, most, parts)
+
+    def begin(self, step: str, found: Found) -> SolveTile:
+        return self._solve
+
+    def report(self, step: str, start: int = 0) -> Progress | None:
+        told, total = self.progress, self.capture.rows
+        return None if told is None else lambda done, _: told(start + done, total)
+
+    def silent(self) -> _Tiles:
+        return replace(self, progress=None)
+
+    def _solve(self, start: int, stop: int) -> SparseRows:
         samples = self.capture.samples(start, stop)
         problem = Problem(
             self.capture.patterns,
@@ -142,12 +160,7 @@ class _Tiles:
             nonnegative=self.estimator.nonnegative,
             background=self.estimator.background,
         )
-        total = self.capture.rows
-
-        def report(done: int, _: int) -> None:
-            if progress is not None:
-                progress(start + done, total)
-
+        report = self.report(ROWS, start)
         return kept(samples, solve(problem, self.estimator.solver, progress=report))
 
     def _fitting_rows(self) -> int:

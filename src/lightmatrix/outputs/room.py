@@ -9,7 +9,7 @@ from pathlib import Path
 from lightmatrix.errors import OutputError
 
 
-def check_disk(folder: Path, needed: int, output: str | Path) -> None:
+def check_disk(folder: Path, needed: int, output: str | Path, words: str = "up to") -> None:
     """Refuse an output that the disk cannot hold.
 
     Parameters
@@ -17,9 +17,11 @@ def check_disk(folder: Path, needed: int, output: str | Path) -> None:
     folder : Path
         Where it will lie; the nearest folder above it that exists is asked.
     needed : int
-        Bytes, at most.
+        Bytes.
     output : str or Path
         What messages call it.
+    words : str
+        How sure that is, such as "at least".
 
     Raises
     ------
@@ -34,6 +36,6 @@ def check_disk(folder: Path, needed: int, output: str | Path) -> None:
         return
     if needed > free:
         raise OutputError(
-            f"{output}: takes up to {needed / 2**30:.3g} GiB, {free / 2**30:.3g} GiB are free",
+            f"{output}: takes {words} {needed / 2**30:.3g} GiB, {free / 2**30:.3g} GiB are free",
             hint="free some space, or choose a folder on another disk",
         )

@@ -1,13 +1,16 @@
 """Running results: finished parts of an output, kept beside it until it is whole.
 
 A running folder carries a marker of lines: the first says what it is, each further one names a file
-that was kept in it. Only those files are ever read, replaced or removed.
+that was kept in it. Only those files are ever read, replaced or removed. Other processes may put
+files there too, once the one that holds the folder has written their names down.
 """
 
 from __future__ import annotations
 
 import json
 import os
+import re
+import secrets
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -19,6 +22,8 @@ from lightmatrix.outputs.markers import MARKER, printable
 from lightmatrix.outputs.targets import explained
 
 FORMAT, VERSION = "lightmatrix-running", 1
+# What a file is called until it is whole: its name, around a number that no other writer has.
+_PUT = re.compile(r"\.(.+)\.[0-9a-f]{8}\.part(\.[^.]*)?")
 
 
 class RunningFolder:
@@ -54,8 +59,7 @@ class RunningFolder:
                 header = {"format": FORMAT, "version": VERSION, "output": target.name}
                 (folder / MARKER).write_text(json.dumps(header))
         running = cls(folder)
-        for name in running._names:
-            running._part(name).unlink(missing_ok=True)
+        running._sweep()
         return running
 
     @property
@@ -71,6 +75,18 @@ class RunningFolder:
         """Whether a file of that name is kept."""
         return name in self._names and self.file(name).is_file()
 
+    def place(self, name: str) -> Path:
+        """Where another process may `put` a file of that name, which is written down now.
+
+        Raises
+        ------
+        OutputError
+            If the disk fails, or there is a file of that name that was not kept by us.
+        """
+        with explained(self.file(name)):
+            self._list(name)
+        return self.file(name)
+
     @contextmanager
     def keep(self, name: str) -> Iterator[Path]:
         """Write a file at a temporary path with the same ending, kept as `name` on success.
@@ -80,16 +96,22 @@ class RunningFolder:
         OutputError
             If the disk fails, or there is a file of that name that was not kept by us.
         """
-        part = self._part(name)
-        with explained(self.file(name)):
-            self._list(name)
-            try:
-                yield part
-                with part.open("rb+") as written:
-                    os.fsync(written.fileno())
-                os.replace(part, self.file(name))
-            finally:
-                part.unlink(missing_ok=True)
+        with put(self.place(name)) as part:
+            yield part
+
+    def hand_over(self, name: str, data: bytes, target: Path) -> None:
+        """Write a file whole, and let it take the place of another one in one step.
+
+        Raises
+        ------
+        OutputError
+            If the disk fails; the other one then stays.
+        """
+        with self.keep(name) as part:
+            part.write_bytes(data)
+        with explained(target):
+            target.parent.mkdir(parents=True, exist_ok=True)
+            os.replace(self.file(name), target)
 
     def forget(self, name: str) -> None:
         """Remove a kept file, if it is there."""
@@ -101,7 +123,7 @@ class RunningFolder:
         with suppress(OSError):
             for name in self._names:
                 self.file(name).unlink(missing_ok=True)
-                self._part(name).unlink(missing_ok=True)
+            self._sweep()
             foreign = sorted(set(os.listdir(self.path)) - {MARKER})
             if not foreign:
                 (self.path / MARKER).unlink()
@@ -127,8 +149,39 @@ class RunningFolder:
             marker.write("\n" + json.dumps(name))
         self._names.append(name)
 
-    def _part(self, name: str) -> Path:
-        return self.path / f".{Path(name).stem}.part{Path(name).suffix}"
+    def _sweep(self) -> None:
+        """Remove what killed processes left half-written."""
+        known = set(self._names)
+        for entry in os.listdir(self.path):
+            found = _PUT.fullmatch(entry)
+            if found is not None and f"{found[1]}{found[2] or ''}" in known:
+                (self.path / entry).unlink(missing_ok=True)
+
+
+@contextmanager
+def put(file: Path) -> Iterator[Path]:
+    """Write a file where `RunningFolder.place` said, also from a process that does not hold it.
+
+    Yields
+    ------
+    Path
+        A temporary path with the same ending, of this writer alone: two may write the same file,
+        where one was taken for dead. It is renamed on success.
+
+    Raises
+    ------
+    OutputError
+        If the disk fails.
+    """
+    part = file.with_name(f".{file.stem}.{secrets.token_hex(4)}.part{file.suffix}")
+    with explained(file):
+        try:
+            yield part
+            with part.open("rb+") as written:
+                os.fsync(written.fileno())
+            os.replace(part, file)
+        finally:
+            part.unlink(missing_ok=True)
 
 
 def check_running(target: Path, ending: str) -> Path:

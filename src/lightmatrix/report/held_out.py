@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.window import window
 from lightmatrix.errors import LightMatrixError
-from lightmatrix.estimators.join import Progress
+from lightmatrix.estimators.steps import Progress
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.transport.matrix import LightTransport
 

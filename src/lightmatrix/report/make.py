@@ -11,7 +11,7 @@ from lightmatrix._version import __version__
 from lightmatrix.capture.capture import Capture
 from lightmatrix.errors import InputError
 from lightmatrix.estimators.auto import AutoEstimator
-from lightmatrix.estimators.join import Progress
+from lightmatrix.estimators.steps import Progress
 from lightmatrix.outputs.kinds import REPORT
 from lightmatrix.outputs.writing import atomic_folder
 from lightmatrix.report.advice import advice

@@ -1,16 +1,16 @@
 """Running results: finished tiles of rows beside the output, so that no work is lost.
 
-While an estimate runs, `<output>.partial` holds each finished tile as one file, renamed into place
-when whole, and the fingerprint of what is being computed. A run that was killed goes on there.
-The output is locked meanwhile; tiles that are damaged, by their digests, are computed again.
+While an estimate runs, `<output>.partial` holds each finished tile of each of its steps as one
+file, renamed into place when whole, and the fingerprint of what is being computed. A run that was
+killed goes on there. The output is locked meanwhile; tiles that are damaged, by their digests, are
+computed again.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
-import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -18,42 +18,43 @@ from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lightmatrix.errors import InputError, LightMatrixError, OutputError
-from lightmatrix.files.npz import read_npz
+from lightmatrix.errors import ClusterError, InputError, LightMatrixError, OutputError
 from lightmatrix.outputs.kinds import PARTIAL, STORE
+from lightmatrix.outputs.locks import locked
 from lightmatrix.outputs.markers import read_object
 from lightmatrix.outputs.running import RunningFolder
+from lightmatrix.outputs.targets import final_target
 from lightmatrix.outputs.writing import claimed
 from lightmatrix.store import zarr_file
+from lightmatrix.store.tiles import Span, apart, read_tile, tile_name, tile_of, write_tile
 from lightmatrix.store.zarr_file import save_rows
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.transport.sparse_rows import SparseRows
 
 _FINGERPRINT = "fingerprint.json"
-# The array of a kept file that tells whether the others are those that were kept under its name.
-_DIGEST = "digest"
-# First row of a tile, and the row after its last.
-_Span = tuple[int, int]
+# The step whose tiles are the result.
+ROWS = "rows"
 
 
 class Checkpoint:
     """Finished tiles of rows of a light transport matrix that is being computed.
 
     Made by `open`, used in a ``with`` statement, which holds the lock of the output. An exception
-    leaves the tiles for the next run.
+    leaves the tiles for the next run. Tiles belong to steps: those of the step `ROWS` are the
+    result, those of others are what an estimator needs to go on.
     """
 
-    def __init__(self, path: Path, kept: RunningFolder, overwrite: bool, claim: ExitStack) -> None:
+    def __init__(
+        self, path: Path, kept: RunningFolder, token: str, overwrite: bool, claim: ExitStack
+    ) -> None:
         self._path = path
         self._kept = kept
         self._overwrite = overwrite
         self._claim = claim
-        self._used: set[_Span] = set()
-        spans = [span for name in kept.names if (span := _span(name)) is not None]
-        # Damaged tiles are solved again.
-        self._found = {span for span in spans if _tile(kept, span) is not None}
+        self.token = token
+        # Whole tiles of the steps that were asked for.
+        self._spans: dict[str, list[Span]] = {}
 
     @classmethod
     def open(
@@ -80,7 +81,20 @@ class Checkpoint:
         with ExitStack() as claim:
             target = claim.enter_context(claimed(path, STORE, overwrite=overwrite))
             kept = _begun(target, wanted, overwrite)
-            return cls(Path(path), kept, overwrite, claim.pop_all())
+            return cls(Path(path), kept, _token(wanted), overwrite, claim.pop_all())
+
+    @classmethod
+    def repairing(cls, path: str | Path, fingerprint: Mapping[str, Any]) -> Checkpoint:
+        """The running results of a repair of an output that is there, and stays.
+
+        Parameters and errors are those of `open`.
+        """
+        wanted = json.loads(json.dumps(dict(fingerprint), default=str))
+        with ExitStack() as claim:
+            target = final_target(path)
+            claim.enter_context(locked(target))
+            kept = _begun(target, wanted, overwrite=False)
+            return cls(Path(path), kept, _token(wanted), False, claim.pop_all())
 
     def __enter__(self) -> Self:
         return self
@@ -92,52 +106,107 @@ class Checkpoint:
         trace: TracebackType | None,
     ) -> None:
         with self._claim:
-            tiles = any(_span(name) is not None for name in self._kept.names)
+            tiles = any(_span(name, ROWS) is not None for name in self._kept.names)
             # Settings that no tile could be computed with must not stand in the way of others.
-            hopeless = isinstance(error, LightMatrixError) and not isinstance(error, OutputError)
+            hopeless = isinstance(error, LightMatrixError) and not isinstance(
+                error, OutputError | ClusterError
+            )
             if not _results(self._kept) or (hopeless and not tiles):
                 self._kept.discard()
 
     @property
+    def folder(self) -> Path:
+        """Where the tiles are kept, as an absolute path."""
+        return self._kept.path
+
+    @property
     def resumed_rows(self) -> int:
-        """How many rows an earlier run had finished."""
-        return sum(stop - start for start, stop in self._found)
+        """How many rows of the result are finished."""
+        return sum(stop - start for start, stop in self.spans(ROWS))
 
-    def has(self, start: int, stop: int) -> bool:
-        """Whether an earlier run finished the tile of the rows start..stop."""
-        if (start, stop) not in self._found:
-            return False
-        self._used.add((start, stop))
-        return True
+    def spans(self, step: str = ROWS) -> list[Span]:
+        """Rows of the tiles of a step that are finished and whole, in order; none overlap."""
+        if step not in self._spans:
+            named = [span for name in self._kept.names if (span := _span(name, step)) is not None]
+            # Damaged tiles are solved again.
+            whole = [span for span in named if self._tile(step, span) is not None]
+            self._spans[step] = apart(whole)
+        return list(self._spans[step])
 
-    def write(self, start: int, stop: int, rows: SparseRows) -> None:
-        """Keep a finished tile, the rows start..stop.
+    def write(self, start: int, stop: int, rows: SparseRows, step: str = ROWS) -> None:
+        """Keep a finished tile, the rows start..stop of a step.
 
         Raises
         ------
         OutputError
             If the disk fails; tiles that were written remain.
         """
-        self._keep(_name(start, stop), rows)
-        self._used.add((start, stop))
+        write_tile(self.place(start, stop, step), self.token, rows)
+        self.add(start, stop, step)
 
-    def remember(self, name: str, rows: SparseRows) -> None:
-        """Keep what an estimator needs to go on, under a name that does not begin with rows.
+    def place(self, start: int, stop: int, step: str = ROWS) -> Path:
+        """Where another process may write a tile, with `write_tile` and the `token`.
 
         Raises
         ------
         OutputError
-            If the disk fails; what was kept before remains.
+            If the disk fails, or a file of others has its name.
         """
-        self._keep(f"{name}.npz", rows)
+        return self._kept.place(tile_name(step, (start, stop)))
 
-    def recall(self, name: str) -> SparseRows | None:
-        """What was kept under a name; None if nothing whole is there."""
-        return _read(self._kept, f"{name}.npz")
+    def add(self, start: int, stop: int, step: str = ROWS) -> None:
+        """Count a tile that was written as finished."""
+        self._spans[step] = apart([*self.spans(step), (start, stop)])
 
-    def forget(self, name: str) -> None:
-        """Throw away what was kept under a name, if anything."""
-        self._kept.forget(f"{name}.npz")
+    def read(self, step: str) -> SparseRows:
+        """All tiles of a step, joined.
+
+        Raises
+        ------
+        InputError
+            If one was damaged since it was finished.
+        """
+        return SparseRows.joined(list(self._tiles(step)))
+
+    def rows(self, start: int, stop: int) -> SparseRows:
+        """The rows start..stop of the result, which finished tiles hold.
+
+        Raises
+        ------
+        InputError
+            If a tile was damaged since it was finished.
+        """
+        own = [span for span in self.spans(ROWS) if span[0] < stop and span[1] > start]
+        whole = SparseRows.joined([self._whole(ROWS, span) for span in own])
+        return whole.rows(slice(start - own[0][0], stop - own[0][0]))
+
+    def keep(self, name: str, data: bytes) -> None:
+        """Keep a file of another kind until the output is whole.
+
+        Raises
+        ------
+        OutputError
+            If the disk fails.
+        """
+        with self._kept.keep(name) as part:
+            part.write_bytes(data)
+
+    def replace(self, name: str, data: bytes, target: Path) -> None:
+        """Let a file that is written here first take the place of one of the output.
+
+        Raises
+        ------
+        OutputError
+            If the disk fails.
+        """
+        self._kept.hand_over(name, data, target)
+
+    def forget(self, step: str) -> None:
+        """Throw away the tiles of a step."""
+        for name in self._kept.names:
+            if _span(name, step) is not None:
+                self._kept.forget(name)
+        self._spans[step] = []
 
     def finish(
         self,
@@ -147,7 +216,7 @@ class Checkpoint:
         background_grid: tuple[int, int] = (1, 1),
         provenance: Mapping[str, Any] | None = None,
     ) -> LightTransport:
-        """Join the tiles that this run wrote or found into the output, then throw them away.
+        """Join the tiles of the result into the output, then throw them away.
 
         They are joined on disk, so that the matrix is in memory once, when it is whole.
 
@@ -158,7 +227,7 @@ class Checkpoint:
         OutputError
             If the output cannot be written; the tiles remain.
         """
-        spans = sorted(self._used)
+        spans = self.spans(ROWS)
         edges = [0, *(stop for _, stop in spans)]
         rows = int(np.prod(camera_shape))
         if [start for start, _ in spans] != edges[:-1] or edges[-1] != rows:
@@ -167,7 +236,7 @@ class Checkpoint:
         try:
             save_rows(
                 self._path,
-                self._tiles(spans),
+                self._tiles(ROWS),
                 camera_shape=camera_shape,
                 projector_shape=projector_shape,
                 background_grid=background_grid,
@@ -183,22 +252,38 @@ class Checkpoint:
         self._kept.discard()
         return replace(zarr_file.open(self._path), provenance=told)
 
-    def _tiles(self, spans: Sequence[_Span]) -> Iterator[SparseRows]:
-        """Finished tiles one after the other, so that they are never all in memory."""
-        for span in spans:
-            tile = _tile(self._kept, span)
-            if tile is None:
-                raise InputError(
-                    f"{self._kept.path}: the tile {_name(*span)} was damaged meanwhile",
-                    hint="run the same estimate again; it computes that tile anew",
-                )
-            yield tile
+    def discard(self) -> None:
+        """Throw away all that is kept."""
+        self._kept.discard()
 
-    def _keep(self, name: str, rows: SparseRows) -> None:
-        with self._kept.keep(name) as part:
-            arrays: dict[str, Any] = rows.arrays()
-            arrays[_DIGEST] = _digest(name, arrays)
-            np.savez(part, **arrays)
+    def _tiles(self, step: str) -> Iterator[SparseRows]:
+        """Finished tiles one after the other, so that they are never all in memory."""
+        for span in self.spans(step):
+            yield self._whole(step, span)
+
+    def _whole(self, step: str, span: Span) -> SparseRows:
+        tile = self._tile(step, span)
+        if tile is None:
+            raise InputError(
+                f"{self._kept.path}: the tile {tile_name(step, span)} was damaged meanwhile",
+                hint="run the same estimate again; it computes that tile anew",
+            )
+        return tile
+
+    def _tile(self, step: str, span: Span) -> SparseRows | None:
+        """A finished tile; None if it is damaged."""
+        file = self._kept.file(tile_name(step, span))
+        return read_tile(file, self.token, span[1] - span[0])
+
+
+def fingerprint_token(folder: Path) -> str | None:
+    """What the tiles of a folder of running results are marked with; None if there are none."""
+    found = read_object(folder / _FINGERPRINT)
+    return None if found is None else _token(found)
+
+
+def _token(fingerprint: Mapping[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(fingerprint, sort_keys=True).encode()).hexdigest()
 
 
 def _begun(target: Path, wanted: Mapping[str, Any], overwrite: bool) -> RunningFolder:
@@ -225,49 +310,13 @@ def _begun(target: Path, wanted: Mapping[str, Any], overwrite: bool) -> RunningF
 
 
 def _results(kept: RunningFolder) -> bool:
-    return any(name != _FINGERPRINT for name in kept.names)
+    return any(tile_of(name) is not None for name in kept.names)
 
 
-def _name(start: int, stop: int) -> str:
-    return f"rows-{start}-{stop}.npz"
-
-
-def _span(name: str) -> _Span | None:
-    """The rows of a tile by its file's name; None if it is no tile's."""
-    match = re.fullmatch(r"rows-([0-9]{1,18})-([0-9]{1,18})\.npz", name)
-    return None if match is None else (int(match[1]), int(match[2]))
-
-
-def _tile(kept: RunningFolder, span: _Span) -> SparseRows | None:
-    """A finished tile; None if it is damaged."""
-    rows = _read(kept, _name(*span))
-    return rows if rows is not None and rows.count == span[1] - span[0] else None
-
-
-def _read(kept: RunningFolder, name: str) -> SparseRows | None:
-    """Rows that were kept under a file name; None if there are none, or not whole."""
-    if not kept.has(name):
-        return None
-    try:
-        arrays = read_npz(kept.file(name))
-        digest = arrays.pop(_DIGEST, None)
-        return SparseRows.from_arrays(arrays) if _same(digest, _digest(name, arrays)) else None
-    except InputError:
-        return None
-
-
-def _digest(name: str, arrays: Mapping[str, NDArray[Any]]) -> NDArray[np.uint8]:
-    """Hash of arrays and of the name that they are kept under, 32 bytes."""
-    hasher = hashlib.sha256(name.encode())
-    for key in sorted(arrays):
-        values = arrays[key]
-        hasher.update(repr((key, values.shape, values.dtype.str)).encode())
-        hasher.update(values.tobytes())
-    return np.frombuffer(hasher.digest(), np.uint8)
-
-
-def _same(found: NDArray[Any] | None, wanted: NDArray[np.uint8]) -> bool:
-    return found is not None and found.dtype == wanted.dtype and np.array_equal(found, wanted)
+def _span(name: str, step: str) -> Span | None:
+    """The rows of a tile by its file's name; None if it is none of the step."""
+    found = tile_of(name)
+    return found[1] if found is not None and found[0] == step else None
 
 
 def _differing(kept: RunningFolder, wanted: Mapping[str, Any]) -> str | None:

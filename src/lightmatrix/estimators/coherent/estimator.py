@@ -21,7 +21,14 @@ from lightmatrix.errors import InputError
 from lightmatrix.estimators.coherent.rounds import Rounds
 from lightmatrix.estimators.coherent.solving import Solving
 from lightmatrix.estimators.coherent.stages import spacings, stages
-from lightmatrix.estimators.join import Progress, capture_provenance, joined, solver_provenance
+from lightmatrix.estimators.join import (
+    Crew,
+    Plan,
+    capture_provenance,
+    joined,
+    solver_provenance,
+)
+from lightmatrix.estimators.steps import Progress
 from lightmatrix.solvers.active_set import ActiveSet
 from lightmatrix.solvers.fidelity import Fidelity
 from lightmatrix.solvers.parameters import check_count
@@ -127,6 +134,7 @@ class CoherentEstimator:
         checkpoint: Path | None = None,
         overwrite: bool = False,
         progress: Progress | None = None,
+        crew: Crew | None = None,
     ) -> LightTransport:
         """From a capture to its light transport matrix.
 
@@ -135,12 +143,14 @@ class CoherentEstimator:
         capture : Capture
             M camera samples under K patterns of N projector pixels.
         checkpoint : Path, optional
-            The store to write. Finished rounds, and the tiles of the last one, are kept beside it,
-            so that an interrupted run goes on where it stopped.
+            The store to write. Finished tiles of each round are kept beside it, so that an
+            interrupted run goes on where it stopped.
         overwrite : bool
             Whether a complete store at `checkpoint` may be replaced.
         progress : callable, optional
             Called with (done, total) rows; of all rounds, each counted by the time that it takes.
+        crew : Crew, optional
+            Other processes that solve the rows, see `lightmatrix.estimators.workers`.
 
         Returns
         -------
@@ -156,7 +166,12 @@ class CoherentEstimator:
         InputError, SolverError, OutputError
             On unusable captures or outputs that cannot be written.
         """
-        plan = stages(capture.camera_shape, capture.patterns.pixels, self.windows)
+        plan = self.plan(capture, progress)
+        return joined(plan, checkpoint=checkpoint, overwrite=overwrite, crew=crew)
+
+    def plan(self, capture: Capture, progress: Progress | None = None) -> Plan:
+        """The estimate before it is made; parameters are those of `estimate`."""
+        rounds = stages(capture.camera_shape, capture.patterns.pixels, self.windows)
         solving = Solving(
             capture,
             self._solver,
@@ -165,18 +180,11 @@ class CoherentEstimator:
             self.candidates,
             self.sizes,
             self.background_grid,
-            narrow=plan[0].spacing > 1,
+            narrow=rounds[0].spacing > 1,
         )
-        rounds = Rounds(solving, plan, self.tile_rows, progress)
-        return joined(
-            capture,
-            rounds.ranges(),
-            rounds.begin,
-            self.provenance(capture, solving.penalty),
-            checkpoint=checkpoint,
-            overwrite=overwrite,
-            background_grid=solving.backgrounds.grid,
-        )
+        work = Rounds(solving, rounds, self.tile_rows, progress)
+        provenance = self.provenance(capture, solving.penalty)
+        return Plan(work, provenance, solving.backgrounds.grid)
 
     def provenance(self, capture: Capture, regularization: float) -> dict[str, Any]:
         """What made the estimate, JSON-ready."""

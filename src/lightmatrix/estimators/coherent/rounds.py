@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from lightmatrix.camera.samples import Samples
+from lightmatrix.capture.capture import Capture
 from lightmatrix.estimators.coherent.certificate import holds_everywhere, sampled
 from lightmatrix.estimators.coherent.grid import CameraGrid
 from lightmatrix.estimators.coherent.held_out import (
@@ -31,16 +33,18 @@ from lightmatrix.estimators.coherent.settling import (
 from lightmatrix.estimators.coherent.solving import Solving
 from lightmatrix.estimators.coherent.stages import Stage
 from lightmatrix.estimators.costs import coherent_row_bytes, first_round_cost
-from lightmatrix.estimators.join import TILE_BYTES, Progress, SolveTile, kept
+from lightmatrix.estimators.join import TILE_BYTES, kept
+from lightmatrix.estimators.steps import Found, Progress, SolveTile, cut
 from lightmatrix.solvers.problem import Result
-from lightmatrix.store import Checkpoint
+from lightmatrix.store import ROWS
+from lightmatrix.store.tiles import Span
 from lightmatrix.transport.footprints import footprint_sizes
 from lightmatrix.transport.sparse_rows import SparseRows
 
 # Of each row of a large frame: whether it looked at every projector pixel; and, of some rows,
 # whether none beside its likeliest would enter it, NaN of the others.
 LOOKED, HOLDS = "looked_everywhere", "holds_everywhere"
-# What a checkpoint calls the misfit under the frames held out.
+# The step, and the fact of its rows, that measures the misfit under the frames held out.
 HELD_OUT = "held-out"
 
 
@@ -53,7 +57,7 @@ class Rounds:
     solving : Solving
         How rows are solved.
     stages : tuple of Stage
-        All rounds in turn; the last one is solved by tiles that the caller keeps.
+        All rounds in turn.
     tile_rows : int or None
         Rows solved at a time. None: as many as fit half a gigabyte.
     progress : callable or None
@@ -64,25 +68,61 @@ class Rounds:
     stages: tuple[Stage, ...]
     tile_rows: int | None
     progress: Progress | None
+    _latest: dict[int, Neighbourhood] = field(default_factory=dict, init=False, repr=False)
 
-    def begin(self, running: Checkpoint | None) -> SolveTile:
-        """All rounds but the last, whose tiles the result solves."""
-        known = self._known(len(self.stages) - 1, self._before_last(running))
-        misfit = self._recalled_misfit(running)
-        if misfit is None:
-            misfit = self._misfit(known)
-            if running is not None:
-                running.remember(HELD_OUT, self._facts(misfit))
+    @property
+    def capture(self) -> Capture:
+        """What is estimated from."""
+        return self.solving.capture
+
+    @property
+    def steps(self) -> Mapping[str, tuple[str, ...]]:
+        """A step a round; the last one is solved twice, first without the frames held out."""
+        names = [round_name(number) for number in range(len(self.stages) - 1)]
+        rounds = {name: (before,) for before, name in pairwise(names)}
+        return {names[0]: (), **rounds, HELD_OUT: (names[-1],), ROWS: (names[-1], HELD_OUT)}
+
+    def begin(self, step: str, found: Found) -> SolveTile:
+        """What the rows of a step know of the one before, and what solves some of them."""
+        number = self._number(step)
+        if number == 0:
+            return self._first
+        known = self._known(number, found)
+        if step == HELD_OUT:
+            return partial(self._misfit, known)
+        if step != ROWS:
+            return partial(self._again, number, known)
+        misfit = found(HELD_OUT).diagnostics[HELD_OUT]
+        if len(held_out_frames(self.capture.count)):
+            misfit = pooled(misfit, known.camera)
         return partial(self._last, known, misfit)
 
-    def ranges(self, stage: Stage | None = None) -> Iterator[tuple[int, int]]:
-        """Rows of a stage that are solved at a time; None is the last."""
+    def ranges(self, step: str, parts: int = 1) -> Iterator[Span]:
+        """Rows of a step that are solved at a time."""
         solving = self.solving
         row_bytes = coherent_row_bytes(solving.capture.count, solving.candidates)
-        tile = self.tile_rows or max(1, TILE_BYTES // row_bytes)
-        count = self._grid(stage or self.stages[-1]).count
-        for start in range(0, count, tile):
-            yield start, min(start + tile, count)
+        most = self.tile_rows or max(1, TILE_BYTES // row_bytes)
+        return cut(self._grid(self.stages[self._number(step)]).count, most, parts)
+
+    def report(self, step: str, start: int = 0) -> Progress | None:
+        """Tells rows as if all took alike: each round counts by the time that it usually takes."""
+        report = self.progress
+        if report is None:
+            return None
+        rows, costs = self.capture.rows, self._costs
+        number = len(self.stages) if step == ROWS else self._number(step)
+        before, cost = sum(costs[:number]) / sum(costs), costs[number] / sum(costs)
+        count = self._grid(self.stages[self._number(step)]).count
+        return lambda done, _: report(int(rows * (before + cost * (start + done) / count)), rows)
+
+    def silent(self) -> Rounds:
+        """The same without anybody who listens."""
+        return replace(self, progress=None)
+
+    def _number(self, step: str) -> int:
+        """Which of the stages a step is."""
+        last = len(self.stages) - 1
+        return last if step in (HELD_OUT, ROWS) else [*self.steps].index(step)
 
     @property
     def _grown(self) -> bool:
@@ -97,49 +137,16 @@ class Rounds:
     def _grid(self, stage: Stage) -> CameraGrid:
         return self._grids[stage.spacing]
 
-    def _before_last(self, running: Checkpoint | None) -> SparseRows:
-        """What the rounds before the last one find, from where a checkpoint has come to."""
-        latest, found = self._latest(running)
-        for number in range(latest + 1, len(self.stages) - 1):
-            known = self._known(number, found)
-            found = self._whole(running, number, partial(self._again, number, known))
-        return found
-
-    def _latest(self, running: Checkpoint | None) -> tuple[int, SparseRows]:
-        """The latest round that was finished, and what it found."""
-        if running is not None:
-            for number in reversed(range(len(self.stages) - 1)):
-                if (found := self._recalled(running, number)) is not None:
-                    return number, found
-        return 0, self._whole(running, 0, self._first)
-
-    def _recalled(self, running: Checkpoint, number: int) -> SparseRows | None:
-        """What a checkpoint remembers of a round; None if nothing whole."""
-        if (found := running.recall(f"round-{number}")) is None:
-            return None
-        shape = (self._grid(self.stages[number]).count, self.solving.atoms.pixels)
-        fits = found.coefficients.shape == shape and found.background.shape[1] == 1
-        return found if fits and (LOOKED in found.diagnostics) == self._grown else None
-
-    def _whole(self, running: Checkpoint | None, number: int, solve: SolveTile) -> SparseRows:
-        """A round over all its rows; the checkpoint remembers it instead of the one before."""
-        stage = self.stages[number]
-        found = SparseRows.joined([solve(start, stop) for start, stop in self.ranges(stage)])
-        if running is not None:
-            running.remember(f"round-{number}", found)
-            running.forget(f"round-{number - 1}")
-        return found
-
     def _first(self, start: int, stop: int) -> SparseRows:
         samples = self._grid(self.stages[0]).samples(start, stop)
-        solved = self.solving.everywhere(samples, self._report(0, start))
+        solved = self.solving.everywhere(samples, self.report(round_name(0), start))
         return _looked(solved) if self._grown else _found(solved)
 
     def _again(self, number: int, known: Neighbourhood, start: int, stop: int) -> SparseRows:
         """The rows start..stop of a round, with what neighbours found in the one before."""
         stage = self.stages[number]
         samples = self._grid(stage).samples(start, stop)
-        rows, report = np.arange(start, stop), self._report(number, start)
+        rows, report = np.arange(start, stop), self.report(round_name(number), start)
         if not self._grown:
             return _found(self.solving.near(samples, rows, stage, known, report)[0])
         before = known.rows.rows(rows)
@@ -165,41 +172,37 @@ class Rounds:
         lit = np.flatnonzero(np.diff(again.coefficients.indptr) > 0)
         return replaced(found, again.rows(lit), odd[lit]) if len(lit) else found
 
-    def _recalled_misfit(self, running: Checkpoint | None) -> NDArray[np.float32] | None:
-        """What a checkpoint remembers of `_misfit`; None if nothing whole."""
-        if running is None or (found := running.recall(HELD_OUT)) is None:
-            return None
-        misfit = found.diagnostics.get(HELD_OUT)
-        if misfit is None or misfit.dtype != np.float32:
-            return None
-        return misfit if len(misfit) == self.solving.capture.rows else None
+    def _misfit(self, known: Neighbourhood, start: int, stop: int) -> SparseRows:
+        """Squared errors of the rows start..stop under frames that are held out of the last round.
 
-    def _facts(self, misfit: NDArray[np.float32]) -> SparseRows:
-        """Facts of all rows as a checkpoint keeps them: of rows without light."""
-        count = len(misfit)
+        As facts of rows without light.
+        """
+        count = stop - start
         nothing = csr_array((count, self.solving.atoms.pixels), dtype=np.float32)
-        return SparseRows(nothing, np.zeros((count, 1), np.float32), {HELD_OUT: misfit})
+        facts = {HELD_OUT: self._squares(known, start, stop)}
+        return SparseRows(nothing, np.zeros((count, 1), np.float32), facts)
 
-    def _misfit(self, known: Neighbourhood) -> NDArray[np.float32]:
-        """Squared errors of all rows under frames that are held out of the last round, (M,)."""
+    def _squares(self, known: Neighbourhood, start: int, stop: int) -> NDArray[np.float32]:
         solving, stage = self.solving, self.stages[-1]
         held = held_out_frames(solving.capture.count)
         if not len(held):
-            return np.full(solving.capture.rows, np.nan, np.float32)
-        shown = np.concatenate([solving.atoms.rows(k, k + 1) for k in held])
-        parts = []
-        for start, stop in self.ranges():
-            samples = solving.capture.samples(start, stop)
-            report = self._report(len(self.stages) - 1, start)
-            part = without(samples, held)
-            solved, _ = solving.near(part, np.arange(start, stop), stage, known, report)
-            halos = solving.halos(known, slice(start, stop))[:, held]
-            light = solved.background[:, None] * halos
-            if solved.cells.shape[1]:
-                light += solved.cells @ solving.backgrounds.shown_means[:, held]
-            predicted = solved.coefficients @ shown.T + light
-            parts.append(squared_misfit(samples, predicted.astype(np.float32), held))
-        return pooled(np.concatenate(parts), known.camera)
+            return np.full(stop - start, np.nan, np.float32)
+        samples = solving.capture.samples(start, stop)
+        part, report = without(samples, held), self.report(HELD_OUT, start)
+        solved, _ = solving.near(part, np.arange(start, stop), stage, known, report)
+        halos = solving.halos(known, slice(start, stop))[:, held]
+        light = solved.background[:, None] * halos
+        if solved.cells.shape[1]:
+            light += solved.cells @ solving.backgrounds.shown_means[:, held]
+        predicted = solved.coefficients @ self._held_atoms.T + light
+        return squared_misfit(samples, predicted.astype(np.float32), held)
+
+    @cached_property
+    def _held_atoms(self) -> NDArray[np.float32]:
+        """The atoms under the frames held out, (H, S N)."""
+        atoms = self.solving.atoms
+        held = held_out_frames(self.capture.count)
+        return np.concatenate([atoms.rows(k, k + 1) for k in held])
 
     def _last(
         self, known: Neighbourhood, misfit: NDArray[np.float32], start: int, stop: int
@@ -207,8 +210,7 @@ class Rounds:
         """The rows start..stop of the last round, with the light of each cell."""
         solving, stage = self.solving, self.stages[-1]
         samples = solving.capture.samples(start, stop)
-        # The last round is solved twice: first without the frames held out.
-        report = self._report(len(self.stages), start)
+        report = self.report(ROWS, start)
         rows = np.arange(start, stop)
         solved, weighing = solving.near(samples, rows, stage, known, report)
         shares = solving.backgrounds.spread(known.centres[start:stop])
@@ -236,8 +238,15 @@ class Rounds:
         facts = {name: values.astype(np.float32) for name, values in told.items()}
         return replace(whole, diagnostics=dict(whole.diagnostics) | facts)
 
-    def _known(self, number: int, found: SparseRows) -> Neighbourhood:
+    def _known(self, number: int, found: Found) -> Neighbourhood:
         """What a round knows of all its rows, from what the one before found."""
+        # The last round is solved twice with it.
+        if number not in self._latest:
+            self._latest.clear()
+            self._latest[number] = self._neighbourhood(number, found(round_name(number - 1)))
+        return self._latest[number]
+
+    def _neighbourhood(self, number: int, found: SparseRows) -> Neighbourhood:
         grid, before = self._grid(self.stages[number]), self._grid(self.stages[number - 1])
         atoms = self.solving.atoms
         known = Neighbourhood(found, before.camera, atoms, before.spacing)
@@ -245,16 +254,6 @@ class Rounds:
             return known
         grown, moved = grid.grown(before, found), grid.movement(before, known.movement)
         return Neighbourhood(grown, grid.camera, atoms, grid.spacing, moved)
-
-    def _report(self, number: int, start: int) -> Progress | None:
-        """Tells rows as if all took alike: each round counts by the time that it usually takes."""
-        report = self.progress
-        if report is None:
-            return None
-        rows, costs = self.solving.capture.rows, self._costs
-        before, cost = sum(costs[:number]) / sum(costs), costs[number] / sum(costs)
-        count = self._grid(self.stages[min(number, len(self.stages) - 1)]).count
-        return lambda done, _: report(int(rows * (before + cost * (start + done) / count)), rows)
 
     @cached_property
     def _costs(self) -> list[float]:
@@ -268,6 +267,11 @@ class Rounds:
             for stage in self.stages
         ]
         return [*costs, costs[-1]]
+
+
+def round_name(number: int) -> str:
+    """The step of a round."""
+    return f"round-{number}"
 
 
 def _found(solved: Result, before: SparseRows | None = None) -> SparseRows:

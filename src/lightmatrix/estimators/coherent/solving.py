@@ -14,7 +14,7 @@ from lightmatrix.capture.capture import Capture
 from lightmatrix.estimators.coherent.backgrounds import Backgrounds
 from lightmatrix.estimators.coherent.neighbourhood import Neighbourhood, unseen_patterns
 from lightmatrix.estimators.coherent.stages import Stage
-from lightmatrix.estimators.join import Progress
+from lightmatrix.estimators.steps import Progress
 from lightmatrix.patterns.atoms import AtomPatterns
 from lightmatrix.solvers.active_set import ActiveSet
 from lightmatrix.solvers.fidelity import Fidelity

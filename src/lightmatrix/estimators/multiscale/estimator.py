@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,8 @@ from lightmatrix.camera.samples import Samples
 from lightmatrix.capture.capture import Capture
 from lightmatrix.errors import InputError
 from lightmatrix.estimators.join import (
-    Progress,
+    Crew,
+    Plan,
     capture_provenance,
     joined,
     kept,
@@ -24,8 +25,11 @@ from lightmatrix.estimators.join import (
 )
 from lightmatrix.estimators.multiscale.scales import Scale, grid_of, scales, split, strongest
 from lightmatrix.estimators.regularization import automatic_regularization
+from lightmatrix.estimators.steps import Found, Progress, SolveTile
 from lightmatrix.solvers import Solver, solve
 from lightmatrix.solvers.problem import Problem, Result
+from lightmatrix.store import ROWS
+from lightmatrix.store.tiles import Span
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.transport.sparse_rows import SparseRows
 
@@ -106,6 +110,7 @@ class MultiScaleEstimator:
         checkpoint: Path | None = None,
         overwrite: bool = False,
         progress: Progress | None = None,
+        crew: Crew | None = None,
     ) -> LightTransport:
         """From a capture to its light transport matrix.
 
@@ -119,18 +124,16 @@ class MultiScaleEstimator:
             many projector pixels each row was estimated. The gap is that of the restricted
             problem: it says nothing about pixels that were given up at coarser scales.
         """
+        plan = self.plan(capture, progress)
+        return joined(plan, checkpoint=checkpoint, overwrite=overwrite, crew=crew)
+
+    def plan(self, capture: Capture, progress: Progress | None = None) -> Plan:
+        """The estimate before it is made; parameters are those of `estimate`."""
         regularization = self.regularization
         if regularization is None:
             regularization = automatic_regularization(capture)
-        run = _Run(self, capture, regularization)
-        return joined(
-            capture,
-            run.ranges(),
-            lambda _: partial(run.solve, progress=progress),
-            self.provenance(capture, regularization),
-            checkpoint=checkpoint,
-            overwrite=overwrite,
-        )
+        work = _Run(self, capture, regularization, progress)
+        return Plan(work, self.provenance(capture, regularization))
 
     def provenance(self, capture: Capture, regularization: float) -> dict[str, Any]:
         """What made the estimate, JSON-ready."""
@@ -157,14 +160,30 @@ class _Run:
     estimator: MultiScaleEstimator
     capture: Capture
     regularization: float
+    progress: Progress | None
 
-    def ranges(self) -> Iterator[tuple[int, int]]:
+    @property
+    def steps(self) -> Mapping[str, tuple[str, ...]]:
+        return {ROWS: ()}
+
+    def ranges(self, step: str, parts: int = 1) -> Iterator[Span]:
+        # Strips of whole blocks, whose pixels share their candidates.
         rows = self.capture.camera_shape[0]
         width = self.capture.rows // rows
         for start in range(0, rows, self.estimator.camera_block):
             yield start * width, min(start + self.estimator.camera_block, rows) * width
 
-    def solve(self, start: int, stop: int, progress: Progress | None) -> SparseRows:
+    def begin(self, step: str, found: Found) -> SolveTile:
+        return self._solve
+
+    def report(self, step: str, start: int = 0) -> Progress | None:
+        told, total = self.progress, self.capture.rows
+        return None if told is None else lambda done, _: told(start + done, total)
+
+    def silent(self) -> _Run:
+        return replace(self, progress=None)
+
+    def _solve(self, start: int, stop: int) -> SparseRows:
         samples = self.capture.samples(start, stop)
         patterns = self.capture.patterns
         strip = Problem(
@@ -175,11 +194,12 @@ class _Run:
             background=self.estimator.background,
         )
         parts, order = [], []
+        report = self.report(ROWS, start)
         for rows in self._camera_blocks(stop - start):
             parts.append(self._solve_block(strip.take(rows), samples.rows(rows)))
             order.append(rows)
-            if progress is not None:
-                progress(start + sum(map(len, order)), self.capture.rows)
+            if report is not None:
+                report(sum(map(len, order)), stop - start)
         return SparseRows.joined(parts).rows(np.argsort(np.concatenate(order)))
 
     def _camera_blocks(self, rows: int) -> Iterator[NDArray[np.int64]]:

@@ -1,0 +1,95 @@
+"""How much faster two workers are than one: `python -m benchmarks.workers`.
+
+Workers have one thread each. First both give the same bits as no worker does; then each estimates
+in turn, so that other work on the machine meets both alike, and the best of the repeats counts.
+Starting the workers does not count; reading, solving, writing and joining do. Beside the clock's
+time stands the processors', of workers and of the process that hands out tiles: on a machine that
+is busy with other work the clock tells little, and how much more of the processors two workers take
+bounds what they would gain on two idle cores.
+
+    python -m benchmarks.workers [--camera 96] [--projector 96] [--count 64] [--repeats 3]
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import psutil
+
+import lightmatrix as lm
+from lightmatrix.estimators.workers.crew import DaskCrew
+from lightmatrix.estimators.workers.opening import opened
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Measure, and print a line of JSON for each kind of estimate."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.workers", description=__doc__)
+    for name, value in (("camera", 96), ("projector", 96), ("count", 64), ("repeats", 3)):
+        parser.add_argument(f"--{name}", type=int, default=value)
+    options = parser.parse_args(arguments)
+    # Read by the workers, which divide it: one thread each.
+    os.environ["RAYON_NUM_THREADS"] = "1"
+    with tempfile.TemporaryDirectory() as folder:
+        place = Path(folder) / "capture.zarr"
+        projector = (options.projector, options.projector)
+        scene = lm.ProceduralScene((options.camera, options.camera), projector)
+        lm.simulate_procedural(place, scene, lm.BernoulliPatterns(projector, options.count))
+        for coherent in (False, True):
+            found = measured(place, coherent, options.repeats)
+            print(json.dumps({"coherent": coherent, **vars(options), **found}), flush=True)
+
+
+def measured(place: Path, coherent: bool, repeats: int) -> dict[str, Any]:
+    """Seconds of one worker and of two, by the clock and of the processors; the best of each."""
+    capture = lm.Capture.open(place, check=False)
+    alone = lm.estimate(capture, coherent=coherent)
+    clock: dict[int, list[float]] = {1: [], 2: []}
+    processors: dict[int, list[float]] = {1: [], 2: []}
+    with opened(1) as one, opened(2) as two:
+        for _ in range(repeats):
+            for number, crew in ((1, one), (2, two)):
+                before, started = spent(crew), time.perf_counter()
+                found = estimated(capture, coherent, crew)
+                clock[number].append(time.perf_counter() - started)
+                processors[number].append(spent(crew) - before)
+                if not same(found, alone):
+                    raise SystemExit(f"{number} workers give another result than none")
+    best = {number: min(times) for number, times in clock.items()}
+    work = {number: min(times) for number, times in processors.items()}
+    return {
+        "seconds": best,
+        "processor_seconds": work,
+        "times_as_fast": best[1] / best[2],
+        "at_best_on_two_cores": 2 * work[1] / work[2],
+    }
+
+
+def estimated(capture: lm.Capture, coherent: bool, crew: DaskCrew) -> lm.LightTransport:
+    """An estimate by workers."""
+    return lm.AutoEstimator(coherent=coherent).estimate(capture, crew=crew)
+
+
+def spent(crew: DaskCrew) -> float:
+    """Processor seconds of the workers and of this process so far."""
+    pids = [*crew.client.run(os.getpid).values(), os.getpid()]
+    times = [psutil.Process(pid).cpu_times() for pid in pids]
+    return sum(one.user + one.system for one in times)
+
+
+def same(one: lm.LightTransport, other: lm.LightTransport) -> bool:
+    """Whether two matrices are the same to the last bit."""
+    pairs = [(getattr(one.sparse, n), getattr(other.sparse, n)) for n in ("data", "indices")]
+    pairs += [(one.background, other.background)]
+    pairs += [(one.diagnostics[name], other.diagnostics[name]) for name in one.diagnostics]
+    return all(np.array_equal(*pair, equal_nan=True) for pair in pairs)
+
+
+if __name__ == "__main__":
+    main()
