@@ -5,6 +5,7 @@ use pyo3::exceptions::PyOSError;
 use pyo3::prelude::*;
 use rayon::{ThreadPool, ThreadPoolBuilder};
 use std::error::Error;
+use std::io;
 use std::num::NonZero;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{mpsc, Arc, Mutex, PoisonError};
@@ -17,8 +18,31 @@ const PATIENCE: Duration = Duration::from_millis(50);
 /// its parent's threads.
 static SHARED: Mutex<Option<(u32, Arc<ThreadPool>)>> = Mutex::new(None);
 
+/// What a thread takes as it starts: its stack, and what the system's library keeps for it, without
+/// which it would end the process.
+const STACK: usize = 2 << 20;
+const BESIDE_STACK: usize = 1 << 20;
+
+/// One after the other, so that no stack takes the room that the thread before still needs.
 fn start(threads: usize) -> PyResult<Arc<ThreadPool>> {
-    let pool = ThreadPoolBuilder::new().num_threads(threads).build();
+    let pool = ThreadPoolBuilder::new()
+        .num_threads(threads)
+        .spawn_handler(|thread| {
+            Vec::<u8>::new()
+                .try_reserve_exact(STACK + BESIDE_STACK)
+                .map_err(|_| io::ErrorKind::OutOfMemory)?;
+            let (ready, begun) = mpsc::channel();
+            let builder = std::thread::Builder::new().stack_size(STACK);
+            builder.spawn(move || {
+                // Nobody has stopped waiting for it.
+                let _ = ready.send(());
+                thread.run();
+            })?;
+            // Disconnected without a word, it has ended already.
+            let _ = begun.recv();
+            Ok(())
+        })
+        .build();
     pool.map(Arc::new).map_err(|error| {
         let why = error.source().map_or(error.to_string(), |e| e.to_string());
         PyOSError::new_err(format!("cannot start {threads} threads: {why}"))
