@@ -96,12 +96,14 @@ def response_rmse(
     _check_same_rig(estimate, truth)
     columns = sampled_pixels(truth.projector_shape, step, min(offset, step - 1))
     chosen = slice(None) if rows is None else rows
-    wrong, count = 0.0, 0
-    for part in np.array_split(columns, max(1, len(columns) // 32)):
-        if len(part):
-            difference = (estimate.dense_columns(part) - truth.dense_columns(part))[chosen]
-            wrong += _energy(difference)
-            count += difference.size
+    gap = csr_array(estimate.sparse[:, columns] - truth.sparse[:, columns])[chosen]
+    light = [(t.background[chosen], t.pooling[:, columns].toarray()) for t in (estimate, truth)]
+    (found, cells), (known, true_cells) = light
+    wrong, size = 0.0, max(1, _CHUNK_BYTES // (4 * max(1, len(columns))))
+    for start in range(0, gap.shape[0], size):
+        part = slice(start, start + size)
+        wrong += _energy(gap[part].toarray() + found[part] @ cells - known[part] @ true_cells)
+    count = gap.shape[0] * gap.shape[1]
     return float(np.sqrt(wrong / max(count, 1))) / clip_level
 
 
