@@ -142,7 +142,6 @@ class AutoEstimator:
             method = "plain"
         else:
             row_bytes = self._solver().row_bytes(capture.count, capture.patterns.pixels)
-        elsewhere = self.cluster is not None
         return needs_of(
             capture,
             method,
@@ -150,7 +149,7 @@ class AutoEstimator:
             row_bytes=row_bytes,
             most=self._most,
             workers=self.workers or 1,
-            elsewhere=elsewhere,
+            elsewhere=self.cluster is not None,
         )
 
     def check_shared(self, output: str | Path | None) -> None:

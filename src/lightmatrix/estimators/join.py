@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import platform
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, replace
-from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Protocol, cast
@@ -118,10 +117,7 @@ def joined(
     target = final_target(checkpoint)
     check_disk(target.parent, _least_bytes(plan), checkpoint, "at least about")
     with Checkpoint.open(checkpoint, plan.fingerprint, overwrite=overwrite) as running:
-        if crew is None:
-            complete(plan.work, running)
-        else:
-            complete(plan.work, running, parts=crew.parts, solve=partial(elsewhere, crew, running))
+        complete_with(crew, plan.work, running)
         return running.finish(**plan.shapes)
 
 
@@ -133,9 +129,18 @@ def _least_bytes(plan: Plan) -> int:
     return row * plan.work.capture.rows
 
 
-def elsewhere(crew: Crew, running: Checkpoint, work: Work, step: str, spans: list[Span]) -> None:
-    """Let a crew solve tiles of a step, as `complete` wants it done."""
-    crew.solve(work, step, spans, running)
+def complete_with(
+    crew: Crew | None, work: Work, running: Checkpoint, wanted: Iterable[Span] | None = None
+) -> None:
+    """Solve what is missing of an estimate by a crew, or here; see `complete`."""
+    if crew is None:
+        complete(work, running, wanted=wanted)
+        return
+
+    def solve(work: Work, step: str, spans: list[Span]) -> None:
+        crew.solve(work, step, spans, running)
+
+    complete(work, running, wanted=wanted, parts=crew.parts, solve=solve)
 
 
 def kept(samples: Samples, result: Result, **more: NDArray[Any]) -> SparseRows:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,7 @@ from lightmatrix.estimators.join import (
     solver_provenance,
 )
 from lightmatrix.estimators.regularization import automatic_regularization
-from lightmatrix.estimators.steps import Found, Progress, SolveTile, cut
+from lightmatrix.estimators.steps import OneStep, Progress, cut
 from lightmatrix.solvers import Solver, solve
 from lightmatrix.solvers.parameters import check_count
 from lightmatrix.solvers.problem import Problem
@@ -104,7 +104,7 @@ class PlainEstimator:
     def plan(self, capture: Capture, progress: Progress | None = None) -> Plan:
         """The estimate before it is made; parameters are those of `estimate`."""
         regularization = self._regularization(capture)
-        work = _Tiles(self, capture, regularization, progress)
+        work = _Tiles(capture, progress, self, regularization)
         return Plan(work, self.provenance(capture, regularization))
 
     def provenance(self, capture: Capture, regularization: float) -> dict[str, Any]:
@@ -124,34 +124,18 @@ class PlainEstimator:
         return automatic_regularization(capture)
 
 
-@dataclass(frozen=True)
-class _Tiles:
+@dataclass(frozen=True, eq=False)
+class _Tiles(OneStep):
     """The rows of a capture, solved tile by tile."""
 
     estimator: PlainEstimator
-    capture: Capture
     regularization: float
-    progress: Progress | None
-
-    @property
-    def steps(self) -> Mapping[str, tuple[str, ...]]:
-        return {ROWS: ()}
 
     def ranges(self, step: str, parts: int = 1) -> Iterator[Span]:
         most = self.estimator.tile_rows or self._fitting_rows()
         return cut(self.capture.rows, most, parts)
 
-    def begin(self, step: str, found: Found) -> SolveTile:
-        return self._solve
-
-    def report(self, step: str, start: int = 0) -> Progress | None:
-        told, total = self.progress, self.capture.rows
-        return None if told is None else lambda done, _: told(start + done, total)
-
-    def silent(self) -> _Tiles:
-        return replace(self, progress=None)
-
-    def _solve(self, start: int, stop: int) -> SparseRows:
+    def solve(self, start: int, stop: int) -> SparseRows:
         samples = self.capture.samples(start, stop)
         problem = Problem(
             self.capture.patterns,

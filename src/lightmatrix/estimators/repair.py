@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
 from lightmatrix.capture.capture import Capture
 from lightmatrix.errors import InputError
 from lightmatrix.estimators.auto import AutoEstimator
-from lightmatrix.estimators.join import elsewhere
-from lightmatrix.estimators.steps import Progress, Work, complete
+from lightmatrix.estimators.join import complete_with
+from lightmatrix.estimators.steps import Progress, Work
 from lightmatrix.store import ROWS, Checkpoint
 from lightmatrix.store.repair import Damage, differing
 from lightmatrix.store.tiles import Span
@@ -107,10 +106,7 @@ def repair(
         Checkpoint.repairing(place, plan.fingerprint) as running,
     ):
         wanted = list(_tiles(plan.work, damage.rows))
-        parts, solve = 1, None
-        if crew is not None:
-            parts, solve = crew.parts, partial(elsewhere, crew, running)
-        complete(plan.work, running, wanted=wanted, parts=parts, solve=solve)
+        complete_with(crew, plan.work, running, wanted)
         rows = {span[0]: running.rows(*span) for span in damage.rows}
         try:
             damage.mend(rows, running)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
-from typing import Protocol
+from dataclasses import dataclass, field, replace
+from typing import Protocol, Self
 
 from lightmatrix.capture.capture import Capture
 from lightmatrix.store import ROWS
@@ -53,6 +54,40 @@ class Work(Protocol):
 
     def silent(self) -> Work:
         """The same without anybody who listens."""
+
+
+@dataclass(frozen=True, eq=False)
+class OneStep(ABC):
+    """A `Work` of one step, whose rows depend on their own samples alone."""
+
+    capture: Capture
+    progress: Progress | None
+
+    @property
+    def steps(self) -> Mapping[str, tuple[str, ...]]:
+        """The result alone."""
+        return {ROWS: ()}
+
+    @abstractmethod
+    def ranges(self, step: str, parts: int = 1) -> Iterator[Span]:
+        """Tiles of rows, in order."""
+
+    @abstractmethod
+    def solve(self, start: int, stop: int) -> SparseRows:
+        """The rows start..stop."""
+
+    def begin(self, step: str, found: Found) -> SolveTile:
+        """What solves rows; nothing comes before."""
+        return self.solve
+
+    def report(self, step: str, start: int = 0) -> Progress | None:
+        """What is told of the rows from `start` on; None if nobody listens."""
+        told, total = self.progress, self.capture.rows
+        return None if told is None else lambda done, _: told(start + done, total)
+
+    def silent(self) -> Self:
+        """The same without anybody who listens."""
+        return replace(self, progress=None)
 
 
 class Tiles(Protocol):

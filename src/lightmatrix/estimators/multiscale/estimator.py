@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -25,7 +25,7 @@ from lightmatrix.estimators.join import (
 )
 from lightmatrix.estimators.multiscale.scales import Scale, grid_of, scales, split, strongest
 from lightmatrix.estimators.regularization import automatic_regularization
-from lightmatrix.estimators.steps import Found, Progress, SolveTile
+from lightmatrix.estimators.steps import OneStep, Progress
 from lightmatrix.solvers import Solver, solve
 from lightmatrix.solvers.problem import Problem, Result
 from lightmatrix.store import ROWS
@@ -132,7 +132,7 @@ class MultiScaleEstimator:
         regularization = self.regularization
         if regularization is None:
             regularization = automatic_regularization(capture)
-        work = _Run(self, capture, regularization, progress)
+        work = _Run(capture, progress, self, regularization)
         return Plan(work, self.provenance(capture, regularization))
 
     def provenance(self, capture: Capture, regularization: float) -> dict[str, Any]:
@@ -154,17 +154,11 @@ class MultiScaleEstimator:
 
 
 @dataclass(frozen=True, eq=False)
-class _Run:
+class _Run(OneStep):
     """One capture, strip by strip of camera blocks."""
 
     estimator: MultiScaleEstimator
-    capture: Capture
     regularization: float
-    progress: Progress | None
-
-    @property
-    def steps(self) -> Mapping[str, tuple[str, ...]]:
-        return {ROWS: ()}
 
     def ranges(self, step: str, parts: int = 1) -> Iterator[Span]:
         # Strips of whole blocks, whose pixels share their candidates.
@@ -173,17 +167,7 @@ class _Run:
         for start in range(0, rows, self.estimator.camera_block):
             yield start * width, min(start + self.estimator.camera_block, rows) * width
 
-    def begin(self, step: str, found: Found) -> SolveTile:
-        return self._solve
-
-    def report(self, step: str, start: int = 0) -> Progress | None:
-        told, total = self.progress, self.capture.rows
-        return None if told is None else lambda done, _: told(start + done, total)
-
-    def silent(self) -> _Run:
-        return replace(self, progress=None)
-
-    def _solve(self, start: int, stop: int) -> SparseRows:
+    def solve(self, start: int, stop: int) -> SparseRows:
         samples = self.capture.samples(start, stop)
         patterns = self.capture.patterns
         strip = Problem(
