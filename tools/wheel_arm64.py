@@ -115,7 +115,7 @@ def main() -> None:
         results, ([sys.executable], emulated), (kept, environment), strict=True
     ):
         subprocess.run([*python, "-c", QUESTION, str(file)], check=True, env=own)
-    compare(*results, "arm64")
+    compare(results[0], results[1], "arm64")
 
 
 def compare(here: Path, there: Path, system: str) -> None:
