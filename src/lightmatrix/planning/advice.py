@@ -19,6 +19,10 @@ from lightmatrix.errors import InputError
 
 # Share of a row's sum in its strongest spot: medians of 0.85, 0.98, 0.89 and 0.43 on the scenes.
 SPOT_SHARE = 0.85
+# The same of rows that must not clip: they hold more of it where a camera pixel sees no more than
+# one projector pixel. (With 0.85 such a rig errs by twice as much, at 1 rows of global light by a
+# twentieth more.)
+BRIGHT_SPOT_SHARE = 0.9
 # Camera pixels below this share of a bright one are not reached by the projector.
 _LIT = 0.02
 # The brightest pixels that may clip: glints of single pixels must not darken all frames.
@@ -103,7 +107,7 @@ def advise_exposures(
 ) -> list[tuple[float, float]]:
     """Exposures and their shares of the frames.
 
-    The shortest puts 85 % of the brightest white level, what a row has in its spot, at the clip
+    The shortest puts 90 % of the brightest white level, what a row has in its spot, at the clip
     level, so that no single response and few sums of them clip; these are estimated as clipped
     samples, and what is dim gains more by it than the brightest rows lose. If its noise exceeds
     1.5 % of a typical pixel's light, longer ones follow, four times each, until it does not. Where
@@ -132,7 +136,7 @@ def advise_exposures(
         On a noise or a shortest exposure out of range.
     """
     check_camera(noise, shortest)
-    ladder = [1 / (SPOT_SHARE * white.brightest)]
+    ladder = [1 / (BRIGHT_SPOT_SHARE * white.brightest)]
     if white.clipped_share > GLINTS:
         ladder.append(ladder[0] / STEP)
     while noise > NOISE_LIMIT * white.typical * ladder[0] and ladder[0] * white.typical < 1:
