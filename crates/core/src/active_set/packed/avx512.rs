@@ -24,6 +24,27 @@ pub unsafe fn compress(row: &[f64], inverse: &[f64], groups: &[u8], size: usize,
     }
 }
 
+/// The values whose bits are set, then zeros up to `size`.
+///
+/// # Safety
+/// `values` has eight values a group, `out` eight more than `size`, and at most `size` bits are set.
+#[target_feature(enable = "avx512f")]
+pub unsafe fn pick(values: &[f64], groups: &[u8], size: usize, out: &mut [f64]) {
+    if size == 0 {
+        return;
+    }
+    // SAFETY: as for `compress`.
+    unsafe {
+        let mut at = out.as_mut_ptr();
+        _mm512_storeu_pd(at.add(size - 8), _mm512_setzero_pd());
+        for (i, &bits) in groups.iter().enumerate() {
+            let values = _mm512_loadu_pd(values.as_ptr().add(8 * i));
+            _mm512_storeu_pd(at, _mm512_maskz_compress_pd(bits, values));
+            at = at.add(bits.count_ones() as usize);
+        }
+    }
+}
+
 /// # Safety
 /// `x`, `pull`, `band` and `diagonal` have one length, a multiple of `WIDTH`, and `matrix` at
 /// least its square.

@@ -82,8 +82,12 @@ fn sweeps_as_defined() {
                 let mut slope: Vec<f64> = (0..model.stride)
                     .map(|j| (j as f64 * 1.7).sin() * if signed { 3.0 } else { 2.0 } + 0.5)
                     .collect();
+                let mut chosen = vec![0; model.stride / WIDTH];
+                for &j in &set {
+                    chosen[j as usize / WIDTH] |= 1 << (j as usize % WIDTH);
+                }
                 let mut packed = Packed::default();
-                packed.load(&model, &set, LAMBDA, &x, &slope);
+                packed.load(&model, &chosen, LAMBDA, &x, &slope);
                 for _ in 0..4 {
                     let change = packed.sweep(level, signed, 0.0, 1);
                     let expected = sweep(&model, &set, signed, &mut x, &mut slope);
