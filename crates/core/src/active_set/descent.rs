@@ -11,7 +11,7 @@ use crate::simd::{multiversion, Level};
 use crate::vector::add_scaled;
 
 /// Choices of the pixels that take part.
-const ROUNDS: usize = 8;
+const ROUNDS: usize = 3;
 /// Most sweeps over those first chosen,
 const FIRST_SWEEPS: usize = 3;
 /// and over those of a later choice.
@@ -91,8 +91,7 @@ impl Descent {
             if stale || entering {
                 stale = false;
                 let (target, slope) = (&progress.target, &progress.slope);
-                self.packed
-                    .load(model, &self.chosen, lambda, target, slope);
+                self.packed.load(model, &self.chosen, lambda, target, slope);
             }
             let signed = !settings.nonnegative;
             // Many of the pixels that enter leave again at once.
