@@ -88,12 +88,13 @@ impl Descent {
                 return;
             }
             let progress = &mut self.progress;
+            let signed = !settings.nonnegative;
             if stale || entering {
                 stale = false;
                 let (target, slope) = (&progress.target, &progress.slope);
-                self.packed.load(model, &self.chosen, lambda, target, slope);
+                self.packed
+                    .load(model, &self.chosen, lambda, signed, target, slope);
             }
-            let signed = !settings.nonnegative;
             // Many of the pixels that enter leave again at once.
             if entering {
                 change = self.packed.sweep(level, signed, settled, FIRST_SWEEPS);

@@ -30,10 +30,11 @@ fn sweep(model: &Model, set: &[u32], signed: bool, x: &mut [f64], slope: &mut [f
         let j = j as usize;
         let (row, square) = (model.row(j), model.diagonal[j]);
         let free = x[j] * square + slope[j];
-        let mut next = (free - LAMBDA).max(0.0) / square;
-        if signed {
-            next += (free + LAMBDA).min(0.0) / square;
-        }
+        let next = if signed {
+            ((free - LAMBDA).max(0.0) + (free + LAMBDA).min(0.0)) / square
+        } else {
+            (x[j] + RELAXATION * (slope[j] - LAMBDA) / square).max(0.0)
+        };
         let moved = next - x[j];
         x[j] = next;
         most = most.max(moved.abs() * square);
@@ -87,7 +88,7 @@ fn sweeps_as_defined() {
                     chosen[j as usize / WIDTH] |= 1 << (j as usize % WIDTH);
                 }
                 let mut packed = Packed::default();
-                packed.load(&model, &chosen, LAMBDA, &x, &slope);
+                packed.load(&model, &chosen, LAMBDA, signed, &x, &slope);
                 for _ in 0..4 {
                     let change = packed.sweep(level, signed, 0.0, 1);
                     let expected = sweep(&model, &set, signed, &mut x, &mut slope);
