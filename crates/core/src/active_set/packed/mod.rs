@@ -15,6 +15,8 @@ use crate::simd::{multiversion, Kind, Level};
 /// fewer sweeps. Any factor below 2 lowers the model's value at every move; where x may have
 /// both signs, moves that end at zero are no longer one maximum, so there it is 1.
 const RELAXATION: f64 = 1.3;
+/// So few pixels come to their best values at once, one pixel in one move.
+const FEW: usize = 16;
 
 /// A part of a quadratic model: some pixels' rows and columns, padded to whole blocks.
 ///
@@ -60,7 +62,11 @@ impl Packed {
                 bits &= bits - 1;
             }
         }
-        let relaxation = if signed { 1.0 } else { RELAXATION };
+        let relaxation = if signed || self.set.len() <= FEW {
+            1.0
+        } else {
+            RELAXATION
+        };
         self.relaxed.clear();
         self.relaxed
             .extend(model.inverse.iter().map(|inverse| relaxation * inverse));

@@ -25,6 +25,7 @@ fn dictionary(level: Level, packed: &[u8]) -> Dictionary {
 
 /// One sweep by the book over `set`; returns the largest change of a slope.
 fn sweep(model: &Model, set: &[u32], signed: bool, x: &mut [f64], slope: &mut [f64]) -> f64 {
+    let relaxation = if set.len() <= FEW { 1.0 } else { RELAXATION };
     let mut most: f64 = 0.0;
     for &j in set {
         let j = j as usize;
@@ -33,7 +34,7 @@ fn sweep(model: &Model, set: &[u32], signed: bool, x: &mut [f64], slope: &mut [f
         let next = if signed {
             ((free - LAMBDA).max(0.0) + (free + LAMBDA).min(0.0)) / square
         } else {
-            (x[j] + RELAXATION * (slope[j] - LAMBDA) / square).max(0.0)
+            (x[j] + relaxation * (slope[j] - LAMBDA) / square).max(0.0)
         };
         let moved = next - x[j];
         x[j] = next;
@@ -71,6 +72,7 @@ fn sweeps_as_defined() {
             vec![3],
             (0..9).collect(),
             (0..20).filter(|j| j % 3 > 0).collect::<Vec<u32>>(),
+            (0..20).collect(),
         ] {
             for &j in &set {
                 model.make_row(&dictionary, &pixels, j as usize);
