@@ -96,9 +96,9 @@ pub unsafe fn sweep(
                     least = _mm_min_sd(least, _mm_add_sd(pulled[i], band[i]));
                 }
                 let by = _mm_max_sd(pulled[i], least);
-                for k in i + 1..WIDTH {
+                for (k, pulled) in pulled.iter_mut().enumerate().skip(i + 1) {
                     let factor = _mm_load_sd(rows.add(i * size + block + k));
-                    pulled[k] = _mm_fnmadd_sd(by, factor, pulled[k]);
+                    *pulled = _mm_fnmadd_sd(by, factor, *pulled);
                 }
                 moves[i] = _mm512_broadcastsd_pd(by);
                 moved = _mm512_mask_mov_pd(moved, 1 << i, moves[i]);
