@@ -96,9 +96,11 @@ pub unsafe fn sweep(
                     least = _mm_min_sd(least, _mm_add_sd(pulled[i], band[i]));
                 }
                 let by = _mm_max_sd(pulled[i], least);
-                for (k, pulled) in pulled.iter_mut().enumerate().skip(i + 1) {
+                // Compilers unroll this loop with an index, and not with an iterator.
+                #[allow(clippy::needless_range_loop)]
+                for k in i + 1..WIDTH {
                     let factor = _mm_load_sd(rows.add(i * size + block + k));
-                    *pulled = _mm_fnmadd_sd(by, factor, *pulled);
+                    pulled[k] = _mm_fnmadd_sd(by, factor, pulled[k]);
                 }
                 moves[i] = _mm512_broadcastsd_pd(by);
                 moved = _mm512_mask_mov_pd(moved, 1 << i, moves[i]);
