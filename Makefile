@@ -7,7 +7,8 @@ BIN := $(VENV)/bin
 CORE := $(shell find crates -name '*.rs' -o -name Cargo.toml) Cargo.toml pyproject.toml
 
 .PHONY: help install demo test test-install lint types rust-test py-test faults fuzz live-faults kills mutants format \
-	bench experiments docs gallery screenshots wheel wheel-test wheel-demo wheel-arm64 needs system-deps clean
+	bench experiments docs gallery screenshots wheel wheel-test wheel-demo wheel-arm64 wheel-windows \
+	needs system-deps clean
 
 help:
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 16
@@ -122,6 +123,14 @@ wheel-arm64: install ## a wheel for 64-bit ARM, and its results under qemu; take
 	PATH="$(CURDIR)/$(BIN):$$PATH" env -u CARGO_ENCODED_RUSTFLAGS RUSTFLAGS= $(BIN)/maturin build --release --locked \
 	  --target aarch64-unknown-linux-gnu --zig --compatibility manylinux_2_28 --out dist/arm64
 	$(BIN)/python tools/wheel_arm64.py dist/arm64
+
+# Cross-compiled by MinGW, tried by Wine: on Windows, `python tools/wheel_test.py dist`.
+wheel-windows: install ## a wheel for Windows, and the core's tests under Wine; WINDOWS_PYTHON=folder: its results, too
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check 'maturin>=1.12,<2'
+	rustup target add x86_64-pc-windows-gnu
+	env -u CARGO_ENCODED_RUSTFLAGS RUSTFLAGS= $(BIN)/maturin build --release --locked \
+	  --target x86_64-pc-windows-gnu --out dist/windows
+	$(BIN)/python tools/wheel_windows.py dist/windows $(if $(WINDOWS_PYTHON),--python $(WINDOWS_PYTHON))
 
 needs: test-install ## measure what estimates take of memory and time; takes half an hour
 	$(BIN)/python -m benchmarks.needs

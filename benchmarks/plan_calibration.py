@@ -115,7 +115,7 @@ def run(
     known = truth(scene, SIZE)
     white = known.matrix.sum(axis=1)
     if exposures == "advised":
-        chosen = advise_exposures(WhiteFrame(white, np.zeros(len(white), bool)))
+        chosen = advise_exposures(WhiteFrame(white, np.zeros(len(white), bool)), frames=frames)
     else:
         chosen = [(benchmark_exposure(known.transport()), 1.0)]
     if estimator == "plain":

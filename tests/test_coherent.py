@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
+from scipy.sparse.linalg import norm
 
 from lightmatrix import store
 from lightmatrix.camera.sensor import Sensor
@@ -59,7 +60,7 @@ def rendered(name: str) -> tuple[Capture, LightTransport, NDArray[np.int64]]:
     return photographed(truth, 32, exposure), known, rows
 
 
-# Measured: .0187, .0136, .0318, .0335; row by row .43, .14, .21, .52.
+# Measured: .0178, .0133, .0286, .0323; row by row .43, .14, .21, .52.
 @pytest.mark.parametrize(
     ("name", "most"),
     [("l_objects", 0.0205), ("gripper", 0.015), ("metal", 0.035), ("corner", 0.037)],
@@ -176,7 +177,9 @@ def test_colour_channels_are_estimated_each_for_itself(scene: Truth) -> None:
     estimate = CoherentEstimator().estimate(colour)
     assert estimate.camera_shape == (20, 18, 2)
     expected = CoherentEstimator().estimate(grey)
-    assert (estimate.sparse[::2] != expected.sparse).nnz == 0
+    # How footprints move is measured from all channels; it weighs what neighbours say.
+    difference = estimate.sparse[::2] - expected.sparse
+    assert norm(difference) < 0.01 * norm(expected.sparse)
 
 
 def test_masked_camera_pixels_stay_empty(scene: Truth) -> None:

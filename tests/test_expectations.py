@@ -95,7 +95,11 @@ def by_definition(
     if not guesses:
         return None, None
     mean = np.average(guesses, axis=0, weights=counts)
-    return mean, np.average((np.array(guesses) - mean) ** 2, axis=0, weights=counts)
+    spread = np.average((np.array(guesses) - mean) ** 2, axis=0, weights=counts)
+    # What they err in common: how far the mean misses what is known, beyond 15 %.
+    known = weights * ~clipped
+    missed = known @ (y - mean[: shown.count]) ** 2 / max(known.sum(), 1e-30)
+    return mean, spread + max(0, missed - (0.15 * max(LEVEL, mean.max())) ** 2)
 
 
 def all_of(samples: Samples) -> NDArray[np.int64]:

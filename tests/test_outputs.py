@@ -213,7 +213,8 @@ def test_places_that_are_never_replaced(tmp_path: Path, monkeypatch: pytest.Monk
         write(tmp_path / name / "in")
         (tmp_path / f"to {name}").symlink_to(name)
     monkeypatch.chdir(tmp_path / "here" / "in")
-    monkeypatch.setenv("HOME", str(tmp_path / "home" / "in"))
+    for name in ("HOME", "USERPROFILE"):  # POSIX and Windows look for it here.
+        monkeypatch.setenv(name, str(tmp_path / "home" / "in"))
     mounts = tmp_path / "mountinfo"
     disk = str(tmp_path / "disk" / "in" / "a b").replace(" ", "\\040")
     mounts.write_text(f"36 35 98:0 / {disk} rw - ext3 /dev/x rw\n")

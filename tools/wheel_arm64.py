@@ -110,17 +110,22 @@ def main() -> None:
     emulated = ["qemu-aarch64", "-L", str(root), str(root / "usr/bin/python3.11")]
     environment = {**kept, "PYTHONPATH": str(site)}
     subprocess.run([*emulated, "-m", "lightmatrix", "--version"], check=True, env=environment)
-    results: list[dict[str, NDArray[np.floating]]] = []
-    for python, own in (([sys.executable], kept), (emulated, environment)):
-        file = folder / f"results-{len(results)}.npz"
+    results = [folder / "results-here.npz", folder / "results-there.npz"]
+    for file, python, own in zip(
+        results, ([sys.executable], emulated), (kept, environment), strict=True
+    ):
         subprocess.run([*python, "-c", QUESTION, str(file)], check=True, env=own)
-        results.append(dict(np.load(file)))
-    here, there = results
-    for name, image in here.items():
-        difference = float(np.abs(image - there[name]).max() / np.abs(image).max())
+    compare(results[0], results[1], "arm64")
+
+
+def compare(here: Path, there: Path, system: str) -> None:
+    """Hold the answers to the question on another system against those given here."""
+    elsewhere: dict[str, NDArray[np.floating]] = dict(np.load(there))
+    for name, image in np.load(here).items():
+        difference = float(np.abs(image - elsewhere[name]).max() / np.abs(image).max())
         print(f"{name}: differs by {difference:.1e} of the greatest value")
         if difference > AGREE:
-            sys.exit(f"{name} is another on arm64")
+            sys.exit(f"{name} is another on {system}")
 
 
 if __name__ == "__main__":

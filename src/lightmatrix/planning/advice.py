@@ -7,6 +7,7 @@ near the rest of w otherwise. So what a set of exposures will clip can be told f
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -18,14 +19,22 @@ from lightmatrix.errors import InputError
 
 # Share of a row's sum in its strongest spot: medians of 0.85, 0.98, 0.89 and 0.43 on the scenes.
 SPOT_SHARE = 0.85
+# The same of rows that must not clip: they hold more of it where a camera pixel sees no more than
+# one projector pixel. (With 0.85 such a rig errs by twice as much, at 1 rows of global light by a
+# twentieth more.)
+BRIGHT_SPOT_SHARE = 0.9
 # Camera pixels below this share of a bright one are not reached by the projector.
 _LIT = 0.02
 # The brightest pixels that may clip: glints of single pixels must not darken all frames.
 GLINTS = 0.001
 # Of the light of a typical pixel: noise above it asks for a longer exposure as well.
-NOISE_LIMIT = 0.02
+NOISE_LIMIT = 0.015
 # From one exposure to the next.
 STEP = 4.0
+# Where there are several, the shortest is there for few rows, so that it gets few frames; but with
+# less than eight of it bright rows are lost (measured at 16 frames: 4 are too few, 8 suffice).
+SHORTEST_SHARE = 0.25
+SHORTEST_FRAMES = 8
 # Of the white frame's pixels: above, the scene's range is unknown and nothing can be advised.
 _MOST_CLIPPED = 0.5
 DENSITY = 0.5
@@ -91,14 +100,20 @@ class WhiteFrame:
 
 
 def advise_exposures(
-    white: WhiteFrame, noise: float = USUAL_NOISE, shortest: float | None = None
+    white: WhiteFrame,
+    noise: float = USUAL_NOISE,
+    shortest: float | None = None,
+    frames: int | None = None,
 ) -> list[tuple[float, float]]:
     """Exposures and their shares of the frames.
 
-    The shortest puts the brightest white level at the clip level, so that no single response and
-    hardly a sum of them clips. If its noise exceeds 2 % of a typical pixel's light, longer ones
-    follow, four times each, until it does not. Where the white frame itself clips, the brightest
-    level is not known; one more exposure, a quarter of the shortest, is there for it.
+    The shortest puts 90 % of the brightest white level, what a row has in its spot, at the clip
+    level, so that no single response and few sums of them clip; these are estimated as clipped
+    samples, and what is dim gains more by it than the brightest rows lose. If its noise exceeds
+    1.5 % of a typical pixel's light, longer ones follow, four times each, until it does not. Where
+    the white frame itself clips, the brightest level is not known; one more exposure, a quarter of
+    the shortest, is there for it. Of several exposures the shortest gets a quarter of the frames,
+    but 8 at least, and never more than the others.
 
     Parameters
     ----------
@@ -107,11 +122,13 @@ def advise_exposures(
         Standard deviation of a sample's noise, as a share of the clip level; >= 0.
     shortest : float, optional
         The camera's shortest exposure, in the unit of the white frame's; > 0.
+    frames : int, optional
+        Number of frames, for the share of the shortest exposure. None: many.
 
     Returns
     -------
     list of (exposure, share)
-        From the longest to the shortest, equal shares; in the unit of the white frame's exposure.
+        From the longest to the shortest; in the unit of the white frame's exposure.
 
     Raises
     ------
@@ -119,7 +136,7 @@ def advise_exposures(
         On a noise or a shortest exposure out of range.
     """
     check_camera(noise, shortest)
-    ladder = [1 / white.brightest]
+    ladder = [1 / (BRIGHT_SPOT_SHARE * white.brightest)]
     if white.clipped_share > GLINTS:
         ladder.append(ladder[0] / STEP)
     while noise > NOISE_LIMIT * white.typical * ladder[0] and ladder[0] * white.typical < 1:
@@ -127,7 +144,17 @@ def advise_exposures(
     if shortest is not None:
         kept = [exposure for exposure in ladder if exposure > shortest]
         ladder = kept if len(kept) == len(ladder) else [*kept, shortest]
-    return [(float(f"{exposure:.3g}"), 1 / len(ladder)) for exposure in ladder]
+    longer = len(ladder) - 1
+    least = max(SHORTEST_SHARE, SHORTEST_FRAMES / frames) if frames else SHORTEST_SHARE
+    last = min(least, 1 / len(ladder)) if longer else 1.0
+    shares = [*[(1 - last) / max(1, longer)] * longer, last]
+    return [(_three_digits(e), share) for e, share in zip(ladder, shares, strict=True)]
+
+
+def _three_digits(exposure: float) -> float:
+    """An exposure, > 0, rounded down to three digits, so that nothing clips for its rounding."""
+    unit = 10.0 ** (math.floor(math.log10(exposure)) - 2)
+    return float(f"{math.floor(exposure / unit * (1 + 1e-12)) * unit:.3g}")
 
 
 def check_camera(noise: float, shortest: float | None) -> None:

@@ -265,7 +265,7 @@ def plan(
         frame, projector = _photograph(white, black, clip, response, unit), size or USUAL_SIZE
     source = str(white) if isinstance(white, str | Path) else type(white).__name__
     wanted = frames_for(error) if frames is None else frames
-    exposures = advise_exposures(frame, noise, shortest)
+    exposures = advise_exposures(frame, noise, shortest, wanted)
     density = advise_density(frame, exposures)
     mix = default_mix(projector, wanted)
     per_frame = np.broadcast_to(of_frames(exposures, MixedPatterns(projector, wanted, mix)), wanted)

@@ -75,6 +75,9 @@ def checked_matrix(
     check_indptr(indptr, len(data))
     if len(indices) and not (indices.min() >= 0 and indices.max() < cols):
         raise ValueError(f"an index lies outside the {cols} columns")
+    # SciPy makes both kinds of indices as wide as the wider one, which stores keep in 64 bits.
+    if max(len(data), cols) <= np.iinfo(np.int32).max:
+        indices, indptr = (part.astype(np.int32, copy=False) for part in (indices, indptr))
     matrix = csr_array((values, indices, indptr), shape=shape)
     matrix.check_format(full_check=True)
     return matrix

@@ -296,7 +296,8 @@ class LightTransport:
         """Share of the white image's light that the background holds."""
         # Under white the mean of every cell is 1.
         diffuse = float(self.background.sum(dtype=np.float64))
-        total = diffuse + float(self.sparse.sum())
+        # The sum of the matrix itself would copy all of it in double precision.
+        total = diffuse + float(self.sparse.data.sum(dtype=np.float64))
         return diffuse / total if total else 0.0
 
     def to_matrix(self, *, dense_background: bool = False) -> csr_array:

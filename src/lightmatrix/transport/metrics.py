@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,8 @@ from lightmatrix.transport.matrix import LightTransport
 # A single response counts as not clipping up to this share of the clip level.
 UNCLIPPED_RESPONSE = 0.98
 _CHUNK_BYTES = 64 << 20
+# Each row has some cells of its background besides.
+_CHUNK_ROWS = 1 << 15
 
 
 def relative_error(
@@ -43,16 +46,34 @@ def squared_errors(
     wrong, total : (M,) float64
     """
     _check_same_rig(estimate, truth)
-    difference = csr_array(estimate.sparse - truth.sparse, dtype=np.float64)
-    found, expected = (estimate.background, estimate.pooling), (truth.background, truth.pooling)
-    wrong = _row_energies(difference, [found, (-expected[0], expected[1])])
+    wrong = np.empty(truth.sparse.shape[0])
+    # Entries of either matrix; a block of both has twice as many at most.
+    entries = np.asarray(estimate.sparse.indptr, np.int64) + truth.sparse.indptr
+    for rows in _blocks(entries):
+        difference = csr_array(estimate.sparse[rows] - truth.sparse[rows], dtype=np.float64)
+        found = estimate.background[rows], estimate.pooling
+        expected = -truth.background[rows], truth.pooling
+        wrong[rows] = _row_energies(difference, [found, expected])
     return wrong, row_energies(truth)
 
 
 def row_energies(transport: LightTransport) -> NDArray[np.float64]:
     """||T_i||^2 of each row, background included, (M,) float64."""
-    sparse = csr_array(transport.sparse, dtype=np.float64)
-    return _row_energies(sparse, [(transport.background, transport.pooling)])
+    result = np.empty(transport.sparse.shape[0])
+    for rows in _blocks(transport.sparse.indptr):
+        sparse = csr_array(transport.sparse[rows], dtype=np.float64)
+        result[rows] = _row_energies(sparse, [(transport.background[rows], transport.pooling)])
+    return result
+
+
+def _blocks(indptr: NDArray[np.integer], bytes_each: int = 32) -> Iterator[slice]:
+    """Rows whose entries, of so many bytes each, and cells of the background fit into a chunk."""
+    most, start, count = _CHUNK_BYTES // bytes_each, 0, len(indptr) - 1
+    while start < count:
+        stop = int(np.searchsorted(indptr, int(indptr[start]) + most, "right")) - 1
+        stop = min(max(start + 1, stop), start + _CHUNK_ROWS, count)
+        yield slice(start, stop)
+        start = stop
 
 
 def _row_energies(
@@ -176,16 +197,10 @@ def diffuse_rows(matrix: csr_array, projector_shape: tuple[int, int]) -> NDArray
     windows = csr_array(kron(down, right), dtype=np.float32)
     result = np.zeros(matrix.shape[0], bool)
     # Each entry lies in nine windows, of eight bytes each.
-    step = _CHUNK_BYTES // (9 * 8)
-    start = 0
-    while start < len(result):
-        stop = max(
-            start + 1, np.searchsorted(matrix.indptr, matrix.indptr[start] + step, "right") - 1
-        )
-        part = matrix[start:stop]
+    for rows in _blocks(matrix.indptr, 9 * 8):
+        part = matrix[rows]
         strongest = (part @ windows).max(axis=1).toarray().ravel()
-        result[start:stop] = strongest < 0.5 * part.sum(axis=1)
-        start = stop
+        result[rows] = strongest < 0.5 * part.sum(axis=1)
     return result
 
 

@@ -17,6 +17,9 @@ const BRIGHTEST: f64 = 2.0;
 const LIKENESS: f64 = 1.0;
 /// Misfits below this share of the clip level, per sample, count alike.
 const PRECISION: f64 = 0.01;
+/// So far, as a share of the brightest guess or of the clip level, guesses may miss what is known
+/// together without being doubted. (With 0.05 rows that clip lose help that they need.)
+const COMMON: f64 = 0.15;
 
 /// The rows around, on their grids.
 #[derive(Clone, Copy)]
@@ -71,7 +74,7 @@ pub fn expected(
         |guesses, (i, (values, variances))| {
             guesses.load(rows, i);
             guesses.gather(shown, unseen, neighbours, asked[i], level);
-            guesses.write(values, variances);
+            guesses.write(values, variances, level);
         },
     );
     result
@@ -208,14 +211,29 @@ impl Guesses {
         self.total += weight;
     }
 
-    fn write(&self, values: &mut [f32], variances: &mut [f32]) {
+    fn write(&self, values: &mut [f32], variances: &mut [f32], level: f64) {
         if self.total > 0.0 {
+            let common = self.common_error(level);
             let sums = self.sums.iter().zip(&self.squares);
             for ((value, variance), (sum, square)) in values.iter_mut().zip(variances).zip(sums) {
                 let mean = sum / self.total;
                 *value = mean as f32;
-                *variance = (square / self.total - mean * mean).max(0.0) as f32;
+                *variance = (common + (square / self.total - mean * mean).max(0.0)) as f32;
             }
         }
+    }
+
+    /// How far the mean guess misses the samples that are known, squared, beyond what is borne:
+    /// neighbours may agree and err together, as where all are moved by a pixel too many.
+    fn common_error(&self, level: f64) -> f64 {
+        let (mut misfit, mut whole) = (0.0, 0.0);
+        for k in (0..self.y.len()).filter(|&k| !self.clipped[k]) {
+            let off = self.y[k] - self.sums[k] / self.total;
+            misfit += self.weights[k] * off * off;
+            whole += self.weights[k];
+        }
+        let brightest = self.sums.iter().fold(0.0, |most, sum| sum.max(most)) / self.total;
+        let borne = (COMMON * brightest.max(level)).powi(2);
+        (misfit / whole.max(f64::MIN_POSITIVE) - borne).max(0.0)
     }
 }

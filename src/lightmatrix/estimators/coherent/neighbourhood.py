@@ -56,6 +56,10 @@ PIXELS_BELIEVED, PIXELS_POWER, PIXELS_LEAST = 0.25, 6, 0.001
 PIXELS_AROUND = 9
 # Lighter samples are left out.
 LEAST_WEIGHT = 1e-4
+# By how much more neighbours must hold of an atom, as a factor less one, where all of a row's light
+# is in its background; by the square of the share where less is. Measured: rows that hold mostly
+# global light err by 6 % less, and others hardly notice.
+SPREAD = 6.0
 
 
 def unseen_patterns(shape: tuple[int, int]) -> PatternSet:
@@ -184,6 +188,7 @@ class Neighbourhood:
         reach: tuple[int, int],
         most: int,
         trust: float,
+        known: NDArray[np.integer],
         rows: NDArray[np.int64],
         *,
         first: bool = False,
@@ -197,7 +202,9 @@ class Neighbourhood:
         most : int
             Atoms kept of each row.
         trust : float
-            How little light among the neighbours makes an atom likely.
+            How little light among the neighbours makes an atom likely, for 32 known samples.
+        known : (m,) int
+            Samples of the rows that are neither clipped nor left out.
         rows : (m,) int
             Ascending.
         first : bool
@@ -219,4 +226,26 @@ class Neighbourhood:
             (0, self.rows.count),
             rows,
         )
-        return Candidates(indptr, atoms, (2 * trust / (trust + shares)).astype(np.float32))
+        little = np.repeat(trust * self._independence(known, rows), np.diff(indptr))
+        return Candidates(indptr, atoms, (2 * little / (little + shares)).astype(np.float32))
+
+    def _independence(
+        self, known: NDArray[np.integer], rows: NDArray[np.int64]
+    ) -> NDArray[np.float64]:
+        """How far rows can do without neighbours, (m,); 1 with `ENOUGH` known samples.
+
+        Less with fewer samples for each pixel that a row may see: where footprints move by some
+        pixels from one camera pixel to the next, they are about as large. More where most of the
+        light is in the background, as faint light of single pixels is likely to be, too.
+        """
+        moved = self.movement[rows].astype(np.float64) / self.spacing
+        larger = np.maximum(np.hypot(moved[:, 0], moved[:, 2]), np.hypot(moved[:, 1], moved[:, 3]))
+        enough = np.clip(known, 1, ENOUGH) / ENOUGH / np.maximum(larger, 1)
+        return enough * (1 + SPREAD * self._spread[rows] ** 2)
+
+    @cached_property
+    def _spread(self) -> NDArray[np.float64]:
+        """Share of each row's light that its background holds, (M,)."""
+        background = self.rows.background.sum(axis=1, dtype=np.float64)
+        whole = background + np.asarray(self.rows.coefficients.sum(axis=1), np.float64).ravel()
+        return np.divide(background, whole, out=np.zeros_like(whole), where=whole > 0)

@@ -136,7 +136,15 @@ class Solving:
             cost = self.level / problem.regularization
             cells = self.backgrounds.cells(cost, unseen=unseen)
         background = self.halos(known, rows)[:, : cells.means.shape[1]]
-        likely = known.likely(stage.window, self.candidates, self.trust, rows, first=stage.age == 1)
+        seen = (problem.samples.weights_of_all() > 0) & ~problem.samples.clipped
+        likely = known.likely(
+            stage.window,
+            self.candidates,
+            self.trust,
+            seen.sum(axis=1),
+            rows,
+            first=stage.age == 1,
+        )
         return Weighing(problem, likely, cells, expected, np.ascontiguousarray(background))
 
     def near(

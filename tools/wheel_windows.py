@@ -1,0 +1,196 @@
+"""Try the core and a wheel for Windows where there is none: Wine runs them, results are compared.
+
+    python tools/wheel_windows.py dist/windows [--python FOLDER] [--folder target/windows]
+
+The first argument is a wheel for win_amd64, or a folder that holds one (`make wheel-windows`). The
+core's tests are compiled for Windows and run by Wine. With `--python`, a folder with a CPython for
+Windows (python.exe, python3.dll: as in its package of NuGet), the wheel and what it needs are
+installed beside it; the same small estimates are then made by this Python and by that one, which
+takes minutes, and must agree. Needs Wine and MinGW's compiler (on Debian: wine,
+gcc-mingw-w64-x86-64). On Windows itself `tools/wheel_test.py` does more.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+from wheel_arm64 import QUESTION, compare
+
+TARGET = "x86_64-pc-windows-gnu"
+COMPILER, OBJDUMP = "x86_64-w64-mingw32-gcc", "x86_64-w64-mingw32-objdump"
+# What markers of dependencies ask of a Windows, and pip on another system leaves out.
+ONLY_THERE = ("colorama", "tzdata")
+
+# Wine had none before version 9.
+RANDOM = """
+#include <windows.h>
+BOOLEAN NTAPI SystemFunction036(PVOID, ULONG);
+__declspec(dllexport) BOOL WINAPI ProcessPrng(PBYTE data, SIZE_T size) {
+    return SystemFunction036(data, (ULONG)size);
+}
+"""
+# Nor has its C library functions of complex numbers, which NumPy asks for. Windows passes these as
+# structures, and its long double is a double.
+MATHEMATICS = "api-ms-win-crt-math-l1-1-0.dll"
+STAND_IN = "instead-of-the-crt-math-l1.dll"
+COMPLEX = """
+#include <complex.h>
+typedef struct { double v[2]; } D;
+typedef struct { float v[2]; } F;
+static double complex d(D x) { return __builtin_complex(x.v[0], x.v[1]); }
+static float complex f(F x) { return __builtin_complex(x.v[0], x.v[1]); }
+static D D_(double complex z) { return (D){{creal(z), cimag(z)}}; }
+static F F_(float complex z) { return (F){{crealf(z), cimagf(z)}}; }
+"""
+_COMPLEX_NAME = re.compile(
+    r"(c(?:abs|arg|real|imag|proj|pow|sqrt|exp|log|log10|conj|a?(?:sin|cos|tan)h?))([fl]?)"
+)
+
+
+def prefix(folder: Path) -> Path:
+    """Wine's own Windows, with what is missing there; its libraries' folder."""
+    system = folder / "prefix/drive_c/windows/system32"
+    if not (system / "kernel32.dll").exists():
+        for words in (["wineboot", "--init"], ["winecfg", "-v", "win10"]):
+            wine(folder, *words)
+    if not (system / "bcryptprimitives.dll").exists():
+        _library(folder, system / "bcryptprimitives.dll", RANDOM, "-ladvapi32")
+    return system
+
+
+def wine(folder: Path, *words: str | Path) -> None:
+    """Run a program for Windows."""
+    # Pipes: standard streams that are files or terminals confuse some versions.
+    ended = subprocess.Popen(
+        ["wine", *map(str, words)], env=environment(folder), stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="replace",
+    )  # fmt: skip
+    assert ended.stdout is not None
+    for line in ended.stdout:
+        print(line, end="", flush=True)
+    if ended.wait():
+        sys.exit(f"{words[0]} failed on Wine with exit code {ended.returncode}")
+
+
+def environment(folder: Path) -> dict[str, str]:
+    """What Wine and Python are told, and nothing that leads to this system's packages."""
+    kept = {
+        name: value
+        for name, value in os.environ.items()
+        if not name.startswith(("OPENBLAS", "PYTHON", "VIRTUAL_ENV"))
+    }
+    return {**kept, "WINEPREFIX": str(folder / "prefix"), "WINEDEBUG": "-all"}
+
+
+def _library(folder: Path, file: Path, source: str, *more: str | Path) -> None:
+    code = folder / f"{file.stem}.c"
+    code.write_text(source)
+    words = ["-shared", "-O2", "-static", "-static-libgcc", "-o", file, code, *more]
+    subprocess.run([COMPILER, *map(str, words)], check=True)
+
+
+def install(wheel: Path, python: Path, folder: Path) -> Path:
+    """The wheel and all that it needs, for Windows, in a folder of its own."""
+    found = [name[6:-4] for name in os.listdir(python) if re.fullmatch(r"python3\d+\.dll", name)]
+    if not found:
+        sys.exit(f"{python}: no CPython for Windows, as there is no python3*.dll of a version")
+    site = folder / "site"
+    shutil.rmtree(site, ignore_errors=True)
+    subprocess.run(
+        [sys.executable, "-m", "pip", "install", "--quiet", "--disable-pip-version-check",
+         "--only-binary=:all:", f"--python-version={found[0][0]}.{found[0][1:]}",
+         "--implementation=cp", "--platform=win_amd64", f"--target={site}", str(wheel),
+         *ONLY_THERE],
+        check=True,
+    )  # fmt: skip
+    return site
+
+
+def mend_mathematics(site: Path, system: Path, folder: Path) -> None:
+    """Let libraries take mathematics from one that has complex numbers, too."""
+    names: set[str] = set()
+    for file in sorted(site.rglob("*")):
+        if file.suffix not in (".pyd", ".dll") or MATHEMATICS.encode() not in file.read_bytes():
+            continue
+        names |= _imports(file)
+        data = file.read_bytes()
+        file.write_bytes(data.replace(MATHEMATICS.encode(), STAND_IN.encode()))
+    lines, exports = [COMPLEX], ["EXPORTS"]
+    for name in sorted(names):
+        match = _COMPLEX_NAME.fullmatch(name)
+        if match is None:
+            exports.append(f"  {name}=ucrtbase.{name}")
+            continue
+        kind, value, real, suffix = ("F", "f", "float", "f") if match[2] == "f" else (
+            "D", "d", "double", "")  # fmt: skip
+        more = match[1] == "cpow"
+        call = f"{match[1]}{suffix}({value}(x){f', {value}(y)' if more else ''})"
+        takes = f"{kind} x{f', {kind} y' if more else ''}"
+        if match[1] in ("cabs", "carg", "creal", "cimag"):
+            lines.append(f"{real} own_{name}({takes}) {{ return {call}; }}")
+        else:
+            lines.append(f"{kind} own_{name}({takes}) {{ return {kind}_({call}); }}")
+        exports.append(f"  {name}=own_{name}")
+    definition = folder / "mathematics.def"
+    definition.write_text("\n".join(exports) + "\n")
+    _library(folder, system / STAND_IN, "\n".join(lines) + "\n", definition)
+
+
+def _imports(file: Path) -> set[str]:
+    """The names that a library imports from the C library's mathematics."""
+    listed = subprocess.run([OBJDUMP, "-p", file], check=True, capture_output=True, text=True)
+    names, within = set(), False
+    for line in listed.stdout.splitlines():
+        if "DLL Name:" in line:
+            within = line.split()[-1] == MATHEMATICS
+        elif not line.strip():
+            within = False
+        elif within and (match := re.fullmatch(r"\s+[0-9a-f]+\s+\d+\s+(\w+)", line)):
+            names.add(match[1])
+    return names
+
+
+def main() -> None:
+    """Read the arguments and try the core and the wheel."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("wheel", type=Path, help="a wheel for win_amd64, or a folder with one")
+    parser.add_argument("--python", type=Path, help="a folder with a CPython for Windows")
+    parser.add_argument(
+        "--folder", type=Path, default=Path("target/windows"), help="kept between runs"
+    )
+    arguments = parser.parse_args()
+    for command in ("wine", COMPILER):
+        if shutil.which(command) is None:
+            sys.exit(f"{command} is missing: on Debian, install wine and gcc-mingw-w64-x86-64")
+    wheels = sorted(arguments.wheel.glob("*win_amd64.whl")) or [arguments.wheel]
+    folder = arguments.folder.absolute()
+    folder.mkdir(parents=True, exist_ok=True)
+    system = prefix(folder)
+    runner = f"CARGO_TARGET_{TARGET.upper().replace('-', '_')}_RUNNER"
+    subprocess.run(
+        ["cargo", "test", "--quiet", "--package", "lightmatrix-core", "--profile", "quick",
+         "--target", TARGET],
+        check=True, env={**environment(folder), runner: "wine"}, stdin=subprocess.DEVNULL,
+    )  # fmt: skip
+    if arguments.python is None:
+        print("no CPython for Windows (--python): the wheel was not tried")
+        return
+    site = install(wheels[-1], arguments.python, folder)
+    mend_mathematics(site, system, folder)
+    question = folder / "question.py"
+    question.write_text(f"import sys\nsys.path.insert(0, {f'Z:{site}'!r})\n{QUESTION}")
+    there = folder / "results-there.npz"
+    wine(folder, arguments.python / "python.exe", question, f"Z:{there}")
+    here = folder / "results-here.npz"
+    subprocess.run([sys.executable, "-c", QUESTION, str(here)], check=True)
+    compare(here, there, "Windows")
+
+
+if __name__ == "__main__":
+    main()
