@@ -173,6 +173,23 @@ impl Columns {
         }
     }
 
+    /// u += factor a_j for all `terms` (j, factor), in their order.
+    pub fn add_all(&self, level: Level, terms: &[(u32, f64)], u: &mut [f64]) {
+        #[cfg(target_arch = "x86_64")]
+        if let (Columns::Bits(bits), Kind::Avx512) = (self, level.kind()) {
+            assert_eq!(64 * bits.stride(), u.len());
+            for (pixel, _) in terms {
+                ahead(bits.column(*pixel));
+            }
+            // SAFETY: the level proves the instructions; the lengths were just compared.
+            unsafe { avx512::add_all(bits, terms, u) };
+            return;
+        }
+        for &(pixel, factor) in terms {
+            self.add(level, pixel, factor, u);
+        }
+    }
+
     /// out = d a_j, element by element.
     pub fn scaled(&self, level: Level, pixel: u32, d: &[f64], out: &mut [f64]) {
         match self {
@@ -298,7 +315,7 @@ multiversion! {
 
 #[cfg(target_arch = "x86_64")]
 mod avx512 {
-    use super::fold;
+    use super::{fold, BitColumns};
     use std::arch::x86_64::*;
 
     /// # Safety
@@ -327,6 +344,26 @@ mod avx512 {
             }
             fold(lanes)
         })
+    }
+
+    /// # Safety
+    /// `u` holds 64 values for each word of a column.
+    #[target_feature(enable = "avx512f")]
+    pub unsafe fn add_all(bits: &BitColumns, terms: &[(u32, f64)], u: &mut [f64]) {
+        for (w, u) in u.as_chunks_mut::<64>().0.iter_mut().enumerate() {
+            // SAFETY, for both: eight registers of eight values.
+            let at = |part: usize| unsafe { _mm512_loadu_pd(u.as_ptr().add(8 * part)) };
+            let mut sums: [__m512d; 8] = std::array::from_fn(at);
+            for &(pixel, factor) in terms {
+                let (word, factor) = (bits.column(pixel)[w], _mm512_set1_pd(factor));
+                for (part, sum) in sums.iter_mut().enumerate() {
+                    *sum = _mm512_mask_add_pd(*sum, (word >> (8 * part)) as u8, *sum, factor);
+                }
+            }
+            for (part, sum) in sums.into_iter().enumerate() {
+                unsafe { _mm512_storeu_pd(u.as_mut_ptr().add(8 * part), sum) };
+            }
+        }
     }
 
     /// # Safety

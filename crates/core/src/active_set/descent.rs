@@ -11,7 +11,7 @@ use crate::simd::{multiversion, Level};
 use crate::vector::add_scaled;
 
 /// Choices of the pixels that take part.
-const ROUNDS: usize = 8;
+const ROUNDS: usize = 3;
 /// Most sweeps over those first chosen,
 const FIRST_SWEEPS: usize = 3;
 /// and over those of a later choice.
@@ -24,7 +24,7 @@ const SETTLED_SHARE: f64 = 0.3;
 pub struct Descent {
     pub progress: Progress,
     packed: Packed,
-    /// Bits of the pixels that take part.
+    /// Bits of the pixels that differ from zero or are pulled away from it.
     chosen: Vec<u8>,
     moves: Vec<f64>,
     places: Vec<usize>,
@@ -80,21 +80,32 @@ impl Descent {
         self.flat.clear();
         self.settled = false;
         let mut change = f64::INFINITY;
+        let mut stale = true;
         for round in 0..ROUNDS {
             let entering = self.choose(dictionary, settings, model, pixels, settled);
             if change <= settled && !entering {
                 self.settled = true;
                 return;
             }
-            // Many of the pixels that enter leave again at once.
-            let sweeps = if round == 0 { FIRST_SWEEPS } else { SWEEPS };
             let progress = &mut self.progress;
-            let order = &progress.order;
-            self.packed
-                .load(model, order, lambda, &progress.target, &progress.slope);
-            change = self
-                .packed
-                .sweep(level, !settings.nonnegative, settled, sweeps);
+            let signed = !settings.nonnegative;
+            if stale || entering {
+                stale = false;
+                let (target, slope) = (&progress.target, &progress.slope);
+                self.packed
+                    .load(model, &self.chosen, lambda, signed, target, slope);
+            }
+            // Many of the pixels that enter leave again at once.
+            if entering {
+                change = self.packed.sweep(level, signed, settled, FIRST_SWEEPS);
+                if change > settled {
+                    self.packed.shrink(model, &progress.target);
+                }
+            }
+            if !entering || change > settled {
+                change = self.packed.sweep(level, signed, settled, SWEEPS);
+            }
+            let order = &self.packed.set;
             self.moves.clear();
             self.places.clear();
             for (&j, &x) in order.iter().zip(&self.packed.x) {
@@ -112,9 +123,11 @@ impl Descent {
             );
             let exactly = self.exactly || accuracy <= EXACT_ACCURACY * lambda;
             if round > 0 && change > settled && exactly {
-                progress
-                    .order
-                    .retain(|&j| progress.target[j as usize] != 0.0);
+                let Progress { target, order, .. } = progress;
+                let away = |&&j: &&u32| target[j as usize] != 0.0;
+                order.clear();
+                order.extend(self.packed.set.iter().filter(away));
+                stale = true;
                 if self
                     .exact
                     .run(dictionary, settings, model, pixels, progress, settled)
@@ -137,27 +150,25 @@ impl Descent {
         settled: f64,
     ) -> bool {
         let lambda = settings.regularization;
-        let Progress {
-            target,
-            slope,
-            order,
-        } = &mut self.progress;
-        order.clear();
+        let Progress { target, slope, .. } = &self.progress;
         self.chosen.resize(model.stride / WIDTH, 0);
         let limit = lambda + settled;
         let signed = !settings.nonnegative;
         choose(model.level, target, slope, limit, signed, &mut self.chosen);
         let mut entering = false;
-        for (group, &bits) in self.chosen.iter().enumerate() {
-            let mut bits = bits;
+        for (group, chosen) in self.chosen.iter_mut().enumerate() {
+            let mut bits = *chosen;
             while bits != 0 {
-                let j = group * WIDTH + bits.trailing_zeros() as usize;
+                let place = bits.trailing_zeros();
+                let j = group * WIDTH + place as usize;
                 bits &= bits - 1;
                 model.make_row(dictionary, pixels, j);
                 if model.inverse[j] != 0.0 {
                     entering |= target[j] == 0.0;
-                    order.push(j as u32);
-                } else if target[j] != 0.0 && slope[j].abs() < lambda && !self.flat.contains(&j) {
+                    continue;
+                }
+                *chosen &= !(1 << place);
+                if target[j] != 0.0 && slope[j].abs() < lambda && !self.flat.contains(&j) {
                     self.flat.push(j);
                 }
             }

@@ -10,6 +10,8 @@ pub struct Point {
     pub x: Vec<f64>,
     pub background: f64,
     pub prediction: Vec<f64>,
+    /// A buffer for the support.
+    terms: Vec<(u32, f64)>,
 }
 
 impl Point {
@@ -19,6 +21,7 @@ impl Point {
             x: Vec::new(),
             background: 0.0,
             prediction: vec![0.0; samples],
+            terms: Vec::new(),
         }
     }
 
@@ -72,13 +75,12 @@ impl Point {
     pub fn predict(&mut self, dictionary: &Dictionary) {
         let level = dictionary.level;
         self.prediction.fill(0.0);
-        for (&pixel, &x) in self.pixels.iter().zip(&self.x) {
-            if x != 0.0 {
-                dictionary
-                    .columns
-                    .add(level, pixel, x, &mut self.prediction);
-            }
-        }
+        let mut terms = std::mem::take(&mut self.terms);
+        terms.clear();
+        terms.extend(self.support());
+        let columns = &dictionary.columns;
+        columns.add_all(level, &terms, &mut self.prediction);
+        self.terms = terms;
         if self.background != 0.0 {
             add_scaled(
                 level,

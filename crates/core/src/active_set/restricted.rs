@@ -39,6 +39,8 @@ pub struct Restricted {
     /// a_j . theta
     gradient: Vec<f64>,
     direction: Vec<f64>,
+    /// Pixels that move, and how far.
+    moves: Vec<(u32, f64)>,
     /// Whether b = 0 held the last step of the row.
     pub held: bool,
 }
@@ -51,6 +53,7 @@ impl Restricted {
             theta: Vec::new(),
             gradient: Vec::new(),
             direction: Vec::new(),
+            moves: Vec::new(),
             held: false,
         }
     }
@@ -266,14 +269,16 @@ impl Restricted {
         let mut growth = 0.0;
         self.direction.fill(0.0);
         let target = &self.descent.progress.target;
+        self.moves.clear();
         for ((&target, &x), &pixel) in target.iter().zip(&point.x).zip(&point.pixels) {
             let moved = target - x;
             if moved != 0.0 {
                 growth += target.abs() - x.abs();
-                let columns = &dictionary.columns;
-                columns.add(level, pixel, moved, &mut self.direction);
+                self.moves.push((pixel, moved));
             }
         }
+        let columns = &dictionary.columns;
+        columns.add_all(level, &self.moves, &mut self.direction);
         if rise != 0.0 {
             add_scaled(level, &mut self.direction, rise, &dictionary.means);
         }

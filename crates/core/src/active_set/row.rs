@@ -21,7 +21,7 @@ const ROUGH: f64 = 1.0;
 const FEW: usize = 12;
 const NEARLY: f64 = 1.0;
 /// On more pixels violations are taken for the last ones below this.
-const VERY_NEARLY: f64 = 0.01;
+const VERY_NEARLY: f64 = 0.03;
 /// But no finer than this share of the tolerance, until the gap asks for it.
 const FINEST_SHARE: f64 = 0.2;
 /// A dual point this share of lambda off the residual's slope along the means counts as the residual.

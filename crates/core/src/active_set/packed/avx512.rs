@@ -24,6 +24,27 @@ pub unsafe fn compress(row: &[f64], inverse: &[f64], groups: &[u8], size: usize,
     }
 }
 
+/// The values whose bits are set, then zeros up to `size`.
+///
+/// # Safety
+/// `values` has eight values a group, `out` eight more than `size`, and at most `size` bits are set.
+#[target_feature(enable = "avx512f")]
+pub unsafe fn pick(values: &[f64], groups: &[u8], size: usize, out: &mut [f64]) {
+    if size == 0 {
+        return;
+    }
+    // SAFETY: as for `compress`.
+    unsafe {
+        let mut at = out.as_mut_ptr();
+        _mm512_storeu_pd(at.add(size - 8), _mm512_setzero_pd());
+        for (i, &bits) in groups.iter().enumerate() {
+            let values = _mm512_loadu_pd(values.as_ptr().add(8 * i));
+            _mm512_storeu_pd(at, _mm512_maskz_compress_pd(bits, values));
+            at = at.add(bits.count_ones() as usize);
+        }
+    }
+}
+
 /// # Safety
 /// `x`, `pull`, `band` and `diagonal` have one length, a multiple of `WIDTH`, and `matrix` at
 /// least its square.
@@ -60,18 +81,32 @@ pub unsafe fn sweep(
             if _mm512_cmp_pd_mask::<_CMP_NEQ_UQ>(_mm512_max_pd(pull, first), zero) == 0 {
                 continue;
             }
+            // One number after the other: a maximum and a fused product are all that the next
+            // move waits for, where a register of eight would wait for a permutation too.
+            let lanes = |values: __m512d| {
+                let mut lanes = [0.0; WIDTH];
+                _mm512_storeu_pd(lanes.as_mut_ptr(), values);
+                lanes.map(|value| _mm_set_sd(value))
+            };
+            let (mut pulled, back, band) = (lanes(pull), lanes(back), lanes(band));
             let mut moves = [zero; WIDTH];
-            for (i, by) in moves.iter_mut().enumerate() {
-                let back = if signed {
-                    _mm512_min_pd(back, _mm512_add_pd(pull, band))
-                } else {
-                    back
-                };
-                let all = _mm512_max_pd(pull, back);
-                moved = _mm512_mask_mov_pd(moved, 1 << i, all);
-                *by = _mm512_permutexvar_pd(_mm512_set1_epi64(i as i64), all);
-                let row = _mm512_loadu_pd(rows.add(i * size + block));
-                pull = _mm512_fnmadd_pd(*by, row, pull);
+            for i in 0..WIDTH {
+                let mut least = back[i];
+                if signed {
+                    least = _mm_min_sd(least, _mm_add_sd(pulled[i], band[i]));
+                }
+                let by = _mm_max_sd(pulled[i], least);
+                // Compilers unroll this loop with an index, and not with an iterator.
+                #[allow(clippy::needless_range_loop)]
+                for k in i + 1..WIDTH {
+                    let factor = _mm_load_sd(rows.add(i * size + block + k));
+                    pulled[k] = _mm_fnmadd_sd(by, factor, pulled[k]);
+                }
+                moves[i] = _mm512_broadcastsd_pd(by);
+                moved = _mm512_mask_mov_pd(moved, 1 << i, moves[i]);
+            }
+            for (i, by) in moves.iter().enumerate() {
+                pull = _mm512_fnmadd_pd(*by, _mm512_loadu_pd(rows.add(i * size + block)), pull);
             }
             // A pixel that goes back to zero lands on it exactly.
             _mm512_storeu_pd(at, _mm512_add_pd(x, moved));

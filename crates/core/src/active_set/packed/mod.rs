@@ -11,69 +11,143 @@ use super::model::Model;
 use crate::octet::WIDTH;
 use crate::simd::{multiversion, Kind, Level};
 
+/// How far beyond its best value a pixel goes: where columns nearly depend on each other that takes
+/// fewer sweeps. Any factor below 2 lowers the model's value at every move; where x may have
+/// both signs, moves that end at zero are no longer one maximum, so there it is 1.
+const RELAXATION: f64 = 1.3;
+/// So few pixels come to their best values at once, one pixel in one move.
+const FEW: usize = 16;
+
 /// A part of a quadratic model: some pixels' rows and columns, padded to whole blocks.
 ///
-/// In units of each pixel's own diagonal, so that a pixel's best move is max(pull, -x).
+/// In units of each pixel's own diagonal, so that a pixel's move is max(pull, -x).
 #[derive(Default)]
 pub struct Packed {
-    /// Columns over their diagonals.
+    /// The pixels, ascending,
+    pub set: Vec<u32>,
+    /// and their bits.
+    chosen: Vec<u8>,
+    /// Columns over their relaxed diagonals.
     matrix: Vec<f64>,
+    /// The inverse diagonals, times the relaxation: of the model, and of the pixels.
+    relaxed: Vec<f64>,
     inverse: Vec<f64>,
     diagonal: Vec<f64>,
-    /// 2 lambda over the diagonal.
+    /// 2 lambda over the relaxed diagonal.
     band: Vec<f64>,
     pub x: Vec<f64>,
-    /// (slope - lambda) over the diagonal.
+    /// (slope - lambda) over the relaxed diagonal.
     pull: Vec<f64>,
-    /// Which pixels of each octet take part.
-    groups: Vec<u8>,
 }
 
 impl Packed {
-    pub fn load(&mut self, model: &Model, set: &[u32], lambda: f64, target: &[f64], slope: &[f64]) {
-        let size = set.len().next_multiple_of(WIDTH);
-        for buffer in [
+    /// Takes on the pixels whose bits are set.
+    pub fn load(
+        &mut self,
+        model: &Model,
+        chosen: &[u8],
+        lambda: f64,
+        signed: bool,
+        target: &[f64],
+        slope: &[f64],
+    ) {
+        self.chosen.clear();
+        self.chosen.extend_from_slice(chosen);
+        self.set.clear();
+        for (group, &bits) in chosen.iter().enumerate() {
+            let first = (group * WIDTH) as u32;
+            let mut bits = bits;
+            while bits != 0 {
+                self.set.push(first + bits.trailing_zeros());
+                bits &= bits - 1;
+            }
+        }
+        let relaxation = if signed || self.set.len() <= FEW {
+            1.0
+        } else {
+            RELAXATION
+        };
+        self.relaxed.clear();
+        self.relaxed
+            .extend(model.inverse.iter().map(|inverse| relaxation * inverse));
+        for (values, out) in [
+            (&self.relaxed[..], &mut self.inverse),
+            (&model.diagonal, &mut self.diagonal),
+            (target, &mut self.x),
+            (slope, &mut self.pull),
+        ] {
+            pick(model.level, values, &self.chosen, &self.set, out);
+        }
+        self.band.resize(self.inverse.len(), 0.0);
+        let (pull, band) = (&mut self.pull, &mut self.band);
+        in_units(model.level, &self.inverse, lambda, pull, band);
+        self.gather(model);
+    }
+
+    /// Drops pixels that are at zero, as in `target`, and would stay there, if that saves a block;
+    /// whether it did.
+    pub fn shrink(&mut self, model: &Model, target: &[f64]) -> bool {
+        let stays = (0..self.set.len()).filter(|&i| self.counts(i, target));
+        let size = stays.count().next_multiple_of(WIDTH);
+        if size == self.x.len() {
+            return false;
+        }
+        let mut kept = 0;
+        for i in 0..self.set.len() {
+            let j = self.set[i];
+            if self.counts(i, target) {
+                self.set[kept] = j;
+                for values in [
+                    &mut self.inverse,
+                    &mut self.diagonal,
+                    &mut self.band,
+                    &mut self.x,
+                    &mut self.pull,
+                ] {
+                    values[kept] = values[i];
+                }
+                kept += 1;
+            } else {
+                self.chosen[j as usize / WIDTH] &= !(1 << (j as usize % WIDTH));
+            }
+        }
+        self.set.truncate(kept);
+        for values in [
             &mut self.inverse,
             &mut self.diagonal,
             &mut self.band,
             &mut self.x,
             &mut self.pull,
         ] {
-            buffer.clear();
-            buffer.resize(size, 0.0);
+            values.truncate(kept);
+            values.resize(size, 0.0);
         }
-        // Room for one octet behind the last row.
-        self.matrix.resize(size * size + WIDTH, 0.0);
-        for (i, &j) in set.iter().enumerate() {
-            let j = j as usize;
-            let inverse = model.inverse[j];
-            self.inverse[i] = inverse;
-            self.diagonal[i] = model.diagonal[j];
-            self.band[i] = 2.0 * lambda * inverse;
-            self.x[i] = target[j];
-            self.pull[i] = (slope[j] - lambda) * inverse;
-        }
-        self.gather(model, set);
+        self.gather(model);
+        true
     }
 
-    fn gather(&mut self, model: &Model, set: &[u32]) {
+    fn counts(&self, i: usize, target: &[f64]) -> bool {
+        self.x[i] != 0.0
+            || target[self.set[i] as usize] != 0.0
+            || self.pull[i] > 0.0
+            || self.pull[i] + self.band[i] < 0.0
+    }
+
+    fn gather(&mut self, model: &Model) {
+        let size = self.inverse.len();
+        // Room for one octet behind the last row.
+        if self.matrix.len() < size * size + WIDTH {
+            self.matrix.resize(size * size + WIDTH, 0.0);
+        }
         #[cfg(target_arch = "x86_64")]
         if model.level.kind() == Kind::Avx512 {
-            self.groups.clear();
-            self.groups.resize(model.stride / WIDTH, 0);
-            for &j in set {
-                self.groups[j as usize / WIDTH] |= 1 << (j as usize % WIDTH);
-            }
-            let size = self.inverse.len();
-            for (i, &j) in set.iter().enumerate() {
-                let (row, out) = (
-                    model.row(j as usize),
-                    &mut self.matrix[i * size..][..size + WIDTH],
-                );
-                assert!(row.len() == WIDTH * self.groups.len() && model.inverse.len() == row.len());
+            for (&j, out) in self.set.iter().zip(0..) {
+                let row = model.row(j as usize);
+                let out = &mut self.matrix[out * size..][..size + WIDTH];
+                assert!(row.len() == WIDTH * self.chosen.len() && self.relaxed.len() == row.len());
                 // SAFETY: the level proves the instructions; a row has eight values a group, and
                 // the groups have `set.len()` <= size bits.
-                unsafe { avx512::compress(row, &model.inverse, &self.groups, size, out) };
+                unsafe { avx512::compress(row, &self.relaxed, &self.chosen, size, out) };
             }
             return;
         }
@@ -83,7 +157,7 @@ impl Packed {
             &model.rows,
             &model.slot,
             model.stride,
-            set,
+            &self.set,
             &self.inverse,
         );
     }
@@ -124,6 +198,34 @@ impl Packed {
             }
         }
         change
+    }
+}
+
+/// The values of the pixels of `set`, whose bits `chosen` has, then zeros up to a whole block.
+fn pick(level: Level, values: &[f64], chosen: &[u8], set: &[u32], out: &mut Vec<f64>) {
+    let size = set.len().next_multiple_of(WIDTH);
+    #[cfg(target_arch = "x86_64")]
+    if level.kind() == Kind::Avx512 {
+        assert!(values.len() == WIDTH * chosen.len());
+        out.resize(size + WIDTH, 0.0);
+        // SAFETY: the level proves the instructions; there are eight values a group, and the groups
+        // have `set.len()` <= size bits.
+        unsafe { avx512::pick(values, chosen, size, out) };
+        out.truncate(size);
+        return;
+    }
+    out.clear();
+    out.extend(set.iter().map(|&j| values[j as usize]));
+    out.resize(size, 0.0);
+}
+
+multiversion! {
+    /// Slopes become pulls.
+    fn in_units(inverse: &[f64], lambda: f64, pull: &mut [f64], band: &mut [f64]) {
+        for ((pull, band), inverse) in pull.iter_mut().zip(band).zip(inverse) {
+            *pull = (*pull - lambda) * inverse;
+            *band = 2.0 * lambda * inverse;
+        }
     }
 }
 

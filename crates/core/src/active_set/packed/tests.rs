@@ -25,15 +25,17 @@ fn dictionary(level: Level, packed: &[u8]) -> Dictionary {
 
 /// One sweep by the book over `set`; returns the largest change of a slope.
 fn sweep(model: &Model, set: &[u32], signed: bool, x: &mut [f64], slope: &mut [f64]) -> f64 {
+    let relaxation = if set.len() <= FEW { 1.0 } else { RELAXATION };
     let mut most: f64 = 0.0;
     for &j in set {
         let j = j as usize;
         let (row, square) = (model.row(j), model.diagonal[j]);
         let free = x[j] * square + slope[j];
-        let mut next = (free - LAMBDA).max(0.0) / square;
-        if signed {
-            next += (free + LAMBDA).min(0.0) / square;
-        }
+        let next = if signed {
+            ((free - LAMBDA).max(0.0) + (free + LAMBDA).min(0.0)) / square
+        } else {
+            (x[j] + relaxation * (slope[j] - LAMBDA) / square).max(0.0)
+        };
         let moved = next - x[j];
         x[j] = next;
         most = most.max(moved.abs() * square);
@@ -70,6 +72,7 @@ fn sweeps_as_defined() {
             vec![3],
             (0..9).collect(),
             (0..20).filter(|j| j % 3 > 0).collect::<Vec<u32>>(),
+            (0..20).collect(),
         ] {
             for &j in &set {
                 model.make_row(&dictionary, &pixels, j as usize);
@@ -82,8 +85,12 @@ fn sweeps_as_defined() {
                 let mut slope: Vec<f64> = (0..model.stride)
                     .map(|j| (j as f64 * 1.7).sin() * if signed { 3.0 } else { 2.0 } + 0.5)
                     .collect();
+                let mut chosen = vec![0; model.stride / WIDTH];
+                for &j in &set {
+                    chosen[j as usize / WIDTH] |= 1 << (j as usize % WIDTH);
+                }
                 let mut packed = Packed::default();
-                packed.load(&model, &set, LAMBDA, &x, &slope);
+                packed.load(&model, &chosen, LAMBDA, signed, &x, &slope);
                 for _ in 0..4 {
                     let change = packed.sweep(level, signed, 0.0, 1);
                     let expected = sweep(&model, &set, signed, &mut x, &mut slope);
