@@ -308,17 +308,22 @@ def _finish(
 
     record.finish(
         patterns,
-        exposures=np.array([taken[k].exposure for k in sorted(taken)]) / longest,
+        exposures=_relative(np.array([taken[k].exposure for k in sorted(taken)]), longest),
         clip_level=references.white.clip_level,
         camera_shape=references.white.mean.shape,
         black=black.astype(np.float32),
-        black_exposure=references.black.exposure / longest,
+        black_exposure=float(_relative(np.array(references.black.exposure), longest)),
         black_level=pedestal,
         response=response if curve is None else f"curve:{Path(curve).name}",
         provenance=_provenance(record, known, longest, patterns, cell),
         beside=beside,
         overwrite=overwrite,
     )
+
+
+def _relative(seconds: NDArray[np.float64], longest: float) -> NDArray[np.float64]:
+    """Exposures by the longest one; cameras and units round their last digits differently."""
+    return np.round(seconds / longest, 9)
 
 
 def _provenance(

@@ -99,7 +99,7 @@ class Advice:
     >>> import lightmatrix as lm
     >>> advice = lm.plan("metal", size=(64, 64), error=0.02)
     >>> advice.frames, advice.exposure, advice.make_patterns().count
-    (128, '0.529:0.5,0.132:0.5', 128)
+    (64, '0.587:0.75,0.146:0.25', 64)
     """
 
     source: str
@@ -234,10 +234,10 @@ def plan(
     Advice
       projector                  64 x 64
       patterns                   32, random, all fine, 50 % lit
-      exposure 0.529             16 frames, 3.6 % of their samples will clip
-      exposure 0.132             16 frames, 0.0 % of their samples will clip
-      error to expect, plain     0.206 to 0.354
-      error to expect, coherent  0.011 to 0.032
+      exposure 0.587             24 frames, 4.0 % of their samples will clip
+      exposure 0.146             8 frames, 0.1 % of their samples will clip
+      error to expect, plain     0.207 to 0.504
+      error to expect, coherent  0.011 to 0.024
     >>> capture = lm.simulate("metal", advice.make_patterns(), exposure=advice.exposure)
     """
     if not 0 < error < 1:
