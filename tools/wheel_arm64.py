@@ -16,6 +16,7 @@ import os
 import shutil
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -77,15 +78,15 @@ def fetch_root(folder: Path) -> Path:
     return root
 
 
-def install(wheel: Path, folder: Path) -> Path:
-    """The wheel and all that it needs, for arm64, in a folder of its own."""
+def install(folder: Path, version: str, platforms: Sequence[str], *packages: str | Path) -> Path:
+    """Packages and all that they need, for another system, in a folder of their own."""
     site = folder / "site"
     shutil.rmtree(site, ignore_errors=True)
-    platforms = [f"--platform=manylinux_{name}_aarch64" for name in ("2_28", "2_27", "2_17")]
     subprocess.run(
         [sys.executable, "-m", "pip", "install", "--quiet", "--disable-pip-version-check",
-         "--only-binary=:all:", "--python-version=3.11", "--implementation=cp", *platforms,
-         f"--target={site}", str(wheel)],
+         "--only-binary=:all:", f"--python-version={version}", "--implementation=cp",
+         *(f"--platform={platform}" for platform in platforms), f"--target={site}",
+         *map(str, packages)],
         check=True,
     )  # fmt: skip
     return site
@@ -104,7 +105,8 @@ def main() -> None:
             sys.exit(f"{command} is missing: this needs a Debian with the package qemu-user")
     wheels = sorted(arguments.wheel.glob("*aarch64.whl")) or [arguments.wheel]
     folder = arguments.folder.absolute()
-    root, site = fetch_root(folder), install(wheels[-1], folder)
+    platforms = [f"manylinux_{name}_aarch64" for name in ("2_28", "2_27", "2_17")]
+    root, site = fetch_root(folder), install(folder, "3.11", platforms, wheels[-1])
     # BLAS may have been told of a kernel that the other processor has not.
     kept = {name: value for name, value in os.environ.items() if not name.startswith("OPENBLAS")}
     emulated = ["qemu-aarch64", "-L", str(root), str(root / "usr/bin/python3.11")]

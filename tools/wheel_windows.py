@@ -20,7 +20,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from wheel_arm64 import QUESTION, compare
+from wheel_arm64 import QUESTION, compare, install
 
 TARGET = "x86_64-pc-windows-gnu"
 COMPILER, OBJDUMP = "x86_64-w64-mingw32-gcc", "x86_64-w64-mingw32-objdump"
@@ -95,21 +95,12 @@ def _library(folder: Path, file: Path, source: str, *more: str | Path) -> None:
     subprocess.run([COMPILER, *map(str, words)], check=True)
 
 
-def install(wheel: Path, python: Path, folder: Path) -> Path:
-    """The wheel and all that it needs, for Windows, in a folder of its own."""
+def version_of(python: Path) -> str:
+    """The version of a CPython for Windows, as 3.11."""
     found = [name[6:-4] for name in os.listdir(python) if re.fullmatch(r"python3\d+\.dll", name)]
     if not found:
         sys.exit(f"{python}: no CPython for Windows, as there is no python3*.dll of a version")
-    site = folder / "site"
-    shutil.rmtree(site, ignore_errors=True)
-    subprocess.run(
-        [sys.executable, "-m", "pip", "install", "--quiet", "--disable-pip-version-check",
-         "--only-binary=:all:", f"--python-version={found[0][0]}.{found[0][1:]}",
-         "--implementation=cp", "--platform=win_amd64", f"--target={site}", str(wheel),
-         *ONLY_THERE],
-        check=True,
-    )  # fmt: skip
-    return site
+    return f"{found[0][0]}.{found[0][1:]}"
 
 
 def mend_mathematics(site: Path, system: Path, folder: Path) -> None:
@@ -181,7 +172,8 @@ def main() -> None:
     if arguments.python is None:
         print("no CPython for Windows (--python): the wheel was not tried")
         return
-    site = install(wheels[-1], arguments.python, folder)
+    version = version_of(arguments.python)
+    site = install(folder, version, ["win_amd64"], wheels[-1], *ONLY_THERE)
     mend_mathematics(site, system, folder)
     question = folder / "question.py"
     question.write_text(f"import sys\nsys.path.insert(0, {f'Z:{site}'!r})\n{QUESTION}")

@@ -3,6 +3,16 @@
 /// Numbers in an octet.
 pub const WIDTH: usize = 8;
 
+/// The places of the bits that are set, ascending.
+#[inline(always)]
+pub fn set_bits(mut bits: u8) -> impl Iterator<Item = u32> {
+    std::iter::from_fn(move || {
+        let place = (bits != 0).then(|| bits.trailing_zeros());
+        bits &= bits.wrapping_sub(1);
+        place
+    })
+}
+
 /// Eight numbers: an array, or a register.
 ///
 /// # Safety

@@ -134,6 +134,11 @@ class Samples:
             return np.ones(self.values.shape, self.values.dtype)
         return np.broadcast_to(self.weights, self.values.shape).astype(self.values.dtype)
 
+    @property
+    def counted(self) -> NDArray[np.bool_]:
+        """Samples that count, those of a weight above 0, (m, K)."""
+        return self.weights_of_all() > 0
+
     def clip_levels_of_all(self) -> NDArray[Any]:
         """Clip levels of all samples, (m, K), in the dtype of the values."""
         return np.broadcast_to(self.clip_level, self.values.shape).astype(self.values.dtype)

@@ -114,7 +114,7 @@ def hold_out(
     level = samples.clip_levels_of_all()
     light = found.relight(np.stack([capture.patterns.images(k, k + 1)[0] for k in frames]))
     mean = _mean_of(tested, rest)[:, None]
-    counted = samples.weights_of_all() > 0
+    counted = samples.counted
     predicted, trivial = (
         np.minimum(guess, level) for guess in (light.reshape(len(frames), -1).T, mean)
     )

@@ -12,6 +12,7 @@ from scipy.sparse import csr_array
 
 from lightmatrix.errors import InputError
 from lightmatrix.patterns.pattern_set import PatternSet
+from lightmatrix.transport.sparse_rows import row_blocks
 
 _BLOCK_ENTRIES = 1 << 22
 # Values of a block of patterns: 4 MiB, measured best at 128 x 128 (two to three times faster than
@@ -61,7 +62,7 @@ def irradiance(
     size = max(16, _CACHED_VALUES // pixels)
     firsts = range(0, patterns.count, size)
     lit = [np.ascontiguousarray(patterns.rows(k, min(k + size, patterns.count)).T) for k in firsts]
-    cuts = _row_blocks(matrix.indptr)
+    cuts = row_blocks(matrix.indptr, _BLOCK_ENTRIES)
 
     def multiply(block: int) -> None:
         start, stop = cuts[block], cuts[block + 1]
@@ -74,10 +75,3 @@ def irradiance(
             if progress is not None:
                 progress(int(cuts[block + 1]), rows)
     return result
-
-
-def _row_blocks(indptr: NDArray[np.integer]) -> NDArray[np.int64]:
-    """Row numbers that cut the matrix into blocks of about equally many entries."""
-    parts = max(1, int(indptr[-1]) // _BLOCK_ENTRIES)
-    targets = np.linspace(0, indptr[-1], parts + 1)
-    return np.unique([0, *np.searchsorted(indptr, targets[1:-1]), len(indptr) - 1])

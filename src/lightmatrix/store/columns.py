@@ -34,6 +34,7 @@ from lightmatrix.outputs.writing import claimed
 from lightmatrix.reprs import short_repr
 from lightmatrix.store.checked import check_indptr, finite
 from lightmatrix.store.lazy import StoredTransport
+from lightmatrix.transport.sparse_rows import row_blocks
 
 COLUMNS = "columns"
 # Where it is written before it is whole; a run that was killed leaves it, and the next sweeps it.
@@ -138,10 +139,7 @@ def _write(part: Path, matrix: StoredTransport) -> None:
     group = zarr.open_group(part, mode="w", zarr_format=3)
     arrays = {name: GrowingArray(group, name, dtype, _CHUNK) for name, dtype in _ARRAYS.items()}
     arrays["indptr"].add(ends)
-    passes = max(1, -(-int(ends[-1]) // _PASS_ENTRIES))
-    inner = np.linspace(0, ends[-1], passes + 1)[1:-1]
-    cuts = np.unique([0, *np.searchsorted(ends, inner), pixels])
-    for first, last in itertools.pairwise(cuts):
+    for first, last in itertools.pairwise(row_blocks(ends, _PASS_ENTRIES)):
         columns, rows, data = [], [], []
         for start, block in matrix.blocks():
             found = block.coefficients.tocoo()

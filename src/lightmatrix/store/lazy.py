@@ -24,7 +24,7 @@ from lightmatrix.store.checked import (
 )
 from lightmatrix.store.zarr_file import RESTORE, Stored, diagnostics_of, look, read_whole
 from lightmatrix.transport.matrix import LightTransport, as_light, cell_means
-from lightmatrix.transport.sparse_rows import SparseRows
+from lightmatrix.transport.sparse_rows import SparseRows, row_blocks
 
 # Entries of T that are worked on together: eight chunks, which keeps those small that are read
 # twice since a block ends within them.
@@ -285,9 +285,7 @@ class StoredTransport:
     @cached_property
     def _cuts(self) -> NDArray[np.int64]:
         """First rows of the blocks, and M."""
-        parts = max(1, -(-self.entries // _BLOCK_ENTRIES))
-        inner = np.linspace(0, self.entries, parts + 1)[1:-1]
-        return np.unique([0, *np.searchsorted(self._indptr, inner), self.shape[0]])
+        return row_blocks(self._indptr, _BLOCK_ENTRIES)
 
     def _block(self, start: int, stop: int) -> SparseRows:
         kept = self._kept.get(start)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 from typing import Any
 
@@ -12,12 +13,13 @@ from scipy.sparse import csr_array, diags_array, kron
 from lightmatrix.errors import InputError
 from lightmatrix.patterns.blocks import sampled_pixels
 from lightmatrix.transport.matrix import LightTransport
+from lightmatrix.transport.sparse_rows import row_blocks
 
 # A single response counts as not clipping up to this share of the clip level.
 UNCLIPPED_RESPONSE = 0.98
 _CHUNK_BYTES = 64 << 20
-# Each row has some cells of its background besides.
-_CHUNK_ROWS = 1 << 15
+# In double precision, squared, with indices.
+_ENTRY_BYTES = 32
 
 
 def relative_error(
@@ -47,9 +49,9 @@ def squared_errors(
     """
     _check_same_rig(estimate, truth)
     wrong = np.empty(truth.sparse.shape[0])
-    # Entries of either matrix; a block of both has twice as many at most.
     entries = np.asarray(estimate.sparse.indptr, np.int64) + truth.sparse.indptr
-    for rows in _blocks(entries):
+    cells = estimate.background.shape[1] + truth.background.shape[1]
+    for rows in _blocks(entries, _ENTRY_BYTES, cells):
         difference = csr_array(estimate.sparse[rows] - truth.sparse[rows], dtype=np.float64)
         found = estimate.background[rows], estimate.pooling
         expected = -truth.background[rows], truth.pooling
@@ -60,20 +62,18 @@ def squared_errors(
 def row_energies(transport: LightTransport) -> NDArray[np.float64]:
     """||T_i||^2 of each row, background included, (M,) float64."""
     result = np.empty(transport.sparse.shape[0])
-    for rows in _blocks(transport.sparse.indptr):
+    cells = transport.background.shape[1]
+    for rows in _blocks(transport.sparse.indptr, _ENTRY_BYTES, cells):
         sparse = csr_array(transport.sparse[rows], dtype=np.float64)
         result[rows] = _row_energies(sparse, [(transport.background[rows], transport.pooling)])
     return result
 
 
-def _blocks(indptr: NDArray[np.integer], bytes_each: int = 32) -> Iterator[slice]:
-    """Rows whose entries, of so many bytes each, and cells of the background fit into a chunk."""
-    most, start, count = _CHUNK_BYTES // bytes_each, 0, len(indptr) - 1
-    while start < count:
-        stop = int(np.searchsorted(indptr, int(indptr[start]) + most, "right")) - 1
-        stop = min(max(start + 1, stop), start + _CHUNK_ROWS, count)
+def _blocks(indptr: NDArray[np.integer], bytes_each: int, cells: int = 0) -> Iterator[slice]:
+    """Rows whose entries, of so many bytes each, and cells of the background about fill a chunk."""
+    ends = np.asarray(indptr, np.int64) + cells * np.arange(len(indptr))
+    for start, stop in itertools.pairwise(row_blocks(ends, _CHUNK_BYTES // bytes_each)):
         yield slice(start, stop)
-        start = stop
 
 
 def _row_energies(

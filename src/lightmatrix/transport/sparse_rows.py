@@ -127,5 +127,25 @@ def stacked(parts: Sequence[csr_array]) -> csr_array:
     return csr_array(vstack(parts, format="csr"))
 
 
+def row_blocks(ends: NDArray[np.integer], most: int) -> NDArray[np.int64]:
+    """Row numbers that cut a matrix into blocks of about equally many entries.
+
+    Parameters
+    ----------
+    ends : (M + 1,) int
+        Rising: what comes before each row, and in all; of entries, the indptr of a CSR matrix.
+    most : int
+        In a block, give or take one row.
+
+    Returns
+    -------
+    (blocks + 1,) int64
+        From 0 to M, ascending.
+    """
+    parts = max(1, -(-int(ends[-1]) // most))
+    inner = np.linspace(0, ends[-1], parts + 1)[1:-1]
+    return np.unique([0, *np.searchsorted(ends, inner), len(ends) - 1])
+
+
 def _damaged(what: str) -> InputError:
     return InputError(what, hint="the file they come from is damaged: make it again")

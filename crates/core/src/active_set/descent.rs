@@ -5,7 +5,7 @@ use super::factor::subtract_rows;
 use super::model::Model;
 use super::packed::Packed;
 use super::progress::Progress;
-use crate::octet::WIDTH;
+use crate::octet::{set_bits, WIDTH};
 use crate::problem::{Dictionary, Settings};
 use crate::simd::{multiversion, Level};
 use crate::vector::add_scaled;
@@ -157,11 +157,8 @@ impl Descent {
         choose(model.level, target, slope, limit, signed, &mut self.chosen);
         let mut entering = false;
         for (group, chosen) in self.chosen.iter_mut().enumerate() {
-            let mut bits = *chosen;
-            while bits != 0 {
-                let place = bits.trailing_zeros();
+            for place in set_bits(*chosen) {
                 let j = group * WIDTH + place as usize;
-                bits &= bits - 1;
                 model.make_row(dictionary, pixels, j);
                 if model.inverse[j] != 0.0 {
                     entering |= target[j] == 0.0;

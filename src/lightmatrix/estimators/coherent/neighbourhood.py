@@ -123,7 +123,6 @@ class Neighbourhood:
         background : (n, K + E) float32
             What the backgrounds of the rows `around` the first to the last give under all patterns.
         """
-        weights = samples.weights
         values, variances = _core.expected_samples(
             self.atoms.prepared,
             unseen.prepared,
@@ -141,7 +140,7 @@ class Neighbourhood:
         weight = (1 / (1 + deviations)).astype(np.float32)
         weight[:, :count] *= clipped
         # Masked rows, none of whose samples counts, stay empty.
-        used = np.broadcast_to(weights is None or weights > 0, clipped.shape)
+        used = samples.counted
         known = (used & ~clipped).sum(axis=1, keepdims=True)
         helped = np.minimum(1, (ENOUGH / np.maximum(known, 1)) ** 2)
         weight *= helped * used.any(axis=1, keepdims=True)

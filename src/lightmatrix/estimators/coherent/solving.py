@@ -136,7 +136,7 @@ class Solving:
             cost = self.level / problem.regularization
             cells = self.backgrounds.cells(cost, unseen=unseen)
         background = self.halos(known, rows)[:, : cells.means.shape[1]]
-        seen = (problem.samples.weights_of_all() > 0) & ~problem.samples.clipped
+        seen = samples.counted & ~samples.clipped
         likely = known.likely(
             stage.window,
             self.candidates,

@@ -8,7 +8,7 @@
 mod avx512;
 
 use super::model::Model;
-use crate::octet::WIDTH;
+use crate::octet::{set_bits, WIDTH};
 use crate::simd::{multiversion, Kind, Level};
 
 /// How far beyond its best value a pixel goes: where columns nearly depend on each other that takes
@@ -56,11 +56,7 @@ impl Packed {
         self.set.clear();
         for (group, &bits) in chosen.iter().enumerate() {
             let first = (group * WIDTH) as u32;
-            let mut bits = bits;
-            while bits != 0 {
-                self.set.push(first + bits.trailing_zeros());
-                bits &= bits - 1;
-            }
+            self.set.extend(set_bits(bits).map(|place| first + place));
         }
         let relaxation = if signed || self.set.len() <= FEW {
             1.0
@@ -84,26 +80,19 @@ impl Packed {
         self.gather(model);
     }
 
-    /// Drops pixels that are at zero, as in `target`, and would stay there, if that saves a block;
-    /// whether it did.
-    pub fn shrink(&mut self, model: &Model, target: &[f64]) -> bool {
+    /// Drops pixels that are at zero, as in `target`, and would stay there, if that saves a block.
+    pub fn shrink(&mut self, model: &Model, target: &[f64]) {
         let stays = (0..self.set.len()).filter(|&i| self.counts(i, target));
         let size = stays.count().next_multiple_of(WIDTH);
         if size == self.x.len() {
-            return false;
+            return;
         }
         let mut kept = 0;
         for i in 0..self.set.len() {
             let j = self.set[i];
             if self.counts(i, target) {
                 self.set[kept] = j;
-                for values in [
-                    &mut self.inverse,
-                    &mut self.diagonal,
-                    &mut self.band,
-                    &mut self.x,
-                    &mut self.pull,
-                ] {
+                for values in self.values() {
                     values[kept] = values[i];
                 }
                 kept += 1;
@@ -112,18 +101,22 @@ impl Packed {
             }
         }
         self.set.truncate(kept);
-        for values in [
+        for values in self.values() {
+            values.truncate(kept);
+            values.resize(size, 0.0);
+        }
+        self.gather(model);
+    }
+
+    /// One number for each pixel, padded.
+    fn values(&mut self) -> [&mut Vec<f64>; 5] {
+        [
             &mut self.inverse,
             &mut self.diagonal,
             &mut self.band,
             &mut self.x,
             &mut self.pull,
-        ] {
-            values.truncate(kept);
-            values.resize(size, 0.0);
-        }
-        self.gather(model);
-        true
+        ]
     }
 
     fn counts(&self, i: usize, target: &[f64]) -> bool {
