@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -53,6 +54,18 @@ def test_pictures_are_what_it_saw(picture: Picture) -> None:
     # It has steps.
     camera.exposure = 0.0021
     assert camera.exposure == pytest.approx(0.0025)
+    camera.close()
+
+
+@pytest.mark.parametrize("exposure", [0.0025, 0.5])
+def test_no_exposure_began_before_it_was_asked_for(picture: Picture, exposure: float) -> None:
+    # The virtual camera hands pictures over at once, whatever its shutter is set to: it was taken
+    # for one that had been under way, and another one was waited for that never came.
+    camera = open_camera("dslr")
+    camera.exposure = exposure
+    asked = time.monotonic()
+    camera.trigger()
+    assert camera.get_image(5).timestamp - camera.exposure >= asked
     camera.close()
 
 

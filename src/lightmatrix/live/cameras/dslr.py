@@ -157,8 +157,14 @@ class DSLRCamera:
             If the camera does not.
         """
         self._check_open()
+        exposure = self.exposure
+        began = time.monotonic()
         with self._talking("take a picture"):
             where = self._camera.capture(self._gphoto2.GP_CAPTURE_IMAGE)
+        # A driver may come back while the shutter is still open; "bulb" does not say how long.
+        left = began + exposure - time.monotonic()
+        if left > 0:
+            time.sleep(left)
         self._taken.append((where, time.monotonic()))
 
     def close(self) -> None:
