@@ -82,11 +82,8 @@ from .responses.camera import (
 from .responses.projector import projector_response as projector_response
 
 # Estimates.
-from .estimators.auto import (
-    AutoEstimator as AutoEstimator,
-    estimate as estimate,
-    needs as needs,
-)
+from .estimators.auto import AutoEstimator as AutoEstimator
+from .estimators.estimate import estimate as estimate, needs as needs
 from .estimators.needs import Needs as Needs
 from .estimators.coherent.estimator import CoherentEstimator as CoherentEstimator
 from .estimators.multiscale.estimator import MultiScaleEstimator as MultiScaleEstimator

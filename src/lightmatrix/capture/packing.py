@@ -19,6 +19,7 @@ from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.description import TRUTH
 from lightmatrix.capture.folder import jsonable
 from lightmatrix.capture.frames import Frames, PixelFrames, in_order
+from lightmatrix.capture.given import given_capture
 from lightmatrix.capture.packed import (
     BITS,
     BLACK,
@@ -92,7 +93,7 @@ def pack(
     True
     """
     check_output(output, PACKED_CAPTURE, overwrite=overwrite)
-    opened = capture if isinstance(capture, Capture) else Capture.open(capture, check=False)
+    opened = given_capture(capture)
     truth = None if isinstance(capture, Capture) else Path(capture) / TRUTH
 
     def beside(part: Path) -> None:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from lightmatrix.capture.capture import Capture
+from lightmatrix.capture.given import given_capture
 from lightmatrix.errors import InputError
 from lightmatrix.estimators.auto import AutoEstimator
 from lightmatrix.estimators.join import complete_with
@@ -95,7 +96,7 @@ def repair(
     place = Path(path)
     stored = look(place)
     settings = estimator or AutoEstimator()
-    taken = capture if isinstance(capture, Capture) else Capture.open(capture, check=False)
+    taken = given_capture(capture)
     plan = settings.estimator(taken).plan(taken, progress)
     differing(place, stored.provenance, plan.provenance)
     damage = Damage.of(place)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.frames import ArrayStack
-from lightmatrix.estimators.auto import estimate
+from lightmatrix.estimators.estimate import estimate
 from lightmatrix.experiments.harness import Experiment, Measured
 from lightmatrix.experiments.measured_scene import SCENES
 from lightmatrix.patterns.bits import BernoulliPatterns
