@@ -286,14 +286,22 @@ def test_dark_and_fully_clipped_rows() -> None:
     assert result.background[2] == pytest.approx(1, rel=1e-6)
 
 
-def test_results_do_not_depend_on_threads_or_tiles() -> None:
-    problem = draw(BernoulliPatterns((20, 30), 64), 300, regularization=0.03)
+@pytest.mark.parametrize(
+    ("shape", "count", "rows", "tile"),
+    # Of the second patterns passes read more than caches keep: many rows share one.
+    [((20, 30), 64, 300, 47), ((512, 520), 400, 40, 9)],
+)
+def test_results_do_not_depend_on_threads_or_tiles(
+    shape: tuple[int, int], count: int, rows: int, tile: int
+) -> None:
+    problem = draw(BernoulliPatterns(shape, count), rows, regularization=0.03)
     whole = solve(problem, ActiveSet(threads=1))
     many = solve(problem, ActiveSet(threads=3))
     parts = [
-        solve(problem.take(np.arange(start, min(start + 47, 300))), ActiveSet())
-        for start in range(0, 300, 47)
+        solve(problem.take(np.arange(start, min(start + tile, rows))), ActiveSet())
+        for start in range(0, rows, tile)
     ]
+    assert whole.converged.all()
     for name in ("background", "objective", "gap", "iterations"):
         expected = getattr(whole, name)
         np.testing.assert_array_equal(getattr(many, name), expected)

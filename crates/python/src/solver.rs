@@ -7,7 +7,7 @@ use crate::threads::{count_of, on_all_cores, run_interruptibly};
 use lightmatrix_core::active_set;
 use lightmatrix_core::atoms::{Atoms, Plane};
 use lightmatrix_core::columns::{BitColumns, Columns, DenseColumns};
-use lightmatrix_core::correlate::{Correlator, Scores, Scratch, BATCH};
+use lightmatrix_core::correlate::{Correlator, Scores, Scratch};
 use lightmatrix_core::problem::{Dictionary, Solution};
 use lightmatrix_core::simd::Level;
 use lightmatrix_core::vector::padded;
@@ -345,7 +345,7 @@ impl PreparedPatterns {
     /// Refuses what there is no memory for: `count` rows solved on some threads.
     pub fn check_room(&self, count: usize, threads: Option<usize>) -> PyResult<()> {
         let (pixels, vector) = (self.dictionary.pixels, 8 * padded(self.dictionary.patterns));
-        let scores = size_of::<i16>() * BATCH * pixels;
+        let scores = size_of::<i16>() * self.dictionary.correlator.batch() * pixels;
         let thread = THREAD_BYTES + THREAD_VECTORS * vector + scores;
         room::<u8>(&[count_of(threads), thread], "the threads")?;
         room::<u8>(&[count, ROW_BYTES], "the solved rows")?;
@@ -369,16 +369,17 @@ impl PreparedPatterns {
     }
 
     fn each_batch(&self, rows: &[Vec<f64>], mut take: impl FnMut(usize, &[Scores])) {
-        let mut scores = vec![Scores::default(); BATCH];
+        let batch = self.dictionary.correlator.batch();
+        let mut scores = vec![Scores::default(); batch];
         let mut scratch = Scratch::default();
-        for (batch, rows) in rows.chunks(BATCH).enumerate() {
+        for (number, rows) in rows.chunks(batch).enumerate() {
             let e: Vec<&[f64]> = rows.iter().map(Vec::as_slice).collect();
             let mut out: Vec<&mut Scores> = scores.iter_mut().take(e.len()).collect();
             let dictionary = &self.dictionary;
             dictionary
                 .correlator
                 .run(&dictionary.columns, &e, &mut out, &mut scratch);
-            take(batch * BATCH, &scores[..e.len()]);
+            take(number * batch, &scores[..e.len()]);
         }
     }
 }

@@ -2,12 +2,9 @@
 
 use super::restricted::Restricted;
 use super::row::{Next, RowSolver};
-use crate::correlate::{Scores, Scratch, BATCH};
+use crate::correlate::{Scores, Scratch};
 use crate::problem::{Dictionary, Rows, Settings, Solution};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
-
-/// Rows in work at a time: batches are full until the rows run out.
-const LANES: usize = BATCH;
 
 struct Lane<'a> {
     solver: RowSolver<'a>,
@@ -30,8 +27,9 @@ pub fn solve_rows(
     let mut scratch = Scratch::default();
     // Its buffers are large: lanes that share one leave the caches to the patterns.
     let mut restricted = Restricted::new(dictionary.level);
-    // Where rows are few, every thread gets some.
-    let lanes = LANES.min(rows.count.div_ceil(rayon::current_num_threads()));
+    // Batches are full until the rows run out; where rows are few, every thread gets some.
+    let batch = dictionary.correlator.batch();
+    let lanes = batch.min(rows.count.div_ceil(rayon::current_num_threads()));
     let mut lanes: Vec<Lane> = (0..lanes)
         .map(|_| Lane {
             solver: RowSolver::new(dictionary, settings),
@@ -60,15 +58,13 @@ pub fn solve_rows(
     };
     lanes.retain_mut(|lane| advance(lane, None, &mut restricted));
     while !lanes.is_empty() && !cancelled.load(Ordering::Relaxed) {
-        for batch in lanes.chunks_mut(BATCH) {
-            let (residuals, mut scores): (Vec<&[f64]>, Vec<&mut Scores>) = batch
-                .iter_mut()
-                .map(|lane| (lane.solver.dual(), &mut lane.scores))
-                .unzip();
-            dictionary
-                .correlator
-                .run(&dictionary.columns, &residuals, &mut scores, &mut scratch);
-        }
+        let (residuals, mut scores): (Vec<&[f64]>, Vec<&mut Scores>) = lanes
+            .iter_mut()
+            .map(|lane| (lane.solver.dual(), &mut lane.scores))
+            .unzip();
+        dictionary
+            .correlator
+            .run(&dictionary.columns, &residuals, &mut scores, &mut scratch);
         lanes.retain_mut(|lane| {
             let next = lane.solver.after_pass(&lane.scores, &mut restricted);
             advance(lane, Some(next), &mut restricted)

@@ -8,10 +8,10 @@ use crate::correlate::Scores;
 use crate::problem::{Dictionary, Fidelity, Rows, Settings, Solution, Values};
 use crate::vector::{dot, invert, one_sided, padded, residual, signed_sums, DataTerm};
 
-/// New pixels taken in after the first pass,
-const FIRST_PIXELS: usize = 8;
-/// and after each later one.
-const NEW_PIXELS: usize = 16;
+/// New pixels taken in after the first pass, and after each later one.
+const NEW_PIXELS: [usize; 2] = [8, 16];
+/// The same where a pass reads its patterns from memory: it takes longer than a row of many pixels.
+const MANY_NEW_PIXELS: [usize; 2] = [64, 128];
 /// The restricted solve goes to this share of the violation that was found outside,
 const INNER_SHARE: f64 = 0.25;
 /// and no rougher than this share of lambda.
@@ -143,11 +143,12 @@ impl<'a> RowSolver<'a> {
     /// Goes on with the scores of `dual`.
     pub fn after_pass(&mut self, scores: &Scores, restricted: &mut Restricted) -> Next {
         self.passes += 1;
-        let new = if self.passes == 1 {
-            FIRST_PIXELS
+        let [first, later] = if self.dictionary.correlator.reads_memory() {
+            MANY_NEW_PIXELS
         } else {
             NEW_PIXELS
         };
+        let new = if self.passes == 1 { first } else { later };
         let found = self.pricing.run(
             self.dictionary,
             &self.settings,

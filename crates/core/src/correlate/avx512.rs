@@ -4,7 +4,7 @@
 //! table and the odd one into the second: one permute looks both up for 32 pixels, and one product
 //! with ones adds the two in 16 bits.
 
-use super::scores::Scores;
+use super::scores::{Scores, BATCH, MANY, PEAKS};
 use super::tables::{count, PATTERNS};
 use crate::bits::{column_codes, Bits};
 use crate::simd::{Kind, Level};
@@ -19,6 +19,9 @@ const HALF: usize = 32;
 const BLOCK: usize = 2 * HALF;
 /// Steps at a time: tables of so many stay in the first-level cache.
 const STEPS: usize = 32;
+/// Pixels whose codes of so many steps stay in the first caches while rows pass, and whose scores
+/// stay there until the largest are noted.
+const TILE: usize = PEAKS;
 /// Bit i of each index below 64.
 const LANES: [u64; PATTERNS] = [
     0xaaaa_aaaa_aaaa_aaaa,
@@ -86,26 +89,54 @@ pub fn run(
     assert!(each.is_multiple_of(2) && length.is_multiple_of(BLOCK));
     assert!(rows.iter().all(|row| count(row.len()) == each));
     assert!(out.iter().all(|out| out.values.len() == length));
+    assert!(rows.len() == out.len() && rows.len() <= MANY);
     tables.clear();
     tables.resize(rows.len() * each * TABLE, 0);
-    let mut shifts = [0; super::scores::BATCH];
-    let parts = tables.chunks_exact_mut((each * TABLE).max(1));
-    for ((row, tables), shift) in rows.iter().zip(parts).zip(&mut shifts) {
+    let mut shifts = [0; MANY];
+    let size = (each * TABLE).max(1);
+    for ((row, tables), shift) in rows
+        .iter()
+        .zip(tables.chunks_exact_mut(size))
+        .zip(&mut shifts)
+    {
         // SAFETY: the level proves the instructions.
         *shift = unsafe { make_tables(row, tables) };
     }
-    // SAFETY, for all: the level proves the instructions; the asserts above are the contract.
-    match out {
-        [a] => unsafe { pass(codes, length, tables, &shifts, [&mut a.values]) },
-        [a, b] => unsafe {
-            let out = [&mut a.values[..], &mut b.values];
-            pass(codes, length, tables, &shifts, out);
-        },
-        [a, b, c] => unsafe {
-            let out = [&mut a.values[..], &mut b.values, &mut c.values];
-            pass(codes, length, tables, &shifts, out);
-        },
-        _ => assert!(out.is_empty()),
+    let all = each / 2;
+    let mut codes = codes;
+    for first in (0..all).step_by(STEPS) {
+        let steps = STEPS.min(all - first);
+        for pixel in (0..length).step_by(TILE) {
+            let end = length.min(pixel + TILE);
+            let part;
+            (part, codes) = codes.split_at(2 * steps * (end - pixel));
+            let groups = tables.chunks(BATCH * size).zip(shifts.chunks(BATCH));
+            for ((tables, shifts), out) in groups.zip(out.chunks_mut(BATCH)) {
+                // SAFETY, for all: the level proves the instructions; the asserts above are the
+                // contract.
+                match out {
+                    [a] => unsafe {
+                        let out = [&mut a.values[pixel..end]];
+                        pass(part, first, steps, tables, shifts, out);
+                    },
+                    [a, b] => unsafe {
+                        let out = [&mut a.values[pixel..end], &mut b.values[pixel..end]];
+                        pass(part, first, steps, tables, shifts, out);
+                    },
+                    [a, b, c] => unsafe {
+                        let (a, b) = (&mut a.values[pixel..end], &mut b.values[pixel..end]);
+                        let out = [a, b, &mut c.values[pixel..end]];
+                        pass(part, first, steps, tables, shifts, out);
+                    },
+                    _ => unreachable!("there are at most BATCH"),
+                }
+                if first + steps == all {
+                    for out in out {
+                        out.note_tops(level, pixel..end);
+                    }
+                }
+            }
+        }
     }
 }
 
@@ -132,52 +163,52 @@ fn make_tables(row: &[i16], tables: &mut [u8]) -> i16 {
     all
 }
 
+/// Adds to the scores of some pixels what the patterns of `steps` steps from `first` on give.
+///
 /// # Safety
-/// `length` is a multiple of `BLOCK`; `codes` holds an even number of bytes a pixel, `tables` a table
-/// for each of them and row; each `out` has `length` values.
+/// Each `out` has one length, a multiple of `BLOCK`; `codes` holds 2 `steps` bytes a pixel, `tables`
+/// the same number of tables, of at least 2 (`first` + `steps`), for each row.
 #[target_feature(enable = "avx512f,avx512bw,avx512vbmi")]
 unsafe fn pass<const R: usize>(
     codes: &[u8],
-    length: usize,
+    first: usize,
+    steps: usize,
     tables: &[u8],
     shifts: &[i16],
     out: [&mut [i16]; R],
 ) {
-    let all = codes.len() / length.max(1) / 2;
+    let (length, each) = (out[0].len(), tables.len() / R);
     let ones = _mm512_set1_epi8(1);
     let out = out.map(|out| out.as_mut_ptr());
     let shifts: [__m512i; R] = std::array::from_fn(|r| _mm512_set1_epi16(shifts[r].wrapping_neg()));
     let mut code = codes.as_ptr();
-    for first in (0..all).step_by(STEPS) {
-        let steps = STEPS.min(all - first);
-        for pixel in (0..length).step_by(BLOCK) {
-            // SAFETY: codes of `steps` steps are read for each block, once each; a row has `all`
-            // pairs of tables; pixel + BLOCK <= length bounds the sums.
-            unsafe {
-                let mut sums = shifts.map(|shift| [shift; 2]);
-                if first > 0 {
-                    for (sums, out) in sums.iter_mut().zip(out) {
-                        let there = |half: usize| out.add(pixel + half * HALF).cast_const().cast();
-                        *sums = [0, 1].map(|half| _mm512_loadu_si512(there(half)));
+    for pixel in (0..length).step_by(BLOCK) {
+        // SAFETY: codes of `steps` steps are read for each block, once each; a row has pairs of
+        // tables for all steps; pixel + BLOCK <= length bounds the sums.
+        unsafe {
+            let mut sums = shifts.map(|shift| [shift; 2]);
+            if first > 0 {
+                for (sums, out) in sums.iter_mut().zip(out) {
+                    let there = |half: usize| out.add(pixel + half * HALF).cast_const().cast();
+                    *sums = [0, 1].map(|half| _mm512_loadu_si512(there(half)));
+                }
+            }
+            for step in first..first + steps {
+                let index = [0, 1].map(|half| _mm512_loadu_si512(code.add(half * 64).cast()));
+                code = code.add(2 * BLOCK);
+                for (r, sums) in sums.iter_mut().enumerate() {
+                    let table = tables.as_ptr().add(r * each + step * 2 * TABLE);
+                    let even = _mm512_loadu_si512(table.cast());
+                    let odd = _mm512_loadu_si512(table.add(TABLE).cast());
+                    for (sum, index) in sums.iter_mut().zip(index) {
+                        let both = _mm512_permutex2var_epi8(even, index, odd);
+                        *sum = _mm512_add_epi16(*sum, _mm512_maddubs_epi16(both, ones));
                     }
                 }
-                for step in first..first + steps {
-                    let index = [0, 1].map(|half| _mm512_loadu_si512(code.add(half * 64).cast()));
-                    code = code.add(2 * BLOCK);
-                    for (r, sums) in sums.iter_mut().enumerate() {
-                        let table = tables.as_ptr().add((r * all + step) * 2 * TABLE);
-                        let even = _mm512_loadu_si512(table.cast());
-                        let odd = _mm512_loadu_si512(table.add(TABLE).cast());
-                        for (sum, index) in sums.iter_mut().zip(index) {
-                            let both = _mm512_permutex2var_epi8(even, index, odd);
-                            *sum = _mm512_add_epi16(*sum, _mm512_maddubs_epi16(both, ones));
-                        }
-                    }
-                }
-                for (sums, out) in sums.into_iter().zip(out) {
-                    for (half, sum) in sums.into_iter().enumerate() {
-                        _mm512_storeu_si512(out.add(pixel + half * HALF).cast(), sum);
-                    }
+            }
+            for (sums, out) in sums.into_iter().zip(out) {
+                for (half, sum) in sums.into_iter().enumerate() {
+                    _mm512_storeu_si512(out.add(pixel + half * HALF).cast(), sum);
                 }
             }
         }

@@ -12,7 +12,6 @@ use crate::simd::{Kind, Level};
 use crate::subsets::subset_sums;
 
 pub struct Lookup {
-    pixels: usize,
     length: usize,
     codes: Codes,
 }
@@ -27,23 +26,30 @@ enum Codes {
 
 impl Lookup {
     pub fn new(level: Level, bits: Bits) -> Self {
-        let (pixels, length) = (bits.pixels(), bits.pixels().next_multiple_of(GROUP));
+        let length = bits.pixels().next_multiple_of(GROUP);
         let codes = match level.kind() {
             #[cfg(target_arch = "x86_64")]
             Kind::Avx512 => Codes::Sixes(avx512::codes(bits, length)),
-            _ => Codes::Bytes(padded_planes(&column_codes(bits), pixels, length)),
+            _ => Codes::Bytes(padded_planes(&column_codes(bits), bits.pixels(), length)),
         };
-        Lookup {
-            pixels,
-            length,
-            codes,
-        }
+        Lookup { length, codes }
     }
 
     pub fn length(&self) -> usize {
         self.length
     }
 
+    /// What a pass reads.
+    pub fn bytes(&self) -> usize {
+        match &self.codes {
+            Codes::Bytes(codes) => codes.len(),
+            #[cfg(target_arch = "x86_64")]
+            Codes::Sixes(codes) => codes.len(),
+        }
+    }
+
+    /// Scores and the largest of each group. Places that stand for no pixel are lit by no pattern:
+    /// their scores are 0.
     pub fn run(
         &self,
         level: Level,
@@ -51,22 +57,24 @@ impl Lookup {
         tables: &mut Vec<u8>,
         out: &mut [&mut Scores],
     ) {
-        match &self.codes {
+        let codes = match &self.codes {
             #[cfg(target_arch = "x86_64")]
-            Codes::Sixes(codes) => avx512::run(level, codes, self.length, rows, tables, out),
-            #[cfg(target_arch = "x86_64")]
-            Codes::Bytes(codes) if level.kind() == Kind::Avx2 => {
-                avx2::run(level, codes, self.length, rows, out);
+            Codes::Sixes(codes) => {
+                return avx512::run(level, codes, self.length, rows, tables, out);
             }
-            Codes::Bytes(codes) => {
+            Codes::Bytes(codes) => codes,
+        };
+        match level.kind() {
+            #[cfg(target_arch = "x86_64")]
+            Kind::Avx2 => avx2::run(level, codes, self.length, rows, out),
+            _ => {
                 for (row, out) in rows.iter().zip(out.iter_mut()) {
                     portable(codes, self.length, row, &mut out.values);
                 }
             }
         }
         for out in out {
-            // Padding pixels belong to no pattern; their scores must not look like any pixel's.
-            out.values[self.pixels..].fill(0);
+            out.note_tops(level, 0..self.length);
         }
     }
 }

@@ -27,9 +27,12 @@ use blurred::{Blurred, Buffers};
 use dense::Dense;
 use lookup::Lookup;
 use quantise::{quantise, Sums};
-use scores::GROUP;
-pub use scores::{Scores, BATCH};
+pub use scores::Scores;
+use scores::{BATCH, GROUP, MANY};
 use transform::Transform;
+
+/// More bytes of patterns are read from memory by every pass: no cache of today keeps them.
+const CACHED: usize = 16 << 20;
 
 /// One way of computing scores, chosen by what the patterns are.
 pub struct Correlator {
@@ -39,7 +42,7 @@ pub struct Correlator {
     kind: Kind,
 }
 
-/// Scores of up to `BATCH` rows, as `Correlator::run` gives them.
+/// Scores of some rows, as `Correlator::run` gives them.
 pub type Pass = Box<dyn Fn(&[&[f64]], &mut [&mut Scores], &mut Scratch) + Send + Sync>;
 
 enum Kind {
@@ -52,10 +55,10 @@ enum Kind {
 /// Buffers of one thread.
 #[derive(Default)]
 pub struct Scratch {
-    quantised: [Vec<i16>; BATCH],
+    quantised: Vec<Vec<i16>>,
     tables: Vec<u8>,
     /// For atoms: what the pass over single pixels gives, and works in.
-    single: [Scores; BATCH],
+    single: Vec<Scores>,
     inner: Option<Box<Scratch>>,
     blurred: Buffers,
 }
@@ -134,10 +137,24 @@ impl Correlator {
         }
     }
 
-    /// Scores of up to `BATCH` rows `e` (padded).
+    /// Whether a pass reads more than the caches keep from one to the next.
+    pub fn reads_memory(&self) -> bool {
+        matches!(&self.kind, Kind::Lookup(lookup) if lookup.bytes() > CACHED)
+    }
+
+    /// How many rows a run should have: so many share a reading of the patterns best.
+    pub fn batch(&self) -> usize {
+        if self.reads_memory() {
+            MANY
+        } else {
+            BATCH
+        }
+    }
+
+    /// Scores of up to `batch` rows `e` (padded).
     ///
     /// # Panics
-    /// If there are more rows than `BATCH` or not one `out` a row.
+    /// If there are more rows or not one `out` a row.
     pub fn run(
         &self,
         columns: &Columns,
@@ -145,17 +162,34 @@ impl Correlator {
         out: &mut [&mut Scores],
         scratch: &mut Scratch,
     ) {
-        assert!(e.len() <= BATCH && e.len() == out.len());
+        assert!(e.len() <= self.batch() && e.len() == out.len());
         for out in out.iter_mut() {
             out.values.resize(self.length(), 0);
+            out.tops.fill(i16::MIN);
         }
+        self.score(columns, e, out, scratch);
+        if !matches!(self.kind, Kind::Lookup(_)) {
+            for out in out {
+                out.note_tops(self.level, 0..self.length());
+            }
+        }
+    }
+
+    /// All but, where it is no look-up, the largest of each group.
+    fn score(
+        &self,
+        columns: &Columns,
+        e: &[&[f64]],
+        out: &mut [&mut Scores],
+        scratch: &mut Scratch,
+    ) {
         let sums = match &self.kind {
             Kind::Dense(dense) => {
                 return dense.run(self.level, columns, self.patterns, self.pixels, e, out)
             }
             Kind::Blurred(pass, blurred) => {
-                let mut single: Vec<&mut Scores> =
-                    scratch.single.iter_mut().take(e.len()).collect();
+                scratch.single.resize_with(e.len(), Scores::default);
+                let mut single: Vec<&mut Scores> = scratch.single.iter_mut().collect();
                 pass(e, &mut single, scratch.inner.get_or_insert_default());
                 for ((single, out), e) in single.iter_mut().zip(out).zip(e) {
                     // Columns that were rounded differ from the blurred patterns by so much.
@@ -170,6 +204,7 @@ impl Correlator {
             Kind::Lookup(_) => Sums::OfSubsets,
             Kind::Transform(_) => Sums::Signed,
         };
+        scratch.quantised.resize_with(e.len(), Vec::new);
         for ((e, out), quantised) in e.iter().zip(out.iter_mut()).zip(&mut scratch.quantised) {
             let rounded = quantise(self.level, e, self.patterns, sums, quantised);
             (out.unit, out.up, out.down) = (rounded.unit, rounded.up, rounded.down);
@@ -183,12 +218,9 @@ impl Correlator {
             }
         }
         match &self.kind {
-            Kind::Lookup(lookup) => lookup.run(
-                self.level,
-                &scratch.quantised[..e.len()],
-                &mut scratch.tables,
-                out,
-            ),
+            Kind::Lookup(lookup) => {
+                lookup.run(self.level, &scratch.quantised, &mut scratch.tables, out)
+            }
             Kind::Transform(transform) => {
                 for (quantised, out) in scratch.quantised.iter().zip(out) {
                     transform.run(self.level, quantised, out.offset, &mut out.values);

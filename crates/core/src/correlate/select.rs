@@ -1,12 +1,10 @@
 //! Finding the places whose correlations may exceed a value.
 
-use super::scores::{Scores, GROUP};
+use super::scores::{Scores, GROUP, PEAKS};
 use crate::simd::{multiversion, Kind, Level};
 
 /// Halvings of the range of values when a threshold is sought; more would tell ties apart.
 const HALVINGS: usize = 15;
-/// Groups of places of which one is the extreme.
-const PEAKS: usize = 1024;
 
 impl Scores {
     /// Thresholds (below, above) between which, both included, no correlation exceeds `value`
@@ -34,12 +32,11 @@ impl Scores {
         both: bool,
         out: &mut Vec<u32>,
     ) -> f64 {
-        let (mut tops, mut bottoms) = ([i16::MIN; PEAKS], [i16::MAX; PEAKS]);
-        peaks(level, &self.values, &mut tops);
+        let mut bottoms = [i16::MAX; PEAKS];
         if both {
             dips(level, &self.values, &mut bottoms);
         }
-        let value = self.value_exceeded_by(level, &tops, &bottoms, most, floor, both);
+        let value = self.value_exceeded_by(level, &bottoms, most, floor, both);
         let (below, above) = self.thresholds(value, both);
         collect_outside(level, &self.values, below, above, out);
         value
@@ -48,7 +45,6 @@ impl Scores {
     fn value_exceeded_by(
         &self,
         level: Level,
-        tops: &[i16; PEAKS],
         bottoms: &[i16; PEAKS],
         most: usize,
         floor: f64,
@@ -61,12 +57,12 @@ impl Scores {
             } else {
                 0
             };
-            count_above(level, tops, above) + low
+            count_above(level, &self.tops, above) + low
         };
         if count(floor) <= most {
             return floor;
         }
-        let largest = f64::from(largest_of(level, tops));
+        let largest = f64::from(largest_of(level, &self.tops));
         let mut high = self.unit * (largest + self.offset + self.up);
         if both {
             let least = f64::from(smallest_of(level, bottoms));
@@ -86,17 +82,6 @@ impl Scores {
             }
         }
         high
-    }
-}
-
-multiversion! {
-    /// The largest score of each group: places that are equal modulo their number.
-    fn peaks(scores: &[i16], most: &mut [i16; PEAKS]) {
-        for scores in scores.chunks(PEAKS) {
-            for (most, score) in most.iter_mut().zip(scores) {
-                *most = (*most).max(*score);
-            }
-        }
     }
 }
 

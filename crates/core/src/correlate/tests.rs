@@ -1,5 +1,6 @@
 //! Every kernel against the definition, and against each other.
 
+use super::scores::PEAKS;
 use super::*;
 use crate::atoms::Plane;
 use crate::columns::{BitColumns, DenseColumns};
@@ -69,6 +70,10 @@ fn check(
             assert!(scores.unit * (high - low) <= 0.01 * total * (1.0 + row.len() as f64 / 100.0));
         }
         assert_eq!(seen, correlator.pixels);
+        for (group, &top) in scores.tops.iter().enumerate() {
+            let places = scores.values.iter().skip(group).step_by(PEAKS);
+            assert_eq!(top, places.copied().max().unwrap_or(i16::MIN));
+        }
     }
 }
 
@@ -109,6 +114,27 @@ fn scores_of_bits_bound_the_exact_correlations() {
                     assert_eq!((a.unit, a.up, a.down), (b.unit, b.up, b.down));
                 }
             }
+        }
+    }
+}
+
+#[test]
+fn rows_that_share_a_reading_have_the_scores_of_rows_by_themselves() {
+    // More than the caches hold, two stretches of patterns, tiles of pixels of which one is smaller.
+    let (patterns, pixels) = (600, 230_000);
+    let mut random = Random(7);
+    let packed = bytes(patterns, pixels, &mut random);
+    let bits = Bits::new(&packed, patterns, pixels);
+    let columns = Columns::Bits(BitColumns::new(bits));
+    let rows = rows(2 * BATCH + 2, patterns, &mut random);
+    for level in Level::available() {
+        let correlator = Correlator::lookup(level, bits);
+        assert!(correlator.batch() > rows.len());
+        let together = run(&correlator, &columns, &rows);
+        for (row, scores) in rows.chunks(1).zip(&together) {
+            let alone = run(&correlator, &columns, row);
+            assert_eq!(alone[0].values, scores.values);
+            assert_eq!(alone[0].unit, scores.unit);
         }
     }
 }
@@ -213,7 +239,7 @@ fn residuals_of_nothing_give_scores_of_nothing() {
 #[test]
 fn selection_finds_all_that_may_exceed_a_value() {
     let mut random = Random(3);
-    let scores = Scores {
+    let mut scores = Scores {
         values: (0..4096)
             .map(|_| (random.value() * 30_000.0) as i16)
             .collect(),
@@ -221,7 +247,9 @@ fn selection_finds_all_that_may_exceed_a_value() {
         offset: 12.0,
         up: 3.5,
         down: 2.5,
+        ..Scores::default()
     };
+    scores.note_tops(Level::detect(), 0..4096);
     for level in Level::available() {
         for both in [false, true] {
             for (most, floor) in [(100, 1.0), (7, 250.0), (4096, 55.5), (50, 299.0), (5, 1e4)] {
