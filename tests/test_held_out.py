@@ -43,9 +43,21 @@ def test_clipped_samples_count_only_below_their_bound() -> None:
     values = np.ones((1, 8), np.float32)
     samples = Samples(values, np.ones((1, 8), bool), np.ones(8, np.float32))
     held = np.arange(8)
-    assert squared_misfit(samples, np.full((1, 8), 5, np.float32), held)[0] == 0
-    below = np.array([[0.5, 1, 1, 1, 1, 1, 1, 1]], np.float32)
-    assert squared_misfit(samples, below, held)[0] > 0.01
+    assert np.isnan(squared_misfit(samples, np.full((1, 8), 5, np.float32), held)[0])
+    below = np.array([[0.5, 0.9, 5, 5, 5, 5, 5, 5]], np.float32)
+    assert squared_misfit(samples, below, held)[0] == pytest.approx(0.08)
+
+
+def test_clipped_samples_beyond_their_bound_do_not_hide_what_others_show() -> None:
+    random = np.random.default_rng(1)
+    values, predicted = random.random((2, 3, 8), dtype=np.float32)
+    clipped = np.zeros((3, 8), bool)
+    clipped[:, 3:] = True
+    predicted[:, 3:] = 5
+    held = np.arange(8)
+    found = squared_misfit(Samples(values, clipped, np.ones(8, np.float32)), predicted, held)
+    few = Samples(values[:, :3], clipped[:, :3], np.ones(3, np.float32))
+    np.testing.assert_allclose(found, squared_misfit(few, predicted[:, :3], held[:3]))
 
 
 def test_masked_frames_say_nothing() -> None:

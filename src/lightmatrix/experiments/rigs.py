@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import spearmanr
 
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.frames import ArrayStack
@@ -261,6 +262,8 @@ def _draw(out: Path, found: list[tuple[Case, Measured]]) -> None:
     with figure(3.6, 3.4) as drawing:
         axes = drawing.subplots()
         known = np.isfinite(stated) & (stated > 0) & (true > 0)
+        follows = spearmanr(true[known], stated[known]).statistic
+        axes.set_title(f"rank correlation {follows:.2f}")
         limits = (-3.0, 1.0)
         counts = axes.hexbin(
             np.log10(true[known]), np.log10(stated[known]), gridsize=50, bins="log",

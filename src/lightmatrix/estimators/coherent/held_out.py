@@ -16,8 +16,9 @@ from lightmatrix.estimators.coherent.pooling import mean_around
 # One frame of so many is held out, but at least two; of fewer frames than this, none.
 EVERY = 8
 FEWEST = 8
-# Errors are smooth over the camera: they are pooled over a window of so many pixels.
-POOLED = 3
+# Errors are smooth over the camera: they are pooled over a window of so many pixels, or, where nothing
+# is known within that, over a wider one.
+POOLED = (3, 9, 27)
 # The rows that err least show what is noise. No less than this share of what is seen is error.
 DARKEST = 0.05
 LEAST_SHARE = 0.1
@@ -43,7 +44,7 @@ def without(samples: Samples, held: NDArray[np.int64]) -> Samples:
 def squared_misfit(
     samples: Samples, predicted: NDArray[np.float32], held: NDArray[np.int64]
 ) -> NDArray[np.float32]:
-    """Variance of each row's misfit at the frames held out, (M,); NaN where none counts.
+    """Variance of each row's misfit at the frames held out, (M,); NaN where fewer than two count.
 
     Parameters
     ----------
@@ -54,26 +55,32 @@ def squared_misfit(
     held : (H,) int
     """
     off = samples.values[:, held] - predicted
-    # Of a clipped sample only what falls short of its bound is known to be wrong.
-    off = np.where(samples.clipped[:, held], np.maximum(off, 0), off)
     weights = np.ones_like(off)
     if samples.weights is not None:
         whole = np.broadcast_to(samples.weights, samples.values.shape)
-        weights = np.asarray(whole[:, held], off.dtype)
+        weights = np.array(whole[:, held], off.dtype)
+    # A clipped sample that is predicted beyond its bound says nothing of the error.
+    weights[samples.clipped[:, held] & (off <= 0)] = 0
     total = weights.sum(axis=1)
     # The effective number of samples; their mean, which is the background's error, does not count.
     with np.errstate(invalid="ignore", divide="ignore"):
         mean = (weights * off).sum(axis=1) / total
         number = total**2 / (weights**2).sum(axis=1)
         spread = (weights * (off - mean[:, None]) ** 2).sum(axis=1) / total
-        return np.asarray(spread * number / np.maximum(number - 1, 0.5), np.float32)
+        spread *= number / np.maximum(number - 1, 0.5)
+    # One sample is its own mean; its number is 1 but for rounding.
+    return np.where(number > 1.001, spread, np.nan).astype(np.float32)
 
 
 def pooled(squares: NDArray[np.float32], camera: tuple[int, int, int]) -> NDArray[np.float32]:
     """Means over the camera's neighbourhoods, without what is the camera's noise, (M,)."""
     image = squares.reshape(camera).astype(np.float64)
     known = np.isfinite(image)
-    means = mean_around(image, known, POOLED)
+    means = np.full(camera, np.nan)
+    for width in POOLED:
+        missing = ~np.isfinite(means)
+        if missing.any():
+            means[missing] = mean_around(image, known, width)[missing]
     if not known.any():
         return np.asarray(means.ravel(), np.float32)
     noise = np.quantile(image[known], DARKEST)
