@@ -16,8 +16,8 @@ from lightmatrix.estimators.coherent.pooling import mean_around
 # One frame of so many is held out, but at least two; of fewer frames than this, none.
 EVERY = 8
 FEWEST = 8
-# Errors are smooth over the camera: they are pooled over a window of so many pixels, or, where nothing
-# is known within that, over a wider one.
+# Errors are smooth over the camera: they are pooled over a window of so many pixels, or, where
+# nothing is known within that, over a wider one.
 POOLED = (3, 9, 27)
 # The rows that err least show what is noise. No less than this share of what is seen is error.
 DARKEST = 0.05
