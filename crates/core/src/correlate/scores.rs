@@ -40,8 +40,7 @@ impl Default for Scores {
 }
 
 impl Scores {
-    /// Takes note of the largest scores among the places that begin with `first`, a multiple of
-    /// their groups' number.
+    /// Takes note of the largest scores among some places, which begin with a multiple of `PEAKS`.
     pub(super) fn note_tops(&mut self, level: Level, places: Range<usize>) {
         debug_assert!(places.start.is_multiple_of(PEAKS));
         peaks(level, &self.values[places], &mut self.tops);

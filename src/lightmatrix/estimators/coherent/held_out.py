@@ -34,9 +34,7 @@ def held_out_frames(count: int) -> NDArray[np.int64]:
 
 def without(samples: Samples, held: NDArray[np.int64]) -> Samples:
     """The samples with those of the frames held out masked."""
-    weights = np.ones(samples.values.shape, np.float32)
-    if samples.weights is not None:
-        weights *= samples.weights
+    weights = samples.weights_of_all()
     weights[:, held] = 0
     return Samples(samples.values, samples.clipped, samples.clip_level, weights)
 
@@ -55,10 +53,7 @@ def squared_misfit(
     held : (H,) int
     """
     off = samples.values[:, held] - predicted
-    weights = np.ones_like(off)
-    if samples.weights is not None:
-        whole = np.broadcast_to(samples.weights, samples.values.shape)
-        weights = np.array(whole[:, held], off.dtype)
+    weights = samples.weights_of_all()[:, held]
     # A clipped sample that is predicted beyond its bound says nothing of the error.
     weights[samples.clipped[:, held] & (off <= 0)] = 0
     total = weights.sum(axis=1)
@@ -77,11 +72,11 @@ def pooled(squares: NDArray[np.float32], camera: tuple[int, int, int]) -> NDArra
     image = squares.reshape(camera).astype(np.float64)
     known = np.isfinite(image)
     means = np.full(camera, np.nan)
+    if not known.any():
+        return np.asarray(means.ravel(), np.float32)
     for width in POOLED:
         missing = ~np.isfinite(means)
         if missing.any():
             means[missing] = mean_around(image, known, width)[missing]
-    if not known.any():
-        return np.asarray(means.ravel(), np.float32)
     noise = np.quantile(image[known], DARKEST)
     return np.asarray(np.maximum(means - noise, LEAST_SHARE * means).ravel(), np.float32)
