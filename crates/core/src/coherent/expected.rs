@@ -140,10 +140,11 @@ impl Guesses {
                 if (other_r, other_c) == (r, c) {
                     continue;
                 }
-                let moved = moved(movement, [r, c], [other_r, other_c]);
                 let other = (other_r * camera_cols + other_c) * channels + channel;
-                if self.ask(shown, unseen, neighbours, other, moved) {
-                    self.weigh(level);
+                for (moved, share) in moved(movement, [r, c], [other_r, other_c]) {
+                    if self.ask(shown, unseen, neighbours, other, moved) {
+                        self.weigh(level, f64::from(share));
+                    }
                 }
             }
         }
@@ -183,7 +184,7 @@ impl Guesses {
     }
 
     /// Scales the guess to the samples that are known and adds it by how well it explains them.
-    fn weigh(&mut self, level: f64) {
+    fn weigh(&mut self, level: f64, share: f64) {
         let n = self.y.len();
         let prior = LIKENESS * level * level;
         let (mut product, mut square) = (prior, prior);
@@ -201,7 +202,7 @@ impl Guesses {
             misfit += self.weights[k] * off * off;
         }
         let off = misfit / (n as f64 * level * level) + PRECISION * PRECISION;
-        let weight = 1.0 / (off * off);
+        let weight = share / (off * off);
         let guess = self.shown[..n].iter().chain(&self.unseen);
         for ((sum, square), u) in self.sums.iter_mut().zip(&mut self.squares).zip(guess) {
             let u = scale * u;

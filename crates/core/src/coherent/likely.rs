@@ -11,6 +11,9 @@ const TASK: usize = 64;
 /// pixels: so light that was found in few rows reaches the others in few rounds.
 pub(super) const FURTHEST: usize = 16;
 
+/// So close to a whole number of pixels footprints are taken to have moved by it.
+const CLOSE: f32 = 0.25;
+
 /// The grids that rows and columns of the matrix lie on, and the windows.
 #[derive(Clone, Copy)]
 pub struct Windows<'a> {
@@ -81,13 +84,15 @@ impl Sums {
                 let other = (other_r * camera_cols + other_c) * channels + channel;
                 let (pixels, values) = matrix.row(other);
                 let most = values.iter().fold(0f32, |most, &v| most.max(v));
-                let moved = moved(movement, [r, c], [other_r, other_c]);
-                for (&pixel, &value) in pixels.iter().zip(values) {
-                    if value > 0.0 {
-                        if let Some(place) = moved_back(windows.projector, pixel, moved) {
-                            self.add_blurred(windows, place, value / most);
-                            self.add_within(windows, place, value / most);
-                            self.add_wider(windows, place, value / most);
+                for (moved, share) in moved(movement, [r, c], [other_r, other_c]) {
+                    for (&pixel, &value) in pixels.iter().zip(values) {
+                        if value > 0.0 {
+                            if let Some(place) = moved_back(windows.projector, pixel, moved) {
+                                let vote = share * value / most;
+                                self.add_blurred(windows, place, vote);
+                                self.add_within(windows, place, vote);
+                                self.add_wider(windows, place, vote);
+                            }
                         }
                     }
                 }
@@ -176,14 +181,27 @@ impl Sums {
 }
 
 /// By how many projector rows and columns the footprint of one camera pixel, whose `movement` this
-/// is, lies away from that of another.
-pub(super) fn moved(movement: &[f32], from: [usize; 2], to: [usize; 2]) -> [isize; 2] {
+/// is, lies away from that of another: the whole numbers that it may be, with shares of one.
+pub(super) fn moved(
+    movement: &[f32],
+    from: [usize; 2],
+    to: [usize; 2],
+) -> impl Iterator<Item = ([isize; 2], f32)> {
     let down = to[0] as f32 - from[0] as f32;
     let right = to[1] as f32 - from[1] as f32;
-    [
-        (movement[0] * down + movement[1] * right).round() as i32 as isize,
-        (movement[2] * down + movement[3] * right).round() as i32 as isize,
-    ]
+    let rows = whole(movement[0] * down + movement[1] * right);
+    let cols = whole(movement[2] * down + movement[3] * right);
+    rows.into_iter()
+        .flat_map(move |(r, a)| cols.into_iter().map(move |(c, b)| ([r, c], a * b)))
+        .filter(|&(_, share)| share > 0.0)
+}
+
+/// The whole numbers around a number, and how far it is each.
+fn whole(number: f32) -> [(isize, f32); 2] {
+    let below = number.floor();
+    let beyond = ((number - below - CLOSE) / (1.0 - 2.0 * CLOSE)).clamp(0.0, 1.0);
+    let below = below as i32 as isize;
+    [(below, 1.0 - beyond), (below + 1, beyond)]
 }
 
 /// The atom at the place that one lies at once it is moved back; None beyond the projector.
