@@ -141,9 +141,10 @@ impl Guesses {
                     continue;
                 }
                 let other = (other_r * camera_cols + other_c) * channels + channel;
-                for (moved, share) in moved(movement, [r, c], [other_r, other_c]) {
+                // All that it may be are guesses alike: the samples tell them apart.
+                for (moved, _) in moved(movement, [r, c], [other_r, other_c]) {
                     if self.ask(shown, unseen, neighbours, other, moved) {
-                        self.weigh(level, f64::from(share));
+                        self.weigh(level);
                     }
                 }
             }
@@ -184,7 +185,7 @@ impl Guesses {
     }
 
     /// Scales the guess to the samples that are known and adds it by how well it explains them.
-    fn weigh(&mut self, level: f64, share: f64) {
+    fn weigh(&mut self, level: f64) {
         let n = self.y.len();
         let prior = LIKENESS * level * level;
         let (mut product, mut square) = (prior, prior);
@@ -202,7 +203,7 @@ impl Guesses {
             misfit += self.weights[k] * off * off;
         }
         let off = misfit / (n as f64 * level * level) + PRECISION * PRECISION;
-        let weight = share / (off * off);
+        let weight = 1.0 / (off * off);
         let guess = self.shown[..n].iter().chain(&self.unseen);
         for ((sum, square), u) in self.sums.iter_mut().zip(&mut self.squares).zip(guess) {
             let u = scale * u;

@@ -12,7 +12,7 @@ const TASK: usize = 64;
 pub(super) const FURTHEST: usize = 16;
 
 /// So close to a whole number of pixels footprints are taken to have moved by it.
-const CLOSE: f32 = 0.25;
+const CLOSE: f32 = 0.1;
 
 /// The grids that rows and columns of the matrix lie on, and the windows.
 #[derive(Clone, Copy)]

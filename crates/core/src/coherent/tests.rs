@@ -236,6 +236,39 @@ fn likely_atoms_are_moved_back_and_make_single_pixels_within_them_likely() {
 }
 
 #[test]
+fn light_that_moved_by_part_of_a_pixel_is_likely_in_both_places() {
+    // A camera of 1 x 2 and one column of the projector for each of the two ends of a part.
+    let likely_at = |part: f32| {
+        let movement = [0.0, 0.0, 0.0, part, 0.0, 0.0, 0.0, part];
+        let windows = Windows {
+            camera: [1, 2, 1],
+            projector: [1, 3, 4],
+            movement: &movement,
+            spots: &[&[1.0]],
+            within: 0.1,
+            wider: &[0.5],
+            singles: &[1.0; 2],
+            camera_reach: 1,
+            projector_reach: 0,
+            most: 9,
+        };
+        let matrix = Sparse {
+            indptr: &[0, 0, 1],
+            indices: &[6],
+            values: &[2.0],
+        };
+        likely(matrix, windows, &[0]).remove(0)
+    };
+    assert_eq!(likely_at(0.5), (vec![5, 6], vec![1.0; 2]));
+    let (atoms, shares) = likely_at(-0.3);
+    assert_eq!((atoms, shares[0]), (vec![6, 7], 1.0));
+    assert!((shares[1] - 1.0 / 3.0).abs() < 1e-6);
+    // Measured movement is never quite whole.
+    assert_eq!(likely_at(0.06), (vec![6], vec![1.0]));
+    assert_eq!(likely_at(-1.06), (vec![7], vec![1.0]));
+}
+
+#[test]
 fn where_no_neighbour_holds_light_rows_further_away_are_asked() {
     // A camera of 1 x 40, of which the first pixel alone holds light, two pixels' worth.
     const ROWS: usize = 40;
