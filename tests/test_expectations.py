@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -72,26 +73,25 @@ def by_definition(
             other = (other_r * camera_cols + other_c) * channels + channel
             step = np.array([other_r - r, other_c - c], np.float32)
             # Not as a product of matrices, which rounds otherwise.
-            moved = (around.movement[row].reshape(2, 2) * step).sum(axis=1)
-            moved = np.trunc(moved + np.copysign(0.5, moved, dtype=np.float64)).astype(int)
+            part = (around.movement[row].reshape(2, 2) * step).sum(axis=1)
             entries = around.rows.coefficients[[other]].toarray().reshape(shown.shape)
             places = np.argwhere(entries > 0)
-            kept = ((places >= moved) & (places < moved + shown.shape)).all(axis=1)
-            if other == row or not kept.any():
-                continue
-            guess = background[other].astype(np.float64)
-            for place in places[kept]:
-                at = tuple(place - moved)
-                guess = guess + entries[tuple(place)] * images[:, *at]
-            known = weights * ~clipped
-            u = guess[: shown.count]
-            scale = (LEVEL**2 + known @ (y * u)) / (LEVEL**2 + known @ (u * u))
-            scale = min(max(scale, 0.5), 2)
-            off = y - scale * u
-            off[clipped] = np.maximum(off[clipped], 0)
-            misfit = (weights * off**2).mean() / LEVEL**2
-            guesses.append(scale * guess)
-            counts.append((misfit + 1e-4) ** -2)
+            for moved in whole_numbers(part):
+                kept = ((places >= moved) & (places < moved + shown.shape)).all(axis=1)
+                if other == row or not kept.any():
+                    continue
+                guess = background[other].astype(np.float64)
+                for place in places[kept]:
+                    guess = guess + entries[tuple(place)] * images[:, *(place - moved)]
+                known = weights * ~clipped
+                u = guess[: shown.count]
+                scale = (LEVEL**2 + known @ (y * u)) / (LEVEL**2 + known @ (u * u))
+                scale = min(max(scale, 0.5), 2)
+                off = y - scale * u
+                off[clipped] = np.maximum(off[clipped], 0)
+                misfit = (weights * off**2).mean() / LEVEL**2
+                guesses.append(scale * guess)
+                counts.append((misfit + 1e-4) ** -2)
     if not guesses:
         return None, None
     mean = np.average(guesses, axis=0, weights=counts)
@@ -100,6 +100,16 @@ def by_definition(
     known = weights * ~clipped
     missed = known @ (y - mean[: shown.count]) ** 2 / max(known.sum(), 1e-30)
     return mean, spread + max(0, missed - (0.15 * max(LEVEL, mean.max())) ** 2)
+
+
+def whole_numbers(moved: NDArray[np.float32]) -> list[NDArray[np.int64]]:
+    """The one, two or four whole displacements that one of parts of pixels may be."""
+    axes = []
+    for part in moved:
+        near = np.round(part)
+        apart = abs(part - near) > np.float32(0.1)
+        axes.append([int(np.floor(part)), int(np.ceil(part))] if apart else [int(near)])
+    return [np.array(place) for place in product(*axes)]
 
 
 def all_of(samples: Samples) -> NDArray[np.int64]:
