@@ -76,7 +76,7 @@ def by_definition(
             part = (around.movement[row].reshape(2, 2) * step).sum(axis=1)
             entries = around.rows.coefficients[[other]].toarray().reshape(shown.shape)
             places = np.argwhere(entries > 0)
-            for moved in whole_numbers(part):
+            for moved, share in whole_numbers(part):
                 kept = ((places >= moved) & (places < moved + shown.shape)).all(axis=1)
                 if other == row or not kept.any():
                     continue
@@ -91,7 +91,7 @@ def by_definition(
                 off[clipped] = np.maximum(off[clipped], 0)
                 misfit = (weights * off**2).mean() / LEVEL**2
                 guesses.append(scale * guess)
-                counts.append((misfit + 1e-4) ** -2)
+                counts.append(share ** (4 * clipped.mean()) * (misfit + 1e-4) ** -2)
     if not guesses:
         return None, None
     mean = np.average(guesses, axis=0, weights=counts)
@@ -102,14 +102,14 @@ def by_definition(
     return mean, spread + max(0, missed - (0.15 * max(LEVEL, mean.max())) ** 2)
 
 
-def whole_numbers(moved: NDArray[np.float32]) -> list[NDArray[np.int64]]:
-    """The one, two or four whole displacements that one of parts of pixels may be."""
+def whole_numbers(moved: NDArray[np.float32]) -> list[tuple[NDArray[np.int64], float]]:
+    """The one, two or four whole displacements that one of parts of pixels may be, with shares."""
     axes = []
-    for part in moved:
-        near = np.round(part)
-        apart = abs(part - near) > np.float32(0.1)
-        axes.append([int(np.floor(part)), int(np.ceil(part))] if apart else [int(near)])
-    return [np.array(place) for place in product(*axes)]
+    for part in moved.astype(float):
+        below = int(np.floor(part))
+        beyond = min(max((part - below - 0.1) / 0.8, 0), 1)
+        axes.append([(n, s) for n, s in ((below, 1 - beyond), (below + 1, beyond)) if s > 0])
+    return [(np.array([r, c]), a * b) for (r, a), (c, b) in product(*axes)]
 
 
 def all_of(samples: Samples) -> NDArray[np.int64]:

@@ -21,6 +21,10 @@ const PRECISION: f64 = 0.01;
 /// together without being doubted. (With 0.05 rows that clip lose help that they need.)
 const COMMON: f64 = 0.15;
 
+/// Of the places that a neighbour's light may have moved to, each is a guess. Samples tell them
+/// apart, and where all samples clip the shares of the places do, by this power.
+const PLACES: f64 = 4.0;
+
 /// The rows around, on their grids.
 #[derive(Clone, Copy)]
 pub struct Neighbours<'a> {
@@ -85,6 +89,8 @@ struct Guesses {
     y: Vec<f64>,
     weights: Vec<f64>,
     clipped: Vec<bool>,
+    /// The power of places' shares.
+    unsure: f64,
     /// A neighbour's guess, under the patterns shown and the unseen ones.
     shown: Vec<f64>,
     unseen: Vec<f64>,
@@ -100,6 +106,7 @@ impl Guesses {
             y: vec![0.0; shown],
             weights: vec![1.0; shown],
             clipped: vec![false; shown],
+            unsure: 0.0,
             shown: vec![0.0; padded(shown)],
             unseen: vec![0.0; padded(unseen)],
             patterns: [shown, unseen],
@@ -113,6 +120,8 @@ impl Guesses {
         let n = self.y.len();
         rows.samples.copy(row * n, &mut self.y);
         self.clipped.copy_from_slice(&rows.clipped[row * n..][..n]);
+        let clipped = self.clipped.iter().filter(|&&clipped| clipped).count();
+        self.unsure = PLACES * clipped as f64 / n.max(1) as f64;
         if let Some(weights) = rows.weights {
             let start = if weights.len() == n { 0 } else { row * n };
             weights.copy(start, &mut self.weights);
@@ -141,10 +150,9 @@ impl Guesses {
                     continue;
                 }
                 let other = (other_r * camera_cols + other_c) * channels + channel;
-                // All that it may be are guesses alike: the samples tell them apart.
-                for (moved, _) in moved(movement, [r, c], [other_r, other_c]) {
+                for (moved, share) in moved(movement, [r, c], [other_r, other_c]) {
                     if self.ask(shown, unseen, neighbours, other, moved) {
-                        self.weigh(level);
+                        self.weigh(level, share);
                     }
                 }
             }
@@ -184,8 +192,9 @@ impl Guesses {
         any
     }
 
-    /// Scales the guess to the samples that are known and adds it by how well it explains them.
-    fn weigh(&mut self, level: f64) {
+    /// Scales the guess to the samples that are known and adds it by how well it explains them,
+    /// and by the share of the place that it is for as far as samples clip.
+    fn weigh(&mut self, level: f64, share: f32) {
         let n = self.y.len();
         let prior = LIKENESS * level * level;
         let (mut product, mut square) = (prior, prior);
@@ -203,7 +212,7 @@ impl Guesses {
             misfit += self.weights[k] * off * off;
         }
         let off = misfit / (n as f64 * level * level) + PRECISION * PRECISION;
-        let weight = 1.0 / (off * off);
+        let weight = f64::from(share).powf(self.unsure) / (off * off);
         let guess = self.shown[..n].iter().chain(&self.unseen);
         for ((sum, square), u) in self.sums.iter_mut().zip(&mut self.squares).zip(guess) {
             let u = scale * u;

@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter, uniform_filter
 from scipy.sparse import csr_array
 
+from lightmatrix.estimators.coherent.pooling import mean_around
+
 # Displacements are counted up to so many projector pixels a camera pixel,
 FASTEST = 12
 # first between neighbours, then over twice the distance, and again, up to so many camera pixels or
@@ -26,6 +28,9 @@ WINDOW = 9
 # where it differs from that of the whole frame by more than so many times as much, it is a wrong
 # row's or leads across a depth edge.
 UNLIKE = 2.0
+# Medians of steps of whole pixels are coarse. Finer is the mean, over so many camera pixels, of
+# what differs from the median by no more than this.
+FINER_WINDOW, ALIKE = 15, 0.5
 
 
 def measured_movement(
@@ -60,8 +65,10 @@ def measured_movement(
         odd = (off > UNLIKE * max(1.0, float(np.hypot(*usual)))) | ~lit
         for i in (0, 1):
             slope = np.where(odd, np.float32(usual[i]), slopes[i])
-            smooth = median_filter(slope, size=(WINDOW, WINDOW, 1), mode="nearest")
-            result[..., 2 * i + axis] = smooth
+            median = median_filter(slope, size=(WINDOW, WINDOW, 1), mode="nearest")
+            alike = np.abs(slope - median) <= ALIKE
+            finer = mean_around(slope, alike, FINER_WINDOW)
+            result[..., 2 * i + axis] = np.where(np.isnan(finer), median, finer)
     return result.reshape(-1, 4)
 
 
