@@ -43,8 +43,8 @@ def test_it_is_found_at_any_scale_and_angle(rig: str, wrong: float) -> None:
     found = measured_movement(footprints(RIGS[rig], wrong), CAMERA, PROJECTOR)
     inside = found.reshape(*CAMERA[:2], 2, 2)[6:-6, 6:-6]
     off = np.abs(np.median(inside, axis=(0, 1)) - np.asarray(RIGS[rig]))
-    # Single pixels are whole: over the distance at which it is measured that is a fraction.
-    assert off.max() <= 0.26
+    # Finer than the steps of single pixels, of which a quarter is the least between two rows.
+    assert off.max() <= 0.02
 
 
 def test_two_surfaces_move_each_in_its_own_way() -> None:
@@ -52,8 +52,8 @@ def test_two_surfaces_move_each_in_its_own_way() -> None:
     left = (np.arange(48 * 56) % 56) < 28
     rows = csr_array(np.where(left[:, None], near.toarray(), far.toarray()))
     found = measured_movement(rows, CAMERA, PROJECTOR).reshape(48, 56, 4)
-    assert np.median(found[:, 6:22, 3]) == 1
-    assert np.median(found[:, 34:50, 3]) == 2
+    assert abs(np.median(found[:, 6:22, 3]) - 1) < 0.05
+    assert abs(np.median(found[:, 34:50, 3]) - 2) < 0.05
 
 
 def test_nothing_lit_does_not_move() -> None:
