@@ -82,6 +82,18 @@ impl Model {
         self.rows.clear();
     }
 
+    /// a_j . e for the pixels of the working set.
+    pub fn correlate(
+        &mut self,
+        dictionary: &Dictionary,
+        pixels: &[u32],
+        e: &[f64],
+        out: &mut [f64],
+    ) {
+        self.gram
+            .correlate(self.level, &dictionary.columns, pixels, e, out);
+    }
+
     /// Makes the samples' curvature that of the model; exchanges it with what was there before.
     pub fn set_curvature(&mut self, means: &[f64], curvature: &mut Vec<f64>) {
         if self.has_curvature(curvature) {
@@ -114,9 +126,9 @@ impl Model {
             self.coupled = false;
         } else if !self.coupled {
             let coupling = &mut self.coupling[..pixels.len()];
-            dictionary
-                .columns
-                .correlate(self.level, pixels, &self.weighted_means, coupling);
+            let columns = &dictionary.columns;
+            self.gram
+                .correlate(self.level, columns, pixels, &self.weighted_means, coupling);
             self.coupled = true;
         }
     }
