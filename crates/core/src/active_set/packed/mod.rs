@@ -1,8 +1,7 @@
 //! Coordinate descent on the pixels that move, side by side in memory.
 //!
-//! Within a block of eight, slopes stay in one register and a move is a permutation away from the
-//! next, which takes half the time of going through memory; the other slopes learn of eight moves
-//! at once.
+//! Within a block of eight, moves follow each other as numbers in registers; the other slopes learn of
+//! eight moves at once.
 
 #[cfg(target_arch = "x86_64")]
 mod avx512;
