@@ -7,13 +7,14 @@
 
 use crate::problem::Settings;
 use crate::simd::Level;
-use crate::vector::{dot, dual_sums, free_energy, subtract_free, DataTerm};
+use crate::vector::{dot, dual_sums, subtract_free, DataTerm};
 
 /// Near the optimum the best scaling is 1; far beyond, it would only magnify rounding errors in
 /// m' theta = 0.
 const LARGEST_SCALING: f64 = 2.0;
 
-/// Moves `theta` along the means, on two-sided samples, until m' theta <= 0 (= 0 if b is free).
+/// Moves `theta` along the means, on two-sided samples, until m' theta <= 0 (= 0 if b is free);
+/// `energy` is that of the means over those samples.
 ///
 /// After an exact b this repairs no more than rounding. Returns by how much m' theta was off.
 pub fn orthogonal_to_means(
@@ -21,6 +22,7 @@ pub fn orthogonal_to_means(
     settings: &Settings,
     data: &DataTerm,
     means: &[f64],
+    energy: f64,
     theta: &mut [f64],
 ) -> f64 {
     if !settings.background {
@@ -30,9 +32,8 @@ pub fn orthogonal_to_means(
     if excess == 0.0 || (settings.nonnegative && excess < 0.0) {
         return 0.0;
     }
-    let (weights, lower) = (&data.weights, &data.lower);
-    let energy = free_energy(level, means, weights, lower);
     if energy > 0.0 {
+        let (weights, lower) = (&data.weights, &data.lower);
         subtract_free(level, theta, excess / energy, means, weights, lower);
     } else {
         // What counts against the means lies on one-sided samples: leave those out.

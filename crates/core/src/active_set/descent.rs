@@ -94,22 +94,25 @@ impl Descent {
                 let (target, slope) = (&progress.target, &progress.slope);
                 self.packed
                     .load(model, &self.chosen, lambda, signed, target, slope);
+            } else {
+                self.packed.renew(level, &progress.target, &progress.slope);
             }
             // Many of the pixels that enter leave again at once.
             if entering {
-                change = self.packed.sweep(level, signed, settled, FIRST_SWEEPS);
+                change = self.packed.sweep(level, settled, FIRST_SWEEPS);
                 if change > settled {
                     self.packed.shrink(model, &progress.target);
                 }
             }
             if !entering || change > settled {
-                change = self.packed.sweep(level, signed, settled, SWEEPS);
+                change = self.packed.sweep(level, settled, SWEEPS);
             }
             let order = &self.packed.set;
             self.moves.clear();
             self.places.clear();
-            for (&j, &x) in order.iter().zip(&self.packed.x) {
+            for (place, &j) in order.iter().enumerate() {
                 let target = &mut progress.target[j as usize];
+                let x = self.packed.moved(place, *target);
                 self.moves.push(x - *target);
                 self.places.push(model.place(j));
                 *target = x;

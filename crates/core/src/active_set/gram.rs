@@ -5,6 +5,10 @@ use crate::octet::WIDTH;
 use crate::simd::{multiversion, Kind, Level};
 use crate::vector::add_scaled;
 
+/// From so many columns on tables of partial sums cost less than they save.
+#[cfg(target_arch = "x86_64")]
+const MANY: usize = 24;
+
 /// Inner products among the columns of a working set.
 ///
 /// Columns of bits are kept in groups of `WIDTH`, word by word, so that a row of the Gram matrix is a
@@ -14,6 +18,7 @@ pub struct GramSource {
     packed: Vec<u64>,
     scaled: Vec<f64>,
     query: Vec<u64>,
+    tables: Vec<f64>,
 }
 
 impl GramSource {
@@ -30,6 +35,28 @@ impl GramSource {
                 }
             }
         }
+    }
+
+    /// a_j . e for every column of the working set `pixels`.
+    pub fn correlate(
+        &mut self,
+        level: Level,
+        columns: &Columns,
+        pixels: &[u32],
+        e: &[f64],
+        out: &mut [f64],
+    ) {
+        #[cfg(target_arch = "x86_64")]
+        if let (Columns::Bits(bits), Kind::Avx512, MANY..) = (columns, level.kind(), pixels.len()) {
+            let groups = pixels.len().div_ceil(WIDTH);
+            assert!(out.len() == pixels.len() && e.len() == 64 * bits.stride());
+            assert!(self.packed.len() == groups * WIDTH * bits.stride());
+            self.tables.resize(4 * e.len(), 0.0);
+            // SAFETY: the level proves the instructions; the lengths were just compared.
+            unsafe { avx512::correlate(&self.packed, e, &mut self.tables, out) };
+            return;
+        }
+        columns.correlate(level, pixels, e, out);
     }
 
     /// out_i = sum_k d_k a_ik a_jk + factor coupling_i for every column i of the working set.
@@ -107,6 +134,83 @@ multiversion! {
 mod avx512 {
     use super::WIDTH;
     use std::arch::x86_64::*;
+
+    /// Groups of columns that share a reading of the tables.
+    const GROUPS: usize = 4;
+
+    /// Sums of the values whose bits each packed column has, by tables of four values: a look-up
+    /// serves eight columns.
+    ///
+    /// # Safety
+    /// `e` holds 64 values for each word of a column, `tables` four times as many, and `packed` the
+    /// columns of `out`, in whole groups.
+    #[target_feature(enable = "avx512f")]
+    pub unsafe fn correlate(packed: &[u64], e: &[f64], tables: &mut [f64], out: &mut [f64]) {
+        let zero = _mm512_setzero_pd();
+        for (values, table) in e
+            .as_chunks::<4>()
+            .0
+            .iter()
+            .zip(tables.as_chunks_mut::<16>().0)
+        {
+            let [a, b, c, d] = values.map(|value| _mm512_set1_pd(value));
+            let low = _mm512_mask_mov_pd(zero, 0xaa, a);
+            let low = _mm512_mask_add_pd(low, 0xcc, low, b);
+            let low = _mm512_mask_add_pd(low, 0xf0, low, c);
+            // SAFETY: a table holds two registers.
+            unsafe {
+                _mm512_storeu_pd(table.as_mut_ptr(), low);
+                _mm512_storeu_pd(table.as_mut_ptr().add(WIDTH), _mm512_add_pd(low, d));
+            }
+        }
+        let group = e.len() / 64 * WIDTH;
+        let many = packed.chunks(GROUPS * group);
+        for (packed, out) in many.zip(out.chunks_mut(GROUPS * WIDTH)) {
+            // SAFETY: whole groups, as many as the number says; one table for each four bits.
+            unsafe {
+                match packed.len() / group {
+                    1 => look_up::<1>(packed, tables, out),
+                    2 => look_up::<2>(packed, tables, out),
+                    3 => look_up::<3>(packed, tables, out),
+                    _ => look_up::<GROUPS>(packed, tables, out),
+                }
+            }
+        }
+    }
+
+    /// # Safety
+    /// `packed` holds `G` groups of columns, `tables` one of 16 values for every four of their bits.
+    #[target_feature(enable = "avx512f")]
+    unsafe fn look_up<const G: usize>(packed: &[u64], tables: &[f64], out: &mut [f64]) {
+        let group = packed.len() / G;
+        let mut sums = [_mm512_setzero_pd(); G];
+        for (w, tables) in tables.as_chunks::<{ 16 * 16 }>().0.iter().enumerate() {
+            // SAFETY: w is below the number of words of a column.
+            let word = |g: usize| unsafe {
+                _mm512_loadu_si512(packed.as_ptr().add(g * group + w * WIDTH).cast())
+            };
+            let mut words: [__m512i; G] = std::array::from_fn(word);
+            for table in tables.as_chunks::<16>().0 {
+                // SAFETY: a table holds two registers.
+                let (low, high) = unsafe {
+                    let low = table.as_ptr();
+                    (_mm512_loadu_pd(low), _mm512_loadu_pd(low.add(WIDTH)))
+                };
+                for (sum, word) in sums.iter_mut().zip(&mut words) {
+                    // The four lowest bits count.
+                    let found = _mm512_permutex2var_pd(low, *word, high);
+                    *sum = _mm512_add_pd(*sum, found);
+                    *word = _mm512_srli_epi64::<4>(*word);
+                }
+            }
+        }
+        for (sum, out) in sums.into_iter().zip(out.chunks_mut(WIDTH)) {
+            let mut lanes = [0.0; WIDTH];
+            // SAFETY: eight numbers.
+            unsafe { _mm512_storeu_pd(lanes.as_mut_ptr(), sum) };
+            out.copy_from_slice(&lanes[..out.len()]);
+        }
+    }
 
     /// # Safety
     /// `coupling` and `out` have one length, a multiple of eight, and `packed` a word for each of

@@ -60,7 +60,7 @@ impl Model {
 
     /// Takes note of a new row's data.
     pub fn load_row(&mut self, data: &DataTerm) {
-        self.unit_weights = data.weights.iter().all(|&w| w == 0.0 || w == 1.0);
+        self.unit_weights = all_zero_or_one(self.level, &data.weights);
         self.curvature.clear();
         // Nothing known of the last row holds for this one.
         self.curvature.resize(data.y.len(), f64::NAN);
@@ -82,9 +82,21 @@ impl Model {
         self.rows.clear();
     }
 
+    /// a_j . e for the pixels of the working set.
+    pub fn correlate(
+        &mut self,
+        dictionary: &Dictionary,
+        pixels: &[u32],
+        e: &[f64],
+        out: &mut [f64],
+    ) {
+        self.gram
+            .correlate(self.level, &dictionary.columns, pixels, e, out);
+    }
+
     /// Makes the samples' curvature that of the model; exchanges it with what was there before.
     pub fn set_curvature(&mut self, means: &[f64], curvature: &mut Vec<f64>) {
-        if *curvature == self.curvature {
+        if self.has_curvature(curvature) {
             return;
         }
         std::mem::swap(curvature, &mut self.curvature);
@@ -99,7 +111,7 @@ impl Model {
     }
 
     pub fn has_curvature(&self, curvature: &[f64]) -> bool {
-        self.curvature == curvature
+        self.curvature.len() == curvature.len() && same(self.level, &self.curvature, curvature)
     }
 
     /// m' D m
@@ -114,9 +126,9 @@ impl Model {
             self.coupled = false;
         } else if !self.coupled {
             let coupling = &mut self.coupling[..pixels.len()];
-            dictionary
-                .columns
-                .correlate(self.level, pixels, &self.weighted_means, coupling);
+            let columns = &dictionary.columns;
+            self.gram
+                .correlate(self.level, columns, pixels, &self.weighted_means, coupling);
             self.coupled = true;
         }
     }
@@ -183,6 +195,19 @@ octets! {
             let octets = values.as_chunks().0.iter().enumerate();
             *word = octets.fold(0, |word, (i, v)| word | u64::from(O::load(v).positive()) << (8 * i));
         }
+    }
+}
+
+multiversion! {
+    // Without branches, so that vectors are compared at once.
+    fn all_zero_or_one(values: &[f64]) -> bool {
+        values.iter().fold(true, |all, &v| all & ((v == 0.0) | (v == 1.0)))
+    }
+}
+
+multiversion! {
+    fn same(a: &[f64], b: &[f64]) -> bool {
+        a.iter().zip(b).fold(true, |all, (a, b)| all & (a == b))
     }
 }
 

@@ -101,8 +101,9 @@ impl Restricted {
                         &point.prediction,
                         &mut self.theta,
                     );
-                    let columns = &dictionary.columns;
-                    columns.correlate(level, &point.pixels, &self.theta, &mut self.gradient);
+                    let (theta, gradient) = (&self.theta, &mut self.gradient);
+                    self.model
+                        .correlate(dictionary, &point.pixels, theta, gradient);
                 }
             }
             let violation = self.violation(settings, point);

@@ -6,7 +6,7 @@ use super::pricing::Pricing;
 use super::restricted::Restricted;
 use crate::correlate::Scores;
 use crate::problem::{Dictionary, Fidelity, Rows, Settings, Solution, Values};
-use crate::vector::{dot, invert, one_sided, padded, residual, signed_sums, DataTerm};
+use crate::vector::{dot, free_energy, invert, one_sided, padded, residual, signed_sums, DataTerm};
 
 /// New pixels taken in after the first pass, and after each later one.
 const NEW_PIXELS: [usize; 2] = [8, 16];
@@ -41,6 +41,8 @@ pub struct RowSolver<'a> {
     data: DataTerm,
     /// ||y||^2 / 2
     energy: f64,
+    /// Energy of the means over two-sided samples.
+    free_energy: f64,
     point: Point,
     /// Whether b = 0 held the last step of the restricted solve.
     held: bool,
@@ -71,6 +73,7 @@ impl<'a> RowSolver<'a> {
                 lower: vec![f64::NEG_INFINITY; n],
             },
             energy: 0.0,
+            free_energy: 0.0,
             point: Point::new(n),
             held: false,
             dual: zeros(),
@@ -218,6 +221,8 @@ impl<'a> RowSolver<'a> {
         }
         invert(level, &self.data.weights, &mut self.data.inverse);
         self.energy = dot(level, &self.data.y, &self.data.y) / 2.0;
+        let (weights, lower) = (&self.data.weights, &self.data.lower);
+        self.free_energy = free_energy(level, &self.dictionary.means, weights, lower);
         self.held = false;
     }
 
@@ -266,6 +271,7 @@ impl<'a> RowSolver<'a> {
             settings,
             &self.data,
             &dictionary.means,
+            self.free_energy,
             &mut self.dual,
         );
         self.dual_is_residual = moved <= NEGLIGIBLE * settings.regularization;

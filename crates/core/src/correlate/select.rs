@@ -5,6 +5,8 @@ use crate::simd::{multiversion, Kind, Level};
 
 /// Halvings of the range of values when a threshold is sought; more would tell ties apart.
 const HALVINGS: usize = 15;
+/// Up to so many groups are cheaper to look at than all scores.
+const FEW: usize = 48;
 
 impl Scores {
     /// Thresholds (below, above) between which, both included, no correlation exceeds `value`
@@ -38,7 +40,21 @@ impl Scores {
         }
         let value = self.value_exceeded_by(level, &bottoms, most, floor, both);
         let (below, above) = self.thresholds(value, both);
-        collect_outside(level, &self.values, below, above, out);
+        // The extremes name the groups to look at: a few are read sooner than all scores.
+        if !both {
+            collect_outside(level, &self.tops, i16::MIN, above, out);
+        }
+        let groups = out.len();
+        if both || groups > FEW {
+            collect_outside(level, &self.values, below, above, out);
+        } else {
+            for i in 0..groups {
+                let places = (out[i] as usize..self.values.len()).step_by(PEAKS);
+                out.extend(places.filter(|&p| self.values[p] > above).map(|p| p as u32));
+            }
+            out.drain(..groups);
+            out.sort_unstable();
+        }
         value
     }
 

@@ -1,24 +1,26 @@
-//! Packing and sweeping with AVX-512: eight pixels a register.
+//! Packing and sweeping with AVX-512: moves of eight pixels, of which sixteen learn at a time.
 
+use super::BLOCK;
 use crate::octet::WIDTH;
 use std::arch::x86_64::*;
 
-/// The values of a row whose bits are set, times `inverse`, then zeros up to `size`.
+/// The values of a row whose bits are set, times `inverse`, in float32, then zeros up to `size`.
 ///
 /// # Safety
-/// `row` and `inverse` have eight values a group, `out` eight more than `size`, and at most
-/// `size` bits are set.
-#[target_feature(enable = "avx512f")]
-pub unsafe fn compress(row: &[f64], inverse: &[f64], groups: &[u8], size: usize, out: &mut [f64]) {
+/// `row` and `inverse` have eight values a group, `out` eight more than `size`, a multiple of 16,
+/// and at most `size` bits are set.
+#[target_feature(enable = "avx512f,avx512vl")]
+pub unsafe fn compress(row: &[f64], inverse: &[f64], groups: &[u8], size: usize, out: &mut [f32]) {
     // SAFETY: as this function's; what lies behind the compressed values is zero, and the next
     // octet, or the next row, overwrites it.
     unsafe {
         let mut at = out.as_mut_ptr();
-        _mm512_storeu_pd(at.add(size - 8), _mm512_setzero_pd());
+        _mm512_storeu_ps(at.add(size - 16), _mm512_setzero_ps());
         for (i, &bits) in groups.iter().enumerate() {
             let values = _mm512_loadu_pd(row.as_ptr().add(8 * i));
             let scaled = _mm512_mul_pd(values, _mm512_loadu_pd(inverse.as_ptr().add(8 * i)));
-            _mm512_storeu_pd(at, _mm512_maskz_compress_pd(bits, scaled));
+            let single = _mm512_cvtpd_ps(scaled);
+            _mm256_storeu_ps(at, _mm256_maskz_compress_ps(bits, single));
             at = at.add(bits.count_ones() as usize);
         }
     }
@@ -27,7 +29,8 @@ pub unsafe fn compress(row: &[f64], inverse: &[f64], groups: &[u8], size: usize,
 /// The values whose bits are set, then zeros up to `size`.
 ///
 /// # Safety
-/// `values` has eight values a group, `out` eight more than `size`, and at most `size` bits are set.
+/// `values` has eight values a group, `out` eight more than `size`, a multiple of 16, and at most
+/// `size` bits are set.
 #[target_feature(enable = "avx512f")]
 pub unsafe fn pick(values: &[f64], groups: &[u8], size: usize, out: &mut [f64]) {
     if size == 0 {
@@ -36,7 +39,9 @@ pub unsafe fn pick(values: &[f64], groups: &[u8], size: usize, out: &mut [f64]) 
     // SAFETY: as for `compress`.
     unsafe {
         let mut at = out.as_mut_ptr();
-        _mm512_storeu_pd(at.add(size - 8), _mm512_setzero_pd());
+        for end in [16, 8] {
+            _mm512_storeu_pd(at.add(size - end), _mm512_setzero_pd());
+        }
         for (i, &bits) in groups.iter().enumerate() {
             let values = _mm512_loadu_pd(values.as_ptr().add(8 * i));
             _mm512_storeu_pd(at, _mm512_maskz_compress_pd(bits, values));
@@ -46,87 +51,89 @@ pub unsafe fn pick(values: &[f64], groups: &[u8], size: usize, out: &mut [f64]) 
 }
 
 /// # Safety
-/// `x`, `pull`, `band` and `diagonal` have one length, a multiple of `WIDTH`, and `matrix` at
+/// `room`, `delta`, `pull`, `band` and `diagonal` have one length, a multiple of 16, and `matrix` at
 /// least its square.
-#[target_feature(enable = "avx512f,avx512dq")]
+#[target_feature(enable = "avx512f,avx512dq,avx512vl,fma")]
 pub unsafe fn sweep(
-    matrix: &[f64],
-    diagonal: &[f64],
-    band: &[f64],
+    matrix: &[f32],
+    diagonal: &[f32],
+    band: &[f32],
     signed: bool,
-    x: &mut [f64],
-    pull: &mut [f64],
-) -> f64 {
-    let size = x.len();
-    let zero = _mm512_setzero_pd();
+    room: &mut [f32],
+    delta: &mut [f32],
+    pull: &mut [f32],
+) -> f32 {
+    let size = room.len();
+    let zero = _mm256_setzero_ps();
     let mut change = zero;
     for block in (0..size).step_by(WIDTH) {
-        // SAFETY: block + 8 <= size bounds all reads and writes of vectors; rows block to
-        // block + 8 of the matrix begin at most at (size - 1) size and hold size values.
+        // SAFETY: block + 8 <= size, and other + 16 <= size, bound all reads and writes of vectors;
+        // rows block to block + 8 of the matrix begin at most at (size - 1) size and hold size
+        // values.
         unsafe {
             let rows = matrix.as_ptr().add(block * size);
             let pulls = pull.as_mut_ptr();
-            let at = x.as_mut_ptr().add(block);
-            let x = _mm512_loadu_pd(at);
-            let back = _mm512_sub_pd(zero, x);
-            let band = _mm512_loadu_pd(band.as_ptr().add(block));
-            let mut pull = _mm512_loadu_pd(pulls.add(block));
-            let mut moved = zero;
+            let back = _mm256_loadu_ps(room.as_ptr().add(block));
+            let band = _mm256_loadu_ps(band.as_ptr().add(block));
+            let pull = _mm256_loadu_ps(pulls.add(block));
             // Where none would move at first none will: most blocks of pixels that stay at zero.
             let first = if signed {
-                _mm512_min_pd(back, _mm512_add_pd(pull, band))
+                _mm256_min_ps(back, _mm256_add_ps(pull, band))
             } else {
                 back
             };
-            if _mm512_cmp_pd_mask::<_CMP_NEQ_UQ>(_mm512_max_pd(pull, first), zero) == 0 {
+            if _mm256_cmp_ps_mask::<_CMP_NEQ_UQ>(_mm256_max_ps(pull, first), zero) == 0 {
                 continue;
             }
             // One number after the other: a maximum and a fused product are all that the next
             // move waits for, where a register of eight would wait for a permutation too.
-            let lanes = |values: __m512d| {
+            let lanes = |values: __m256| {
                 let mut lanes = [0.0; WIDTH];
-                _mm512_storeu_pd(lanes.as_mut_ptr(), values);
-                lanes.map(|value| _mm_set_sd(value))
+                _mm256_storeu_ps(lanes.as_mut_ptr(), values);
+                lanes.map(|value| _mm_set_ss(value))
             };
-            let (mut pulled, back, band) = (lanes(pull), lanes(back), lanes(band));
-            let mut moves = [zero; WIDTH];
+            let (mut pulled, backs, bands) = (lanes(pull), lanes(back), lanes(band));
+            let mut moves = [_mm512_setzero_ps(); WIDTH];
+            let mut moved = zero;
             for i in 0..WIDTH {
-                let mut least = back[i];
+                let mut least = backs[i];
                 if signed {
-                    least = _mm_min_sd(least, _mm_add_sd(pulled[i], band[i]));
+                    least = _mm_min_ss(least, _mm_add_ss(pulled[i], bands[i]));
                 }
-                let by = _mm_max_sd(pulled[i], least);
+                let by = _mm_max_ss(pulled[i], least);
                 // Compilers unroll this loop with an index, and not with an iterator.
                 #[allow(clippy::needless_range_loop)]
                 for k in i + 1..WIDTH {
-                    let factor = _mm_load_sd(rows.add(i * size + block + k));
-                    pulled[k] = _mm_fnmadd_sd(by, factor, pulled[k]);
+                    let factor = _mm_load_ss(rows.add(i * size + block + k));
+                    pulled[k] = _mm_fnmadd_ss(by, factor, pulled[k]);
                 }
-                moves[i] = _mm512_broadcastsd_pd(by);
-                moved = _mm512_mask_mov_pd(moved, 1 << i, moves[i]);
+                moves[i] = _mm512_broadcastss_ps(by);
+                moved = _mm256_mask_mov_ps(moved, 1 << i, _mm512_castps512_ps256(moves[i]));
             }
-            for (i, by) in moves.iter().enumerate() {
-                pull = _mm512_fnmadd_pd(*by, _mm512_loadu_pd(rows.add(i * size + block)), pull);
-            }
-            // A pixel that goes back to zero lands on it exactly.
-            _mm512_storeu_pd(at, _mm512_add_pd(x, moved));
-            let diagonal = _mm512_loadu_pd(diagonal.as_ptr().add(block));
-            change = _mm512_max_pd(change, _mm512_mul_pd(_mm512_abs_pd(moved), diagonal));
-            _mm512_storeu_pd(pulls.add(block), pull);
+            // A pixel that goes back to zero has no room left.
+            _mm256_storeu_ps(room.as_mut_ptr().add(block), _mm256_sub_ps(back, moved));
+            let there = delta.as_mut_ptr().add(block);
+            _mm256_storeu_ps(there, _mm256_add_ps(_mm256_loadu_ps(there), moved));
+            let diagonal = _mm256_loadu_ps(diagonal.as_ptr().add(block));
+            let size_of = _mm256_andnot_ps(_mm256_set1_ps(-0.0), moved);
+            change = _mm256_max_ps(change, _mm256_mul_ps(size_of, diagonal));
             // The next block first: it waits for nothing else.
-            let others = (block + WIDTH..size).chain(0..block);
-            for other in others.step_by(WIDTH) {
-                let row = |i: usize| _mm512_loadu_pd(rows.add(i * size + other));
-                let mut a = _mm512_loadu_pd(pulls.add(other));
-                let mut b = _mm512_mul_pd(moves[1], row(1));
-                a = _mm512_fnmadd_pd(moves[0], row(0), a);
+            let next = (block + WIDTH) / BLOCK * BLOCK;
+            for other in (next..size).chain(0..next).step_by(BLOCK) {
+                let row = |i: usize| _mm512_loadu_ps(rows.add(i * size + other));
+                let mut a = _mm512_loadu_ps(pulls.add(other));
+                let mut b = _mm512_mul_ps(moves[1], row(1));
+                a = _mm512_fnmadd_ps(moves[0], row(0), a);
                 for i in [2, 4, 6] {
-                    a = _mm512_fnmadd_pd(moves[i], row(i), a);
-                    b = _mm512_fmadd_pd(moves[i + 1], row(i + 1), b);
+                    a = _mm512_fnmadd_ps(moves[i], row(i), a);
+                    b = _mm512_fmadd_ps(moves[i + 1], row(i + 1), b);
                 }
-                _mm512_storeu_pd(pulls.add(other), _mm512_sub_pd(a, b));
+                _mm512_storeu_ps(pulls.add(other), _mm512_sub_ps(a, b));
             }
         }
     }
-    _mm512_reduce_max_pd(change)
+    let mut lanes = [0.0; WIDTH];
+    // SAFETY: eight numbers.
+    unsafe { _mm256_storeu_ps(lanes.as_mut_ptr(), change) };
+    lanes.into_iter().fold(0.0, f32::max)
 }

@@ -1,8 +1,7 @@
 //! Coordinate descent on the pixels that move, side by side in memory.
 //!
-//! Within a block of eight, slopes stay in one register and a move is a permutation away from the
-//! next, which takes half the time of going through memory; the other slopes learn of eight moves
-//! at once.
+//! Within a block of eight, moves follow each other as numbers in registers; the other slopes learn of
+//! eight moves at once.
 
 #[cfg(target_arch = "x86_64")]
 mod avx512;
@@ -18,26 +17,42 @@ const RELAXATION: f64 = 1.3;
 /// So few pixels come to their best values at once, one pixel in one move.
 const FEW: usize = 16;
 
+/// Pixels that learn of moves together: a register of float32.
+const BLOCK: usize = 16;
+
 /// A part of a quadratic model: some pixels' rows and columns, padded to whole blocks.
 ///
-/// In units of each pixel's own diagonal, so that a pixel's move is max(pull, -x).
+/// In units of each pixel's own diagonal, so that a pixel's move is max(pull, -x). In float32, which
+/// takes half the time and leaves the matrix of a hundred pixels in the first cache: it holds what
+/// changes, which goes back into the float64 of the model, whence slopes are taken anew.
 #[derive(Default)]
 pub struct Packed {
     /// The pixels, ascending,
     pub set: Vec<u32>,
     /// and their bits.
     chosen: Vec<u8>,
+    /// The x that counts as 1: numbers stay near it, whatever the samples' own unit is.
+    unit: f64,
+    /// The slope that counts as 1.
+    lambda: f64,
+    signed: bool,
     /// Columns over their relaxed diagonals.
-    matrix: Vec<f64>,
-    /// The inverse diagonals, times the relaxation: of the model, and of the pixels.
+    matrix: Vec<f32>,
+    /// The inverse diagonals, times the relaxation.
     relaxed: Vec<f64>,
+    /// Of the pixels: their inverse diagonals, times the relaxation and over the unit,
     inverse: Vec<f64>,
-    diagonal: Vec<f64>,
+    diagonal: Vec<f32>,
     /// 2 lambda over the relaxed diagonal.
-    band: Vec<f64>,
-    pub x: Vec<f64>,
+    band: Vec<f32>,
+    /// -x
+    room: Vec<f32>,
+    /// How far x has come from where it was taken on.
+    delta: Vec<f32>,
     /// (slope - lambda) over the relaxed diagonal.
-    pull: Vec<f64>,
+    pull: Vec<f32>,
+    /// A buffer.
+    picked: Vec<f64>,
 }
 
 impl Packed {
@@ -63,28 +78,65 @@ impl Packed {
         } else {
             RELAXATION
         };
+        (self.lambda, self.signed) = (lambda, signed);
+        let scale = self
+            .set
+            .first()
+            .map_or(1.0, |&j| model.diagonal[j as usize]);
+        self.unit = lambda / scale;
         self.relaxed.clear();
-        self.relaxed
-            .extend(model.inverse.iter().map(|inverse| relaxation * inverse));
-        for (values, out) in [
-            (&self.relaxed[..], &mut self.inverse),
-            (&model.diagonal, &mut self.diagonal),
-            (target, &mut self.x),
-            (slope, &mut self.pull),
-        ] {
-            pick(model.level, values, &self.chosen, &self.set, out);
-        }
+        let inverse = model.inverse.iter().map(|inverse| relaxation * inverse);
+        self.relaxed.extend(inverse);
+        let (level, chosen, set) = (model.level, &self.chosen, &self.set);
+        pick(level, &self.relaxed, chosen, set, &mut self.inverse);
+        times(level, scale, &mut self.inverse);
+        pick(level, &model.diagonal, chosen, set, &mut self.picked);
+        self.diagonal.resize(self.picked.len(), 0.0);
+        single(level, &self.picked, 1.0 / scale, &mut self.diagonal);
         self.band.resize(self.inverse.len(), 0.0);
-        let (pull, band) = (&mut self.pull, &mut self.band);
-        in_units(model.level, &self.inverse, lambda, pull, band);
+        single(level, &self.inverse, 2.0, &mut self.band);
+        self.renew(level, target, slope);
         self.gather(model);
+    }
+
+    /// Takes x and the slopes anew.
+    pub fn renew(&mut self, level: Level, target: &[f64], slope: &[f64]) {
+        let size = self.inverse.len();
+        pick(level, target, &self.chosen, &self.set, &mut self.picked);
+        self.room.resize(size, 0.0);
+        single(level, &self.picked, -1.0 / self.unit, &mut self.room);
+        pick(level, slope, &self.chosen, &self.set, &mut self.picked);
+        self.pull.resize(size, 0.0);
+        pulls(
+            level,
+            &self.picked,
+            self.lambda,
+            &self.inverse,
+            &mut self.pull,
+        );
+        self.delta.clear();
+        self.delta.resize(size, 0.0);
+    }
+
+    /// Where the pixel at a place has come to, from `x`.
+    pub fn moved(&self, place: usize, x: f64) -> f64 {
+        if self.room[place] == 0.0 {
+            return 0.0;
+        }
+        let x = x + self.unit * f64::from(self.delta[place]);
+        // Rounding may take it to the wrong side.
+        if self.signed {
+            x
+        } else {
+            x.max(0.0)
+        }
     }
 
     /// Drops pixels that are at zero, as in `target`, and would stay there, if that saves a block.
     pub fn shrink(&mut self, model: &Model, target: &[f64]) {
         let stays = (0..self.set.len()).filter(|&i| self.counts(i, target));
-        let size = stays.count().next_multiple_of(WIDTH);
-        if size == self.x.len() {
+        let size = stays.count().next_multiple_of(BLOCK);
+        if size == self.room.len() {
             return;
         }
         let mut kept = 0;
@@ -92,6 +144,7 @@ impl Packed {
             let j = self.set[i];
             if self.counts(i, target) {
                 self.set[kept] = j;
+                self.inverse[kept] = self.inverse[i];
                 for values in self.values() {
                     values[kept] = values[i];
                 }
@@ -101,6 +154,8 @@ impl Packed {
             }
         }
         self.set.truncate(kept);
+        self.inverse.truncate(kept);
+        self.inverse.resize(size, 0.0);
         for values in self.values() {
             values.truncate(kept);
             values.resize(size, 0.0);
@@ -109,25 +164,25 @@ impl Packed {
     }
 
     /// One number for each pixel, padded.
-    fn values(&mut self) -> [&mut Vec<f64>; 5] {
+    fn values(&mut self) -> [&mut Vec<f32>; 5] {
         [
-            &mut self.inverse,
             &mut self.diagonal,
             &mut self.band,
-            &mut self.x,
+            &mut self.room,
+            &mut self.delta,
             &mut self.pull,
         ]
     }
 
     fn counts(&self, i: usize, target: &[f64]) -> bool {
-        self.x[i] != 0.0
+        self.room[i] != 0.0
             || target[self.set[i] as usize] != 0.0
             || self.pull[i] > 0.0
             || self.pull[i] + self.band[i] < 0.0
     }
 
     fn gather(&mut self, model: &Model) {
-        let size = self.inverse.len();
+        let size = self.room.len();
         // Room for one octet behind the last row.
         if self.matrix.len() < size * size + WIDTH {
             self.matrix.resize(size * size + WIDTH, 0.0);
@@ -151,19 +206,21 @@ impl Packed {
             &model.slot,
             model.stride,
             &self.set,
-            &self.inverse,
+            &self.relaxed,
+            size,
         );
     }
 
     /// Sweeps until no slope changes by more than `settled`, at most `most` times; returns the last
     /// change.
-    pub fn sweep(&mut self, level: Level, signed: bool, settled: f64, most: usize) -> f64 {
-        let size = self.x.len();
-        assert!(self.matrix.len() >= size * size && self.pull.len() == size);
+    pub fn sweep(&mut self, level: Level, settled: f64, most: usize) -> f64 {
+        let size = self.room.len();
+        assert!(size.is_multiple_of(BLOCK) && self.matrix.len() >= size * size);
+        assert!(self.pull.len() == size && self.delta.len() == size);
         assert!(self.band.len() == size && self.diagonal.len() == size);
         let mut change = f64::INFINITY;
         for _ in 0..most {
-            change = match level.kind() {
+            let largest = match level.kind() {
                 #[cfg(target_arch = "x86_64")]
                 // SAFETY: the level proves the instructions; the lengths were just compared.
                 Kind::Avx512 => unsafe {
@@ -171,8 +228,9 @@ impl Packed {
                         &self.matrix,
                         &self.diagonal,
                         &self.band,
-                        signed,
-                        &mut self.x,
+                        self.signed,
+                        &mut self.room,
+                        &mut self.delta,
                         &mut self.pull,
                     )
                 },
@@ -181,11 +239,13 @@ impl Packed {
                     &self.matrix,
                     &self.diagonal,
                     &self.band,
-                    signed,
-                    &mut self.x,
+                    self.signed,
+                    &mut self.room,
+                    &mut self.delta,
                     &mut self.pull,
                 ),
             };
+            change = self.lambda * f64::from(largest);
             if change <= settled {
                 break;
             }
@@ -196,7 +256,7 @@ impl Packed {
 
 /// The values of the pixels of `set`, whose bits `chosen` has, then zeros up to a whole block.
 fn pick(level: Level, values: &[f64], chosen: &[u8], set: &[u32], out: &mut Vec<f64>) {
-    let size = set.len().next_multiple_of(WIDTH);
+    let size = set.len().next_multiple_of(BLOCK);
     #[cfg(target_arch = "x86_64")]
     if level.kind() == Kind::Avx512 {
         assert!(values.len() == WIDTH * chosen.len());
@@ -213,61 +273,78 @@ fn pick(level: Level, values: &[f64], chosen: &[u8], set: &[u32], out: &mut Vec<
 }
 
 multiversion! {
-    /// Slopes become pulls.
-    fn in_units(inverse: &[f64], lambda: f64, pull: &mut [f64], band: &mut [f64]) {
-        for ((pull, band), inverse) in pull.iter_mut().zip(band).zip(inverse) {
-            *pull = (*pull - lambda) * inverse;
-            *band = 2.0 * lambda * inverse;
+    fn times(factor: f64, values: &mut [f64]) {
+        for value in values {
+            *value *= factor;
         }
     }
 }
 
 multiversion! {
+    fn single(values: &[f64], factor: f64, out: &mut [f32]) {
+        for (out, value) in out.iter_mut().zip(values) {
+            *out = (factor * value) as f32;
+        }
+    }
+}
+
+multiversion! {
+    /// Slopes become pulls.
+    fn pulls(slope: &[f64], lambda: f64, inverse: &[f64], out: &mut [f32]) {
+        let per_lambda = 1.0 / lambda;
+        for ((out, slope), inverse) in out.iter_mut().zip(slope).zip(inverse) {
+            *out = ((slope - lambda) * per_lambda * inverse) as f32;
+        }
+    }
+}
+
+multiversion! {
+    // A row's parts, which a struct would only name again.
+    #[allow(clippy::too_many_arguments)]
     fn gather_plain(
-        matrix: &mut [f64],
+        matrix: &mut [f32],
         rows: &[f64],
         slot: &[u32],
         stride: usize,
         set: &[u32],
-        inverse: &[f64],
+        relaxed: &[f64],
+        size: usize,
     ) {
-        let size = inverse.len();
         // No pixel may take part.
-        for (i, out) in matrix.chunks_exact_mut(size.max(1)).enumerate() {
-            let Some(&j) = set.get(i) else {
-                break;
-            };
+        for (&j, out) in set.iter().zip(matrix.chunks_exact_mut(size.max(1))) {
             let row = &rows[slot[j as usize] as usize * stride..][..stride];
-            for (out, &j) in out.iter_mut().zip(set) {
-                *out = row[j as usize];
+            let (out, rest) = out.split_at_mut(set.len());
+            for (out, &k) in out.iter_mut().zip(set) {
+                *out = (row[k as usize] * relaxed[k as usize]) as f32;
             }
-            for (out, inverse) in out.iter_mut().zip(inverse) {
-                *out *= inverse;
-            }
+            rest.fill(0.0);
         }
     }
 }
 
 multiversion! {
+    #[allow(clippy::too_many_arguments)]
     fn sweep_plain(
-        matrix: &[f64],
-        diagonal: &[f64],
-        band: &[f64],
+        matrix: &[f32],
+        diagonal: &[f32],
+        band: &[f32],
         signed: bool,
-        x: &mut [f64],
-        pull: &mut [f64],
-    ) -> f64 {
-        let size = x.len();
-        let mut change: f64 = 0.0;
+        room: &mut [f32],
+        delta: &mut [f32],
+        pull: &mut [f32],
+    ) -> f32 {
+        let size = room.len();
+        let mut change: f32 = 0.0;
         for j in 0..size {
-            let back = -x[j];
+            let back = room[j];
             let back = if signed { back.min(pull[j] + band[j]) } else { back };
-            let moved = back.max(pull[j]);
-            if moved != 0.0 {
-                x[j] += moved;
-                change = change.max(moved.abs() * diagonal[j]);
-                for (pull, row) in pull.iter_mut().zip(&matrix[j * size..][..size]) {
-                    *pull -= moved * row;
+            let by = back.max(pull[j]);
+            if by != 0.0 {
+                room[j] -= by;
+                delta[j] += by;
+                change = change.max(by.abs() * diagonal[j]);
+                for (pull, factor) in pull.iter_mut().zip(&matrix[j * size..][..size]) {
+                    *pull -= by * factor;
                 }
             }
         }
