@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
@@ -105,9 +105,12 @@ def by_definition(
 def whole_numbers(moved: NDArray[np.float32]) -> list[tuple[NDArray[np.int64], float]]:
     """The one, two or four whole displacements that one of parts of pixels may be, with shares."""
     axes = []
-    for part in moved.astype(float):
+    close, one = np.float32(0.1), np.float32(1)
+    for part in moved:
         below = int(np.floor(part))
-        beyond = min(max((part - below - 0.1) / 0.8, 0), 1)
+        # In float32, as it is done: whether a place counts at all must not hang on rounding.
+        beyond = (part - np.float32(below) - close) / (one - 2 * close)
+        beyond = min(max(float(beyond), 0), 1)
         axes.append([(n, s) for n, s in ((below, 1 - beyond), (below + 1, beyond)) if s > 0])
     return [(np.array([r, c]), a * b) for (r, a), (c, b) in product(*axes)]
 
@@ -123,6 +126,8 @@ def all_of(samples: Samples) -> NDArray[np.int64]:
     st.integers(1, 70),
     st.integers(0, 2**16),
 )
+# Movement at the very edge of what is taken for whole.
+@example((5, 5, 3), (2, 5), 1, 1)
 def test_they_are_the_mean_of_the_guesses(camera: Any, projector: Any, k: int, seed: int) -> None:
     shown, unseen = BernoulliPatterns(projector, k, seed=seed), unseen_patterns(projector)
     around = neighbourhood(camera, shown, seed)

@@ -3,6 +3,9 @@
 /// Numbers in an octet.
 pub const WIDTH: usize = 8;
 
+/// Pixels that learn of moves together: two octets, which as float32 fill a register.
+pub const PAIR: usize = 2 * WIDTH;
+
 /// The places of the bits that are set, ascending.
 #[inline(always)]
 pub fn set_bits(mut bits: u8) -> impl Iterator<Item = u32> {

@@ -1,7 +1,6 @@
 //! Packing and sweeping with AVX-512: moves of eight pixels, of which sixteen learn at a time.
 
-use super::BLOCK;
-use crate::octet::WIDTH;
+use crate::octet::{PAIR, WIDTH};
 use std::arch::x86_64::*;
 
 /// The values of a row whose bits are set, times `inverse`, in float32, then zeros up to `size`.
@@ -118,8 +117,8 @@ pub unsafe fn sweep(
             let size_of = _mm256_andnot_ps(_mm256_set1_ps(-0.0), moved);
             change = _mm256_max_ps(change, _mm256_mul_ps(size_of, diagonal));
             // The next block first: it waits for nothing else.
-            let next = (block + WIDTH) / BLOCK * BLOCK;
-            for other in (next..size).chain(0..next).step_by(BLOCK) {
+            let next = (block + WIDTH) / PAIR * PAIR;
+            for other in (next..size).chain(0..next).step_by(PAIR) {
                 let row = |i: usize| _mm512_loadu_ps(rows.add(i * size + other));
                 let mut a = _mm512_loadu_ps(pulls.add(other));
                 let mut b = _mm512_mul_ps(moves[1], row(1));

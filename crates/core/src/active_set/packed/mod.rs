@@ -7,7 +7,7 @@
 mod avx512;
 
 use super::model::Model;
-use crate::octet::{set_bits, WIDTH};
+use crate::octet::{set_bits, PAIR, WIDTH};
 use crate::simd::{multiversion, Kind, Level};
 
 /// How far beyond its best value a pixel goes: where columns nearly depend on each other that takes
@@ -16,9 +16,6 @@ use crate::simd::{multiversion, Kind, Level};
 const RELAXATION: f64 = 1.3;
 /// So few pixels come to their best values at once, one pixel in one move.
 const FEW: usize = 16;
-
-/// Pixels that learn of moves together: a register of float32.
-const BLOCK: usize = 16;
 
 /// A part of a quadratic model: some pixels' rows and columns, padded to whole blocks.
 ///
@@ -135,7 +132,7 @@ impl Packed {
     /// Drops pixels that are at zero, as in `target`, and would stay there, if that saves a block.
     pub fn shrink(&mut self, model: &Model, target: &[f64]) {
         let stays = (0..self.set.len()).filter(|&i| self.counts(i, target));
-        let size = stays.count().next_multiple_of(BLOCK);
+        let size = stays.count().next_multiple_of(PAIR);
         if size == self.room.len() {
             return;
         }
@@ -215,7 +212,7 @@ impl Packed {
     /// change.
     pub fn sweep(&mut self, level: Level, settled: f64, most: usize) -> f64 {
         let size = self.room.len();
-        assert!(size.is_multiple_of(BLOCK) && self.matrix.len() >= size * size);
+        assert!(size.is_multiple_of(PAIR) && self.matrix.len() >= size * size);
         assert!(self.pull.len() == size && self.delta.len() == size);
         assert!(self.band.len() == size && self.diagonal.len() == size);
         let mut change = f64::INFINITY;
@@ -256,7 +253,7 @@ impl Packed {
 
 /// The values of the pixels of `set`, whose bits `chosen` has, then zeros up to a whole block.
 fn pick(level: Level, values: &[f64], chosen: &[u8], set: &[u32], out: &mut Vec<f64>) {
-    let size = set.len().next_multiple_of(BLOCK);
+    let size = set.len().next_multiple_of(PAIR);
     #[cfg(target_arch = "x86_64")]
     if level.kind() == Kind::Avx512 {
         assert!(values.len() == WIDTH * chosen.len());
