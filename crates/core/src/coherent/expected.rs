@@ -4,7 +4,7 @@
 //! it explains the samples that are known says how much it counts; how far the guesses lie apart
 //! says how little is known.
 
-use super::likely::{around, moved, moved_back};
+use super::around::{self, moved_back};
 use crate::problem::{Dictionary, Rows, Sparse};
 use crate::vector::padded;
 use rayon::prelude::*;
@@ -140,20 +140,19 @@ impl Guesses {
         row: usize,
         level: f64,
     ) {
-        let [camera_rows, camera_cols, channels] = neighbours.camera;
-        let (pixel, channel) = (row / channels, row % channels);
-        let (r, c) = (pixel / camera_cols, pixel % camera_cols);
-        let movement = &neighbours.movement[4 * row..][..4];
-        for other_r in around(r, neighbours.reach, camera_rows) {
-            for other_c in around(c, neighbours.reach, camera_cols) {
-                if (other_r, other_c) == (r, c) {
-                    continue;
-                }
-                let other = (other_r * camera_cols + other_c) * channels + channel;
-                for (moved, share) in moved(movement, [r, c], [other_r, other_c]) {
-                    if self.ask(shown, unseen, neighbours, other, moved) {
-                        self.weigh(level, share);
-                    }
+        let Neighbours {
+            camera,
+            movement,
+            reach,
+            ..
+        } = neighbours;
+        for (other, places) in around::neighbours(camera, movement, row, reach) {
+            if other == row {
+                continue;
+            }
+            for (moved, share) in places {
+                if self.ask(shown, unseen, neighbours, other, moved) {
+                    self.weigh(level, share);
                 }
             }
         }

@@ -1,8 +1,8 @@
 //! Which projector pixels a camera pixel probably sees, from what its neighbours see.
 
+use super::around::{around, moved_back, neighbours};
 use crate::problem::Sparse;
 use rayon::prelude::*;
-use std::ops::Range;
 
 /// Rows that one thread takes on at a time.
 const TASK: usize = 64;
@@ -10,9 +10,6 @@ const TASK: usize = 64;
 /// Where no neighbour holds light, twice as far is looked, again and again up to so many camera
 /// pixels: so light that was found in few rows reaches the others in few rounds.
 pub(super) const FURTHEST: usize = 16;
-
-/// So close to a whole number of pixels footprints are taken to have moved by it.
-const CLOSE: f32 = 0.1;
 
 /// The grids that rows and columns of the matrix lie on, and the windows.
 #[derive(Clone, Copy)]
@@ -75,25 +72,16 @@ struct Sums {
 
 impl Sums {
     fn add_neighbours(&mut self, matrix: Sparse<f32>, windows: Windows, row: usize, reach: usize) {
-        let [camera_rows, camera_cols, channels] = windows.camera;
-        let (pixel, channel) = (row / channels, row % channels);
-        let (r, c) = (pixel / camera_cols, pixel % camera_cols);
-        let movement = &windows.movement[4 * row..][..4];
-        for other_r in around(r, reach, camera_rows) {
-            for other_c in around(c, reach, camera_cols) {
-                let other = (other_r * camera_cols + other_c) * channels + channel;
-                let (pixels, values) = matrix.row(other);
-                let most = values.iter().fold(0f32, |most, &v| most.max(v));
-                for (moved, share) in moved(movement, [r, c], [other_r, other_c]) {
-                    for (&pixel, &value) in pixels.iter().zip(values) {
-                        if value > 0.0 {
-                            if let Some(place) = moved_back(windows.projector, pixel, moved) {
-                                let vote = share * value / most;
-                                self.add_blurred(windows, place, vote);
-                                self.add_within(windows, place, vote);
-                                self.add_wider(windows, place, vote);
-                            }
-                        }
+        for (other, places) in neighbours(windows.camera, windows.movement, row, reach) {
+            let (pixels, values) = matrix.row(other);
+            let most = values.iter().fold(0f32, |most, &v| most.max(v));
+            for (moved, share) in places {
+                for (&pixel, &value) in pixels.iter().zip(values).filter(|(_, &v)| v > 0.0) {
+                    if let Some(place) = moved_back(windows.projector, pixel, moved) {
+                        let vote = share * value / most;
+                        self.add_blurred(windows, place, vote);
+                        self.add_within(windows, place, vote);
+                        self.add_wider(windows, place, vote);
                     }
                 }
             }
@@ -178,46 +166,4 @@ impl Sums {
         }
         (kept, shares)
     }
-}
-
-/// By how many projector rows and columns the footprint of one camera pixel, whose `movement` this
-/// is, lies away from that of another: the whole numbers that it may be, with shares of one.
-pub(super) fn moved(
-    movement: &[f32],
-    from: [usize; 2],
-    to: [usize; 2],
-) -> impl Iterator<Item = ([isize; 2], f32)> {
-    let down = to[0] as f32 - from[0] as f32;
-    let right = to[1] as f32 - from[1] as f32;
-    let rows = whole(movement[0] * down + movement[1] * right);
-    let cols = whole(movement[2] * down + movement[3] * right);
-    rows.into_iter()
-        .flat_map(move |(r, a)| cols.into_iter().map(move |(c, b)| ([r, c], a * b)))
-        .filter(|&(_, share)| share > 0.0)
-}
-
-/// The whole numbers around a number, and how far it is each.
-fn whole(number: f32) -> [(isize, f32); 2] {
-    let below = number.floor();
-    let beyond = ((number - below - CLOSE) / (1.0 - 2.0 * CLOSE)).clamp(0.0, 1.0);
-    let below = below as i32 as isize;
-    [(below, 1.0 - beyond), (below + 1, beyond)]
-}
-
-/// The atom at the place that one lies at once it is moved back; None beyond the projector.
-pub(super) fn moved_back(
-    [_, rows, cols]: [usize; 3],
-    atom: i32,
-    moved: [isize; 2],
-) -> Option<usize> {
-    let (plane, pixel) = (atom as usize / (rows * cols), atom as usize % (rows * cols));
-    let r = (pixel / cols) as isize - moved[0];
-    let c = (pixel % cols) as isize - moved[1];
-    let inside = (0..rows as isize).contains(&r) && (0..cols as isize).contains(&c);
-    inside.then(|| (plane * rows + r as usize) * cols + c as usize)
-}
-
-/// Places within `reach` of a place, on a line of `length`.
-pub(super) fn around(place: usize, reach: usize, length: usize) -> Range<usize> {
-    place.saturating_sub(reach)..place.saturating_add(reach).saturating_add(1).min(length)
 }

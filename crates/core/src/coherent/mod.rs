@@ -2,6 +2,7 @@
 //! holds, what its samples probably are, and rows solved on these pixels alone, each pixel with a
 //! penalty of its own.
 
+mod around;
 mod expected;
 mod likely;
 mod weighted;

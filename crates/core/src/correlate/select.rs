@@ -40,22 +40,26 @@ impl Scores {
         }
         let value = self.value_exceeded_by(level, &bottoms, most, floor, both);
         let (below, above) = self.thresholds(value, both);
-        // The extremes name the groups to look at: a few are read sooner than all scores.
-        if !both {
-            collect_outside(level, &self.tops, i16::MIN, above, out);
-        }
-        let groups = out.len();
-        if both || groups > FEW {
+        if both || !self.collect_from_groups(level, above, out) {
             collect_outside(level, &self.values, below, above, out);
-        } else {
-            for i in 0..groups {
-                let places = (out[i] as usize..self.values.len()).step_by(PEAKS);
-                out.extend(places.filter(|&p| self.values[p] > above).map(|p| p as u32));
-            }
-            out.drain(..groups);
-            out.sort_unstable();
         }
         value
+    }
+
+    /// Collects the scores above a threshold, if few groups have any: those are read sooner.
+    fn collect_from_groups(&self, level: Level, above: i16, out: &mut Vec<u32>) -> bool {
+        collect_outside(level, &self.tops, i16::MIN, above, out);
+        let groups = out.len();
+        if groups > FEW {
+            return false;
+        }
+        for i in 0..groups {
+            let places = (out[i] as usize..self.values.len()).step_by(PEAKS);
+            out.extend(places.filter(|&p| self.values[p] > above).map(|p| p as u32));
+        }
+        out.drain(..groups);
+        out.sort_unstable();
+        true
     }
 
     fn value_exceeded_by(

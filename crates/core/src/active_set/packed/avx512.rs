@@ -6,7 +6,7 @@ use std::arch::x86_64::*;
 /// The values of a row whose bits are set, times `inverse`, in float32, then zeros up to `size`.
 ///
 /// # Safety
-/// `row` and `inverse` have eight values a group, `out` eight more than `size`, a multiple of 16,
+/// `row` and `inverse` have eight values a group, `out` eight more than `size`, a multiple of `PAIR`,
 /// and at most `size` bits are set.
 #[target_feature(enable = "avx512f,avx512vl")]
 pub unsafe fn compress(row: &[f64], inverse: &[f64], groups: &[u8], size: usize, out: &mut [f32]) {
@@ -14,7 +14,7 @@ pub unsafe fn compress(row: &[f64], inverse: &[f64], groups: &[u8], size: usize,
     // octet, or the next row, overwrites it.
     unsafe {
         let mut at = out.as_mut_ptr();
-        _mm512_storeu_ps(at.add(size - 16), _mm512_setzero_ps());
+        _mm512_storeu_ps(at.add(size - PAIR), _mm512_setzero_ps());
         for (i, &bits) in groups.iter().enumerate() {
             let values = _mm512_loadu_pd(row.as_ptr().add(8 * i));
             let scaled = _mm512_mul_pd(values, _mm512_loadu_pd(inverse.as_ptr().add(8 * i)));
@@ -28,7 +28,7 @@ pub unsafe fn compress(row: &[f64], inverse: &[f64], groups: &[u8], size: usize,
 /// The values whose bits are set, then zeros up to `size`.
 ///
 /// # Safety
-/// `values` has eight values a group, `out` eight more than `size`, a multiple of 16, and at most
+/// `values` has eight values a group, `out` eight more than `size`, a multiple of `PAIR`, and at most
 /// `size` bits are set.
 #[target_feature(enable = "avx512f")]
 pub unsafe fn pick(values: &[f64], groups: &[u8], size: usize, out: &mut [f64]) {
@@ -38,7 +38,7 @@ pub unsafe fn pick(values: &[f64], groups: &[u8], size: usize, out: &mut [f64]) 
     // SAFETY: as for `compress`.
     unsafe {
         let mut at = out.as_mut_ptr();
-        for end in [16, 8] {
+        for end in [PAIR, WIDTH] {
             _mm512_storeu_pd(at.add(size - end), _mm512_setzero_pd());
         }
         for (i, &bits) in groups.iter().enumerate() {
@@ -50,7 +50,7 @@ pub unsafe fn pick(values: &[f64], groups: &[u8], size: usize, out: &mut [f64]) 
 }
 
 /// # Safety
-/// `room`, `delta`, `pull`, `band` and `diagonal` have one length, a multiple of 16, and `matrix` at
+/// `room`, `delta`, `pull`, `band` and `diagonal` have one length, a multiple of `PAIR`, and `matrix` at
 /// least its square.
 #[target_feature(enable = "avx512f,avx512dq,avx512vl,fma")]
 pub unsafe fn sweep(
