@@ -52,8 +52,8 @@ def test_two_surfaces_move_each_in_its_own_way() -> None:
     left = (np.arange(48 * 56) % 56) < 28
     rows = csr_array(np.where(left[:, None], near.toarray(), far.toarray()))
     found = measured_movement(rows, CAMERA, PROJECTOR).reshape(48, 56, 4)
-    assert abs(np.median(found[:, 6:22, 3]) - 1) < 0.05
-    assert abs(np.median(found[:, 34:50, 3]) - 2) < 0.05
+    assert abs(np.median(found[:, 6:22, 3]) - 1) <= 0.02
+    assert abs(np.median(found[:, 34:50, 3]) - 2) <= 0.02
 
 
 def test_nothing_lit_does_not_move() -> None:
