@@ -355,6 +355,31 @@ def test_a_folder_without_permission(tmp_path: Path, monkeypatch: pytest.MonkeyP
         check_output(tmp_path / "a" / "out", CAPTURE)
 
 
+def test_ctrl_c_right_after_the_temporary_folder_is_made_leaves_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    make = Path.mkdir
+
+    def interrupted_mkdir(folder: Path) -> None:
+        make(folder)
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Path, "mkdir", interrupted_mkdir)
+        with pytest.raises(KeyboardInterrupt):
+            write(tmp_path / "out")
+    assert not os.listdir(tmp_path)
+
+
+def test_a_claim_within_a_claim_spares_the_outer_ones_folder(tmp_path: Path) -> None:
+    with atomic_folder(tmp_path / "out", CAPTURE) as part:
+        (part / "capture.json").write_text("outer")
+        with pytest.raises(OutputError, match="cannot be written"):
+            write(tmp_path / "out")
+        assert (part / "capture.json").read_text() == "outer"
+    assert (tmp_path / "out" / "capture.json").read_text() == "outer"
+
+
 def test_clean_up_is_claimed_only_when_it_was_done(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

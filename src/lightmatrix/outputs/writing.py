@@ -146,16 +146,19 @@ def atomic_folder(path: str | Path, kind: FolderKind, *, overwrite: bool = False
 def _workplace(shown: str | Path, target: Path) -> Iterator[Path]:
     """The temporary folder of an output, marked as such and removed in any case."""
     place = _part_of(target)
-    with explained(shown):
-        place.mkdir()
+    # One that stands there belongs to a claim around this one: making it fails.
+    ours = not os.path.lexists(place)
     try:
+        with explained(shown):
+            place.mkdir()
         content = {"format": TEMPORARY, "version": 1, "output": target.name}
         (place / MARKER).write_text(json.dumps(content) + "\n")
         yield place
     except OSError as error:
         raise failure(shown, error, _removed(place)) from error
     finally:
-        _removed(place)
+        if ours:
+            _removed(place)
 
 
 def _removed(place: Path) -> str:
