@@ -1,8 +1,9 @@
 //! The look-up pass with AVX-512: tables of six patterns, 64 sums of a byte each in one register.
 //!
-//! A step takes two tables. Adjacent bytes belong to one pixel, the even one an index into the first
-//! table and the odd one into the second: one permute looks both up for 32 pixels, and one product
-//! with ones adds the two in 16 bits.
+//! A step takes two tables, whose sums together fit a byte: two permutes look 64 pixels up, one
+//! addition makes bytes of them. To widen these, words of two bytes are added up as they are, and
+//! their upper bytes once more by themselves; what these are too much in the words is known in the
+//! end.
 
 use super::scores::{Scores, BATCH, MANY, PEAKS};
 use super::tables::{count, PATTERNS};
@@ -13,12 +14,15 @@ use std::arch::x86_64::*;
 
 /// Entries of a table, and bytes of a register.
 const TABLE: usize = 64;
-/// Pixels of a register: two bytes each.
-const HALF: usize = 32;
-/// Pixels whose sums are in registers while patterns pass.
-const BLOCK: usize = 2 * HALF;
+/// Pixels whose sums are in registers while patterns pass, a byte each,
+const BLOCK: usize = 64;
+/// the first half of them in the lower bytes of words, the second in the upper ones.
+const HALF: usize = BLOCK / 2;
 /// Steps at a time: tables of so many stay in the first-level cache.
 const STEPS: usize = 32;
+/// Bytes of codes that are asked for before they are read: they come from the second-level cache or
+/// the third, whose own foresight ends with each page.
+const AHEAD: usize = 2048;
 /// Pixels whose codes of so many steps stay in the first caches while rows pass, and whose scores
 /// stay there until the largest are noted.
 const TILE: usize = PEAKS;
@@ -43,14 +47,19 @@ pub fn codes(bits: Bits, length: usize) -> Vec<u8> {
     stretches.for_each(|(stretch, codes)| {
         let first = 2 * STEPS * stretch;
         let steps = (tables - first).min(2 * STEPS) / 2;
-        let halves = codes.par_chunks_exact_mut(steps * 2 * BLOCK).enumerate();
-        halves.for_each(|(block, codes)| {
-            for (i, half) in codes.chunks_exact_mut(2 * HALF).enumerate() {
-                let (table, pixel) = (first + i / 2 * 2, block * BLOCK + i % 2 * HALF);
-                let [even, odd] = [table, table + 1].map(|t| indices(&bytes, bits, t, pixel));
-                for ((pair, even), odd) in half.as_chunks_mut::<2>().0.iter_mut().zip(even).zip(odd)
+        let blocks = codes.par_chunks_exact_mut(steps * 2 * BLOCK).enumerate();
+        blocks.for_each(|(block, codes)| {
+            for (t, codes) in codes.as_chunks_mut::<BLOCK>().0.iter_mut().enumerate() {
+                let [lower, upper] =
+                    [0, HALF].map(|half| indices(&bytes, bits, first + t, block * BLOCK + half));
+                for ((pair, lower), upper) in codes
+                    .as_chunks_mut::<2>()
+                    .0
+                    .iter_mut()
+                    .zip(lower)
+                    .zip(upper)
                 {
-                    *pair = [even, odd | TABLE as u8];
+                    *pair = [lower, upper];
                 }
             }
         });
@@ -150,7 +159,7 @@ fn make_tables(row: &[i16], tables: &mut [u8]) -> i16 {
         let values = || row[t..].iter().step_by(each);
         let shift: i16 = values().map(|value| -value.min(&0)).sum();
         all = all.wrapping_add(shift);
-        // The sums of a table span no more than 255, so that bytes hold them whatever they wrap on
+        // The sums of two tables span no more than 255, so that bytes hold them whatever they wrap on
         // the way.
         let mut sums = _mm512_set1_epi8(shift as i8);
         for (value, lanes) in values().zip(LANES) {
@@ -178,7 +187,6 @@ unsafe fn pass<const R: usize>(
     out: [&mut [i16]; R],
 ) {
     let (length, each) = (out[0].len(), tables.len() / R);
-    let ones = _mm512_set1_epi8(1);
     let out = out.map(|out| out.as_mut_ptr());
     let shifts: [__m512i; R] = std::array::from_fn(|r| _mm512_set1_epi16(shifts[r].wrapping_neg()));
     let mut code = codes.as_ptr();
@@ -186,29 +194,33 @@ unsafe fn pass<const R: usize>(
         // SAFETY: codes of `steps` steps are read for each block, once each; a row has pairs of
         // tables for all steps; pixel + BLOCK <= length bounds the sums.
         unsafe {
-            let mut sums = shifts.map(|shift| [shift; 2]);
-            if first > 0 {
-                for (sums, out) in sums.iter_mut().zip(out) {
-                    let there = |half: usize| out.add(pixel + half * HALF).cast_const().cast();
-                    *sums = [0, 1].map(|half| _mm512_loadu_si512(there(half)));
-                }
-            }
+            // Of words, and of their upper bytes.
+            let mut sums = [[_mm512_setzero_si512(); 2]; R];
             for step in first..first + steps {
-                let index = [0, 1].map(|half| _mm512_loadu_si512(code.add(half * 64).cast()));
+                let [a, b] = [0, 1].map(|i| _mm512_loadu_si512(code.add(i * BLOCK).cast()));
                 code = code.add(2 * BLOCK);
-                for (r, sums) in sums.iter_mut().enumerate() {
+                for line in [0, BLOCK] {
+                    _mm_prefetch::<_MM_HINT_T0>(code.wrapping_add(AHEAD + line).cast());
+                }
+                for (r, [words, upper]) in sums.iter_mut().enumerate() {
                     let table = tables.as_ptr().add(r * each + step * 2 * TABLE);
-                    let even = _mm512_loadu_si512(table.cast());
-                    let odd = _mm512_loadu_si512(table.add(TABLE).cast());
-                    for (sum, index) in sums.iter_mut().zip(index) {
-                        let both = _mm512_permutex2var_epi8(even, index, odd);
-                        *sum = _mm512_add_epi16(*sum, _mm512_maddubs_epi16(both, ones));
-                    }
+                    let a = _mm512_permutexvar_epi8(a, _mm512_loadu_si512(table.cast()));
+                    let b = _mm512_permutexvar_epi8(b, _mm512_loadu_si512(table.add(TABLE).cast()));
+                    let both = _mm512_add_epi8(a, b);
+                    *words = _mm512_add_epi16(*words, both);
+                    *upper = _mm512_add_epi16(*upper, _mm512_srli_epi16::<8>(both));
                 }
             }
-            for (sums, out) in sums.into_iter().zip(out) {
-                for (half, sum) in sums.into_iter().enumerate() {
-                    _mm512_storeu_si512(out.add(pixel + half * HALF).cast(), sum);
+            for (([words, upper], out), shift) in sums.into_iter().zip(out).zip(shifts) {
+                let lower = _mm512_sub_epi16(words, _mm512_slli_epi16::<8>(upper));
+                for (half, sum) in [lower, upper].into_iter().enumerate() {
+                    let at = out.add(pixel + half * HALF);
+                    let before = if first > 0 {
+                        _mm512_loadu_si512(at.cast_const().cast())
+                    } else {
+                        shift
+                    };
+                    _mm512_storeu_si512(at.cast(), _mm512_add_epi16(before, sum));
                 }
             }
         }

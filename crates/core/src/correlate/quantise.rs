@@ -1,6 +1,6 @@
 //! Rounding to integers whose sums fit 16 bits, with a sure bound on what it does to any sum.
 
-use super::tables::{self, largest_span};
+use super::tables::least_unit;
 use crate::simd::{multiversion, Level};
 use crate::vector::signed_sums;
 
@@ -44,18 +44,19 @@ pub fn quantise(level: Level, e: &[f64], count: usize, sums: Sums, out: &mut Vec
     let (unit, lost) = if range < f64::MIN_POSITIVE * 1e6 {
         (1.0, (0.0, 0.0))
     } else {
-        let span = match sums {
-            Sums::OfSubsets => largest_span(level, &e[..count]),
+        // Most that rounding adds to a value, in units.
+        let rounding = if count <= NEAREST { 0.5 } else { 0.0 };
+        let least = match sums {
+            Sums::OfSubsets => least_unit(level, &e[..count], rounding),
             Sums::Signed => 0.0,
         };
-        if count <= NEAREST {
-            let byte = tables::SPAN - tables::PATTERNS as f64 / 2.0;
-            let unit = (range / (LARGEST - count as f64 / 2.0)).max(span / byte);
-            (unit, to_nearest(level, e, 1.0 / unit, out))
+        let unit = (range / (LARGEST - rounding * count as f64)).max(least);
+        let lost = if rounding > 0.0 {
+            to_nearest(level, e, 1.0 / unit, out)
         } else {
-            let unit = (range / LARGEST).max(span / tables::SPAN);
-            (unit, towards_zero(e, 1.0 / unit, out))
-        }
+            towards_zero(e, 1.0 / unit, out)
+        };
+        (unit, lost)
     };
     out.truncate(count);
     Rounded {

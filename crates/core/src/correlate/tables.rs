@@ -4,35 +4,47 @@
 //! keeps a table's sums in bytes relies on what rounding promises of them (`quantise`); to all others
 //! the sums of integers are the same whatever the tables are.
 
-use crate::simd::multiversion;
+use crate::simd::{multiversion, Level};
 
 /// Patterns a table.
 pub const PATTERNS: usize = 6;
-/// Most that the sums of a table may span.
-pub const SPAN: f64 = 255.0;
+/// Most that the sums of two tables, which a kernel adds in a byte, may span together.
+const SPAN: f64 = 255.0;
+/// Most that an integer may be, for kernels that keep it in a byte.
+const LARGEST: f64 = 127.0;
 
 /// Tables of so many patterns: an even number, for kernels take two at a time.
 pub fn count(patterns: usize) -> usize {
     patterns.div_ceil(2 * PATTERNS) * 2
 }
 
+/// The least unit in which values `e`, one a pattern, are integers that kernels can take; each may
+/// have been rounded by up to `rounding` units.
+pub fn least_unit(level: Level, e: &[f64], rounding: f64) -> f64 {
+    let (span, largest) = extremes(level, e);
+    (span / (SPAN - 2.0 * PATTERNS as f64 * rounding)).max(largest / LARGEST)
+}
+
 multiversion! {
-    /// The largest span that the sums of any table have, of values `e`, one a pattern.
-    pub fn largest_span(e: &[f64]) -> f64 {
+    /// The largest span of the sums of two adjacent tables, and the largest of the values alone.
+    fn extremes(e: &[f64]) -> (f64, f64) {
         const PART: usize = 32;
         let tables = count(e.len());
-        let mut most = 0.0;
+        let (mut widest, mut largest) = (0.0, [0.0; PART]);
         for first in (0..tables).step_by(PART) {
             let mut spans = [0.0; PART];
             for e in e.chunks(tables) {
                 let e = &e[first.min(e.len())..(first + PART).min(e.len())];
-                for (span, e) in spans.iter_mut().zip(e) {
+                for ((span, largest), e) in spans.iter_mut().zip(&mut largest).zip(e) {
                     *span += e.abs();
+                    *largest = if e.abs() > *largest { e.abs() } else { *largest };
                 }
             }
-            most = spans.iter().fold(most, |most, &span| if span > most { span } else { most });
+            for [a, b] in spans.as_chunks::<2>().0 {
+                widest = if a + b > widest { a + b } else { widest };
+            }
         }
-        most
+        (widest, largest.iter().copied().fold(0.0, f64::max))
     }
 }
 
@@ -42,15 +54,29 @@ mod tests {
     use crate::simd::Level;
 
     #[test]
-    fn spans_are_those_of_patterns_that_share_a_table() {
+    fn kernels_can_take_the_integers_of_the_least_unit() {
         for patterns in [1, 5, 12, 13, 100, 400] {
-            let e: Vec<f64> = (0..patterns).map(|k| (k as f64 * 1.3).sin()).collect();
-            let tables = count(patterns);
-            assert!(tables.is_multiple_of(2) && PATTERNS * tables >= patterns);
-            let span = |t: usize| e.iter().skip(t).step_by(tables).map(|e| e.abs()).sum();
-            let expected = (0..tables).map(span).fold(0.0, f64::max);
-            for level in Level::available() {
-                assert!((largest_span(level, &e) - expected).abs() < 1e-12);
+            let mut e: Vec<f64> = (0..patterns).map(|k| (k as f64 * 1.3).cos()).collect();
+            for alone in [1.0, 100.0] {
+                e[patterns / 2] *= alone;
+                let tables = count(patterns);
+                assert!(tables.is_multiple_of(2) && PATTERNS * tables >= patterns);
+                for (level, rounding) in Level::available().into_iter().zip([0.0, 0.5].repeat(2)) {
+                    let unit = least_unit(level, &e, rounding);
+                    let size = |e: &f64| e.abs() / unit + rounding;
+                    let sums: Vec<f64> = (0..tables)
+                        .map(|t| e.iter().skip(t).step_by(tables).map(size).sum())
+                        .collect();
+                    let widest = sums
+                        .as_chunks()
+                        .0
+                        .iter()
+                        .map(|[a, b]| a + b)
+                        .fold(0.0, f64::max);
+                    let largest = e.iter().map(|e| e.abs() / unit).fold(0.0, f64::max);
+                    assert!(widest <= SPAN + 1e-9 && largest <= LARGEST + 1e-9);
+                    assert!(widest >= SPAN - 6.0 || largest >= LARGEST - 1e-9);
+                }
             }
         }
     }
