@@ -114,6 +114,7 @@ def passes(count: int, repeats: int = 7) -> list[Row]:
     sets: list[tuple[str, PatternSet, str | None]] = [
         (f"tables, {name}", bits, name) for name in ("portable", "avx2", "avx512")
     ]
+    sets.append(("tiles, amx", bits, "amx"))
     sets.append(("transform", HadamardPatterns(shape, count, order="random"), None))
     e = np.random.default_rng(0).normal(size=(PASS_ROWS, count))
     sgemm = sgemm_seconds(bits, 512, clock=CORE)

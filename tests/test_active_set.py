@@ -313,7 +313,7 @@ def test_results_do_not_depend_on_threads_or_tiles(
         np.testing.assert_array_equal(pieces, expected)
 
 
-@pytest.mark.parametrize("name", ["avx2", "avx512"])
+@pytest.mark.parametrize("name", ["avx2", "avx512", "amx"])
 def test_every_instruction_set_gives_the_same_solution(
     name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

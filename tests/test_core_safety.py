@@ -153,7 +153,7 @@ def test_indices_of_either_width_and_values_of_either_precision_are_the_same() -
     scale=st.sampled_from([0.0, 1e-300, 1e-30, 1.0, 1e30]),
     weight=st.sampled_from([0.0, 1e-38, 1.0, 1e38]),
     fidelity=st.sampled_from(["linear", "one-sided", "rejection"]),
-    instructions=st.sampled_from(["portable", "avx2", "avx512"]),
+    instructions=st.sampled_from(["portable", "avx2", "avx512", "amx"]),
     signs=st.tuples(st.booleans(), st.booleans()),
     seed=st.integers(0, 2**32 - 1),
 )

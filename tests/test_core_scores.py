@@ -13,7 +13,7 @@ from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.hadamard import HadamardPatterns
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
 
-INSTRUCTIONS = ("portable", "avx2", "avx512")
+INSTRUCTIONS = ("portable", "avx2", "avx512", "amx")
 
 
 def prepared(patterns: PatternSet, instructions: str) -> PreparedPatterns:

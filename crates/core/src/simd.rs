@@ -5,7 +5,11 @@
 
 /// A set of vector instructions this CPU has.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Level(Kind);
+pub struct Level {
+    kind: Kind,
+    /// Whether there are products of tiles of bytes too.
+    tiles: bool,
+}
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Kind {
@@ -24,20 +28,28 @@ impl Level {
 
     /// Every level of this CPU, plainest first.
     pub fn available() -> Vec<Self> {
-        let mut levels = vec![Level(Kind::Portable)];
+        let level = |kind| Level { kind, tiles: false };
+        let mut levels = vec![level(Kind::Portable)];
         #[cfg(target_arch = "x86_64")]
         {
             use std::arch::is_x86_feature_detected as has;
             if has!("avx2") && has!("bmi1") && has!("bmi2") && has!("popcnt") {
-                levels.push(Level(Kind::Avx2));
+                levels.push(level(Kind::Avx2));
                 if has!("avx512f")
                     && has!("avx512bw")
                     && has!("avx512dq")
                     && has!("avx512vl")
                     && has!("avx512vpopcntdq")
                     && has!("avx512vbmi")
+                    && has!("avx512vbmi2")
                 {
-                    levels.push(Level(Kind::Avx512));
+                    levels.push(level(Kind::Avx512));
+                    if amx::available() {
+                        levels.push(Level {
+                            kind: Kind::Avx512,
+                            tiles: true,
+                        });
+                    }
                 }
             }
         }
@@ -49,9 +61,10 @@ impl Level {
         Self::available().into_iter().find(|l| l.name() == name)
     }
 
-    /// "portable", "avx2" or "avx512".
+    /// "portable", "avx2", "avx512" or "amx", which is AVX-512 and products of tiles.
     pub fn name(self) -> &'static str {
-        match self.0 {
+        match self.kind {
+            _ if self.tiles => "amx",
             Kind::Portable => "portable",
             #[cfg(target_arch = "x86_64")]
             Kind::Avx2 => "avx2",
@@ -61,7 +74,60 @@ impl Level {
     }
 
     pub(crate) fn kind(self) -> Kind {
-        self.0
+        self.kind
+    }
+
+    pub(crate) fn tiles(self) -> bool {
+        self.tiles
+    }
+}
+
+/// Tiles of bytes that the processor multiplies (AMX). Linux gives them to a process that asks.
+#[cfg(target_arch = "x86_64")]
+mod amx {
+    use std::sync::LazyLock;
+
+    /// Whether this process has them.
+    pub fn available() -> bool {
+        static AVAILABLE: LazyLock<bool> = LazyLock::new(|| has_instructions() && allowed());
+        *AVAILABLE
+    }
+
+    fn has_instructions() -> bool {
+        use std::arch::x86_64::{__cpuid, __cpuid_count};
+        const FEATURES: u32 = 7;
+        const TILES_AND_BYTES: u32 = 1 << 24 | 1 << 25;
+        // SAFETY: every x86-64 processor has the instruction; compilers of today know.
+        #[allow(unused_unsafe)]
+        let (last, features) = unsafe { (__cpuid(0).eax, __cpuid_count(FEATURES, 0).edx) };
+        last >= FEATURES && features & TILES_AND_BYTES == TILES_AND_BYTES
+    }
+
+    /// Asks the system, which says no where it does not know them.
+    #[cfg(target_os = "linux")]
+    fn allowed() -> bool {
+        const ARCH_PRCTL: i64 = 158;
+        const REQUEST_PERMISSION: u64 = 0x1023;
+        const TILE_DATA: u64 = 18;
+        let answer: i64;
+        // SAFETY: a system call that changes nothing but what this process may use.
+        unsafe {
+            std::arch::asm!(
+                "syscall",
+                inlateout("rax") ARCH_PRCTL => answer,
+                in("rdi") REQUEST_PERMISSION,
+                in("rsi") TILE_DATA,
+                out("rcx") _,
+                out("r11") _,
+                options(nostack),
+            );
+        }
+        answer == 0
+    }
+
+    #[cfg(not(target_os = "linux"))]
+    fn allowed() -> bool {
+        false
     }
 }
 

@@ -237,7 +237,8 @@ impl PreparedPatterns {
             correlator: {
                 let inner = Arc::clone(&single);
                 let pass = move |e: &[&[f64]], out: &mut [&mut Scores], scratch: &mut Scratch| {
-                    inner.correlator.run(&inner.columns, e, out, scratch);
+                    let columns = &inner.columns;
+                    inner.correlator.run(columns, e, out, scratch);
                 };
                 Correlator::blurred(level, patterns, atoms, &single.correlator, Box::new(pass))
             },
@@ -375,10 +376,12 @@ impl PreparedPatterns {
         for (number, rows) in rows.chunks(batch).enumerate() {
             let e: Vec<&[f64]> = rows.iter().map(Vec::as_slice).collect();
             let mut out: Vec<&mut Scores> = scores.iter_mut().take(e.len()).collect();
-            let dictionary = &self.dictionary;
-            dictionary
-                .correlator
-                .run(&dictionary.columns, &e, &mut out, &mut scratch);
+            let Dictionary {
+                columns,
+                correlator,
+                ..
+            } = &*self.dictionary;
+            correlator.run(columns, &e, &mut out, &mut scratch);
             take(number * batch, &scores[..e.len()]);
         }
     }

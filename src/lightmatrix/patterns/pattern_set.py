@@ -184,7 +184,7 @@ class PatternSet(ABC):
         ----------
         column : (K,), optional
             What the background gives under each pattern. None: its mean.
-        instructions : {"portable", "avx2", "avx512"}, optional
+        instructions : {"portable", "avx2", "avx512", "amx"}, optional
             None takes the best this CPU has; all give the same scores.
         """
         means = np.ascontiguousarray(self.means if column is None else column, np.float64)

@@ -60,7 +60,10 @@ pub fn solve_rows(
     while !lanes.is_empty() && !cancelled.load(Ordering::Relaxed) {
         let (residuals, mut scores): (Vec<&[f64]>, Vec<&mut Scores>) = lanes
             .iter_mut()
-            .map(|lane| (lane.solver.dual(), &mut lane.scores))
+            .map(|lane| {
+                lane.scores.wanted = lane.solver.wanted();
+                (lane.solver.dual(), &mut lane.scores)
+            })
             .unzip();
         dictionary
             .correlator
@@ -83,6 +86,7 @@ pub fn solve_row(dictionary: &Dictionary, rows: Rows, settings: Settings) -> Sol
     let mut next = solver.begin(rows, 0, &mut restricted);
     while let Next::Pass = next {
         let columns = &dictionary.columns;
+        scores.wanted = solver.wanted();
         correlator.run(columns, &[solver.dual()], &mut [&mut scores], &mut scratch);
         next = solver.after_pass(&scores, &mut restricted);
     }

@@ -1,13 +1,46 @@
 //! Which pixels violate their condition most: scores of all, then exact correlations of the few
 //! that may.
 
-use crate::correlate::Scores;
+use crate::correlate::{Scores, Wanted};
 use crate::problem::{Dictionary, Settings};
 
 /// Pixels whose correlation lies this share below lambda may soon exceed it: they come along.
 const LOOK_AHEAD: f64 = 0.02;
 /// A violation by this share of lambda rules out that the row is solved.
 const CLEARLY: f64 = 0.01;
+
+/// Where patterns are random, correlations lie about those of the means with a deviation of at most
+/// half the norm of what is correlated: few are beyond so many deviations in a row's first pass,
+const FIRST_DEVIATIONS: f64 = 3.0;
+/// and in a later one, which takes in more pixels.
+const DEVIATIONS: f64 = 2.5;
+
+/// How closely scores are looked at.
+#[derive(Clone, Copy)]
+pub enum Look {
+    First,
+    Again,
+    /// At all that may exceed lambda, or nearly: the few largest do not tell whether a row is
+    /// solved.
+    Closely,
+}
+
+/// The scores that `Pricing` looks at, given the dual point's correlation with the means and the
+/// sum of its squares.
+pub fn wanted(settings: &Settings, look: Look, of_means: f64, square: f64) -> Wanted {
+    let both = !settings.nonnegative;
+    let means = if both { of_means.abs() } else { of_means };
+    let deviation = square.sqrt() / 2.0;
+    let few = match look {
+        Look::First => means + FIRST_DEVIATIONS * deviation,
+        Look::Again => means + DEVIATIONS * deviation,
+        Look::Closely => 0.0,
+    };
+    Wanted::Beyond {
+        value: few.max(settings.regularization * (1.0 - LOOK_AHEAD)),
+        both,
+    }
+}
 
 /// Exact correlations of the pixels that matter.
 #[derive(Default)]
@@ -22,6 +55,8 @@ pub struct Pricing {
 
 /// What a pass found.
 pub struct Found {
+    /// Whether that is all there is to know: else scores have to be looked at closely.
+    pub enough: bool,
     /// No correlation of any pixel exceeds this.
     pub largest: f64,
     /// The largest correlation known exactly.
@@ -43,18 +78,21 @@ impl Pricing {
         let (level, both) = (dictionary.level, !settings.nonnegative);
         let mut most = new + pixels.len();
         self.known = pixels.len();
-        let floor = lambda * (1.0 - LOOK_AHEAD);
+        let mut before = f64::INFINITY;
         loop {
-            let bound = scores.collect_largest(level, most, floor, both, &mut self.places);
+            let bound = scores.collect_largest(level, most, &mut self.places);
             let exact = self.correlate(dictionary, dual, pixels, both);
             // Correlations that were not collected do not exceed the bound. Where rounding hides
             // which is the largest and little is violated, look at more pixels exactly.
-            if bound <= exact.max(lambda) || exact > (1.0 + CLEARLY) * lambda {
+            let enough = bound <= exact.max(lambda) || exact > (1.0 + CLEARLY) * lambda;
+            if enough || bound == before {
                 return Found {
+                    enough,
                     largest: exact.max(bound),
                     exact,
                 };
             }
+            before = bound;
             most *= 4;
         }
     }

@@ -2,9 +2,9 @@
 
 use super::certificate::{dual_value, orthogonal_to_means};
 use super::point::Point;
-use super::pricing::Pricing;
+use super::pricing::{self, Look, Pricing};
 use super::restricted::Restricted;
-use crate::correlate::Scores;
+use crate::correlate::{Scores, Wanted};
 use crate::problem::{Dictionary, Fidelity, Rows, Settings, Solution, Values};
 use crate::vector::{dot, free_energy, invert, one_sided, padded, residual, signed_sums, DataTerm};
 
@@ -47,6 +47,7 @@ pub struct RowSolver<'a> {
     /// Whether b = 0 held the last step of the restricted solve.
     held: bool,
     dual: Vec<f64>,
+    wanted: Wanted,
     passes: u32,
     objective: f64,
     dual_value: f64,
@@ -77,6 +78,7 @@ impl<'a> RowSolver<'a> {
             point: Point::new(n),
             held: false,
             dual: zeros(),
+            wanted: Wanted::All,
             passes: 0,
             objective: 0.0,
             dual_value: f64::NEG_INFINITY,
@@ -85,6 +87,11 @@ impl<'a> RowSolver<'a> {
             gradient: Vec::new(),
             dual_is_residual: false,
         }
+    }
+
+    /// The scores that the next pass is to give.
+    pub fn wanted(&self) -> Wanted {
+        self.wanted
     }
 
     /// The dual point that the next pass correlates.
@@ -163,6 +170,10 @@ impl<'a> RowSolver<'a> {
         self.certify(found.largest);
         if self.gap() <= self.settings.tolerance || self.passes >= self.settings.max_passes {
             return Next::Done;
+        }
+        if !found.enough {
+            self.want(Look::Closely);
+            return Next::Pass;
         }
         let before = self.point.pixels.len();
         self.gradient.clear();
@@ -288,7 +299,18 @@ impl<'a> RowSolver<'a> {
                 return Next::Done;
             }
         }
+        self.want(match self.passes {
+            0 => Look::First,
+            _ => Look::Again,
+        });
         Next::Pass
+    }
+
+    fn want(&mut self, look: Look) {
+        let (level, dual) = (self.dictionary.level, &self.dual);
+        let of_means = dot(level, dual, &self.dictionary.means);
+        let square = dot(level, dual, dual);
+        self.wanted = pricing::wanted(&self.settings, look, of_means, square);
     }
 
     fn certify(&mut self, largest: f64) {

@@ -5,7 +5,7 @@
 //! their upper bytes once more by themselves; what these are too much in the words is known in the
 //! end.
 
-use super::scores::{Scores, BATCH, MANY, PEAKS};
+use super::scores::{Scores, BATCH, MANY};
 use super::tables::{count, PATTERNS};
 use crate::bits::{column_codes, Bits};
 use crate::simd::{Kind, Level};
@@ -23,9 +23,8 @@ const STEPS: usize = 32;
 /// Bytes of codes that are asked for before they are read: they come from the second-level cache or
 /// the third, whose own foresight ends with each page.
 const AHEAD: usize = 2048;
-/// Pixels whose codes of so many steps stay in the first caches while rows pass, and whose scores
-/// stay there until the largest are noted.
-const TILE: usize = PEAKS;
+/// Pixels whose codes of so many steps, and whose sums, stay in the first caches while rows pass.
+const TILE: usize = 1024;
 /// Bit i of each index below 64.
 const LANES: [u64; PATTERNS] = [
     0xaaaa_aaaa_aaaa_aaaa,
@@ -36,33 +35,28 @@ const LANES: [u64; PATTERNS] = [
     0xffff_ffff_0000_0000,
 ];
 
-/// Indices of all pixels, in the order in which `run` reads them: `STEPS` steps at a time, blocks of
-/// pixels one after the other, within each all steps.
+/// Indices of all pixels, in the order in which `run` reads them: tiles of pixels, `STEPS` steps at a
+/// time, blocks of pixels one after the other, within each all steps.
 pub fn codes(bits: Bits, length: usize) -> Vec<u8> {
     let (bytes, tables) = (column_codes(bits), count(bits.patterns()));
     let mut codes = vec![0; tables * length];
-    let stretches = codes
-        .par_chunks_mut((2 * STEPS * length).max(1))
-        .enumerate();
-    stretches.for_each(|(stretch, codes)| {
-        let first = 2 * STEPS * stretch;
-        let steps = (tables - first).min(2 * STEPS) / 2;
-        let blocks = codes.par_chunks_exact_mut(steps * 2 * BLOCK).enumerate();
-        blocks.for_each(|(block, codes)| {
-            for (t, codes) in codes.as_chunks_mut::<BLOCK>().0.iter_mut().enumerate() {
+    let tiles = codes.par_chunks_mut((tables * TILE).max(1)).enumerate();
+    tiles.for_each(|(tile, mut codes)| {
+        let pixels = codes.len() / tables;
+        for first in (0..tables).step_by(2 * STEPS) {
+            let steps = (tables - first).min(2 * STEPS);
+            let part;
+            (part, codes) = codes.split_at_mut(steps * pixels);
+            for (i, codes) in part.as_chunks_mut::<BLOCK>().0.iter_mut().enumerate() {
+                let (table, pixel) = (first + i % steps, tile * TILE + i / steps * BLOCK);
                 let [lower, upper] =
-                    [0, HALF].map(|half| indices(&bytes, bits, first + t, block * BLOCK + half));
-                for ((pair, lower), upper) in codes
-                    .as_chunks_mut::<2>()
-                    .0
-                    .iter_mut()
-                    .zip(lower)
-                    .zip(upper)
-                {
+                    [0, HALF].map(|half| indices(&bytes, bits, table, pixel + half));
+                let pairs = codes.as_chunks_mut::<2>().0.iter_mut();
+                for ((pair, lower), upper) in pairs.zip(lower).zip(upper) {
                     *pair = [lower, upper];
                 }
             }
-        });
+        }
     });
     codes
 }
@@ -83,6 +77,14 @@ fn indices(bytes: &[u8], bits: Bits, table: usize, first: usize) -> [u8; HALF] {
     indices
 }
 
+/// Buffers of one thread.
+#[derive(Default)]
+pub struct Buffers {
+    tables: Vec<u8>,
+    /// Of a tile.
+    sums: [Vec<i16>; BATCH],
+}
+
 /// # Panics
 /// If the level is not AVX-512 or the lengths do not fit.
 pub fn run(
@@ -90,15 +92,15 @@ pub fn run(
     codes: &[u8],
     length: usize,
     rows: &[Vec<i16>],
-    tables: &mut Vec<u8>,
+    buffers: &mut Buffers,
     out: &mut [&mut Scores],
 ) {
     assert_eq!(level.kind(), Kind::Avx512);
     let each = codes.len() / length.max(1);
     assert!(each.is_multiple_of(2) && length.is_multiple_of(BLOCK));
     assert!(rows.iter().all(|row| count(row.len()) == each));
-    assert!(out.iter().all(|out| out.values.len() == length));
     assert!(rows.len() == out.len() && rows.len() <= MANY);
+    let Buffers { tables, sums } = buffers;
     tables.clear();
     tables.resize(rows.len() * each * TABLE, 0);
     let mut shifts = [0; MANY];
@@ -111,39 +113,29 @@ pub fn run(
         // SAFETY: the level proves the instructions.
         *shift = unsafe { make_tables(row, tables) };
     }
-    let all = each / 2;
-    let mut codes = codes;
-    for first in (0..all).step_by(STEPS) {
-        let steps = STEPS.min(all - first);
-        for pixel in (0..length).step_by(TILE) {
-            let end = length.min(pixel + TILE);
-            let part;
-            (part, codes) = codes.split_at(2 * steps * (end - pixel));
-            let groups = tables.chunks(BATCH * size).zip(shifts.chunks(BATCH));
-            for ((tables, shifts), out) in groups.zip(out.chunks_mut(BATCH)) {
+    for pixel in (0..length).step_by(TILE) {
+        let pixels = TILE.min(length - pixel);
+        sums.iter_mut().for_each(|sums| sums.resize(pixels, 0));
+        let groups = tables.chunks(BATCH * size).zip(shifts.chunks(BATCH));
+        for ((tables, shifts), out) in groups.zip(out.chunks_mut(BATCH)) {
+            let mut codes = &codes[pixel * each..][..pixels * each];
+            for first in (0..each / 2).step_by(STEPS) {
+                let steps = STEPS.min(each / 2 - first);
+                let part;
+                (part, codes) = codes.split_at(2 * steps * pixels);
+                let [a, b, c] = &mut *sums;
                 // SAFETY, for all: the level proves the instructions; the asserts above are the
                 // contract.
-                match out {
-                    [a] => unsafe {
-                        let out = [&mut a.values[pixel..end]];
-                        pass(part, first, steps, tables, shifts, out);
-                    },
-                    [a, b] => unsafe {
-                        let out = [&mut a.values[pixel..end], &mut b.values[pixel..end]];
-                        pass(part, first, steps, tables, shifts, out);
-                    },
-                    [a, b, c] => unsafe {
-                        let (a, b) = (&mut a.values[pixel..end], &mut b.values[pixel..end]);
-                        let out = [a, b, &mut c.values[pixel..end]];
-                        pass(part, first, steps, tables, shifts, out);
-                    },
-                    _ => unreachable!("there are at most BATCH"),
-                }
-                if first + steps == all {
-                    for out in out {
-                        out.note_tops(level, pixel..end);
+                unsafe {
+                    match out.len() {
+                        1 => pass(part, first, steps, tables, shifts, [a]),
+                        2 => pass(part, first, steps, tables, shifts, [a, b]),
+                        _ => pass(part, first, steps, tables, shifts, [a, b, c]),
                     }
                 }
+            }
+            for (out, sums) in out.iter_mut().zip(&*sums) {
+                out.take(level, pixel, sums);
             }
         }
     }
@@ -184,7 +176,7 @@ unsafe fn pass<const R: usize>(
     steps: usize,
     tables: &[u8],
     shifts: &[i16],
-    out: [&mut [i16]; R],
+    out: [&mut Vec<i16>; R],
 ) {
     let (length, each) = (out[0].len(), tables.len() / R);
     let out = out.map(|out| out.as_mut_ptr());

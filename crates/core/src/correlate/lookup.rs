@@ -4,12 +4,15 @@
 //! AVX-512 keeps tables of six values in registers (a permute of 64 bytes), AVX2 tables of four (byte
 //! shuffles), and the portable twin tables of eight in memory.
 
-use super::scores::{Scores, BATCH, GROUP};
+use super::scores::{Scores, BATCH, GROUP, MANY};
 #[cfg(target_arch = "x86_64")]
-use super::{avx2, avx512};
+use super::{amx, avx2, avx512};
 use crate::bits::{column_codes, Bits};
 use crate::simd::{Kind, Level};
 use crate::subsets::subset_sums;
+
+/// More bytes of patterns are read from memory by every pass: no cache of today keeps them.
+const CACHED: usize = 16 << 20;
 
 pub struct Lookup {
     length: usize,
@@ -22,12 +25,26 @@ enum Codes {
     /// An index a byte into each table of six patterns.
     #[cfg(target_arch = "x86_64")]
     Sixes(Vec<u8>),
+    /// A bit a pattern and pixel.
+    #[cfg(target_arch = "x86_64")]
+    Tiles(Vec<u8>),
+}
+
+/// Buffers of one thread.
+#[derive(Default)]
+pub struct Buffers {
+    #[cfg(target_arch = "x86_64")]
+    tables: avx512::Buffers,
+    #[cfg(target_arch = "x86_64")]
+    tiles: amx::Buffers,
 }
 
 impl Lookup {
     pub fn new(level: Level, bits: Bits) -> Self {
         let length = bits.pixels().next_multiple_of(GROUP);
         let codes = match level.kind() {
+            #[cfg(target_arch = "x86_64")]
+            Kind::Avx512 if level.tiles() => Codes::Tiles(amx::codes(bits, length)),
             #[cfg(target_arch = "x86_64")]
             Kind::Avx512 => Codes::Sixes(avx512::codes(bits, length)),
             _ => Codes::Bytes(padded_planes(&column_codes(bits), bits.pixels(), length)),
@@ -39,28 +56,52 @@ impl Lookup {
         self.length
     }
 
-    /// What a pass reads.
-    pub fn bytes(&self) -> usize {
+    /// How many rows a run should have: so many share a reading of the patterns best.
+    pub fn batch(&self) -> usize {
+        let memory = self.reads_memory();
         match &self.codes {
-            Codes::Bytes(codes) => codes.len(),
             #[cfg(target_arch = "x86_64")]
-            Codes::Sixes(codes) => codes.len(),
+            Codes::Tiles(_) => amx::LANES * if memory { 2 } else { 1 },
+            _ if memory => MANY,
+            _ => BATCH,
         }
     }
 
-    /// Scores and the largest of each group. Places that stand for no pixel are lit by no pattern:
-    /// their scores are 0.
+    /// Whether a pass reads more than the caches keep from one to the next.
+    pub fn reads_memory(&self) -> bool {
+        self.bytes() > CACHED
+    }
+
+    /// What a pass reads.
+    fn bytes(&self) -> usize {
+        match &self.codes {
+            Codes::Bytes(codes) => codes.len(),
+            #[cfg(target_arch = "x86_64")]
+            Codes::Sixes(codes) | Codes::Tiles(codes) => codes.len(),
+        }
+    }
+
+    /// Whether scores go to their rows as they come, and are written only where all are wanted.
+    pub fn hands_on(&self) -> bool {
+        !matches!(self.codes, Codes::Bytes(_))
+    }
+
+    /// Scores. Places that stand for no pixel are lit by no pattern: their scores are 0.
     pub fn run(
         &self,
         level: Level,
         rows: &[Vec<i16>],
-        tables: &mut Vec<u8>,
+        buffers: &mut Buffers,
         out: &mut [&mut Scores],
     ) {
         let codes = match &self.codes {
             #[cfg(target_arch = "x86_64")]
             Codes::Sixes(codes) => {
-                return avx512::run(level, codes, self.length, rows, tables, out);
+                return avx512::run(level, codes, self.length, rows, &mut buffers.tables, out);
+            }
+            #[cfg(target_arch = "x86_64")]
+            Codes::Tiles(codes) => {
+                return amx::run(level, codes, self.length, rows, &mut buffers.tiles, out);
             }
             Codes::Bytes(codes) => codes,
         };
@@ -72,9 +113,6 @@ impl Lookup {
                     portable(codes, self.length, row, &mut out.values);
                 }
             }
-        }
-        for out in out {
-            out.note_tops(level, 0..self.length);
         }
     }
 }

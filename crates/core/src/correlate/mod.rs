@@ -6,6 +6,8 @@
 //! same scores.
 
 #[cfg(target_arch = "x86_64")]
+mod amx;
+#[cfg(target_arch = "x86_64")]
 mod avx2;
 #[cfg(target_arch = "x86_64")]
 mod avx512;
@@ -27,12 +29,9 @@ use blurred::{Blurred, Buffers};
 use dense::Dense;
 use lookup::Lookup;
 use quantise::{quantise, Sums};
-pub use scores::Scores;
-use scores::{BATCH, GROUP, MANY};
+pub use scores::{Scores, Wanted};
+use scores::{BATCH, GROUP};
 use transform::Transform;
-
-/// More bytes of patterns are read from memory by every pass: no cache of today keeps them.
-const CACHED: usize = 16 << 20;
 
 /// One way of computing scores, chosen by what the patterns are.
 pub struct Correlator {
@@ -56,7 +55,7 @@ enum Kind {
 #[derive(Default)]
 pub struct Scratch {
     quantised: Vec<Vec<i16>>,
-    tables: Vec<u8>,
+    lookup: lookup::Buffers,
     /// For atoms: what the pass over single pixels gives, and works in.
     single: Vec<Scores>,
     inner: Option<Box<Scratch>>,
@@ -139,19 +138,18 @@ impl Correlator {
 
     /// Whether a pass reads more than the caches keep from one to the next.
     pub fn reads_memory(&self) -> bool {
-        matches!(&self.kind, Kind::Lookup(lookup) if lookup.bytes() > CACHED)
+        matches!(&self.kind, Kind::Lookup(lookup) if lookup.reads_memory())
     }
 
     /// How many rows a run should have: so many share a reading of the patterns best.
     pub fn batch(&self) -> usize {
-        if self.reads_memory() {
-            MANY
-        } else {
-            BATCH
+        match &self.kind {
+            Kind::Lookup(lookup) => lookup.batch(),
+            _ => BATCH,
         }
     }
 
-    /// Scores of up to `batch` rows `e` (padded).
+    /// Scores of up to `batch` rows `e` (padded): those that each `out` wants.
     ///
     /// # Panics
     /// If there are more rows or not one `out` a row.
@@ -163,19 +161,22 @@ impl Correlator {
         scratch: &mut Scratch,
     ) {
         assert!(e.len() <= self.batch() && e.len() == out.len());
+        let hands_on = matches!(&self.kind, Kind::Lookup(lookup) if lookup.hands_on());
         for out in out.iter_mut() {
-            out.values.resize(self.length(), 0);
-            out.tops.fill(i16::MIN);
+            if !hands_on || matches!(out.wanted, Wanted::All) {
+                out.values.resize(self.length(), 0);
+            }
         }
         self.score(columns, e, out, scratch);
-        if !matches!(self.kind, Kind::Lookup(_)) {
+        if !hands_on {
             for out in out {
-                out.note_tops(self.level, 0..self.length());
+                out.begin();
+                out.take_values(self.level);
             }
         }
     }
 
-    /// All but, where it is no look-up, the largest of each group.
+    /// All scores, or, of a kernel that hands them on as they come, those that are wanted.
     fn score(
         &self,
         columns: &Columns,
@@ -216,10 +217,11 @@ impl Correlator {
                 out.down *= 2.0;
                 out.offset = quantised.iter().map(|&q| f64::from(q)).sum();
             }
+            out.begin();
         }
         match &self.kind {
             Kind::Lookup(lookup) => {
-                lookup.run(self.level, &scratch.quantised, &mut scratch.tables, out)
+                lookup.run(self.level, &scratch.quantised, &mut scratch.lookup, out)
             }
             Kind::Transform(transform) => {
                 for (quantised, out) in scratch.quantised.iter().zip(out) {

@@ -1,7 +1,7 @@
 //! What a correlation pass gives.
 
-use crate::simd::{multiversion, Level};
-use std::ops::Range;
+use super::select::collect_outside;
+use crate::simd::Level;
 
 /// Rows that a kernel works on at a time.
 pub const BATCH: usize = 3;
@@ -11,48 +11,73 @@ pub const MANY: usize = 8 * BATCH;
 /// A row has a multiple of so many scores; some stand for no pixel.
 pub(super) const GROUP: usize = 64;
 
-/// Groups of places of which the extreme is known: places that are equal modulo their number.
-pub(super) const PEAKS: usize = 1024;
+/// Which scores of a row a pass is to give.
+#[derive(Clone, Copy, Default)]
+pub enum Wanted {
+    /// All, by place.
+    #[default]
+    All,
+    /// Those of correlations that may exceed `value` (with `both`, in absolute value).
+    Beyond { value: f64, both: bool },
+}
 
 /// Scores of one row: a_j . e lies in `unit * (score + offset - down ..= score + offset + up)`.
-#[derive(Clone)]
+#[derive(Clone, Default)]
 pub struct Scores {
+    /// To be said before the pass.
+    pub wanted: Wanted,
+    /// All scores by place, where all are wanted.
     pub values: Vec<i16>,
-    /// The largest of each group.
-    pub(super) tops: [i16; PEAKS],
+    /// Places, ascending, and scores of those that are wanted where not all are.
+    pub(super) places: Vec<u32>,
+    pub(super) found: Vec<i16>,
+    /// Scores below the first or above the second number are wanted, where not all are.
+    pub(super) outside: (i16, i16),
     pub unit: f64,
     pub offset: f64,
     pub up: f64,
     pub down: f64,
 }
 
-impl Default for Scores {
-    fn default() -> Self {
-        Scores {
-            values: Vec::new(),
-            tops: [i16::MIN; PEAKS],
-            unit: 0.0,
-            offset: 0.0,
-            up: 0.0,
-            down: 0.0,
+impl Scores {
+    /// Begins a row anew, once its unit and offset are known.
+    pub(super) fn begin(&mut self) {
+        self.places.clear();
+        self.found.clear();
+        if let Wanted::Beyond { value, both } = self.wanted {
+            self.outside = self.thresholds(value, both);
         }
     }
-}
 
-impl Scores {
-    /// Takes note of the largest scores among some places, which begin with a multiple of `PEAKS`.
-    pub(super) fn note_tops(&mut self, level: Level, places: Range<usize>) {
-        debug_assert!(places.start.is_multiple_of(PEAKS));
-        peaks(level, &self.values[places], &mut self.tops);
+    /// Thresholds (below, above) between which, both included, no correlation exceeds `value`
+    /// (with `both`, in absolute value).
+    pub(super) fn thresholds(&self, value: f64, both: bool) -> (i16, i16) {
+        let above = (value / self.unit - self.offset - self.up).floor() as i16;
+        let below = if both {
+            (-value / self.unit - self.offset + self.down).ceil() as i16
+        } else {
+            i16::MIN
+        };
+        (below, above)
     }
-}
 
-multiversion! {
-    fn peaks(scores: &[i16], most: &mut [i16; PEAKS]) {
-        for scores in scores.chunks(PEAKS) {
-            for (most, score) in most.iter_mut().zip(scores) {
-                *most = (*most).max(*score);
+    /// Takes in the scores of the places from `first` on: as many as a multiple of `GROUP`.
+    pub(super) fn take(&mut self, level: Level, first: usize, scores: &[i16]) {
+        match self.wanted {
+            Wanted::All => self.values[first..][..scores.len()].copy_from_slice(scores),
+            Wanted::Beyond { .. } => {
+                let Scores { places, found, .. } = self;
+                collect_outside(level, first, scores, self.outside, places, found);
             }
+        }
+    }
+
+    /// Takes in `values`, which a kernel has written at once.
+    pub(super) fn take_values(&mut self, level: Level) {
+        if let Wanted::Beyond { .. } = self.wanted {
+            let values = std::mem::take(&mut self.values);
+            self.take(level, 0, &values);
+            self.values = values;
         }
     }
 }

@@ -1,92 +1,44 @@
 //! Finding the places whose correlations may exceed a value.
 
-use super::scores::{Scores, GROUP, PEAKS};
+use super::scores::{Scores, Wanted, GROUP};
 use crate::simd::{multiversion, Kind, Level};
 
 /// Halvings of the range of values when a threshold is sought; more would tell ties apart.
 const HALVINGS: usize = 15;
-/// Up to so many groups are cheaper to look at than all scores.
-const FEW: usize = 48;
 
 impl Scores {
-    /// Thresholds (below, above) between which, both included, no correlation exceeds `value`
-    /// (with `both`, in absolute value).
-    fn thresholds(&self, value: f64, both: bool) -> (i16, i16) {
-        let above = (value / self.unit - self.offset - self.up).floor() as i16;
-        let below = if both {
-            (-value / self.unit - self.offset + self.down).ceil() as i16
-        } else {
-            i16::MIN
-        };
-        (below, above)
-    }
-
-    /// Collects places whose correlations may exceed a value >= `floor`, about `most` of them or
-    /// fewer; returns the value. All others do not exceed it.
+    /// Collects places whose correlations may exceed a value, about `most` of them or fewer; returns
+    /// the value, which is at least that beyond which the pass was asked for. All others do not
+    /// exceed it.
     ///
-    /// The value is found among the extremes of groups of places, so that all scores are read only
-    /// once; places of one group that exceed it together make the number larger.
-    pub fn collect_largest(
-        &self,
-        level: Level,
-        most: usize,
-        floor: f64,
-        both: bool,
-        out: &mut Vec<u32>,
-    ) -> f64 {
-        let mut bottoms = [i16::MAX; PEAKS];
-        if both {
-            dips(level, &self.values, &mut bottoms);
-        }
-        let value = self.value_exceeded_by(level, &bottoms, most, floor, both);
+    /// # Panics
+    /// If the pass was asked for all scores.
+    pub fn collect_largest(&self, level: Level, most: usize, out: &mut Vec<u32>) -> f64 {
+        let Wanted::Beyond { value, both } = self.wanted else {
+            panic!("a pass that was asked for all scores collects none");
+        };
+        let value = self.value_exceeded_by(level, most, value, both);
         let (below, above) = self.thresholds(value, both);
-        if both || !self.collect_from_groups(level, above, out) {
-            collect_outside(level, &self.values, below, above, out);
-        }
+        let outside = |&(_, &score): &(&u32, &i16)| score > above || score < below;
+        let found = self.places.iter().zip(&self.found).filter(outside);
+        out.clear();
+        out.extend(found.map(|(place, _)| place));
         value
     }
 
-    /// Collects the scores above a threshold, if few groups have any: those are read sooner.
-    fn collect_from_groups(&self, level: Level, above: i16, out: &mut Vec<u32>) -> bool {
-        collect_outside(level, &self.tops, i16::MIN, above, out);
-        let groups = out.len();
-        if groups > FEW {
-            return false;
-        }
-        for i in 0..groups {
-            let places = (out[i] as usize..self.values.len()).step_by(PEAKS);
-            out.extend(places.filter(|&p| self.values[p] > above).map(|p| p as u32));
-        }
-        out.drain(..groups);
-        out.sort_unstable();
-        true
-    }
-
-    fn value_exceeded_by(
-        &self,
-        level: Level,
-        bottoms: &[i16; PEAKS],
-        most: usize,
-        floor: f64,
-        both: bool,
-    ) -> f64 {
-        let count = |value| {
-            let (below, above) = self.thresholds(value, both);
-            let low = if both {
-                count_below(level, bottoms, below)
-            } else {
-                0
-            };
-            count_above(level, &self.tops, above) + low
-        };
-        if count(floor) <= most {
+    /// A value >= `floor` that about `most` of the correlations may exceed, or fewer.
+    fn value_exceeded_by(&self, level: Level, most: usize, floor: f64, both: bool) -> f64 {
+        if self.found.len() <= most {
             return floor;
         }
-        let largest = f64::from(largest_of(level, &self.tops));
-        let mut high = self.unit * (largest + self.offset + self.up);
+        let count = |value| {
+            let (below, above) = self.thresholds(value, both);
+            count_outside(level, &self.found, below, above)
+        };
+        let (least, largest) = extremes(level, &self.found);
+        let mut high = self.unit * (f64::from(largest) + self.offset + self.up);
         if both {
-            let least = f64::from(smallest_of(level, bottoms));
-            high = high.max(-self.unit * (least + self.offset - self.down));
+            high = high.max(-self.unit * (f64::from(least) + self.offset - self.down));
         }
         let mut low = floor;
         for _ in 0..HALVINGS {
@@ -106,66 +58,56 @@ impl Scores {
 }
 
 multiversion! {
-    /// The smallest score of each group.
-    fn dips(scores: &[i16], least: &mut [i16; PEAKS]) {
-        for scores in scores.chunks(PEAKS) {
-            for (least, score) in least.iter_mut().zip(scores) {
-                *least = (*least).min(*score);
-            }
-        }
+    fn count_outside(scores: &[i16], below: i16, above: i16) -> usize {
+        // Lanes of 16 bits hold the number of so many.
+        let counts = scores.chunks(1 << 14).map(|scores| {
+            let outside = |&s: &i16| i16::from((s > above) | (s < below));
+            scores.iter().map(outside).sum::<i16>() as usize
+        });
+        counts.sum()
     }
 }
 
 multiversion! {
-    fn count_above(scores: &[i16; PEAKS], above: i16) -> usize {
-        scores.iter().map(|&s| i16::from(s > above)).sum::<i16>() as usize
+    fn extremes(scores: &[i16]) -> (i16, i16) {
+        scores.iter().fold((i16::MAX, i16::MIN), |(least, most), &s| (least.min(s), most.max(s)))
     }
 }
 
-multiversion! {
-    fn count_below(scores: &[i16; PEAKS], below: i16) -> usize {
-        scores.iter().map(|&s| i16::from(s < below)).sum::<i16>() as usize
-    }
-}
-
-multiversion! {
-    fn largest_of(scores: &[i16; PEAKS]) -> i16 {
-        scores.iter().fold(i16::MIN, |most, &s| most.max(s))
-    }
-}
-
-multiversion! {
-    fn smallest_of(scores: &[i16; PEAKS]) -> i16 {
-        scores.iter().fold(i16::MAX, |least, &s| least.min(s))
-    }
-}
-
-fn collect_outside(level: Level, scores: &[i16], below: i16, above: i16, out: &mut Vec<u32>) {
-    out.clear();
+/// Appends the places (from `first` on) and the values of scores outside `below..=above`.
+pub(super) fn collect_outside(
+    level: Level,
+    first: usize,
+    scores: &[i16],
+    (below, above): (i16, i16),
+    places: &mut Vec<u32>,
+    found: &mut Vec<i16>,
+) {
     match level.kind() {
         #[cfg(target_arch = "x86_64")]
         // SAFETY: the level proves the instructions.
-        Kind::Avx512 => unsafe { avx512::collect(scores, below, above, out) },
-        _ => collect_plain(level, scores, below, above, out),
+        Kind::Avx512 => unsafe {
+            if below == i16::MIN {
+                avx512::collect::<false>(first as u32, scores, below, above, places, found);
+            } else {
+                avx512::collect::<true>(first as u32, scores, below, above, places, found);
+            }
+        },
+        _ => collect_plain(level, first as u32, scores, below, above, places, found),
     }
 }
 
 multiversion! {
-    fn collect_plain(scores: &[i16], below: i16, above: i16, out: &mut Vec<u32>) {
-        for (block, group) in scores.chunks_exact(GROUP).enumerate() {
-            let mut most = [i16::MIN; 16];
-            let mut least = [i16::MAX; 16];
-            for part in group.chunks_exact(16) {
-                for i in 0..16 {
-                    most[i] = most[i].max(part[i]);
-                    least[i] = least[i].min(part[i]);
-                }
-            }
-            let outside = |(m, l): (&i16, &i16)| *m > above || *l < below;
-            if most.iter().zip(&least).any(outside) {
+    fn collect_plain(
+        first: u32, scores: &[i16], below: i16, above: i16, places: &mut Vec<u32>, found: &mut Vec<i16>
+    ) {
+        for (block, group) in scores.chunks(GROUP).enumerate() {
+            let outside = |any, &score: &i16| any | (score > above) | (score < below);
+            if group.iter().fold(false, outside) {
                 for (i, &score) in group.iter().enumerate() {
                     if score > above || score < below {
-                        out.push((block * GROUP + i) as u32);
+                        places.push(first + (block * GROUP + i) as u32);
+                        found.push(score);
                     }
                 }
             }
@@ -177,29 +119,69 @@ multiversion! {
 mod avx512 {
     use std::arch::x86_64::*;
 
-    #[target_feature(enable = "avx512f,avx512bw")]
-    pub fn collect(scores: &[i16], below: i16, above: i16, out: &mut Vec<u32>) {
+    /// Scores of a register.
+    const WIDTH: usize = 32;
+    /// Registers of which it is first seen whether any score lies outside: few do.
+    const STRETCH: usize = 16;
+    const LANES: [i32; 16] = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15];
+
+    #[target_feature(enable = "avx512f,avx512bw,avx512vbmi2,popcnt,bmi1")]
+    pub fn collect<const BOTH: bool>(
+        first: u32,
+        scores: &[i16],
+        below: i16,
+        above: i16,
+        places: &mut Vec<u32>,
+        found: &mut Vec<i16>,
+    ) {
+        assert!(scores.len().is_multiple_of(WIDTH));
+        // A register more than can be kept is written.
+        places.reserve(scores.len() + WIDTH);
+        found.reserve(scores.len() + WIDTH);
         let (lowest, highest) = (_mm512_set1_epi16(below), _mm512_set1_epi16(above));
-        // Few scores lie outside, so first see in which of 64 registers any does.
-        for (stretch, scores) in scores.chunks(64 * 32).enumerate() {
-            let mut masks = [0u32; 64];
-            let mut any = 0u64;
-            for (i, (group, mask)) in scores.chunks_exact(32).zip(&mut masks).enumerate() {
-                // SAFETY: a group holds one register.
-                let values = unsafe { _mm512_loadu_si512(group.as_ptr().cast()) };
-                *mask = _mm512_cmpgt_epi16_mask(values, highest)
-                    | _mm512_cmplt_epi16_mask(values, lowest);
-                any |= u64::from(*mask != 0) << i;
-            }
-            while any != 0 {
-                let group = any.trailing_zeros();
-                let mut mask = masks[group as usize];
-                while mask != 0 {
-                    out.push(2048 * stretch as u32 + 32 * group + mask.trailing_zeros());
-                    mask &= mask - 1;
+        let mut count = found.len();
+        debug_assert_eq!(count, places.len());
+        for (stretch, scores) in scores.chunks(STRETCH * WIDTH).enumerate() {
+            let groups = scores.as_chunks::<WIDTH>().0;
+            // SAFETY: a group holds one register.
+            let load = |group: &[i16; WIDTH]| unsafe { _mm512_loadu_si512(group.as_ptr().cast()) };
+            let mut masks = [0u32; STRETCH];
+            for (group, mask) in groups.iter().zip(&mut masks) {
+                let values = load(group);
+                *mask = _mm512_cmpgt_epi16_mask(values, highest);
+                if BOTH {
+                    *mask |= _mm512_cmplt_epi16_mask(values, lowest);
                 }
+            }
+            // SAFETY: the masks fill a register.
+            let all = unsafe { _mm512_loadu_si512(masks.as_ptr().cast()) };
+            let mut any = _mm512_test_epi32_mask(all, all);
+            while any != 0 {
+                let group = any.trailing_zeros() as usize;
+                let mask = masks[group];
+                let place = first + ((stretch * STRETCH + group) * WIDTH) as u32;
+                let lower = (mask as u16).count_ones() as usize;
+                // SAFETY: there is room for as many as there are scores, and one register more.
+                unsafe {
+                    let kept = _mm512_maskz_compress_epi16(mask, load(&groups[group]));
+                    _mm512_storeu_si512(found.as_mut_ptr().add(count).cast(), kept);
+                    let at = places.as_mut_ptr().add(count);
+                    let lanes = _mm512_loadu_si512(LANES.as_ptr().cast());
+                    let half = _mm512_add_epi32(lanes, _mm512_set1_epi32(place as i32));
+                    let kept = _mm512_maskz_compress_epi32(mask as u16, half);
+                    _mm512_storeu_si512(at.cast(), kept);
+                    let half = _mm512_add_epi32(half, _mm512_set1_epi32(16));
+                    let kept = _mm512_maskz_compress_epi32((mask >> 16) as u16, half);
+                    _mm512_storeu_si512(at.add(lower).cast(), kept);
+                }
+                count += mask.count_ones() as usize;
                 any &= any - 1;
             }
+        }
+        // SAFETY: so many were written.
+        unsafe {
+            places.set_len(count);
+            found.set_len(count);
         }
     }
 }

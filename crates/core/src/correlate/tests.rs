@@ -1,6 +1,5 @@
 //! Every kernel against the definition, and against each other.
 
-use super::scores::PEAKS;
 use super::*;
 use crate::atoms::Plane;
 use crate::columns::{BitColumns, DenseColumns};
@@ -70,10 +69,6 @@ fn check(
             assert!(scores.unit * (high - low) <= 0.01 * total * (1.0 + row.len() as f64 / 100.0));
         }
         assert_eq!(seen, correlator.pixels);
-        for (group, &top) in scores.tops.iter().enumerate() {
-            let places = scores.values.iter().skip(group).step_by(PEAKS);
-            assert_eq!(top, places.copied().max().unwrap_or(i16::MIN));
-        }
     }
 }
 
@@ -237,6 +232,41 @@ fn residuals_of_nothing_give_scores_of_nothing() {
 }
 
 #[test]
+fn scores_beyond_a_value_are_those_among_all() {
+    for (patterns, pixels) in SIZES {
+        let mut random = Random(patterns as u64);
+        let packed = bytes(patterns, pixels, &mut random);
+        let bits = Bits::new(&packed, patterns, pixels);
+        let columns = Columns::Bits(BitColumns::new(bits));
+        let rows = rows(3, patterns, &mut random);
+        let e: Vec<&[f64]> = rows.iter().map(Vec::as_slice).collect();
+        for level in Level::available() {
+            let correlator = Correlator::lookup(level, bits);
+            let all = run(&correlator, &columns, &rows);
+            // Most of them, some, and none.
+            for (value, both) in [(-0.1, false), (0.1, true), (0.5, false), (1e3, true)] {
+                let mut scores = vec![Scores::default(); 3];
+                for scores in &mut scores {
+                    scores.wanted = Wanted::Beyond { value, both };
+                }
+                let mut out: Vec<&mut Scores> = scores.iter_mut().collect();
+                correlator.run(&columns, &e, &mut out, &mut Scratch::default());
+                for (all, scores) in all.iter().zip(&scores) {
+                    let (below, above) = all.thresholds(value, both);
+                    let beyond = |&(_, &score): &(usize, &i16)| score < below || score > above;
+                    let (places, found): (Vec<u32>, Vec<i16>) = (all.values.iter().enumerate())
+                        .filter(beyond)
+                        .map(|(place, score)| (place as u32, score))
+                        .unzip();
+                    assert_eq!(places, scores.places);
+                    assert_eq!(found, scores.found);
+                }
+            }
+        }
+    }
+}
+
+#[test]
 fn selection_finds_all_that_may_exceed_a_value() {
     let mut random = Random(3);
     let mut scores = Scores {
@@ -249,12 +279,14 @@ fn selection_finds_all_that_may_exceed_a_value() {
         down: 2.5,
         ..Scores::default()
     };
-    scores.note_tops(Level::detect(), 0..4096);
     for level in Level::available() {
         for both in [false, true] {
             for (most, floor) in [(100, 1.0), (7, 250.0), (4096, 55.5), (50, 299.0), (5, 1e4)] {
                 let mut found = Vec::new();
-                let value = scores.collect_largest(level, most, floor, both, &mut found);
+                scores.wanted = Wanted::Beyond { value: floor, both };
+                scores.begin();
+                scores.take_values(level);
+                let value = scores.collect_largest(level, most, &mut found);
                 let expected: Vec<u32> = (0..4096u32)
                     .filter(|&i| {
                         let middle = f64::from(scores.values[i as usize]) + 12.0;
@@ -267,8 +299,7 @@ fn selection_finds_all_that_may_exceed_a_value() {
                 assert!(found.len() <= expected.len() + 4);
                 assert!(found.is_sorted());
                 if value > floor {
-                    // Of the four places of a group more than one may exceed the value.
-                    assert!(found.len() <= 2 * most && 4 * found.len() >= most);
+                    assert!(found.len() <= most && 2 * found.len() >= most);
                 }
             }
         }
