@@ -21,7 +21,7 @@ pub enum Look {
     First,
     Again,
     /// At all that may exceed lambda, or nearly: the few largest do not tell whether a row is
-    /// solved.
+    /// solved, which it may be.
     Closely,
 }
 

@@ -144,10 +144,11 @@ impl<'a> RowSolver<'a> {
             self.point.restrict_to(&self.settings);
         }
         self.update_prediction();
-        if !self.point.pixels.is_empty() {
-            self.solve_restricted(restricted, FINEST_SHARE * self.settings.tolerance, false);
+        if self.point.pixels.is_empty() {
+            return self.prepare_pass(Look::First);
         }
-        self.prepare_pass()
+        self.solve_restricted(restricted, FINEST_SHARE * self.settings.tolerance, false);
+        self.prepare_pass(Look::Closely)
     }
 
     /// Goes on with the scores of `dual`.
@@ -189,13 +190,13 @@ impl<'a> RowSolver<'a> {
             self.finest *= 0.3;
         }
         let last = if before <= FEW { NEARLY } else { VERY_NEARLY };
-        let accuracy = if violation < last {
-            self.finest
+        let (accuracy, look) = if violation < last {
+            (self.finest, Look::Closely)
         } else {
-            ROUGH.min(INNER_SHARE * violation)
+            (ROUGH.min(INNER_SHARE * violation), Look::Again)
         };
         self.solve_restricted(restricted, accuracy, self.dual_is_residual);
-        self.prepare_pass()
+        self.prepare_pass(look)
     }
 
     fn gap(&self) -> f64 {
@@ -264,7 +265,7 @@ impl<'a> RowSolver<'a> {
     }
 
     /// Makes the dual point of the current residual; done at once if it is sure to be feasible.
-    fn prepare_pass(&mut self) -> Next {
+    fn prepare_pass(&mut self, look: Look) -> Next {
         let level = self.dictionary.level;
         let loss = residual(
             level,
@@ -299,10 +300,7 @@ impl<'a> RowSolver<'a> {
                 return Next::Done;
             }
         }
-        self.want(match self.passes {
-            0 => Look::First,
-            _ => Look::Again,
-        });
+        self.want(look);
         Next::Pass
     }
 
