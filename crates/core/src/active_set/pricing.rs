@@ -78,21 +78,19 @@ impl Pricing {
         let (level, both) = (dictionary.level, !settings.nonnegative);
         let mut most = new + pixels.len();
         self.known = pixels.len();
-        let mut before = f64::INFINITY;
         loop {
-            let bound = scores.collect_largest(level, most, &mut self.places);
+            let (bound, all) = scores.collect_largest(level, most, &mut self.places);
             let exact = self.correlate(dictionary, dual, pixels, both);
             // Correlations that were not collected do not exceed the bound. Where rounding hides
             // which is the largest and little is violated, look at more pixels exactly.
             let enough = bound <= exact.max(lambda) || exact > (1.0 + CLEARLY) * lambda;
-            if enough || bound == before {
+            if enough || all {
                 return Found {
                     enough,
                     largest: exact.max(bound),
                     exact,
                 };
             }
-            before = bound;
             most *= 4;
         }
     }

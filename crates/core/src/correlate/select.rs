@@ -8,22 +8,22 @@ const HALVINGS: usize = 15;
 
 impl Scores {
     /// Collects places whose correlations may exceed a value, about `most` of them or fewer; returns
-    /// the value, which is at least that beyond which the pass was asked for. All others do not
-    /// exceed it.
+    /// the value, which all others do not exceed, and whether it is that beyond which the pass was
+    /// asked for: then no more can be had.
     ///
     /// # Panics
     /// If the pass was asked for all scores.
-    pub fn collect_largest(&self, level: Level, most: usize, out: &mut Vec<u32>) -> f64 {
-        let Wanted::Beyond { value, both } = self.wanted else {
+    pub fn collect_largest(&self, level: Level, most: usize, out: &mut Vec<u32>) -> (f64, bool) {
+        let Wanted::Beyond { value: least, both } = self.wanted else {
             panic!("a pass that was asked for all scores collects none");
         };
-        let value = self.value_exceeded_by(level, most, value, both);
+        let value = self.value_exceeded_by(level, most, least, both);
         let (below, above) = self.thresholds(value, both);
         let outside = |&(_, &score): &(&u32, &i16)| score > above || score < below;
         let found = self.places.iter().zip(&self.found).filter(outside);
         out.clear();
         out.extend(found.map(|(place, _)| place));
-        value
+        (value, value <= least)
     }
 
     /// A value >= `floor` that about `most` of the correlations may exceed, or fewer.

@@ -286,7 +286,7 @@ fn selection_finds_all_that_may_exceed_a_value() {
                 scores.wanted = Wanted::Beyond { value: floor, both };
                 scores.begin();
                 scores.take_values(level);
-                let value = scores.collect_largest(level, most, &mut found);
+                let (value, all) = scores.collect_largest(level, most, &mut found);
                 let expected: Vec<u32> = (0..4096u32)
                     .filter(|&i| {
                         let middle = f64::from(scores.values[i as usize]) + 12.0;
@@ -298,7 +298,8 @@ fn selection_finds_all_that_may_exceed_a_value() {
                 assert!(expected.iter().all(|i| found.contains(i)));
                 assert!(found.len() <= expected.len() + 4);
                 assert!(found.is_sorted());
-                if value > floor {
+                assert_eq!(all, value == floor);
+                if !all {
                     assert!(found.len() <= most && 2 * found.len() >= most);
                 }
             }
