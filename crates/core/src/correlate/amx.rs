@@ -23,17 +23,16 @@ const COLUMNS: usize = 16;
 /// Tiles of sums that are worked on at a time, and their pixels.
 const TILES: usize = 4;
 const BLOCK: usize = TILES * COLUMNS;
-/// Blocks between which sums are handed on: so many stay in the first-level cache.
+/// Blocks between which sums are handed on: so many sums, and codes for all rows, stay in the
+/// second-level cache.
 const BLOCKS: usize = 16;
-/// Pixels whose codes stay in the second-level cache while several times `LANES` rows pass.
-const STRETCH: usize = 1024;
 
 /// Patterns a bit each, in the order in which `products` reads them.
 pub fn codes(bits: Bits, length: usize) -> Vec<u8> {
     let bytes = column_codes(bits);
-    let chunks = bits.patterns().div_ceil(LINE);
+    let chunks = chunks_of(bits.patterns());
     let mut codes = vec![0; length * chunks * LINE / 8];
-    let blocks = codes.par_chunks_mut((BLOCK * chunks * LINE / 8).max(1));
+    let blocks = codes.par_chunks_mut(BLOCK * chunks * LINE / 8);
     blocks.enumerate().for_each(|(block, codes)| {
         for (line, codes) in codes.as_chunks_mut::<LINE>().0.iter_mut().enumerate() {
             let (chunk, tile, half) = (line / 8, line / 2 % TILES, line % 2);
@@ -49,6 +48,11 @@ pub fn codes(bits: Bits, length: usize) -> Vec<u8> {
         }
     });
     codes
+}
+
+/// Products that so many patterns take, one at least.
+fn chunks_of(patterns: usize) -> usize {
+    patterns.div_ceil(LINE).max(1)
 }
 
 /// The pixel of a block whose sum is in a column of a tile: packing two registers into one takes
@@ -69,7 +73,7 @@ fn every_fourth(word: u32) -> u8 {
 #[derive(Default)]
 pub struct Buffers {
     integers: Vec<[u8; LINE]>,
-    work: Box<Work>,
+    work: Option<Box<Work>>,
 }
 
 #[repr(C, align(8192))]
@@ -102,14 +106,12 @@ pub fn run(
     out: &mut [&mut Scores],
 ) {
     assert!(level.tiles());
-    let chunks = rows
-        .iter()
-        .map(|row| row.len().div_ceil(LINE))
-        .max()
-        .unwrap_or(0);
+    let patterns = rows.iter().map(Vec::len).max().unwrap_or(0);
+    let chunks = chunks_of(patterns);
     assert_eq!(codes.len(), length * chunks * LINE / 8);
     assert!(length.is_multiple_of(BLOCK) && rows.len() == out.len());
     let Buffers { integers, work } = buffers;
+    let work = work.get_or_insert_default();
     integers.clear();
     integers.resize(rows.len().div_ceil(LANES) * chunks * LANES, [0; LINE]);
     for (i, row) in rows.iter().enumerate() {
@@ -121,20 +123,17 @@ pub fn run(
             }
         }
     }
-    for first in (0..length).step_by(STRETCH) {
-        let end = length.min(first + STRETCH);
-        let groups = integers.chunks((chunks * LANES).max(1));
+    for pixel in (0..length).step_by(BLOCKS * BLOCK) {
+        let blocks = (length - pixel).min(BLOCKS * BLOCK) / BLOCK;
+        let codes = &codes[pixel * chunks * LINE / 8..];
+        let groups = integers.chunks(chunks * LANES);
         for (integers, out) in groups.zip(out.chunks_mut(LANES)) {
-            for pixel in (first..end).step_by(BLOCKS * BLOCK) {
-                let blocks = (end - pixel).min(BLOCKS * BLOCK) / BLOCK;
-                let codes = &codes[pixel * chunks * LINE / 8..];
-                // SAFETY: the level proves the instructions; the asserts above are the contract.
-                unsafe {
-                    products(codes, integers, chunks, blocks, work);
-                    for (lane, out) in out.iter_mut().enumerate() {
-                        let scores = packed(&work.sums[..blocks], lane, &mut work.scores);
-                        out.take(level, pixel, scores);
-                    }
+            // SAFETY: the level proves the instructions; the asserts above are the contract.
+            unsafe {
+                products(codes, integers, chunks, blocks, work);
+                for (lane, out) in out.iter_mut().enumerate() {
+                    let scores = packed(&work.sums[..blocks], lane, &mut work.scores);
+                    out.take(level, pixel, scores);
                 }
             }
         }
