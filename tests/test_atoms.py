@@ -58,8 +58,8 @@ def test_the_compiled_pass_bounds_every_correlation(shape: Any, count: int, seed
         slack = 1e-5 * np.abs(e).sum(axis=1, keepdims=True)
         assert (exact >= unit * (scores + offset - down) - slack).all()
         assert (exact <= unit * (scores + offset + up) + slack).all()
-        # A 255th of the largest table for each of them, which are of six samples.
-        assert (unit * (up + down) <= 0.02 * np.abs(e).sum(axis=1, keepdims=True) + slack).all()
+        # A 249th of the largest two tables for each of them, which are of six samples.
+        assert (unit * (up + down) <= 0.04 * np.abs(e).sum(axis=1, keepdims=True) + slack).all()
 
 
 def test_the_fast_transform_serves_atoms_too() -> None:

@@ -14,6 +14,7 @@ mod avx512;
 mod blurred;
 mod dense;
 mod lookup;
+mod outside;
 mod quantise;
 mod scores;
 mod select;

@@ -1,6 +1,6 @@
 //! What a correlation pass gives.
 
-use super::select::collect_outside;
+use super::outside::collect_outside;
 use crate::simd::Level;
 
 /// Rows that a kernel works on at a time.
