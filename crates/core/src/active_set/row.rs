@@ -305,6 +305,11 @@ impl<'a> RowSolver<'a> {
     }
 
     fn want(&mut self, look: Look) {
+        let look = if self.dictionary.correlator.is_lookup() {
+            look
+        } else {
+            Look::Closely
+        };
         let (level, dual) = (self.dictionary.level, &self.dual);
         let of_means = dot(level, dual, &self.dictionary.means);
         let square = dot(level, dual, dual);

@@ -137,6 +137,11 @@ impl Correlator {
         }
     }
 
+    /// Whether there are so many correlations, of random patterns, that few should be looked at.
+    pub fn is_lookup(&self) -> bool {
+        matches!(self.kind, Kind::Lookup(_))
+    }
+
     /// Whether a pass reads more than the caches keep from one to the next.
     pub fn reads_memory(&self) -> bool {
         matches!(&self.kind, Kind::Lookup(lookup) if lookup.reads_memory())
