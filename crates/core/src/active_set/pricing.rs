@@ -25,15 +25,18 @@ pub enum Look {
     Closely,
 }
 
-/// The scores that `Pricing` looks at, given the dual point's correlation with the means and the
-/// sum of its squares.
-pub fn wanted(settings: &Settings, look: Look, of_means: f64, square: f64) -> Wanted {
+/// The scores that `Pricing` looks at. `sums` gives the dual point's correlation with the means and
+/// the sum of its squares, where they are needed.
+pub fn wanted(settings: &Settings, look: Look, sums: impl FnOnce() -> (f64, f64)) -> Wanted {
     let both = !settings.nonnegative;
-    let means = if both { of_means.abs() } else { of_means };
-    let deviation = square.sqrt() / 2.0;
+    let few = |deviations: f64| {
+        let (of_means, square) = sums();
+        let means = if both { of_means.abs() } else { of_means };
+        means + deviations * (square.sqrt() / 2.0)
+    };
     let few = match look {
-        Look::First => means + FIRST_DEVIATIONS * deviation,
-        Look::Again => means + DEVIATIONS * deviation,
+        Look::First => few(FIRST_DEVIATIONS),
+        Look::Again => few(DEVIATIONS),
         Look::Closely => 0.0,
     };
     Wanted::Beyond {

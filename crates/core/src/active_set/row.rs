@@ -311,9 +311,10 @@ impl<'a> RowSolver<'a> {
             Look::Closely
         };
         let (level, dual) = (self.dictionary.level, &self.dual);
-        let of_means = dot(level, dual, &self.dictionary.means);
-        let square = dot(level, dual, dual);
-        self.wanted = pricing::wanted(&self.settings, look, of_means, square);
+        self.wanted = pricing::wanted(&self.settings, look, || {
+            let of_means = dot(level, dual, &self.dictionary.means);
+            (of_means, dot(level, dual, dual))
+        });
     }
 
     fn certify(&mut self, largest: f64) {
