@@ -108,6 +108,11 @@ def expected(rows: Any = None, near: Any = None, **changes: Any) -> Any:
     )
 
 
+def rows_times(**changes: Any) -> Any:
+    usual = {"rows": np.ones((2, 3), np.float32), "matrix": np.ones((3, 4), np.float32)}
+    return _core.rows_times(**usual | changes)
+
+
 PLANES = [(np.ones(1, np.float32), 1.0)]
 
 
@@ -122,6 +127,7 @@ def likely(rows: Any = None, **changes: Any) -> Any:
         "singles": np.ones(ROWS, np.float32),
         "reach": (1, 1),
         "most": 5,
+        "doubts": np.full(ROWS, 0.01),
         "range": (0, ROWS),
     }
     return _core.likely_pixels(rows=rows or sparse(), **usual | changes)
@@ -232,6 +238,11 @@ def hostile_products() -> dict[str, Call]:
         "hadamard: no values": lambda: _core.hadamard(np.ones((2, 0))),
         "hadamard: one axis": lambda: _core.hadamard(np.ones(8)),
         "hadamard: complex": lambda: _core.hadamard(np.ones((2, 8), complex)),
+        "rows_times: other widths": lambda: rows_times(matrix=np.ones((5, 4), np.float32)),
+        "rows_times: a row alone": lambda: rows_times(rows=np.ones(3, np.float32)),
+        "rows_times: one axis": lambda: rows_times(matrix=np.ones(3, np.float32)),
+        "rows_times: float64": lambda: rows_times(rows=np.ones((2, 3))),
+        "rows_times: None": lambda: rows_times(matrix=None),
         "hadamard: None": lambda: _core.hadamard(None),  # type: ignore[arg-type]
     }
 
@@ -387,6 +398,9 @@ def hostile_rows() -> dict[str, Call]:
         "likely: singles of other rows": lambda: likely(singles=np.ones(1, np.float32)),
         "likely: singles above 1": lambda: likely(singles=np.full(ROWS, 3, np.float32)),
         "likely: singles NaN": lambda: likely(singles=np.full(ROWS, NAN, np.float32)),
+        "likely: doubts of other rows": lambda: likely(doubts=np.ones(1)),
+        "likely: doubts of 0": lambda: likely(doubts=np.zeros(ROWS)),
+        "likely: doubts NaN": lambda: likely(doubts=np.full(ROWS, NAN)),
         "columns: beyond": lambda: SHOWN.columns(np.array([SHOWN_SET.pixels])),
         "columns: below 0": lambda: SHOWN.columns(np.array([-1])),
         "columns: of two axes": lambda: SHOWN.columns(np.zeros((2, 2), np.int64)),

@@ -91,7 +91,7 @@ def test_nothing_is_solved_to_nothing() -> None:
     assert _core.bits_forward(BITS, PIXELS, np.zeros((0, PIXELS))).shape == (0, PATTERNS)
     assert _core.bits_adjoint(BITS[:0], PIXELS, np.zeros((2, 0))).tolist() == [[0] * PIXELS] * 2
     assert _core.hadamard(np.zeros((0, 8))).shape == (0, 8)
-    assert likely(range=(3, 3))[0].tolist() == [0]
+    assert likely(range=(3, 3), doubts=np.zeros(0))[0].tolist() == [0]
 
 
 def layouts(values: NDArray[Any]) -> list[NDArray[Any]]:
@@ -213,6 +213,7 @@ def test_any_things_give_an_ordinary_exception_or_a_result(things: list[Any]) ->
         lambda: _core.bits_adjoint(BITS, PIXELS, a),
         lambda: _core.bits_columns(BITS, PIXELS, a),
         lambda: _core.hadamard(a),
+        lambda: _core.rows_times(a, b),
         lambda: _core.PreparedPatterns.from_bits(a, PIXELS, b, c),
         lambda: _core.PreparedPatterns.from_dense(a, b),
         lambda: SHOWN.scores(a),
@@ -226,6 +227,7 @@ def test_any_things_give_an_ordinary_exception_or_a_result(things: list[Any]) ->
         lambda: expected(near=around(movement=h)),
         lambda: expected(background=i, reach=a),
         lambda: likely(camera=a, projector=b, reach=(c, d), most=e, range=(f, g)),
+        lambda: likely(doubts=a),
     ]
     for call in calls:
         with suppress(*ORDINARY):
@@ -271,7 +273,8 @@ resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
             2**28,
             "_core.likely_pixels(__import__('scipy.sparse').sparse.csr_array((1, 2**30), "
             "dtype=np.float32), (1, 1, 1), (1, 2**15, 2**15), np.zeros((1, 4), np.float32), "
-            "[np.ones(1, np.float32)], 0.1, *[np.ones(1, np.float32)] * 2, (1, 1), 5, (0, 1))",
+            "[np.ones(1, np.float32)], 0.1, *[np.ones(1, np.float32)] * 2, (1, 1), 5, "
+            "np.ones(1), (0, 1))",
             "MemoryError not enough memory for sums over the pixels",
         ),
     ],

@@ -12,6 +12,7 @@ def bits_columns(
     packed: NDArray[np.uint8], pixels: int, index: NDArray[np.int64]
 ) -> NDArray[np.float32]: ...
 def hadamard(x: NDArray[Any]) -> NDArray[Any]: ...
+def rows_times(rows: NDArray[np.float32], matrix: NDArray[np.float32]) -> NDArray[np.float32]: ...
 def likely_pixels(
     rows: SparseRows,
     camera: tuple[int, int, int],
@@ -23,6 +24,7 @@ def likely_pixels(
     singles: NDArray[np.float32],
     reach: tuple[int, int],
     most: int,
+    doubts: NDArray[np.float64],
     range: tuple[int, int],
     index: NDArray[np.integer] | None = None,
 ) -> tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.float32]]: ...

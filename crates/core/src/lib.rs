@@ -23,6 +23,7 @@ pub mod float;
 pub mod hadamard;
 mod octet;
 pub mod problem;
+pub mod product;
 pub mod simd;
 mod subsets;
 pub mod vector;

@@ -51,10 +51,11 @@ fn movement<'py>(value: &Bound<'py, PyAny>, what: &str, rows: usize) -> PyResult
     Ok(movement)
 }
 
-/// The atoms that each row of a range (start, stop) probably holds, as the parts of a CSR matrix.
+/// The atoms that each row of a range (start, stop) probably holds, and their penalties, as the parts
+/// of a CSR matrix.
 #[pyfunction]
 #[pyo3(signature = (
-    rows, camera, projector, movement, spots, within, wider, singles, reach, most, range,
+    rows, camera, projector, movement, spots, within, wider, singles, reach, most, doubts, range,
     index=None
 ))]
 #[allow(clippy::too_many_arguments)]
@@ -70,6 +71,7 @@ fn likely_pixels<'py>(
     singles: &Bound<'py, PyAny>,
     reach: (Bound<'py, PyAny>, Bound<'py, PyAny>),
     most: &Bound<'py, PyAny>,
+    doubts: &Bound<'py, PyAny>,
     range: (Bound<'py, PyAny>, Bound<'py, PyAny>),
     index: Option<&Bound<'py, PyAny>>,
 ) -> PyResult<Csr<'py>> {
@@ -122,23 +124,27 @@ fn likely_pixels<'py>(
         most: whole(most, "most", 1..=NUMBERS)?,
     };
     let asked = self::asked(index, self::range(range, count)?)?;
+    let doubts = Values::<f64>::reals(doubts, "doubts")?;
+    let why = "one for each row asked for";
+    check_shape("doubts", doubts.shape(), &[Some(asked.len())], why)?;
+    let doubts = doubts.as_slice()?;
+    if let Some(odd) = doubts.iter().find(|&&doubt| doubt <= 0.0) {
+        return Err(PyValueError::new_err(format!(
+            "doubts holds {odd}, expected numbers above 0"
+        )));
+    }
     let rows = SparseRows::<f32>::read(rows, "rows", (count, pixels))?;
     let matrix = rows.view()?;
     room::<f32>(&[count_of(None), pixels], "sums over the pixels")?;
     let most = windows.most.min(pixels);
     room::<(i32, f32)>(&[asked.len(), most], "the likely pixels")?;
-    let found = on_all_cores(py, || coherent::likely(matrix, windows, &asked))?;
-    let mut indptr = vec![0i64];
-    let (mut indices, mut values) = (Vec::new(), Vec::new());
-    for (pixels, shares) in found {
-        indices.extend(pixels);
-        values.extend(shares);
-        indptr.push(indices.len() as i64);
-    }
+    let found = on_all_cores(py, || {
+        coherent::penalties(&coherent::likely(matrix, windows, &asked), doubts)
+    })?;
     Ok((
-        indptr.into_pyarray(py),
-        indices.into_pyarray(py),
-        values.into_pyarray(py),
+        found.indptr.into_pyarray(py),
+        found.atoms.into_pyarray(py),
+        found.values.into_pyarray(py),
     ))
 }
 

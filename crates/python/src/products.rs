@@ -1,10 +1,11 @@
-//! Pattern products and transforms.
+//! Pattern products, transforms, and products with a matrix.
 
 use crate::arrays::{array, check_shape, long_or_short, room, whole, Floats};
 use crate::threads::on_all_cores;
 use lightmatrix_core::bits::{self, Bits};
 use lightmatrix_core::float::Float;
 use lightmatrix_core::hadamard;
+use lightmatrix_core::product::rows_times;
 use numpy::{Element, IntoPyArray, PyReadonlyArrayDyn, PyUntypedArrayMethods};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -147,9 +148,25 @@ fn hadamard_rows<'py>(py: Python<'py>, x: &Bound<'py, PyAny>) -> PyResult<Bound<
     })
 }
 
+/// Rows of float32, (M, B), times a matrix (B, K) of float32; each the same by itself as among others.
+#[pyfunction(name = "rows_times")]
+fn rows_times_matrix<'py>(
+    py: Python<'py>,
+    rows: &Bound<'py, PyAny>,
+    matrix: &Bound<'py, PyAny>,
+) -> PyResult<Bound<'py, PyAny>> {
+    let (rows, matrix) = (array::<f32>(rows, "rows")?, array::<f32>(matrix, "matrix")?);
+    check_shape("matrix", matrix.shape(), &[None, None], "a matrix")?;
+    let (widths, matrix) = ((matrix.shape()[0], matrix.shape()[1]), matrix.as_slice()?);
+    product(py, &rows, widths, |_, rows, out| {
+        rows_times(rows, matrix, widths.1, out);
+    })
+}
+
 pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(bits_forward, module)?)?;
     module.add_function(wrap_pyfunction!(bits_adjoint, module)?)?;
     module.add_function(wrap_pyfunction!(bits_columns, module)?)?;
-    module.add_function(wrap_pyfunction!(hadamard_rows, module)?)
+    module.add_function(wrap_pyfunction!(hadamard_rows, module)?)?;
+    module.add_function(wrap_pyfunction!(rows_times_matrix, module)?)
 }

@@ -64,6 +64,50 @@ pub fn likely(matrix: Sparse<f32>, windows: Windows, asked: &[usize]) -> Vec<(Ve
         .collect()
 }
 
+/// The parts of a CSR matrix of likely atoms and their penalties.
+pub struct Penalties {
+    pub indptr: Vec<i64>,
+    pub atoms: Vec<i32>,
+    pub values: Vec<f32>,
+}
+
+/// Rows of likely atoms with shares s, joined; s becomes the penalty 2 e / (e + s), with one e of
+/// `doubts` for each row.
+pub fn penalties(rows: &[(Vec<i32>, Vec<f32>)], doubts: &[f64]) -> Penalties {
+    assert_eq!(rows.len(), doubts.len());
+    let mut indptr = vec![0];
+    for (atoms, _) in rows {
+        indptr.push(indptr[indptr.len() - 1] + atoms.len() as i64);
+    }
+    let whole = indptr[rows.len()] as usize;
+    let (mut atoms, mut values) = (vec![0; whole], vec![0.0; whole]);
+    let mut places = Vec::with_capacity(rows.len());
+    let (mut rest_atoms, mut rest_values) = (&mut atoms[..], &mut values[..]);
+    for (atoms, _) in rows {
+        places.push((
+            rest_atoms
+                .split_off_mut(..atoms.len())
+                .expect("room for all"),
+            rest_values
+                .split_off_mut(..atoms.len())
+                .expect("room for all"),
+        ));
+    }
+    let each = places.into_par_iter().zip(rows).zip(doubts);
+    each.with_min_len(TASK)
+        .for_each(|(((atoms, values), (found, shares)), doubt)| {
+            atoms.copy_from_slice(found);
+            for (value, share) in values.iter_mut().zip(shares) {
+                *value = (2.0 * doubt / (doubt + f64::from(*share))) as f32;
+            }
+        });
+    Penalties {
+        indptr,
+        atoms,
+        values,
+    }
+}
+
 /// A dense row, and which of its pixels differ from zero.
 struct Sums {
     values: Vec<f32>,

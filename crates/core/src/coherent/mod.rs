@@ -8,7 +8,7 @@ mod likely;
 mod weighted;
 
 pub use expected::{expected, Expected, Neighbours};
-pub use likely::{likely, Windows};
+pub use likely::{likely, penalties, Penalties, Windows};
 pub use weighted::{solve, Expectation, Further, Knowledge, Weighted};
 
 #[cfg(test)]

@@ -196,6 +196,19 @@ fn likely_pixels_are_the_neighbours_rows_over_their_maximum_blurred() {
 }
 
 #[test]
+fn likely_atoms_of_little_doubt_cost_little() {
+    let rows = [
+        (vec![3, 7], vec![1.0, 0.5]),
+        (vec![], vec![]),
+        (vec![2], vec![1.0]),
+    ];
+    let found = penalties(&rows, &[0.5, 1.0, 3.0]);
+    assert_eq!(found.indptr, [0, 2, 2, 3]);
+    assert_eq!(found.atoms, [3, 7, 2]);
+    assert_eq!(found.values, [2.0 * 0.5 / 1.5, 1.0, 1.5]);
+}
+
+#[test]
 fn likely_atoms_are_moved_back_and_make_single_pixels_within_them_likely() {
     // Two planes over a projector of 3 x 4; a camera of 1 x 2 whose footprints move one column on.
     let movement = [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.fft import irfft2, next_fast_len, rfft2
 from scipy.sparse import csr_array
 
+from lightmatrix import _core
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.solvers.weighted import Cells
 from lightmatrix.transport.matrix import cell_means
@@ -63,8 +64,8 @@ class Backgrounds:
 
     def under_patterns(self, shares: NDArray[np.float32]) -> NDArray[np.float32]:
         """What light that is spread so gives under the patterns, (m, K + E) in [0, 1]."""
-        # As a sparse product it is the same for a row by itself as among others; BLAS's is not.
-        return np.clip(csr_array(shares) @ self._means, 0, 1)
+        under = _core.rows_times(shares, self._means)
+        return np.clip(under, 0, 1, out=under)
 
     def cells(self, cost: float, *, unseen: bool) -> Cells:
         """The cells as columns, with the unseen patterns or without.

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from itertools import chain
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
+from lightmatrix import _core
 from lightmatrix.estimators.coherent.solving import Solving, Weighing
 from lightmatrix.patterns.atoms import AtomPatterns
 from lightmatrix.solvers.fidelity import Fidelity
@@ -17,8 +22,10 @@ from lightmatrix.solvers.problem import Result
 SAMPLED = 256
 # A correlation may exceed its bound by this share, like a row's gap.
 SLACK = 0.01
-# Rows whose correlations with all atoms are in memory together.
+# Rows whose correlations with all atoms a thread has in memory together.
 _TOGETHER = 4
+# No more than this, in units of a score, is lost where 16-bit scores are added in single precision.
+_ROUNDING = 2**-7
 
 
 def sampled(start: int, stop: int, count: int) -> NDArray[np.int64]:
@@ -52,19 +59,34 @@ def holds_everywhere(
     """
     limit = 2 * weighing.problem.regularization * (1 + SLACK)
     shown, unseen = _residuals(solving, weighing, solved, rows)
-    result = np.zeros(len(rows), np.bool_)
-    for first in range(0, len(rows), _TOGETHER):
-        part = slice(first, first + _TOGETHER)
-        upper = _upper(solving.atoms, shown[part])
-        if unseen is not None:
-            upper += _upper(solving.unseen, unseen[part])
-        for i, bounds in enumerate(upper, start=first):
-            near = np.flatnonzero(bounds > limit)
-            exact: NDArray[Any] = solving.atoms.prepared.columns(near) @ shown[i]
-            if unseen is not None:
-                exact = exact + solving.unseen.prepared.columns(near) @ unseen[i]
-            result[i] = not (exact > limit).any()
-    return result
+    parts = [(solving.atoms.prepared, shown)]
+    if unseen is not None:
+        parts.append((solving.unseen.prepared, unseen))
+
+    def none_beyond(first: int) -> list[bool]:
+        some = [(prepared, e[first : first + _TOGETHER]) for prepared, e in parts]
+        return [
+            not (sum(prepared.columns(near) @ e[i] for prepared, e in some) > limit).any()
+            for i, near in enumerate(_perhaps_beyond(some, limit))
+        ]
+
+    with ThreadPoolExecutor(solving.solver.threads or os.cpu_count() or 1) as pool:
+        found = chain.from_iterable(pool.map(none_beyond, range(0, len(rows), _TOGETHER)))
+        return np.fromiter(found, np.bool_, len(rows))
+
+
+def _perhaps_beyond(
+    parts: list[tuple[_core.PreparedPatterns, NDArray[np.float64]]], limit: float
+) -> Iterator[NDArray[np.int64]]:
+    """Of each row the atoms whose correlations, summed over the parts, may exceed a limit."""
+    scored = []
+    for prepared, e in parts:
+        scores, bounds = prepared.scores(np.ascontiguousarray(e))
+        unit, offset, up, _ = bounds.reshape(-1, 4).T
+        scored.append((scores, unit, unit * (offset + up + _ROUNDING)))
+    for i in range(len(scored[0][0])):
+        upper = sum(scores[i] * np.float32(unit[i]) for scores, unit, _ in scored)
+        yield np.flatnonzero(upper > limit - sum(most[i] for _, _, most in scored))
 
 
 def _residuals(
@@ -92,12 +114,3 @@ def _under(atoms: AtomPatterns, rows: csr_array) -> NDArray[np.float64]:
     used, place = np.unique(rows.indices, return_inverse=True)
     own = csr_array((rows.data, place, rows.indptr), shape=(rows.shape[0], len(used)))
     return np.asarray(own @ atoms.prepared.columns(used).astype(np.float64))
-
-
-def _upper(atoms: AtomPatterns, e: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Upper bounds of the correlations of all atoms with each of the rows, (n, S N)."""
-    scores, bounds = atoms.prepared.scores(np.ascontiguousarray(e))
-    unit, offset, up, _ = bounds.reshape(-1, 4, 1).transpose(1, 0, 2)
-    # One unit in a million more than single precision may lose of it.
-    upper = scores * unit.astype(np.float32) + (unit * (offset + up)).astype(np.float32)
-    return np.asarray(upper + np.abs(upper) * np.float32(1e-6), np.float32)

@@ -75,10 +75,13 @@ def measured_movement(
 def strongest(rows: csr_array) -> NDArray[np.int64]:
     """The strongest entry of each row, (M,); 0 in empty rows."""
     entries = np.diff(rows.indptr)
-    order = np.lexsort((rows.data, np.repeat(np.arange(len(entries)), entries)))
     result = np.zeros(len(entries), np.int64)
-    some = entries > 0
-    result[some] = rows.indices[order[rows.indptr[1:][some] - 1]]
+    lit = np.flatnonzero(entries)
+    if len(lit):
+        most = np.maximum.reduceat(rows.data, rows.indptr[lit])
+        strong = np.flatnonzero(rows.data == np.repeat(most, entries[lit]))
+        # Of equals the last: it is written last.
+        result[np.repeat(np.arange(len(entries)), entries)[strong]] = rows.indices[strong]
     return result
 
 

@@ -211,7 +211,7 @@ class Neighbourhood:
         """
         wider = np.full(self.atoms.planes, WIDER_SPOT, np.float32)
         wider[0] = WIDER_PIXEL
-        indptr, atoms, shares = _core.likely_pixels(
+        indptr, atoms, penalties = _core.likely_pixels(
             self.rows.coefficients,
             self.camera,
             self.projector,
@@ -222,11 +222,11 @@ class Neighbourhood:
             np.ones(self.rows.count, np.float32) if first else self.singles,
             reach,
             most,
+            trust * self._independence(known, rows),
             (0, self.rows.count),
             rows,
         )
-        little = np.repeat(trust * self._independence(known, rows), np.diff(indptr))
-        return Candidates(indptr, atoms, (2 * little / (little + shares)).astype(np.float32))
+        return Candidates(indptr, atoms, penalties)
 
     def _independence(
         self, known: NDArray[np.integer], rows: NDArray[np.int64]

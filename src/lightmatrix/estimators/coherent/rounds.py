@@ -189,20 +189,19 @@ class Rounds:
             return np.full(stop - start, np.nan, np.float32)
         samples = solving.capture.samples(start, stop)
         part, report = without(samples, held), self.report(HELD_OUT, start)
-        solved, _ = solving.near(part, np.arange(start, stop), stage, known, report)
-        halos = solving.halos(known, slice(start, stop))[:, held]
-        light = solved.background[:, None] * halos
+        solved, weighing = solving.near(part, np.arange(start, stop), stage, known, report)
+        light = solved.background[:, None] * weighing.background[:, held]
         if solved.cells.shape[1]:
             light += solved.cells @ solving.backgrounds.shown_means[:, held]
-        predicted = solved.coefficients @ self._held_atoms.T + light
+        predicted = solved.coefficients @ self._held_atoms + light
         return squared_misfit(samples, predicted.astype(np.float32), held)
 
     @cached_property
     def _held_atoms(self) -> NDArray[np.float32]:
-        """The atoms under the frames held out, (H, S N)."""
+        """The atoms under the frames held out, (S N, H)."""
         atoms = self.solving.atoms
         held = held_out_frames(self.capture.count)
-        return np.concatenate([atoms.rows(k, k + 1) for k in held])
+        return np.stack([atoms.rows(k, k + 1)[0] for k in held], axis=1)
 
     def _last(
         self, known: Neighbourhood, misfit: NDArray[np.float32], start: int, stop: int

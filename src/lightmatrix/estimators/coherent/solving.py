@@ -126,16 +126,20 @@ class Solving:
         """Rows, ascending, with penalties from what was found before."""
         assert stage.window is not None
         problem = self._problem(samples, self.penalty)
+        first, last = int(rows[0]), int(rows[-1]) + 1
+        if stage.expecting:
+            first, last = known.around(first, last)
+        halos = self.halos(known, first, last)
         expected = None
         if stage.expecting:
-            expected = self._expected(samples, rows, known)
+            expected = self._expected(samples, rows, known, halos)
         unseen = expected is not None
         cells = Cells.none(self.capture.patterns, self.unseen if unseen else None)
         # Cells join in the last round, when it is clear where most of the light is.
         if stage.last:
             cost = self.level / problem.regularization
             cells = self.backgrounds.cells(cost, unseen=unseen)
-        background = self.halos(known, rows)[:, : cells.means.shape[1]]
+        background = halos[rows - first, : cells.means.shape[1]]
         seen = samples.counted & ~samples.clipped
         likely = known.likely(
             stage.window,
@@ -169,17 +173,23 @@ class Solving:
         )
         return solved, weighing
 
-    def halos(self, known: Neighbourhood, rows: slice | NDArray[np.int64]) -> NDArray[np.float32]:
-        """What the backgrounds of some rows give under shown and unseen patterns."""
+    def halos(self, known: Neighbourhood, start: int, stop: int) -> NDArray[np.float32]:
+        """What the backgrounds of the rows start..stop give under shown and unseen patterns."""
         backgrounds = self.backgrounds
-        return backgrounds.under_patterns(backgrounds.spread(csr_array(known.centres[rows])))
+        return backgrounds.under_patterns(backgrounds.spread(csr_array(known.centres[start:stop])))
 
     def _expected(
-        self, samples: Samples, rows: NDArray[np.int64], known: Neighbourhood
+        self,
+        samples: Samples,
+        rows: NDArray[np.int64],
+        known: Neighbourhood,
+        halos: NDArray[np.float32],
     ) -> Expectation:
-        """What neighbours' rows, and their backgrounds, say of the samples of some rows."""
+        """What neighbours' rows, and their backgrounds, say of the samples of some rows.
+
+        `halos` are those of the rows around the first to the last.
+        """
         first, last = known.around(int(rows[0]), int(rows[-1]) + 1)
-        halos = self.halos(known, slice(first, last))
         background = known.rows.background[first:last] * halos
         return known.expected(
             self.unseen,
