@@ -100,7 +100,9 @@ mod amx {
         // SAFETY: every x86-64 processor has the instruction; compilers of today know.
         #[allow(unused_unsafe)]
         let (last, features) = unsafe { (__cpuid(0).eax, __cpuid_count(FEATURES, 0).edx) };
-        last >= FEATURES && features & TILES_AND_BYTES == TILES_AND_BYTES
+        // The kernel expands bits by products of matrices of bits.
+        let expands = std::arch::is_x86_feature_detected!("gfni");
+        expands && last >= FEATURES && features & TILES_AND_BYTES == TILES_AND_BYTES
     }
 
     /// Asks the system, which says no where it does not know them.

@@ -3,7 +3,8 @@
 //! A tile of the processor holds 16 lines of 64 bytes. The integers of 16 rows under 64 patterns
 //! are one such; a tile of patterns holds 16 pixels under 64 patterns, four to a line, and is
 //! expanded from bits just before it is read. Sums are of 32 bits, so that all patterns pass before
-//! they are written.
+//! they are written. All that is written stays in the first-level cache and is read a while later:
+//! stores that miss it, and reads of what is still being stored, cost as much as the products.
 
 use super::scores::Scores;
 use crate::bits::{column_codes, Bits};
@@ -11,6 +12,7 @@ use crate::simd::Level;
 use rayon::prelude::*;
 use std::arch::asm;
 use std::arch::x86_64::*;
+use std::mem::swap;
 
 /// Rows that one product takes.
 pub const LANES: usize = 16;
@@ -23,16 +25,21 @@ const COLUMNS: usize = 16;
 /// Tiles of sums that are worked on at a time, and their pixels.
 const TILES: usize = 4;
 const BLOCK: usize = TILES * COLUMNS;
-/// Blocks between which sums are handed on: so many sums, and codes for all rows, stay in the
-/// second-level cache.
-const BLOCKS: usize = 16;
+/// Bytes of the codes that a step takes: of 64 patterns and a block of pixels.
+const STEP: usize = BLOCK * LINE / 8;
+/// Blocks whose codes stay in the second-level cache while rows take them, `LANES` at a time.
+const BLOCKS: usize = 64;
+const PIXELS: usize = BLOCKS * BLOCK;
+/// Scores of a register.
+const WIDTH: usize = 32;
 
-/// Patterns a bit each, in the order in which `products` reads them.
+/// Patterns a bit each, in the order in which steps read them; then a step that means nothing.
 pub fn codes(bits: Bits, length: usize) -> Vec<u8> {
     let bytes = column_codes(bits);
     let chunks = chunks_of(bits.patterns());
-    let mut codes = vec![0; length * chunks * LINE / 8];
-    let blocks = codes.par_chunks_mut(BLOCK * chunks * LINE / 8);
+    let used = length / BLOCK * chunks * STEP;
+    let mut codes = vec![0; used + STEP];
+    let blocks = codes[..used].par_chunks_mut(chunks * STEP);
     blocks.enumerate().for_each(|(block, codes)| {
         for (line, codes) in codes.as_chunks_mut::<LINE>().0.iter_mut().enumerate() {
             let (chunk, tile, half) = (line / 8, line / 2 % TILES, line % 2);
@@ -76,21 +83,42 @@ pub struct Buffers {
     work: Option<Box<Work>>,
 }
 
-#[repr(C, align(8192))]
+/// The patterns of a step, a byte each.
+type Planes = [[u8; TILE]; TILES];
+/// Of the rows and pixels of a block.
+type Sums = [[i32; BLOCK]; LANES];
+
+/// What one step or block leaves to the next, and what that leaves in turn; and what is kept.
+#[repr(C, align(4096))]
 struct Work {
-    /// Of 64 patterns and a block of pixels, a byte each: of a step and of that before it.
-    planes: [[[u8; TILE]; TILES]; 2],
-    sums: [[[i32; BLOCK]; LANES]; BLOCKS],
-    /// Of one row.
-    scores: [[i16; BLOCK]; BLOCKS],
+    planes: [Planes; 2],
+    sums: [Sums; 2],
+    kept: [Kept; LANES],
+}
+
+/// The scores of a row that are wanted, and their places among the pixels that are worked on.
+struct Kept {
+    /// Scores below the first or above the second number are wanted.
+    outside: (i16, i16),
+    count: usize,
+    // A register more than there can be is written.
+    scores: [i16; PIXELS + WIDTH],
+    places: [u16; PIXELS + WIDTH],
 }
 
 impl Default for Work {
     fn default() -> Self {
         Work {
             planes: [[[0; TILE]; TILES]; 2],
-            sums: [[[0; BLOCK]; LANES]; BLOCKS],
-            scores: [[0; BLOCK]; BLOCKS],
+            sums: [[[0; BLOCK]; LANES]; 2],
+            kept: [const {
+                Kept {
+                    outside: (0, 0),
+                    count: 0,
+                    scores: [0; PIXELS + WIDTH],
+                    places: [0; PIXELS + WIDTH],
+                }
+            }; LANES],
         }
     }
 }
@@ -108,7 +136,7 @@ pub fn run(
     assert!(level.tiles());
     let patterns = rows.iter().map(Vec::len).max().unwrap_or(0);
     let chunks = chunks_of(patterns);
-    assert_eq!(codes.len(), length * chunks * LINE / 8);
+    assert_eq!(codes.len(), (length / BLOCK * chunks + 1) * STEP);
     assert!(length.is_multiple_of(BLOCK) && rows.len() == out.len());
     let Buffers { integers, work } = buffers;
     let work = work.get_or_insert_default();
@@ -123,22 +151,119 @@ pub fn run(
             }
         }
     }
-    for pixel in (0..length).step_by(BLOCKS * BLOCK) {
-        let blocks = (length - pixel).min(BLOCKS * BLOCK) / BLOCK;
-        let codes = &codes[pixel * chunks * LINE / 8..];
+    let blocks = length / BLOCK;
+    for first in (0..blocks).step_by(BLOCKS) {
+        let last = blocks.min(first + BLOCKS);
+        let codes = &codes[first * chunks * STEP..][..((last - first) * chunks + 1) * STEP];
         let groups = integers.chunks(chunks * LANES);
         for (integers, out) in groups.zip(out.chunks_mut(LANES)) {
+            let kept = &mut work.kept[..out.len()];
+            for (out, kept) in out.iter().zip(kept) {
+                (kept.outside, kept.count) = (out.outside(), 0);
+            }
             // SAFETY: the level proves the instructions; the asserts above are the contract.
-            unsafe {
-                products(codes, integers, chunks, blocks, work);
-                for (lane, out) in out.iter_mut().enumerate() {
-                    let scores = packed(&work.sums[..blocks], lane, &mut work.scores);
-                    out.take(level, pixel, scores);
-                }
+            unsafe { blocks_of(codes, integers, chunks, out.len(), work) };
+            for (out, kept) in out.iter_mut().zip(&work.kept) {
+                let (places, scores) = (&kept.places[..kept.count], &kept.scores[..kept.count]);
+                out.take_kept(first * BLOCK, places, scores);
             }
         }
     }
 }
+
+/// Scores of the first `lanes` of `LANES` rows over blocks of pixels: keeps those that are wanted.
+///
+/// # Safety
+/// `integers` holds `chunks` tiles; `codes` steps of at most `BLOCKS` blocks, `chunks` each, and one
+/// step more.
+#[target_feature(enable = "avx512f,avx512bw,avx512vbmi2,popcnt")]
+unsafe fn blocks_of(
+    codes: &[u8],
+    integers: &[[u8; LINE]],
+    chunks: usize,
+    lanes: usize,
+    work: &mut Work,
+) {
+    let blocks = (codes.len() / STEP - 1) / chunks;
+    debug_assert!(integers.len() == chunks * LANES && (1..=BLOCKS).contains(&blocks));
+    debug_assert!(codes.len() == (blocks * chunks + 1) * STEP);
+    let ([planes, next], [sums, before]) = (&mut work.planes, &mut work.sums);
+    let (mut planes, mut next, mut sums, mut before) = (planes, next, sums, before);
+    let kept = &mut work.kept[..lanes];
+    let both = kept.iter().any(|kept| kept.outside.0 > i16::MIN);
+    // SAFETY: codes of as many steps as are read, one behind the last included; blocks are kept once.
+    unsafe {
+        let tiles = Tiles::configured();
+        expand(codes.as_ptr(), planes);
+        for block in 0..=blocks {
+            if block < blocks {
+                let codes = codes.as_ptr().add((block * chunks + 1) * STEP);
+                tiles.multiply(codes, integers.as_ptr(), chunks, planes, next, sums);
+                if chunks % 2 == 1 {
+                    swap(&mut planes, &mut next);
+                }
+            }
+            // The sums of the block before can be read without waiting.
+            match block.checked_sub(1) {
+                Some(block) if both => keep::<true>(block, before, kept),
+                Some(block) => keep::<false>(block, before, kept),
+                None => {}
+            }
+            swap(&mut sums, &mut before);
+        }
+    }
+}
+
+/// Keeps the scores of a block that are wanted. Without branches: one that is guessed wrongly holds up
+/// the tiles for longer than all else here takes.
+///
+/// # Safety
+/// What is kept already are scores of blocks before this one, of `BLOCKS`.
+#[target_feature(enable = "avx512f,avx512bw,avx512vbmi2,popcnt")]
+unsafe fn keep<const BOTH: bool>(block: usize, sums: &Sums, kept: &mut [Kept]) {
+    let first = _mm512_set1_epi16((block * BLOCK) as i16);
+    for (sums, kept) in sums.iter().zip(kept) {
+        let lowest = _mm512_set1_epi16(kept.outside.0);
+        let highest = _mm512_set1_epi16(kept.outside.1);
+        for (half, places) in PLACES.iter().enumerate() {
+            // SAFETY: a half has two tiles' sums, 16 each; of so many blocks no more than there is
+            // room for are kept, and a register.
+            unsafe {
+                let tile = sums.as_ptr().add(half * WIDTH);
+                let [a, b] = [0, COLUMNS].map(|at| _mm512_loadu_si512(tile.add(at).cast()));
+                let scores = _mm512_packs_epi32(a, b);
+                let mut mask = _mm512_cmpgt_epi16_mask(scores, highest);
+                if BOTH {
+                    mask |= _mm512_cmplt_epi16_mask(scores, lowest);
+                }
+                let scores = _mm512_maskz_compress_epi16(mask, scores);
+                let places = _mm512_loadu_si512(places.as_ptr().cast());
+                let places = _mm512_maskz_compress_epi16(mask, _mm512_add_epi16(places, first));
+                let to_scores = kept.scores.as_mut_ptr().add(kept.count);
+                let to_places = kept.places.as_mut_ptr().add(kept.count);
+                if mask.count_ones() <= 8 {
+                    _mm_storeu_si128(to_scores.cast(), _mm512_castsi512_si128(scores));
+                    _mm_storeu_si128(to_places.cast(), _mm512_castsi512_si128(places));
+                } else {
+                    _mm512_storeu_si512(to_scores.cast(), scores);
+                    _mm512_storeu_si512(to_places.cast(), places);
+                }
+                kept.count += mask.count_ones() as usize;
+            }
+        }
+    }
+}
+
+/// Of a block.
+const PLACES: [[u16; WIDTH]; BLOCK / WIDTH] = {
+    let mut places = [[0; WIDTH]; BLOCK / WIDTH];
+    let mut place = 0;
+    while place < BLOCK {
+        places[place / WIDTH][place % WIDTH] = place as u16;
+        place += 1;
+    }
+    places
+};
 
 /// What the tiles are: 16 lines of 64 bytes, all eight.
 #[repr(C, align(64))]
@@ -164,124 +289,166 @@ const CONFIGURATION: Configuration = {
     all
 };
 
-/// Instructions that expand codes of half a tile each (`$half`): bit `$bit` of each byte to a line.
-macro_rules! expand {
-    ($($half:literal)*) => {
-        concat!($(
-            "vmovdqu64 zmm0, [{codes} + 64 * ", $half, "]\n",
-            expand!($half, 0), expand!($half, 1), expand!($half, 2), expand!($half, 3),
-            expand!($half, 4), expand!($half, 5), expand!($half, 6), expand!($half, 7),
-        )*)
-    };
-    ($half:literal, $bit:literal) => {
+/// Matrices of 8 x 8 bits: each takes one bit of a byte for the lowest and zeros for the others.
+static BITS: [u64; 8] = [
+    1 << 56,
+    2 << 56,
+    4 << 56,
+    8 << 56,
+    16 << 56,
+    32 << 56,
+    64 << 56,
+    128 << 56,
+];
+
+/// Instructions that load `BITS`.
+macro_rules! load_bits {
+    () => {
         concat!(
-            "vpsrlw zmm1, zmm0, ", $bit, "\n",
-            "vpandd zmm1, zmm1, zmm2\n",
-            "vmovdqa64 [{planes} + 512 * ", $half, " + 64 * ", $bit, "], zmm1\n",
+            load_bits!(16, 0),
+            load_bits!(17, 1),
+            load_bits!(18, 2),
+            load_bits!(19, 3),
+            load_bits!(20, 4),
+            load_bits!(21, 5),
+            load_bits!(22, 6),
+            load_bits!(23, 7),
+        )
+    };
+    ($register:literal, $bit:literal) => {
+        concat!(
+            "vpbroadcastq zmm",
+            $register,
+            ", [{bits} + 8 * ",
+            $bit,
+            "]\n"
         )
     };
 }
 
-/// Sums of `LANES` rows over some blocks of pixels, into `work.sums`.
+/// Instructions that expand codes of half a tile each (`$half`): each bit of the bytes to a line.
+macro_rules! expand {
+    ($($half:literal)*) => {
+        concat!($(
+            "vmovdqu64 zmm0, [{codes} + 64 * ", $half, "]\n",
+            expand!($half, 16, 0), expand!($half, 17, 1), expand!($half, 18, 2), expand!($half, 19, 3),
+            expand!($half, 20, 4), expand!($half, 21, 5), expand!($half, 22, 6), expand!($half, 23, 7),
+        )*)
+    };
+    ($half:literal, $register:literal, $bit:literal) => {
+        concat!(
+            "vgf2p8affineqb zmm1, zmm0, zmm", $register, ", 0\n",
+            "vmovdqa64 [{next} + 512 * ", $half, " + 64 * ", $bit, "], zmm1\n",
+        )
+    };
+}
+
+/// Expands the codes of a step.
 ///
 /// # Safety
-/// `codes` holds `chunks` times 64 patterns of `blocks` blocks, `integers` `chunks` tiles;
-/// `blocks` is at most `BLOCKS` and not 0.
+/// There are `STEP` bytes of them, and the processor has AVX-512.
 #[target_feature(enable = "avx512f,avx512bw")]
-unsafe fn products(
-    codes: &[u8],
-    integers: &[[u8; LINE]],
-    chunks: usize,
-    blocks: usize,
-    work: &mut Work,
-) {
-    debug_assert!(codes.len() >= blocks * chunks * BLOCK * LINE / 8);
-    debug_assert!(integers.len() >= chunks * LANES && (1..=BLOCKS).contains(&blocks));
-    // SAFETY: reads and writes stay within what the contract says there is. Tiles and their
-    // configuration are as if never used in the end.
+unsafe fn expand(codes: *const u8, next: &mut Planes) {
+    // SAFETY: reads a step's codes, writes its planes.
     unsafe {
         asm!(
-            "ldtilecfg [{tiles}]",
-            "vpbroadcastd zmm2, {line:e}",
-            "tilezero tmm0",
-            "tilezero tmm1",
-            "tilezero tmm2",
-            "tilezero tmm3",
-            "2:", // expands the patterns of a step, if there are more,
-            "test {left}, {left}",
-            "jz 4f",
+            load_bits!(),
             expand!(0 1 2 3 4 5 6 7),
-            "add {codes}, 512",
-            "4:", // and multiplies those of the step before, if there was one
-            "xor {planes}, 4096",
-            "cmp {left}, {steps}",
-            "je 5f",
-            "mov {line}, 64",
-            "tileloadd tmm4, [{integers} + {line} * 1]",
-            "tileloadd tmm5, [{planes} + {line} * 1]",
-            "tdpbsud tmm0, tmm4, tmm5",
-            "tileloadd tmm6, [{planes} + {line} * 1 + 1024]",
-            "tdpbsud tmm1, tmm4, tmm6",
-            "tileloadd tmm7, [{planes} + {line} * 1 + 2048]",
-            "tdpbsud tmm2, tmm4, tmm7",
-            "tileloadd tmm5, [{planes} + {line} * 1 + 3072]",
-            "tdpbsud tmm3, tmm4, tmm5",
-            "add {integers}, 1024",
-            "dec {chunk}",
-            "jnz 5f",
-            // A block of pixels has seen all patterns.
-            "mov {line}, 256",
-            "tilestored [{sums} + {line} * 1], tmm0",
-            "tilestored [{sums} + {line} * 1 + 64], tmm1",
-            "tilestored [{sums} + {line} * 1 + 128], tmm2",
-            "tilestored [{sums} + {line} * 1 + 192], tmm3",
-            "tilezero tmm0",
-            "tilezero tmm1",
-            "tilezero tmm2",
-            "tilezero tmm3",
-            "add {sums}, 4096",
-            "mov {integers}, {first}",
-            "mov {chunk}, {chunks}",
-            "5:",
-            "dec {left}",
-            "jns 2b",
-            "tilerelease",
-            first = in(reg) integers.as_ptr(),
-            chunks = in(reg) chunks,
-            steps = in(reg) blocks * chunks,
-            left = inout(reg) blocks * chunks => _,
-            integers = inout(reg) integers.as_ptr() => _,
-            chunk = inout(reg) chunks => _,
-            codes = inout(reg) codes.as_ptr() => _,
-            planes = inout(reg) work.planes.as_mut_ptr() => _,
-            sums = inout(reg) work.sums.as_mut_ptr() => _,
-            tiles = in(reg) &CONFIGURATION,
-            line = inout(reg) 0x0101_0101u64 => _,
-            out("zmm0") _, out("zmm1") _, out("zmm2") _,
-            out("tmm0") _, out("tmm1") _, out("tmm2") _, out("tmm3") _,
-            out("tmm4") _, out("tmm5") _, out("tmm6") _, out("tmm7") _,
+            bits = in(reg) &BITS,
+            codes = in(reg) codes,
+            next = in(reg) next,
+            out("zmm0") _, out("zmm1") _,
+                out("zmm16") _, out("zmm17") _, out("zmm18") _, out("zmm19") _,
+                out("zmm20") _, out("zmm21") _, out("zmm22") _, out("zmm23") _,
             options(nostack),
         );
     }
 }
 
-/// A row's sums as scores.
-#[target_feature(enable = "avx512f,avx512bw")]
-fn packed<'a>(
-    sums: &[[[i32; BLOCK]; LANES]],
-    lane: usize,
-    scores: &'a mut [[i16; BLOCK]; BLOCKS],
-) -> &'a [i16] {
-    for (sums, scores) in sums.iter().zip(scores.iter_mut()) {
-        let tiles = sums[lane].as_ptr();
-        for half in 0..TILES / 2 {
-            // SAFETY: tiles of 16 sums, a register each; two give one of scores.
-            unsafe {
-                let at = |tile: usize| _mm512_loadu_si512(tiles.add(tile * COLUMNS).cast());
-                let both = _mm512_packs_epi32(at(2 * half), at(2 * half + 1));
-                _mm512_storeu_si512(scores.as_mut_ptr().add(2 * half * COLUMNS).cast(), both);
-            }
+/// The tiles of this thread's processor, set up for `multiply`: nothing else uses any.
+struct Tiles;
+
+impl Tiles {
+    /// # Safety
+    /// The processor has tiles, and the system lets this process use them.
+    unsafe fn configured() -> Self {
+        // SAFETY: reads the configuration, and all tiles become zero.
+        unsafe { asm!("ldtilecfg [{}]", in(reg) &CONFIGURATION, options(nostack, readonly)) };
+        Tiles
+    }
+
+    /// Sums of `LANES` rows over a block of pixels.
+    ///
+    /// `planes` are those of its first step. They change places with `next` at every step: what is
+    /// expanded last is the step behind the block.
+    ///
+    /// # Safety
+    /// There are `chunks` tiles of integers, and codes of as many steps behind the first.
+    #[target_feature(enable = "avx512f,avx512bw")]
+    unsafe fn multiply(
+        &self,
+        codes: *const u8,
+        integers: *const [u8; LINE],
+        chunks: usize,
+        planes: &mut Planes,
+        next: &mut Planes,
+        sums: &mut Sums,
+    ) {
+        // SAFETY: reads what the caller says there is, writes planes and sums. Tiles are zero before
+        // and after.
+        unsafe {
+            asm!(
+                load_bits!(),
+                "2:", // multiplies the patterns of a step, and expands those of the next meanwhile
+                "tileloadd tmm4, [{integers} + {line} * 1]",
+                "tileloadd tmm5, [{planes} + {line} * 1]",
+                "tdpbsud tmm0, tmm4, tmm5",
+                expand!(0 1),
+                "tileloadd tmm6, [{planes} + {line} * 1 + 1024]",
+                "tdpbsud tmm1, tmm4, tmm6",
+                expand!(2 3),
+                "tileloadd tmm7, [{planes} + {line} * 1 + 2048]",
+                "tdpbsud tmm2, tmm4, tmm7",
+                expand!(4 5),
+                "tileloadd tmm5, [{planes} + {line} * 1 + 3072]",
+                "tdpbsud tmm3, tmm4, tmm5",
+                expand!(6 7),
+                "xchg {planes}, {next}",
+                "add {codes}, 512",
+                "add {integers}, 1024",
+                "dec {chunks}",
+                "jnz 2b",
+                "mov {line:e}, 256",
+                "tilestored [{sums} + {line} * 1], tmm0",
+                "tilestored [{sums} + {line} * 1 + 64], tmm1",
+                "tilestored [{sums} + {line} * 1 + 128], tmm2",
+                "tilestored [{sums} + {line} * 1 + 192], tmm3",
+                "tilezero tmm0",
+                "tilezero tmm1",
+                "tilezero tmm2",
+                "tilezero tmm3",
+                codes = inout(reg) codes => _,
+                integers = inout(reg) integers => _,
+                chunks = inout(reg) chunks => _,
+                planes = inout(reg) planes => _,
+                next = inout(reg) next => _,
+                sums = in(reg) sums,
+                line = inout(reg) LINE => _,
+                bits = in(reg) &BITS,
+                out("zmm0") _, out("zmm1") _,
+                out("zmm16") _, out("zmm17") _, out("zmm18") _, out("zmm19") _,
+                out("zmm20") _, out("zmm21") _, out("zmm22") _, out("zmm23") _,
+                out("tmm0") _, out("tmm1") _, out("tmm2") _, out("tmm3") _,
+                out("tmm4") _, out("tmm5") _, out("tmm6") _, out("tmm7") _,
+                options(nostack),
+            );
         }
     }
-    scores[..sums.len()].as_flattened()
+}
+
+impl Drop for Tiles {
+    fn drop(&mut self) {
+        // SAFETY: there are tiles.
+        unsafe { asm!("tilerelease", options(nomem, nostack)) };
+    }
 }

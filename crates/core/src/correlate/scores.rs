@@ -72,6 +72,26 @@ impl Scores {
         }
     }
 
+    /// Scores below the first or above the second number are wanted.
+    pub(super) fn outside(&self) -> (i16, i16) {
+        match self.wanted {
+            Wanted::All => (i16::MAX, i16::MAX),
+            Wanted::Beyond { .. } => self.outside,
+        }
+    }
+
+    /// Takes in scores that are wanted, and their places, ascending, from `first` on.
+    pub(super) fn take_kept(&mut self, first: usize, places: &[u16], scores: &[i16]) {
+        match self.wanted {
+            Wanted::All => self.values[first..][..scores.len()].copy_from_slice(scores),
+            Wanted::Beyond { .. } => {
+                let places = places.iter().map(|&place| first as u32 + u32::from(place));
+                self.places.extend(places);
+                self.found.extend_from_slice(scores);
+            }
+        }
+    }
+
     /// Takes in `values`, which a kernel has written at once.
     pub(super) fn take_values(&mut self, level: Level) {
         if let Wanted::Beyond { .. } = self.wanted {
