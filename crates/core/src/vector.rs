@@ -105,8 +105,10 @@ multiversion! {
             let means = &means[start..start + SUMS];
             let (weights, lower) = (&weights[start..start + SUMS], &lower[start..start + SUMS]);
             for i in 0..SUMS {
+                // A mask, since compilers make branches of a choice here.
                 let free = (weights[i] > 0.0) & (lower[i] == f64::NEG_INFINITY);
-                sums[i] += if free { means[i] * means[i] } else { 0.0 };
+                let mask = u64::from(free).wrapping_neg();
+                sums[i] += f64::from_bits((means[i] * means[i]).to_bits() & mask);
             }
         }
         fold(sums)

@@ -26,6 +26,8 @@ pub struct Descent {
     packed: Packed,
     /// Bits of the pixels that differ from zero or are pulled away from it.
     chosen: Vec<u8>,
+    /// Bits of those that do not differ from it.
+    at_zero: Vec<u8>,
     moves: Vec<f64>,
     places: Vec<usize>,
     exact: Exact,
@@ -43,6 +45,7 @@ impl Descent {
             progress: Progress::default(),
             packed: Packed::default(),
             chosen: Vec::new(),
+            at_zero: Vec::new(),
             moves: Vec::new(),
             places: Vec::new(),
             exact: Exact::new(level),
@@ -157,14 +160,14 @@ impl Descent {
         self.chosen.resize(model.stride / WIDTH, 0);
         let limit = lambda + settled;
         let signed = !settings.nonnegative;
-        choose(model.level, target, slope, limit, signed, &mut self.chosen);
-        let mut entering = false;
+        self.at_zero.resize(model.stride / WIDTH, 0);
+        let (chosen, at_zero) = (&mut self.chosen, &mut self.at_zero);
+        choose(model.level, target, slope, limit, signed, chosen, at_zero);
         for (group, chosen) in self.chosen.iter_mut().enumerate() {
-            for place in set_bits(*chosen) {
+            for place in set_bits(*chosen & !model.ready[group]) {
                 let j = group * WIDTH + place as usize;
                 model.make_row(dictionary, pixels, j);
                 if model.inverse[j] != 0.0 {
-                    entering |= target[j] == 0.0;
                     continue;
                 }
                 *chosen &= !(1 << place);
@@ -173,21 +176,28 @@ impl Descent {
                 }
             }
         }
-        entering
+        let at_zero = self.chosen.iter().zip(&self.at_zero);
+        at_zero.fold(0, |any, (chosen, zero)| any | chosen & zero) != 0
     }
 }
 
 multiversion! {
-    /// Bits of the pixels that differ from zero or are pulled by more than `limit`.
-    fn choose(target: &[f64], slope: &[f64], limit: f64, signed: bool, chosen: &mut [u8]) {
+    /// Bits of the pixels that differ from zero or are pulled by more than `limit`, and of those that
+    /// do not differ from zero.
+    fn choose(
+        target: &[f64], slope: &[f64], limit: f64, signed: bool, chosen: &mut [u8], at_zero: &mut [u8]
+    ) {
         let groups = target.as_chunks::<WIDTH>().0.iter().zip(slope.as_chunks::<WIDTH>().0);
-        for (chosen, (target, slope)) in chosen.iter_mut().zip(groups) {
-            let mut bits = 0;
+        let bits = chosen.iter_mut().zip(at_zero);
+        for ((chosen, at_zero), (target, slope)) in bits.zip(groups) {
+            let (mut pulled, mut zero) = (0, 0);
             for i in 0..WIDTH {
                 let pull = if signed { slope[i].abs() } else { slope[i] };
-                bits |= u8::from((target[i] != 0.0) | (pull > limit)) << i;
+                pulled |= u8::from(pull > limit) << i;
+                zero |= u8::from(target[i] == 0.0) << i;
             }
-            *chosen = bits;
+            *chosen = pulled | !zero;
+            *at_zero = zero;
         }
     }
 }

@@ -36,6 +36,8 @@ pub struct Model {
     /// One over the diagonal, padded; 0 where there is no curvature.
     pub inverse: Vec<f64>,
     pub diagonal: Vec<f64>,
+    /// Bits of the pixels whose rows have been made and that have curvature.
+    pub ready: Vec<u8>,
 }
 
 impl Model {
@@ -55,6 +57,7 @@ impl Model {
             stride: 0,
             inverse: Vec::new(),
             diagonal: Vec::new(),
+            ready: Vec::new(),
         }
     }
 
@@ -79,6 +82,8 @@ impl Model {
         self.inverse.clear();
         self.inverse.resize(self.stride, 0.0);
         self.diagonal.resize(self.stride, 0.0);
+        self.ready.clear();
+        self.ready.resize(self.stride / WIDTH, 0);
         self.rows.clear();
     }
 
@@ -144,6 +149,7 @@ impl Model {
     fn forget_rows(&mut self) {
         self.slot.fill(UNSET);
         self.inverse.fill(0.0);
+        self.ready.fill(0);
         self.rows.clear();
     }
 
@@ -184,6 +190,7 @@ impl Model {
         if row[j] > FLAT * self.curvature.len() as f64 {
             self.inverse[j] = 1.0 / row[j];
             self.diagonal[j] = row[j];
+            self.ready[j / WIDTH] |= 1 << (j % WIDTH);
         }
     }
 }

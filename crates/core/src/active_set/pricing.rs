@@ -49,7 +49,7 @@ pub fn wanted(settings: &Settings, look: Look, sums: impl FnOnce() -> (f64, f64)
 #[derive(Default)]
 pub struct Pricing {
     places: Vec<u32>,
-    /// Those that scores point at, then the working set.
+    /// Those that scores point at beside the working set, then this.
     candidates: Vec<u32>,
     correlations: Vec<f64>,
     /// How many of the candidates are the working set.
@@ -105,14 +105,12 @@ impl Pricing {
 
     /// Pixels outside the working set that violate their condition, or nearly, with correlations.
     pub fn violators(&self, lambda: f64) -> impl Iterator<Item = (u32, f64)> + '_ {
-        let (others, known) = self.candidates.split_at(self.candidates.len() - self.known);
+        let others = &self.candidates[..self.candidates.len() - self.known];
         others
             .iter()
             .zip(&self.correlations)
             .map(|(&pixel, &correlation)| (pixel, correlation))
-            .filter(move |(pixel, correlation)| {
-                correlation.abs() > lambda * (1.0 - LOOK_AHEAD) && !known.contains(pixel)
-            })
+            .filter(move |(_, correlation)| correlation.abs() > lambda * (1.0 - LOOK_AHEAD))
     }
 
     /// Correlates what was collected and the working set; returns the largest.
@@ -127,7 +125,8 @@ impl Pricing {
         let collected = self
             .places
             .iter()
-            .filter_map(|&p| dictionary.correlator.pixel(p as usize));
+            .filter_map(|&p| dictionary.correlator.pixel(p as usize))
+            .filter(|pixel| !pixels.contains(pixel));
         self.candidates.extend(collected);
         self.candidates.extend_from_slice(pixels);
         self.correlations.resize(self.candidates.len(), 0.0);

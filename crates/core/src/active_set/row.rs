@@ -26,6 +26,8 @@ const VERY_NEARLY: f64 = 0.03;
 const FINEST_SHARE: f64 = 0.2;
 /// A dual point this share of lambda off the residual's slope along the means counts as the residual.
 const NEGLIGIBLE: f64 = 1e-9;
+/// Predictions follow the steps of x, whose rounding adds up, and are made afresh after so many passes.
+const AFRESH: u32 = 8;
 /// The gap is relative to at least this share of ||y||^2 / 2.
 const FLOOR_SHARE: f64 = 1e-6;
 
@@ -261,7 +263,9 @@ impl<'a> RowSolver<'a> {
         );
         self.held = restricted.held;
         self.point.prune();
-        self.update_prediction();
+        if self.passes.is_multiple_of(AFRESH) {
+            self.update_prediction();
+        }
     }
 
     /// Makes the dual point of the current residual; done at once if it is sure to be feasible.
@@ -287,17 +291,20 @@ impl<'a> RowSolver<'a> {
             &mut self.dual,
         );
         self.dual_is_residual = moved <= NEGLIGIBLE * settings.regularization;
-        // No correlation with values in [0, 1] exceeds the sum of the positive residuals.
-        let (low, high) = signed_sums(level, &self.dual);
-        let most = if settings.nonnegative {
-            high
-        } else {
-            high.max(-low)
-        };
-        if most <= settings.regularization {
-            self.certify(most);
-            if self.gap() <= self.settings.tolerance {
-                return Next::Done;
+        // No correlation with values in [0, 1] exceeds the sum of the positive residuals: what rules
+        // dark rows out. Of pixels that hold light it is about lambda.
+        if self.point.pixels.is_empty() {
+            let (low, high) = signed_sums(level, &self.dual);
+            let most = if settings.nonnegative {
+                high
+            } else {
+                high.max(-low)
+            };
+            if most <= settings.regularization {
+                self.certify(most);
+                if self.gap() <= self.settings.tolerance {
+                    return Next::Done;
+                }
             }
         }
         self.want(look);
