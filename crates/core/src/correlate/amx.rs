@@ -33,6 +33,8 @@ const PIXELS: usize = BLOCKS * BLOCK;
 /// Scores of a register.
 const WIDTH: usize = 32;
 
+const _: () = assert!(PIXELS <= 1 << 16, "places are kept in 16 bits");
+
 /// Patterns a bit each, in the order in which steps read them; then a step that means nothing.
 pub fn codes(bits: Bits, length: usize) -> Vec<u8> {
     let bytes = column_codes(bits);
@@ -214,8 +216,8 @@ unsafe fn blocks_of(
     }
 }
 
-/// Keeps the scores of a block that are wanted. Without branches: one that is guessed wrongly holds up
-/// the tiles for longer than all else here takes.
+/// Keeps the scores of a block that are wanted. It asks for no score whether it is: a branch that is
+/// guessed wrongly holds up the tiles for longer than all else here takes.
 ///
 /// # Safety
 /// What is kept already are scores of blocks before this one, of `BLOCKS`.
@@ -241,6 +243,7 @@ unsafe fn keep<const BOTH: bool>(block: usize, sums: &Sums, kept: &mut [Kept]) {
                 let places = _mm512_maskz_compress_epi16(mask, _mm512_add_epi16(places, first));
                 let to_scores = kept.scores.as_mut_ptr().add(kept.count);
                 let to_places = kept.places.as_mut_ptr().add(kept.count);
+                // Whole registers would mostly lie on two cache lines.
                 if mask.count_ones() <= 8 {
                     _mm_storeu_si128(to_scores.cast(), _mm512_castsi512_si128(scores));
                     _mm_storeu_si128(to_places.cast(), _mm512_castsi512_si128(places));
