@@ -122,11 +122,17 @@ impl Pricing {
         both: bool,
     ) -> f64 {
         self.candidates.clear();
+        // Most of what was collected is told from the working set by its last bits.
+        let mut last = [0u64; 64];
+        for pixel in pixels {
+            last[(pixel / 64 % 64) as usize] |= 1 << (pixel % 64);
+        }
+        let alike = |pixel: u32| last[(pixel / 64 % 64) as usize] >> (pixel % 64) & 1 != 0;
         let collected = self
             .places
             .iter()
             .filter_map(|&p| dictionary.correlator.pixel(p as usize))
-            .filter(|pixel| !pixels.contains(pixel));
+            .filter(|&pixel| !(alike(pixel) && pixels.contains(&pixel)));
         self.candidates.extend(collected);
         self.candidates.extend_from_slice(pixels);
         self.correlations.resize(self.candidates.len(), 0.0);
