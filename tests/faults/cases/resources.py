@@ -14,6 +14,9 @@ ESTIMATE = f"{PLAIN} -o new.zarr"
 COHERENT = "estimate capture -o new.zarr"
 MIB = 1 << 20
 LOW = (0, 3)
+# Where no memory is left to clean up, the next run of the output does it. An output takes its place
+# whole; memory may end after that, while it is told of.
+LEFT = ("new.zarr.partial", ".new.zarr.part", "new.zarr")
 
 
 def _memory() -> list[Case]:
@@ -35,8 +38,7 @@ def _memory() -> list[Case]:
                     (),
                     code=LOW,
                     makes=made,
-                    # Where no memory is left to clean up, the next run of the output does it.
-                    leaves=("new.zarr.partial", ".new.zarr.part"),
+                    leaves=LEFT,
                     limits=Limits(memory=room * MIB),
                 )
             )
@@ -51,8 +53,7 @@ def _memory() -> list[Case]:
                     (),
                     code=LOW,
                     makes=("new.zarr",),
-                    # Where no memory is left to clean up, the next run of the output does it.
-                    leaves=("new.zarr.partial", ".new.zarr.part"),
+                    leaves=LEFT,
                     limits=limits,
                 )
             )
