@@ -14,9 +14,6 @@ ESTIMATE = f"{PLAIN} -o new.zarr"
 COHERENT = "estimate capture -o new.zarr"
 MIB = 1 << 20
 LOW = (0, 3)
-# Where no memory is left to clean up, the next run of the output does it. An output takes its place
-# whole; memory may end after that, while it is told of.
-LEFT = ("new.zarr.partial", ".new.zarr.part", "new.zarr")
 
 
 def _memory() -> list[Case]:
@@ -38,7 +35,8 @@ def _memory() -> list[Case]:
                     (),
                     code=LOW,
                     makes=made,
-                    leaves=LEFT,
+                    # Where no memory is left to clean up, the next run of the output does it.
+                    leaves=("new.zarr.partial", ".new.zarr.part"),
                     limits=Limits(memory=room * MIB),
                 )
             )
@@ -53,7 +51,8 @@ def _memory() -> list[Case]:
                     (),
                     code=LOW,
                     makes=("new.zarr",),
-                    leaves=LEFT,
+                    # Where no memory is left to clean up, the next run of the output does it.
+                    leaves=("new.zarr.partial", ".new.zarr.part"),
                     limits=limits,
                 )
             )
