@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from itertools import chain
@@ -14,6 +13,7 @@ from scipy.sparse import csr_array
 
 from lightmatrix import _core
 from lightmatrix.estimators.coherent.solving import Solving, Weighing
+from lightmatrix.estimators.needs import usual_threads
 from lightmatrix.patterns.atoms import AtomPatterns
 from lightmatrix.solvers.fidelity import Fidelity
 from lightmatrix.solvers.problem import Result
@@ -70,7 +70,7 @@ def holds_everywhere(
             for i, near in enumerate(_perhaps_beyond(some, limit))
         ]
 
-    with ThreadPoolExecutor(solving.solver.threads or os.cpu_count() or 1) as pool:
+    with ThreadPoolExecutor(solving.solver.threads or usual_threads()) as pool:
         found = chain.from_iterable(pool.map(none_beyond, range(0, len(rows), _TOGETHER)))
         return np.fromiter(found, np.bool_, len(rows))
 

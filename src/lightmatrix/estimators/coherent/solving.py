@@ -132,7 +132,8 @@ class Solving:
         halos = self.halos(known, first, last)
         expected = None
         if stage.expecting:
-            expected = self._expected(samples, rows, known, halos)
+            light = known.rows.background[first:last]
+            expected = self._expected(samples, rows, known, light * halos)
         unseen = expected is not None
         cells = Cells.none(self.capture.patterns, self.unseen if unseen else None)
         # Cells join in the last round, when it is clear where most of the light is.
@@ -183,14 +184,9 @@ class Solving:
         samples: Samples,
         rows: NDArray[np.int64],
         known: Neighbourhood,
-        halos: NDArray[np.float32],
+        background: NDArray[np.float32],
     ) -> Expectation:
-        """What neighbours' rows, and their backgrounds, say of the samples of some rows.
-
-        `halos` are those of the rows around the first to the last.
-        """
-        first, last = known.around(int(rows[0]), int(rows[-1]) + 1)
-        background = known.rows.background[first:last] * halos
+        """What neighbours' rows, and their backgrounds, say of the samples of some rows."""
         return known.expected(
             self.unseen,
             samples,
