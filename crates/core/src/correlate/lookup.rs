@@ -61,7 +61,7 @@ impl Lookup {
         let memory = self.reads_memory();
         match &self.codes {
             #[cfg(target_arch = "x86_64")]
-            Codes::Tiles(_) => amx::LANES * if memory { 2 } else { 1 },
+            Codes::Tiles(_) => amx::LANES,
             _ if memory => MANY,
             _ => BATCH,
         }

@@ -2,8 +2,10 @@
 
 use crate::simd::{multiversion, Kind, Level};
 
-/// Scores of which it is first seen whether any lies outside: few do.
-const GROUP: usize = 64;
+/// Scores of a group, which AVX-512 has in one register.
+pub const WIDTH: usize = 32;
+/// Groups of which it is first seen whether any score lies outside: few do.
+const GROUPS: usize = 2;
 
 /// Appends the places (from `first` on) and the values of scores outside `below..=above`.
 pub fn collect_outside(
@@ -32,12 +34,12 @@ multiversion! {
     fn collect_plain(
         first: u32, scores: &[i16], below: i16, above: i16, places: &mut Vec<u32>, found: &mut Vec<i16>
     ) {
-        for (block, group) in scores.chunks(GROUP).enumerate() {
+        for (block, group) in scores.chunks(GROUPS * WIDTH).enumerate() {
             let outside = |any, &score: &i16| any | (score > above) | (score < below);
             if group.iter().fold(false, outside) {
                 for (i, &score) in group.iter().enumerate() {
                     if score > above || score < below {
-                        places.push(first + (block * GROUP + i) as u32);
+                        places.push(first + (block * GROUPS * WIDTH + i) as u32);
                         found.push(score);
                     }
                 }
@@ -46,12 +48,28 @@ multiversion! {
     }
 }
 
+/// Appends the places (from `first` on) and the values of the scores whose bits are set.
+#[cfg(target_arch = "x86_64")]
+pub fn collect_marked(
+    level: Level,
+    first: usize,
+    scores: &[i16; WIDTH],
+    mask: u32,
+    places: &mut Vec<u32>,
+    found: &mut Vec<i16>,
+) {
+    assert!(level.kind() == Kind::Avx512);
+    let mut ends = avx512::Ends::new(places, found, WIDTH);
+    // SAFETY: the level proves the instructions; there is room for all.
+    unsafe { ends.append(first as u32, scores, mask) };
+    ends.close();
+}
+
 #[cfg(target_arch = "x86_64")]
 mod avx512 {
+    use super::WIDTH;
     use std::arch::x86_64::*;
 
-    /// Scores of a register.
-    const WIDTH: usize = 32;
     /// Registers of which it is first seen whether any score lies outside: few do.
     const STRETCH: usize = 16;
     const LANES: [i32; 16] = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15];
@@ -66,19 +84,14 @@ mod avx512 {
         found: &mut Vec<i16>,
     ) {
         assert!(scores.len().is_multiple_of(WIDTH));
-        // A register more than can be kept is written.
-        places.reserve(scores.len() + WIDTH);
-        found.reserve(scores.len() + WIDTH);
+        let mut ends = Ends::new(places, found, scores.len());
         let (lowest, highest) = (_mm512_set1_epi16(below), _mm512_set1_epi16(above));
-        let mut count = found.len();
-        debug_assert_eq!(count, places.len());
         for (stretch, scores) in scores.chunks(STRETCH * WIDTH).enumerate() {
             let groups = scores.as_chunks::<WIDTH>().0;
-            // SAFETY: a group holds one register.
-            let load = |group: &[i16; WIDTH]| unsafe { _mm512_loadu_si512(group.as_ptr().cast()) };
             let mut masks = [0u32; STRETCH];
             for (group, mask) in groups.iter().zip(&mut masks) {
-                let values = load(group);
+                // SAFETY: a group holds one register.
+                let values = unsafe { _mm512_loadu_si512(group.as_ptr().cast()) };
                 *mask = _mm512_cmpgt_epi16_mask(values, highest);
                 if BOTH {
                     *mask |= _mm512_cmplt_epi16_mask(values, lowest);
@@ -89,30 +102,67 @@ mod avx512 {
             let mut any = _mm512_test_epi32_mask(all, all);
             while any != 0 {
                 let group = any.trailing_zeros() as usize;
-                let mask = masks[group];
                 let place = first + ((stretch * STRETCH + group) * WIDTH) as u32;
-                let lower = (mask as u16).count_ones() as usize;
-                // SAFETY: there is room for as many as there are scores, and one register more.
-                unsafe {
-                    let kept = _mm512_maskz_compress_epi16(mask, load(&groups[group]));
-                    _mm512_storeu_si512(found.as_mut_ptr().add(count).cast(), kept);
-                    let at = places.as_mut_ptr().add(count);
-                    let lanes = _mm512_loadu_si512(LANES.as_ptr().cast());
-                    let half = _mm512_add_epi32(lanes, _mm512_set1_epi32(place as i32));
-                    let kept = _mm512_maskz_compress_epi32(mask as u16, half);
-                    _mm512_storeu_si512(at.cast(), kept);
-                    let half = _mm512_add_epi32(half, _mm512_set1_epi32(16));
-                    let kept = _mm512_maskz_compress_epi32((mask >> 16) as u16, half);
-                    _mm512_storeu_si512(at.add(lower).cast(), kept);
-                }
-                count += mask.count_ones() as usize;
+                // SAFETY: each score once.
+                unsafe { ends.append(place, &groups[group], masks[group]) };
                 any &= any - 1;
             }
         }
-        // SAFETY: so many were written.
-        unsafe {
-            places.set_len(count);
-            found.set_len(count);
+        ends.close();
+    }
+
+    /// The ends of a list of places and one of their scores.
+    pub struct Ends<'a> {
+        places: &'a mut Vec<u32>,
+        found: &'a mut Vec<i16>,
+        count: usize,
+    }
+
+    impl<'a> Ends<'a> {
+        /// With room for `most` scores.
+        pub fn new(places: &'a mut Vec<u32>, found: &'a mut Vec<i16>, most: usize) -> Self {
+            debug_assert_eq!(places.len(), found.len());
+            // A register more than can be appended is written.
+            places.reserve(most + WIDTH);
+            found.reserve(most + WIDTH);
+            let count = found.len();
+            Ends {
+                places,
+                found,
+                count,
+            }
+        }
+
+        /// Appends the scores whose bits are set.
+        ///
+        /// # Safety
+        /// No more than there is room for.
+        #[target_feature(enable = "avx512f,avx512bw,avx512vbmi2,popcnt")]
+        pub unsafe fn append(&mut self, place: u32, scores: &[i16; WIDTH], mask: u32) {
+            let lower = (mask as u16).count_ones() as usize;
+            // SAFETY: as this function's.
+            unsafe {
+                let scores = _mm512_loadu_si512(scores.as_ptr().cast());
+                let kept = _mm512_maskz_compress_epi16(mask, scores);
+                _mm512_storeu_si512(self.found.as_mut_ptr().add(self.count).cast(), kept);
+                let at = self.places.as_mut_ptr().add(self.count);
+                let lanes = _mm512_loadu_si512(LANES.as_ptr().cast());
+                let half = _mm512_add_epi32(lanes, _mm512_set1_epi32(place as i32));
+                let kept = _mm512_maskz_compress_epi32(mask as u16, half);
+                _mm512_storeu_si512(at.cast(), kept);
+                let half = _mm512_add_epi32(half, _mm512_set1_epi32(16));
+                let kept = _mm512_maskz_compress_epi32((mask >> 16) as u16, half);
+                _mm512_storeu_si512(at.add(lower).cast(), kept);
+            }
+            self.count += mask.count_ones() as usize;
+        }
+
+        pub fn close(self) {
+            // SAFETY: so many were written.
+            unsafe {
+                self.places.set_len(self.count);
+                self.found.set_len(self.count);
+            }
         }
     }
 }

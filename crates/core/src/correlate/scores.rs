@@ -1,6 +1,8 @@
 //! What a correlation pass gives.
 
 use super::outside::collect_outside;
+#[cfg(target_arch = "x86_64")]
+use super::outside::{collect_marked, WIDTH};
 use crate::simd::Level;
 
 /// Rows that a kernel works on at a time.
@@ -73,6 +75,7 @@ impl Scores {
     }
 
     /// Scores below the first or above the second number are wanted.
+    #[cfg(target_arch = "x86_64")]
     pub(super) fn outside(&self) -> (i16, i16) {
         match self.wanted {
             Wanted::All => (i16::MAX, i16::MAX),
@@ -80,14 +83,20 @@ impl Scores {
         }
     }
 
-    /// Takes in scores that are wanted, and their places, ascending, from `first` on.
-    pub(super) fn take_kept(&mut self, first: usize, places: &[u16], scores: &[i16]) {
+    /// Takes in the scores of the places from `first` on whose bits are set: those that are wanted.
+    #[cfg(target_arch = "x86_64")]
+    pub(super) fn take_marked(
+        &mut self,
+        level: Level,
+        first: usize,
+        scores: &[i16; WIDTH],
+        mask: u32,
+    ) {
         match self.wanted {
-            Wanted::All => self.values[first..][..scores.len()].copy_from_slice(scores),
+            Wanted::All => self.values[first..][..WIDTH].copy_from_slice(scores),
             Wanted::Beyond { .. } => {
-                let places = places.iter().map(|&place| first as u32 + u32::from(place));
-                self.places.extend(places);
-                self.found.extend_from_slice(scores);
+                let Scores { places, found, .. } = self;
+                collect_marked(level, first, scores, mask, places, found);
             }
         }
     }

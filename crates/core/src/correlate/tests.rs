@@ -1,5 +1,6 @@
 //! Every kernel against the definition, and against each other.
 
+use super::scores::MANY;
 use super::*;
 use crate::atoms::Plane;
 use crate::columns::{BitColumns, DenseColumns};
@@ -121,7 +122,7 @@ fn rows_that_share_a_reading_have_the_scores_of_rows_by_themselves() {
     let packed = bytes(patterns, pixels, &mut random);
     let bits = Bits::new(&packed, patterns, pixels);
     let columns = Columns::Bits(BitColumns::new(bits));
-    let rows = rows(2 * BATCH + 2, patterns, &mut random);
+    let rows = rows(MANY - 1, patterns, &mut random);
     for level in Level::available() {
         let correlator = Correlator::lookup(level, bits);
         assert!(correlator.batch() > rows.len());
@@ -238,14 +239,14 @@ fn scores_beyond_a_value_are_those_among_all() {
         let packed = bytes(patterns, pixels, &mut random);
         let bits = Bits::new(&packed, patterns, pixels);
         let columns = Columns::Bits(BitColumns::new(bits));
-        let rows = rows(3, patterns, &mut random);
-        let e: Vec<&[f64]> = rows.iter().map(Vec::as_slice).collect();
         for level in Level::available() {
             let correlator = Correlator::lookup(level, bits);
+            let rows = rows(correlator.batch() - 1, patterns, &mut random);
+            let e: Vec<&[f64]> = rows.iter().map(Vec::as_slice).collect();
             let all = run(&correlator, &columns, &rows);
             // Most of them, some, and none.
             for (value, both) in [(-0.1, false), (0.1, true), (0.5, false), (1e3, true)] {
-                let mut scores = vec![Scores::default(); 3];
+                let mut scores = vec![Scores::default(); e.len()];
                 for scores in &mut scores {
                     scores.wanted = Wanted::Beyond { value, both };
                 }

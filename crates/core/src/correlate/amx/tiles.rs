@@ -2,22 +2,28 @@
 
 use std::arch::asm;
 
-/// Rows that one product takes.
-pub const LANES: usize = 16;
+/// Rows of a tile of integers.
+pub const ROWS: usize = 16;
 /// Bytes of a line of a tile, and patterns that one product takes.
 pub const LINE: usize = 64;
 /// Bytes of a tile.
 pub const TILE: usize = 16 * LINE;
-/// Pixels of a tile.
+/// Pixels of a tile of patterns.
 pub const COLUMNS: usize = 16;
-/// Tiles of sums that are worked on at a time, and their pixels.
-pub const TILES: usize = 4;
+/// Tiles of either kind that are worked on at a time: each is in two products. Their rows and pixels.
+pub const TILES: usize = 2;
+pub const LANES: usize = TILES * ROWS;
 pub const BLOCK: usize = TILES * COLUMNS;
 /// Bytes of the codes that a step takes: of 64 patterns and a block of pixels.
 pub const STEP: usize = BLOCK * LINE / 8;
+/// Patterns are expanded so many steps before they are read: what was stored just before cannot be
+/// read until all that comes before it is done, products included.
+pub const AHEAD: usize = 3;
 
 /// The patterns of a step, a byte each.
 pub type Planes = [[u8; TILE]; TILES];
+/// The patterns of this step and of those ahead.
+pub type Ring = [Planes; AHEAD + 1];
 /// Of the rows and pixels of a block.
 pub type Sums = [[i32; BLOCK]; LANES];
 
@@ -82,19 +88,33 @@ macro_rules! load_bits {
     };
 }
 
-/// Instructions that expand codes of half a tile each (`$half`): each bit of the bytes to a line.
+/// Instructions that expand the codes of half a tile (`$half`): each bit of the bytes to a line.
 macro_rules! expand {
-    ($($half:literal)*) => {
-        concat!($(
-            "vmovdqu64 zmm0, [{codes} + 64 * ", $half, "]\n",
-            expand!($half, 16, 0), expand!($half, 17, 1), expand!($half, 18, 2), expand!($half, 19, 3),
-            expand!($half, 20, 4), expand!($half, 21, 5), expand!($half, 22, 6), expand!($half, 23, 7),
-        )*)
+    ($half:literal) => {
+        concat!(
+            "vmovdqu64 zmm0, [{codes} + 64 * ",
+            $half,
+            "]\n",
+            expand!($half, 16, 0),
+            expand!($half, 17, 1),
+            expand!($half, 18, 2),
+            expand!($half, 19, 3),
+            expand!($half, 20, 4),
+            expand!($half, 21, 5),
+            expand!($half, 22, 6),
+            expand!($half, 23, 7),
+        )
     };
     ($half:literal, $register:literal, $bit:literal) => {
         concat!(
-            "vgf2p8affineqb zmm1, zmm0, zmm", $register, ", 0\n",
-            "vmovdqa64 [{next} + 512 * ", $half, " + 64 * ", $bit, "], zmm1\n",
+            "vgf2p8affineqb zmm1, zmm0, zmm",
+            $register,
+            ", 0\n",
+            "vmovdqa64 [{next} + 512 * ",
+            $half,
+            " + 64 * ",
+            $bit,
+            "], zmm1\n",
         )
     };
 }
@@ -109,7 +129,10 @@ pub unsafe fn expand(codes: *const u8, next: &mut Planes) {
     unsafe {
         asm!(
             load_bits!(),
-            expand!(0 1 2 3 4 5 6 7),
+            expand!(0),
+            expand!(1),
+            expand!(2),
+            expand!(3),
             bits = in(reg) &BITS,
             codes = in(reg) codes,
             next = in(reg) next,
@@ -120,6 +143,8 @@ pub unsafe fn expand(codes: *const u8, next: &mut Planes) {
         );
     }
 }
+
+const _: () = assert!(size_of::<Ring>().is_power_of_two());
 
 /// The tiles of this thread's processor, set up for `multiply`: nothing else uses any.
 pub struct Tiles;
@@ -133,69 +158,96 @@ impl Tiles {
         Tiles
     }
 
-    /// Sums of `LANES` rows over a block of pixels.
+    /// Sums of `LANES` rows, or, without `ALL`, of half of them, over a block of pixels, which stay in
+    /// the tiles until they are stored.
     ///
-    /// `planes` are those of its first step. They change places with `next` at every step: what is
-    /// expanded last is the step behind the block.
+    /// `at` is where in `ring` the patterns of its first step lie; returns where those of the step
+    /// behind its last do.
     ///
     /// # Safety
-    /// There are `chunks` tiles of integers, and codes of as many steps behind the first.
+    /// There are `chunks` times `LANES` lines of integers, and codes of as many steps, the first of
+    /// them `AHEAD` steps ahead.
     #[target_feature(enable = "avx512f,avx512bw")]
-    pub unsafe fn multiply(
-        &self,
+    pub unsafe fn multiply<const ALL: bool>(
+        &mut self,
         codes: *const u8,
         integers: *const [u8; LINE],
         chunks: usize,
-        planes: &mut Planes,
-        next: &mut Planes,
-        sums: &mut Sums,
-    ) {
-        // SAFETY: reads what the caller says there is, writes planes and sums. Tiles are zero before
-        // and after.
+        ring: &mut Ring,
+        mut at: usize,
+    ) -> usize {
+        // SAFETY: reads what the caller says there is, writes patterns.
         unsafe {
             asm!(
                 load_bits!(),
-                "2:", // multiplies the patterns of a step, and expands those of the next meanwhile
+                "2:", // multiplies the patterns of a step, and expands those ahead meanwhile
+                "lea {next}, [{at} + {behind}]",
+                "and {next}, {last}",
+                "add {next}, {ring}",
+                "add {at}, {ring}",
                 "tileloadd tmm4, [{integers} + {line} * 1]",
-                "tileloadd tmm5, [{planes} + {line} * 1]",
+                "tileloadd tmm5, [{at} + {line} * 1]",
                 "tdpbsud tmm0, tmm4, tmm5",
-                expand!(0 1),
-                "tileloadd tmm6, [{planes} + {line} * 1 + 1024]",
+                expand!(0),
+                "tileloadd tmm6, [{at} + {line} * 1 + 1024]",
                 "tdpbsud tmm1, tmm4, tmm6",
-                expand!(2 3),
-                "tileloadd tmm7, [{planes} + {line} * 1 + 2048]",
-                "tdpbsud tmm2, tmm4, tmm7",
-                expand!(4 5),
-                "tileloadd tmm5, [{planes} + {line} * 1 + 3072]",
-                "tdpbsud tmm3, tmm4, tmm5",
-                expand!(6 7),
-                "xchg {planes}, {next}",
-                "add {codes}, 512",
-                "add {integers}, 1024",
+                expand!(1),
+                ".if {all}",
+                "tileloadd tmm7, [{integers} + {line} * 1 + 1024]",
+                "tdpbsud tmm2, tmm7, tmm5",
+                ".endif",
+                expand!(2),
+                ".if {all}",
+                "tdpbsud tmm3, tmm7, tmm6",
+                ".endif",
+                expand!(3),
+                "sub {at}, {ring}",
+                "add {at}, {planes}",
+                "and {at}, {last}",
+                "add {codes}, {step}",
+                "add {integers}, 2048",
                 "dec {chunks}",
                 "jnz 2b",
-                "mov {line:e}, 256",
-                "tilestored [{sums} + {line} * 1], tmm0",
-                "tilestored [{sums} + {line} * 1 + 64], tmm1",
-                "tilestored [{sums} + {line} * 1 + 128], tmm2",
-                "tilestored [{sums} + {line} * 1 + 192], tmm3",
-                "tilezero tmm0",
-                "tilezero tmm1",
-                "tilezero tmm2",
-                "tilezero tmm3",
+                all = const ALL as i32,
+                planes = const size_of::<Planes>(),
+                behind = const AHEAD * size_of::<Planes>(),
+                last = const size_of::<Ring>() - 1,
+                step = const STEP,
                 codes = inout(reg) codes => _,
                 integers = inout(reg) integers => _,
                 chunks = inout(reg) chunks => _,
-                planes = inout(reg) planes => _,
-                next = inout(reg) next => _,
-                sums = in(reg) sums,
-                line = inout(reg) LINE => _,
+                at = inout(reg) at,
+                next = out(reg) _,
+                ring = in(reg) ring,
+                line = in(reg) LINE,
                 bits = in(reg) &BITS,
                 out("zmm0") _, out("zmm1") _,
                 out("zmm16") _, out("zmm17") _, out("zmm18") _, out("zmm19") _,
                 out("zmm20") _, out("zmm21") _, out("zmm22") _, out("zmm23") _,
                 out("tmm0") _, out("tmm1") _, out("tmm2") _, out("tmm3") _,
                 out("tmm4") _, out("tmm5") _, out("tmm6") _, out("tmm7") _,
+                options(nostack),
+            );
+        }
+        at
+    }
+
+    /// Stores the sums, and makes them zero.
+    pub fn store(&mut self, sums: &mut Sums) {
+        // SAFETY: that there are tiles, the contract of `configured`; a line of sums has 128 bytes.
+        unsafe {
+            asm!(
+                "tilestored [{sums} + {line} * 1], tmm0",
+                "tilestored [{sums} + {line} * 1 + 64], tmm1",
+                "tilestored [{sums} + {line} * 1 + 2048], tmm2",
+                "tilestored [{sums} + {line} * 1 + 2112], tmm3",
+                "tilezero tmm0",
+                "tilezero tmm1",
+                "tilezero tmm2",
+                "tilezero tmm3",
+                line = in(reg) size_of::<[i32; BLOCK]>(),
+                sums = in(reg) sums,
+                out("tmm0") _, out("tmm1") _, out("tmm2") _, out("tmm3") _,
                 options(nostack),
             );
         }
