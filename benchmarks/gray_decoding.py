@@ -1,0 +1,94 @@
+r"""Strongest entries of a matrix against Gray decoding: `python -m benchmarks.gray_decoding`.
+
+Of a capture of Gray code stripes and their inverses, 20 frames along columns, 20 along rows, a
+white and a black one (kamino410/procam-calibration), every bit of a lit camera pixel's projector
+pixel is the brighter of two frames: an answer that has nothing to do with ours.
+
+    lightmatrix estimate --patterns BOARD/graycode_pattern --images BOARD/capture_0 \
+        --black BOARD/capture_0/graycode_41.png -o board.zarr
+    python -m benchmarks.gray_decoding board.zarr BOARD/capture_0
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+
+import lightmatrix as lm
+from lightmatrix.files.stack import ImageStack
+
+# Frames 0 to 19: ten column bits, most significant first, each with its inverse; 20 to 39: ten row
+# bits.
+COLUMN_BITS, ROW_BITS, BITS = 0, 20, 10
+WHITE, BLACK, CLIP = 40, 41, 255
+# Of the clip level, white above black.
+LIT = 0.1
+NEAR = 2
+
+
+def decoded(photographs: NDArray[np.float32], first: int) -> NDArray[np.float32]:
+    """Projector coordinate that each camera pixel sees, from the bits from frame `first` on."""
+    ends = first + 2 * BITS
+    code = photographs[first:ends:2] > photographs[first + 1 : ends : 2]
+    bit = np.zeros(code.shape[1:], bool)
+    value = np.zeros(code.shape[1:], np.int64)
+    for plane in code:
+        bit = bit ^ plane
+        value = 2 * value + bit
+    return value.astype(np.float32)
+
+
+def strongest(matrix: csr_array) -> NDArray[np.int64]:
+    """The column of each row's largest entry, (rows,); -1 where there is none."""
+    counts = np.diff(matrix.indptr)
+    filled = counts > 0
+    starts = matrix.indptr[:-1][filled]
+    found = np.full(len(counts), -1, np.int64)
+    if filled.any():
+        largest = np.maximum.reduceat(matrix.data, starts)
+        at = np.flatnonzero(matrix.data == np.repeat(largest, counts[filled]))
+        # Of equal ones the first.
+        found[filled] = matrix.indices[at[np.searchsorted(at, starts)]]
+    return found
+
+
+def compared(stored: lm.StoredTransport, photographs: NDArray[np.float32]) -> dict[str, Any]:
+    """Shares of the lit camera pixels whose strongest entry lies where Gray decoding says."""
+    lit = (photographs[WHITE] - photographs[BLACK] > LIT * CLIP).ravel()
+    places = [decoded(photographs, first).ravel() for first in (ROW_BITS, COLUMN_BITS)]
+    found = np.concatenate([strongest(rows.coefficients) for _, rows in stored.blocks()])
+    apart = [
+        np.abs(here - there)
+        for here, there in zip(np.divmod(found, stored.projector_shape[1]), places, strict=True)
+    ]
+    distance = np.where(found < 0, np.inf, np.maximum(*apart))[lit]
+    return {
+        "lit camera pixels": int(lit.sum()),
+        f"within {NEAR} pixels": float((distance <= NEAR).mean()),
+        "on it": float((distance == 0).mean()),
+        "entries a row": stored.entries / stored.shape[0],
+    }
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Compare, and print what was found."""
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.gray_decoding",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("matrix", type=Path, help="a store of an estimate at full size")
+    parser.add_argument("photographs", type=Path, help="the folder of its 42 photographs")
+    options = parser.parse_args(arguments)
+    photographs = np.stack(list(ImageStack.open(options.photographs))).astype(np.float32)
+    for name, value in compared(lm.StoredTransport.open(options.matrix), photographs).items():
+        print(f"{name}: {value:.4g}")
+
+
+if __name__ == "__main__":
+    main()
