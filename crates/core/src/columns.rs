@@ -98,6 +98,11 @@ impl DenseColumns {
         &self.values[pixel as usize * self.stride..][..self.stride]
     }
 
+    /// Columns side by side.
+    pub fn block(&self, pixels: std::ops::Range<usize>) -> &[f32] {
+        &self.values[pixels.start * self.stride..pixels.end * self.stride]
+    }
+
     /// The largest absolute value of any pattern.
     pub fn largest(&self) -> f64 {
         self.largest
@@ -139,9 +144,8 @@ impl Columns {
                 }
             }
             Columns::Dense(dense) => {
-                for (out, pixel) in out.iter_mut().zip(pixels) {
-                    *out = mixed_dot(level, dense.column(*pixel), e);
-                }
+                assert_eq!(dense.stride, e.len());
+                mixed_dots(level, &dense.values, pixels, e, out);
             }
             Columns::Words(words) => {
                 for (out, pixel) in out.iter_mut().zip(pixels) {
@@ -286,14 +290,18 @@ multiversion! {
 }
 
 multiversion! {
-    fn mixed_dot(column: &[f32], e: &[f64]) -> f64 {
-        let mut sums = [0.0; SUMS];
-        for (a, e) in column.chunks_exact(SUMS).zip(e.chunks_exact(SUMS)) {
-            for i in 0..SUMS {
-                sums[i] += f64::from(a[i]) * e[i];
+    /// Inner products of some columns, all as long as `e`.
+    fn mixed_dots(columns: &[f32], pixels: &[u32], e: &[f64], out: &mut [f64]) {
+        for (out, pixel) in out.iter_mut().zip(pixels) {
+            let column = &columns[*pixel as usize * e.len()..][..e.len()];
+            let mut sums = [0.0; SUMS];
+            for (a, e) in column.as_chunks::<SUMS>().0.iter().zip(e.as_chunks::<SUMS>().0) {
+                for i in 0..SUMS {
+                    sums[i] += f64::from(a[i]) * e[i];
+                }
             }
+            *out = fold(sums);
         }
-        fold(sums)
     }
 }
 

@@ -16,6 +16,7 @@ pub fn padded(samples: usize) -> usize {
 }
 
 /// Adds partial sums in a fixed order.
+#[inline(always)]
 pub(crate) fn fold(mut sums: [f64; SUMS]) -> f64 {
     let mut half = SUMS / 2;
     while half > 0 {

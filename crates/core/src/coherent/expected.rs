@@ -6,7 +6,8 @@
 
 use super::around::{self, moved_back};
 use crate::problem::{Dictionary, Rows, Sparse};
-use crate::vector::padded;
+use crate::simd::{multiversion, Level};
+use crate::vector::{fold, one_sided, padded, SUMS};
 use rayon::prelude::*;
 
 /// Rows that one thread takes on at a time.
@@ -74,7 +75,7 @@ pub fn expected(
     let out =
         (result.values.par_chunks_mut(all.max(1))).zip(result.variances.par_chunks_mut(all.max(1)));
     out.enumerate().with_min_len(TASK).for_each_init(
-        || Guesses::new(shown.patterns, unseen.patterns),
+        || Guesses::new(shown.level, shown.patterns, unseen.patterns),
         |guesses, (i, (values, variances))| {
             guesses.load(rows, i);
             guesses.gather(shown, unseen, neighbours, asked[i], level);
@@ -86,9 +87,13 @@ pub fn expected(
 
 /// One row's samples, and sums over its neighbours' guesses at them. Buffers of one thread.
 struct Guesses {
+    level: Level,
+    /// Samples, padded, and their weights; the same of those that do not clip, and 0 for those that
+    /// do; and 0 and minus infinity, the other way round.
     y: Vec<f64>,
     weights: Vec<f64>,
-    clipped: Vec<bool>,
+    known: Vec<f64>,
+    lower: Vec<f64>,
     /// The power of places' shares.
     unsure: f64,
     /// A neighbour's guess, under the patterns shown and the unseen ones.
@@ -101,11 +106,18 @@ struct Guesses {
 }
 
 impl Guesses {
-    fn new(shown: usize, unseen: usize) -> Self {
+    fn new(level: Level, shown: usize, unseen: usize) -> Self {
+        let samples = |value| {
+            let mut values = vec![0.0; padded(shown)];
+            values[..shown].fill(value);
+            values
+        };
         Guesses {
-            y: vec![0.0; shown],
-            weights: vec![1.0; shown],
-            clipped: vec![false; shown],
+            level,
+            y: samples(0.0),
+            weights: samples(1.0),
+            known: samples(0.0),
+            lower: samples(0.0),
             unsure: 0.0,
             shown: vec![0.0; padded(shown)],
             unseen: vec![0.0; padded(unseen)],
@@ -117,14 +129,19 @@ impl Guesses {
     }
 
     fn load(&mut self, rows: Rows, row: usize) {
-        let n = self.y.len();
-        rows.samples.copy(row * n, &mut self.y);
-        self.clipped.copy_from_slice(&rows.clipped[row * n..][..n]);
-        let clipped = self.clipped.iter().filter(|&&clipped| clipped).count();
-        self.unsure = PLACES * clipped as f64 / n.max(1) as f64;
+        let [n, _] = self.patterns;
+        rows.samples.copy(row * n, &mut self.y[..n]);
         if let Some(weights) = rows.weights {
             let start = if weights.len() == n { 0 } else { row * n };
-            weights.copy(start, &mut self.weights);
+            weights.copy(start, &mut self.weights[..n]);
+        }
+        let clipped = &rows.clipped[row * n..][..n];
+        let count = clipped.iter().filter(|&&clipped| clipped).count();
+        self.unsure = PLACES * count as f64 / n.max(1) as f64;
+        one_sided(self.level, clipped, &mut self.lower[..n]);
+        self.known.copy_from_slice(&self.weights);
+        for (known, clipped) in self.known.iter_mut().zip(clipped) {
+            *known = if *clipped { 0.0 } else { *known };
         }
         self.sums.fill(0.0);
         self.squares.fill(0.0);
@@ -194,30 +211,17 @@ impl Guesses {
     /// Scales the guess to the samples that are known and adds it by how well it explains them,
     /// and by the share of the place that it is for as far as samples clip.
     fn weigh(&mut self, level: f64, share: f32) {
-        let n = self.y.len();
+        let (cpu, [n, _]) = (self.level, self.patterns);
         let prior = LIKENESS * level * level;
-        let (mut product, mut square) = (prior, prior);
-        for k in (0..n).filter(|&k| !self.clipped[k]) {
-            product += self.weights[k] * self.y[k] * self.shown[k];
-            square += self.weights[k] * self.shown[k] * self.shown[k];
-        }
-        let scale = (product / square).clamp(1.0 / BRIGHTEST, BRIGHTEST);
-        let mut misfit = 0.0;
-        for k in 0..n {
-            let mut off = self.y[k] - scale * self.shown[k];
-            if self.clipped[k] {
-                off = off.max(0.0);
-            }
-            misfit += self.weights[k] * off * off;
-        }
+        let (product, square) = products(cpu, &self.known, &self.y, &self.shown);
+        let scale = ((product + prior) / (square + prior)).clamp(1.0 / BRIGHTEST, BRIGHTEST);
+        let misfit = misfit(cpu, &self.weights, &self.y, &self.lower, &self.shown, scale);
         let off = misfit / (n as f64 * level * level) + PRECISION * PRECISION;
         let weight = f64::from(share).powf(self.unsure) / (off * off);
-        let guess = self.shown[..n].iter().chain(&self.unseen);
-        for ((sum, square), u) in self.sums.iter_mut().zip(&mut self.squares).zip(guess) {
-            let u = scale * u;
-            *sum += weight * u;
-            *square += weight * u * u;
-        }
+        let (shown, unseen) = self.sums.split_at_mut(n);
+        let (shown_squares, unseen_squares) = self.squares.split_at_mut(n);
+        add_guess(cpu, &self.shown, scale, weight, shown, shown_squares);
+        add_guess(cpu, &self.unseen, scale, weight, unseen, unseen_squares);
         self.total += weight;
     }
 
@@ -237,13 +241,56 @@ impl Guesses {
     /// neighbours may agree and err together, as where all are moved by a pixel too many.
     fn common_error(&self, level: f64) -> f64 {
         let (mut misfit, mut whole) = (0.0, 0.0);
-        for k in (0..self.y.len()).filter(|&k| !self.clipped[k]) {
+        for k in 0..self.patterns[0] {
             let off = self.y[k] - self.sums[k] / self.total;
-            misfit += self.weights[k] * off * off;
-            whole += self.weights[k];
+            misfit += self.known[k] * off * off;
+            whole += self.known[k];
         }
         let brightest = self.sums.iter().fold(0.0, |most, sum| sum.max(most)) / self.total;
         let borne = (COMMON * brightest.max(level)).powi(2);
         (misfit / whole.max(f64::MIN_POSITIVE) - borne).max(0.0)
+    }
+}
+
+multiversion! {
+    /// sum w y u and sum w u^2
+    fn products(weights: &[f64], y: &[f64], u: &[f64]) -> (f64, f64) {
+        let (mut product, mut square) = ([0.0; SUMS], [0.0; SUMS]);
+        let samples = weights.as_chunks::<SUMS>().0.iter().zip(y.as_chunks::<SUMS>().0);
+        for ((weights, y), u) in samples.zip(u.as_chunks::<SUMS>().0) {
+            for i in 0..SUMS {
+                let weighted = weights[i] * u[i];
+                product[i] += weighted * y[i];
+                square[i] += weighted * u[i];
+            }
+        }
+        (fold(product), fold(square))
+    }
+}
+
+multiversion! {
+    /// sum w max(y - scale u, lower)^2
+    fn misfit(weights: &[f64], y: &[f64], lower: &[f64], u: &[f64], scale: f64) -> f64 {
+        let mut sums = [0.0; SUMS];
+        let samples = weights.as_chunks::<SUMS>().0.iter().zip(y.as_chunks::<SUMS>().0);
+        let guesses = lower.as_chunks::<SUMS>().0.iter().zip(u.as_chunks::<SUMS>().0);
+        for ((weights, y), (lower, u)) in samples.zip(guesses) {
+            for i in 0..SUMS {
+                let off = y[i] - scale * u[i];
+                let off = if off > lower[i] { off } else { lower[i] };
+                sums[i] += weights[i] * off * off;
+            }
+        }
+        fold(sums)
+    }
+}
+
+multiversion! {
+    fn add_guess(u: &[f64], scale: f64, weight: f64, sums: &mut [f64], squares: &mut [f64]) {
+        for ((sum, square), u) in sums.iter_mut().zip(squares).zip(u) {
+            let u = scale * u;
+            *sum += weight * u;
+            *square += weight * u * u;
+        }
     }
 }

@@ -1,13 +1,16 @@
 //! Patterns of any values: float32 products, then scores.
 
+use super::quantise::MAGIC;
 use super::scores::Scores;
-use crate::columns::{Columns, DenseColumns};
+use crate::columns::Columns;
 use crate::simd::{multiversion, Level};
-use crate::vector::padded;
+use crate::vector::{padded, signed_sums};
 
 pub struct Dense;
 
 const SUMS: usize = 16;
+/// Columns that one row takes before the next one does.
+const BLOCK: usize = 64;
 /// Scores go up to this, so that rounding cannot leave 16 bits.
 const LARGEST: f64 = 32_000.0;
 
@@ -31,11 +34,16 @@ impl Dense {
             .map(|e| e.iter().map(|&v| v as f32).collect())
             .collect();
         let mut values = vec![0f32; rows.len() * pixels];
-        match &rows[..] {
-            [a] => products(level, columns, [a], &mut values),
-            [a, b] => products(level, columns, [a, b], &mut values),
-            [a, b, c] => products(level, columns, [a, b, c], &mut values),
-            _ => return,
+        for first in (0..pixels).step_by(BLOCK) {
+            let block = first..pixels.min(first + BLOCK);
+            for (row, values) in rows.iter().zip(values.chunks_exact_mut(pixels)) {
+                products(
+                    level,
+                    columns.block(block.clone()),
+                    row,
+                    &mut values[block.clone()],
+                );
+            }
         }
         for (row, ((out, e), values)) in out
             .iter_mut()
@@ -44,52 +52,62 @@ impl Dense {
             .enumerate()
         {
             debug_assert_eq!(e.len(), padded(patterns), "row {row}");
-            score(columns.largest(), patterns, e, values, out);
-        }
-    }
-}
-
-fn products<const R: usize>(
-    level: Level,
-    columns: &DenseColumns,
-    rows: [&Vec<f32>; R],
-    out: &mut [f32],
-) {
-    let pixels = out.len() / R;
-    for pixel in 0..pixels {
-        let mut sums = [[0f32; SUMS]; R];
-        let column = columns.column(pixel as u32);
-        for (r, sums) in sums.iter_mut().enumerate() {
-            dot(level, column, rows[r], sums);
-            out[r * pixels + pixel] = sums.iter().sum();
+            score(level, columns.largest(), patterns, e, values, out);
         }
     }
 }
 
 multiversion! {
-    fn dot(column: &[f32], row: &[f32], sums: &mut [f32; SUMS]) {
-        let mut total = *sums;
-        for (a, e) in column.chunks_exact(SUMS).zip(row.chunks_exact(SUMS)) {
-            for i in 0..SUMS {
-                total[i] += a[i] * e[i];
+    /// Inner products of a row with columns of its length.
+    fn products(columns: &[f32], row: &[f32], out: &mut [f32]) {
+        for (column, out) in columns.chunks_exact(row.len()).zip(out) {
+            let mut sums = [0f32; SUMS];
+            for (a, e) in column.as_chunks::<SUMS>().0.iter().zip(row.as_chunks::<SUMS>().0) {
+                for i in 0..SUMS {
+                    sums[i] += a[i] * e[i];
+                }
             }
+            for half in [8, 4, 2, 1] {
+                for i in 0..half {
+                    sums[i] += sums[i + half];
+                }
+            }
+            *out = sums[0];
         }
-        *sums = total;
     }
 }
 
-fn score(largest: f64, patterns: usize, e: &[f64], values: &[f32], out: &mut Scores) {
-    let top = f64::from(values.iter().fold(0f32, |m, v| m.max(v.abs())));
-    let total: f64 = e.iter().map(|v| v.abs()).sum();
+multiversion! {
+    fn largest(values: &[f32]) -> f32 {
+        let mut most = [0f32; SUMS];
+        let (chunks, rest) = values.as_chunks::<SUMS>();
+        for values in chunks {
+            for i in 0..SUMS {
+                most[i] = if values[i].abs() > most[i] { values[i].abs() } else { most[i] };
+            }
+        }
+        most.iter().chain(rest).fold(0f32, |most, v| most.max(v.abs()))
+    }
+}
+
+multiversion! {
+    fn to_nearest(values: &[f32], scale: f64, out: &mut [i16]) {
+        for (out, value) in out.iter_mut().zip(values) {
+            *out = (f64::from(*value) * scale + MAGIC).to_bits() as i16;
+        }
+    }
+}
+
+fn score(level: Level, most: f64, patterns: usize, e: &[f64], values: &[f32], out: &mut Scores) {
+    let top = f64::from(largest(level, values));
+    let (negative, positive) = signed_sums(level, e);
+    let total = positive - negative;
     // The error of a float32 sum of products, whatever their order (Higham 2002, Eq. 3.5), with
     // room for the rounding of e and for terms below the normal range.
-    let error = largest * total * (patterns + 4) as f64 * f64::from(f32::EPSILON) + 1e-30;
+    let error = most * total * (patterns + 4) as f64 * f64::from(f32::EPSILON) + 1e-30;
     out.unit = (top / LARGEST).max(error / LARGEST);
     out.offset = 0.0;
     (out.up, out.down) = (0.51 + error / out.unit, 0.51 + error / out.unit);
-    let scale = 1.0 / out.unit;
-    out.values.fill(0);
-    for (out, value) in out.values.iter_mut().zip(values) {
-        *out = (f64::from(*value) * scale).round() as i16;
-    }
+    out.values[values.len()..].fill(0);
+    to_nearest(level, values, 1.0 / out.unit, &mut out.values);
 }

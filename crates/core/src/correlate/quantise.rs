@@ -28,7 +28,7 @@ pub struct Rounded {
 }
 
 /// Adding this number rounds to the nearest integer, which its low bits then hold.
-const MAGIC: f64 = 6_755_399_441_055_744.0;
+pub const MAGIC: f64 = 6_755_399_441_055_744.0;
 const LANES: usize = 16;
 
 /// Rounds the first `count` values of `e` (padded with zeros) to integers times a unit.

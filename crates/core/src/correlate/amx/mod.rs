@@ -17,7 +17,7 @@ use std::arch::x86_64::*;
 pub use tiles::LANES;
 use tiles::{expand, Ring, Sums, Tiles, AHEAD, BLOCK, COLUMNS, LINE, ROWS, STEP, TILE, TILES};
 
-/// Blocks whose codes stay in the second-level cache while rows take them, `LANES` at a time.
+/// Blocks between which scores are handed on: so many rows' scores stay in the second-level cache.
 const BLOCKS: usize = 128;
 
 /// Patterns a bit each, in the order in which steps read them; then steps that mean nothing.
@@ -133,42 +133,38 @@ pub fn run(
     let patterns = rows.iter().map(Vec::len).max().unwrap_or(0);
     let chunks = chunks_of(patterns);
     assert_eq!(codes.len(), (length / BLOCK * chunks + AHEAD) * STEP);
-    assert!(length.is_multiple_of(BLOCK) && rows.len() == out.len());
+    assert!(length.is_multiple_of(BLOCK) && rows.len() == out.len() && rows.len() <= LANES);
     let Buffers { integers, work } = buffers;
     let work = work.get_or_insert_default();
     integers.clear();
-    integers.resize(rows.len().div_ceil(LANES) * chunks * LANES, [0; LINE]);
+    integers.resize(chunks * LANES, [0; LINE]);
     for (i, row) in rows.iter().enumerate() {
         for (chunk, values) in row.chunks(LINE).enumerate() {
-            let line = &mut integers[(i / LANES * chunks + chunk) * LANES + i % LANES];
-            for (to, value) in line.iter_mut().zip(values) {
+            for (to, value) in integers[chunk * LANES + i].iter_mut().zip(values) {
                 debug_assert!((-127..=127).contains(value));
                 *to = *value as u8;
             }
         }
     }
+    for (outside, out) in work.outside.iter_mut().zip(out.iter()) {
+        *outside = out.outside();
+    }
+    let all = rows.len() > ROWS;
+    let blocks_of = if all {
+        blocks_of::<true>
+    } else {
+        blocks_of::<false>
+    };
     let blocks = length / BLOCK;
     for first in (0..blocks).step_by(BLOCKS) {
         let last = blocks.min(first + BLOCKS);
         let codes = &codes[first * chunks * STEP..][..((last - first) * chunks + AHEAD) * STEP];
-        let groups = integers.chunks(chunks * LANES);
-        for (integers, out) in groups.zip(out.chunks_mut(LANES)) {
-            for (outside, out) in work.outside.iter_mut().zip(out.iter()) {
-                *outside = out.outside();
-            }
-            // SAFETY: the level proves the instructions; the asserts above are the contract.
-            let count = unsafe {
-                if out.len() > ROWS {
-                    blocks_of::<true>(codes, integers, chunks, out.len(), work)
-                } else {
-                    blocks_of::<false>(codes, integers, chunks, out.len(), work)
-                }
-            };
-            let Kept { scores, marks } = &work.kept;
-            for (scores, mark) in scores.iter().zip(&marks[..count]) {
-                let place = (first + usize::from(mark.block)) * BLOCK;
-                out[usize::from(mark.row)].take_marked(level, place, scores, mark.mask);
-            }
+        // SAFETY: the level proves the instructions; the asserts above are the contract.
+        let count = unsafe { blocks_of(codes, integers, chunks, rows.len(), work) };
+        let Kept { scores, marks } = &work.kept;
+        for (scores, mark) in scores.iter().zip(&marks[..count]) {
+            let place = (first + usize::from(mark.block)) * BLOCK;
+            out[usize::from(mark.row)].take_marked(level, place, scores, mark.mask);
         }
     }
 }
