@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 import lightmatrix as lm
+from lightmatrix.estimators.coherent import movement
 from lightmatrix.files.stack import ImageStack
 
 # Frames 0 to 19: ten column bits, most significant first, each with its inverse; 20 to 39: ten row
@@ -45,16 +46,7 @@ def decoded(photographs: NDArray[np.float32], first: int) -> NDArray[np.float32]
 
 def strongest(matrix: csr_array) -> NDArray[np.int64]:
     """The column of each row's largest entry, (rows,); -1 where there is none."""
-    counts = np.diff(matrix.indptr)
-    filled = counts > 0
-    starts = matrix.indptr[:-1][filled]
-    found = np.full(len(counts), -1, np.int64)
-    if filled.any():
-        largest = np.maximum.reduceat(matrix.data, starts)
-        at = np.flatnonzero(matrix.data == np.repeat(largest, counts[filled]))
-        # Of equal ones the first.
-        found[filled] = matrix.indices[at[np.searchsorted(at, starts)]]
-    return found
+    return np.where(np.diff(matrix.indptr) > 0, movement.strongest(matrix), -1)
 
 
 def compared(stored: lm.StoredTransport, photographs: NDArray[np.float32]) -> dict[str, Any]:

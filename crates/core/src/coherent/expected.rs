@@ -88,11 +88,12 @@ pub fn expected(
 /// One row's samples, and sums over its neighbours' guesses at them. Buffers of one thread.
 struct Guesses {
     level: Level,
-    /// Samples, padded, and their weights; the same of those that do not clip, and 0 for those that
-    /// do; and 0 and minus infinity, the other way round.
+    /// Samples, padded, and their weights.
     y: Vec<f64>,
     weights: Vec<f64>,
+    /// Weights of the samples that do not clip, 0 for those that do.
     known: Vec<f64>,
+    /// 0 for samples that clip, minus infinity for others.
     lower: Vec<f64>,
     /// The power of places' shares.
     unsure: f64,

@@ -3,6 +3,7 @@
 //! The correlation with a blurred column is the blurred correlation, so one pass over the patterns
 //! serves all sizes, and what they cost does not depend on the number of patterns.
 
+use super::quantise::largest;
 use super::scores::{Scores, GROUP};
 use crate::atoms::{Atoms, Blurring};
 use crate::simd::{multiversion, Level};
@@ -83,21 +84,6 @@ impl Blurred {
         let (values, rest) = out.values.split_at_mut(planes.len());
         rounded(level, planes, 1.0 / step, values);
         rest.fill(0);
-    }
-}
-
-multiversion! {
-    fn largest(values: &[f32]) -> f32 {
-        let mut most = [0f32; 16];
-        let (parts, rest) = values.as_chunks::<16>();
-        for part in parts {
-            for i in 0..16 {
-                let value = part[i].abs();
-                // Unlike `max`, one instruction.
-                most[i] = if value > most[i] { value } else { most[i] };
-            }
-        }
-        most.iter().chain(rest).fold(0f32, |most, value| most.max(value.abs()))
     }
 }
 

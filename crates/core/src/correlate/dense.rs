@@ -1,6 +1,6 @@
 //! Patterns of any values: float32 products, then scores.
 
-use super::quantise::MAGIC;
+use super::quantise::{largest, MAGIC};
 use super::scores::Scores;
 use crate::columns::Columns;
 use crate::simd::{multiversion, Level};
@@ -74,19 +74,6 @@ multiversion! {
             }
             *out = sums[0];
         }
-    }
-}
-
-multiversion! {
-    fn largest(values: &[f32]) -> f32 {
-        let mut most = [0f32; SUMS];
-        let (chunks, rest) = values.as_chunks::<SUMS>();
-        for values in chunks {
-            for i in 0..SUMS {
-                most[i] = if values[i].abs() > most[i] { values[i].abs() } else { most[i] };
-            }
-        }
-        most.iter().chain(rest).fold(0f32, |most, v| most.max(v.abs()))
     }
 }
 

@@ -58,11 +58,10 @@ impl Lookup {
 
     /// How many rows a run should have: so many share a reading of the patterns best.
     pub fn batch(&self) -> usize {
-        let memory = self.reads_memory();
         match &self.codes {
             #[cfg(target_arch = "x86_64")]
             Codes::Tiles(_) => amx::LANES,
-            _ if memory => MANY,
+            _ if self.reads_memory() => MANY,
             _ => BATCH,
         }
     }

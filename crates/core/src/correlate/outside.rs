@@ -2,10 +2,10 @@
 
 use crate::simd::{multiversion, Kind, Level};
 
-/// Scores of a group, which AVX-512 has in one register.
+/// Scores of a register of AVX-512.
 pub const WIDTH: usize = 32;
-/// Groups of which it is first seen whether any score lies outside: few do.
-const GROUPS: usize = 2;
+/// Scores of which it is first seen whether any lies outside: few do.
+const GROUP: usize = 64;
 
 /// Appends the places (from `first` on) and the values of scores outside `below..=above`.
 pub fn collect_outside(
@@ -34,12 +34,12 @@ multiversion! {
     fn collect_plain(
         first: u32, scores: &[i16], below: i16, above: i16, places: &mut Vec<u32>, found: &mut Vec<i16>
     ) {
-        for (block, group) in scores.chunks(GROUPS * WIDTH).enumerate() {
+        for (block, group) in scores.chunks(GROUP).enumerate() {
             let outside = |any, &score: &i16| any | (score > above) | (score < below);
             if group.iter().fold(false, outside) {
                 for (i, &score) in group.iter().enumerate() {
                     if score > above || score < below {
-                        places.push(first + (block * GROUPS * WIDTH + i) as u32);
+                        places.push(first + (block * GROUP + i) as u32);
                         found.push(score);
                     }
                 }

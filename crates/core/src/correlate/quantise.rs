@@ -97,3 +97,19 @@ fn towards_zero(e: &[f64], scale: f64, out: &mut [i16]) -> (f64, f64) {
     }
     (up, down)
 }
+
+multiversion! {
+    /// The largest absolute value.
+    pub fn largest(values: &[f32]) -> f32 {
+        let mut most = [0f32; 16];
+        let (parts, rest) = values.as_chunks::<16>();
+        for part in parts {
+            for i in 0..16 {
+                let value = part[i].abs();
+                // Unlike `max`, one instruction.
+                most[i] = if value > most[i] { value } else { most[i] };
+            }
+        }
+        most.iter().chain(rest).fold(0f32, |most, value| most.max(value.abs()))
+    }
+}

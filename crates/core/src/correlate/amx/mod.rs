@@ -95,10 +95,7 @@ struct Mark {
     mask: u32,
 }
 
-const _: () = assert!(
-    LANES * BLOCKS <= 1 << 16,
-    "blocks and rows are kept in 16 bits"
-);
+const _: () = assert!(BLOCKS <= 1 << 16, "blocks are kept in 16 bits");
 
 impl Default for Work {
     fn default() -> Self {
