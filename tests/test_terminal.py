@@ -171,6 +171,25 @@ def test_finished_tiles_are_promised_only_where_there_are_some(
     assert Path("s.zarr.partial").exists() == bool(finished)
 
 
+def test_ctrl_c_once_the_output_is_there_says_so(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def stopped(transport: Any) -> None:
+        # As a library may make its own of it.
+        try:
+            raise KeyboardInterrupt
+        except KeyboardInterrupt as stop:
+            raise RuntimeError("cancelled") from stop
+
+    lm.simulate("metal", lm.BernoulliPatterns((64, 64), 8)).save("capture")
+    monkeypatch.setattr(lm, "verdict", stopped)
+    line = "estimate capture -o s.zarr --solver romp --iterations 1"
+    for again in ("", " --overwrite"):
+        assert main((line + again).split()) == 130
+        assert capsys.readouterr().err.endswith("stopped; s.zarr is finished\n")
+        assert lm.open("s.zarr").camera_shape == (64, 64)
+
+
 @pytest.mark.parametrize(
     ("error", "code", "told"),
     [
@@ -274,6 +293,30 @@ def test_destructors_met_by_a_stop_say_nothing() -> None:
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
     assert done.stdout == "stopped\n"
     assert done.stderr.count("half made") == 1  # of the first, before the stop
+
+
+@SIGNALS
+@pytest.mark.parametrize("stopped", [False, True])
+def test_a_task_left_by_a_stop_is_not_told(stopped: bool) -> None:
+    script = (
+        "import asyncio, os, signal, sys\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        "from lightmatrix.cli.stops import quiet_stops\n"
+        "loop = asyncio.new_event_loop()\n"
+        "with quiet_stops():\n"
+        "    task = loop.create_task(asyncio.sleep(60))\n"
+        "    loop.run_until_complete(asyncio.sleep(0))\n"
+        "    try:\n"
+        "        if sys.argv[1] == 'True':\n"
+        "            os.kill(os.getpid(), signal.SIGINT)\n"
+        "            while True: pass\n"
+        "    except KeyboardInterrupt:\n"
+        "        pass\n"
+        "loop.close()\n"
+        "del task, loop\n"
+    )
+    done = subprocess.run([sys.executable, "-c", script, str(stopped)], capture_output=True)
+    assert (b"Task was destroyed" in done.stderr) is not stopped
 
 
 @SIGNALS

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 import lightmatrix as lm
-from lightmatrix.cli.claims import claim
+from lightmatrix.cli.claims import claim, tell_when_stopped
 from lightmatrix.cli.options import (
     RIG_FILE,
     USUAL_FRAMES,
@@ -24,8 +24,8 @@ from lightmatrix.cli.options import (
     Seed,
 )
 from lightmatrix.cli.stages import stages
-from lightmatrix.cli.terminal import Stopped, progress, say, show_json
-from lightmatrix.outputs.kinds import LIVE_CAPTURE, PARTIAL, STORE
+from lightmatrix.cli.terminal import progress, say, show_json
+from lightmatrix.outputs.kinds import LIVE_CAPTURE, STORE
 
 
 def capture(
@@ -82,33 +82,32 @@ def capture(
     over when it is known. Frames that are late, torn, lost or copied are taken again.
     """
     claim(output, LIVE_CAPTURE, overwrite=overwrite)
+    tell_when_stopped(output, "frames")
     if store is not None:
         claim(store, STORE, overwrite=overwrite)
-    with lm.open_rig(rig, projector=projector, camera=camera, patience=patience) as opened:
-        try:
-            with stages() as shown:
-                captured = lm.take_capture(
-                    output,
-                    opened,
-                    pattern_folder,
-                    count=count,
-                    density=density,
-                    seed=seed,
-                    cell=cell,
-                    exposure=exposure,
-                    settle=settle,
-                    response=response,
-                    keep=rig_file,
-                    check=check,
-                    reference_every=reference_every,
-                    overwrite=overwrite,
-                    progress=shown.photographed,
-                    calibrating=shown.measured,
-                )
-        except KeyboardInterrupt:
-            kept = output.with_name(output.name + PARTIAL).exists()
-            note = "finished frames are kept, run again to go on" if kept else "nothing was kept"
-            raise Stopped(note) from None
+        tell_when_stopped(store, "tiles")
+    with (
+        lm.open_rig(rig, projector=projector, camera=camera, patience=patience) as opened,
+        stages() as shown,
+    ):
+        captured = lm.take_capture(
+            output,
+            opened,
+            pattern_folder,
+            count=count,
+            density=density,
+            seed=seed,
+            cell=cell,
+            exposure=exposure,
+            settle=settle,
+            response=response,
+            keep=rig_file,
+            check=check,
+            reference_every=reference_every,
+            overwrite=overwrite,
+            progress=shown.photographed,
+            calibrating=shown.measured,
+        )
     told: dict[str, Any] = {"output": output, "clipped_share": captured.clipped_share}
     told |= captured.provenance
     if not as_json:

@@ -11,7 +11,7 @@ import typer
 
 import lightmatrix as lm
 from lightmatrix.capture.checking.finding import refuse_disorder
-from lightmatrix.cli.claims import claim
+from lightmatrix.cli.claims import claim, tell_when_stopped
 from lightmatrix.cli.options import (
     ADMM_ITERATIONS,
     COHERENT_UP_TO,
@@ -39,8 +39,8 @@ from lightmatrix.cli.source import (
     White,
     source,
 )
-from lightmatrix.cli.terminal import Stopped, progress, say, show_json, show_table, warn
-from lightmatrix.outputs.kinds import PARTIAL, REPORT, STORE
+from lightmatrix.cli.terminal import progress, say, show_json, show_table, warn
+from lightmatrix.outputs.kinds import REPORT, STORE
 from lightmatrix.transport.labels import named
 
 if TYPE_CHECKING:
@@ -238,20 +238,16 @@ def estimate(
     if repair:
         _repair(output, opened, estimator, as_json)
         return
-    try:
-        # What is wrong with workers is said before frames are read.
-        with estimator.crew(opened) as crew:
-            if crew is not None:
-                warn(str(crew))
-            findings = _findings(opened, taken, check)
-            with progress("estimating", "rows") as step:
-                transport = estimator.estimate(
-                    opened, checkpoint=output, overwrite=overwrite, progress=step, crew=crew
-                )
-    except KeyboardInterrupt:
-        kept = output.with_name(output.name + PARTIAL).exists()
-        note = "finished tiles are kept, run again to go on" if kept else "nothing was finished yet"
-        raise Stopped(note) from None
+    tell_when_stopped(output, "tiles")
+    # What is wrong with workers is said before frames are read.
+    with estimator.crew(opened) as crew:
+        if crew is not None:
+            warn(str(crew))
+        findings = _findings(opened, taken, check)
+        with progress("estimating", "rows") as step:
+            transport = estimator.estimate(
+                opened, checkpoint=output, overwrite=overwrite, progress=step, crew=crew
+            )
     seconds = round(time.perf_counter() - started, 2)
     told = None
     if report is not None:

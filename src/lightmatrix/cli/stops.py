@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import _thread
+import logging
 import signal
 import sys
 import threading
@@ -21,8 +22,9 @@ def quiet_stops() -> Iterator[None]:
     One stop in a hundred was lost: in callbacks of the import system, and in libraries that catch
     all that goes wrong. So while a module is being loaded a stop waits until that is done, and one
     that nobody handles a moment later is repeated. A stop in the midst of a library's constructor
-    lets its destructor fail, which would be told with a traceback. Interrupts that are ignored, as
-    in the background of a shell, stay so.
+    lets its destructor fail, which would be told with a traceback; and one in the midst of what an
+    event loop was asked lets that log that its task was left. Interrupts that are ignored, as in
+    the background of a shell, stay so.
     """
     main = threading.current_thread() is threading.main_thread()
     ours = main and signal.getsignal(signal.SIGINT) is signal.default_int_handler
@@ -39,7 +41,7 @@ def quiet_stops() -> Iterator[None]:
         yield
     finally:
         stops.end()
-        # What was stopped ends now; its objects may outlive this block.
+        # What was stopped ends now; its objects and its libraries' loops may outlive this block.
         if not stops.met:
             sys.unraisablehook = hook
         if ours:
@@ -69,6 +71,7 @@ class _Stops:
         if repeated and is_stop(sys.exc_info()[1]):
             return  # What tidies up after the first is at work.
         self.met += 1
+        logging.disable()
         self._timer = threading.Timer(_AGAIN, self._repeat)
         self._timer.daemon = True
         self._timer.start()

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from ..case import Case, Command, Ran, Scenario
 from ..checks import every, holds, same_matrix
-from ..put import copy, text
+from ..put import copy, remove, text
 from ..work import PLAIN, SLOWLY
 
 SLOW = f"estimate capture {SLOWLY} -o new.zarr"
@@ -48,22 +48,46 @@ def started(folder: Path, command: str) -> Iterator[subprocess.Popen[str]]:
         process.communicate()
 
 
-def _stopped_at_work(process: subprocess.Popen[str], folder: Path, sign: str) -> None:
-    """Stop a run as soon as it has finished tiles, or anything new lies there but its lock.
+@contextmanager
+def stopped_at_work(
+    folder: Path, command: str, sign: str = TILES
+) -> Iterator[subprocess.Popen[str]]:
+    """A command that was stopped with work behind it and work ahead of it.
+
+    On a busy machine it may be over before it is stopped; it is then started again.
+    """
+    before = set(_names(folder))
+    for _ in range(5):
+        with started(folder, command) as process:
+            if _stopped_in_time(process, folder, before, sign):
+                yield process
+                return
+        for name in set(_names(folder)) - before:
+            remove(name)(folder)
+    raise TimeoutError(f"it was never stopped at {sign}")
+
+
+def _stopped_in_time(
+    process: subprocess.Popen[str], folder: Path, before: set[str], sign: str
+) -> bool:
+    """Stop it as soon as it has finished tiles, or anything new lies there but its lock.
 
     Between the lock and the first file a Ctrl-C may leave the lock, which binds nobody: the kernel
     has let go of it, and the next run takes it over.
     """
-    before = set(_names(folder))
-    end = time.monotonic() + 90
-    while time.monotonic() < end and process.poll() is None:
-        new = {name for name in _names(folder) if not name.endswith(".lock")} - before
-        begun = len(_names(folder / PARTIAL)) > 5 if sign == TILES else new
-        if begun:
+
+    def begun() -> bool:
+        if sign == TILES:
+            return len(_names(folder / PARTIAL)) > 5
+        return any(not name.endswith(".lock") for name in set(_names(folder)) - before)
+
+    while process.poll() is None:
+        if begun():
             process.send_signal(signal.SIGSTOP)
-            return
+            time.sleep(0.01)
+            return process.poll() is None and begun()
         time.sleep(0.001)
-    raise TimeoutError(f"no {sign} came while it ran")
+    return False
 
 
 def _names(place: Path) -> list[str]:
@@ -77,8 +101,7 @@ def _second_beside(second: str, sign: str = TILES) -> Scenario:
     """A run stopped at work, a second one into the same output, then the first to its end."""
 
     def scenario(folder: Path, run: Command) -> Ran:
-        with started(folder, SLOW) as first:
-            _stopped_at_work(first, folder, sign)
+        with stopped_at_work(folder, SLOW, sign) as first:
             ran = run(second)
             first.send_signal(signal.SIGCONT)
             _, words = first.communicate(timeout=60)
@@ -95,8 +118,7 @@ def _killed(command: str, again: str, sign: str, with_signal: int = signal.SIGKI
     """A run killed at work, then the right command."""
 
     def scenario(folder: Path, run: Command) -> Ran:
-        with started(folder, command) as first:
-            _stopped_at_work(first, folder, sign)
+        with stopped_at_work(folder, command, sign) as first:
             first.send_signal(with_signal)
             first.send_signal(signal.SIGCONT)
             first.wait(30)
@@ -107,8 +129,7 @@ def _killed(command: str, again: str, sign: str, with_signal: int = signal.SIGKI
 
 def _interrupted(folder: Path, run: Command) -> Ran:
     """Ctrl-C at work: its own exit code and words."""
-    with started(folder, SLOW) as first:
-        _stopped_at_work(first, folder, TILES)
+    with stopped_at_work(folder, SLOW) as first:
         first.send_signal(signal.SIGINT)
         first.send_signal(signal.SIGCONT)
         _, words = first.communicate(timeout=30)
