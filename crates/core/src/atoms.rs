@@ -50,7 +50,7 @@ impl Atoms {
         self.each(level, columns, stride, &mut values, |sum, out| {
             out.copy_from_slice(sum)
         });
-        DenseColumns::from_padded(values, patterns, 1.0)
+        DenseColumns::from_padded(values, stride, 1.0)
     }
 
     /// The same in half the memory, each value rounded.

@@ -75,12 +75,12 @@ impl DenseColumns {
         }
     }
 
-    /// From columns side by side, each padded, none of whose absolute values exceeds `largest`.
+    /// From columns side by side, each padded to `stride` values, none of whose absolute values
+    /// exceeds `largest`.
     ///
     /// # Panics
     /// If `values` does not hold whole columns.
-    pub fn from_padded(values: Vec<f32>, patterns: usize, largest: f64) -> Self {
-        let stride = padded(patterns);
+    pub fn from_padded(values: Vec<f32>, stride: usize, largest: f64) -> Self {
         assert!(values.len().is_multiple_of(stride.max(1)));
         DenseColumns {
             values,

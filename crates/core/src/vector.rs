@@ -1,7 +1,7 @@
 //! Loops over the samples of a row, in float64.
 //!
-//! Vectors are padded with zeros to a multiple of `LANES` samples. Sums run in `SUMS` lanes, so that
-//! they come out the same on every CPU.
+//! Vectors are padded with zeros to a multiple of `LANES` samples where columns of bits go with them,
+//! of `SUMS` samples at least. Sums run in `SUMS` lanes, so that they come out the same on every CPU.
 
 use crate::simd::multiversion;
 
@@ -13,6 +13,11 @@ pub(crate) const SUMS: usize = 16;
 /// The padded length of `samples` values.
 pub fn padded(samples: usize) -> usize {
     samples.div_ceil(LANES) * LANES
+}
+
+/// The length that sums over `samples` values need.
+pub fn summed(samples: usize) -> usize {
+    samples.next_multiple_of(SUMS)
 }
 
 /// Adds partial sums in a fixed order.

@@ -3,7 +3,6 @@
 use crate::columns::Columns;
 use crate::octet::WIDTH;
 use crate::simd::{multiversion, Kind, Level};
-use crate::vector::add_scaled;
 
 /// From so many columns on tables of partial sums cost less than they save.
 #[cfg(target_arch = "x86_64")]
@@ -17,6 +16,7 @@ const MANY: usize = 24;
 pub struct GramSource {
     packed: Vec<u64>,
     scaled: Vec<f64>,
+    products: Vec<f64>,
     query: Vec<u64>,
     tables: Vec<f64>,
 }
@@ -59,39 +59,51 @@ impl GramSource {
         columns.correlate(level, pixels, e, out);
     }
 
-    /// out_i = sum_k d_k a_ik a_jk + factor coupling_i for every column i of the working set.
+    /// out_i = sum_k d_k a_ik a_jk + factor coupling_i for every column i of the working set, by
+    /// counting; false where it cannot be counted.
     ///
     /// `out` and `coupling` are padded to whole groups. `active` holds the bits of d where d is only
     /// 0 or 1, and is empty otherwise.
     // All of them are borrowed from the row's own state, which a struct would only name again.
     #[allow(clippy::too_many_arguments)]
-    pub fn row(
+    pub fn count_row(
         &mut self,
         level: Level,
         columns: &Columns,
-        pixels: &[u32],
-        j: usize,
-        d: &[f64],
+        pixel: u32,
         active: &[u64],
         factor: f64,
         coupling: &[f64],
         out: &mut [f64],
-    ) {
-        match columns {
-            Columns::Bits(bits) if !active.is_empty() => {
-                self.query.clear();
-                let column = bits.column(pixels[j]);
-                self.query
-                    .extend(column.iter().zip(active).map(|(c, a)| c & a));
-                common_bits(level, &self.packed, &self.query, factor, coupling, out);
-            }
-            _ => {
-                self.scaled.resize(d.len(), 0.0);
-                columns.scaled(level, pixels[j], d, &mut self.scaled);
-                columns.correlate(level, pixels, &self.scaled, &mut out[..pixels.len()]);
-                add_scaled(level, out, factor, coupling);
-            }
+    ) -> bool {
+        let Columns::Bits(bits) = columns else {
+            return false;
+        };
+        if active.is_empty() {
+            return false;
         }
+        self.query.clear();
+        let column = bits.column(pixel);
+        self.query
+            .extend(column.iter().zip(active).map(|(c, a)| c & a));
+        common_bits(level, &self.packed, &self.query, factor, coupling, out);
+        true
+    }
+
+    /// sum_k d_k a_ik a_jk for some columns i, where j is `pixel`: of any values.
+    pub fn products(
+        &mut self,
+        level: Level,
+        columns: &Columns,
+        pixel: u32,
+        d: &[f64],
+        others: &[u32],
+    ) -> &[f64] {
+        self.scaled.resize(d.len(), 0.0);
+        columns.scaled(level, pixel, d, &mut self.scaled);
+        self.products.resize(others.len(), 0.0);
+        columns.correlate(level, others, &self.scaled, &mut self.products);
+        &self.products
     }
 }
 

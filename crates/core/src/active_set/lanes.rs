@@ -1,13 +1,14 @@
 //! Several rows at a time, so that they share passes over the patterns.
 
 use super::restricted::Restricted;
-use super::row::{Next, RowSolver};
+use super::row::{Next, Problem, RowSolver};
 use crate::correlate::{Scores, Scratch};
 use crate::problem::{Dictionary, Rows, Settings, Solution};
+use crate::simd::Level;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
-struct Lane<'a> {
-    solver: RowSolver<'a>,
+struct Lane {
+    solver: RowSolver,
     scores: Scores,
     /// The row in work.
     row: usize,
@@ -23,6 +24,10 @@ pub fn solve_rows(
     cancelled: &AtomicBool,
     finished: &AtomicUsize,
 ) -> Vec<(usize, Solution)> {
+    let problem = Problem {
+        dictionary,
+        settings: &settings,
+    };
     let mut solutions = Vec::new();
     let mut scratch = Scratch::default();
     // Its buffers are large: lanes that share one leave the caches to the patterns.
@@ -32,7 +37,7 @@ pub fn solve_rows(
     let lanes = batch.min(rows.count.div_ceil(rayon::current_num_threads()));
     let mut lanes: Vec<Lane> = (0..lanes)
         .map(|_| Lane {
-            solver: RowSolver::new(dictionary, settings),
+            solver: RowSolver::new(),
             scores: Scores::default(),
             row: 0,
         })
@@ -44,7 +49,7 @@ pub fn solve_rows(
             match next {
                 Some(Next::Pass) => return true,
                 Some(Next::Done) => {
-                    solutions.push((lane.row, lane.solver.solution()));
+                    solutions.push((lane.row, lane.solver.solution(problem)));
                     finished.fetch_add(1, Ordering::Relaxed);
                 }
                 None => {}
@@ -53,7 +58,7 @@ pub fn solve_rows(
             if lane.row >= rows.count {
                 return false;
             }
-            next = Some(lane.solver.begin(rows, lane.row, restricted));
+            next = Some(lane.solver.begin(problem, rows, lane.row, restricted));
         }
     };
     lanes.retain_mut(|lane| advance(lane, None, &mut restricted));
@@ -69,26 +74,56 @@ pub fn solve_rows(
             .correlator
             .run(&dictionary.columns, &residuals, &mut scores, &mut scratch);
         lanes.retain_mut(|lane| {
-            let next = lane.solver.after_pass(&lane.scores, &mut restricted);
+            let next = lane
+                .solver
+                .after_pass(problem, &lane.scores, &mut restricted);
             advance(lane, Some(next), &mut restricted)
         });
     }
     solutions
 }
 
-/// Solves the only row of `rows`.
-pub fn solve_row(dictionary: &Dictionary, rows: Rows, settings: Settings) -> Solution {
-    let mut solver = RowSolver::new(dictionary, settings);
-    let mut scores = Scores::default();
-    let mut scratch = Scratch::default();
-    let correlator = &dictionary.correlator;
-    let mut restricted = Restricted::new(dictionary.level);
-    let mut next = solver.begin(rows, 0, &mut restricted);
-    while let Next::Pass = next {
-        let columns = &dictionary.columns;
-        scores.wanted = solver.wanted();
-        correlator.run(columns, &[solver.dual()], &mut [&mut scores], &mut scratch);
-        next = solver.after_pass(&scores, &mut restricted);
+/// Solves rows by themselves, each with a dictionary of its own, in memory that they share.
+pub struct Alone {
+    solver: RowSolver,
+    scores: Scores,
+    scratch: Scratch,
+    restricted: Restricted,
+}
+
+impl Alone {
+    pub fn new(level: Level) -> Self {
+        Alone {
+            solver: RowSolver::new(),
+            scores: Scores::default(),
+            scratch: Scratch::default(),
+            restricted: Restricted::new(level),
+        }
     }
-    solver.solution()
+
+    /// Solves the only row of `rows`.
+    pub fn solve(&mut self, dictionary: &Dictionary, rows: Rows, settings: Settings) -> Solution {
+        let problem = Problem {
+            dictionary,
+            settings: &settings,
+        };
+        let Alone {
+            solver,
+            scores,
+            scratch,
+            restricted,
+        } = self;
+        let Dictionary {
+            columns,
+            correlator,
+            ..
+        } = dictionary;
+        let mut next = solver.begin(problem, rows, 0, restricted);
+        while let Next::Pass = next {
+            scores.wanted = solver.wanted();
+            correlator.run(columns, &[solver.dual()], &mut [scores], scratch);
+            next = solver.after_pass(problem, scores, restricted);
+        }
+        solver.solution(problem)
+    }
 }

@@ -29,8 +29,8 @@ mod search;
 
 use crate::problem::{Dictionary, Rows, Settings, Solution};
 use crate::vector::padded;
-pub use lanes::solve_row;
 use lanes::solve_rows;
+pub use lanes::Alone;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
 /// Solves all rows. Returns None if `cancelled` was set meanwhile; `finished` counts rows.

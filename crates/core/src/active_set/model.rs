@@ -33,6 +33,9 @@ pub struct Model {
     pub rows: Vec<f64>,
     pub slot: Vec<u32>,
     pub stride: usize,
+    /// Pixels of the working set that no row made so far holds products with: buffers.
+    missing: Vec<usize>,
+    missing_pixels: Vec<u32>,
     /// One over the diagonal, padded; 0 where there is no curvature.
     pub inverse: Vec<f64>,
     pub diagonal: Vec<f64>,
@@ -55,6 +58,8 @@ impl Model {
             rows: Vec::new(),
             slot: Vec::new(),
             stride: 0,
+            missing: Vec::new(),
+            missing_pixels: Vec::new(),
             inverse: Vec::new(),
             diagonal: Vec::new(),
             ready: Vec::new(),
@@ -172,21 +177,31 @@ impl Model {
         if self.has_row(j) {
             return;
         }
-        let start = self.rows.len();
+        let (level, start) = (self.level, self.rows.len());
         self.slot[j] = (start / self.stride) as u32;
         self.rows.resize(start + self.stride, 0.0);
-        let row = &mut self.rows[start..];
-        self.gram.row(
-            self.level,
-            &dictionary.columns,
-            pixels,
-            j,
-            &self.curvature,
-            &self.active,
-            -self.coupling[j] * self.per_mean,
-            &self.coupling,
-            row,
-        );
+        let (made, row) = self.rows.split_at_mut(start);
+        let (columns, factor) = (&dictionary.columns, -self.coupling[j] * self.per_mean);
+        let (active, coupling) = (&self.active, &self.coupling);
+        let gram = &mut self.gram;
+        if !gram.count_row(level, columns, pixels[j], active, factor, coupling, row) {
+            // The matrix is symmetric: only what no other row holds is left to work out.
+            self.missing.clear();
+            self.missing_pixels.clear();
+            for (i, &slot) in self.slot.iter().enumerate() {
+                if slot == UNSET || i == j {
+                    self.missing.push(i);
+                    self.missing_pixels.push(pixels[i]);
+                } else {
+                    row[i] = made[slot as usize * self.stride + j];
+                }
+            }
+            let (d, others) = (&self.curvature, &self.missing_pixels);
+            let products = gram.products(level, columns, pixels[j], d, others);
+            for (&i, product) in self.missing.iter().zip(products) {
+                row[i] = product + factor * coupling[i];
+            }
+        }
         if row[j] > FLAT * self.curvature.len() as f64 {
             self.inverse[j] = 1.0 / row[j];
             self.diagonal[j] = row[j];

@@ -5,6 +5,7 @@ use crate::problem::{Dictionary, Settings};
 use crate::vector::{add_scaled, DataTerm};
 
 /// A point: pixels that may differ from zero, their x, b, and the prediction u.
+#[derive(Default)]
 pub struct Point {
     pub pixels: Vec<u32>,
     pub x: Vec<f64>,
@@ -15,16 +16,6 @@ pub struct Point {
 }
 
 impl Point {
-    pub fn new(samples: usize) -> Self {
-        Point {
-            pixels: Vec::new(),
-            x: Vec::new(),
-            background: 0.0,
-            prediction: vec![0.0; samples],
-            terms: Vec::new(),
-        }
-    }
-
     pub fn clear(&mut self) {
         self.pixels.clear();
         self.x.clear();

@@ -6,7 +6,7 @@ use super::pricing::{self, Look, Pricing};
 use super::restricted::Restricted;
 use crate::correlate::{Scores, Wanted};
 use crate::problem::{Dictionary, Fidelity, Rows, Settings, Solution, Values};
-use crate::vector::{dot, free_energy, invert, one_sided, padded, residual, signed_sums, DataTerm};
+use crate::vector::{dot, free_energy, invert, one_sided, residual, signed_sums, DataTerm};
 
 /// New pixels taken in after the first pass, and after each later one.
 const NEW_PIXELS: [usize; 2] = [8, 16];
@@ -37,9 +37,15 @@ pub enum Next {
     Done,
 }
 
-pub struct RowSolver<'a> {
-    dictionary: &'a Dictionary,
-    settings: Settings,
+/// What a row is solved on, and how.
+#[derive(Clone, Copy)]
+pub struct Problem<'a> {
+    pub dictionary: &'a Dictionary,
+    pub settings: &'a Settings,
+}
+
+/// Solves one row after the other, each of a problem of its own if need be, in the same memory.
+pub struct RowSolver {
     data: DataTerm,
     /// ||y||^2 / 2
     energy: f64,
@@ -62,24 +68,15 @@ pub struct RowSolver<'a> {
     dual_is_residual: bool,
 }
 
-impl<'a> RowSolver<'a> {
-    pub fn new(dictionary: &'a Dictionary, settings: Settings) -> Self {
-        let n = padded(dictionary.patterns);
-        let zeros = || vec![0.0; n];
+impl RowSolver {
+    pub fn new() -> Self {
         RowSolver {
-            dictionary,
-            settings,
-            data: DataTerm {
-                y: zeros(),
-                weights: zeros(),
-                inverse: zeros(),
-                lower: vec![f64::NEG_INFINITY; n],
-            },
+            data: DataTerm::default(),
             energy: 0.0,
             free_energy: 0.0,
-            point: Point::new(n),
+            point: Point::default(),
             held: false,
-            dual: zeros(),
+            dual: Vec::new(),
             wanted: Wanted::All,
             passes: 0,
             objective: 0.0,
@@ -102,7 +99,7 @@ impl<'a> RowSolver<'a> {
     }
 
     /// The solution as it stands.
-    pub fn solution(&self) -> Solution {
+    pub fn solution(&self, problem: Problem) -> Solution {
         let mut support: Vec<(u32, f64)> = self.point.support().collect();
         support.sort_unstable_by_key(|&(pixel, _)| pixel);
         let mut numbers = support
@@ -126,16 +123,22 @@ impl<'a> RowSolver<'a> {
             objective: self.objective,
             gap,
             passes: self.passes,
-            converged: gap <= self.settings.tolerance,
+            converged: gap <= problem.settings.tolerance,
         }
     }
 
     /// Starts on a row, from the given start or from nothing.
-    pub fn begin(&mut self, rows: Rows, row: usize, restricted: &mut Restricted) -> Next {
-        self.load(rows, row);
+    pub fn begin(
+        &mut self,
+        problem: Problem,
+        rows: Rows,
+        row: usize,
+        restricted: &mut Restricted,
+    ) -> Next {
+        self.load(problem, rows, row);
         self.passes = 0;
         self.dual_value = f64::NEG_INFINITY;
-        self.finest = FINEST_SHARE * self.settings.tolerance;
+        self.finest = FINEST_SHARE * problem.settings.tolerance;
         self.point.clear();
         if let Some(start) = rows.start {
             let (pixels, values) = start.rows.row(row);
@@ -143,51 +146,60 @@ impl<'a> RowSolver<'a> {
                 self.point.push(pixel as u32, x);
             }
             self.point.background = start.background[row];
-            self.point.restrict_to(&self.settings);
+            self.point.restrict_to(problem.settings);
         }
-        self.update_prediction();
+        self.update_prediction(problem);
         if self.point.pixels.is_empty() {
-            return self.prepare_pass(Look::First);
+            return self.prepare_pass(problem, Look::First);
         }
-        self.solve_restricted(restricted, FINEST_SHARE * self.settings.tolerance, false);
-        self.prepare_pass(Look::Closely)
+        self.solve_restricted(problem, restricted, self.finest, false);
+        self.prepare_pass(problem, Look::Closely)
     }
 
     /// Goes on with the scores of `dual`.
-    pub fn after_pass(&mut self, scores: &Scores, restricted: &mut Restricted) -> Next {
+    pub fn after_pass(
+        &mut self,
+        problem: Problem,
+        scores: &Scores,
+        restricted: &mut Restricted,
+    ) -> Next {
+        let Problem {
+            dictionary,
+            settings,
+        } = problem;
         self.passes += 1;
-        let [first, later] = if self.dictionary.correlator.reads_memory() {
+        let [first, later] = if dictionary.correlator.reads_memory() {
             MANY_NEW_PIXELS
         } else {
             NEW_PIXELS
         };
         let new = if self.passes == 1 { first } else { later };
         let found = self.pricing.run(
-            self.dictionary,
-            &self.settings,
+            dictionary,
+            settings,
             scores,
             &self.dual,
             &self.point.pixels,
             new,
         );
-        self.certify(found.largest);
-        if self.gap() <= self.settings.tolerance || self.passes >= self.settings.max_passes {
+        self.certify(problem, found.largest);
+        if self.gap() <= settings.tolerance || self.passes >= settings.max_passes {
             return Next::Done;
         }
         if !found.enough {
-            self.want(Look::Closely);
+            self.want(problem, Look::Closely);
             return Next::Pass;
         }
         let before = self.point.pixels.len();
         self.gradient.clear();
         self.gradient.extend_from_slice(self.pricing.known());
-        let lambda = self.settings.regularization;
+        let lambda = settings.regularization;
         for (pixel, correlation) in self.pricing.violators(lambda) {
             self.point.push(pixel, 0.0);
             self.gradient.push(correlation);
         }
         let violation = (found.exact / lambda - 1.0).max(0.0);
-        if violation < self.settings.tolerance {
+        if violation < settings.tolerance {
             // Few pixels are left to find: what keeps the gap open is the accuracy within.
             self.finest *= 0.3;
         }
@@ -197,8 +209,8 @@ impl<'a> RowSolver<'a> {
         } else {
             (ROUGH.min(INNER_SHARE * violation), Look::Again)
         };
-        self.solve_restricted(restricted, accuracy, self.dual_is_residual);
-        self.prepare_pass(look)
+        self.solve_restricted(problem, restricted, accuracy, self.dual_is_residual);
+        self.prepare_pass(problem, look)
     }
 
     fn gap(&self) -> f64 {
@@ -210,8 +222,25 @@ impl<'a> RowSolver<'a> {
         }
     }
 
-    fn load(&mut self, rows: Rows, row: usize) {
-        let n = self.dictionary.patterns;
+    fn load(&mut self, problem: Problem, rows: Rows, row: usize) {
+        let Problem {
+            dictionary,
+            settings,
+        } = problem;
+        let (n, padded) = (dictionary.patterns, dictionary.means.len());
+        let DataTerm {
+            y,
+            weights,
+            inverse,
+            lower,
+        } = &mut self.data;
+        let prediction = &mut self.point.prediction;
+        for vector in [y, weights, inverse, &mut self.dual, prediction] {
+            vector.clear();
+            vector.resize(padded, 0.0);
+        }
+        lower.clear();
+        lower.resize(padded, f64::NEG_INFINITY);
         let first = row * n;
         rows.samples.copy(first, &mut self.data.y[..n]);
         match rows.weights {
@@ -222,9 +251,8 @@ impl<'a> RowSolver<'a> {
             Some(values) => Values::copy(&values, first, &mut self.data.weights[..n]),
         }
         let clipped = &rows.clipped[first..first + n];
-        let level = self.dictionary.level;
-        self.data.lower[..n].fill(f64::NEG_INFINITY);
-        match self.settings.fidelity {
+        let level = dictionary.level;
+        match settings.fidelity {
             Fidelity::Linear => {}
             Fidelity::OneSided => one_sided(level, clipped, &mut self.data.lower[..n]),
             Fidelity::Rejection => {
@@ -236,26 +264,27 @@ impl<'a> RowSolver<'a> {
         invert(level, &self.data.weights, &mut self.data.inverse);
         self.energy = dot(level, &self.data.y, &self.data.y) / 2.0;
         let (weights, lower) = (&self.data.weights, &self.data.lower);
-        self.free_energy = free_energy(level, &self.dictionary.means, weights, lower);
+        self.free_energy = free_energy(level, &dictionary.means, weights, lower);
         self.held = false;
     }
 
-    fn update_prediction(&mut self) {
-        self.point.predict(self.dictionary);
+    fn update_prediction(&mut self, problem: Problem) {
+        self.point.predict(problem.dictionary);
         self.point
-            .exact_background(self.dictionary, &self.settings, &self.data);
+            .exact_background(problem.dictionary, problem.settings, &self.data);
     }
 
     fn solve_restricted(
         &mut self,
+        problem: Problem,
         restricted: &mut Restricted,
         accuracy: f64,
         gradient_known: bool,
     ) {
         restricted.load(&self.data, self.held);
         restricted.solve(
-            self.dictionary,
-            &self.settings,
+            problem.dictionary,
+            problem.settings,
             &self.data,
             &mut self.point,
             gradient_known.then_some((&self.dual[..], &self.gradient[..])),
@@ -264,13 +293,17 @@ impl<'a> RowSolver<'a> {
         self.held = restricted.held;
         self.point.prune();
         if self.passes.is_multiple_of(AFRESH) {
-            self.update_prediction();
+            self.update_prediction(problem);
         }
     }
 
     /// Makes the dual point of the current residual; done at once if it is sure to be feasible.
-    fn prepare_pass(&mut self, look: Look) -> Next {
-        let level = self.dictionary.level;
+    fn prepare_pass(&mut self, problem: Problem, look: Look) -> Next {
+        let Problem {
+            dictionary,
+            settings,
+        } = problem;
+        let level = dictionary.level;
         let loss = residual(
             level,
             &self.data.y,
@@ -280,8 +313,7 @@ impl<'a> RowSolver<'a> {
             &mut self.dual,
         );
         let norm: f64 = self.point.x.iter().map(|x| x.abs()).sum();
-        self.objective = self.settings.regularization * norm + loss;
-        let (dictionary, settings) = (self.dictionary, &self.settings);
+        self.objective = settings.regularization * norm + loss;
         let moved = orthogonal_to_means(
             level,
             settings,
@@ -301,33 +333,41 @@ impl<'a> RowSolver<'a> {
                 high.max(-low)
             };
             if most <= settings.regularization {
-                self.certify(most);
-                if self.gap() <= self.settings.tolerance {
+                self.certify(problem, most);
+                if self.gap() <= settings.tolerance {
                     return Next::Done;
                 }
             }
         }
-        self.want(look);
+        self.want(problem, look);
         Next::Pass
     }
 
-    fn want(&mut self, look: Look) {
-        let look = if self.dictionary.correlator.is_lookup() {
+    fn want(&mut self, problem: Problem, look: Look) {
+        let Problem {
+            dictionary,
+            settings,
+        } = problem;
+        let look = if dictionary.correlator.is_lookup() {
             look
         } else {
             Look::Closely
         };
-        let (level, dual) = (self.dictionary.level, &self.dual);
-        self.wanted = pricing::wanted(&self.settings, look, || {
-            let of_means = dot(level, dual, &self.dictionary.means);
+        let (level, dual) = (dictionary.level, &self.dual);
+        self.wanted = pricing::wanted(settings, look, || {
+            let of_means = dot(level, dual, &dictionary.means);
             (of_means, dot(level, dual, dual))
         });
     }
 
-    fn certify(&mut self, largest: f64) {
+    fn certify(&mut self, problem: Problem, largest: f64) {
+        let Problem {
+            dictionary,
+            settings,
+        } = problem;
         self.dual_value = dual_value(
-            self.dictionary.level,
-            self.settings.regularization,
+            dictionary.level,
+            settings.regularization,
             &self.data,
             &self.dual,
             largest,

@@ -4,11 +4,12 @@
 //! active-set solver works on a dictionary of the row's own columns, and its certificate covers
 //! the weighted problem on these columns.
 
-use crate::active_set::solve_row;
+use crate::active_set::Alone;
 use crate::columns::{Columns, DenseColumns};
 use crate::correlate::Correlator;
 use crate::problem::{Dictionary, Rows, Settings, Solution, Sparse, Start, Values};
-use crate::vector::padded;
+use crate::simd::Level;
+use crate::vector::{padded, summed};
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
@@ -95,7 +96,7 @@ pub fn solve(
     }
     let mut solutions = vec![Weighted::default(); rows.count];
     solutions.par_chunks_mut(TASK).enumerate().for_each_init(
-        Work::default,
+        || Work::new(dictionary.level),
         |work, (task, solutions)| {
             for (i, solution) in solutions.iter_mut().enumerate() {
                 if cancelled.load(Ordering::Relaxed) {
@@ -111,8 +112,8 @@ pub fn solve(
 }
 
 /// Buffers of one thread.
-#[derive(Default)]
 struct Work {
+    solver: Alone,
     values: Vec<f32>,
     penalties: Vec<f32>,
     places: Vec<i32>,
@@ -128,6 +129,22 @@ struct Work {
 }
 
 impl Work {
+    fn new(level: Level) -> Self {
+        Work {
+            solver: Alone::new(level),
+            values: Vec::new(),
+            penalties: Vec::new(),
+            places: Vec::new(),
+            start: Vec::new(),
+            samples: Vec::new(),
+            weights: Vec::new(),
+            clipped: Vec::new(),
+            means: Vec::new(),
+            added: Vec::new(),
+            unseen: Vec::new(),
+        }
+    }
+
     fn solve(
         &mut self,
         dictionary: &Dictionary,
@@ -169,7 +186,7 @@ impl Work {
             level: dictionary.level,
             columns: Columns::Dense(DenseColumns::from_padded(
                 std::mem::take(&mut self.values),
-                patterns,
+                self.means.len(),
                 1.0,
             )),
             correlator: Correlator::dense(dictionary.level, patterns, pixels.len() + shared),
@@ -196,7 +213,7 @@ impl Work {
             weights: Some(Values::F64(&self.weights)),
             start,
         };
-        let solution = solve_row(&local, rows, settings);
+        let solution = self.solver.solve(&local, rows, settings);
         if let Columns::Dense(columns) = local.columns {
             self.values = columns.into_values();
         }
@@ -242,7 +259,9 @@ impl Work {
                 });
             }
         }
-        self.means.resize(padded(self.samples.len()), 0.0);
+        // Copies of columns are as long as the patterns shown need.
+        let stride = summed(self.samples.len()).max(padded(patterns));
+        self.means.resize(stride, 0.0);
     }
 
     /// The row's columns, each over its penalty, the expected samples last.
@@ -257,36 +276,48 @@ impl Work {
         let patterns = dictionary.patterns;
         let unseen = expected.map_or(0, |expected| expected.unseen.patterns);
         let own = padded(patterns);
-        let stride = padded(self.samples.len());
-        self.values.clear();
+        let stride = self.means.len();
         self.values.resize(self.penalties.len() * stride, 0.0);
         self.unseen.resize(padded(unseen), 0.0);
+        let (of_shown, of_unseen) = {
+            let first = self.added.partition_point(|&k| k < patterns);
+            self.added.split_at(first)
+        };
         let mut places = self.values.chunks_exact_mut(stride).zip(&self.penalties);
         for (&pixel, (out, penalty)) in pixels.iter().zip(&mut places) {
             let (pixel, factor) = (pixel as u32, least / penalty);
             let columns = &dictionary.columns;
             columns.copy_scaled(dictionary.level, pixel, factor, &mut out[..own]);
+            let (shown, rest) = out.split_at_mut(patterns);
+            let (again, rest) = rest.split_at_mut(of_shown.len());
+            for (out, &k) in again.iter_mut().zip(of_shown) {
+                *out = shown[k];
+            }
             if let Some(expected) = expected {
                 let (level, columns) = (expected.unseen.level, &expected.unseen.columns);
                 columns.copy_scaled(level, pixel, factor, &mut self.unseen);
             }
-            let (shown, rest) = out.split_at_mut(patterns);
-            for (out, &k) in rest.iter_mut().zip(&self.added) {
-                *out = match k.checked_sub(patterns) {
-                    None => shown[k],
-                    Some(unseen) => self.unseen[unseen],
-                };
+            let (rest, end) = rest.split_at_mut(of_unseen.len());
+            if rest.len() == unseen {
+                rest.copy_from_slice(&self.unseen[..unseen]);
+            } else {
+                for (out, &k) in rest.iter_mut().zip(of_unseen) {
+                    *out = self.unseen[k - patterns];
+                }
             }
+            end.fill(0.0);
         }
         for (column, (out, penalty)) in further
             .columns
             .chunks_exact((patterns + unseen).max(1))
             .zip(places)
         {
-            let used = (0..patterns).chain(self.added.iter().copied());
-            for (out, k) in out.iter_mut().zip(used) {
+            let (used, end) = out.split_at_mut(patterns + self.added.len());
+            let places = (0..patterns).chain(self.added.iter().copied());
+            for (out, k) in used.iter_mut().zip(places) {
                 *out = column[k] * (least / penalty);
             }
+            end.fill(0.0);
         }
     }
 

@@ -4,9 +4,16 @@ use super::quantise::{largest, MAGIC};
 use super::scores::Scores;
 use crate::columns::Columns;
 use crate::simd::{multiversion, Level};
-use crate::vector::{padded, signed_sums};
+use crate::vector::{signed_sums, summed};
 
 pub struct Dense;
+
+/// Buffers of one thread: rows and their products, in float32.
+#[derive(Default)]
+pub struct Buffers {
+    rows: Vec<f32>,
+    values: Vec<f32>,
+}
 
 const SUMS: usize = 16;
 /// Columns that one row takes before the next one does.
@@ -17,6 +24,7 @@ const LARGEST: f64 = 32_000.0;
 impl Dense {
     /// # Panics
     /// If the columns are not dense.
+    #[allow(clippy::too_many_arguments)]
     pub fn run(
         &self,
         level: Level,
@@ -25,24 +33,24 @@ impl Dense {
         pixels: usize,
         e: &[&[f64]],
         out: &mut [&mut Scores],
+        buffers: &mut Buffers,
     ) {
         let Columns::Dense(columns) = columns else {
             panic!("a dense pass needs dense columns");
         };
-        let rows: Vec<Vec<f32>> = e
-            .iter()
-            .map(|e| e.iter().map(|&v| v as f32).collect())
-            .collect();
-        let mut values = vec![0f32; rows.len() * pixels];
+        let Buffers { rows, values } = buffers;
+        rows.clear();
+        rows.extend(e.iter().flat_map(|e| e.iter()).map(|&v| v as f32));
+        values.resize(e.len() * pixels, 0.0);
+        let length = e.first().map_or(1, |e| e.len());
         for first in (0..pixels).step_by(BLOCK) {
             let block = first..pixels.min(first + BLOCK);
-            for (row, values) in rows.iter().zip(values.chunks_exact_mut(pixels)) {
-                products(
-                    level,
-                    columns.block(block.clone()),
-                    row,
-                    &mut values[block.clone()],
-                );
+            for (row, values) in rows
+                .chunks_exact(length)
+                .zip(values.chunks_exact_mut(pixels))
+            {
+                let columns = columns.block(block.clone());
+                products(level, columns, row, &mut values[block.clone()]);
             }
         }
         for (row, ((out, e), values)) in out
@@ -51,7 +59,7 @@ impl Dense {
             .zip(values.chunks_exact(pixels.max(1)))
             .enumerate()
         {
-            debug_assert_eq!(e.len(), padded(patterns), "row {row}");
+            debug_assert!(e.len() >= summed(patterns), "row {row}");
             score(level, columns.largest(), patterns, e, values, out);
         }
     }

@@ -57,6 +57,7 @@ enum Kind {
 pub struct Scratch {
     quantised: Vec<Vec<i16>>,
     lookup: lookup::Buffers,
+    dense: dense::Buffers,
     /// For atoms: what the pass over single pixels gives, and works in.
     single: Vec<Scores>,
     inner: Option<Box<Scratch>>,
@@ -192,7 +193,9 @@ impl Correlator {
     ) {
         let sums = match &self.kind {
             Kind::Dense(dense) => {
-                return dense.run(self.level, columns, self.patterns, self.pixels, e, out)
+                let (patterns, pixels) = (self.patterns, self.pixels);
+                let buffers = &mut scratch.dense;
+                return dense.run(self.level, columns, patterns, pixels, e, out, buffers);
             }
             Kind::Blurred(pass, blurred) => {
                 scratch.single.resize_with(e.len(), Scores::default);
