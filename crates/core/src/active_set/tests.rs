@@ -1,11 +1,13 @@
 //! The solver on small problems; the thorough tests are in Python, against independent solvers.
 
+use super::model::Model;
 use super::*;
 use crate::bits::Bits;
-use crate::columns::{BitColumns, Columns};
+use crate::columns::{BitColumns, Columns, DenseColumns};
 use crate::correlate::Correlator;
 use crate::problem::{Fidelity, Values};
 use crate::simd::Level;
+use crate::vector::DataTerm;
 
 fn dictionary(level: Level, packed: &[u8], patterns: usize, pixels: usize) -> Dictionary {
     let bits = Bits::new(packed, patterns, pixels);
@@ -119,4 +121,66 @@ fn stops_when_cancelled() {
         &count,
     );
     assert!(outcome.is_none());
+}
+
+#[test]
+fn gram_rows_as_defined_in_whatever_order() {
+    let (patterns, pixels) = (70, 150);
+    let (packed, _, _) = example();
+    let bits = Bits::new(&packed, patterns, pixels);
+    let set: Vec<u32> = (0..40).map(|i| i * 3 + 1).collect();
+    for level in Level::available() {
+        let counted = dictionary(level, &packed, patterns, pixels);
+        let n = counted.means.len();
+        let mut columns = vec![0f32; pixels * n];
+        for (pixel, column) in columns.chunks_exact_mut(n).enumerate() {
+            let copied = Columns::Bits(BitColumns::new(bits));
+            copied.copy_scaled(level, pixel as u32, 1.0, column);
+        }
+        let dense = Dictionary {
+            columns: Columns::Dense(DenseColumns::from_padded(columns.clone(), n, 1.0)),
+            correlator: Correlator::dense(level, patterns, pixels),
+            means: counted.means.clone(),
+            ..counted
+        };
+        for (dictionary, unit) in [(&counted, true), (&counted, false), (&dense, false)] {
+            let weight = |k: usize| {
+                if unit {
+                    (k % 5 != 0) as u8 as f64
+                } else {
+                    1.0 + k as f64
+                }
+            };
+            let mut curvature: Vec<f64> = (0..n).map(weight).collect();
+            curvature[patterns..].fill(0.0);
+            let data = DataTerm {
+                y: vec![0.0; n],
+                weights: curvature.clone(),
+                ..DataTerm::default()
+            };
+            let d = curvature.clone();
+            let product = |a: &[f32], b: &dyn Fn(usize) -> f64| -> f64 {
+                (0..n).map(|k| d[k] * f64::from(a[k]) * b(k)).sum()
+            };
+            let means = &dictionary.means;
+            let along = (0..n).map(|k| d[k] * means[k] * means[k]).sum::<f64>();
+            let mut model = Model::new(level);
+            model.load_row(&data);
+            model.load_pixels(dictionary, &set);
+            model.set_curvature(means, &mut curvature);
+            model.couple(dictionary, &set, true);
+            model.centre(1.0 / along);
+            for j in [7, 0, 39, 12, 8] {
+                model.make_row(dictionary, &set, j);
+                let own = &columns[set[j] as usize * n..][..n];
+                let coupled = product(own, &|k| means[k]);
+                for (i, &pixel) in set.iter().enumerate() {
+                    let other = &columns[pixel as usize * n..][..n];
+                    let free = product(other, &|k| f64::from(own[k]));
+                    let expected = free - product(other, &|k| means[k]) * coupled / along;
+                    assert!((model.row(j)[i] - expected).abs() < 1e-9 * (1.0 + free.abs()));
+                }
+            }
+        }
+    }
 }
