@@ -146,7 +146,7 @@ fn gram_rows_as_defined_in_whatever_order() {
         for (dictionary, unit) in [(&counted, true), (&counted, false), (&dense, false)] {
             let weight = |k: usize| {
                 if unit {
-                    (k % 5 != 0) as u8 as f64
+                    f64::from(!k.is_multiple_of(5))
                 } else {
                     1.0 + k as f64
                 }
