@@ -7,6 +7,7 @@ import pickle
 import signal
 import subprocess
 import sys
+import time
 import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -146,6 +147,26 @@ def test_a_worker_that_dies_costs_its_tile_only(
     assert told == sorted(told)
     assert same(found, estimator.estimate(capture))
     assert os.listdir(tmp_path) == ["s.zarr"]
+
+
+@SIGNALS
+def test_a_tile_whose_worker_dies_before_it_is_asked_ends_later(cluster: Any) -> None:
+    with opened(cluster=cluster.scheduler_address) as crew:
+
+        def slowly() -> int:
+            time.sleep(2.0)
+            return os.getpid()
+
+        tile = crew.client.submit(slowly, pure=False)
+        os.kill(tile.result(), signal.SIGKILL)
+        deadline = time.monotonic() + 30
+        while tile.status != "lost" and time.monotonic() < deadline:
+            time.sleep(0.01)
+        other = crew.client.submit(int, pure=False)
+        assert dict(crew._ended({tile: (0, 1), other: (1, 2)})) == {other: "finished"}
+        while not (ended := dict(crew._ended({tile: (0, 1)}))):
+            assert time.monotonic() < deadline
+        assert ended == {tile: "finished"}
 
 
 KILLED = """

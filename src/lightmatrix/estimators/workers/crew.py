@@ -5,6 +5,8 @@ from __future__ import annotations
 import hashlib
 import time
 from collections import deque
+from collections.abc import Iterator
+from concurrent.futures import CancelledError
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 from weakref import WeakKeyDictionary
@@ -98,9 +100,9 @@ class DaskCrew:
                     # Its name stands in the folder before a worker writes it.
                     running.place(*span, step)
                     going[self._submit(job, step, span, before, threads)] = span
-                for future in self._ended(going):
+                for future, status in self._ended(going):
                     span = going.pop(future)
-                    self._check(future, running, step, span)
+                    self._check(future, status, running, step, span)
                     running.add(*span, step)
                     done += span[1] - span[0]
                     if report is not None:
@@ -139,21 +141,31 @@ class DaskCrew:
         each = min(threads.values())
         return self.client.submit(solve, job, step, span, before, each, key=key, pure=False)
 
-    def _ended(self, going: dict[Any, Span]) -> list[Any]:
-        """Tiles that ended, after a short while at most."""
+    def _ended(self, going: dict[Any, Span]) -> Iterator[tuple[Any, str]]:
+        """Tiles that ended and how ("finished" or "error"), after a short while at most.
+
+        Not those whose worker died before it was asked: Dask has them solved again, and counts them
+        as done meanwhile.
+        """
         from distributed import wait
 
         if not going:
             time.sleep(0.1)
-            return []
+            return
         try:
             with self.client.as_current():
                 ended = wait(list(going), timeout=_AGAIN, return_when="FIRST_COMPLETED")
         except TimeoutError:
-            return []
-        return list(ended.done)
+            return
+        except CancelledError as error:
+            raise ClusterError(_NO_SCHEDULER, hint=_GO_ON) from error
+        for future in ended.done:
+            # Read once: it changes as workers die.
+            status = future.status
+            if status != "lost":
+                yield future, status
 
-    def _check(self, future: Any, running: Checkpoint, step: str, span: Span) -> None:
+    def _check(self, future: Any, status: str, running: Checkpoint, step: str, span: Span) -> None:
         """Whether a tile that ended is where it should be.
 
         Raises
@@ -161,7 +173,7 @@ class DaskCrew:
         LightMatrixError
             What went wrong, where it was solved.
         """
-        if future.status == "finished":
+        if status == "finished":
             file = running.place(*span, step)
             deadline = time.monotonic() + PATIENCE
             while not file.is_file():
@@ -171,8 +183,8 @@ class DaskCrew:
                     )
                 time.sleep(0.1)
             return
-        if future.status != "error":
-            raise ClusterError("the connection to the scheduler was lost", hint=_GO_ON)
+        if status != "error":
+            raise ClusterError(_NO_SCHEDULER, hint=_GO_ON)
         error = future.exception()
         if isinstance(error, LightMatrixError):
             raise error
@@ -185,6 +197,7 @@ class DaskCrew:
         raise _of_worker("a worker", error) from error
 
 
+_NO_SCHEDULER = "the connection to the scheduler was lost"
 _SHARED = "write the output to a file system that all workers share, by the same path"
 _GO_ON = "finished tiles are kept: run the same estimate again, with workers or without"
 
