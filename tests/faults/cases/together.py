@@ -81,7 +81,8 @@ def _stopped_in_time(
             return len(_names(folder / PARTIAL)) > 5
         return any(not name.endswith(".lock") for name in set(_names(folder)) - before)
 
-    while process.poll() is None:
+    end = time.monotonic() + 90
+    while time.monotonic() < end and process.poll() is None:
         if begun():
             process.send_signal(signal.SIGSTOP)
             time.sleep(0.01)
