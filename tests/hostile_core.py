@@ -108,6 +108,12 @@ def expected(rows: Any = None, near: Any = None, **changes: Any) -> Any:
     )
 
 
+def moments(**changes: Any) -> Any:
+    usual: dict[str, Any] = {"images": np.ones((2, 6), np.float32), "shape": (2, 3)}
+    usual["kernel"] = np.array([0.5, 0.25], np.float32)
+    return _core.blurred_moments(**usual | changes)
+
+
 def rows_times(**changes: Any) -> Any:
     usual = {"rows": np.ones((2, 3), np.float32), "matrix": np.ones((3, 4), np.float32)}
     return _core.rows_times(**usual | changes)
@@ -238,6 +244,14 @@ def hostile_products() -> dict[str, Call]:
         "hadamard: no values": lambda: _core.hadamard(np.ones((2, 0))),
         "hadamard: one axis": lambda: _core.hadamard(np.ones(8)),
         "hadamard: complex": lambda: _core.hadamard(np.ones((2, 8), complex)),
+        "moments: other shape": lambda: moments(shape=(2, 4)),
+        "moments: huge shape": lambda: moments(shape=(HUGE, HUGE)),
+        "moments: one image alone": lambda: moments(images=np.ones(6, np.float32)),
+        "moments: float64": lambda: moments(images=np.ones((2, 6))),
+        "moments: None": lambda: moments(images=None),
+        "moments: empty kernel": lambda: moments(kernel=np.zeros(0, np.float32)),
+        "moments: NaN in the kernel": lambda: moments(kernel=np.full(2, np.nan, np.float32)),
+        "moments: bright kernel": lambda: moments(kernel=np.ones(3, np.float32)),
         "rows_times: other widths": lambda: rows_times(matrix=np.ones((5, 4), np.float32)),
         "rows_times: a row alone": lambda: rows_times(rows=np.ones(3, np.float32)),
         "rows_times: one axis": lambda: rows_times(matrix=np.ones(3, np.float32)),

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from scipy.ndimage import gaussian_filter
 from scipy.sparse import csr_array
 
+from lightmatrix import _core
 from lightmatrix.errors import InputError
 from lightmatrix.estimators.coherent import neighbourhood
 from lightmatrix.estimators.coherent.neighbourhood import Neighbourhood
@@ -106,6 +107,20 @@ def test_columns_of_all_sizes_have_the_same_contrast() -> None:
     n = 64 * 64
     spread = [atoms.dense()[:, s * n : (s + 1) * n].std() for s in range(3)]
     np.testing.assert_allclose(spread, spread[0], rtol=0.02)
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.tuples(st.integers(1, 90), st.integers(1, 90)), st.integers(1, 5), st.integers(0, 2**16))
+def test_the_compiled_moments_are_those_of_blurred_images(
+    shape: Any, count: int, seed: int
+) -> None:
+    grey = np.random.default_rng(seed).random((count, *shape)).astype(np.float32)
+    atoms = AtomPatterns(ImagePatterns(grey), (0.0, 0.7, 4.0), (1.0, 1.0, 1.0))
+    images = grey.reshape(count, -1)
+    for plane, kernel in enumerate(atoms.kernels):
+        found = _core.blurred_moments(images, shape, kernel)
+        values = atoms._blurred(images, plane).astype(np.float64)
+        np.testing.assert_allclose(found, (values.sum(), (values**2).sum()), rtol=1e-5)
 
 
 @pytest.mark.parametrize(

@@ -18,6 +18,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from systems import SIGNALS
 
 import lightmatrix as lm
@@ -30,6 +32,7 @@ from lightmatrix.estimators.coherent.estimator import CoherentEstimator
 from lightmatrix.estimators.join import joined
 from lightmatrix.estimators.multiscale.estimator import MultiScaleEstimator
 from lightmatrix.estimators.plain import PlainEstimator
+from lightmatrix.estimators.steps import LEAST_TILE, cut
 from lightmatrix.estimators.workers import crew as crews
 from lightmatrix.estimators.workers import opening, travel
 from lightmatrix.estimators.workers.opening import opened
@@ -357,6 +360,35 @@ def test_workers_share_memory_and_threads(
     assert "(2 workers)" in str(two)
     monkeypatch.setenv("RAYON_NUM_THREADS", "8")
     assert [opening.threads_each(workers) for workers in (1, 3, 16)] == [8, 2, 1]
+
+
+def test_workers_started_here_have_their_threads_and_the_usual_malloc(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setenv("RAYON_NUM_THREADS", "2")
+    monkeypatch.setenv("OMP_NUM_THREADS", "7")
+    monkeypatch.delenv("MKL_NUM_THREADS", raising=False)
+    # Workers that Dask starts by itself leave it behind.
+    monkeypatch.delenv("MALLOC_TRIM_THRESHOLD_", raising=False)
+    before = dict(os.environ)
+    with opened(1) as crew:
+        (there,) = crew.client.run(lambda: dict(os.environ)).values()
+    assert [there[name] for name in opening._THREADS] == ["2"] * 4
+    assert "MALLOC_TRIM_THRESHOLD_" not in there
+    assert dict(os.environ) == before
+
+
+@given(st.integers(0, 9000), st.integers(1, 9000), st.integers(1, 40))
+def test_tiles_get_smaller_towards_the_end(rows: int, most: int, parts: int) -> None:
+    spans = list(cut(rows, most, parts))
+    assert [0, *(stop for _, stop in spans)] == [*(start for start, _ in spans), rows]
+    sizes = [stop - start for start, stop in spans]
+    assert max(sizes, default=0) <= most
+    assert sizes == sorted(sizes, reverse=True)
+    # The last one keeps nobody waiting for longer than half of what an equal part would.
+    if parts > 1:
+        assert len(spans) >= parts or rows < 2 * parts * LEAST_TILE
+        assert sizes[-1:] <= [max(LEAST_TILE, -(-rows // (2 * parts)))]
 
 
 def test_workers_do_not_read_the_script_that_starts_them(monkeypatch: pytest.MonkeyPatch) -> None:

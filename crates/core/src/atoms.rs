@@ -6,7 +6,7 @@
 
 use crate::columns::{Columns, DenseColumns};
 use crate::simd::{multiversion, Level};
-use crate::vector::padded;
+use crate::vector::{fold, padded, SUMS};
 use crate::words::{to_words, WordColumns};
 use rayon::prelude::*;
 
@@ -122,6 +122,42 @@ multiversion! {
         for (sum, value) in sum.iter_mut().zip(values) {
             *sum += weight * value;
         }
+    }
+}
+
+/// Sum, and sum of squares, of all values of images under the plane's kernel.
+///
+/// # Panics
+/// If the images are not whole.
+pub fn moments(level: Level, grid: [usize; 2], plane: &Plane, images: &[f32]) -> [f64; 2] {
+    let pixels = grid[0] * grid[1];
+    assert!(images.len().is_multiple_of(pixels));
+    let found: Vec<[f64; 2]> = images
+        .par_chunks_exact(pixels)
+        .map_init(
+            || (Blurring::default(), vec![0f32; pixels]),
+            |(blurring, blurred), image| {
+                blurring.run(level, grid, plane, image, blurred);
+                sums(level, blurred)
+            },
+        )
+        .collect();
+    // In the order of the images, whichever thread was first.
+    (found.iter()).fold([0.0; 2], |all, one| [all[0] + one[0], all[1] + one[1]])
+}
+
+multiversion! {
+    /// Sum and sum of squares.
+    fn sums(values: &[f32]) -> [f64; 2] {
+        let (mut total, mut squares) = ([0.0; SUMS], [0.0; SUMS]);
+        for values in values.chunks(SUMS) {
+            for (i, &value) in values.iter().enumerate() {
+                let value = f64::from(value);
+                total[i] += value;
+                squares[i] += value * value;
+            }
+        }
+        [fold(total), fold(squares)]
     }
 }
 

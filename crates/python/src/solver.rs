@@ -5,7 +5,7 @@ use crate::input::{Samples, Settings, Start};
 use crate::products::{below, Packed, MOST_PIXELS};
 use crate::threads::{count_of, on_all_cores, run_interruptibly};
 use lightmatrix_core::active_set;
-use lightmatrix_core::atoms::{Atoms, Plane};
+use lightmatrix_core::atoms::{self, Atoms, Plane};
 use lightmatrix_core::columns::{BitColumns, Columns, DenseColumns};
 use lightmatrix_core::correlate::{Correlator, Scores, Scratch};
 use lightmatrix_core::problem::{Dictionary, Solution};
@@ -103,21 +103,52 @@ impl Transform {
 
 /// A kernel, from its middle outwards, and a gain.
 fn plane((kernel, gain): &(Bound<'_, PyAny>, Bound<'_, PyAny>)) -> PyResult<Plane> {
+    let gain = positive(gain, "a gain")?;
+    if gain > 1.0 {
+        let why = format!("a gain of {gain}, expected none above 1");
+        return Err(PyValueError::new_err(why));
+    }
+    Ok(Plane {
+        kernel: kernel_of(kernel)?,
+        gain: gain as f32,
+    })
+}
+
+/// One side of a separable kernel, from its middle outwards.
+fn kernel_of(kernel: &Bound<'_, PyAny>) -> PyResult<Vec<f32>> {
     let values = Values::<f32>::reals(kernel, "a kernel")?;
     check_shape("a kernel", values.shape(), &[None], "one side of it")?;
     let kernel = values.as_slice()?.to_vec();
     let sum: f32 = kernel.iter().sum::<f32>() * 2.0 - kernel.first().unwrap_or(&0.0);
-    let fits = kernel.iter().all(|&v| v >= 0.0) && sum > 0.0 && sum < 1.001;
-    let gain = positive(gain, "a gain")?;
-    if !fits || gain > 1.0 {
-        return Err(PyValueError::new_err(format!(
-            "a kernel of sum {sum} with a gain of {gain}, expected none above 1"
-        )));
+    if !(kernel.iter().all(|&v| v >= 0.0) && sum > 0.0 && sum < 1.001) {
+        let why = format!("a kernel of sum {sum}, expected none above 1");
+        return Err(PyValueError::new_err(why));
     }
-    Ok(Plane {
-        kernel,
-        gain: gain as f32,
-    })
+    Ok(kernel)
+}
+
+/// Sum, and sum of squares, of all values of images (m, N) float32 under a separable kernel.
+#[pyfunction]
+fn blurred_moments(
+    py: Python<'_>,
+    images: &Bound<'_, PyAny>,
+    shape: &Bound<'_, PyAny>,
+    kernel: &Bound<'_, PyAny>,
+) -> PyResult<(f64, f64)> {
+    let (grid, pixels) = grid(shape, "shape")?;
+    let kernel = kernel_of(kernel)?;
+    let plane = Plane { kernel, gain: 1.0 };
+    let images = array::<f32>(images, "images")?;
+    check_shape(
+        "images",
+        images.shape(),
+        &[None, Some(pixels)],
+        "pixels of each",
+    )?;
+    let images = images.as_slice()?;
+    let [sum, squares] =
+        on_all_cores(py, || atoms::moments(Level::detect(), grid, &plane, images))?;
+    Ok((sum, squares))
 }
 
 #[pymethods]
@@ -433,5 +464,6 @@ impl Solved {
 pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<Settings>()?;
     module.add_class::<PreparedPatterns>()?;
-    module.add_class::<Solved>()
+    module.add_class::<Solved>()?;
+    module.add_function(wrap_pyfunction!(blurred_moments, module)?)
 }

@@ -177,7 +177,14 @@ def complete(
 
 
 def cut(rows: int, most: int, parts: int = 1) -> Iterator[Span]:
-    """Rows in tiles of at most so many; in smaller ones where there are to be several parts."""
-    size = min(most, max(LEAST_TILE, -(-rows // parts)))
-    for start in range(0, rows, max(1, size)):
-        yield start, min(start + size, rows)
+    """Rows in tiles of at most so many.
+
+    Where there are to be several parts there are so many or more, and they get smaller towards the
+    end: then those who solve them come to an end together.
+    """
+    start, least = 0, max(1, min(most, max(LEAST_TILE, -(-rows // (2 * parts)))))
+    while start < rows:
+        share = -(-2 * (rows - start) // max(4, parts)) if parts > 1 else rows
+        stop = min(rows, start + max(least, min(most, share)))
+        yield start, stop
+        start = stop

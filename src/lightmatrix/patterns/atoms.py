@@ -215,13 +215,10 @@ class AtomPatterns(PatternSet):
 
     def _contrast(self, plane: int) -> float:
         """Standard deviation of the values of the columns of a size, without gain."""
-        squares = total = 0.0
-        for _, chunk in self.single.chunks():
-            values = self._blurred(chunk, plane)
-            squares += float(np.square(values, dtype=np.float64).sum())
-            total += float(values.sum(dtype=np.float64))
-        values_in_all = self.count * self.single.pixels
-        return float(np.sqrt(max(squares / values_in_all - (total / values_in_all) ** 2, 0.0)))
+        kernel = self.kernels[plane]
+        parts = [_core.blurred_moments(c, self.shape, kernel) for _, c in self.single.chunks()]
+        total, squares = np.sum(parts, axis=0) / (self.count * self.single.pixels)
+        return float(np.sqrt(max(squares - total**2, 0.0)))
 
 
 def _kernel(size: float) -> NDArray[np.float32]:

@@ -1,4 +1,4 @@
-"""Tiles handed out to workers: one to each at a time, again where a worker died."""
+"""Tiles handed out to workers, again where a worker died."""
 
 from __future__ import annotations
 
@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 
 # A step has so many tiles for each worker, so that none waits long for the last one.
 TILES_EACH = 4
+# So many lie with each worker: the next one is there as it ends one.
+_AHEAD = 2
 # Seconds after which workers are counted again, and without any after which there is no hope.
 _AGAIN, _HOPE = 2.0, 60.0
 
@@ -45,6 +47,8 @@ class DaskCrew:
     cores: int
     memory: int
     _jobs: WeakKeyDictionary[Checkpoint, Job] = field(default_factory=WeakKeyDictionary)
+    # Tiles that ended. Dask is told with the next ones: what is sent soon after waits for 10 ms.
+    _over: list[Future] = field(default_factory=list)
 
     def __str__(self) -> str:
         count = len(self.threads)
@@ -87,21 +91,26 @@ class DaskCrew:
         before = {name: running.spans(name) for name in work.steps[step]}
         report, total = work.report(step), sum(stop - start for start, stop in spans)
         done = max((stop for _, stop in spans), default=0) - total
-        hopeful = time.monotonic()
+        threads: dict[str, int] = {}
+        counted = hopeful = time.monotonic()
         try:
             while waiting or going:
-                threads = self.threads
+                now = time.monotonic()
+                if not threads or now > counted + _AGAIN:
+                    threads, counted = self.threads, now
                 if threads:
-                    hopeful = time.monotonic()
-                elif time.monotonic() - hopeful > _HOPE:
+                    hopeful = now
+                elif now - hopeful > _HOPE:
                     raise ClusterError("no worker is left", hint=_GO_ON)
-                while waiting and len(going) < len(threads):
+                while waiting and len(going) < _wanted(len(waiting), len(threads)):
                     span = waiting.popleft()
                     # Its name stands in the folder before a worker writes it.
                     running.place(*span, step)
                     going[self._submit(job, step, span, before, threads)] = span
+                    self._over.clear()
                 for future, status in self._ended(going):
                     span = going.pop(future)
+                    self._over.append(future)
                     self._check(future, status, running, step, span)
                     running.add(*span, step)
                     done += span[1] - span[0]
@@ -195,6 +204,11 @@ class DaskCrew:
                 hint=f"probably memory: use fewer workers, --memory or --tile-rows. {_GO_ON}",
             ) from error
         raise _of_worker("a worker", error) from error
+
+
+def _wanted(waiting: int, workers: int) -> int:
+    """How many tiles lie with all workers: of the last ones each gets one, as it ends another."""
+    return workers * (_AHEAD if waiting > workers else 1)
 
 
 _NO_SCHEDULER = "the connection to the scheduler was lost"
