@@ -136,14 +136,19 @@ class Neighbourhood:
         )
         count = self.atoms.count
         np.maximum(values[:, :count], samples.clip_level, out=values[:, :count], where=clipped)
-        deviations = (variances + (COMMON_ERROR * values) ** 2) / (SAMPLE_DEVIATION * level) ** 2
-        weight = (1 / (1 + deviations)).astype(np.float32)
+        # 1 / (1 + (variance + (COMMON_ERROR value)^2) / SAMPLE_DEVIATION^2), in place.
+        weight = np.square(values)
+        weight *= np.float32(COMMON_ERROR**2)
+        weight += variances
+        weight /= np.float32((SAMPLE_DEVIATION * level) ** 2)
+        weight += 1
+        np.reciprocal(weight, out=weight)
         weight[:, :count] *= clipped
         # Masked rows, none of whose samples counts, stay empty.
         used = samples.counted
         known = (used & ~clipped).sum(axis=1, keepdims=True)
         helped = np.minimum(1, (ENOUGH / np.maximum(known, 1)) ** 2)
-        weight *= helped * used.any(axis=1, keepdims=True)
+        weight *= (helped * used.any(axis=1, keepdims=True)).astype(np.float32)
         weight[weight < LEAST_WEIGHT] = 0
         return Expectation(unseen, values, weight)
 
