@@ -7,7 +7,7 @@ time stands the processors', of workers and of the process that hands out tiles:
 is busy with other work the clock tells little, and how much more of the processors two workers take
 bounds what they would gain on two idle cores.
 
-    python -m benchmarks.workers [--camera 96] [--projector 96] [--count 64] [--repeats 3]
+    python -m benchmarks.workers [--camera 256] [--projector 256] [--count 64] [--repeats 3]
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from lightmatrix.estimators.workers.opening import opened
 def main(arguments: list[str] | None = None) -> None:
     """Measure, and print a line of JSON for each kind of estimate."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.workers", description=__doc__)
-    for name, value in (("camera", 96), ("projector", 96), ("count", 64), ("repeats", 3)):
+    for name, value in (("camera", 256), ("projector", 256), ("count", 64), ("repeats", 3)):
         parser.add_argument(f"--{name}", type=int, default=value)
     options = parser.parse_args(arguments)
     # Read by the workers, which divide it: one thread each.

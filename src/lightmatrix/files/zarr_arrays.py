@@ -55,7 +55,7 @@ def create_array(
         chunks=chunks,
         dtype=dtype,
         # The checksum because Blosc may take a truncated chunk for a whole one.
-        compressors=[BloscCodec(cname="zstd", clevel=5, shuffle="shuffle"), Crc32cCodec()],
+        compressors=[BloscCodec(cname="zstd", clevel=3, shuffle="shuffle"), Crc32cCodec()],
         # Chunks of zeros are written too, so that a missing chunk is known to be missing.
         config={"write_empty_chunks": True},
     )

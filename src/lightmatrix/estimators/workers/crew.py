@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from distributed import Client, Future
 
 # A step has so many tiles for each worker, so that none waits long for the last one.
-TILES_EACH = 4
+TILES_EACH = 3
 # So many lie with each worker: the next one is there as it ends one.
 _AHEAD = 2
 # Seconds after which workers are counted again, and without any after which there is no hope.
