@@ -378,17 +378,20 @@ def test_workers_started_here_have_their_threads_and_the_usual_malloc(
     assert dict(os.environ) == before
 
 
-@given(st.integers(0, 9000), st.integers(1, 9000), st.integers(1, 40))
-def test_tiles_get_smaller_towards_the_end(rows: int, most: int, parts: int) -> None:
-    spans = list(cut(rows, most, parts))
+@given(st.integers(0, 9000), st.integers(1, 9000), st.integers(1, 40), st.booleans())
+def test_tiles_of_a_step(rows: int, most: int, parts: int, shrinking: bool) -> None:
+    spans = list(cut(rows, most, parts, shrinking))
     assert [0, *(stop for _, stop in spans)] == [*(start for start, _ in spans), rows]
     sizes = [stop - start for start, stop in spans]
     assert max(sizes, default=0) <= most
     assert sizes == sorted(sizes, reverse=True)
-    # The last one keeps nobody waiting for longer than half of what an equal part would.
-    if parts > 1:
+    if shrinking and parts > 1:
         assert len(spans) >= parts or rows < 2 * parts * LEAST_TILE
-        assert sizes[-1:] <= [max(LEAST_TILE, -(-rows // (2 * parts)))]
+        # The last one keeps nobody waiting for longer than half of what an equal part would.
+        assert sizes[-1:] <= [max(LEAST_TILE, -(-rows // parts) // 2 + 1)]
+    else:
+        assert len(set(sizes[:-1])) <= 1
+        assert max(sizes, default=0) <= max(LEAST_TILE, -(-rows // parts))
 
 
 def test_workers_do_not_read_the_script_that_starts_them(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -131,9 +131,9 @@ class _Tiles(OneStep):
     estimator: PlainEstimator
     regularization: float
 
-    def ranges(self, step: str, parts: int = 1) -> Iterator[Span]:
+    def ranges(self, step: str, parts: int = 1, *, shrinking: bool = False) -> Iterator[Span]:
         most = self.estimator.tile_rows or self._fitting_rows()
-        return cut(self.capture.rows, most, parts)
+        return cut(self.capture.rows, most, parts, shrinking)
 
     def solve(self, start: int, stop: int) -> SparseRows:
         samples = self.capture.samples(start, stop)

@@ -39,8 +39,11 @@ class Work(Protocol):
         A name has lower case letters, digits and hyphens.
         """
 
-    def ranges(self, step: str, parts: int = 1) -> Iterator[Span]:
-        """Tiles of a step, in order: its rows start..stop; where it may be, so many or more."""
+    def ranges(self, step: str, parts: int = 1, *, shrinking: bool = False) -> Iterator[Span]:
+        """Tiles of a step, in order: its rows start..stop; where it may be, so many or more.
+
+        `shrinking` ones get smaller towards the end: those who solve them end together.
+        """
 
     def begin(self, step: str, found: Found) -> SolveTile:
         """What comes before the first tile of a step, and gives what solves its rows start..stop.
@@ -69,7 +72,7 @@ class OneStep(ABC):
         return {ROWS: ()}
 
     @abstractmethod
-    def ranges(self, step: str, parts: int = 1) -> Iterator[Span]:
+    def ranges(self, step: str, parts: int = 1, *, shrinking: bool = False) -> Iterator[Span]:
         """Tiles of rows, in order."""
 
     @abstractmethod
@@ -159,7 +162,9 @@ def complete(
     solve : callable, optional
         Solves tiles of a step and keeps them; None: here, one after the other.
     """
-    missing = gaps(work.ranges(step, parts) if wanted is None else wanted, tiles.spans(step))
+    if wanted is None:
+        wanted = work.ranges(step, parts, shrinking=True)
+    missing = gaps(wanted, tiles.spans(step))
     if not missing:
         return
     for before in work.steps[step]:
@@ -176,15 +181,14 @@ def complete(
             tiles.forget(before)
 
 
-def cut(rows: int, most: int, parts: int = 1) -> Iterator[Span]:
-    """Rows in tiles of at most so many.
-
-    Where there are to be several parts there are so many or more, and they get smaller towards the
-    end: then those who solve them come to an end together.
-    """
-    start, least = 0, max(1, min(most, max(LEAST_TILE, -(-rows // (2 * parts)))))
+def cut(rows: int, most: int, parts: int = 1, shrinking: bool = False) -> Iterator[Span]:
+    """Rows in tiles of at most so many; in so many or more, alike or shrinking, see `Work`."""
+    shrinking &= parts > 1
+    even = -(-rows // parts)
+    least = max(1, min(most, max(LEAST_TILE, -(-even // 2) if shrinking else even)))
+    start = 0
     while start < rows:
-        share = -(-2 * (rows - start) // max(4, parts)) if parts > 1 else rows
+        share = -(-2 * (rows - start) // max(4, parts)) if shrinking else even
         stop = min(rows, start + max(least, min(most, share)))
         yield start, stop
         start = stop

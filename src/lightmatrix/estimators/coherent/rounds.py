@@ -97,12 +97,12 @@ class Rounds:
             misfit = pooled(misfit, known.camera)
         return partial(self._last, known, misfit)
 
-    def ranges(self, step: str, parts: int = 1) -> Iterator[Span]:
+    def ranges(self, step: str, parts: int = 1, *, shrinking: bool = False) -> Iterator[Span]:
         """Rows of a step that are solved at a time."""
         solving = self.solving
         row_bytes = coherent_row_bytes(solving.capture.count, solving.candidates)
         most = self.tile_rows or max(1, TILE_BYTES // row_bytes)
-        return cut(self._grid(self.stages[self._number(step)]).count, most, parts)
+        return cut(self._grid(self.stages[self._number(step)]).count, most, parts, shrinking)
 
     def report(self, step: str, start: int = 0) -> Progress | None:
         """Tells rows as if all took alike: each round counts by the time that it usually takes."""

@@ -160,7 +160,7 @@ class _Run(OneStep):
     estimator: MultiScaleEstimator
     regularization: float
 
-    def ranges(self, step: str, parts: int = 1) -> Iterator[Span]:
+    def ranges(self, step: str, parts: int = 1, *, shrinking: bool = False) -> Iterator[Span]:
         # Strips of whole blocks, whose pixels share their candidates.
         rows = self.capture.camera_shape[0]
         width = self.capture.rows // rows

@@ -123,6 +123,7 @@ class DaskCrew:
 
     def close(self) -> None:
         """Let the workers close what they opened."""
+        self._over.clear()
         self.client.run(forget, on_error="ignore")
 
     def _job(self, work: Work, running: Checkpoint) -> Job:
