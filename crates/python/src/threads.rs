@@ -23,14 +23,22 @@ static SHARED: Mutex<Option<(u32, Arc<ThreadPool>)>> = Mutex::new(None);
 const STACK: usize = 2 << 20;
 const BESIDE_STACK: usize = 1 << 20;
 
-/// One after the other, so that no stack takes the room that the thread before still needs.
+/// Whether there is memory for so many more threads.
+fn room(threads: usize) -> io::Result<()> {
+    Vec::<u8>::new()
+        .try_reserve_exact(threads.saturating_mul(STACK + BESIDE_STACK))
+        .map_err(|_| io::ErrorKind::OutOfMemory.into())
+}
+
+/// One after the other, so that no stack takes the room that the thread before still needs; none
+/// where there is no room for all, as the system's library keeps the stacks of those that ended.
 fn start(threads: usize) -> PyResult<Arc<ThreadPool>> {
+    let refused = |why| PyOSError::new_err(format!("cannot start {threads} threads: {why}"));
+    room(threads).map_err(|error| refused(error.to_string()))?;
     let pool = ThreadPoolBuilder::new()
         .num_threads(threads)
         .spawn_handler(|thread| {
-            Vec::<u8>::new()
-                .try_reserve_exact(STACK + BESIDE_STACK)
-                .map_err(|_| io::ErrorKind::OutOfMemory)?;
+            room(1)?;
             let (ready, begun) = mpsc::channel();
             let builder = std::thread::Builder::new().stack_size(STACK);
             builder.spawn(move || {
@@ -45,7 +53,7 @@ fn start(threads: usize) -> PyResult<Arc<ThreadPool>> {
         .build();
     pool.map(Arc::new).map_err(|error| {
         let why = error.source().map_or(error.to_string(), |e| e.to_string());
-        PyOSError::new_err(format!("cannot start {threads} threads: {why}"))
+        refused(why)
     })
 }
 
