@@ -30,8 +30,9 @@ fn room(threads: usize) -> io::Result<()> {
         .map_err(|_| io::ErrorKind::OutOfMemory.into())
 }
 
-/// One after the other, so that no stack takes the room that the thread before still needs; none
-/// where there is no room for all, as the system's library keeps the stacks of those that ended.
+/// Threads started one after the other, so that no stack takes the room that the thread before
+/// still needs. None starts where there is no room for all: the system's library keeps the stacks
+/// of those that ended, and nothing would be left to say so with.
 fn start(threads: usize) -> PyResult<Arc<ThreadPool>> {
     let refused = |why| PyOSError::new_err(format!("cannot start {threads} threads: {why}"));
     room(threads).map_err(|error| refused(error.to_string()))?;

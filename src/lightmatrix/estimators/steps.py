@@ -183,12 +183,12 @@ def complete(
 
 def cut(rows: int, most: int, parts: int = 1, shrinking: bool = False) -> Iterator[Span]:
     """Rows in tiles of at most so many; in so many or more, alike or shrinking, see `Work`."""
-    shrinking &= parts > 1
-    even = -(-rows // parts)
-    least = max(1, min(most, max(LEAST_TILE, -(-even // 2) if shrinking else even)))
-    start = 0
+    start, even = 0, -(-rows // parts)
     while start < rows:
-        share = -(-2 * (rows - start) // max(4, parts)) if shrinking else even
-        stop = min(rows, start + max(least, min(most, share)))
+        size = even
+        if shrinking and parts > 1:
+            # A share of what is left, not below half of an equal part.
+            size = max(-(-even // 2), -(-2 * (rows - start) // max(4, parts)))
+        stop = min(rows, start + max(1, min(most, max(LEAST_TILE, size))))
         yield start, stop
         start = stop

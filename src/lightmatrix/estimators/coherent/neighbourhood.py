@@ -136,7 +136,7 @@ class Neighbourhood:
         )
         count = self.atoms.count
         np.maximum(values[:, :count], samples.clip_level, out=values[:, :count], where=clipped)
-        # 1 / (1 + (variance + (COMMON_ERROR value)^2) / SAMPLE_DEVIATION^2), in place.
+        # 1 / (1 + (variance + (COMMON_ERROR value)^2) / (SAMPLE_DEVIATION level)^2), in place.
         weight = np.square(values)
         weight *= np.float32(COMMON_ERROR**2)
         weight += variances

@@ -92,15 +92,14 @@ class DaskCrew:
         report, total = work.report(step), sum(stop - start for start, stop in spans)
         done = max((stop for _, stop in spans), default=0) - total
         threads: dict[str, int] = {}
-        counted = hopeful = time.monotonic()
+        seen = time.monotonic()
         try:
             while waiting or going:
                 now = time.monotonic()
-                if not threads or now > counted + _AGAIN:
-                    threads, counted = self.threads, now
-                if threads:
-                    hopeful = now
-                elif now - hopeful > _HOPE:
+                if not threads or now > seen + _AGAIN:
+                    threads = self.threads
+                    seen = now if threads else seen
+                if not threads and now > seen + _HOPE:
                     raise ClusterError("no worker is left", hint=_GO_ON)
                 while waiting and len(going) < _wanted(len(waiting), len(threads)):
                     span = waiting.popleft()

@@ -138,7 +138,7 @@ def _without_script() -> Iterator[None]:
 def _bare(threads: str) -> Iterator[None]:
     """Start workers that do little else than tiles.
 
-    Dask's looks at itself, for a dashboard that nobody sees, take a tenth of a core of every two
+    Dask's looks at itself, for a dashboard that nobody sees, take 7 to 9 % of a core of every two
     workers, and its setting of malloc, which gives memory back at once, 6 % of their time.
     """
     import dask
