@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -106,7 +107,7 @@ def test_others_read_the_format_as_it_is_documented(
     # A projector of 3 x 5 in tiles of 2 x 2, by what the page says of their order.
     monkeypatch.setattr(columns, "_TILE", 2)
     order = [0, 1, 5, 6, 2, 3, 7, 8, 4, 9, 10, 11, 12, 13, 14]
-    assert np.argsort(columns.tile_places((3, 5))).tolist() == order
+    assert np.argsort(columns.tile_places(np.arange(15), (3, 5))).tolist() == order
 
 
 def test_only_the_chunks_that_are_asked_for_are_read_and_damage_is_named(tmp_path: Path) -> None:
@@ -149,12 +150,15 @@ def test_relighting_from_files_reads_blocks(
         lm.StoredTransport.open(tmp_path / "s.zarr").rows(3, 99)
 
 
+@pytest.mark.parametrize("kept_cells", [0, 2, 6])
 def test_an_index_of_columns_gives_the_light_of_some_pixels(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kept_cells: int
 ) -> None:
     monkeypatch.setattr(columns, "_CHUNK", 25)
     monkeypatch.setattr(columns, "_PASS_ENTRIES", 100)
     monkeypatch.setattr(columns, "_TILE", 4)
+    monkeypatch.setattr(columns, "_PASS_VALUES", 6 * 16)
+    monkeypatch.setattr(columns, "_CELL_BYTES", 4 * 72 * kept_cells)
     whole = transport()
     path = tmp_path / "s.zarr"
     lm.save(path, whole)
@@ -163,11 +167,13 @@ def test_an_index_of_columns_gives_the_light_of_some_pixels(
     lm.index_columns(path)
     index = lm.ColumnIndex.open(path)
     generator = np.random.default_rng(3)
-    for pixels in (np.array([], int), np.array([41]), np.array([30, 3, 4, 5, 41, 4])):
+    for listed in ([], [41], [30, 3, 4, 5, 41, 4], range(42)):
+        pixels = np.array(listed, int)
         change = generator.normal(size=len(pixels))
         wanted = whole.dense_columns(pixels) @ change
         found = index.light(pixels, change)
         np.testing.assert_allclose(found.ravel(), wanted, atol=1e-6)
+        assert len(index._kept_cells) <= max(1, kept_cells)
     with pytest.raises(InputError, match="pixels up to 42"):
         index.light(np.array([42]), np.ones(1))
     with pytest.raises(InputError, match="has an index already"):
@@ -184,6 +190,18 @@ def test_an_index_of_columns_gives_the_light_of_some_pixels(
     assert [entry.name for entry in tmp_path.iterdir()] == ["s.zarr"]
 
 
+def test_the_index_of_another_matrix_is_refused(tmp_path: Path) -> None:
+    whole = transport()
+    finer = replace(whole, background=np.ones((72, 18), np.float32), background_grid=(6, 3))
+    for name, matrix in (("s.zarr", whole), ("finer.zarr", finer)):
+        lm.save(tmp_path / name, matrix)
+        lm.index_columns(tmp_path / name)
+    shutil.rmtree(tmp_path / "s.zarr" / "columns")
+    shutil.copytree(tmp_path / "finer.zarr" / "columns", tmp_path / "s.zarr" / "columns")
+    with pytest.raises(InputError, match="the index of another matrix"):
+        lm.ColumnIndex.open(tmp_path / "s.zarr")
+
+
 def test_a_damaged_index_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(columns, "_CHUNK", 25)
     path = tmp_path / "s.zarr"
@@ -195,6 +213,9 @@ def test_a_damaged_index_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     with pytest.raises(InputError, match=r"columns: is damaged .*rows/c/2"):
         index.light(np.arange(42), np.ones(42))
     assert index.light(np.array([0]), np.ones(1)).shape == (9, 8)
+    (path / "columns" / "background" / "c" / "5" / "0").unlink()
+    with pytest.raises(InputError, match=r"columns: is damaged .*background/c/5/0 is missing"):
+        index.light(np.array([41]), np.ones(1))
     shutil.rmtree(path / "columns" / "data")
     with pytest.raises(InputError, match="columns: is damaged"):
         lm.ColumnIndex.open(path)

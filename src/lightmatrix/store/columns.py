@@ -1,7 +1,8 @@
 """An index of the columns of a matrix on disk, so that a brush stroke reads no more than its light.
 
 Rows are what a matrix on disk is cut into, and a column is spread over all of them. The index keeps
-the entries a second time, column by column, the columns of a tile of the projector together.
+the entries a second time, column by column, the columns of a tile of the projector together, and
+the background cell by cell.
 """
 
 from __future__ import annotations
@@ -17,12 +18,14 @@ from typing import Any
 import numpy as np
 import zarr
 from numpy.typing import NDArray
-from scipy.sparse import csc_array
 
 from lightmatrix.errors import InputError
 from lightmatrix.files.zarr_arrays import (
+    CHUNK,
+    QUICK,
     GrowingArray,
     StoredArray,
+    create_array,
     damage_explained,
     read_attributes,
 )
@@ -31,6 +34,7 @@ from lightmatrix.outputs.locks import check_unlocked
 from lightmatrix.outputs.room import check_disk
 from lightmatrix.outputs.targets import explained, final_target
 from lightmatrix.outputs.writing import claimed
+from lightmatrix.patterns.grids import grid_cells
 from lightmatrix.reprs import short_repr
 from lightmatrix.store.checked import check_indptr, finite
 from lightmatrix.store.lazy import StoredTransport
@@ -39,22 +43,26 @@ from lightmatrix.transport.sparse_rows import row_blocks
 COLUMNS = "columns"
 # Where it is written before it is whole; a run that was killed leaves it, and the next sweeps it.
 _PART = ".columns.part"
-_ARRAYS = {"indptr": np.int64, "rows": np.int32, "data": np.float32}
+_ENTRIES = {"indptr": np.int64, "rows": np.int32, "data": np.float32}
 # Entries that are turned over together, 12 bytes each and as much again while they are sorted.
 _PASS_ENTRIES = 1 << 26
+# Values of the background that are turned over together.
+_PASS_VALUES = 1 << 24
 # Projector pixels of a tile, down and across.
 _TILE = 32
 # Of a chunk, small enough that the pixels of a brush read little besides.
 _CHUNK = 1 << 16
 # Chunks that are kept, of 512 KiB each.
 _MOST_KEPT = 256
+# Bytes of the background's cells that are kept, 4 for each camera sample.
+_CELL_BYTES = 1 << 26
 _AGAIN = "make it again with index_columns"
 
 
 def index_columns(path: str | Path, *, overwrite: bool = False) -> None:
     """Add an index of its columns to a matrix on disk.
 
-    It takes as much space again, and a gigabyte and a half of memory at most.
+    It takes about as much space again, and a gigabyte and a half of memory at most.
 
     Parameters
     ----------
@@ -84,7 +92,8 @@ def index_columns(path: str | Path, *, overwrite: bool = False) -> None:
     with claimed(path, STORE, overwrite=True) as target, explained(path):
         if (target / COLUMNS).exists() and not overwrite:
             raise InputError(f"{path}: has an index already", hint="pass overwrite=True")
-        check_disk(target, 8 * matrix.entries + 8 * matrix.shape[1], path)
+        background = matrix.stored.arrays["background"].bytes
+        check_disk(target, 8 * matrix.entries + 8 * matrix.shape[1] + background, path)
         part = target / _PART
         shutil.rmtree(part, ignore_errors=True)
         try:
@@ -108,36 +117,41 @@ def _sweep(target: Path) -> None:
                 shutil.rmtree(target / name)
 
 
-def tile_places(projector_shape: tuple[int, int]) -> NDArray[np.int64]:
-    """Where each projector pixel stands in the index: tile by tile of 32 x 32, row by row in each.
+def tile_places(pixels: NDArray[np.integer], projector_shape: tuple[int, int]) -> NDArray[np.int64]:
+    """Where projector pixels stand in the index: tile by tile of 32 x 32, row by row in each.
 
     So that the pixels of a brush, which lie beside and below each other, stand together.
 
     Parameters
     ----------
+    pixels : (n,) int
+        In the order (row, col).
     projector_shape : (rows, cols)
 
     Returns
     -------
-    (N,) int64
-        A permutation of 0..N - 1, by pixel in the order (row, col).
+    (n,) int64
+        Places from 0 to N - 1, another for every pixel.
     """
     rows, cols = projector_shape
-    across = -(-cols // _TILE)
-    tile = (np.arange(rows) // _TILE)[:, None] * across + np.arange(cols) // _TILE
-    places = np.empty(rows * cols, np.int64)
-    places[np.argsort(tile.ravel(), kind="stable")] = np.arange(rows * cols)
-    return places
+    row, col = np.divmod(pixels, cols)
+    top, left = row - row % _TILE, col - col % _TILE
+    height, width = np.minimum(_TILE, rows - top), np.minimum(_TILE, cols - left)
+    # Rows of tiles above, tiles to the left, and within the tile as much again.
+    return top * cols + left * height + (row - top) * width + col - left
 
 
 def _write(part: Path, matrix: StoredTransport) -> None:
-    pixels, places = matrix.shape[1], tile_places(matrix.projector_shape)
+    pixels = matrix.shape[1]
+    places = tile_places(np.arange(pixels), matrix.projector_shape)
     counts = np.zeros(pixels, np.int64)
     for _, block in matrix.blocks():
         counts += np.bincount(places[block.coefficients.indices], minlength=pixels)
     ends = np.concatenate([[0], np.cumsum(counts)])
     group = zarr.open_group(part, mode="w", zarr_format=3)
-    arrays = {name: GrowingArray(group, name, dtype, _CHUNK) for name, dtype in _ARRAYS.items()}
+    arrays = {
+        name: GrowingArray(group, name, dtype, _CHUNK, QUICK) for name, dtype in _ENTRIES.items()
+    }
     arrays["indptr"].add(ends)
     for first, last in itertools.pairwise(row_blocks(ends, _PASS_ENTRIES)):
         columns, rows, data = [], [], []
@@ -153,6 +167,17 @@ def _write(part: Path, matrix: StoredTransport) -> None:
         arrays["data"].add(np.concatenate(data)[order])
     for array in arrays.values():
         array.close()
+    _write_background(group, matrix)
+
+
+def _write_background(group: zarr.Group, matrix: StoredTransport) -> None:
+    """The background with a row for each cell, which is read without the others."""
+    samples, cells = matrix.stored.arrays["background"].shape
+    chunk = max(1, min(samples, CHUNK, _PASS_VALUES // cells))
+    turned = create_array(group, "background", (cells, samples), np.float32, (1, chunk), QUICK)
+    for start in range(0, samples, chunk):
+        stop = min(start + chunk, samples)
+        turned[:, start:stop] = matrix.background(start, stop).T
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,7 +190,7 @@ class ColumnIndex:
     ----------
     matrix : StoredTransport
     arrays : dict of str to StoredArray
-        ``indptr``, ``rows`` and ``data``.
+        ``indptr``, ``rows``, ``data`` and ``background``.
 
     Examples
     --------
@@ -181,6 +206,7 @@ class ColumnIndex:
     arrays: dict[str, StoredArray]
     # Chunks that were read, since the next stroke is near the last.
     _kept: dict[int, tuple[NDArray[Any], NDArray[Any]]] = field(default_factory=dict, repr=False)
+    _kept_cells: dict[int, NDArray[np.float32]] = field(default_factory=dict, repr=False)
 
     __repr__ = short_repr
 
@@ -198,12 +224,12 @@ class ColumnIndex:
         if not place.is_dir():
             raise InputError(f"{path}: has no index of its columns", hint="make it: index_columns")
         with damage_explained(place, _AGAIN):
-            arrays = {name: StoredArray.open(place / name) for name in _ARRAYS}
-            wanted = (matrix.entries,)
-            if arrays["rows"].shape != wanted or arrays["data"].shape != wanted:
+            entries, pixels = (matrix.entries,), (matrix.shape[1] + 1,)
+            turned = matrix.stored.arrays["background"].shape[::-1]
+            wanted = {"indptr": pixels, "rows": entries, "data": entries, "background": turned}
+            arrays = {name: StoredArray.open(place / name) for name in wanted}
+            if any(arrays[name].shape != shape for name, shape in wanted.items()):
                 raise ValueError("it is the index of another matrix")
-            if arrays["indptr"].shape != (matrix.shape[1] + 1,):
-                raise ValueError("it is the index of another projector")
         found = cls(matrix, arrays)
         assert len(found._ends) > 0
         return found
@@ -240,8 +266,8 @@ class ColumnIndex:
                 f"pixels up to {pixels.max()} of a projector of {self.matrix.shape[1]}",
                 hint="count them from 0, row by row",
             )
-        ends, places = self._ends, self._places[pixels]
-        image = np.zeros(self.matrix.shape[0])
+        ends, places = self._ends, tile_places(pixels, self.matrix.projector_shape)
+        image = np.zeros(self.matrix.shape[0], np.float32)
         for k in self._chunks(places):
             rows, data = self._kept[k]
             # Of each pixel, its entries in this chunk, counted from the chunk's beginning.
@@ -251,11 +277,13 @@ class ColumnIndex:
             lengths, low = lengths[inside], low[inside]
             first = np.repeat(low - np.cumsum(lengths) + lengths, lengths)
             entries = first + np.arange(len(first))
-            np.add.at(image, rows[entries], data[entries] * np.repeat(change[inside], lengths))
-        means = self._pooling[:, pixels] @ change
-        if means.any():
-            image += self._background @ means.astype(np.float32)
-        return image.astype(np.float32).reshape(self.matrix.camera_shape)
+            light = data[entries] * np.repeat(change[inside], lengths)
+            np.add.at(image, rows[entries], light.astype(np.float32))
+        cells = self._cells[pixels]
+        means = np.bincount(cells, change / self._cell_sizes[cells])
+        for cell in np.flatnonzero(means).tolist():
+            image += np.float32(means[cell]) * self._background(cell)
+        return image.reshape(self.matrix.camera_shape)
 
     def _chunks(self, places: NDArray[np.int64]) -> list[int]:
         """Which chunks hold entries of columns at some places, all of them read and kept."""
@@ -283,13 +311,26 @@ class ColumnIndex:
             part = slice((k - first) * _CHUNK, (k - first + 1) * _CHUNK)
             self._kept[k] = rows[part], data[part]
 
-    @cached_property
-    def _places(self) -> NDArray[np.int64]:
-        return tile_places(self.matrix.projector_shape)
+    def _background(self, cell: int) -> NDArray[np.float32]:
+        """What every camera sample sees of one cell of the background, read and kept."""
+        if cell not in self._kept_cells:
+            room = _CELL_BYTES // (4 * self.matrix.shape[0])
+            if len(self._kept_cells) >= max(1, room):
+                # The one that was read first.
+                del self._kept_cells[next(iter(self._kept_cells))]
+            with damage_explained(self.matrix.stored.place / COLUMNS, _AGAIN):
+                found = self.arrays["background"].read(slice(cell, cell + 1))
+                self._kept_cells[cell] = finite(found, "background")[0]
+        return self._kept_cells[cell]
 
     @cached_property
-    def _pooling(self) -> csc_array:
-        return csc_array(self.matrix.pooling, dtype=np.float64)
+    def _cells(self) -> NDArray[np.int64]:
+        """The cell that each projector pixel lies in."""
+        return grid_cells(self.matrix.projector_shape, self.matrix.background_grid)
+
+    @cached_property
+    def _cell_sizes(self) -> NDArray[np.int64]:
+        return np.bincount(self._cells)
 
     @cached_property
     def _ends(self) -> NDArray[np.int64]:
@@ -297,8 +338,3 @@ class ColumnIndex:
             ends = self.arrays["indptr"].read()
             check_indptr(ends, self.matrix.entries)
         return ends.astype(np.int64)
-
-    @cached_property
-    def _background(self) -> NDArray[np.float32]:
-        with damage_explained(self.matrix.stored.place, _AGAIN):
-            return finite(self.matrix.stored.arrays["background"].read(), "background")

@@ -165,7 +165,7 @@ class StoredTransport:
         """Rows without their diagnostics, which light needs not."""
         arrays = self.stored.arrays
         ends = self._indptr[start : stop + 1]
-        entries, part = slice(int(ends[0]), int(ends[-1])), slice(start, stop)
+        entries = slice(int(ends[0]), int(ends[-1]))
         with damage_explained(self.stored.place, RESTORE):
             matrix = checked_matrix(
                 arrays["data"].read(entries),
@@ -173,7 +173,13 @@ class StoredTransport:
                 ends - ends[0],
                 (stop - start, self.shape[1]),
             )
-            return SparseRows(matrix, finite(arrays["background"].read(part), "background"))
+        return SparseRows(matrix, self.background(start, stop))
+
+    def background(self, start: int, stop: int) -> NDArray[np.float32]:
+        """Some rows of the background, (stop - start, B) float32."""
+        with damage_explained(self.stored.place, RESTORE):
+            found = self.stored.arrays["background"].read(slice(start, stop))
+            return finite(found, "background")
 
     def blocks(self) -> Iterator[tuple[int, SparseRows]]:
         """All rows in blocks of bounded size, without diagnostics: (first row, rows)."""
