@@ -18,6 +18,7 @@ from systems import SHELL, SIGNALS
 import lightmatrix as lm
 from lightmatrix import cli
 from lightmatrix.cli import main
+from lightmatrix.errors import InputError
 from lightmatrix.rig.procedural import ProceduralScene
 from lightmatrix.solvers import solve
 
@@ -188,6 +189,44 @@ def test_ctrl_c_once_the_output_is_there_says_so(
         assert main((line + again).split()) == 130
         assert capsys.readouterr().err.endswith("stopped; s.zarr is finished\n")
         assert lm.open("s.zarr").camera_shape == (64, 64)
+
+
+@pytest.mark.parametrize("where", ["lightmatrix.verdict", "lightmatrix.store.zarr_file.open"])
+@pytest.mark.parametrize(
+    "error", [MemoryError(), RuntimeError("can't start new thread"), InputError("s.zarr: 9 GiB")]
+)
+def test_memory_that_ends_once_the_output_is_there_costs_its_words_only(
+    where: str,
+    error: Exception,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    def failing(*_: Any) -> None:
+        raise error
+
+    lm.simulate("metal", lm.BernoulliPatterns((64, 64), 8)).save("capture")
+    line = "estimate capture -o s.zarr --solver romp --iterations 1"
+    with monkeypatch.context() as patched:
+        patched.setattr(where, failing)
+        for again in ("", " --overwrite"):
+            assert main((line + again).split()) == 0
+            assert "s.zarr is finished; " in capsys.readouterr().err
+    assert lm.open("s.zarr").camera_shape == (64, 64)
+
+
+def test_memory_that_ends_before_all_was_told_is_a_failure(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def failing(*_: Any) -> None:
+        raise MemoryError
+
+    lm.simulate("metal", lm.BernoulliPatterns((64, 64), 8)).save("capture")
+    line = "estimate capture -o s.zarr --solver romp --iterations 1 --json"
+    monkeypatch.setattr("lightmatrix.store.zarr_file.open", failing)
+    assert main(line.split()) == 3
+    assert "error: s.zarr is finished; " in capsys.readouterr().err
+    assert main(line.split()) == 2
+    assert "s.zarr: exists already" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

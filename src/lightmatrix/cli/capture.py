@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 import lightmatrix as lm
-from lightmatrix.cli.claims import claim, tell_when_stopped
+from lightmatrix.cli.claims import claim, tell_what_is_left
 from lightmatrix.cli.options import (
     RIG_FILE,
     USUAL_FRAMES,
@@ -82,10 +82,10 @@ def capture(
     over when it is known. Frames that are late, torn, lost or copied are taken again.
     """
     claim(output, LIVE_CAPTURE, overwrite=overwrite)
-    tell_when_stopped(output, "frames")
+    tell_what_is_left(output, "frames")
     if store is not None:
         claim(store, STORE, overwrite=overwrite)
-        tell_when_stopped(store, "tiles")
+        tell_what_is_left(store, "tiles")
     with (
         lm.open_rig(rig, projector=projector, camera=camera, patience=patience) as opened,
         stages() as shown,

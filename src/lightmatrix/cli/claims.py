@@ -6,8 +6,10 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
+from lightmatrix.cli.failures import lacks_memory
 from lightmatrix.cli.stops import is_stop
-from lightmatrix.cli.terminal import Stopped
+from lightmatrix.cli.terminal import FinishedError, Stopped
+from lightmatrix.errors import InputError
 from lightmatrix.outputs.kinds import PARTIAL
 from lightmatrix.outputs.markers import OutputKind
 from lightmatrix.outputs.writing import claimed
@@ -27,19 +29,25 @@ def claim(output: Path, kind: OutputKind, *, overwrite: bool) -> Path:
     return outputs.enter_context(claimed(output, kind, overwrite=overwrite))
 
 
-def tell_when_stopped(output: Path, parts: str) -> None:
-    """On Ctrl-C, from now until the command ends, say what is left of an output made in parts."""
-    outputs.enter_context(_told_when_stopped(output, parts))
+def tell_what_is_left(output: Path, parts: str, *, enough: bool = False) -> None:
+    """From now until the command ends, say on Ctrl-C what is left of an output made in parts.
+
+    So it is said where memory ends once the output is whole, which is no failure if the output is
+    `enough`, all that was asked for.
+    """
+    outputs.enter_context(_left_told(output, parts, enough))
 
 
 @contextmanager
-def _told_when_stopped(output: Path, parts: str) -> Iterator[None]:
+def _left_told(output: Path, parts: str, enough: bool) -> Iterator[None]:
     before = _identity(output)
     try:
         yield
     except BaseException as error:
         # Libraries may have made their own of it.
         if not is_stop(error):
+            if _identity(output) != before:
+                _tell_finished(output, enough, error)
             raise
         kept = output.with_name(output.name + PARTIAL).exists()
         left = f"finished {parts} are kept, run again to go on" if kept else ""
@@ -47,6 +55,17 @@ def _told_when_stopped(output: Path, parts: str) -> Iterator[None]:
             left = f"{output} is finished"
         told = [str(error)] if isinstance(error, Stopped) else []
         raise Stopped("; ".join(filter(None, [left, *told]))) from None
+
+
+def _tell_finished(output: Path, enough: bool, error: BaseException) -> None:
+    """Raise `FinishedError` where memory ended, or a whole output could not be read back."""
+    if lacks_memory(error):
+        why = "then there was not enough memory"
+    elif enough and isinstance(error, InputError):
+        why = error.message
+    else:
+        return
+    raise FinishedError(f"{output} is finished; {why}", enough) from error
 
 
 def _identity(place: Path) -> int | None:

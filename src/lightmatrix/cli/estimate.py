@@ -11,7 +11,7 @@ import typer
 
 import lightmatrix as lm
 from lightmatrix.capture.checking.finding import refuse_disorder
-from lightmatrix.cli.claims import claim, tell_when_stopped
+from lightmatrix.cli.claims import claim, tell_what_is_left
 from lightmatrix.cli.options import (
     ADMM_ITERATIONS,
     COHERENT_UP_TO,
@@ -238,7 +238,7 @@ def estimate(
     if repair:
         _repair(output, opened, estimator, as_json)
         return
-    tell_when_stopped(output, "tiles")
+    tell_what_is_left(output, "tiles", enough=not as_json and report is None)
     # What is wrong with workers is said before frames are read.
     with estimator.crew(opened) as crew:
         if crew is not None:

@@ -14,7 +14,7 @@ from typing import TextIO
 import typer
 
 from lightmatrix.cli.stops import is_stop
-from lightmatrix.cli.terminal import Stopped, warn
+from lightmatrix.cli.terminal import FinishedError, Stopped, warn
 from lightmatrix.errors import LightMatrixError
 
 BAD, NO_MEMORY, BUG, STOPPED = 2, 3, 70, 130
@@ -38,12 +38,17 @@ def report(error: BaseException) -> int:
     code, lines = _explain(error)
     try:
         for number, line in enumerate(lines):
-            warn(line if number == 0 else f"  {line}", "red" if number == 0 else None)
+            warn(line if number == 0 else f"  {line}", "red" if number == 0 and code else None)
     except (OSError, ValueError):
         # Where standard error is gone too, the code is all there is to tell; and what it still
         # holds must not make Python, on leaving, tell another.
         _give_up(sys.stderr)
     return code
+
+
+def lacks_memory(error: BaseException) -> bool:
+    """Whether it is for want of memory, of which a thread takes some too."""
+    return isinstance(error, MemoryError) or "can't start new thread" in str(error)
 
 
 def _explain(error: BaseException) -> tuple[int, list[str]]:
@@ -55,7 +60,11 @@ def _explain(error: BaseException) -> tuple[int, list[str]]:
     if isinstance(error, typer.TyperException):
         message, hint = _usage_error(error)
         return BAD, [f"error: {message}", hint]
-    if isinstance(error, MemoryError) or "can't start new thread" in str(error):
+    if isinstance(error, FinishedError) and error.enough:
+        return 0, [str(error), "look at it with `lightmatrix info`"]
+    if isinstance(error, FinishedError):
+        return NO_MEMORY, [f"error: {error}", "look at it with `lightmatrix info`"]
+    if lacks_memory(error):
         return NO_MEMORY, ["error: not enough memory", "use a smaller size or --tile-rows"]
     if isinstance(error, OSError) and str(error).startswith("cannot start"):
         return NO_MEMORY, [f"error: {error}", "free some memory, or set RAYON_NUM_THREADS to fewer"]

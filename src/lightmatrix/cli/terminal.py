@@ -37,6 +37,21 @@ class Stopped(KeyboardInterrupt):
     """Ctrl-C, with what is left to say about it."""
 
 
+class FinishedError(Exception):
+    """An output is whole, but what tells of it failed for want of memory.
+
+    Parameters
+    ----------
+    words : str
+    enough : bool
+        Whether the output is all that was asked for.
+    """
+
+    def __init__(self, words: str, enough: bool) -> None:
+        super().__init__(words)
+        self.enough = enough
+
+
 class _Plain(Console):
     """A console that prints what it is given, and lets its caller know of a reader that left."""
 
