@@ -3,7 +3,8 @@
 use crate::arrays::{attribute, check_shape, grid, long_or_short, positive, room, whole, Values};
 use crate::input::{Samples, Settings, SparseRows, Start};
 use crate::products::below;
-use crate::solver::{PreparedPatterns, Solved};
+use crate::solved::Solved;
+use crate::solver::PreparedPatterns;
 use crate::threads::{count_of, on_all_cores, run_interruptibly};
 use lightmatrix_core::coherent::{
     self, Expectation, Expected, Further, Knowledge, Neighbours, Weighted, Windows,

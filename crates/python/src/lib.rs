@@ -3,7 +3,10 @@
 mod arrays;
 mod coherent;
 mod input;
+mod planes;
 mod products;
+mod sets;
+mod solved;
 mod solver;
 mod threads;
 
@@ -16,6 +19,8 @@ static ALLOCATOR: Aligned = Aligned;
 #[pymodule]
 fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     products::register(module)?;
+    planes::register(module)?;
+    solved::register(module)?;
     solver::register(module)?;
     coherent::register(module)
 }

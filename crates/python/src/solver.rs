@@ -1,15 +1,17 @@
 //! The active-set solver and its correlation pass.
 
-use crate::arrays::{array, check_shape, grid, long_or_short, positive, room, whole, Values};
+use crate::arrays::{array, check_shape, grid, long_or_short, room, Values};
 use crate::input::{Samples, Settings, Start};
-use crate::products::{below, Packed, MOST_PIXELS};
+use crate::planes::plane;
+use crate::products::{below, Packed};
+use crate::sets::{check_any, level, padded_means, Transform};
+use crate::solved::{Solved, ROW_BYTES};
 use crate::threads::{count_of, on_all_cores, run_interruptibly};
 use lightmatrix_core::active_set;
-use lightmatrix_core::atoms::{self, Atoms, Plane};
+use lightmatrix_core::atoms::Atoms;
 use lightmatrix_core::columns::{BitColumns, Columns, DenseColumns};
 use lightmatrix_core::correlate::{Correlator, Scores, Scratch};
-use lightmatrix_core::problem::{Dictionary, Solution};
-use lightmatrix_core::simd::Level;
+use lightmatrix_core::problem::Dictionary;
 use lightmatrix_core::vector::padded;
 use numpy::{IntoPyArray, PyArray1, PyUntypedArrayMethods};
 use pyo3::exceptions::PyValueError;
@@ -21,134 +23,11 @@ use std::sync::Arc;
 const THREAD_BYTES: usize = 4 << 20;
 /// Float64 vectors over the patterns that a thread keeps.
 const THREAD_VECTORS: usize = 64;
-/// Bytes of an ordinary row's solution.
-const ROW_BYTES: usize = size_of::<Solution>() + 64 * 12;
 
 /// Patterns prepared for the solver: packed columns and the tables of the correlation pass.
 #[pyclass(frozen, module = "lightmatrix._core")]
 pub struct PreparedPatterns {
     pub dictionary: Arc<Dictionary>,
-}
-
-fn level(name: Option<&str>) -> PyResult<Level> {
-    match name {
-        None => Ok(Level::detect()),
-        Some(name) => Level::named(name).ok_or_else(|| {
-            let known: Vec<_> = Level::available().iter().map(|l| l.name()).collect();
-            PyValueError::new_err(format!(
-                "this CPU has no instruction set called {name:?}, it has {}",
-                known.join(", ")
-            ))
-        }),
-    }
-}
-
-/// Refuses a set without patterns or pixels: nothing could be said of any row.
-fn check_any(patterns: usize, pixels: usize) -> PyResult<()> {
-    if patterns == 0 || pixels == 0 {
-        return Err(PyValueError::new_err(format!(
-            "{patterns} patterns of {pixels} pixels, expected at least 1 of each"
-        )));
-    }
-    Ok(())
-}
-
-fn padded_means(means: &Bound<'_, PyAny>, patterns: usize) -> PyResult<Vec<f64>> {
-    let means = Values::<f64>::reals(means, "means")?;
-    check_shape("means", means.shape(), &[Some(patterns)], "one a pattern")?;
-    let mut values = means.as_slice()?.to_vec();
-    values.resize(padded(patterns), 0.0);
-    Ok(values)
-}
-
-/// Rows of a Sylvester matrix of order `length` that patterns are, and columns that pixels are.
-struct Transform {
-    length: usize,
-    selected: Vec<u32>,
-    position: Vec<u32>,
-}
-
-impl Transform {
-    fn read(
-        (length, selected, position): (Bound<'_, PyAny>, Bound<'_, PyAny>, Bound<'_, PyAny>),
-        patterns: usize,
-        pixels: usize,
-    ) -> PyResult<Self> {
-        let length = whole(&length, "the length of the transform", 1..=MOST_PIXELS)?;
-        if !length.is_power_of_two() {
-            return Err(PyValueError::new_err(format!(
-                "the transform of length {length} needs a power of two"
-            )));
-        }
-        room::<u32>(&[length, 2], "the transform")?;
-        let places = |value: &Bound<'_, PyAny>, what: &str, count| -> PyResult<Vec<u32>> {
-            let value = long_or_short(value, what)?;
-            check_shape(what, value.shape(), &[Some(count)], "one place each")?;
-            let places: Vec<u32> = below(value.as_slice()?, length, what)?;
-            let mut taken = vec![false; length];
-            for &place in &places {
-                if std::mem::replace(&mut taken[place as usize], true) {
-                    return Err(PyValueError::new_err(format!("{what} holds {place} twice")));
-                }
-            }
-            Ok(places)
-        };
-        Ok(Transform {
-            length,
-            selected: places(&selected, "selected", patterns)?,
-            position: places(&position, "position", pixels)?,
-        })
-    }
-}
-
-/// A kernel, from its middle outwards, and a gain.
-fn plane((kernel, gain): &(Bound<'_, PyAny>, Bound<'_, PyAny>)) -> PyResult<Plane> {
-    let gain = positive(gain, "a gain")?;
-    if gain > 1.0 {
-        let why = format!("a gain of {gain}, expected none above 1");
-        return Err(PyValueError::new_err(why));
-    }
-    Ok(Plane {
-        kernel: kernel_of(kernel)?,
-        gain: gain as f32,
-    })
-}
-
-/// One side of a separable kernel, from its middle outwards.
-fn kernel_of(kernel: &Bound<'_, PyAny>) -> PyResult<Vec<f32>> {
-    let values = Values::<f32>::reals(kernel, "a kernel")?;
-    check_shape("a kernel", values.shape(), &[None], "one side of it")?;
-    let kernel = values.as_slice()?.to_vec();
-    let sum: f32 = kernel.iter().sum::<f32>() * 2.0 - kernel.first().unwrap_or(&0.0);
-    if !(kernel.iter().all(|&v| v >= 0.0) && sum > 0.0 && sum < 1.001) {
-        let why = format!("a kernel of sum {sum}, expected none above 1");
-        return Err(PyValueError::new_err(why));
-    }
-    Ok(kernel)
-}
-
-/// Sum, and sum of squares, of all values of images (m, N) float32 under a separable kernel.
-#[pyfunction]
-fn blurred_moments(
-    py: Python<'_>,
-    images: &Bound<'_, PyAny>,
-    shape: &Bound<'_, PyAny>,
-    kernel: &Bound<'_, PyAny>,
-) -> PyResult<(f64, f64)> {
-    let (grid, pixels) = grid(shape, "shape")?;
-    let kernel = kernel_of(kernel)?;
-    let plane = Plane { kernel, gain: 1.0 };
-    let images = array::<f32>(images, "images")?;
-    check_shape(
-        "images",
-        images.shape(),
-        &[None, Some(pixels)],
-        "pixels of each",
-    )?;
-    let images = images.as_slice()?;
-    let [sum, squares] =
-        on_all_cores(py, || atoms::moments(Level::detect(), grid, &plane, images))?;
-    Ok((sum, squares))
 }
 
 #[pymethods]
@@ -418,52 +297,7 @@ impl PreparedPatterns {
     }
 }
 
-/// Rows as the parts of a CSR matrix, and what is known of each.
-#[pyclass(frozen, get_all, module = "lightmatrix._core")]
-pub struct Solved {
-    indptr: Py<PyArray1<i64>>,
-    indices: Py<PyArray1<i32>>,
-    values: Py<PyArray1<f64>>,
-    background: Py<PyArray1<f64>>,
-    objective: Py<PyArray1<f64>>,
-    gap: Py<PyArray1<f64>>,
-    passes: Py<PyArray1<i32>>,
-    converged: Py<PyArray1<bool>>,
-}
-
-impl Solved {
-    pub fn new(py: Python<'_>, solutions: Vec<Solution>) -> PyResult<Self> {
-        let entries = solutions.iter().map(|solution| solution.x.len()).sum();
-        room::<(i32, f64)>(&[entries], "the solved rows")?;
-        let mut indptr = vec![0i64];
-        let (mut indices, mut values) = (Vec::new(), Vec::new());
-        for solution in &solutions {
-            indices.extend(solution.pixels.iter().map(|&pixel| pixel as i32));
-            values.extend_from_slice(&solution.x);
-            indptr.push(indices.len() as i64);
-        }
-        let each = |take: fn(&Solution) -> f64| -> Py<PyArray1<f64>> {
-            let values: Vec<f64> = solutions.iter().map(take).collect();
-            values.into_pyarray(py).unbind()
-        };
-        let passes: Vec<i32> = solutions.iter().map(|s| s.passes as i32).collect();
-        let converged: Vec<bool> = solutions.iter().map(|s| s.converged).collect();
-        Ok(Solved {
-            indptr: indptr.into_pyarray(py).unbind(),
-            indices: indices.into_pyarray(py).unbind(),
-            values: values.into_pyarray(py).unbind(),
-            background: each(|s| s.background),
-            objective: each(|s| s.objective),
-            gap: each(|s| s.gap),
-            passes: passes.into_pyarray(py).unbind(),
-            converged: converged.into_pyarray(py).unbind(),
-        })
-    }
-}
-
 pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<Settings>()?;
-    module.add_class::<PreparedPatterns>()?;
-    module.add_class::<Solved>()?;
-    module.add_function(wrap_pyfunction!(blurred_moments, module)?)
+    module.add_class::<PreparedPatterns>()
 }
