@@ -60,10 +60,9 @@ def _explain(error: BaseException) -> tuple[int, list[str]]:
     if isinstance(error, typer.TyperException):
         message, hint = _usage_error(error)
         return BAD, [f"error: {message}", hint]
-    if isinstance(error, FinishedError) and error.enough:
-        return 0, [str(error), "look at it with `lightmatrix info`"]
     if isinstance(error, FinishedError):
-        return NO_MEMORY, [f"error: {error}", "look at it with `lightmatrix info`"]
+        code, what = (0, str(error)) if error.enough else (NO_MEMORY, f"error: {error}")
+        return code, [what, "look at it with `lightmatrix info`"]
     if lacks_memory(error):
         return NO_MEMORY, ["error: not enough memory", "use a smaller size or --tile-rows"]
     if isinstance(error, OSError) and str(error).startswith("cannot start"):
