@@ -72,8 +72,8 @@ live-faults: test-install ## N captures of a rig that fails and is killed, 200 u
 	$(BIN)/python -m tests.live.rig_faults --count $(or $(N),200)
 
 kills: test-install ## N estimates killed at random moments, and N whose workers are; 50 unless said: make kills N=10
-	$(BIN)/python -m tests.kills --count $(or $(N),50)
-	$(BIN)/python -m tests.kills --count $(or $(N),50) --small --workers 2
+	$(BIN)/python -m tests.estimators.kills --count $(or $(N),50)
+	$(BIN)/python -m tests.estimators.kills --count $(or $(N),50) --small --workers 2
 
 mutants: test-install ## break 200 things in solvers, estimators, capture: how many do tests notice?
 	$(BIN)/python tools/mutants.py --count 200 --least 0.8

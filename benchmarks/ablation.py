@@ -22,9 +22,9 @@ from scipy.sparse import csr_array
 from lightmatrix.estimators.coherent import neighbourhood, stages
 from lightmatrix.estimators.coherent.backgrounds import Backgrounds
 from lightmatrix.estimators.coherent.estimator import CoherentEstimator
+from lightmatrix.evaluation.metrics import relative_error
 from lightmatrix.experiments.measured_scene import SCENES
 from lightmatrix.experiments.rigs import RIGS, Case, photographed, rig_truth
-from lightmatrix.transport.metrics import relative_error
 
 # Those in which each part has its use.
 USUAL_RIGS = ("sharp", "blur 1", "camera 4x coarser")

@@ -21,12 +21,12 @@ import numpy as np
 
 from lightmatrix.camera.samples import Samples
 from lightmatrix.camera.sensor import Sensor
+from lightmatrix.evaluation.metrics import benchmark_exposure, relative_error, unclipped_rows
 from lightmatrix.patterns.bits import BernoulliPatterns
-from lightmatrix.rig import library
-from lightmatrix.rig.simulate import irradiance
+from lightmatrix.simulation import library
+from lightmatrix.simulation.simulate import irradiance
 from lightmatrix.solvers import ActiveSet, Fidelity, Problem, SaturationADMM, Solver, solve
 from lightmatrix.transport.matrix import LightTransport
-from lightmatrix.transport.metrics import benchmark_exposure, relative_error, unclipped_rows
 
 SIZE = (128, 128)
 PATTERNS = 256

@@ -16,11 +16,11 @@ from benchmarks.plan_calibration import SCENES, SIZE, photograph, some_rows
 from lightmatrix.camera import noise
 from lightmatrix.estimators.coherent.estimator import CoherentEstimator
 from lightmatrix.estimators.plain import PlainEstimator
+from lightmatrix.evaluation.metrics import relative_error
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.planning.advice import WhiteFrame
-from lightmatrix.rig.library import truth
+from lightmatrix.simulation.library import truth
 from lightmatrix.solvers import ActiveSet
-from lightmatrix.transport.metrics import relative_error
 
 PLANS: dict[str, list[tuple[float, float]]] = {
     "4 s": [(4, 1.0)],

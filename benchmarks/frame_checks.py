@@ -25,14 +25,14 @@ from numpy.typing import NDArray
 
 from lightmatrix.camera.sensor import Sensor
 from lightmatrix.capture.capture import Capture
-from lightmatrix.capture.checking.finding import Finding
-from lightmatrix.capture.checking.folders import check_capture
-from lightmatrix.capture.checking.missing import missing_places
-from lightmatrix.capture.checking.survey import Survey
+from lightmatrix.diagnosis.finding import Finding
+from lightmatrix.diagnosis.folders import check_capture
+from lightmatrix.diagnosis.missing import missing_places
+from lightmatrix.diagnosis.survey import Survey
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.pattern_set import PatternSet
-from lightmatrix.rig import library
-from lightmatrix.rig.simulate import irradiance
+from lightmatrix.simulation import library
+from lightmatrix.simulation.simulate import irradiance
 
 COUNTS = (32, 48, 64, 96, 128)
 SHIFT = 2
@@ -68,7 +68,7 @@ class Draw:
         if self.room.any():
             black = self.sensor.expose(self.room[:, None], seed=self.seed, first_frame=len(frames))
             decoder = replace(decoder, black_frame=black.ravel())
-        capture = Capture.from_arrays(self.patterns, frames, decoder, check=False)
+        capture = Capture.from_arrays(self.patterns, frames, decoder)
         return check_capture(capture)
 
 
@@ -119,7 +119,7 @@ def dropped(draw: Draw, generator: np.random.Generator) -> tuple[list[Finding], 
     rest = np.delete(frames, place, axis=0)
     kept = draw.patterns.subset(np.arange(len(rest)))
     decoder = draw.sensor.decoder()
-    capture = Capture.from_arrays(kept, rest, decoder, check=False)
+    capture = Capture.from_arrays(kept, rest, decoder)
     survey = Survey.take(capture.patterns, capture.frames, decoder)
     named = missing_places(replace(survey, patterns=draw.patterns))
     return [Finding("counts", named, "", "")], named == (place,)

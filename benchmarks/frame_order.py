@@ -23,14 +23,15 @@ from numpy.typing import NDArray
 from lightmatrix.camera.exposures import of_frames, parse_exposures
 from lightmatrix.camera.sensor import Sensor
 from lightmatrix.capture.capture import Capture
+from lightmatrix.diagnosis.usable import refuse_unordered
 from lightmatrix.errors import InputError
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.hadamard import HadamardPatterns
 from lightmatrix.patterns.mix import MixedPatterns, default_mix
 from lightmatrix.patterns.pattern_set import PatternSet
-from lightmatrix.rig import library
-from lightmatrix.rig.simulate import irradiance
-from lightmatrix.rig.truth import Truth
+from lightmatrix.simulation import library
+from lightmatrix.simulation.simulate import irradiance
+from lightmatrix.simulation.truth import Truth
 
 SIZE = library.BUNDLED_SIZE
 COUNTS = (32, 48, 64, 128)
@@ -106,7 +107,7 @@ def complaint(
     frames = np.ascontiguousarray(raw.T).reshape(len(order), *shape)
     sensor = Sensor(exposure, read_noise=NOISE)
     try:
-        Capture.from_arrays(patterns, frames, sensor, check=False).check()
+        refuse_unordered(Capture.from_arrays(patterns, frames, sensor))
     except InputError as error:
         return error.message
     return None

@@ -27,7 +27,7 @@ from scipy.optimize import nnls
 
 import lightmatrix as lm
 from lightmatrix.estimators import costs
-from lightmatrix.rig.procedural import ProceduralScene
+from lightmatrix.simulation.procedural import ProceduralScene
 
 Case = tuple[str, int, int, int, bool]
 
@@ -76,7 +76,7 @@ def make(case: Case, folder: Path) -> None:
 
 def estimate(case: Case, folder: Path) -> dict[str, float]:
     """Peak of memory in bytes beyond what is loaded anyway, and CPU seconds, of one estimate."""
-    capture = lm.Capture.open(folder, check=False)
+    capture = lm.Capture.open(folder)
     estimator = lm.AutoEstimator(coherent=case[0] == "coherent")
     loaded = psutil.Process().memory_info().rss
     started = time.process_time()

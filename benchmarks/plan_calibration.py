@@ -24,20 +24,20 @@ from lightmatrix.camera.sensor import Sensor
 from lightmatrix.capture.capture import Capture
 from lightmatrix.estimators.coherent.estimator import CoherentEstimator
 from lightmatrix.estimators.plain import PlainEstimator
-from lightmatrix.patterns.bits import BernoulliPatterns
-from lightmatrix.patterns.mix import MixedPatterns, default_mix
-from lightmatrix.patterns.pattern_set import PatternSet
-from lightmatrix.planning.advice import WhiteFrame, advise_exposures
-from lightmatrix.rig.library import truth
-from lightmatrix.rig.simulate import irradiance
-from lightmatrix.rig.truth import Truth
-from lightmatrix.solvers import ActiveSet
-from lightmatrix.transport.metrics import (
+from lightmatrix.evaluation.metrics import (
     benchmark_exposure,
     relative_error,
     relighting_error,
     unseen_patterns,
 )
+from lightmatrix.patterns.bits import BernoulliPatterns
+from lightmatrix.patterns.mix import MixedPatterns, default_mix
+from lightmatrix.patterns.pattern_set import PatternSet
+from lightmatrix.planning.advice import WhiteFrame, advise_exposures
+from lightmatrix.simulation.library import truth
+from lightmatrix.simulation.simulate import irradiance
+from lightmatrix.simulation.truth import Truth
+from lightmatrix.solvers import ActiveSet
 
 TABLE = Path(__file__).parents[1] / "src" / "lightmatrix" / "planning" / "table.json"
 SIZE = (128, 128)
@@ -157,7 +157,7 @@ def photograph(
     sensor = Sensor(of_frames(exposures, patterns), read_noise=noise)
     frames = sensor.expose(irradiance(known.matrix, patterns))
     stack = np.ascontiguousarray(frames.T).reshape(patterns.count, *known.camera_shape)
-    return Capture.from_arrays(patterns, stack, sensor, check=False), float((frames == 255).mean())
+    return Capture.from_arrays(patterns, stack, sensor), float((frames == 255).mean())
 
 
 if __name__ == "__main__":

@@ -20,11 +20,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.rig import library
-from lightmatrix.rig.llvm import load_mitsuba
-from lightmatrix.rig.mitsuba_scene import mitsuba_scene
-from lightmatrix.rig.scenes import scene
-from lightmatrix.rig.truth import Truth
+from lightmatrix.simulation import library
+from lightmatrix.simulation.llvm import load_mitsuba
+from lightmatrix.simulation.mitsuba_scene import mitsuba_scene
+from lightmatrix.simulation.scenes import scene
+from lightmatrix.simulation.truth import Truth
 
 MOST_NOISE, MOST_SUM = 1.5, 1e-3
 

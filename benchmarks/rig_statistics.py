@@ -16,10 +16,10 @@ from typing import Any
 from lightmatrix.experiments.fig5 import EXPOSURES, statistics
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.pictures.style import display, figure, panel, save
-from lightmatrix.rig import library
-from lightmatrix.rig.scenes import names
-from lightmatrix.rig.simulate import irradiance
-from lightmatrix.rig.thumbnails import photograph, white_level
+from lightmatrix.simulation import library
+from lightmatrix.simulation.scenes import names
+from lightmatrix.simulation.simulate import irradiance
+from lightmatrix.simulation.thumbnails import photograph, white_level
 
 
 def table(rows: list[dict[str, Any]]) -> str:

@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from lightmatrix.camera.samples import Samples
+from lightmatrix.evaluation.metrics import benchmark_exposure
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.pattern_set import PatternSet
-from lightmatrix.rig import library
-from lightmatrix.rig.simulate import irradiance
-from lightmatrix.rig.truth import Truth
+from lightmatrix.simulation import library
+from lightmatrix.simulation.simulate import irradiance
+from lightmatrix.simulation.truth import Truth
 from lightmatrix.solvers import Problem
-from lightmatrix.transport.metrics import benchmark_exposure
 
 SCENES = ("l_objects", "gripper", "metal")
 SIZE = (128, 128)

@@ -48,7 +48,7 @@ def main(arguments: list[str] | None = None) -> None:
 
 def measured(place: Path, coherent: bool, repeats: int) -> dict[str, Any]:
     """Seconds of one worker and of two, by the clock and of the processors; the best of each."""
-    capture = lm.Capture.open(place, check=False)
+    capture = lm.Capture.open(place)
     alone = lm.estimate(capture, coherent=coherent)
     clock: dict[int, list[float]] = {1: [], 2: []}
     processors: dict[int, list[float]] = {1: [], 2: []}

@@ -9,10 +9,10 @@ from typing import Any
 
 import pytest
 
-from lightmatrix.rig import library
-from lightmatrix.rig.coarse import coarse
-from lightmatrix.rig.pack import unpack
-from lightmatrix.rig.truth import Truth
+from lightmatrix.simulation import library
+from lightmatrix.simulation.coarse import coarse
+from lightmatrix.simulation.pack import unpack
+from lightmatrix.simulation.truth import Truth
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -29,7 +29,7 @@ def _scenes_are_unpacked_once() -> Iterator[None]:
         return truth
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("lightmatrix.rig.library.unpack", once)
+        patch.setattr("lightmatrix.simulation.library.unpack", once)
         yield
 
 

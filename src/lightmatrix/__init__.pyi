@@ -36,32 +36,32 @@ from .files.images import (
     read_image as read_image,
     write_image as write_image,
 )
-from .rig.at_scale import simulate_procedural as simulate_procedural
-from .rig.library import (
+from .simulation.at_scale import simulate_procedural as simulate_procedural
+from .simulation.library import (
     scenes as scenes,
     truth as truth,
 )
-from .rig.photograph import (
+from .simulation.photograph import (
     SimulatedCapture as SimulatedCapture,
     simulate as simulate,
 )
-from .rig.procedural import ProceduralScene as ProceduralScene
-from .rig.renderer import render as render
-from .rig.thumbnails import write_thumbnails as write_thumbnails
-from .rig.truth import Truth as Truth
+from .simulation.procedural import ProceduralScene as ProceduralScene
+from .simulation.renderer import render as render
+from .simulation.thumbnails import write_thumbnails as write_thumbnails
+from .simulation.truth import Truth as Truth
 
 # Rigs that photograph, real and virtual.
-from .live.calibration.exposure import measure_exposure as measure_exposure
-from .live.calibration.flicker import measure_flicker as measure_flicker
-from .live.calibration.keeping import (
+from .live.measurements.exposure import measure_exposure as measure_exposure
+from .live.measurements.flicker import measure_flicker as measure_flicker
+from .live.measurements.measurements import (
     Calibration as Calibration,
     calibrate as calibrate,
 )
-from .live.calibration.linearity import measure_linearity as measure_linearity
-from .live.calibration.response import measure_response as measure_response
-from .live.calibration.settle import measure_settle as measure_settle
+from .live.measurements.linearity import measure_linearity as measure_linearity
+from .live.measurements.response import measure_response as measure_response
+from .live.measurements.settle import measure_settle as measure_settle
 from .live.capturing import take_capture as take_capture
-from .live.devices import (
+from .live.devices.registry import (
     list_devices as list_devices,
     open_camera as open_camera,
     open_projector as open_projector,
@@ -70,16 +70,16 @@ from .live.opening import open_rig as open_rig
 from .live.rig import Rig as Rig
 
 # What is wrong with a capture.
-from .capture.checking.finding import Finding as Finding
-from .capture.checking.folders import check as check
+from .diagnosis.finding import Finding as Finding
+from .diagnosis.folders import check as check
 
 # Responses, measured from photographs.
 from .patterns.response import ProjectorResponse as ProjectorResponse
-from .responses.camera import (
+from .calibration.responses.camera import (
     CameraResponse as CameraResponse,
     camera_response as camera_response,
 )
-from .responses.projector import projector_response as projector_response
+from .calibration.responses.projector import projector_response as projector_response
 
 # Estimates.
 from .estimators.auto import AutoEstimator as AutoEstimator
@@ -123,8 +123,8 @@ from .pictures.transport import (
     show_row as show_row,
 )
 from .report.make import report as report
-from .rig.evaluate import evaluate as evaluate
-from .rig.evaluate import evaluate_colour as evaluate_colour
+from .evaluation.evaluate import evaluate as evaluate
+from .evaluation.evaluate import evaluate_colour as evaluate_colour
 from .store import (
     ColumnIndex as ColumnIndex,
     StoredTransport as StoredTransport,
@@ -137,10 +137,10 @@ from .transport.correspondence import (
     Correspondence as Correspondence,
     correspondence as correspondence,
 )
-from .transport.evaluation import ColourErrors as ColourErrors
-from .transport.evaluation import Errors as Errors
+from .evaluation.errors import ColourErrors as ColourErrors
+from .evaluation.errors import Errors as Errors
 from .transport.matrix import LightTransport as LightTransport
-from .transport.verdict import (
+from .evaluation.verdict import (
     Verdict as Verdict,
     verdict as verdict,
 )

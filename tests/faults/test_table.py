@@ -6,7 +6,8 @@ from concurrent.futures import Future
 from typing import Any
 
 import pytest
-from systems import FORKS
+
+from tests.helpers.systems import FORKS
 
 from .case import GOOD, Outcome
 from .cases import ALL

@@ -25,8 +25,8 @@ import numpy as np
 from lightmatrix.capture.capture import Capture
 from lightmatrix.errors import LightMatrixError, OutputError
 from lightmatrix.live.capturing import take_capture
+from lightmatrix.live.devices.virtual.settings import VirtualSettings
 from lightmatrix.live.opening import open_rig
-from lightmatrix.live.virtual.settings import VirtualSettings
 from lightmatrix.patterns.making import make_patterns
 from lightmatrix.patterns.pattern_set import to_grey
 
@@ -165,7 +165,7 @@ def _run(folder: Path, disk: SmallDisk | None, seed: int, count: int, kills: int
 def _judge(folder: Path, outcome: Outcome) -> None:
     """Hold each frame against what its pattern gives."""
     settings = settings_of(outcome.seed)
-    capture = Capture.open(folder / "capture", check=False)
+    capture = Capture.open(folder / "capture")
     told = capture.provenance
     outcome.again.update(told["photographed_again"])
     outcome.left_out = len(told["left_out"])

@@ -21,9 +21,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.live.capturing import take_capture
+from lightmatrix.live.devices.virtual.camera import VirtualCamera
+from lightmatrix.live.devices.virtual.projector import VirtualProjector
 from lightmatrix.live.opening import open_rig
-from lightmatrix.live.virtual.camera import VirtualCamera
-from lightmatrix.live.virtual.projector import VirtualProjector
 from lightmatrix.patterns.making import make_patterns
 
 SETTLE, EXPOSURE = 0.05, 0.02

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from lightmatrix.files.images import read_image
-from lightmatrix.live.calibration.exposure import ExposureAdvice
-from lightmatrix.live.calibration.flicker import Flicker
-from lightmatrix.live.calibration.keeping import Calibration
-from lightmatrix.live.calibration.linearity import CameraLinearity
-from lightmatrix.live.calibration.settle import SettleTime
-from lightmatrix.live.projectors.folder import SHOWN
+from lightmatrix.live.devices.projectors.folder import SHOWN
+from lightmatrix.live.measurements.exposure import ExposureAdvice
+from lightmatrix.live.measurements.flicker import Flicker
+from lightmatrix.live.measurements.linearity import CameraLinearity
+from lightmatrix.live.measurements.measurements import Calibration
+from lightmatrix.live.measurements.settle import SettleTime
 from lightmatrix.live.rig import Rig
 from lightmatrix.patterns.response import ProjectorResponse
 

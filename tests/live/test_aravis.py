@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array, random_array
 
 from lightmatrix.errors import DeviceError, FrameTimeoutError, MissingExtraError
-from lightmatrix.live.addresses import Address
-from lightmatrix.live.cameras.aravis import AravisCamera, find_aravis, open_aravis
-from lightmatrix.live.projectors.window import open_window
-from lightmatrix.live.protocols import Frame
+from lightmatrix.live.devices.addresses import Address
+from lightmatrix.live.devices.cameras.aravis import AravisCamera, find_aravis, open_aravis
+from lightmatrix.live.devices.projectors.window import open_window
+from lightmatrix.live.devices.protocols import Frame
 
 from .conftest import SCREEN
 from .contract import CameraContract

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import lightmatrix as lm
-from lightmatrix.live.calibration.keeping import PARTS, outdated
+from lightmatrix.live.measurements.measurements import PARTS, outdated
 from lightmatrix.live.rig import Rig
 from lightmatrix.patterns.response import ProjectorResponse
 

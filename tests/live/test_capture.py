@@ -15,14 +15,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from systems import SIGNALS
 
 import lightmatrix as lm
 from lightmatrix.cli import main
-from lightmatrix.live.agreement import Drift
+from lightmatrix.live.devices.virtual.camera import VirtualCamera
+from lightmatrix.live.frames.same_light import Drift
 from lightmatrix.live.session import Step
 from lightmatrix.live.showing import Shown
-from lightmatrix.live.virtual.camera import VirtualCamera
+from tests.helpers.systems import SIGNALS
 
 from .rig_faults import run
 
@@ -180,7 +180,7 @@ def test_faults_are_noticed_and_mended(fault: str, least: int) -> None:
 
 def _right_frames(words: str) -> None:
     """Each frame is what its pattern alone gives, pixel by pixel."""
-    capture = lm.Capture.open("capture", check=False)
+    capture = lm.Capture.open("capture")
     rig = lm.open_rig(QUIET + words)
     scale = capture.provenance["exposure_1_in_seconds"] / 0.02
     light: Any = rig.camera._light  # type: ignore[attr-defined]
@@ -229,7 +229,9 @@ def test_one_bad_frame_after_the_other_ends_the_session(monkeypatch: pytest.Monk
     with pytest.raises(_StopError):
         _capture(progress=_stop_after(10))
     with monkeypatch.context() as patched:
-        patched.setattr("lightmatrix.live.taking.copied_rows", lambda data, *_: len(data))
+        patched.setattr(
+            "lightmatrix.live.frames.photograph.copied_rows", lambda data, *_: len(data)
+        )
         with pytest.raises(lm.DeviceError, match=r"4 patterns in a row.*is a copy of") as told:
             _capture()
     assert "the frames so far are kept" in str(told.value.hint)

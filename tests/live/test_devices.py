@@ -10,8 +10,14 @@ import pytest
 
 from lightmatrix.cli import main
 from lightmatrix.errors import DeviceError, InputError
-from lightmatrix.live.addresses import Address
-from lightmatrix.live.devices import CAMERAS, PROJECTORS, list_devices, open_camera, open_projector
+from lightmatrix.live.devices.addresses import Address
+from lightmatrix.live.devices.registry import (
+    CAMERAS,
+    PROJECTORS,
+    list_devices,
+    open_camera,
+    open_projector,
+)
 from lightmatrix.live.opening import open_rig
 
 

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from lightmatrix.errors import DeviceError, MissingExtraError
-from lightmatrix.live.addresses import Address
-from lightmatrix.live.cameras.dslr import _seconds, find_dslr, open_dslr
-from lightmatrix.live.devices import open_camera
-from lightmatrix.live.protocols import Camera
+from lightmatrix.live.devices.addresses import Address
+from lightmatrix.live.devices.cameras.dslr import _seconds, find_dslr, open_dslr
+from lightmatrix.live.devices.protocols import Camera
+from lightmatrix.live.devices.registry import open_camera
 
 from .contract import CameraContract
 

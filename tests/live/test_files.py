@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from lightmatrix.errors import DeviceError, FrameTimeoutError, InputError, OutputError
 from lightmatrix.files.images import read_image, write_image
-from lightmatrix.live.cameras.watched import WatchedFolder
-from lightmatrix.live.devices import open_camera, open_projector
-from lightmatrix.live.projectors.folder import SHOWN
-from lightmatrix.live.protocols import Camera, Projector
+from lightmatrix.live.devices.cameras.watched import WatchedFolder
+from lightmatrix.live.devices.projectors.folder import SHOWN
+from lightmatrix.live.devices.protocols import Camera, Projector
+from lightmatrix.live.devices.registry import open_camera, open_projector
 
 from .contract import CameraContract, ProjectorContract
 

@@ -10,10 +10,10 @@ from pathlib import Path
 import pytest
 
 from lightmatrix.errors import DeviceError, InputError, MissingExtraError
-from lightmatrix.live.addresses import Address
-from lightmatrix.live.cameras.gentl import find_gentl, open_gentl
-from lightmatrix.live.devices import open_camera
-from lightmatrix.live.protocols import Camera
+from lightmatrix.live.devices.addresses import Address
+from lightmatrix.live.devices.cameras.gentl import find_gentl, open_gentl
+from lightmatrix.live.devices.protocols import Camera
+from lightmatrix.live.devices.registry import open_camera
 
 from .contract import CameraContract
 

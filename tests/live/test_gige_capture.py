@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 import lightmatrix as lm
-from lightmatrix.live.addresses import Address
-from lightmatrix.live.cameras.aravis import open_aravis
-from lightmatrix.live.projectors.window import open_window
+from lightmatrix.live.devices.addresses import Address
+from lightmatrix.live.devices.cameras.aravis import open_aravis
+from lightmatrix.live.devices.projectors.window import open_window
 from lightmatrix.live.rig import Rig
-from lightmatrix.rig.procedural import ProceduralScene
+from lightmatrix.simulation.procedural import ProceduralScene
 
 from .conftest import SCREEN
 from .gige import UNIT_EXPOSURE, GigECamera, ScreenRig, needs_aravis

@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lightmatrix.live.agreement import References
-from lightmatrix.live.mixtures import find_mixture
-from lightmatrix.live.protocols import Frame
-from lightmatrix.live.steady import Steady
-from lightmatrix.live.taking import Shot
+from lightmatrix.live.devices.protocols import Frame
+from lightmatrix.live.frames.photograph import Shot
+from lightmatrix.live.frames.previous_pattern import find_mixture
+from lightmatrix.live.frames.repeats import Steady
+from lightmatrix.live.frames.same_light import References
 
 from .rig_mixtures import run
 

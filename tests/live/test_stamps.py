@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from lightmatrix.errors import DeviceError
-from lightmatrix.live.cameras.formats import READABLE, PixelFormat, choose_format
-from lightmatrix.live.cameras.stamps import Stamps
+from lightmatrix.live.devices.cameras.formats import READABLE, PixelFormat, choose_format
+from lightmatrix.live.devices.cameras.stamps import Stamps
 
 
 def test_numbers_go_on_over_the_end_of_16_bits() -> None:

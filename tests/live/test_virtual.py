@@ -9,11 +9,11 @@ import pytest
 from numpy.typing import NDArray
 
 from lightmatrix.errors import DeviceError, FrameTimeoutError, InputError
+from lightmatrix.live.devices.protocols import Camera, Projector
+from lightmatrix.live.devices.virtual.projector import VirtualProjector
+from lightmatrix.live.devices.virtual.settings import parse_settings
 from lightmatrix.live.opening import open_rig
-from lightmatrix.live.protocols import Camera, Projector
 from lightmatrix.live.rig import Rig
-from lightmatrix.live.virtual.projector import VirtualProjector
-from lightmatrix.live.virtual.settings import parse_settings
 
 from .contract import CameraContract, ProjectorContract
 

@@ -20,16 +20,7 @@ from lightmatrix.camera.response import Response
 from lightmatrix.camera.samples import Samples
 from lightmatrix.camera.sensor import Sensor
 from lightmatrix.capture import summary
-from lightmatrix.capture.checking.check import check_survey
-from lightmatrix.capture.checking.finding import refuse_disorder
-from lightmatrix.capture.checking.survey import Survey
-from lightmatrix.capture.checks import (
-    check_depth,
-    check_light,
-    check_patterns,
-    check_per_frame,
-    warn_of_hidden_clipping,
-)
+from lightmatrix.capture.checks import check_per_frame
 from lightmatrix.capture.folder import holds_capture, read_capture, read_folders
 from lightmatrix.capture.frames import ArrayStack, Frames, cut
 from lightmatrix.capture.reader import Reader
@@ -116,8 +107,6 @@ class Capture:
         crop: Crop | None = None,
         bin_projector: int | tuple[int, int] = 1,
         bin_camera: int | tuple[int, int] = 1,
-        check: bool = True,
-        check_order: bool = True,
         allow_outside: bool = False,
     ) -> Capture:
         """Read a capture folder, or a packed capture.
@@ -132,8 +121,6 @@ class Capture:
             Corner and shape of a rectangle of the photographs, see `crop`. None: all of them.
         bin_projector, bin_camera : int or (int, int)
             See `bin`.
-        check, check_order : bool
-            See `check`.
         allow_outside : bool
             Whether files that capture.json names may lie outside the folder.
 
@@ -146,7 +133,7 @@ class Capture:
         capture = cls(
             parts.patterns, parts.frames, parts.decoder, parts.mask, provenance=parts.provenance
         )
-        return capture._finish(crop, bin_projector, bin_camera, check, check_order)
+        return capture._cut_and_binned(crop, bin_projector, bin_camera)
 
     @staticmethod
     def lies_at(path: str | Path) -> bool:
@@ -176,8 +163,6 @@ class Capture:
         mosaic: bool = False,
         bin_projector: int | tuple[int, int] = 1,
         bin_camera: int | tuple[int, int] = 1,
-        check: bool = True,
-        check_order: bool = True,
     ) -> Capture:
         """A capture from two plain folders of images in natural order, or two stacks.
 
@@ -216,8 +201,6 @@ class Capture:
             the filter, not interpolated to three channels.
         bin_projector, bin_camera : int or (int, int)
             See `bin`.
-        check, check_order : bool
-            See `check`.
 
         Raises
         ------
@@ -240,7 +223,7 @@ class Capture:
             mosaic=mosaic,
         )
         capture = cls(parts.patterns, parts.frames, parts.decoder, parts.mask)
-        return capture._finish(crop, bin_projector, bin_camera, check, check_order)
+        return capture._cut_and_binned(crop, bin_projector, bin_camera)
 
     @classmethod
     def from_arrays(
@@ -251,8 +234,6 @@ class Capture:
         *,
         mask: NDArray[np.bool_] | None = None,
         provenance: Mapping[str, Any] | None = None,
-        check: bool = True,
-        check_order: bool = False,
     ) -> Capture:
         """A capture from frames in memory, such as simulated ones.
 
@@ -268,40 +249,26 @@ class Capture:
             Which camera samples count.
         provenance : mapping, optional
             What made it, JSON-ready.
-        check, check_order : bool
-            See `check`.
 
         Raises
         ------
         InputError
-            On frames that do not fit the patterns, or that no estimate can come from.
+            On frames that do not fit the patterns.
         """
         decoder = sensor.decoder() if isinstance(sensor, Sensor) else sensor
         capture = cls(patterns, ArrayStack(frames), decoder, mask, provenance=provenance or {})
-        return capture._finish(None, 1, 1, check, check_order)
+        check_per_frame(capture.decoder, capture.count)
+        return capture
 
-    def _finish(
+    def _cut_and_binned(
         self,
         crop: Crop | None,
         bin_projector: int | tuple[int, int],
         bin_camera: int | tuple[int, int],
-        check: bool,
-        order: bool,
     ) -> Capture:
         check_per_frame(self.decoder, self.count)
         whole = self if crop is None else self.crop(*crop)
-        capture = whole.bin(bin_projector, bin_camera)
-        if check:
-            capture.check(order=False)
-        if check and order:
-            # Of all that was photographed, as `lightmatrix check` judges it.
-            whole._refuse_disorder()
-        return capture
-
-    def _refuse_disorder(self) -> None:
-        survey = Survey.take(self.patterns, self.frames, self.decoder, self.mask)
-        names = [self.frames.name(k) for k in range(self.count)]
-        refuse_disorder(check_survey(survey, names, order_only=True))
+        return whole.bin(bin_projector, bin_camera)
 
     # ---- shape
 
@@ -463,29 +430,3 @@ class Capture:
         """What the capture is and how it is read, JSON-ready."""
         facts = summary.description(self.patterns, self.reader, self.bin_projector)
         return {**facts, **dict(self.provenance)}
-
-    # ---- checks
-
-    def check(self, *, order: bool = True) -> None:
-        """Refuse what no estimate can come from.
-
-        Parameters
-        ----------
-        order : bool
-            Also look for frames that do not follow the patterns (swapped, missing, late), as
-            `lightmatrix check` does.
-
-        Raises
-        ------
-        InputError
-            With one frame only, a projector of one pixel, no pattern that varies, nothing but
-            dark or clipped samples, all pixels masked, 16-bit files of fewer bits without a stated
-            clip level, or frames out of order.
-        """
-        check_patterns(self.patterns)
-        check_depth(self.frames, self.decoder)
-        check_light(self.tiles(), int(self.valid.sum()), self.decoder)
-        if self.frames.dtype == np.uint16 and self.bin_camera == (1, 1):
-            warn_of_hidden_clipping(self.reader.level_blocks(), self.decoder)
-        if order:
-            self._refuse_disorder()

@@ -15,4 +15,4 @@ def given_capture(capture: Capture | str | Path) -> Capture:
     InputError
         On a folder that is none.
     """
-    return capture if isinstance(capture, Capture) else Capture.open(capture, check=False)
+    return capture if isinstance(capture, Capture) else Capture.open(capture)

@@ -20,8 +20,7 @@ from lightmatrix.capture.checks import check_per_frame
 from lightmatrix.capture.description import KEYS, Description, described
 from lightmatrix.capture.parts import CaptureParts
 from lightmatrix.errors import InputError
-from lightmatrix.files.limits import check_size
-from lightmatrix.files.memory import check_room
+from lightmatrix.files.image_size import check_size
 from lightmatrix.files.zarr_arrays import (
     CHUNK,
     HEADER,
@@ -34,6 +33,7 @@ from lightmatrix.patterns.bits import BitPatterns
 from lightmatrix.patterns.kinds import from_description
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
 from lightmatrix.reprs import short_repr
+from lightmatrix.resources.memory import check_room
 
 FORMAT, VERSION = "lightmatrix-packed-capture", 1
 # The arrays of the group.

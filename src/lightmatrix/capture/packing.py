@@ -33,9 +33,9 @@ from lightmatrix.capture.packed import (
 from lightmatrix.errors import InputError
 from lightmatrix.files.zarr_arrays import create_array, write_array
 from lightmatrix.outputs.kinds import PACKED_CAPTURE
-from lightmatrix.outputs.room import check_disk
 from lightmatrix.outputs.writing import atomic_folder, check_output
 from lightmatrix.patterns.pattern_set import PatternSet
+from lightmatrix.resources.disk import check_disk
 
 Progress = Callable[[int, int], None]
 # Gives all frames' levels of some camera rows at a time, (K, rows, cols[, channels]), of as many

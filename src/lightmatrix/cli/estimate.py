@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 import lightmatrix as lm
-from lightmatrix.capture.checking.finding import refuse_disorder
 from lightmatrix.cli.claims import claim, tell_what_is_left
 from lightmatrix.cli.options import (
     ADMM_ITERATIONS,
@@ -40,6 +39,8 @@ from lightmatrix.cli.source import (
     source,
 )
 from lightmatrix.cli.terminal import progress, say, show_json, show_table, warn
+from lightmatrix.diagnosis.finding import refuse_disorder
+from lightmatrix.diagnosis.usable import refuse_unusable
 from lightmatrix.outputs.kinds import REPORT, STORE
 from lightmatrix.transport.labels import named
 
@@ -315,7 +316,7 @@ def _repair(output: Path, capture: Capture, estimator: AutoEstimator, as_json: b
 
 def _findings(opened: Capture, taken: Capture, check: bool) -> list[Finding]:
     """What is wrong with the frames, told; what makes an estimate impossible is refused."""
-    opened.check(order=False)
+    refuse_unusable(opened)
     findings = lm.check(taken) if check else []
     refuse_disorder(findings)
     # What else is wrong spoils less than all of it.
@@ -361,8 +362,8 @@ def _truth(source: Path | None, transport: LightTransport) -> LightTransport | N
 
 def _open(where: dict[str, Any]) -> Capture:
     if "capture" in where:
-        return lm.Capture.open(where["capture"], crop=where.get("crop"), check=False)
-    return lm.Capture.from_folders(**where, check=False)
+        return lm.Capture.open(where["capture"], crop=where.get("crop"))
+    return lm.Capture.from_folders(**where)
 
 
 def _regularization(text: str) -> str | float:

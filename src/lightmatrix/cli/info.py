@@ -43,7 +43,7 @@ def info(
             raise InputError(
                 f"{scene}: is a capture, of which there are no maps", hint="leave out --pictures"
             )
-        capture = lm.Capture.open(scene, check=False)
+        capture = lm.Capture.open(scene)
         if as_json:
             show_json(capture.description)
         else:

@@ -77,13 +77,11 @@ def pack(
         mosaic=mosaic or None,
     )
     claim(output, PACKED_CAPTURE, overwrite=overwrite)
-    opened = (
-        where["capture"] if "capture" in where else lm.Capture.from_folders(**where, check=False)
-    )
+    opened = where["capture"] if "capture" in where else lm.Capture.from_folders(**where)
     with progress("packing", "frames") as step:
         lm.pack(opened, output, overwrite=overwrite, progress=step)
     size = sum(file.stat().st_size for file in output.rglob("*") if file.is_file())
-    frames = lm.Capture.open(output, check=False).frames
+    frames = lm.Capture.open(output).frames
     if as_json:
         show_json({"output": output, "frames": frames.count, "bytes": size})
     else:

@@ -16,8 +16,8 @@ from lightmatrix.estimators.plain import PlainEstimator
 from lightmatrix.estimators.regularization import held_out_path
 from lightmatrix.estimators.steps import Progress
 from lightmatrix.estimators.workers.opening import opened
-from lightmatrix.files.memory import memory_bytes
 from lightmatrix.ranges import check_number
+from lightmatrix.resources.memory import memory_bytes
 from lightmatrix.solvers import ADMM, ROMP, ActiveSet, Fidelity, SaturationADMM, Solver
 from lightmatrix.solvers.parameters import check_count
 from lightmatrix.transport.matrix import LightTransport

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from lightmatrix.estimators.coherent.neighbourhood import UNSEEN
 from lightmatrix.estimators.coherent.stages import SPACINGS, spacings
 from lightmatrix.estimators.join import TILE_BYTES
-from lightmatrix.files.scratch import MEMORY_BYTES
+from lightmatrix.resources.scratch import MEMORY_BYTES
 from lightmatrix.solvers.active_set import ActiveSet
 
 # Of `memory_terms` in bytes and of `time_terms` in seconds of one core; growing is the coherent

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.given import given_capture
+from lightmatrix.diagnosis.usable import refuse_unordered, refuse_unusable
 from lightmatrix.estimators.auto import AutoEstimator
 from lightmatrix.estimators.needs import Needs
 from lightmatrix.estimators.steps import Progress
@@ -31,6 +32,7 @@ def estimate(
     cluster: str | None = None,
     output: str | Path | None = None,
     overwrite: bool = False,
+    check: bool = True,
     progress: Progress | None = None,
 ) -> LightTransport:
     """Estimate the light transport matrix of a capture, as `lightmatrix estimate` does.
@@ -80,6 +82,8 @@ def estimate(
         run goes on where it stopped.
     overwrite : bool
         Whether a complete store at `output` may be replaced.
+    check : bool
+        Refuse photographs that do not follow their patterns, as `lm.check` finds them.
     progress : callable, optional
         Called with (done, total) rows.
 
@@ -126,8 +130,9 @@ def estimate(
     estimator.needs(taken).check()
     # What is wrong with workers is said before frames are read.
     with estimator.crew(taken) as crew:
-        if taken is not capture:
-            taken.check()
+        refuse_unusable(taken)
+        if check:
+            refuse_unordered(taken)
         return estimator.estimate(
             taken,
             checkpoint=None if output is None else Path(output),

@@ -17,8 +17,8 @@ from lightmatrix._version import __version__
 from lightmatrix.camera.samples import Samples
 from lightmatrix.capture.capture import Capture
 from lightmatrix.estimators.steps import InMemory, Work, complete
-from lightmatrix.outputs.room import check_disk
 from lightmatrix.outputs.targets import final_target
+from lightmatrix.resources.disk import check_disk
 from lightmatrix.solvers import Solver
 from lightmatrix.solvers.problem import Result, check_regularization
 from lightmatrix.store import ROWS, Checkpoint

@@ -12,8 +12,8 @@ from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.frames import CutFrames
 from lightmatrix.errors import InputError
 from lightmatrix.estimators.costs import Size
-from lightmatrix.files.memory import available_bytes
 from lightmatrix.patterns.pattern_set import ImagePatterns
+from lightmatrix.resources.memory import available_bytes
 
 # The checks look at so many levels of the photographs at most, each taking so many bytes.
 _LOOKED_LEVELS, _LOOK_BYTES = 48 << 20, 12

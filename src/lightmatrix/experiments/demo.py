@@ -22,6 +22,14 @@ from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.folder import write_capture
 from lightmatrix.estimators.auto import AutoEstimator
 from lightmatrix.estimators.plain import PlainEstimator
+from lightmatrix.evaluation.metrics import (
+    relative_error,
+    relighting_error,
+    response_rmse,
+    row_maximum,
+    unseen_patterns,
+)
+from lightmatrix.evaluation.verdict import percent
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.pictures.maps import WHITE_TO_RED
 from lightmatrix.pictures.style import display, figure, mark_clipped, panel, save
@@ -29,19 +37,11 @@ from lightmatrix.report.blocks import Gallery, Section, Table
 from lightmatrix.report.held_out import Estimator
 from lightmatrix.report.images import image_of_file
 from lightmatrix.report.make import write_page
-from lightmatrix.rig import library
-from lightmatrix.rig.coarse import coarse
-from lightmatrix.rig.simulate import irradiance
+from lightmatrix.simulation import library
+from lightmatrix.simulation.coarse import coarse
+from lightmatrix.simulation.simulate import irradiance
 from lightmatrix.solvers import ADMM, ROMP, Fidelity, SaturationADMM
 from lightmatrix.transport.matrix import LightTransport
-from lightmatrix.transport.metrics import (
-    relative_error,
-    relighting_error,
-    response_rmse,
-    row_maximum,
-    unseen_patterns,
-)
-from lightmatrix.transport.verdict import percent
 
 SCENE = "l_objects"
 PATTERNS = 256

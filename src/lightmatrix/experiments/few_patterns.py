@@ -28,7 +28,7 @@ from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.mix import MixedPatterns, default_mix
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.pictures.style import COLOURS, figure, fix_ticks, save
-from lightmatrix.rig import library
+from lightmatrix.simulation import library
 from lightmatrix.solvers import ActiveSet, Problem
 from lightmatrix.solvers.weighted import Candidates, Cells, solve_weighted
 from lightmatrix.transport.matrix import LightTransport

@@ -12,16 +12,16 @@ from numpy.typing import NDArray
 
 from lightmatrix.camera.sensor import Sensor
 from lightmatrix.errors import MissingExtraError
+from lightmatrix.evaluation.metrics import diffuse_rows
 from lightmatrix.experiments.harness import Experiment, Measured
 from lightmatrix.experiments.measured_scene import LETTERED, SCENES
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.pictures.style import display, figure, mark_clipped, panel, save
-from lightmatrix.rig import library
-from lightmatrix.rig.simulate import irradiance
-from lightmatrix.rig.statistics import clipped_share, direct_share, entries_for_energy
-from lightmatrix.rig.thumbnails import photograph, white_level
-from lightmatrix.rig.truth import Truth
-from lightmatrix.transport.metrics import diffuse_rows
+from lightmatrix.simulation import library
+from lightmatrix.simulation.simulate import irradiance
+from lightmatrix.simulation.statistics import clipped_share, direct_share, entries_for_energy
+from lightmatrix.simulation.thumbnails import photograph, white_level
+from lightmatrix.simulation.truth import Truth
 
 EXPOSURES = (0.1, 0.2, 0.4, 0.8, 1.0)
 FORMATS = ("png", "svg")

@@ -125,7 +125,7 @@ def of_rows(capture: Capture, rows: NDArray[np.integer]) -> Capture:
     frames = np.stack([capture.frames.read(k).ravel()[rows] for k in range(capture.count)])
     side = BLOCK if len(rows) % BLOCK**2 == 0 and len(rows) > BLOCK**2 else 1
     stack = np.ascontiguousarray(frames).reshape(capture.count, -1, side)
-    return Capture.from_arrays(capture.patterns, stack, capture.decoder, check=False)
+    return Capture.from_arrays(capture.patterns, stack, capture.decoder)
 
 
 @lru_cache(maxsize=1)

@@ -13,13 +13,7 @@ from lightmatrix.camera.exposures import of_frames
 from lightmatrix.camera.noise import USUAL_NOISE
 from lightmatrix.camera.sensor import Sensor
 from lightmatrix.capture.capture import Capture
-from lightmatrix.patterns.bits import BernoulliPatterns
-from lightmatrix.patterns.pattern_set import PatternSet
-from lightmatrix.rig import library
-from lightmatrix.rig.simulate import irradiance
-from lightmatrix.rig.truth import Truth
-from lightmatrix.transport.matrix import LightTransport
-from lightmatrix.transport.metrics import (
+from lightmatrix.evaluation.metrics import (
     UNCLIPPED_RESPONSE,
     benchmark_exposure,
     diffuse_rows,
@@ -28,6 +22,12 @@ from lightmatrix.transport.metrics import (
     squared_errors,
     unseen_patterns,
 )
+from lightmatrix.patterns.bits import BernoulliPatterns
+from lightmatrix.patterns.pattern_set import PatternSet
+from lightmatrix.simulation import library
+from lightmatrix.simulation.simulate import irradiance
+from lightmatrix.simulation.truth import Truth
+from lightmatrix.transport.matrix import LightTransport
 
 BITS = 8
 # Neighbouring camera pixels whose strongest projector pixels are further apart than this lie on
@@ -97,7 +97,7 @@ class MeasuredScene:
         )
         frames = sensor.expose(irradiance(self.truth.matrix, patterns), seed=seed)
         stack = np.ascontiguousarray(frames.T).reshape(patterns.count, *self.truth.camera_shape)
-        capture = Capture.from_arrays(patterns, stack, sensor, check=False)
+        capture = Capture.from_arrays(patterns, stack, sensor)
         if clipping:
             return capture
         level = 1 / (self.exposure * np.max(exposure))

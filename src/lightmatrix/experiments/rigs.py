@@ -16,19 +16,19 @@ from scipy.stats import spearmanr
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.frames import ArrayStack
 from lightmatrix.estimators.estimate import estimate
+from lightmatrix.evaluation.metrics import relighting_error, squared_errors, unseen_patterns
+from lightmatrix.evaluation.verdict import stated_error
 from lightmatrix.experiments.harness import Experiment, Measured
 from lightmatrix.experiments.measured_scene import SCENES
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.pictures.style import COLOURS, figure, fix_ticks, save
 from lightmatrix.planning.plan import plan
-from lightmatrix.rig import library
-from lightmatrix.rig.coarse import binned
-from lightmatrix.rig.photograph import simulate
-from lightmatrix.rig.realism import defocus, varying_defocus
-from lightmatrix.rig.truth import Truth
-from lightmatrix.rig.views import depth_blur, mapped, seen
-from lightmatrix.transport.metrics import relighting_error, squared_errors, unseen_patterns
-from lightmatrix.transport.verdict import stated_error
+from lightmatrix.simulation import library
+from lightmatrix.simulation.coarse import binned
+from lightmatrix.simulation.photograph import simulate
+from lightmatrix.simulation.realism import defocus, varying_defocus
+from lightmatrix.simulation.truth import Truth
+from lightmatrix.simulation.views import depth_blur, mapped, seen
 
 SIDE = 128
 COUNTS = (16, 32, 64)

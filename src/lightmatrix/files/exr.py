@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.errors import InputError, MissingExtraError
-from lightmatrix.files.limits import check_size
+from lightmatrix.files.image_size import check_size
 
 _COLOURS = ("R", "G", "B")
 _ALPHA = "A"

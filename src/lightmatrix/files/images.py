@@ -25,7 +25,7 @@ from lightmatrix.errors import InputError, LightMatrixError
 from lightmatrix.files import png, png16
 from lightmatrix.files.colours import COLOURS
 from lightmatrix.files.exr import fill_exr, read_exr
-from lightmatrix.files.limits import check_size
+from lightmatrix.files.image_size import check_size
 from lightmatrix.files.npy import as_float32, read_npy
 from lightmatrix.files.pgm import read_pgm
 from lightmatrix.files.raw import RAW, read_raw

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.lib import format as npy_format
 from numpy.typing import NDArray
 
-from lightmatrix.files.memory import check_room
 from lightmatrix.files.reading import regular_file
+from lightmatrix.resources.memory import check_room
 
 _READ_AT_ONCE = 1 << 24
 

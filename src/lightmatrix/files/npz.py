@@ -11,9 +11,9 @@ from typing import Any
 from numpy.typing import NDArray
 
 from lightmatrix.errors import InputError
-from lightmatrix.files.memory import check_room
 from lightmatrix.files.npy import Header, read_header, read_values
 from lightmatrix.files.reading import regular_file
+from lightmatrix.resources.memory import check_room
 
 # As `numpy.savez` and `savez_compressed` write them.
 _METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)

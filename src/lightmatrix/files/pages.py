@@ -16,8 +16,8 @@ import tifffile
 from numpy.typing import NDArray
 
 from lightmatrix.errors import InputError
+from lightmatrix.files.image_size import check_size
 from lightmatrix.files.images import as_stored, explained, read_image
-from lightmatrix.files.limits import check_size
 from lightmatrix.files.npy import read_header
 from lightmatrix.files.npz import read_npz
 from lightmatrix.files.reading import regular_file

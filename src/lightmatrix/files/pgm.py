@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.files.limits import check_size
+from lightmatrix.files.image_size import check_size
 
 # A word of the header, after white space and comments.
 _WORD = re.compile(rb"(?:\s+|#[^\n\r]*[\n\r])+(\d{1,9})")

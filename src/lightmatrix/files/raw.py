@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.errors import InputError, MissingExtraError
-from lightmatrix.files.limits import check_size
+from lightmatrix.files.image_size import check_size
 
 RAW = (".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".orf", ".rw2")
 

@@ -13,7 +13,7 @@ import tifffile
 from numpy.typing import NDArray
 
 from lightmatrix.errors import InputError
-from lightmatrix.files.limits import check_size
+from lightmatrix.files.image_size import check_size
 
 _UNCOMPRESSED, _DEFLATE = 1, (8, 32946)
 _INVERTED, _PALETTE, _YCBCR = 0, 3, 6

@@ -18,16 +18,16 @@ from lightmatrix.camera.response import Response, curve_file
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.description import TRUTH
 from lightmatrix.errors import DeviceError, InputError, LightMatrixWarning
-from lightmatrix.live.agreement import Drift, References, drift
-from lightmatrix.live.calibration.keeping import PARTS, Calibration, calibrate, outdated
-from lightmatrix.live.calibration.white import FIRST_SETTLE, images
-from lightmatrix.live.limits import exposure_limits
+from lightmatrix.live.devices.exposure_limits import exposure_limits
+from lightmatrix.live.frames.photograph import Taker
+from lightmatrix.live.frames.repeats import take_steady
+from lightmatrix.live.frames.same_light import Drift, References, drift
+from lightmatrix.live.measurements.measurements import PARTS, Calibration, calibrate, outdated
+from lightmatrix.live.measurements.white import FIRST_SETTLE, images
 from lightmatrix.live.record import Record
 from lightmatrix.live.rig import Rig, UnfitRigError
 from lightmatrix.live.session import Session, Step
 from lightmatrix.live.showing import Shown
-from lightmatrix.live.steady import take_steady
-from lightmatrix.live.taking import Taker
 from lightmatrix.outputs.kinds import LIVE_CAPTURE
 from lightmatrix.outputs.writing import claimed
 from lightmatrix.patterns.folder import read_patterns
@@ -182,7 +182,7 @@ def take_capture(
             session.run()
             _finish(rig, record, shown, seconds, references, known, cell, response, overwrite)
     _warn(record, known, response)
-    return Capture.open(output, check_order=False)
+    return Capture.open(output)
 
 
 def _calibrated(

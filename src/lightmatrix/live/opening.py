@@ -7,17 +7,17 @@ from dataclasses import replace
 import numpy as np
 
 from lightmatrix.errors import InputError
-from lightmatrix.live.clock import SimulatedClock, SystemClock
-from lightmatrix.live.devices import open_camera, open_projector
+from lightmatrix.live.devices.clock import SimulatedClock, SystemClock
+from lightmatrix.live.devices.registry import open_camera, open_projector
+from lightmatrix.live.devices.virtual.camera import VirtualCamera
+from lightmatrix.live.devices.virtual.light import Light
+from lightmatrix.live.devices.virtual.projector import VirtualProjector
+from lightmatrix.live.devices.virtual.settings import PROCEDURAL, VirtualSettings, parse_settings
 from lightmatrix.live.rig import Rig
-from lightmatrix.live.virtual.camera import VirtualCamera
-from lightmatrix.live.virtual.light import Light
-from lightmatrix.live.virtual.projector import VirtualProjector
-from lightmatrix.live.virtual.settings import PROCEDURAL, VirtualSettings, parse_settings
 from lightmatrix.ranges import check_number
-from lightmatrix.rig import library, realism
-from lightmatrix.rig.procedural import ProceduralScene
-from lightmatrix.rig.truth import Truth
+from lightmatrix.simulation import library, realism
+from lightmatrix.simulation.procedural import ProceduralScene
+from lightmatrix.simulation.truth import Truth
 
 USUAL_PATIENCE = 2.0
 

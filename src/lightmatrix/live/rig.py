@@ -9,9 +9,9 @@ from types import TracebackType
 from typing import Any, Self, TypeVar
 
 from lightmatrix.errors import DeviceError, FrameTimeoutError
-from lightmatrix.live.clock import Clock, SystemClock
-from lightmatrix.live.protocols import Camera, Projector
-from lightmatrix.rig.truth import Truth
+from lightmatrix.live.devices.clock import Clock, SystemClock
+from lightmatrix.live.devices.protocols import Camera, Projector
+from lightmatrix.simulation.truth import Truth
 
 # Seconds that a camera is waited for which was lost, and between two looks for it.
 _PATIENCE = 60.0

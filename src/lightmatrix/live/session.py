@@ -16,11 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.errors import DeviceError
-from lightmatrix.live.agreement import Drift, References, drift
+from lightmatrix.live.frames.pattern_match import Watch, watched_samples
+from lightmatrix.live.frames.photograph import Shot, Taker, UntrustedFrameError
+from lightmatrix.live.frames.repeats import take_steady
+from lightmatrix.live.frames.same_light import Drift, References, drift
 from lightmatrix.live.record import Record, Taken
-from lightmatrix.live.steady import take_steady
-from lightmatrix.live.taking import Shot, Taker, UntrustedFrameError
-from lightmatrix.live.watching import Watch, watched_samples
 from lightmatrix.patterns.pattern_set import PatternSet
 
 # A frame, and what was shown before it.

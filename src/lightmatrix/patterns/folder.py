@@ -20,7 +20,6 @@ from lightmatrix.files.ahead import read_ahead
 from lightmatrix.files.colours import COLOURS
 from lightmatrix.files.headers import read_json, said_in
 from lightmatrix.files.images import as_grey, colour_of, fill_image, read_image
-from lightmatrix.files.memory import check_room
 from lightmatrix.files.pages import Page
 from lightmatrix.files.stack import ImageStack, list_entries
 from lightmatrix.outputs.kinds import PATTERNS
@@ -28,6 +27,7 @@ from lightmatrix.outputs.writing import atomic_folder
 from lightmatrix.patterns.bits import BitPatterns
 from lightmatrix.patterns.kinds import from_description
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet, to_grey
+from lightmatrix.resources.memory import check_room
 
 DESCRIPTION = "patterns.json"
 FORMAT, VERSION = "lightmatrix-patterns", 1

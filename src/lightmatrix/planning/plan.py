@@ -31,9 +31,9 @@ from lightmatrix.planning.advice import (
 from lightmatrix.planning.table import ExpectedErrors, counts, expectations, frames_for
 from lightmatrix.ranges import check_number
 from lightmatrix.reprs import html_table, text_table
-from lightmatrix.rig import library
-from lightmatrix.rig.scenes import names
-from lightmatrix.rig.truth import Truth
+from lightmatrix.simulation import library
+from lightmatrix.simulation.scenes import names
+from lightmatrix.simulation.truth import Truth
 
 USUAL_SIZE = (128, 128)
 # Estimating from a folder whose capture.json says what two plain folders cannot.

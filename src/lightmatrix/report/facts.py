@@ -9,12 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.capture.capture import Capture
-from lightmatrix.report.held_out import HeldOut
-from lightmatrix.transport.correspondence import Correspondence, correspondence
-from lightmatrix.transport.evaluation import Errors, errors_by_rows
-from lightmatrix.transport.matrix import LightTransport
-from lightmatrix.transport.metrics import relative_error, squared_errors
-from lightmatrix.transport.verdict import (
+from lightmatrix.evaluation.errors import Errors, errors_by_rows
+from lightmatrix.evaluation.metrics import relative_error, squared_errors
+from lightmatrix.evaluation.verdict import (
     FAIR,
     Verdict,
     level_of,
@@ -24,6 +21,9 @@ from lightmatrix.transport.verdict import (
     stated_error,
     verdict,
 )
+from lightmatrix.report.held_out import HeldOut
+from lightmatrix.transport.correspondence import Correspondence, correspondence
+from lightmatrix.transport.matrix import LightTransport
 
 # A camera pixel below this share of a bright one's white level sees next to nothing.
 _DARK = 0.02

@@ -12,6 +12,7 @@ from lightmatrix.capture.capture import Capture
 from lightmatrix.errors import InputError
 from lightmatrix.estimators.auto import AutoEstimator
 from lightmatrix.estimators.steps import Progress
+from lightmatrix.evaluation.verdict import percent
 from lightmatrix.outputs.kinds import REPORT
 from lightmatrix.outputs.writing import atomic_folder
 from lightmatrix.report.advice import advice
@@ -24,9 +25,8 @@ from lightmatrix.report.sections.found import found
 from lightmatrix.report.sections.parameters import parameters
 from lightmatrix.report.sections.relit import relit
 from lightmatrix.report.sections.solved import solved
-from lightmatrix.rig.truth import Truth
+from lightmatrix.simulation.truth import Truth
 from lightmatrix.transport.matrix import LightTransport
-from lightmatrix.transport.verdict import percent
 
 
 class Finding(Protocol):

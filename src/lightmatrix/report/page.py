@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
+from lightmatrix.evaluation.verdict import Verdict
 from lightmatrix.report.blocks import Section, Strip
-from lightmatrix.transport.verdict import Verdict
 
 
 @dataclass(frozen=True)

@@ -31,11 +31,11 @@ from lightmatrix.files.zarr_arrays import (
 )
 from lightmatrix.outputs.kinds import STORE
 from lightmatrix.outputs.locks import check_unlocked
-from lightmatrix.outputs.room import check_disk
 from lightmatrix.outputs.targets import explained, final_target
 from lightmatrix.outputs.writing import claimed
 from lightmatrix.patterns.grids import grid_cells
 from lightmatrix.reprs import short_repr
+from lightmatrix.resources.disk import check_disk
 from lightmatrix.store.checked import check_indptr, finite
 from lightmatrix.store.lazy import StoredTransport
 from lightmatrix.transport.sparse_rows import row_blocks

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from lightmatrix.errors import InputError
-from lightmatrix.files.memory import check_room
 from lightmatrix.files.zarr_arrays import StoredArray, damage_explained
+from lightmatrix.resources.memory import check_room
 from lightmatrix.store.checked import (
     check_indptr,
     checked_diagnostics,

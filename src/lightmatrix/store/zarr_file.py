@@ -17,7 +17,6 @@ import numpy as np
 import zarr
 
 from lightmatrix.errors import InputError
-from lightmatrix.files.memory import check_room
 from lightmatrix.files.zarr_arrays import (
     GrowingArray,
     StoredArray,
@@ -26,6 +25,7 @@ from lightmatrix.files.zarr_arrays import (
 )
 from lightmatrix.outputs.kinds import PACKED_CAPTURE, PARTIAL, STORE
 from lightmatrix.outputs.writing import atomic_folder
+from lightmatrix.resources.memory import check_room
 from lightmatrix.store.checked import checked_diagnostics, checked_matrix, finite, shape_of
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.transport.sparse_rows import SparseRows

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import pytest
-from systems import FORKS
+
+from tests.helpers.systems import FORKS
 
 from ..case import GOOD
 from ..workers import Pool

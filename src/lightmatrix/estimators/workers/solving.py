@@ -23,7 +23,7 @@ from lightmatrix.errors import ClusterError, InputError, LightMatrixError
 from lightmatrix.estimators.needs import usual_threads
 from lightmatrix.estimators.steps import SolveTile, Work
 from lightmatrix.estimators.workers.travel import unpacked
-from lightmatrix.files.memory import available_bytes
+from lightmatrix.resources.memory import available_bytes
 from lightmatrix.store.checkpoint import fingerprint_token
 from lightmatrix.store.tiles import Span, read_tile, tile_name, write_tile
 from lightmatrix.transport.sparse_rows import SparseRows

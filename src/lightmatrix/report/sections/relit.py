@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from lightmatrix.evaluation.metrics import relighting_error, unseen_patterns
+from lightmatrix.evaluation.verdict import percent
 from lightmatrix.pictures.maps import error_map
 from lightmatrix.report.blocks import Block, Columns, Gallery, Section, Table, Text
 from lightmatrix.report.facts import Facts
@@ -11,8 +13,6 @@ from lightmatrix.report.held_out import HeldOut
 from lightmatrix.report.images import difference_image, image_of_map, pattern_image, photograph
 from lightmatrix.reprs import shown_value
 from lightmatrix.transport.labels import named
-from lightmatrix.transport.metrics import relighting_error, unseen_patterns
-from lightmatrix.transport.verdict import percent
 
 _SHOWN = ("disc", "stripes")
 

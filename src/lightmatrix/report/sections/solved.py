@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from lightmatrix.evaluation.verdict import percent
 from lightmatrix.pictures.maps import Map, gap_map, has_diagnostic, stated_error_map
 from lightmatrix.report.blocks import Block, Columns, Gallery, Image, Section, Table, Text
 from lightmatrix.report.facts import Facts
@@ -9,7 +10,6 @@ from lightmatrix.report.held_out import HeldOut
 from lightmatrix.report.images import difference_image, image_of_map, pattern_image, photograph
 from lightmatrix.reprs import shown_value
 from lightmatrix.transport.labels import named
-from lightmatrix.transport.verdict import percent
 
 # Of the photographs held out, so many are shown.
 _COMPARED = 2

@@ -1,0 +1,135 @@
+"""The projector's response from photographs of a ramp: one grey value all over in each."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightmatrix.calibration.responses.photographs import Photographs, open_photographs
+from lightmatrix.calibration.responses.pictures import draw_projector_response
+from lightmatrix.camera.between import lit_samples, share_of_white
+from lightmatrix.camera.levels import range_end
+from lightmatrix.camera.response import Response
+from lightmatrix.errors import InputError
+from lightmatrix.outputs.kinds import PICTURE, RESPONSE
+from lightmatrix.outputs.writing import check_output
+from lightmatrix.patterns.response import ProjectorResponse
+
+_FEWEST = 5
+_WHITE = 255
+# Fewer lit samples, or less light over black, are not the projector's.
+_FEWEST_LIT, _SEEN = 20, 0.02
+
+
+def projector_response(
+    photographs: Photographs,
+    levels: Sequence[float] | NDArray[Any] | None = None,
+    *,
+    response: Response | str | None = None,
+    clip: float | None = None,
+    output: str | Path | None = None,
+    picture: str | Path | None = None,
+    overwrite: bool = False,
+) -> ProjectorResponse:
+    """Measure a projector's response, as `lightmatrix response --projector` does.
+
+    Parameters
+    ----------
+    photographs : str, Path or array
+        At least 5 photographs at one exposure, each of one grey value all over the projector: a
+        folder, a stack, or (K, rows, cols[, 3]) levels.
+    levels : (K,), optional
+        The grey values, whole numbers increasing from 0 to 255; None: evenly spaced.
+    response : Response or str, optional
+        Of the camera, see `Response.parse`; None: linear.
+    clip : float, optional
+        Raw level at which the camera clips; None: the end of the range of the files, or of its
+        response.
+    output : str or Path, optional
+        A .json file of the curve to write as well.
+    picture : str or Path, optional
+        A .png picture of it to write as well.
+    overwrite : bool
+        Whether existing files may be replaced.
+
+    Returns
+    -------
+    ProjectorResponse
+
+    Raises
+    ------
+    InputError
+        On photographs that cannot be read, grey values that do not fit them, or too little light.
+    OutputError
+        If a file cannot be written.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> light = np.linspace(0, 1, 9)[:, None, None] ** 1.8 * np.full((9, 10, 10), 0.8)
+    >>> found = lm.projector_response(np.rint(250 * light + 5).astype(np.uint8))
+    >>> round(found.gamma, 1)
+    1.8
+    """
+    for path, kind in ((output, RESPONSE), (picture, PICTURE)):
+        if path is not None:
+            check_output(path, kind, overwrite=overwrite)
+    frames = open_photographs(photographs)
+    grey = _grey(levels, frames.count)
+    camera = response if isinstance(response, Response) else Response.parse(response or "linear")
+    scale = camera.full_scale or range_end(frames.dtype)
+    ceiling = float(camera.linearise(np.array((clip or scale) / scale)))
+
+    def light(index: int) -> NDArray[np.float64]:
+        return camera.linearise(frames.read(index) / scale)
+
+    black, white = light(0), light(frames.count - 1)
+    lit = lit_samples(white, black, ceiling)
+    if lit.sum() < _FEWEST_LIT or np.quantile(white - black, 0.99) < _SEEN * ceiling:
+        raise InputError(
+            f"{frames.name(frames.count - 1)} has only {int(lit.sum())} pixels that the projector "
+            "lights and that do not clip",
+            hint="photograph the projected picture so that white is bright and does not clip, the "
+            "darkest grey value first",
+        )
+    shares = np.array([share_of_white(light(k), white, black, lit) for k in range(frames.count)])
+    falls = np.flatnonzero(np.diff(shares) < -_SEEN)
+    if len(falls):
+        k = int(falls[0])
+        raise InputError(
+            f"{frames.name(k + 1)} is darker than {frames.name(k)}, though its grey value is "
+            f"{grey[k + 1]} after {grey[k]}",
+            hint="give --levels in the order of the photographs, from 0 to 255",
+        )
+    found = ProjectorResponse.of_light(grey, shares)
+    if output is not None:
+        found.save(output, overwrite=overwrite)
+    if picture is not None:
+        draw_projector_response(found).write(picture, overwrite=overwrite)
+    return found
+
+
+def _grey(levels: Sequence[float] | NDArray[Any] | None, count: int) -> NDArray[np.int64]:
+    if count < _FEWEST:
+        raise InputError(
+            f"{count} photographs of grey values", hint=f"take {_FEWEST} at least, better 17"
+        )
+    if levels is None:
+        return np.rint(np.linspace(0, _WHITE, count)).astype(np.int64)
+    grey = np.asarray(levels, np.float64)
+    if grey.shape != (count,):
+        raise InputError(
+            f"{grey.size} grey values for {count} photographs",
+            hint="give one for each, in the order of the photographs",
+        )
+    whole = (grey == np.rint(grey)).all()
+    if not whole or grey[0] != 0 or grey[-1] != _WHITE or (np.diff(grey) <= 0).any():
+        raise InputError(
+            f"grey values from {grey[0]:g} to {grey[-1]:g}",
+            hint="give whole numbers that increase from 0 to 255, the photographs likewise",
+        )
+    return grey.astype(np.int64)

@@ -1,0 +1,187 @@
+"""Checks of captures on disk, also of those that no estimate could open."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightmatrix.camera.response import Response
+from lightmatrix.capture.capture import Capture, Crop
+from lightmatrix.capture.checks import check_per_frame
+from lightmatrix.capture.folder import read_capture, read_folders
+from lightmatrix.capture.parts import CaptureParts
+from lightmatrix.diagnosis.check import check_survey
+from lightmatrix.diagnosis.finding import Finding
+from lightmatrix.diagnosis.identity import check_patterns
+from lightmatrix.diagnosis.missing import check_counts
+from lightmatrix.diagnosis.survey import Survey
+from lightmatrix.errors import InputError
+from lightmatrix.files.pages import Page
+from lightmatrix.files.stack import ImageStack
+from lightmatrix.patterns.pattern_set import PatternSet
+from lightmatrix.patterns.response import ProjectorResponse
+
+
+def check(
+    capture: Capture | str | Path | None = None,
+    *,
+    patterns: str | Path | PatternSet | None = None,
+    images: str | Path | None = None,
+    black: str | Path | float | None = None,
+    white: str | Path | None = None,
+    clip: float | NDArray[Any] | None = None,
+    response: Response | str | None = None,
+    black_level: float | NDArray[Any] | None = None,
+    exposure: float | NDArray[Any] = 1.0,
+    mask: str | Path | None = None,
+    full_scale: float | None = None,
+    black_exposure: float | None = None,
+    crop: Crop | None = None,
+    projector_response: str | Path | ProjectorResponse | None = None,
+    mosaic: bool = False,
+) -> list[Finding]:
+    """What is wrong with a capture, as `lightmatrix check` says it.
+
+    Number and sizes of the files, frames swapped, lost, late, black or odd, the response, lossy
+    compression, motion, flicker, too much or too little light, and what the patterns cannot tell.
+
+    Parameters
+    ----------
+    capture : Capture, str or Path, optional
+        A capture, looked at as it was taken whatever is binned; or a capture folder, packed or
+        not. None: two plain folders.
+    patterns, images : str or Path, optional
+        The two folders; of what follows see `Capture.from_folders`.
+    black, white, clip, response, black_level, exposure, mask, full_scale, black_exposure : optional
+        See `Capture.from_folders`.
+    crop : ((int, int), (int, int)), optional
+        Corner and shape of the rectangle of the photographs that is looked at. None: all of them.
+    projector_response, mosaic : optional
+        See `Capture.from_folders`.
+
+    Returns
+    -------
+    list of Finding
+        Empty if nothing seems wrong. Fewer than 12 frames, and scenes without direct light, tell
+        little of order, motion and flicker.
+
+    Raises
+    ------
+    InputError
+        On folders that are none, and descriptions that contradict themselves.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> capture = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 32), exposure=0.2)
+    >>> lm.check(capture)
+    []
+    >>> frames = np.stack([capture.frame(k) for k in (0, 2, 1, *range(3, 32))])
+    >>> mixed = lm.Capture.from_arrays(capture.patterns, frames, capture.sensor)
+    >>> [finding.message for finding in lm.check(mixed)]
+    ['frame 1 and frame 2 look swapped']
+    """
+    if isinstance(capture, Capture):
+        return check_capture(capture if crop is None else capture.crop(*crop))
+    if capture is not None:
+        return _check_parts(read_capture(capture, counted=False), crop)
+    if patterns is None or images is None:
+        raise InputError(
+            "there is nothing to check", hint="give a capture folder, or patterns and images"
+        )
+    return _check_parts(
+        read_folders(
+            patterns,
+            images,
+            black=black,
+            white=white,
+            clip=clip,
+            response=response,
+            black_level=black_level,
+            exposure=exposure,
+            mask=mask,
+            full_scale=full_scale,
+            black_exposure=black_exposure,
+            projector_response=projector_response,
+            mosaic=mosaic,
+            counted=False,
+        ),
+        crop,
+    )
+
+
+def _check_parts(parts: CaptureParts, crop: Crop | None) -> list[Finding]:
+    try:
+        if parts.patterns.count != parts.frames.count:
+            return _check_uncounted(parts)
+        check_per_frame(parts.decoder, parts.frames.count)
+        whole = Capture(parts.patterns, parts.frames, parts.decoder, parts.mask)
+        return check_capture(whole if crop is None else whole.crop(*crop))
+    except InputError:
+        unread = _unread(parts)
+        if unread:
+            return unread
+        raise
+
+
+def _check_uncounted(parts: CaptureParts) -> list[Finding]:
+    # A page's name numbers nothing that a file may be missing from.
+    decoder, images = parts.decoder, [Path(entry.name) for entry in _paths(parts)]
+    survey = None
+    # Of levels that differ from frame to frame, it is not known either which belong to which.
+    if not any(np.ndim(getattr(decoder, key)) for key in ("clip", "black_level", "exposure")):
+        survey = Survey.take(parts.patterns, parts.frames, decoder, parts.mask)
+    return [
+        check_counts(survey, parts.patterns.count, images),
+        *check_patterns(parts.patterns),
+    ]
+
+
+def _paths(parts: CaptureParts) -> tuple[Path | Page, ...]:
+    """The files of the frames; none of those that lie packed."""
+    return parts.frames.paths if isinstance(parts.frames, ImageStack) else ()
+
+
+def _unread(parts: CaptureParts) -> list[Finding]:
+    """Frames that cannot be read or are unlike the first; a finding for each way of being so."""
+    problems: dict[str, tuple[list[int], InputError]] = {}
+    for k, path in enumerate(_paths(parts)):
+        try:
+            parts.frames.read(k)
+        except InputError as error:
+            # The same problem of another file is one more frame.
+            what = error.message.replace(str(path), "")
+            problems.setdefault(what, ([], error))[0].append(k)
+    found = []
+    for frames, first in problems.values():
+        more = f", and {len(frames) - 1} more like it" if len(frames) > 1 else ""
+        advice = first.hint or "take the photograph again, or save it again"
+        found.append(Finding("files", tuple(frames), first.message + more, advice))
+    return found
+
+
+def check_capture(capture: Capture) -> list[Finding]:
+    """Everything that seems wrong with a capture.
+
+    Parameters
+    ----------
+    capture : Capture
+        Its frames are looked at as they were taken, whatever is binned.
+
+    Returns
+    -------
+    list of Finding
+        Empty if nothing seems wrong. What too few frames or a diffuse scene cannot tell is not
+        found.
+
+    Raises
+    ------
+    InputError
+        On a frame that cannot be read, or differs from the others in size or type.
+    """
+    survey = Survey.take(capture.patterns, capture.frames, capture.decoder, capture.mask)
+    names = [capture.frames.name(k) for k in range(capture.count)]
+    return check_survey(survey, names)

@@ -1,0 +1,84 @@
+"""By how much one image of the surveyed samples is shifted against another."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightmatrix.diagnosis.survey import MARGIN, Survey
+
+# How much closer the two images must be when shifted, in standard errors over parts of the image
+# and as a share.
+_CERTAIN, _CLOSER = 4.0, 0.15
+_PARTS = 6
+
+
+def agreed_shift(
+    survey: Survey, first: NDArray[np.float32], last: NDArray[np.float32]
+) -> tuple[int, int] | None:
+    """By how many camera pixels (down, right) the last image is shifted; None if it is not.
+
+    Parameters
+    ----------
+    survey : Survey
+    first, last : (S,) float
+        Images of the same brightness, whatever the patterns.
+    """
+    before, after = (_outlines(image.reshape(survey.grid)) for image in (first, last))
+    tiles, rows, cols, _ = survey.grid
+    inner = (slice(None), slice(MARGIN, rows - MARGIN), slice(MARGIN, cols - MARGIN))
+    parts = _parts((tiles, rows - 2 * MARGIN, cols - 2 * MARGIN))
+    valid = survey.valid.reshape(survey.grid)[inner].all(axis=-1)
+    reference = before[inner]
+
+    def distances(shift: tuple[int, int]) -> NDArray[np.float64]:
+        down, right = MARGIN + shift[0], MARGIN + shift[1]
+        moved = after[:, down : down + reference.shape[1], right : right + reference.shape[2]]
+        difference = np.where(valid, ((moved - reference) ** 2).sum(axis=-1), 0)
+        return np.asarray(np.bincount(parts.ravel(), difference.ravel()), np.float64)
+
+    reach = range(-MARGIN, MARGIN + 1)
+    tried = {shift: distances(shift) for shift in itertools.product(reach, reach)}
+    best = min(tried, key=lambda shift: float(tried[shift].sum()))
+    if best == (0, 0):
+        return None
+    gain = tried[0, 0] - tried[best]
+    error = np.sqrt(len(gain) * gain.var(ddof=1)) if len(gain) > 1 else np.inf
+    if gain.sum() < _CERTAIN * error or gain.sum() < _CLOSER * tried[0, 0].sum():
+        return None
+    return best
+
+
+def describe_shift(shift: tuple[int, int]) -> str:
+    """A shift in words."""
+    down, right = shift
+    words = []
+    if down:
+        words.append(f"{abs(down)} {'down' if down > 0 else 'up'}")
+    if right:
+        words.append(f"{abs(right)} {'right' if right > 0 else 'left'}")
+    return f"about {np.hypot(*shift):.2g} camera pixels away ({', '.join(words)})"
+
+
+def _outlines(image: NDArray[np.float32]) -> NDArray[np.float32]:
+    """An image without its slow changes, so that light that changed is no motion."""
+    image = np.sqrt(np.maximum(image, 0)).astype(np.float32)
+    edges = np.stack(
+        [np.roll(image, 1, axis) - np.roll(image, -1, axis) for axis in (1, 2)], axis=-1
+    ).reshape(*image.shape[:3], -1)
+    # No edge counts more than many others together.
+    most = 4 * float(np.median(np.abs(edges))) + 0.02
+    return np.asarray(np.clip(edges, -most, most))
+
+
+def _parts(shape: tuple[int, int, int]) -> NDArray[np.int64]:
+    """Which part of the image each pixel lies in: tiles, or a grid over the only one."""
+    tiles, rows, cols = shape
+    if tiles >= _PARTS:
+        part = np.arange(tiles) * _PARTS**2 // tiles
+        return np.broadcast_to(part[:, None, None], shape).astype(np.int64)
+    row = np.arange(rows) * _PARTS // rows
+    col = np.arange(cols) * _PARTS // cols
+    return np.broadcast_to(row[:, None] * _PARTS + col, shape).astype(np.int64)

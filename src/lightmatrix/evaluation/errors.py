@@ -1,0 +1,191 @@
+"""How far an estimate is from the truth, over all rows and over some kinds of rows."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from lightmatrix.evaluation.metrics import (
+    diffuse_rows,
+    relative_error,
+    relighting_error,
+    response_rmse,
+    row_energies,
+    unclipped_rows,
+    unseen_patterns,
+)
+from lightmatrix.files.colours import COLOURS
+from lightmatrix.ranges import check_number
+from lightmatrix.reprs import html_table, text_table
+from lightmatrix.transport.labels import named
+from lightmatrix.transport.matrix import LightTransport
+
+
+@dataclass(frozen=True)
+class Errors:
+    """The errors of an estimate; those of a kind of rows are NaN where there is no such row.
+
+    Parameters
+    ----------
+    exposure : float
+        Exposure of the capture, which tells the rows that clip under one projector pixel.
+    relative_error : float
+        ||T_est - T||_F / ||T||_F over all rows, background included.
+    relighting_error : float
+        Relative L2 error of linear, unclipped images, averaged over patterns that no estimate saw.
+    response_rmse : float
+        RMSE of single responses, in units of the clip level.
+    share_of_rows_unclipped_responses, share_of_rows_diffuse : float
+        Share of the rows that do not clip under a single projector pixel; whose strongest window
+        of 3 x 3 pixels holds less than half of their light.
+    relative_error_unclipped_responses, relighting_error_unclipped_responses : float
+        The same errors over the rows that do not clip under a single projector pixel.
+    relative_error_diffuse, relighting_error_diffuse : float
+        The same errors over diffuse rows.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> known = lm.truth("metal")
+    >>> lm.evaluate(known.transport(), known).relative_error
+    0.0
+    """
+
+    exposure: float
+    relative_error: float
+    relighting_error: float
+    response_rmse: float
+    share_of_rows_unclipped_responses: float
+    relative_error_unclipped_responses: float
+    relighting_error_unclipped_responses: float
+    share_of_rows_diffuse: float
+    relative_error_diffuse: float
+    relighting_error_diffuse: float
+
+    def as_dict(self) -> dict[str, float]:
+        """Names and values, JSON-ready; without those that no row has."""
+        return {name: value for name, value in asdict(self).items() if not math.isnan(value)}
+
+    def __repr__(self) -> str:
+        return text_table("Errors", named(self.as_dict()))
+
+    def _repr_html_(self) -> str:
+        return html_table("Errors", named(self.as_dict()))
+
+
+@dataclass(frozen=True)
+class ColourErrors:
+    """The errors of the three matrices of a colour projector.
+
+    Parameters
+    ----------
+    red, green, blue : Errors
+        Of each primary's own matrix.
+    relative_error : float
+        ||T_est - T||_F / ||T||_F over the three together.
+    relighting_error : float
+        Relative L2 error of linear, unclipped images under patterns in colour, averaged.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> known = [lm.ProceduralScene((16, 16), (16, 16)).truth().transport()] * 3
+    >>> errors = lm.evaluate_colour(known, known)
+    >>> errors.green.relative_error, errors.relighting_error
+    (0.0, 0.0)
+    """
+
+    red: Errors
+    green: Errors
+    blue: Errors
+    relative_error: float
+    relighting_error: float
+
+    def as_dict(self) -> dict[str, Any]:
+        """Names and values, JSON-ready; each primary's under its name."""
+        joint = {name: getattr(self, name) for name in ("relative_error", "relighting_error")}
+        return joint | {name: getattr(self, name).as_dict() for name in COLOURS}
+
+    def __repr__(self) -> str:
+        return text_table("Errors in colour", named(self.table()))
+
+    def _repr_html_(self) -> str:
+        return html_table("Errors in colour", named(self.table()))
+
+    def table(self) -> dict[str, float]:
+        """The errors that matter most in one list: of the three together, and of each."""
+        joint = {name: getattr(self, name) for name in ("relative_error", "relighting_error")}
+        return joint | {
+            f"{error}_{colour}": getattr(getattr(self, colour), error)
+            for colour in ("red", "green", "blue")
+            for error in joint
+        }
+
+
+def errors_in_colour(
+    estimates: Sequence[LightTransport], truths: Sequence[LightTransport], exposure: float
+) -> ColourErrors:
+    """The errors of the matrices of red, green and blue, each and together.
+
+    Raises
+    ------
+    InputError
+        On matrices of different rigs, or an exposure out of range.
+    """
+    each = [errors_by_rows(*pair, exposure) for pair in zip(estimates, truths, strict=True)]
+    energies = np.array([float(row_energies(truth).sum()) for truth in truths])
+    missed = np.array([one.relative_error for one in each]) ** 2 * energies
+    patterns = np.stack(list(unseen_patterns(truths[0].projector_shape).values()))
+    # Each primary shows another one of them, so that all colours are there.
+    shown = [np.roll(patterns, k, axis=0) for k in range(len(truths))]
+    lit = [
+        sum(one.relight(part).astype(np.float64) for one, part in zip(some, shown, strict=True))
+        for some in (estimates, truths)
+    ]
+    found, known = (np.reshape(images, (len(patterns), -1)) for images in lit)
+    off = np.linalg.norm(found - known, axis=1) / np.linalg.norm(known, axis=1)
+    red, green, blue = each
+    whole = float(np.sqrt(missed.sum() / energies.sum()))
+    return ColourErrors(red, green, blue, whole, float(off.mean()))
+
+
+def errors_by_rows(estimate: LightTransport, truth: LightTransport, exposure: float) -> Errors:
+    """The project's metrics over all rows, rows that do not clip singly, and diffuse rows.
+
+    Parameters
+    ----------
+    exposure : float
+        Exposure of the capture, > 0.
+
+    Raises
+    ------
+    InputError
+        On matrices of different rigs, or an exposure out of range.
+    """
+    check_number("an exposure", exposure, above=True, hint="use a number above 0, such as 1")
+    patterns = np.stack(list(unseen_patterns(truth.projector_shape).values()))
+    result = {
+        "exposure": float(exposure),
+        "relative_error": relative_error(estimate, truth),
+        "relighting_error": relighting_error(estimate, truth, patterns),
+        "response_rmse": response_rmse(estimate, truth, clip_level=1 / exposure),
+    }
+    groups = {
+        "unclipped_responses": unclipped_rows(truth, exposure),
+        "diffuse": diffuse_rows(truth.sparse, truth.projector_shape),
+    }
+    for name, chosen in groups.items():
+        rows = np.flatnonzero(chosen)
+        result[f"share_of_rows_{name}"] = float(chosen.mean())
+        found = len(rows) > 0
+        result[f"relative_error_{name}"] = (
+            relative_error(estimate, truth, rows) if found else math.nan
+        )
+        result[f"relighting_error_{name}"] = (
+            relighting_error(estimate, truth, patterns, rows) if found else math.nan
+        )
+    return Errors(**result)

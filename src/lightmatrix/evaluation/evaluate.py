@@ -1,0 +1,154 @@
+"""Holding an estimate against the truth, wherever the two are."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from lightmatrix import store
+from lightmatrix.errors import InputError
+from lightmatrix.evaluation.errors import (
+    ColourErrors,
+    Errors,
+    errors_by_rows,
+    errors_in_colour,
+)
+from lightmatrix.simulation import library
+from lightmatrix.simulation.scenes import scene as find_scene
+from lightmatrix.simulation.truth import Truth
+from lightmatrix.transport.matrix import LightTransport
+
+
+def evaluate(
+    estimate: LightTransport | str | Path,
+    truth: LightTransport | Truth | str | Path,
+    exposure: float = 1.0,
+    *,
+    progress: Callable[[int, int], None] | None = None,
+) -> Errors:
+    """Compare an estimate with the truth.
+
+    Parameters
+    ----------
+    estimate : LightTransport, str or Path
+        The estimate, or where `open` finds it.
+    truth : LightTransport, Truth, str or Path
+        What is known; a truth file, T.npz; a simulated capture; or a scene, rendered if need be.
+        Of an estimate from cropped photographs, only the rows that it has count.
+    exposure : float
+        Exposure of the capture: tells which rows clip under one projector pixel.
+    progress : callable, optional
+        Called with (done, total) paths where the scene has to be rendered.
+
+    Returns
+    -------
+    Errors
+        Relative error, RMSE and relighting error, of all rows and of some kinds.
+
+    Raises
+    ------
+    InputError
+        On matrices of different rigs, unknown scenes, or an exposure out of range.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> capture = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 32), exposure=0.5)
+    >>> estimate = lm.estimate(capture, coherent=False, iterations=20)
+    >>> errors = lm.evaluate(estimate, capture.truth, exposure=0.5)
+    >>> 0.01 < errors.relative_error < 0.5
+    True
+    """
+    return errors_by_rows(*_pair(estimate, truth, progress), exposure)
+
+
+def evaluate_colour(
+    estimates: Sequence[LightTransport | str | Path],
+    truths: Sequence[LightTransport | Truth | str | Path],
+    exposure: float = 1.0,
+    *,
+    progress: Callable[[int, int], None] | None = None,
+) -> ColourErrors:
+    """Compare the three matrices of a colour projector with the truth.
+
+    Parameters
+    ----------
+    estimates, truths : sequence of three
+        Of red, green and blue, each as `evaluate` takes it.
+    exposure : float
+        Exposure of the captures: tells which rows clip under one projector pixel.
+    progress : callable, optional
+        Called with (done, total) paths where a scene has to be rendered.
+
+    Returns
+    -------
+    ColourErrors
+        Those of each matrix, and of the three together.
+
+    Raises
+    ------
+    InputError
+        As `evaluate`, and on a number of matrices other than three.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> shown = lm.BernoulliPatterns((16, 16), 8)
+    >>> scene = lm.ProceduralScene((16, 16), (16, 16)).truth()
+    >>> taken = [lm.simulate(scene, shown, primary=name) for name in ("red", "green", "blue")]
+    >>> known = [one.truth for one in taken]
+    >>> found = [one.transport() for one in known]
+    >>> lm.evaluate_colour(found, known).relative_error
+    0.0
+    """
+    for given, word in ((estimates, "estimates"), (truths, "truths")):
+        if len(given) != 3:
+            raise InputError(f"{len(given)} {word}", hint="give those of red, green and blue")
+    pairs = [_pair(*pair, progress) for pair in zip(estimates, truths, strict=True)]
+    return errors_in_colour([one for one, _ in pairs], [known for _, known in pairs], exposure)
+
+
+def _pair(
+    estimate: LightTransport | str | Path,
+    truth: LightTransport | Truth | str | Path,
+    progress: Callable[[int, int], None] | None,
+) -> tuple[LightTransport, LightTransport]:
+    """An estimate, and the truth of its rows."""
+    found = estimate if isinstance(estimate, LightTransport) else store.open(estimate)
+    known = truth if isinstance(truth, LightTransport) else _known(found, truth, progress)
+    known = known.cut_alike(found)
+    if found.shape != known.shape:
+        names = [
+            str(given) if isinstance(given, str | Path) else word
+            for given, word in ((estimate, "the estimate"), (truth, "the truth"))
+        ]
+        raise InputError(
+            f"{names[0]} is {found.shape[0]} x {found.shape[1]}, "
+            f"{names[1]} is {known.shape[0]} x {known.shape[1]}",
+            hint="compare matrices of one rig, binned alike",
+        )
+    return found, known
+
+
+def _known(
+    estimate: LightTransport,
+    truth: Truth | str | Path,
+    progress: Callable[[int, int], None] | None,
+) -> LightTransport:
+    a_file = isinstance(truth, str) and (truth.lower().endswith(".npz") or Path(truth).is_dir())
+    if isinstance(truth, str) and not a_file:
+        _check_scene(estimate, truth)
+    return library.truth(truth, estimate.projector_shape, progress=progress).transport()
+
+
+def _check_scene(estimate: LightTransport, name: str) -> None:
+    """Whether there is a scene of that name, at the size of the estimate."""
+    find_scene(name)
+    region, projector = estimate.region, estimate.projector_shape
+    camera = estimate.camera_shape if region is None else region.whole
+    if camera != projector:
+        raise InputError(
+            f"the estimate has a camera of {' x '.join(map(str, camera))} and a projector of "
+            f"{' x '.join(map(str, projector))}, {name} is rendered with both of one size",
+            hint="give the T.npz of the same rig",
+        )

@@ -1,0 +1,1 @@
+"""Devices of a live rig: projectors, cameras, and the virtual rig."""

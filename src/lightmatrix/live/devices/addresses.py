@@ -1,0 +1,157 @@
+"""How a device is named: KIND, KIND:ARGUMENT or KIND:ARGUMENT,option=value,option=value."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from lightmatrix.errors import InputError, MissingExtraError
+
+# A comma that is not followed by NAME= is part of the argument, as in a folder's name.
+_OPTION = re.compile(r",(?=[A-Za-z_][A-Za-z0-9_]*=)")
+
+
+@dataclass(frozen=True)
+class Address:
+    """A device's name in its parts.
+
+    Parameters
+    ----------
+    kind : str
+        The back end, "window" or "aravis".
+    argument : str
+        Which of its devices; "" for the one that is there.
+    options : dict
+        Settings by name, as text.
+    """
+
+    kind: str
+    argument: str = ""
+    options: dict[str, str] = field(default_factory=dict)
+
+    @classmethod
+    def parse(cls, text: str) -> Address:
+        """The parts of "aravis:Basler-21,trigger=free,Gain=0".
+
+        Raises
+        ------
+        InputError
+            If an option is given twice.
+
+        Examples
+        --------
+        >>> from lightmatrix.live.devices.addresses import Address
+        >>> Address.parse("aravis:Basler-21,trigger=free,Gain=0")
+        Address(kind='aravis', argument='Basler-21', options={'trigger': 'free', 'Gain': '0'})
+        """
+        named, *settings = _OPTION.split(text)
+        kind, _, argument = named.partition(":")
+        options: dict[str, str] = {}
+        for setting in settings:
+            name, _, value = setting.partition("=")
+            if name in options:
+                raise InputError(f"{text}: gives {name} twice", hint="give it once")
+            options[name] = value
+        return cls(kind, argument, options)
+
+    def __str__(self) -> str:
+        settings = (f",{name}={value}" for name, value in self.options.items())
+        return self.kind + (f":{self.argument}" if self.argument else "") + "".join(settings)
+
+    def check_options(self, known: Sequence[str], *, features: bool = False) -> None:
+        """Refuse options that a back end does not have.
+
+        Parameters
+        ----------
+        known : sequence of str
+            Those that it has.
+        features : bool
+            Whether names with a capital letter, those of a camera's own features, pass too.
+
+        Raises
+        ------
+        InputError
+            If one is none of them.
+        """
+        for name in self.options:
+            if name not in known and not (features and name[0].isupper()):
+                offered = ", ".join(known) or "none"
+                own = "; features of the camera itself begin with a capital" if features else ""
+                raise InputError(
+                    f"{self}: {self.kind} has no option {name!r}",
+                    hint=f"its options are {offered}{own}",
+                )
+
+    def number(self, name: str, default: float) -> float:
+        """The value of an option that is a number above 0.
+
+        Raises
+        ------
+        InputError
+            If it is none.
+        """
+        text = self.options.get(name)
+        if text is None:
+            return default
+        try:
+            value = float(text)
+        except ValueError:
+            value = 0.0
+        if not 0 < value < float("inf"):
+            raise InputError(f"{self}: {name} is {text!r}", hint=f"give {name}=NUMBER above 0")
+        return value
+
+    def choice(self, name: str, choices: Sequence[str], default: str) -> str:
+        """The value of an option that is one of a few words.
+
+        Raises
+        ------
+        InputError
+            If it is none of them.
+        """
+        value = self.options.get(name, default)
+        if value not in choices:
+            raise InputError(
+                f"{self}: {name} is {value!r}", hint=f"{name} can be {' or '.join(choices)}"
+            )
+        return value
+
+
+@dataclass(frozen=True)
+class Found:
+    """A device that is there.
+
+    Parameters
+    ----------
+    address : str
+        What opens it: "window:1".
+    description : str
+        What it is, in words.
+    """
+
+    address: str
+    description: str
+
+
+def missing_extra(extra: str, what: str, *, system: str | None = None) -> MissingExtraError:
+    """The error of a back end whose packages are not installed.
+
+    Parameters
+    ----------
+    extra : str
+        The extra of lightmatrix that brings them.
+    what : str
+        What cannot be done without, as in "GigE cameras through Aravis".
+    system : str, optional
+        What the system must bring, and how.
+    """
+    hint = f"from the source folder: .venv/bin/pip install -e '.[{extra}]'"
+    if system is not None:
+        hint = f"{system}, then {hint}"
+    return MissingExtraError(f"{what} cannot be used, a package is not installed", hint=hint)
+
+
+def in_words(shape: tuple[int, ...]) -> str:
+    """A shape as people say it: "1024 x 768" with the width first, as monitors and cameras are."""
+    return f"{shape[1]} x {shape[0]}"

@@ -1,0 +1,325 @@
+"""A full-screen window on a monitor or projector, exact to the bit.
+
+The image reaches the screen by one texel fetch a pixel at the monitor's own resolution: no scaling,
+no filter, no colour management, no dither. What the graphics card does behind that, its gamma ramp,
+is reported.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import time
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightmatrix.errors import DeviceError, InputError
+from lightmatrix.live.devices.addresses import Address, Found, in_words, missing_extra
+from lightmatrix.live.devices.projectors.images import check_image
+
+EXTRA = "window"
+_VERTEX = """
+#version 330
+void main() {
+    // One triangle that covers the screen.
+    gl_Position = vec4(4.0 * (gl_VertexID & 1) - 1.0, 4.0 * (gl_VertexID >> 1) - 1.0, 0.0, 1.0);
+}
+"""
+_FRAGMENT = """
+#version 330
+uniform sampler2D image;
+out vec4 light;
+void main() {
+    ivec2 at = ivec2(gl_FragCoord.xy);
+    // Images begin with their top row, the screen of OpenGL with its bottom one.
+    light = texelFetch(image, ivec2(at.x, textureSize(image, 0).y - 1 - at.y), 0);
+}
+"""
+_GL_DITHER = 0x0BD0
+_GLFW_MESSAGE = re.compile(r"^\([0-9]+\) b?['\"]?(.*?) ?['\"]?$")
+# At which a bent gamma ramp is told.
+_RAMP_STEPS = 17
+_windows = 0
+
+
+class WindowProjector:
+    """A full-screen window; made by `open_window`.
+
+    All its methods are to be called from the thread that made it: the main thread, as macOS has it.
+    """
+
+    def __init__(self, glfw: Any, moderngl: Any, monitor: Any, number: int, gamma: str) -> None:
+        self._glfw = glfw
+        self._number = number
+        name = _name(glfw, monitor)
+        mode = glfw.get_video_mode(monitor)
+        self._window: Any = _full_screen(glfw, monitor, mode)
+        glfw.make_context_current(self._window)
+        # Waits for the monitor's refresh, so that no half of an image is shown.
+        glfw.swap_interval(1)
+        glfw.set_input_mode(self._window, glfw.CURSOR, glfw.CURSOR_HIDDEN)
+        glfw.set_key_callback(self._window, self._pressed)
+        self._context = moderngl.create_context()
+        self._context.disable_direct(_GL_DITHER)
+        width, height = glfw.get_framebuffer_size(self._window)
+        self._shape = (height, width)
+        self._context.viewport = (0, 0, width, height)
+        self._program = self._context.program(_VERTEX, _FRAGMENT)
+        self._triangle = self._context.vertex_array(self._program, [])
+        self._textures: dict[int, Any] = {}
+        if gamma == "linear":
+            # GLFW puts back what was there when it ends.
+            glfw.set_gamma(monitor, 1.0)
+        largest = max(mode.size for mode in glfw.get_video_modes(monitor))
+        self._info = {
+            "name": name,
+            "kind": "window",
+            "monitor": number,
+            "shape": self._shape,
+            # Where it is not the monitor's own resolution, the monitor scales.
+            "largest_mode": (largest.height, largest.width),
+            "refresh": float(mode.refresh_rate) or None,
+            "gamma_ramp": _gamma_ramp(glfw, monitor),
+            "renderer": self._context.info["GL_RENDERER"],
+        }
+        self.black()
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of the monitor's current mode."""
+        return self._shape
+
+    def info(self) -> dict[str, Any]:
+        """Name, monitor, shape, refresh in Hz, gamma ramp, renderer."""
+        return dict(self._info)
+
+    def show(self, image: NDArray[np.uint8]) -> float:
+        """Show an image, (rows, cols) or (rows, cols, 3) uint8; when the swap was done.
+
+        Raises
+        ------
+        InputError
+            If it is not of the projector's shape, or not uint8.
+        DeviceError
+            If the window was closed or the monitor unplugged.
+        """
+        if self._window is None:
+            raise DeviceError("the projector window is closed", hint="open it again")
+        check_image(image, self._shape)
+        channels = 1 if image.ndim == 2 else 3
+        texture = self._textures.get(channels)
+        if texture is None:
+            # Rows follow one another without a gap.
+            texture = self._context.texture(self._shape[::-1], channels, alignment=1)
+            texture.filter = (self._context.NEAREST, self._context.NEAREST)
+            if channels == 1:
+                texture.swizzle = "RRR1"
+            self._textures[channels] = texture
+        texture.write(np.ascontiguousarray(image).data)
+        texture.use()
+        self._triangle.render(vertices=3)
+        self._glfw.swap_buffers(self._window)
+        # Until the graphics card has done it, not only heard of it.
+        self._context.finish()
+        shown = time.monotonic()
+        self._glfw.poll_events()
+        if self._glfw.window_should_close(self._window):
+            raise DeviceError(
+                "the projector window was closed", hint="run the same command again to go on"
+            )
+        if not self._glfw.get_window_monitor(self._window):
+            raise DeviceError(
+                f"monitor {self._number} ({self._info['name']}) is gone",
+                hint="plug it in again, then run the same command again to go on",
+            )
+        return shown
+
+    def black(self) -> float:
+        """Show no light, and say when."""
+        return self.show(np.zeros(self._shape, np.uint8))
+
+    def close(self) -> None:
+        """Close the window; the screen is again as it was."""
+        global _windows
+        if self._window is None:
+            return
+        self._context.release()
+        self._glfw.destroy_window(self._window)
+        self._window = None
+        _windows -= 1
+        if not _windows:
+            self._glfw.terminate()
+
+    def _pressed(self, window: Any, key: int, *_: int) -> None:
+        # On a single monitor the window covers the terminal.
+        if key == self._glfw.KEY_ESCAPE:
+            self._glfw.set_window_should_close(window, True)
+
+
+def open_window(address: Address) -> WindowProjector:
+    """A window on the monitor that an address names by number or name.
+
+    Parameters
+    ----------
+    address : Address
+        "window:1", "window:HDMI-1" or "window" alone: the second monitor where there is one. The
+        option gamma=linear loads a straight gamma ramp as long as the window is open; keep, the
+        default, leaves it.
+
+    Raises
+    ------
+    MissingExtraError
+        If glfw or moderngl is not installed.
+    DeviceError
+        If there is no display or no such monitor, or no window with OpenGL 3.3 can be opened.
+    """
+    global _windows
+    address.check_options(("gamma",))
+    gamma = address.choice("gamma", ("keep", "linear"), "keep")
+    glfw, moderngl = _load()
+    _start(glfw)
+    _windows += 1
+    try:
+        monitors = glfw.get_monitors()
+        number = _chosen(address, [_name(glfw, monitor) for monitor in monitors])
+        return WindowProjector(glfw, moderngl, monitors[number], number, gamma)
+    except BaseException as error:
+        _windows -= 1
+        if not _windows:
+            glfw.terminate()
+        if isinstance(error, InputError | DeviceError | KeyboardInterrupt):
+            raise
+        raise DeviceError(
+            f"{address}: no full-screen window could be opened ({_text(error)})",
+            hint="OpenGL 3.3 is needed: install the graphics driver, or Mesa (libgl1-mesa-dri)",
+        ) from error
+
+
+def find_windows() -> list[Found]:
+    """The monitors that there are.
+
+    Raises
+    ------
+    MissingExtraError, DeviceError
+        As `open_window`.
+    """
+    glfw, _ = _load()
+    _start(glfw)
+    found = []
+    for number, monitor in enumerate(glfw.get_monitors()):
+        size, _, refresh = glfw.get_video_mode(monitor)
+        words = f"{_name(glfw, monitor)}, {in_words((size.height, size.width))}"
+        if refresh:
+            words += f" at {refresh} Hz"
+        if not number:
+            words += ", the first monitor"
+        found.append(Found(f"window:{number}", words))
+    if not _windows:
+        glfw.terminate()
+    return found
+
+
+def _load() -> tuple[Any, Any]:
+    try:
+        import glfw
+        import moderngl
+    except ImportError as error:
+        raise missing_extra(EXTRA, "a projector window") from error
+    # Its warnings would be printed, or be lost.
+    glfw.ERROR_REPORTING = "raise"
+    return glfw, moderngl
+
+
+def _start(glfw: Any) -> None:
+    try:
+        started = glfw.init()
+    except glfw.GLFWError as error:
+        raise _no_display(_text(error)) from error
+    if not started:
+        raise _no_display("it does not say why")
+
+
+def _no_display(reason: str) -> DeviceError:
+    if not os.environ.get("DISPLAY") and not os.environ.get("WAYLAND_DISPLAY"):
+        reason += "; neither DISPLAY nor WAYLAND_DISPLAY is set"
+    return DeviceError(
+        f"no display to open a projector window on ({reason})",
+        hint="run it in a desktop session; over ssh, set DISPLAY=:0 first",
+    )
+
+
+def _chosen(address: Address, names: list[str]) -> int:
+    listed = ", ".join(f"{number} ({name})" for number, name in enumerate(names)) or "none"
+    wanted = address.argument
+    if not names:
+        number = -1
+    elif not wanted:
+        return min(1, len(names) - 1)
+    elif wanted.isdecimal():
+        number = int(wanted)
+    else:
+        number = names.index(wanted) if wanted in names else -1
+    if not 0 <= number < len(names):
+        raise DeviceError(
+            f"{address}: there is no such monitor; there are: {listed}",
+            hint="switch the projector on, extend the desktop to it (do not mirror), and see "
+            "`lightmatrix rig list`",
+        )
+    return number
+
+
+def _full_screen(glfw: Any, monitor: Any, mode: Any) -> Any:
+    glfw.default_window_hints()
+    for hint, value in (
+        (glfw.CONTEXT_VERSION_MAJOR, 3),
+        (glfw.CONTEXT_VERSION_MINOR, 3),
+        (glfw.OPENGL_PROFILE, glfw.OPENGL_CORE_PROFILE),
+        (glfw.OPENGL_FORWARD_COMPAT, True),
+        (glfw.RED_BITS, mode.bits.red),
+        (glfw.GREEN_BITS, mode.bits.green),
+        (glfw.BLUE_BITS, mode.bits.blue),
+        # The monitor keeps its mode.
+        (glfw.REFRESH_RATE, mode.refresh_rate or glfw.DONT_CARE),
+        (glfw.SRGB_CAPABLE, False),
+        (glfw.SAMPLES, 0),
+        # The window stays when somebody clicks on another monitor.
+        (glfw.AUTO_ICONIFY, False),
+    ):
+        glfw.window_hint(hint, value)
+    return glfw.create_window(
+        mode.size.width, mode.size.height, "lightmatrix projector", monitor, None
+    )
+
+
+def _gamma_ramp(glfw: Any, monitor: Any) -> dict[str, Any] | None:
+    """The graphics card's ramp, 0 to 1, and whether it changes nothing; None if it has none.
+
+    What one that is bent makes of 0, 1/16, ... 1 is said of each colour.
+    """
+    try:
+        ramp = glfw.get_gamma_ramp(monitor)
+    # Not to be had under Wayland.
+    except glfw.GLFWError:
+        return None
+    channels = {name: np.array(getattr(ramp, name)) for name in ("red", "green", "blue")}
+    # Virtual screens give an empty one, or zeros throughout, and show pictures all the same.
+    if not any(values.any() for values in channels.values()):
+        return None
+    straight = np.linspace(0, 1, len(ramp.red))
+    if all(np.abs(values - straight).max() < 1 / 255 for values in channels.values()):
+        return {"linear": True}
+    steps = np.linspace(0, 1, _RAMP_STEPS)
+    bent = {name: np.interp(steps, straight, values) for name, values in channels.items()}
+    return {"linear": False, **{name: np.round(bent[name], 4).tolist() for name in bent}}
+
+
+def _name(glfw: Any, monitor: Any) -> str:
+    name = glfw.get_monitor_name(monitor)
+    return name.decode(errors="replace") if isinstance(name, bytes) else str(name)
+
+
+def _text(error: BaseException) -> str:
+    """What GLFW says, without its number and the quotes of bytes."""
+    return _GLFW_MESSAGE.sub(r"\1", " ".join(str(error).split()))

@@ -1,0 +1,182 @@
+"""The devices that lightmatrix drives, by name: "window:1", "aravis:Basler-21", "watch:frames/"."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Generic, TypeVar
+
+from lightmatrix.errors import DeviceError, InputError, MissingExtraError
+from lightmatrix.live.devices.addresses import Address, Found
+from lightmatrix.live.devices.cameras.aravis import find_aravis, open_aravis
+from lightmatrix.live.devices.cameras.dslr import find_dslr, open_dslr
+from lightmatrix.live.devices.cameras.gentl import find_gentl, open_gentl
+from lightmatrix.live.devices.cameras.video import find_video, open_video
+from lightmatrix.live.devices.cameras.watched import open_watched
+from lightmatrix.live.devices.projectors.folder import open_folder
+from lightmatrix.live.devices.projectors.window import find_windows, open_window
+from lightmatrix.live.devices.protocols import Camera, Projector
+
+Device = TypeVar("Device")
+
+
+@dataclass(frozen=True)
+class BackEnd(Generic[Device]):
+    """A kind of device.
+
+    Parameters
+    ----------
+    summary : str
+        What it is.
+    form : str
+        How one of its devices is named.
+    open : callable
+        Opens the device of an address.
+    find : callable, optional
+        Lists its devices; None where there is nothing to find.
+    """
+
+    summary: str
+    form: str
+    open: Callable[[Address], Device]
+    find: Callable[[], list[Found]] | None = None
+
+
+PROJECTORS: dict[str, BackEnd[Projector]] = {
+    "window": BackEnd(
+        "full-screen window on a monitor", "window:MONITOR", open_window, find_windows
+    ),
+    "folder": BackEnd(
+        "file that another program shows", "folder:DIR,size=WIDTHxHEIGHT", open_folder
+    ),
+}
+CAMERAS: dict[str, BackEnd[Camera]] = {
+    "aravis": BackEnd("GigE and USB3 Vision", "aravis:ID", open_aravis, find_aravis),
+    "gentl": BackEnd("any maker's, by its GenTL producer", "gentl:ID", open_gentl, find_gentl),
+    "video": BackEnd(
+        "web cameras and frame grabbers", "video:DEVICE,exposure=SECONDS", open_video, find_video
+    ),
+    "dslr": BackEnd("digital cameras, tethered", "dslr:MODEL", open_dslr, find_dslr),
+    "watch": BackEnd("files from whatever takes them", "watch:DIR,exposure=SECONDS", open_watched),
+}
+
+
+@dataclass(frozen=True)
+class Listed:
+    """What is known of one back end on this computer.
+
+    Parameters
+    ----------
+    role : {"projector", "camera"}
+    kind, summary, form : str
+        Its name, what it is, and how its devices are named.
+    finds : bool
+        Whether its devices can be found at all.
+    found : tuple of Found
+        Those that are there.
+    problem, hint : str, optional
+        Why it cannot be used now, and what to do.
+    """
+
+    role: str
+    kind: str
+    summary: str
+    form: str
+    finds: bool
+    found: tuple[Found, ...] = ()
+    problem: str | None = None
+    hint: str | None = None
+
+
+def open_projector(address: str) -> Projector:
+    """Open a projector by its name.
+
+    Parameters
+    ----------
+    address : str
+        KIND, KIND:ARGUMENT or KIND:ARGUMENT,option=value, as in ``window:1``.
+
+    Returns
+    -------
+    Projector
+        To be closed in the end.
+
+    Raises
+    ------
+    InputError
+        If the name or an option is none that is known.
+    MissingExtraError
+        If what drives it is not installed.
+    DeviceError
+        If there is no such device, or it is in use.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> projector = lm.open_projector("folder:shown,size=64x48")
+    >>> projector.shape
+    (48, 64)
+    >>> projector.close()
+    """
+    return _opened(PROJECTORS, "projector", address)
+
+
+def open_camera(address: str) -> Camera:
+    """Open a camera by its name.
+
+    Parameters
+    ----------
+    address : str
+        KIND, KIND:ARGUMENT or KIND:ARGUMENT,option=value, as in
+        ``aravis:Basler-21,trigger=free,Gain=0``.
+
+    Returns
+    -------
+    Camera
+        To be closed in the end.
+
+    Raises
+    ------
+    InputError, MissingExtraError, DeviceError
+        As `open_projector`.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> camera = lm.open_camera("watch:.,exposure=0.02")
+    >>> camera.exposure
+    0.02
+    >>> camera.close()
+    """
+    return _opened(CAMERAS, "camera", address)
+
+
+def list_devices() -> list[Listed]:
+    """Every back end with the devices that it finds, or with what it lacks.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> [back.kind for back in lm.list_devices() if back.role == "projector"]
+    ['window', 'folder']
+    """
+    listed = [_listed("projector", kind, back) for kind, back in PROJECTORS.items()]
+    return listed + [_listed("camera", kind, back) for kind, back in CAMERAS.items()]
+
+
+def _opened(known: Mapping[str, BackEnd[Device]], role: str, text: str) -> Device:
+    address = Address.parse(text)
+    if address.kind not in known:
+        forms = ", ".join(back.form for back in known.values())
+        raise InputError(f"{text}: no such {role}", hint=f"a {role} is one of {forms}")
+    return known[address.kind].open(address)
+
+
+def _listed(role: str, kind: str, back: BackEnd[Device]) -> Listed:
+    told = Listed(role, kind, back.summary, back.form, back.find is not None)
+    if back.find is None:
+        return told
+    try:
+        return replace(told, found=tuple(back.find()))
+    except (MissingExtraError, DeviceError) as error:
+        return replace(told, problem=error.message, hint=error.hint)

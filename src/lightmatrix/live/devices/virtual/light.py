@@ -1,0 +1,86 @@
+"""The light between a virtual projector and a virtual camera, over time."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightmatrix.live.devices.virtual.settings import VirtualSettings
+from lightmatrix.simulation.truth import Truth
+
+# How long a picture that is not shown any more may still be asked for.
+_REMEMBERED = 10.0
+
+
+@dataclass(eq=False)
+class Light:
+    """Irradiance of the camera's samples, as the projector changes it.
+
+    Parameters
+    ----------
+    truth : Truth
+        T, blurred as the projector is.
+    room : (M,) float32
+        Irradiance by the room's light.
+    settings : VirtualSettings
+        Gamma, leaking black, flicker and fading of the projector; flicker of the room's light.
+    begun : float
+        When the lamp was as bright as T says.
+    """
+
+    truth: Truth
+    room: NDArray[np.float32]
+    settings: VirtualSettings
+    begun: float = 0.0
+    # Since when which irradiance by the projector, in the order of time.
+    _shown: deque[tuple[float, NDArray[np.float32]]] = field(default_factory=deque)
+
+    def __post_init__(self) -> None:
+        black = np.zeros(self.truth.projector_shape, np.uint8)
+        self._shown.append((-math.inf, self.irradiance(black)))
+
+    def irradiance(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
+        """T p of an image (rows, cols) uint8, its gamma and leaking black included; (M,)."""
+        leak = self.settings.leak
+        emitted = leak + (1 - leak) * (image.ravel() / 255.0) ** self.settings.gamma
+        return np.asarray(self.truth.matrix @ emitted.astype(np.float32), np.float32)
+
+    def change(self, when: float, image: NDArray[np.uint8]) -> None:
+        """Let the projector show an image from some time on."""
+        while self._shown and self._shown[-1][0] >= when:
+            # A picture that came late is overtaken by the next.
+            self._shown.pop()
+        self._shown.append((when, self.irradiance(image)))
+
+    def between(self, start: float, stop: float) -> NDArray[np.float32]:
+        """Mean irradiance (M,) over a time."""
+        while len(self._shown) > 1 and self._shown[1][0] < start - _REMEMBERED:
+            self._shown.popleft()
+        total = np.zeros(len(self.room), np.float64)
+        ends = [since for since, _ in list(self._shown)[1:]] + [math.inf]
+        for (since, irradiance), end in zip(self._shown, ends, strict=True):
+            first, last = max(start, since), min(stop, end)
+            if last > first:
+                total += self._lamp(first, last) * irradiance
+        total += self._flickering(start, stop, self.settings.room_flicker) * self.room
+        return np.asarray(total / (stop - start), np.float32)
+
+    def _lamp(self, start: float, stop: float) -> float:
+        """The lamp's light over a time; at first, and but for its flicker, 1 a second."""
+        light = self._flickering(start, stop, self.settings.flicker)
+        if self.settings.fading:
+            minutes = (0.5 * (start + stop) - self.begun) / 60
+            light *= (1 - self.settings.fading) ** max(0.0, minutes)
+        return light
+
+    def _flickering(self, start: float, stop: float, amplitude: float) -> float:
+        """Light of 1 a second over a time, if it flickers."""
+        turn = 2 * math.pi * self.settings.flicker_hz
+        if not amplitude or not turn:
+            return stop - start
+        waves = (math.cos(turn * start) - math.cos(turn * stop)) / turn
+        return stop - start + amplitude * waves

@@ -1,0 +1,1 @@
+"""Whether a frame of a live rig can be trusted: one question a file."""

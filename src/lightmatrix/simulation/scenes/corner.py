@@ -1,0 +1,48 @@
+"""A concave corner of two white walls: strong interreflection, no bright single response."""
+
+from __future__ import annotations
+
+from math import sqrt
+
+import numpy as np
+
+from lightmatrix.simulation.geometry import Mesh, turn
+from lightmatrix.simulation.scenes.scene import Part, Scene, matt
+from lightmatrix.simulation.scenes.shapes import ball, box
+
+# The plane of the field of view cuts the walls, so that their lit parts lie half below it and half
+# above.
+EDGE = -0.6
+GAP = 0.001
+
+
+def build() -> Scene:
+    """The scene: a right-angled valley open towards the rig, its edge along y.
+
+    A cube rests in the valley on two of its faces and a ball on both walls, so that there are
+    shadows, which hold global light only.
+    """
+    side, radius = 0.40, 0.19
+    cube = (
+        box(side, side, side, 0.012)
+        .placed((0, 0, -side / 2), np.eye(3))
+        .placed((0.0, 0.42, EDGE + side / sqrt(2) + GAP), turn("y", 45))
+    )
+    rolled = ball(radius).placed((0.0, -0.40, EDGE + radius * (sqrt(2) - 1) + GAP))
+    description = (
+        "two white walls, a cube and a ball in the valley between them: strong global light"
+    )
+    parts = tuple(Part(mesh, matt(0.9)) for mesh in (_valley(), cube, rolled))
+    return Scene("corner", description, parts, max_depth=20, version=2, camera=(-0.3, -0.2, 4.0))
+
+
+def _valley(rim: float = 1.5, half: float = 3.0) -> Mesh:
+    """Two walls at right angles that meet in the line x = 0, z = EDGE."""
+    reach = rim - EDGE
+    left, right = (
+        [[-reach, y, rim] for y in (-half, half)],
+        [[reach, y, rim] for y in (-half, half)],
+    )
+    middle = [[0.0, y, EDGE] for y in (-half, half)]
+    faces = [[0, 2, 3], [0, 3, 1], [2, 4, 5], [2, 5, 3]]
+    return Mesh(np.array([*left, *middle, *right], float), np.array(faces))

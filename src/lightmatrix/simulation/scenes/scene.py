@@ -1,0 +1,83 @@
+"""What a scene is: meshes and materials above the plane z = 0, seen and lit from above.
+
+The field of view is the square |x|, |y| <= 1 of the plane z = 0 for camera and projector alike, as
+after the paper's homography alignment; points above the plane are seen with parallax.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from lightmatrix.simulation.geometry import Mesh
+
+Material = Mapping[str, Any]
+
+
+def matt(reflectance: float | tuple[float, float, float]) -> Material:
+    """A diffuse surface, seen from both sides."""
+    return {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": _rgb(reflectance)}}
+
+
+def plastic(reflectance: float | tuple[float, float, float], roughness: float) -> Material:
+    """A glossy coat over a diffuse base."""
+    base = {"type": "roughplastic", "diffuse_reflectance": _rgb(reflectance), "alpha": roughness}
+    return {"type": "twosided", "bsdf": base}
+
+
+def metal(kind: str, roughness: float) -> Material:
+    """A rough conductor; roughness at least 0.12, since a pinhole light never meets a mirror."""
+    base = {"type": "roughconductor", "material": kind, "alpha": roughness}
+    return {"type": "twosided", "bsdf": base}
+
+
+def translucent(reflectance: float, through: float) -> Material:
+    """A thin sheet that scatters light to both sides; `through` in [0, 2], 1 is half and half."""
+    return {
+        "type": "principledthin",
+        "base_color": _rgb(reflectance),
+        "diff_trans": through,
+        "roughness": 0.6,
+        "spec_trans": 0.0,
+        "eta": 1.3,
+    }
+
+
+def _rgb(value: float | tuple[float, float, float]) -> dict[str, Any]:
+    return {"type": "rgb", "value": [value] * 3 if isinstance(value, float) else list(value)}
+
+
+@dataclass(frozen=True)
+class Part:
+    """A mesh and what it is made of."""
+
+    mesh: Mesh
+    material: Material
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A scene of the simulated rig.
+
+    Parameters
+    ----------
+    name, description : str
+        As listed by ``lightmatrix scenes``.
+    parts : tuple of Part
+        Everything that reflects light.
+    max_depth : int
+        Longest light path, in surface interactions.
+    version : int
+        Raised whenever the scene changes, so that cached matrices are rendered anew.
+    camera, projector : (x, y, z)
+        Where they stand; the projector looks straight down.
+    """
+
+    name: str
+    description: str
+    parts: tuple[Part, ...]
+    max_depth: int = 10
+    version: int = 1
+    camera: tuple[float, float, float] = (-0.8, -0.5, 4.0)
+    projector: tuple[float, float, float] = (0.0, 0.0, 4.0)

@@ -1,0 +1,96 @@
+"""A small picture of every scene under white projector light."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightmatrix.errors import MissingExtraError
+from lightmatrix.files.images import fill_image
+from lightmatrix.outputs.kinds import THUMBNAILS
+from lightmatrix.outputs.writing import atomic_folder
+from lightmatrix.simulation import library
+from lightmatrix.simulation.llvm import load_mitsuba
+from lightmatrix.simulation.mitsuba_scene import mitsuba_scene
+from lightmatrix.simulation.scenes import names, scene
+
+
+def photograph(
+    name: str, shape: tuple[int, int], *, samples: int = 128, seed: int = 0
+) -> NDArray[np.float32]:
+    """The linear camera image (rows, cols) of a scene under a white pattern, path traced.
+
+    Raises
+    ------
+    MissingExtraError
+        If Mitsuba is not installed.
+    """
+    mi, _ = load_mitsuba()
+    image = mi.render(mitsuba_scene(mi, scene(name), shape, shape), spp=samples, seed=seed)
+    return np.asarray(image, np.float32).mean(axis=2)
+
+
+def white_level(image: NDArray[np.float32]) -> float:
+    """The level to show as white, so that a few highlights do not make all else dark."""
+    return float(1.1 * np.quantile(image, 0.97))
+
+
+def write_thumbnails(
+    folder: str | Path,
+    *,
+    size: tuple[int, int] = (256, 256),
+    overwrite: bool = False,
+    progress: Callable[[int, int], None] | None = None,
+) -> list[Path]:
+    """Write NAME.png for every scene and a list, scenes.json.
+
+    Without the renderer the bundled scenes are drawn from their matrices, at 64 x 64.
+
+    Parameters
+    ----------
+    folder : str or Path
+        The folder to make, whole or not at all.
+    size : (rows, cols)
+        Of the pictures.
+    overwrite : bool
+        Whether an existing folder of them may be replaced.
+    progress : callable, optional
+        Called with (done, total) scenes.
+
+    Returns
+    -------
+    list of Path
+        The pictures.
+
+    Raises
+    ------
+    OutputError
+        If the folder exists, is not one of ours, or cannot be written.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> paths = lm.write_thumbnails("thumbnails")  # doctest: +SKIP
+    """
+    written = []
+    with atomic_folder(folder, THUMBNAILS, overwrite=overwrite) as temporary:
+        for done, name in enumerate(names(), start=1):
+            try:
+                image = photograph(name, size)
+            except MissingExtraError:
+                if name not in library.BUNDLED:
+                    continue
+                known = library.truth(name)
+                image = np.asarray(known.matrix.sum(axis=1), np.float32).reshape(known.camera_shape)
+            shown = np.clip(image / white_level(image), 0, 1) ** (1 / 2.2)
+            fill_image(temporary / f"{name}.png", shown.astype(np.float32))
+            written.append(Path(folder) / f"{name}.png")
+            if progress is not None:
+                progress(done, len(names()))
+        described = {path.stem: scene(path.stem).description for path in written}
+        (temporary / "scenes.json").write_text(json.dumps(described, indent=2) + "\n")
+    return written

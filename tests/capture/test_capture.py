@@ -1,0 +1,479 @@
+"""Captures: two layouts on disk, one meaning; tiles, binning and masks that keep the truth."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from lightmatrix.camera.decoder import Decoder
+from lightmatrix.camera.samples import Samples
+from lightmatrix.camera.sensor import Sensor
+from lightmatrix.capture.capture import Capture
+from lightmatrix.capture.description import KEYS
+from lightmatrix.capture.folder import write_capture
+from lightmatrix.diagnosis.usable import refuse_unusable
+from lightmatrix.errors import InputError, LightMatrixWarning, OutputError
+from lightmatrix.files.images import write_image
+from lightmatrix.patterns.bits import BernoulliPatterns
+from lightmatrix.patterns.blocks import BlockPatterns
+from lightmatrix.patterns.folder import read_patterns, write_patterns
+from lightmatrix.patterns.hadamard import HadamardPatterns
+from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
+from lightmatrix.resources import scratch as scratch_module
+from lightmatrix.solvers.problem import Problem
+
+SHAPE = (6, 8)
+COUNT = 9
+
+
+def light(
+    patterns: PatternSet, camera: tuple[int, ...] = (5, 7), seed: int = 0
+) -> NDArray[np.float64]:
+    """T p for a random sparse T, (M, K), up to about 1.5."""
+    generator = np.random.default_rng(seed)
+    rows = int(np.prod(camera))
+    matrix = generator.random((rows, patterns.pixels)) * (
+        generator.random((rows, patterns.pixels)) < 4 / patterns.pixels
+    )
+    return patterns.forward(0.6 * matrix)
+
+
+def photographs(
+    patterns: PatternSet, sensor: Sensor, camera: tuple[int, ...] = (5, 7), seed: int = 0
+) -> NDArray[Any]:
+    raw = sensor.expose(light(patterns, camera, seed), seed=seed)
+    return np.ascontiguousarray(raw.T).reshape(patterns.count, *camera)
+
+
+def write_folders(place: Path, patterns: PatternSet, frames: NDArray[Any]) -> tuple[Path, Path]:
+    for k, frame in enumerate(frames):
+        write_image(place / "photos" / f"IMG_{k + 98}.png", frame)
+    for k, image in enumerate(patterns.images()):
+        write_image(place / "shown" / f"p{k + 5}.png", image)
+    return place / "shown", place / "photos"
+
+
+SETS = [
+    BernoulliPatterns(SHAPE, COUNT, 0.4, seed=7),
+    HadamardPatterns(SHAPE, COUNT, "random", True, seed=3),
+    BlockPatterns(SHAPE, (3, 3)),
+    ImagePatterns(
+        np.random.default_rng(0).integers(0, 256, (COUNT, *SHAPE)).astype(np.float32)
+        / np.float32(255)
+    ),
+]
+
+
+@pytest.mark.parametrize("patterns", SETS, ids=lambda patterns: type(patterns).__name__)
+def test_patterns_come_back_as_the_operator_they_were(tmp_path: Path, patterns: PatternSet) -> None:
+    write_patterns(tmp_path / "patterns", patterns)
+    found = read_patterns(tmp_path / "patterns")
+    assert type(found) is type(patterns)
+    assert found.digest == patterns.digest
+    np.testing.assert_array_equal(found.dense(), patterns.dense())
+
+
+def test_images_have_the_last_word_over_their_description(tmp_path: Path) -> None:
+    write_patterns(tmp_path / "patterns", SETS[0])
+    changed = SETS[0].images()
+    changed[4, 2, 3] = 1 - changed[4, 2, 3]
+    write_image(tmp_path / "patterns" / "pattern_0004.png", changed[4], overwrite=True)
+    with pytest.warns(LightMatrixWarning, match=r"pattern_0004\.png is not among"):
+        found = read_patterns(tmp_path / "patterns")
+    np.testing.assert_array_equal(found.images(), changed)
+    (tmp_path / "patterns" / "pattern_0004.png").unlink()
+    with pytest.warns(LightMatrixWarning, match="its 8 images are not"):
+        assert read_patterns(tmp_path / "patterns").count == COUNT - 1
+
+
+def test_a_damaged_description_is_named(tmp_path: Path) -> None:
+    write_patterns(tmp_path / "patterns", SETS[0])
+    file = tmp_path / "patterns" / "patterns.json"
+    content = json.loads(file.read_text())
+
+    def described(**change: Any) -> str:
+        return json.dumps({**content, "description": {**content["description"], **change}})
+
+    for text, message in (
+        ("{", "cannot be read"),
+        ("{}", "is not a lightmatrix-patterns file"),
+        (json.dumps({**content, "version": 2}), "format version 2"),
+        (json.dumps({**content, "description": None}), "holds no description"),
+        (json.dumps({**content, "description": {"kind": "moire"}}), "'moire' are unknown"),
+        (described(seed="0"), "a seed of '0'"),
+        (described(seed=-1), "a seed of -1"),
+        (described(density=2), "a density of 2"),
+    ):
+        file.write_text(text)
+        with pytest.raises(InputError, match=rf"patterns\.json: .*{message}"):
+            read_patterns(tmp_path / "patterns")
+
+
+@pytest.mark.parametrize("camera", [(5, 7), (4, 3, 3), (1, 1)])
+@pytest.mark.parametrize("bits", [8, 12, 16, None])
+def test_a_written_capture_comes_back(
+    tmp_path: Path, bits: int | None, camera: tuple[int, ...]
+) -> None:
+    patterns = SETS[0]
+    black = 0.05 if bits is None else 2.0**bits // 20
+    exposure = np.linspace(0.5, 1.5, COUNT)
+    sensor = Sensor(exposure, black, read_noise=0.002, bits=bits)
+    frames = photographs(patterns, sensor, camera)
+    write_capture(
+        tmp_path / "c", patterns, frames, sensor=sensor, camera_shape=camera, provenance={"seed": 1}
+    )
+    found = Capture.open(tmp_path / "c")
+    assert isinstance(found.patterns, BernoulliPatterns)
+    assert (found.camera_shape, found.projector_shape) == (camera, SHAPE)
+    assert found.description["seed"] == 1
+    assert found.reference_level == pytest.approx(1 / 1.5)
+    memory = Capture.from_arrays(patterns, frames, sensor)
+    assert found.digest == memory.digest
+    samples = found.samples()
+    assert samples.clipped.any() or found.rows == 1
+    truth = light(patterns, camera)
+    open_ = ~samples.clipped
+    step = 0.004 if bits == 8 else 0.002
+    error = np.abs(samples.values - truth) * exposure
+    assert error[open_].max() < step + 5 * 0.002
+    np.testing.assert_allclose(samples.clip_level, 1 / exposure, rtol=1e-6)
+    assert samples.weights is not None
+    # Misfit of 3 % of the longest exposure's range and noise of 0.3 % of each frame's.
+    variance = 0.03**2 + (0.003 * 1.5 / exposure) ** 2
+    np.testing.assert_allclose(samples.weights, variance.min() / variance, rtol=1e-6)
+    np.testing.assert_array_equal(found.frame(3), frames[3])
+
+
+def test_samples_fit_a_problem() -> None:
+    sensor = Sensor(np.linspace(0.5, 1.5, COUNT))
+    capture = Capture.from_arrays(SETS[0], photographs(SETS[0], sensor), sensor)
+    s = capture.samples(3, 9)
+    problem = Problem(capture.patterns, Samples(s.values, s.clipped, s.clip_level, s.weights), 0.3)
+    assert problem.rows == 6
+
+
+def test_plain_folders_in_natural_order(tmp_path: Path) -> None:
+    sensor = Sensor()
+    frames = photographs(SETS[3], sensor)
+    shown, photos = write_folders(tmp_path, SETS[3], frames)
+    found = Capture.from_folders(shown, photos)
+    assert found.digest == Capture.from_arrays(SETS[3], frames, sensor).digest
+    assert found.samples().weights is None
+
+
+def test_options_of_plain_folders(tmp_path: Path) -> None:
+    sensor = Sensor(black_level=20, clip=200)
+    frames = photographs(SETS[3], sensor)
+    shown, photos = write_folders(tmp_path, SETS[3], frames)
+    expected = Capture.from_arrays(SETS[3], frames, sensor)
+    found = Capture.from_folders(shown, photos, black=20, clip=200, exposure=1.0)
+    assert found.digest == expected.digest
+
+    black = np.full((5, 7), 20, np.uint8)
+    black[2, 3] = 255
+    write_image(tmp_path / "black.png", black)
+    mask = np.full((5, 7), 255, np.uint8)
+    mask[0, :2] = 0
+    write_image(tmp_path / "mask.png", mask)
+    write_image(tmp_path / "white.png", np.full((5, 7), 150, np.uint8))
+    found = Capture.from_folders(
+        shown,
+        photos,
+        black=tmp_path / "black.png",
+        white=tmp_path / "white.png",
+        mask=tmp_path / "mask.png",
+        black_level=20,
+        clip=200,
+    )
+    assert found.count == COUNT + 1
+    np.testing.assert_array_equal(found.patterns.images()[-1], 1)
+    samples = found.samples()
+    assert samples.weights is not None
+    # Two pixels are masked and one is hot: it clips without light.
+    assert np.flatnonzero(samples.weights[:, 0] == 0).tolist() == [0, 1, 2 * 7 + 3]
+    assert not samples.values[samples.weights == 0].any()
+    assert not samples.clipped[samples.weights == 0].any()
+    np.testing.assert_allclose(samples.values[5:9, -1], 130 / 180, rtol=1e-6)
+    kept = samples.weights[:, 0] > 0
+    np.testing.assert_allclose(
+        samples.values[kept, :-1], expected.samples().values[kept], atol=1e-6
+    )
+
+
+def test_gamma_is_undone(tmp_path: Path) -> None:
+    linear = photographs(SETS[3], Sensor(bits=16)) / 65535
+    encoded = np.rint(255 * linear ** (1 / 2.2)).astype(np.uint8)
+    shown, photos = write_folders(tmp_path, SETS[3], encoded)
+    samples = Capture.from_folders(shown, photos, response="gamma:2.2").samples()
+    np.testing.assert_allclose(samples.values, linear.reshape(COUNT, -1).T, atol=0.01)
+
+
+@given(st.integers(0, 5), st.integers(0, 40), st.sampled_from([(1, 1), (2, 3), (4, 4)]))
+@settings(max_examples=30, deadline=None)
+def test_tiles_are_parts_of_the_whole(seed: int, cut: int, block: tuple[int, int]) -> None:
+    sensor = Sensor(np.linspace(0.8, 1.2, COUNT), 10, read_noise=0.02)
+    frames = photographs(SETS[0], sensor, seed=seed)
+    decoder = Decoder(
+        255, 255, 10, exposure=sensor.exposure, black_frame=frames[0].ravel() / 9, black_exposure=1
+    )
+    capture = Capture.from_arrays(SETS[0], frames, decoder).bin(camera=block)
+    whole, cut = capture.samples(), min(cut, capture.rows)
+    parts = capture.samples(0, cut), capture.samples(cut)
+    for name in ("values", "clipped", "clip_level"):
+        joined = np.concatenate([np.broadcast_to(getattr(p, name), p.values.shape) for p in parts])
+        np.testing.assert_array_equal(
+            joined, np.broadcast_to(getattr(whole, name), whole.values.shape)
+        )
+
+
+def test_binning_the_camera_averages_samples() -> None:
+    sensor = Sensor(read_noise=0.01)
+    camera = (5, 7, 3)
+    capture = Capture.from_arrays(SETS[0], photographs(SETS[0], sensor, camera), sensor)
+    fine, coarse = capture.samples(), capture.bin(camera=(2, 3))
+    assert coarse.camera_shape == (3, 3, 3)
+    values = fine.values.reshape(*camera, COUNT)
+    clipped = fine.clipped.reshape(*camera, COUNT)
+    binned = coarse.samples()
+    row = 0
+    for r in range(0, 5, 2):
+        for c in range(0, 7, 3):
+            for channel in range(3):
+                block = np.s_[r : r + 2, c : c + 3, channel]
+                np.testing.assert_allclose(
+                    binned.values[row], values[block].mean(axis=(0, 1)), rtol=1e-5, atol=1e-6
+                )
+                np.testing.assert_array_equal(binned.clipped[row], clipped[block].any(axis=(0, 1)))
+                row += 1
+    assert row == coarse.rows
+
+
+def test_binning_the_projector_averages_patterns() -> None:
+    sensor = Sensor()
+    capture = Capture.from_arrays(SETS[0], photographs(SETS[0], sensor), sensor)
+    coarse = capture.bin(projector=2)
+    assert coarse.projector_shape == (3, 4)
+    expected = SETS[0].images().reshape(COUNT, 3, 2, 4, 2).mean(axis=(2, 4))
+    np.testing.assert_allclose(coarse.patterns.images(), expected)
+    np.testing.assert_array_equal(coarse.samples().values, capture.samples().values)
+    with pytest.raises(InputError, match="binned already"):
+        coarse.bin(projector=2)
+    with pytest.raises(InputError, match="binned by 0 x 2"):
+        capture.bin(camera=(0, 2))
+
+
+def test_masked_pixels_do_not_count_in_a_bin() -> None:
+    sensor = Sensor()
+    frames = photographs(SETS[0], sensor, (4, 4))
+    frames[:, 0, 0] = 255
+    mask = np.ones((4, 4), bool)
+    mask[0, 0] = False
+    mask[2:, 2:] = False
+    capture = Capture.from_arrays(SETS[0], frames, sensor, mask=mask)
+    binned = capture.bin(camera=2)
+    samples = binned.samples()
+    assert binned.valid.tolist() == [True, True, True, False]
+    inside = capture.samples().values.reshape(4, 4, COUNT)
+    expected = (inside[0, 1] + inside[1, 0] + inside[1, 1]) / 3
+    np.testing.assert_allclose(samples.values[0], expected, rtol=1e-5)
+    assert samples.weights is not None
+    np.testing.assert_array_equal(samples.weights[:, 0], [1, 1, 1, 0])
+
+
+def test_selected_frames_keep_their_own_levels() -> None:
+    sensor = Sensor(np.linspace(0.5, 1.5, COUNT))
+    capture = Capture.from_arrays(SETS[0], photographs(SETS[0], sensor), sensor)
+    index = [7, 2, 4]
+    part, whole = capture.select(index), capture.samples()
+    np.testing.assert_array_equal(part.patterns.images(), SETS[0].images()[index])
+    np.testing.assert_array_equal(part.samples().values, whole.values[:, index])
+    np.testing.assert_array_equal(part.samples().clip_level, whole.clip_level[index])
+
+
+def test_large_captures_are_held_in_a_file(monkeypatch: pytest.MonkeyPatch) -> None:
+    sensor = Sensor()
+    frames = photographs(SETS[0], sensor)
+    expected = Capture.from_arrays(SETS[0], frames, sensor)
+    monkeypatch.setattr(scratch_module, "MEMORY_BYTES", 0)
+    mapped = Capture.from_arrays(SETS[0], frames, sensor)
+    assert isinstance(mapped.reader.raw, np.memmap)
+    assert mapped.digest == expected.digest
+    assert mapped.bin(camera=2).digest == expected.bin(camera=2).digest
+
+
+def test_the_digest_tells_captures_apart() -> None:
+    sensor = Sensor(read_noise=0.01)
+    frames = photographs(SETS[0], sensor)
+    capture = Capture.from_arrays(SETS[0], frames, sensor)
+    changed = frames.copy()
+    changed[3, 2, 2] ^= 1
+    digests = {
+        capture.digest,
+        Capture.from_arrays(SETS[0], changed, sensor).digest,
+        Capture.from_arrays(SETS[3], frames, sensor).digest,
+        Capture.from_arrays(SETS[0], frames, Sensor(black_level=1)).digest,
+        capture.bin(camera=2).digest,
+        capture.bin(projector=2).digest,
+    }
+    assert len(digests) == 6
+
+
+def write_plain(place: Path) -> Path:
+    sensor = Sensor()
+    write_capture(place / "c", SETS[0], photographs(SETS[0], sensor), sensor=sensor)
+    return place / "c"
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"exposures": 1}, "does not know 'exposures'"),
+        ({"camera_shape": [5, 8]}, r"camera_shape is \[5, 8\], but the images have \[5, 7\]"),
+        ({"projector_shape": [8, 6]}, "projector_shape is"),
+        ({"exposure": [1, 2]}, "exposure has 2 values for 9 frames"),
+        ({"exposure": "long"}, "\"exposure\" cannot be 'long'"),
+        ({"exposure": -1}, '"exposure" cannot be -1'),
+        ({"clip": 0}, '"clip" cannot be 0'),
+        ({"clip": 256}, "a clip level of 256"),
+        ({"black_level": 255}, "a black level of 255"),
+        ({"response": "film"}, "a response of 'film'"),
+        ({"black": {"file": "none.png"}}, r"none\.png: no such file"),
+        ({"black": "black.png"}, "\"black\" cannot be 'black.png'"),
+        ({"mask": "none.png"}, r"none\.png: no such file"),
+        ({"version": 2}, "format version 2"),
+        ({"format": "other"}, "is not a lightmatrix-capture file"),
+    ],
+)
+def test_contradictory_descriptions(tmp_path: Path, change: dict[str, Any], message: str) -> None:
+    file = write_plain(tmp_path) / "capture.json"
+    file.write_text(json.dumps({**json.loads(file.read_text()), **change}))
+    with pytest.raises(InputError, match=message):
+        Capture.open(tmp_path / "c")
+
+
+def test_a_folder_without_description_is_a_linear_camera(tmp_path: Path) -> None:
+    place = write_plain(tmp_path)
+    whole = Capture.open(place)
+    (place / "capture.json").unlink()
+    assert Capture.open(place).digest == whole.digest
+
+
+def test_a_capture_is_written_whole_or_not_at_all(tmp_path: Path) -> None:
+    sensor = Sensor()
+    frames = photographs(SETS[0], sensor)
+    with pytest.raises(InputError, match="8 frames for 9 patterns"):
+        write_capture(tmp_path / "c", SETS[0], frames[:-1], sensor=sensor)
+    with pytest.raises(InputError, match=r"frame 1 has shape \(4, 7\)"):
+        write_capture(tmp_path / "c", SETS[0], iter([frames[0], frames[1][1:]]), sensor=sensor)
+    assert not list(tmp_path.iterdir())
+    write_capture(tmp_path / "c", SETS[0], frames, sensor=sensor)
+    with pytest.raises(OutputError, match="--overwrite"):
+        write_capture(tmp_path / "c", SETS[0], frames, sensor=sensor)
+    write_capture(tmp_path / "c", SETS[0], frames[::-1], sensor=sensor, overwrite=True)
+    np.testing.assert_array_equal(Capture.open(tmp_path / "c").frame(0), frames[-1])
+
+
+@pytest.mark.parametrize("bits", [10, 12])
+def test_fewer_bits_than_the_files_have(tmp_path: Path, bits: int) -> None:
+    # No word of the clip level, and nothing above a sixteenth of that of the files.
+    frames = photographs(SETS[0], Sensor(bits=bits))
+    for k, frame in enumerate(frames):
+        write_image(tmp_path / "photos" / f"{k}.png", frame)
+    for block in (1, 2):
+        with pytest.raises(InputError, match=f"no level above {2**bits - 1}.*\n.*--clip"):
+            Capture.from_folders(SETS[0], tmp_path / "photos", bin_camera=block)
+    Capture.from_folders(SETS[0], tmp_path / "photos", clip=2**bits - 1)
+    # Who insists that they are just dark is still told that they end where many cameras clip.
+    with pytest.warns(LightMatrixWarning, match=f"samples are exactly {2**bits - 1}"):
+        Capture.from_folders(SETS[0], tmp_path / "photos", clip=65535)
+
+
+def test_jpeg_without_a_response_is_warned_about(tmp_path: Path) -> None:
+    import imageio.v3 as imageio
+
+    (tmp_path / "photos").mkdir()
+    for k, frame in enumerate(photographs(SETS[0], Sensor())):
+        imageio.imwrite(tmp_path / "photos" / f"{k}.jpg", frame, plugin="pillow")
+    with pytest.warns(LightMatrixWarning, match="JPEG, so probably not linear"):
+        Capture.from_folders(SETS[0], tmp_path / "photos")
+    for response in ("linear", "srgb"):
+        Capture.from_folders(SETS[0], tmp_path / "photos", response=response)
+
+
+def test_captures_no_estimate_can_come_from() -> None:
+    sensor = Sensor()
+    frames = photographs(SETS[0], sensor)
+    grey = np.linspace(0, 1, COUNT, dtype=np.float32)[:, None, None]
+    constant = ImagePatterns(np.tile(grey, (1, *SHAPE)))
+    alike = ImagePatterns(np.repeat(SETS[3].images(0, 1), COUNT, axis=0))
+    dot = ImagePatterns(grey)
+    cases: list[tuple[PatternSet, NDArray[Any], str]] = [
+        (SETS[0], frames[:-1], "9 patterns, but 8 images"),
+        (SETS[0], np.zeros_like(frames), "all images are dark"),
+        (SETS[0], np.minimum(frames, 2), "all images are dark"),
+        (SETS[0], np.full_like(frames, 255), "100.0 % of the samples are clipped"),
+        (constant, frames, "no pattern varies"),
+        (alike, frames, "all patterns are the same"),
+        (dot, frames, "the projector has 1 x 1 pixels"),
+        (BernoulliPatterns(SHAPE, 1), frames[:1], "1 frame only"),
+    ]
+    for patterns, stack, message in cases:
+        with pytest.raises(InputError, match=message):
+            Capture.from_arrays(patterns, stack, sensor)
+    with pytest.raises(InputError, match="all camera pixels are masked"):
+        Capture.from_arrays(SETS[0], frames, sensor, mask=np.zeros((5, 7), bool))
+    with pytest.raises(InputError, match="a mask of shape"):
+        Capture.from_arrays(SETS[0], frames, sensor, mask=np.zeros((7, 5), bool))
+
+
+def test_patterns_that_binning_makes_constant_are_no_error_unless_all_are() -> None:
+    sensor = Sensor()
+    frames = photographs(SETS[0], sensor)
+    checker = np.indices(SHAPE).sum(axis=0) % 2
+    images = SETS[0].images().copy()
+    images[:4] = checker
+    refuse_unusable(Capture.from_arrays(ImagePatterns(images), frames, sensor).bin(projector=2))
+    images[:] = checker
+    images[::2] = 1 - checker
+    capture = Capture.from_arrays(ImagePatterns(images), frames, sensor)
+    with pytest.raises(InputError, match="no pattern varies"):
+        refuse_unusable(capture.bin(projector=2))
+
+
+def test_the_documented_description_is_the_one_that_is_read() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "captures.md").read_text()
+    example = json.loads(page.split("```json")[1].split("```")[0])
+    assert set(example) == KEYS
+    for key in set(example) - {"format", "version"}:
+        assert f"`{key}`" in page
+
+
+def test_a_capture_says_what_it_is_and_how_it_is_read() -> None:
+    patterns, sensor = SETS[0], Sensor(1.5, 0.0, bits=8)
+    frames = photographs(patterns, sensor)
+    plain = Capture.from_arrays(patterns, frames, sensor)
+    mask = np.ones((5, 7), bool)
+    mask[2, 3] = False
+    dark = Decoder(255.0, 255.0, exposure=1.5, black_frame=np.zeros(35, np.uint8))
+    masked = Capture.from_arrays(patterns, frames, dark, mask=mask)
+    assert plain.description == {
+        "camera_shape": [5, 7],
+        "projector_shape": [6, 8],
+        "frames": 9,
+        "bin_camera": [1, 1],
+        "bin_projector": [1, 1],
+        "clip": 255,
+        "black_level": 0,
+        "black_frame": False,
+        "exposure": 1.5,
+        "response": "linear",
+        "masked": 0,
+    }
+    assert masked.description == {**plain.description, "black_frame": True, "masked": 1}

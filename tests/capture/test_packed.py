@@ -1,0 +1,383 @@
+"""Packed captures: the same capture in one array, read tile by tile; damage is named."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+import lightmatrix as lm
+from lightmatrix.camera.decoder import Decoder
+from lightmatrix.camera.response import Response
+from lightmatrix.capture import packing
+from lightmatrix.capture.capture import Capture
+from lightmatrix.capture.frames import PixelFrames
+from lightmatrix.capture.packed import PackedFrames
+from lightmatrix.capture.window import window
+from lightmatrix.cli import main
+from lightmatrix.errors import InputError, OutputError
+from lightmatrix.patterns.pattern_set import PatternSet
+from lightmatrix.simulation.coarse import coarse
+
+SHAPE, COUNT = (6, 9), 5
+
+
+def patterns(kind: str) -> PatternSet:
+    if kind == "grey":
+        stack = np.random.default_rng(1).integers(0, 256, (COUNT, *SHAPE)) / np.float32(255)
+        return lm.ImagePatterns(stack.astype(np.float32))
+    if kind == "bits":
+        return lm.BernoulliPatterns(SHAPE, 2 * COUNT, seed=3).subset(np.arange(COUNT))
+    return lm.BernoulliPatterns(SHAPE, COUNT, 0.4, 7)
+
+
+def capture(
+    camera: tuple[int, ...] = (5, 7),
+    dtype: Any = np.uint8,
+    shown: str = "bernoulli",
+    **decoder: Any,
+) -> Capture:
+    """Frames that mean nothing, and so hold every level."""
+    generator = np.random.default_rng(2)
+    size = (COUNT, *camera)
+    top = 1.0 if dtype is np.float32 else float(np.iinfo(dtype).max)
+    frames = (top * generator.random(size)).astype(dtype)
+    given: dict[str, Any] = {"clip": 0.9 * top, "full_scale": top, **decoder}
+    mask = generator.random(camera) < 0.9
+    return Capture.from_arrays(
+        patterns(shown), frames, Decoder(**given), mask=mask, provenance={"seed": 1}
+    )
+
+
+def assert_same(found: Capture, wanted: Capture) -> None:
+    assert found.digest == wanted.digest
+    assert found.description == wanted.description
+    assert found.patterns.description == wanted.patterns.description
+    assert type(found.patterns) is type(wanted.patterns)
+    assert found.decoder.clip_assumed == wanted.decoder.clip_assumed
+    for k in range(COUNT):
+        np.testing.assert_array_equal(found.frame(k), wanted.frame(k))
+        assert found.frames.name(k) == wanted.frames.name(k)
+
+
+@pytest.fixture
+def small_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(packing, "_CHUNK_BYTES", 40)
+
+
+LEVELS = np.linspace(0, 1, 7)
+DECODERS: dict[str, dict[str, Any]] = {
+    "plain": {},
+    "assumed": {"clip": 255.0, "clip_assumed": True},
+    "levels of each frame": {
+        "clip": np.linspace(200, 240, COUNT),
+        "black_level": np.linspace(3, 9, COUNT),
+        "exposure": np.linspace(0.5, 2, COUNT),
+    },
+    "a black frame": {
+        "black_level": 2.0,
+        "black_frame": np.random.default_rng(3).integers(0, 30, 35).astype(np.uint8),
+        "black_exposure": 0.5,
+        "exposure": np.linspace(0.5, 2, COUNT),
+    },
+    "gamma": {"response": Response.parse("gamma:2.2")},
+    "a curve": {"response": Response(LEVELS, LEVELS**1.5, "curve:gone.txt")},
+}
+
+
+@pytest.mark.parametrize("words", DECODERS)
+@pytest.mark.usefixtures("small_chunks")
+def test_a_packed_capture_is_the_same_capture(tmp_path: Path, words: str) -> None:
+    wanted = capture(**DECODERS[words])
+    lm.pack(wanted, tmp_path / "c.zarr")
+    found = Capture.open(tmp_path / "c.zarr")
+    assert isinstance(found.frames, PackedFrames)
+    assert_same(found, wanted)
+    for block in ((2, 2), (3, 8)):
+        assert found.bin(camera=block).digest == wanted.bin(camera=block).digest
+    part = slice(1, 4), slice(2, 6)
+    assert window(found, *part).digest == window(wanted, *part).digest
+    some = [3, 0]
+    assert window(found, *part).select(some).digest == window(wanted, *part).select(some).digest
+    assert [entry.name for entry in tmp_path.iterdir()] == ["c.zarr"]
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
+@pytest.mark.parametrize("camera", [(5, 7), (4, 3, 3), (1, 1)])
+@pytest.mark.parametrize("shown", ["bernoulli", "bits", "grey"])
+def test_all_kinds_of_frames_and_patterns(
+    tmp_path: Path, camera: tuple[int, ...], dtype: Any, shown: str
+) -> None:
+    wanted = capture(camera, dtype, shown)
+    lm.pack(wanted, tmp_path / "c.zarr")
+    assert_same(Capture.open(tmp_path / "c.zarr"), wanted)
+
+
+@given(st.integers(0, 35), st.integers(0, 35), st.integers(1, 300), st.data())
+@settings(max_examples=20, deadline=None)
+def test_any_run_of_samples_is_that_of_the_frames(
+    tmp_path_factory: pytest.TempPathFactory, one: int, other: int, chunk: int, data: st.DataObject
+) -> None:
+    place = tmp_path_factory.mktemp("run") / "c.zarr"
+    wanted = capture()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(packing, "_CHUNK_BYTES", chunk)
+        lm.pack(wanted, place)
+    found = Capture.open(place)
+    rows = sorted((one, other))
+    for _ in range(2):
+        np.testing.assert_array_equal(found.reader.levels(*rows), wanted.reader.raw[slice(*rows)])
+    at = data.draw(st.integers(0, 34))
+    np.testing.assert_array_equal(found.reader.levels(at, at + 1)[0], wanted.reader.raw[at])
+
+
+@pytest.mark.usefixtures("small_chunks")
+def test_packed_and_cropped_in_either_order_are_the_same(tmp_path: Path) -> None:
+    whole = capture(**DECODERS["a black frame"])
+    wanted = whole.crop((1, 2), (3, 4))
+    lm.pack(whole, tmp_path / "whole.zarr")
+    lm.pack(wanted, tmp_path / "part.zarr")
+    cropped = Capture.open(tmp_path / "whole.zarr", crop=((1, 2), (3, 4)))
+    assert isinstance(cropped.frames, PixelFrames)
+    for found in (cropped, Capture.open(tmp_path / "part.zarr")):
+        assert_same(found, wanted)
+    inner = (1, 1), (2, 2)
+    assert cropped.crop(*inner).digest == wanted.crop(*inner).digest
+    assert cropped.crop(*inner).description["crop"]["corner"] == [2, 3]
+    some = [3, 0]
+    assert cropped.select(some).digest == wanted.select(some).digest
+
+
+def test_a_tile_reads_only_its_own_chunks(tmp_path: Path, small_chunks: None) -> None:
+    lm.pack(capture(), tmp_path / "c.zarr")
+    frames = Capture.open(tmp_path / "c.zarr").frames
+    assert isinstance(frames, PackedFrames)
+    assert frames.array.chunks == (COUNT, 1, 7)
+    # Nothing but the third row of the camera is left on the disk.
+    for row in (0, 1, 3, 4):
+        frames.array.chunk_file((0, row, 0)).unlink()
+    assert frames.levels(14, 21).shape == (7, COUNT)
+    with pytest.raises(InputError, match=r"the chunk frames/c/0/3/0 is missing"):
+        frames.levels(14, 22)
+
+
+def test_through_a_file_it_is_the_same(tmp_path: Path, small_chunks: None) -> None:
+    wanted = capture(dtype=np.uint16)
+    told: list[tuple[int, int]] = []
+    lm.pack(wanted, tmp_path / "c.zarr", memory=100, progress=lambda *step: told.append(step))
+    assert_same(Capture.open(tmp_path / "c.zarr"), wanted)
+    assert told[-1] == (COUNT, COUNT)
+    assert [entry.name for entry in tmp_path.iterdir()] == ["c.zarr"]
+    # And packed once more, from tiles to tiles.
+    lm.pack(tmp_path / "c.zarr", tmp_path / "d.zarr")
+    assert_same(Capture.open(tmp_path / "d.zarr"), wanted)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A simulated capture as a folder, and packed."""
+    place = tmp_path_factory.mktemp("simulated")
+    known = coarse(lm.truth("metal"), 4)
+    taken = lm.simulate(known, lm.BernoulliPatterns((16, 16), 24), exposure=0.3, leak=0.1)
+    taken.save(place / "capture")
+    taken.save(place / "simulated.zarr")
+    lm.pack(place / "capture", place / "packed.zarr")
+    return place
+
+
+@pytest.mark.parametrize("name", ["packed.zarr", "simulated.zarr"])
+def test_everything_takes_it_as_it_takes_the_folder(folder: Path, name: str) -> None:
+    wanted = Capture.open(folder / "capture")
+    found = Capture.open(folder / name)
+    assert found.digest == wanted.digest
+    assert found.description == wanted.description
+    assert lm.check(folder / name) == lm.check(folder / "capture")
+    known = lm.truth(folder / name / "truth.npz")
+    assert known.matrix.nnz == lm.truth(folder / "capture" / "truth.npz").matrix.nnz
+    estimator = lm.PlainEstimator(lm.ROMP(max_iterations=2), tile_rows=77)
+    one, other = estimator.estimate(found), estimator.estimate(wanted)
+    assert (one.sparse != other.sparse).nnz == 0
+    assert one.provenance == other.provenance
+
+
+def test_info_tells_of_both(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    told = []
+    for name in ("capture", "packed.zarr"):
+        assert main(["info", str(folder / name), "--json"]) == 0
+        told.append(json.loads(capsys.readouterr().out))
+        assert main(["info", str(folder / name)]) == 0
+        assert "16 x 16" in capsys.readouterr().out
+        assert main(["info", str(folder / name), "--pictures", str(folder / "p")]) == 2
+        assert "is a capture" in capsys.readouterr().err
+    assert told[0] == told[1]
+    assert told[0]["frames"] == 24
+
+
+def test_the_command_packs_plain_folders(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    plain = f"--patterns {folder}/capture/patterns --images {folder}/capture/images --black 3"
+    assert main(f"pack {plain} -o {folder}/plain.zarr --json".split()) == 0
+    assert json.loads(capsys.readouterr().out)["frames"] == 24
+    inside = folder / "capture"
+    wanted = Capture.from_folders(inside / "patterns", inside / "images", black=3)
+    assert Capture.open(folder / "plain.zarr").digest == wanted.digest
+
+
+def test_what_it_is_not_is_said(folder: Path, tmp_path: Path) -> None:
+    scene = lm.truth(folder / "capture" / "truth.npz").transport()
+    lm.save(tmp_path / "scene.zarr", scene)
+    with pytest.raises(InputError, match="is a light transport matrix, not a capture"):
+        Capture.open(tmp_path / "scene.zarr")
+    with pytest.raises(InputError, match="is a packed capture, not a light transport matrix"):
+        lm.open(folder / "packed.zarr")
+    shutil.copytree(folder / "packed.zarr", tmp_path / "c.zarr")
+    with pytest.raises(OutputError, match="holds a packed capture"):
+        lm.save(tmp_path / "c.zarr", scene, overwrite=True)
+    with pytest.raises(InputError, match="a binned capture cannot be packed"):
+        lm.pack(Capture.open(folder / "capture").bin(camera=2), tmp_path / "binned.zarr")
+    with pytest.raises(OutputError, match="exists already"):
+        lm.pack(folder / "capture", tmp_path / "c.zarr")
+
+
+def _header(change: dict[str, Any]) -> Any:
+    def damage(place: Path) -> None:
+        file = place / "zarr.json"
+        content = json.loads(file.read_text())
+        content["attributes"].update(change)
+        file.write_text(json.dumps(content))
+
+    return damage
+
+
+def _without(*names: str) -> Any:
+    def damage(place: Path) -> None:
+        for name in names:
+            shutil.rmtree(place / name)
+
+    return damage
+
+
+def _bits(values: NDArray[np.uint8]) -> Any:
+    def damage(place: Path) -> None:
+        import zarr
+
+        zarr.open_array(place / "pattern_bits", mode="r+")[...] = values
+
+    return damage
+
+
+DAMAGES: dict[str, tuple[Any, str]] = {
+    "a later version": (_header({"version": 2}), "has format version 2, this lightmatrix reads 1"),
+    "no capture": (_header({"format": "other"}), "is not a packed capture"),
+    "an unknown key": (_header({"colour": 1}), "does not know 'colour'"),
+    "other names": (_header({"names": ["a"]}), "its frames have shape"),
+    "no names": (_header({"names": 5}), "its frames have no names"),
+    "a clip level of text": (_header({"clip": "255"}), '"clip" cannot be'),
+    "a full scale of no image": (_header({"full_scale": 1e9, "clip": 5}), "no image has"),
+    "exposures of others": (_header({"exposure": [1.0, 2.0]}), "exposure has 2 values"),
+    "another camera": (_header({"camera_shape": [5, 8]}), "its frames have shape"),
+    "a huge camera": (_header({"camera_shape": [10**6, 10**6]}), "announces"),
+    "another projector": (_header({"projector_shape": [9, 6]}), "is of others"),
+    "a projector of text": (_header({"projector_shape": "6x9"}), "is damaged"),
+    "no description": (_header({"patterns": None}), "its patterns are not described"),
+    "a response without curve": (_header({"response": "srgb"}), "the curve of its response"),
+    "no patterns": (_without("pattern_bits"), "its patterns are missing"),
+    "no frames": (_without("frames"), "is damaged"),
+    "bits behind the last": (_bits(np.full((COUNT, 7), 255, np.uint8)), "beyond their last"),
+}
+
+
+@pytest.mark.parametrize("words", DAMAGES)
+def test_damaged_and_hostile_ones_are_refused(tmp_path: Path, words: str) -> None:
+    lm.pack(capture(), tmp_path / "c.zarr")
+    damage, message = DAMAGES[words]
+    damage(tmp_path / "c.zarr")
+    with pytest.raises(InputError, match=message):
+        Capture.open(tmp_path / "c.zarr")
+
+
+@pytest.mark.parametrize("how", ["cut", "flipped", "grown"])
+def test_a_damaged_chunk_is_named(tmp_path: Path, how: str, small_chunks: None) -> None:
+    lm.pack(capture(), tmp_path / "c.zarr")
+    chunk = tmp_path / "c.zarr" / "frames" / "c" / "0" / "2" / "0"
+    data = bytearray(chunk.read_bytes())
+    if how == "flipped":
+        data[-6] ^= 1
+    elif how == "grown":
+        # It says that it inflates to 2 GiB.
+        data[4:8] = (2**31).to_bytes(4, "little")
+    chunk.write_bytes(data[:-3] if how == "cut" else data)
+    found = Capture.open(tmp_path / "c.zarr")
+    with pytest.raises(InputError, match=r"c\.zarr: is damaged .*frames/c/0/2/0"):
+        found.samples()
+    assert found.samples(0, 14).count == 14
+
+
+def test_patterns_that_are_made_otherwise_now_are_those_stored(tmp_path: Path) -> None:
+    wanted = capture()
+    lm.pack(wanted, tmp_path / "c.zarr")
+    told = {**wanted.patterns.description, "seed": 8}
+    _header({"patterns": {"description": told, "digest": ""}})(tmp_path / "c.zarr")
+    found = Capture.open(tmp_path / "c.zarr")
+    assert isinstance(found.patterns, lm.BitPatterns)
+    assert found.digest == wanted.digest
+
+
+def test_a_disk_that_is_too_small_is_said_before_anything_is_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    usage = shutil.disk_usage(tmp_path)._replace(free=100)
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: usage)
+    taken = capture()
+    read: list[int] = []
+    monkeypatch.setattr(type(taken.frames), "read", lambda self, k: read.append(k))
+    with pytest.raises(OutputError, match=r"takes up to .* GiB, 9\.31e-08 GiB are free"):
+        lm.pack(taken, tmp_path / "c.zarr")
+    assert not read
+    assert not list(tmp_path.iterdir())
+
+
+def test_what_fails_on_the_way_leaves_nothing(tmp_path: Path) -> None:
+    taken = capture()
+    broken = replace(taken, frames=_Broken(taken.frames))
+    for memory in (1 << 20, 100):
+        with pytest.raises(InputError, match="frame 3 is gone"):
+            lm.pack(broken, tmp_path / "c.zarr", memory=memory)
+        assert not list(tmp_path.iterdir())
+
+
+class _Broken:
+    """Frames of which the fourth cannot be read."""
+
+    def __init__(self, frames: Any) -> None:
+        self.frames = frames
+        self.count, self.shape, self.dtype = frames.count, frames.shape, frames.dtype
+        self.name, self.select = frames.name, frames.select
+
+    def read(self, index: int) -> NDArray[Any]:
+        if index == 3:
+            raise InputError("frame 3 is gone")
+        found: NDArray[Any] = self.frames.read(index)
+        return found
+
+
+def test_black_and_white_images_give_the_estimate_of_the_generated_set(
+    folder: Path, tmp_path: Path
+) -> None:
+    shutil.copytree(folder / "capture", tmp_path / "c")
+    (tmp_path / "c" / "patterns" / "patterns.json").unlink()
+    generated, read = Capture.open(folder / "capture"), Capture.open(tmp_path / "c")
+    assert isinstance(generated.patterns, lm.BernoulliPatterns)
+    assert isinstance(read.patterns, lm.BitPatterns)
+    assert read.digest == generated.digest
+    for coherent in (False, True):
+        one, other = (lm.estimate(capture, coherent=coherent) for capture in (generated, read))
+        assert (one.sparse != other.sparse).nnz == 0
+        np.testing.assert_array_equal(one.background, other.background)

@@ -1,0 +1,458 @@
+"""Bad input on the command line: one clear message, exit code 2, nothing half-written.
+
+Each fault is put into a good capture of its own; the table says what the user then reads.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+import struct
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.sparse import csr_array
+
+from lightmatrix import store
+from lightmatrix.camera.sensor import Sensor
+from lightmatrix.capture.folder import write_capture
+from lightmatrix.cli import main
+from lightmatrix.files.images import read_image, write_image
+from lightmatrix.patterns.bits import BernoulliPatterns
+from lightmatrix.transport.matrix import LightTransport
+from tests.diagnosis.test_frame_order import CAMERA, SHAPE, scene
+from tests.store.test_store import small_disk
+
+COUNT = 48
+ESTIMATE = "estimate --patterns patterns --images images -o scene.zarr"
+
+
+@pytest.fixture(scope="module")
+def good(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with patterns/, images/, a capture/ and a matrix, all good."""
+    folder = tmp_path_factory.mktemp("good")
+    patterns, sensor = BernoulliPatterns(SHAPE, COUNT), Sensor(read_noise=0.003)
+    raw = sensor.expose(patterns.forward(scene()))
+    write_capture(folder / "capture", patterns, raw.T.reshape(COUNT, *CAMERA), sensor=sensor)
+    shutil.copytree(folder / "capture" / "patterns", folder / "patterns")
+    (folder / "patterns" / "patterns.json").unlink()
+    shutil.copytree(folder / "capture" / "images", folder / "images")
+    rows = int(np.prod(CAMERA))
+    empty = LightTransport(
+        csr_array((rows, int(np.prod(SHAPE))), dtype=np.float32),
+        np.ones((rows, 1), np.float32),
+        CAMERA,
+        SHAPE,
+    )
+    store.save(folder / "T.zarr", empty)
+    store.export(folder / "T.npz", empty)
+    return folder
+
+
+Fault = Callable[[Path], None]
+
+
+def image(k: int) -> str:
+    return f"images/image_{k:04d}.png"
+
+
+def swap(a: int, b: int) -> Fault:
+    def fault(folder: Path) -> None:
+        first, second, other = folder / image(a), folder / image(b), folder / "images" / "x"
+        first.rename(other)
+        second.rename(first)
+        other.rename(second)
+
+    return fault
+
+
+def lose(k: int) -> Fault:
+    return lambda folder: (folder / image(k)).unlink()
+
+
+def lose_and_repeat_the_last(k: int) -> Fault:
+    """One photograph was missed; one too many at the end hides it."""
+
+    def fault(folder: Path) -> None:
+        for frame in range(k, COUNT - 1):
+            shutil.copy(folder / image(frame + 1), folder / image(frame))
+
+    return fault
+
+
+def fill(value: int, where: str = "images") -> Fault:
+    def fault(folder: Path) -> None:
+        for file in (folder / where).glob("*.png"):
+            write_image(file, np.full_like(read_image(file), value), overwrite=True)
+
+    return fault
+
+
+def grey_patterns(folder: Path) -> None:
+    for k, file in enumerate(sorted((folder / "patterns").glob("*.png"))):
+        write_image(file, np.full(SHAPE, 5 * k, np.uint8), overwrite=True)
+
+
+def same_patterns(folder: Path) -> None:
+    files = sorted((folder / "patterns").glob("*.png"))
+    for file in files[1:]:
+        shutil.copy(files[0], file)
+
+
+def one_pixel_projector(folder: Path) -> None:
+    for k, file in enumerate(sorted((folder / "patterns").glob("*.png"))):
+        write_image(file, np.full((1, 1), 5 * k, np.uint8), overwrite=True)
+
+
+def only_the_first(folder: Path) -> None:
+    for where in ("patterns", "images"):
+        for file in sorted((folder / where).glob("*.png"))[1:]:
+            file.unlink()
+
+
+def resize(name: str) -> Fault:
+    return lambda folder: write_image(folder / name, np.zeros((4, 4), np.uint8), overwrite=True)
+
+
+def deepen(name: str) -> Fault:
+    def fault(folder: Path) -> None:
+        pixels = read_image(folder / name).astype(np.uint16)
+        write_image(folder / name, pixels, overwrite=True)
+
+    return fault
+
+
+def cut(name: str, size: int) -> Fault:
+    def fault(folder: Path) -> None:
+        (folder / name).write_bytes((folder / name).read_bytes()[:size])
+
+    return fault
+
+
+def text(name: str, content: str = "not what it should be") -> Fault:
+    def fault(folder: Path) -> None:
+        (folder / name).parent.mkdir(exist_ok=True)
+        (folder / name).write_text(content)
+
+    return fault
+
+
+def make_folder(name: str) -> Fault:
+    def fault(folder: Path) -> None:
+        (folder / name).unlink(missing_ok=True)
+        (folder / name).mkdir(parents=True)
+
+    return fault
+
+
+def nan(folder: Path) -> None:
+    for file in sorted((folder / "images").glob("*.png")):
+        pixels = read_image(file).astype(np.float32) / 255
+        np.save(file.with_suffix(".npy"), pixels)
+        file.unlink()
+    pixels[2, 5] = np.nan
+    np.save(folder / "images" / "image_0007.npy", pixels)
+
+
+def colour_pattern(folder: Path) -> None:
+    file = folder / "patterns" / "pattern_0003.png"
+    pixels = np.zeros((*SHAPE, 3), np.uint8)
+    pixels[..., 0] = 255
+    write_image(file, pixels, overwrite=True)
+
+
+def describe(**content: object) -> Fault:
+    def fault(folder: Path) -> None:
+        file = folder / "capture" / "capture.json"
+        file.write_text(json.dumps({**json.loads(file.read_text()), **content}))
+
+    return fault
+
+
+def tag_srgb(folder: Path) -> None:
+    chunk = b"sRGB\0"
+    crc = struct.pack(">I", zlib.crc32(chunk))
+    file = folder / image(0)
+    data = file.read_bytes()
+    file.write_bytes(data[:33] + struct.pack(">I", 1) + chunk + crc + data[33:])
+
+
+def nothing(folder: Path) -> None:
+    """The fault is in the command."""
+
+
+def corrupt_matrix(folder: Path) -> None:
+    next(file for file in (folder / "T.zarr" / "background").rglob("0") if file.is_file()).unlink()
+
+
+FAULTS: dict[str, tuple[Fault, str, str]] = {
+    # ---- the images of a capture
+    "one image missing": (lose(20), ESTIMATE, "48 patterns, but 47 images"),
+    "two images swapped": (
+        swap(7, 30),
+        ESTIMATE,
+        "image_0007.png and image_0030.png look swapped",
+    ),
+    "one missed, last repeated": (
+        lose_and_repeat_the_last(30),
+        ESTIMATE,
+        "each image shows the pattern after its own: is one missing?",
+    ),
+    "all images late by one": (
+        lose_and_repeat_the_last(0),
+        ESTIMATE,
+        "the images do not follow the patterns: each image shows the pattern after its own",
+    ),
+    "images of two sizes": (resize(image(9)), ESTIMATE, "is 4 x 4, but image_0000.png is 18 x 22"),
+    "images of two bit depths": (deepen(image(9)), ESTIMATE, "is uint16, but image_0000.png is"),
+    "a truncated image": (cut(image(9), 200), ESTIMATE, "image_0009.png: cannot be read as"),
+    "an empty image": (cut(image(9), 0), ESTIMATE, "image_0009.png: is empty (0 bytes)"),
+    "no image at all": (text(image(9)), ESTIMATE, "image_0009.png: cannot be read as an image"),
+    "not a number": (nan, ESTIMATE, "image_0007.npy: the value at (2, 5) is nan"),
+    "two formats": (text("images/a.tif"), ESTIMATE, "images of several formats (.png, .tif)"),
+    "all dark": (fill(1), ESTIMATE, "all images are dark"),
+    "all clipped": (fill(255), ESTIMATE, "100.0 % of the samples are clipped"),
+    "one frame": (only_the_first, ESTIMATE, "the capture has 1 frame only"),
+    # ---- its patterns
+    "no pattern varies": (grey_patterns, ESTIMATE, "no pattern varies"),
+    "patterns all alike": (same_patterns, ESTIMATE, "all patterns are the same"),
+    "patterns of 1 x 1": (one_pixel_projector, ESTIMATE, "the projector has 1 x 1 pixels"),
+    "projector binned to 1 x 1": (
+        nothing,
+        f"{ESTIMATE} --bin-projector 100",
+        "the projector has 1 x 1 pixels",
+    ),
+    "patterns of two sizes": (
+        resize("patterns/pattern_0005.png"),
+        ESTIMATE,
+        "pattern_0005.png: is 4 x 4, but pattern_0000.png is 16 x 20",
+    ),
+    "a coloured pattern": (
+        colour_pattern,
+        ESTIMATE,
+        "pattern_0003.png: is 16 x 20 with 3 channels, but pattern_0000.png is 16 x 20",
+    ),
+    "a folder without images": (
+        make_folder("other"),
+        "estimate --patterns other --images images -o scene.zarr",
+        "other: holds no images",
+    ),
+    # ---- how they are to be read
+    "negative clip level": (nothing, f"{ESTIMATE} --clip -5", "a clip level of -5"),
+    "clip level out of range": (nothing, f"{ESTIMATE} --clip 300", "a clip level of 300"),
+    "unknown response": (nothing, f"{ESTIMATE} --response film", "a response of 'film'"),
+    "bad gamma": (nothing, f"{ESTIMATE} --response gamma:-1", "a response of 'gamma:-1'"),
+    "black frame of another size": (
+        resize("black.png"),
+        f"{ESTIMATE} --black black.png",
+        "black.png: the black frame has shape (4, 4), the images (18, 22)",
+    ),
+    "folder for a black frame": (
+        make_folder("black.png"),
+        f"{ESTIMATE} --black black.png",
+        "black.png: is a folder, not an image file",
+    ),
+    "white frame of another size": (
+        resize("white.png"),
+        f"{ESTIMATE} --white white.png",
+        "white.png: is 4 x 4, but image_0000.png is 18 x 22",
+    ),
+    "everything masked": (
+        lambda folder: write_image(folder / "mask.png", np.zeros(CAMERA, np.uint8)),
+        f"{ESTIMATE} --mask mask.png",
+        "all camera pixels are masked",
+    ),
+    "bin of nothing": (nothing, f"{ESTIMATE} --bin-camera 0", "a size of '0'"),
+    # ---- capture folders
+    "no capture folder": (nothing, "estimate nowhere -o scene.zarr", "nowhere: no such folder"),
+    "file for a capture folder": (
+        text("file"),
+        "estimate file -o scene.zarr",
+        "file: is a file, not a capture folder",
+    ),
+    "capture without images": (
+        lambda folder: shutil.rmtree(folder / "capture" / "images"),
+        "estimate capture -o scene.zarr",
+        "capture: has no folder images/",
+    ),
+    "misspelt key": (
+        describe(exposures=2),
+        "estimate capture -o scene.zarr",
+        "capture.json: does not know 'exposures'",
+    ),
+    "wrong shape in capture.json": (
+        describe(camera_shape=[20, 20]),
+        "estimate capture -o scene.zarr",
+        "camera_shape is [20, 20], but the images have [18, 22]",
+    ),
+    "capture.json of the future": (
+        describe(version=9),
+        "estimate capture -o scene.zarr",
+        "capture.json: has format version 9",
+    ),
+    "capture.json cut off": (
+        cut("capture/capture.json", 60),
+        "estimate capture -o scene.zarr",
+        "capture.json: cannot be read",
+    ),
+    "two sources": (
+        nothing,
+        "estimate capture --patterns patterns -o scene.zarr",
+        "a capture folder and --patterns were given",
+    ),
+    "no source": (nothing, "estimate -o scene.zarr", "nothing to look at or to estimate from"),
+    "no patterns": (nothing, "estimate --images images", "--patterns is missing"),
+    "no photographs": (nothing, "estimate --patterns patterns", "--images is missing"),
+    # ---- outputs
+    "existing output": (nothing, "estimate capture -o T.zarr", "T.zarr: exists already"),
+    "output of the wrong kind": (nothing, "estimate capture -o scene.h5", "ends in .h5"),
+    "output below a file": (
+        text("file"),
+        "estimate capture -o file/scene.zarr",
+        "scene.zarr: cannot be written",
+    ),
+    "output that is not ours": (
+        lambda folder: text("photos.zarr/holiday.jpg")(folder),
+        "estimate capture -o photos.zarr --overwrite",
+        "photos.zarr: is a folder that was not written by lightmatrix",
+    ),
+    "patterns over photographs": (
+        nothing,
+        "patterns bernoulli -k 4 --size 8x8 -o images --overwrite",
+        "images: is a folder that was not written by lightmatrix",
+    ),
+    # ---- matrices
+    "no matrix": (nothing, "info nothing.zarr", "nothing.zarr: no such file"),
+    "no matrix but a folder": (nothing, "info images", "images: is not a light transport matrix"),
+    "a damaged matrix": (corrupt_matrix, "info T.zarr", "T.zarr: is damaged"),
+    "relight with another size": (
+        resize("P.png"),
+        "relight T.zarr P.png -o out.png",
+        "a pattern of shape (4, 4)",
+    ),
+    "relight to an unknown format": (
+        nothing,
+        "relight T.zarr patterns/pattern_0000.png -o out.gif",
+        "ends in .gif",
+    ),
+    "export to an unknown format": (nothing, "export T.zarr T.csv", "ends in .csv"),
+    "export over a file": (nothing, "export T.zarr T.npz", "T.npz: exists already"),
+    "an unreadable truth": (
+        cut("T.npz", 300),
+        "evaluate T.zarr --truth T.npz",
+        "T.npz",
+    ),
+    "a truth without its background": (
+        nothing,
+        "evaluate T.zarr --truth T.npz",
+        "T.npz keeps its background apart",
+    ),
+    "a truth of another rig": (nothing, "evaluate T.zarr --truth wall", "18 x 22"),
+    "a truth that is no scene": (
+        nothing,
+        "evaluate T.zarr --truth l_object",
+        "there is no scene called 'l_object'",
+    ),
+    "patterns of no size": (nothing, "patterns bernoulli --size 0x8 -o p", "a size of '0x8'"),
+    "an unknown option": (nothing, f"{ESTIMATE} --colour red", "No such option"),
+}
+
+
+def snapshot(folder: Path) -> dict[str, bytes]:
+    return {
+        str(path.relative_to(folder)): path.read_bytes() if path.is_file() else b"folder"
+        for path in folder.rglob("*")
+    }
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_fault_gives_one_message_and_leaves_nothing(
+    fault: str,
+    good: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    folder = tmp_path / "work"
+    shutil.copytree(good, folder)
+    put, command, message = FAULTS[fault]
+    put(folder)
+    before = snapshot(folder)
+    monkeypatch.chdir(folder)
+    code = main(command.split())
+    shown = capsys.readouterr()
+    assert message in shown.err
+    assert code == 2
+    assert "Traceback" not in shown.err
+    assert shown.out == ""
+    assert shown.err.count("error:") == 1
+    assert snapshot(folder) == before
+
+
+@pytest.mark.parametrize("size", [0, 500, 3000])
+def test_a_full_disk_leaves_nothing_half_written(
+    size: int,
+    good: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    folder = tmp_path / "work"
+    shutil.copytree(good, folder)
+    before = snapshot(folder)
+    monkeypatch.chdir(folder)
+    for command in (
+        f"{ESTIMATE} --iterations 2 --tile-rows 200",
+        "export T.zarr T.mat --dense-background",
+        "patterns bernoulli -k 4 --size 400x400 -o new",
+    ):
+        with small_disk(size):
+            code = main(command.split())
+        assert code == 2, command
+        assert "cannot be written" in capsys.readouterr().err
+        # Finished tiles are kept for the next run; every other output is absent.
+        left = {name for name in snapshot(folder) if not name.startswith("scene.zarr.partial")}
+        assert left == set(before)
+
+
+def test_the_capture_without_faults_is_estimated(
+    good: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / "work"
+    shutil.copytree(good, folder)
+    monkeypatch.chdir(folder)
+    assert main(f"{ESTIMATE} --iterations 2 --bin-camera 4".split()) == 0
+    assert (
+        main(["estimate", "capture", "-o", "scene.zarr", "--overwrite", "--iterations", "2"]) == 0
+    )
+
+
+def test_suspicious_input_is_used_with_a_warning(
+    good: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    folder = tmp_path / "work"
+    shutil.copytree(good, folder)
+    tag_srgb(folder)
+    monkeypatch.chdir(folder)
+    assert main(f"{ESTIMATE} --iterations 2 --bin-camera 4".split()) == 0
+    assert "image_0000.png: tagged sRGB" in capsys.readouterr().err
+    assert (
+        main(f"{ESTIMATE} --iterations 2 --bin-camera 4 --response srgb --overwrite".split()) == 0
+    )
+    assert "sRGB" not in capsys.readouterr().err
+
+
+def test_swapped_images_can_be_taken_as_they_are(
+    good: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / "work"
+    shutil.copytree(good, folder)
+    swap(7, 30)(folder)
+    monkeypatch.chdir(folder)
+    assert main(f"{ESTIMATE} --no-check --iterations 2 --bin-camera 4".split()) == 0

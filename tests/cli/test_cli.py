@@ -1,0 +1,262 @@
+"""The command line as its users and scripts see it."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import typer
+from scipy.sparse import load_npz
+
+import lightmatrix
+from lightmatrix import store
+from lightmatrix.cli import main
+from lightmatrix.cli.app import app
+from lightmatrix.files.images import read_image, write_image
+from lightmatrix.patterns.folder import read_patterns
+from lightmatrix.simulation import library
+from lightmatrix.simulation.procedural import ProceduralScene
+
+COMMANDS: dict[str, Any] = typer.main.get_command(app).commands  # type: ignore[attr-defined]
+
+
+@pytest.fixture(scope="module")
+def work(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder in which the main commands have been run once."""
+    folder = tmp_path_factory.mktemp("work")
+    ProceduralScene((8, 9), (8, 8), background=0).truth().save(folder / "T.npz")
+    run = [
+        "patterns bernoulli -k 48 --size 8x8 -o patterns",
+        "simulate T.npz --patterns patterns --exposure 1.2 -o capture",
+        "estimate capture -o scene.zarr --regularization 0.05",
+    ]
+    for line in run:
+        assert main(_placed(line, folder)) == 0
+    return folder
+
+
+def _placed(line: str, folder: Path) -> list[str]:
+    files = ("T.npz", "patterns", "capture", "scene.zarr", "out.png", "X.npz", "X.mat", "P.png")
+    words = line.split()
+    return [str(folder / w) if w in files and i > 0 else w for i, w in enumerate(words)]
+
+
+def _json(line: str, folder: Path, capsys: pytest.CaptureFixture[str]) -> dict[str, object]:
+    assert main([*_placed(line, folder), "--json"]) == 0
+    result: dict[str, object] = json.loads(capsys.readouterr().out)
+    return result
+
+
+def test_info_and_evaluate(work: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    info = _json("info scene.zarr", work, capsys)
+    assert info["camera"] == "8 x 9"
+    assert info["fidelity"] == "one-sided"
+    errors = _json("evaluate scene.zarr --truth T.npz --exposure 1.2", work, capsys)
+    assert 0 < float(str(errors["relative_error"])) < 0.3
+
+
+def test_relight(work: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_image(work / "P.png", np.full((8, 8), 255, np.uint8))
+    _json("relight scene.zarr P.png -o out.png --exposure 0.5", work, capsys)
+    assert read_image(work / "out.png").shape == (8, 9)
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        ("-o out.png", "nothing to show was asked for"),
+        ("--dual --gap -o out.png", "2 views were asked for"),
+        ("--row 3 -o out.png", "--row 3\n  write row,column"),
+        ("--row 3,-1 -o out.png", "--row 3,-1"),
+        ("--row 3,99 -o out.png", "there is no camera sample (3, 99)"),
+        ("--column 1,2,3 -o out.png", "the view column of 1, 2, 3"),
+        ("--row 3,4 --raw -o out.png", "raw numbers of the view row"),
+        ("--correspondence --raw -o X.npz", "raw numbers of the view correspondence"),
+        ("--correspondence -o out.npy", "a correspondence in"),
+        ("--gap -o out.jpg", "the name of the output ends in .jpg"),
+    ],
+)
+def test_show_refuses(
+    words: str, told: str, work: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    monkeypatch.chdir(tmp_path)
+    assert main(["show", str(work / "scene.zarr"), *words.split()]) == 2
+    assert told in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
+def test_rows_by_themselves_do_not_know_their_footprint(
+    work: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    plain, out = str(tmp_path / "plain.zarr"), tmp_path / "out.png"
+    assert main(["estimate", str(work / "capture"), "--no-coherent", "-o", plain]) == 0
+    assert main(["show", plain, "--footprint", "-o", str(out)]) == 2
+    assert "does not know the footprint of its rows" in capsys.readouterr().err
+    assert not out.exists()
+    assert main(["show", str(work / "scene.zarr"), "--footprint", "-o", str(out)]) == 0
+
+
+def test_numbers_of_a_picture_replace_nothing_else(
+    work: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene, numbers = str(work / "scene.zarr"), str(tmp_path / "map.npz")
+    words = ["show", scene, "--correspondence", "-o", numbers, "--overwrite"]
+    assert main(words) == 0
+    assert main(words) == 0
+    np.savez(numbers, mine=np.zeros(3))
+    assert main(words) == 2
+    assert "was not written by lightmatrix" in capsys.readouterr().err
+    assert list(np.load(numbers)) == ["mine"]
+
+
+def test_relight_says_how_to_keep_what_a_png_cuts_off(
+    work: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_image(work / "P.png", np.full((8, 8), 255, np.uint8), overwrite=True)
+    assert main(_placed("relight scene.zarr P.png -o out.png --exposure 3 --overwrite", work)) == 0
+    told = re.search(r"and cut off; --exposure (\S+) keeps it all", capsys.readouterr().out)
+    assert told
+    again = f"relight scene.zarr P.png -o out.png --exposure {told[1]} --overwrite"
+    assert main(_placed(again, work)) == 0
+    assert "full scale" not in capsys.readouterr().out
+    assert read_image(work / "out.png").max() > 225
+
+
+def test_names_to_read_instead_of_keys(work: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(_placed("info scene.zarr", work)) == 0
+    shown = capsys.readouterr().out
+    assert "largest relative duality gap" in shown
+    assert "rows with half of their samples clipped" in shown
+    assert "_" not in shown.replace(str(work), "")
+
+
+def test_a_scene_is_a_truth(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    store.save(tmp_path / "T.zarr", library.truth("metal").transport())
+    line = ["evaluate", str(tmp_path / "T.zarr"), "--truth", "metal", "--json"]
+    assert main(line) == 0
+    assert json.loads(capsys.readouterr().out)["relative_error"] == pytest.approx(0, abs=1e-3)
+
+
+def test_export(work: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    _json("export scene.zarr X.npz", work, capsys)
+    assert load_npz(work / "X.npz").shape == (72, 64)
+    _json("export scene.zarr X.mat", work, capsys)
+    left_out = _json("info scene.zarr", work, capsys)["background_share"]
+    assert main(_placed("export scene.zarr X.npz --overwrite", work)) == 0
+    note = f"without the background ({100 * float(str(left_out)):.1f} % of the light)"
+    assert note in capsys.readouterr().out
+    assert main(_placed("export scene.zarr X.npz --overwrite --dense-background", work)) == 0
+    assert "without" not in capsys.readouterr().out
+    whole = load_npz(work / "X.npz")
+    relit = store.open(work / "scene.zarr").relight(np.ones((8, 8), np.float32))
+    np.testing.assert_allclose(whole @ np.ones(64), relit.ravel(), rtol=1e-4, atol=1e-6)
+    assert (work / "X.mat").stat().st_size > 0
+
+
+def test_two_folders_and_a_capture_give_the_same_up_to_the_exposure(
+    work: Path, tmp_path: Path
+) -> None:
+    """Bare folders do not tell the exposure of 1.2: T, and the regularization, are 1.2 times."""
+    first = store.open(work / "scene.zarr")
+    estimate = ["estimate", str(work / "capture"), "-o", str(tmp_path / "again.zarr")]
+    assert main([*estimate, "--regularization", "0.05"]) == 0
+    again = store.open(tmp_path / "again.zarr")
+    np.testing.assert_array_equal(again.sparse.toarray(), first.sparse.toarray())
+    np.testing.assert_array_equal(again.background, first.background)
+    folders = ["--patterns", str(work / "patterns"), "--images", str(work / "capture" / "images")]
+    estimate = ["estimate", *folders, "-o", str(tmp_path / "bare.zarr")]
+    assert main([*estimate, "--regularization", "0.06"]) == 0
+    bare = store.open(tmp_path / "bare.zarr")
+    scale = np.abs(first.sparse.data).max()
+    np.testing.assert_allclose(
+        bare.sparse.toarray() / 1.2, first.sparse.toarray(), rtol=1e-3, atol=1e-3 * scale
+    )
+    np.testing.assert_allclose(bare.background / 1.2, first.background, atol=1e-3 * scale)
+
+
+# What each kind of patterns is asked for, and how many it makes of 8 x 8 pixels.
+KINDS = {
+    "bernoulli": ("-k 5", 5),
+    "hadamard": ("-k 5", 5),
+    "onepixel": ("", 64),
+    "blocks": ("--block 4", 4),
+    "mix": ("-k 6 --mix fine:0.5,2x4:0.5", 6),
+}
+
+
+def test_patterns_of_every_kind(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["patterns", "--help"]) == 0
+    offered = re.search(r"KIND <(\S+)>", capsys.readouterr().out)
+    assert offered
+    assert set(offered[1].split("|")) == set(KINDS)
+    for kind, (options, count) in KINDS.items():
+        line = f"patterns {kind} --size 8x8 {options} --json -o"
+        assert main([*line.split(), str(tmp_path / kind)]) == 0
+        assert json.loads(capsys.readouterr().out)["count"] == count
+        assert len(list((tmp_path / kind).glob("*.png"))) == count
+        # What the description says is what the images show.
+        opened = read_patterns(tmp_path / kind)
+        shown = np.stack([read_image(f) for f in sorted((tmp_path / kind).glob("*.png"))])
+        np.testing.assert_array_equal(opened.images(), shown > 0)
+
+
+def test_scenes(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["scenes", "--json"]) == 0
+    listed = json.loads(capsys.readouterr().out)["scenes"]
+    assert {"l_objects", "gripper", "metal", "corner"} <= {
+        scene["name"] for scene in listed if scene["bundled"]
+    }
+
+
+def test_unknown_scene_suggests_the_nearest(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["render", "l_object", "--size", "8", "-o", str(tmp_path / "T.npz")]) == 2
+    assert "did you mean l_objects" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("size", ["0x8", "8x", "many", "-3"])
+def test_bad_sizes(size: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["patterns", "bernoulli", f"--size={size}", "-o", str(tmp_path / "p")]) == 2
+    assert "size" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
+def test_every_command_has_help(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([]) == 0
+    overview = capsys.readouterr().out
+    assert "..." not in overview.replace("[ARGS]...", "")
+    assert {"patterns", "simulate", "estimate", "plan", "experiment"} <= set(COMMANDS)
+    for command in COMMANDS:
+        assert re.search(rf"^ *{command} ", overview, re.MULTILINE)
+        assert main([command, "--help"]) == 0
+        text = capsys.readouterr().out
+        assert text.startswith(f"Usage: lightmatrix {command}")
+
+
+def test_the_installed_command_runs_without_a_terminal() -> None:
+    command = Path(sys.executable).with_name("lightmatrix")
+    for words in ([command], [sys.executable, "-m", "lightmatrix"]):
+        result = subprocess.run([*words, "--version"], capture_output=True, text=True, check=True)
+        assert result.stdout == f"lightmatrix {lightmatrix.__version__}\n"
+        assert result.stderr == ""
+
+
+def test_usage_errors_end_with_code_2(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["estimate", "--no-such-option"]) == 2
+    assert "see `lightmatrix estimate --help`" in capsys.readouterr().err
+    assert main(["patterns", "bernouli", "-o", "x"]) == 2
+    shown = capsys.readouterr().err
+    assert "Traceback" not in shown
+    assert "Value error" not in shown
+    assert "did you mean bernoulli? see `lightmatrix patterns --help`" in shown
+    assert main(["patrns"]) == 2
+    assert "see `lightmatrix --help`" in capsys.readouterr().err

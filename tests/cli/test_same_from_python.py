@@ -1,0 +1,440 @@
+"""Each command and the function of the door that it calls give the same, bit for bit."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, get_args
+
+import numpy as np
+import pytest
+from scipy.sparse import csr_array
+
+import lightmatrix as lm
+from lightmatrix.camera.exposures import EXAMPLE as EXPOSURES_EXAMPLE
+from lightmatrix.camera.noise import USUAL_NOISE
+from lightmatrix.cli import estimate as estimate_command
+from lightmatrix.cli import experiment as experiment_command
+from lightmatrix.cli import main, options
+from lightmatrix.cli import patterns as patterns_command
+from lightmatrix.cli.app import STAGES
+from lightmatrix.estimators import auto
+from lightmatrix.estimators.coherent.estimator import WORTH_IT_UP_TO
+from lightmatrix.experiments import run
+from lightmatrix.live import capturing, opening
+from lightmatrix.live.measurements.measurements import PARTS
+from lightmatrix.live.rig import Rig
+from lightmatrix.patterns import making, mix
+from lightmatrix.planning.plan import USUAL_SIZE
+from lightmatrix.simulation.library import DEFAULT_SAMPLES
+from lightmatrix.simulation.procedural import ProceduralScene
+
+
+@pytest.fixture(scope="module")
+def work(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A truth, patterns, a capture and an estimate, made by commands."""
+    folder = tmp_path_factory.mktemp("work")
+    ProceduralScene((12, 11), (8, 8), background=0).truth().save(folder / "T.npz")
+    for line in (
+        "patterns bernoulli -k 48 --size 8x8 -o {}/patterns",
+        "simulate {}/T.npz --patterns {}/patterns --exposure 1.2 -o {}/capture",
+        "estimate {}/capture -o {}/scene.zarr",
+    ):
+        assert main(line.replace("{}", str(folder)).split()) == 0
+    return folder
+
+
+def _run(line: str, capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
+    assert main([*line.split(), "--json"]) == 0
+    found: dict[str, Any] = json.loads(capsys.readouterr().out)
+    return found
+
+
+def _same_matrix(one: csr_array, other: csr_array) -> None:
+    for name in ("indptr", "indices", "data"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+
+
+def _same_transport(one: lm.LightTransport, other: lm.LightTransport) -> None:
+    _same_matrix(one.sparse, other.sparse)
+    np.testing.assert_array_equal(one.background, other.background)
+    assert one.background_grid == other.background_grid
+    assert set(one.diagnostics) == set(other.diagnostics)
+    for name, values in one.diagnostics.items():
+        np.testing.assert_array_equal(values, other.diagnostics[name])
+
+
+def _same_files(one: Path, other: Path) -> None:
+    """Whether two folders hold the same files, but for the times within archives."""
+    names = sorted(str(path.relative_to(one)) for path in one.rglob("*") if path.is_file())
+    assert names
+    assert names == sorted(str(p.relative_to(other)) for p in other.rglob("*") if p.is_file())
+    for name in names:
+        if name.endswith(".npz"):
+            with np.load(one / name) as a, np.load(other / name) as b:
+                assert set(a.files) == set(b.files)
+                for key in a.files:
+                    np.testing.assert_array_equal(a[key], b[key])
+        else:
+            assert (one / name).read_bytes() == (other / name).read_bytes(), name
+
+
+@pytest.mark.parametrize("kind", making.KINDS)
+def test_patterns(kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    line = f"patterns {kind} -k 12 --size 16x8 --block 4x2 --seed 3 -o {tmp_path}/shown"
+    told = _run(line, capsys)
+    made = lm.make_patterns(kind, (16, 8), 12, block=(4, 2), seed=3)
+    lm.write_patterns(tmp_path / "written", made)
+    _same_files(tmp_path / "shown", tmp_path / "written")
+    assert told["digest"] == made.digest
+
+
+def test_scenes(capsys: pytest.CaptureFixture[str]) -> None:
+    listed = _run("scenes", capsys)["scenes"]
+    assert [tuple(scene.values()) for scene in listed] == [tuple(scene) for scene in lm.scenes()]
+
+
+def test_render(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("mitsuba")
+    _run(f"render wall --size 8x9 --spp 16 --seed 2 -o {tmp_path}/T.npz", capsys)
+    read, made = lm.truth(f"{tmp_path}/T.npz"), lm.render("wall", (8, 9), samples=16, seed=2)
+    _same_matrix(read.matrix, made.matrix)
+    np.testing.assert_array_equal(read.direct_data, made.direct_data)
+
+
+@pytest.mark.parametrize(
+    ("words", "settings"),
+    [
+        ("--exposure 1.2", {"exposure": 1.2}),
+        ("--exposure 1:0.75,0.25:0.25 --bits 12", {"exposure": "1:0.75,0.25:0.25", "bits": 12}),
+        (
+            "--leak 0.02 --ambient 0.1 --black 4 --blur 0.7 --vignetting 0.3 --shot-noise 0.01 "
+            "--noise 0.01 --seed 5",
+            {
+                "leak": 0.02, "ambient": 0.1, "black_level": 4, "blur": 0.7, "vignetting": 0.3,
+                "shot_noise": 0.01, "noise": 0.01, "seed": 5,
+            },
+        ),
+    ],
+)  # fmt: skip
+def test_simulate(
+    words: str, settings: dict[str, Any], work: Path, tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    line = f"simulate {work}/T.npz --patterns {work}/patterns {words} -o {tmp_path}/shown"
+    told = _run(line, capsys)
+    capture = lm.simulate(f"{work}/T.npz", lm.read_patterns(work / "patterns"), **settings)
+    capture.save(tmp_path / "saved")
+    _same_files(tmp_path / "shown", tmp_path / "saved")
+    # In memory it is what is read back, so that an estimate needs no folder.
+    read = lm.Capture.open(tmp_path / "shown")
+    assert read.digest == capture.digest
+    assert read.description == capture.description
+    assert told["frames"] == 48
+    assert sum(told["exposures"].values()) == 48
+    known = lm.truth(str(tmp_path / "shown" / "truth.npz"))
+    _same_matrix(known.matrix, capture.truth.matrix)
+
+
+def test_the_truth_that_was_photographed_is_what_the_frames_show(work: Path) -> None:
+    """Once black and exposure are taken off, the frames are T p, of the T beside them."""
+    patterns = lm.read_patterns(work / "patterns")
+    capture = lm.simulate(
+        f"{work}/T.npz", patterns, exposure=0.1, bits=16, noise=0,
+        leak=0.1, ambient=0.2, blur=0.7, vignetting=0.3,
+    )  # fmt: skip
+    light = capture.truth.transport().relight(patterns.images()).reshape(48, -1).T
+    np.testing.assert_allclose(capture.samples().values, light, atol=4e-4)
+
+
+@pytest.mark.parametrize(
+    ("words", "settings"),
+    [
+        ("", {}),
+        ("--no-coherent", {"coherent": False}),
+        ("--solver romp --fidelity linear", {"solver": "romp", "fidelity": "linear"}),
+        (
+            "--solver saturation-admm --fidelity clipped --iterations 30 --signed --tile-rows 50",
+            {
+                "solver": "saturation-admm", "fidelity": "clipped", "iterations": 30,
+                "signed": True, "tile_rows": 50,
+            },
+        ),
+        ("--solver admm --iterations 30", {"solver": "admm", "iterations": 30}),
+        ("--multi-scale --no-background", {"multi_scale": True, "background": False}),
+        ("--regularization 0.07 --coherent", {"regularization": 0.07, "coherent": True}),
+        ("--regularization path", {"regularization": "path"}),
+    ],
+)  # fmt: skip
+def test_estimate(
+    words: str, settings: dict[str, Any], work: Path, tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    told = _run(f"estimate {work}/capture {words} -o {tmp_path}/shown.zarr", capsys)
+    made = lm.estimate(work / "capture", output=tmp_path / "made.zarr", **settings)
+    shown = lm.open(tmp_path / "shown.zarr")
+    _same_transport(shown, made)
+    _same_transport(shown, lm.open(tmp_path / "made.zarr"))
+    assert shown.provenance == lm.open(tmp_path / "made.zarr").provenance
+    summary = shown.summary()
+    assert {name: told[name] for name in summary} == summary
+
+
+def test_estimate_from_two_binned_folders(
+    work: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    images = work / "capture" / "images"
+    bins = "--bin-camera 2 --bin-projector 2x1 --clip 250"
+    line = f"estimate --patterns {work}/patterns --images {images} {bins} -o {tmp_path}/shown.zarr"
+    _run(line, capsys)
+    capture = lm.Capture.from_folders(
+        work / "patterns", images, clip=250, bin_camera=2, bin_projector=(2, 1)
+    )
+    _same_transport(lm.open(tmp_path / "shown.zarr"), lm.estimate(capture))
+
+
+def test_info(work: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    told = _run(f"info {work}/scene.zarr", capsys)
+    transport = lm.open(work / "scene.zarr")
+    judged = lm.verdict(transport)
+    assert told == {
+        "verdict": judged.level, "sentence": judged.sentence,
+        **transport.summary(), "provenance": transport.provenance,
+    }  # fmt: skip
+
+
+def test_info_writes_the_pictures_of_the_door(
+    work: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    told = _run(f"info {work}/scene.zarr --pictures {tmp_path}/shown", capsys)
+    made = lm.write_pictures(tmp_path / "made", work / "scene.zarr")
+    _same_files(tmp_path / "shown", tmp_path / "made")
+    assert [Path(name).name for name in told["pictures"]] == [path.name for path in made]
+    shown = {"correspondence", "clipping", "gap", "footprint", "stated-error"}
+    assert {path.stem for path in made} == shown
+
+
+@pytest.mark.parametrize(
+    ("words", "view", "index"),
+    [
+        ("--row 3,4 -o x.png", "row", (3, 4)),
+        ("--column 5,7 -o x.npy", "column", (5, 7)),
+        ("--dual -o x.tiff", "dual", ()),
+        ("--correspondence -o x.png", "correspondence", ()),
+        ("--correspondence --raw -o x.png", "correspondence", ()),
+        ("--correspondence -o x.npz", "correspondence", ()),
+        ("--clipping -o x.npz", "clipping", ()),
+        ("--gap -o x.png", "gap", ()),
+    ],
+)
+def test_show(
+    words: str, view: str, index: tuple[int, ...], work: Path, tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    for folder in ("shown", "made"):
+        (tmp_path / folder).mkdir()
+    monkeypatch.chdir(tmp_path / "shown")
+    told = _run(f"show {work}/scene.zarr {words}", capsys)
+    assert told == {"output": words.split()[-1], "view": view}
+    made = tmp_path / "made" / words.split()[-1]
+    lm.show(work / "scene.zarr", view, *index, output=made, raw="--raw" in words)
+    _same_files(tmp_path / "shown", tmp_path / "made")
+
+
+@pytest.mark.parametrize("name", ["out.png", "out.PNG", "out.npy", "out.tiff", "out.exr"])
+def test_relight(name: str, work: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    if name.endswith("exr"):
+        pytest.importorskip("OpenEXR")
+    pattern = work / "patterns" / "pattern_0003.png"
+    gamma = 2.2 if name.lower().endswith("png") else 1.0
+    (tmp_path / "shown").mkdir()
+    line = f"relight {work}/scene.zarr {pattern} --exposure 0.7 --gamma {gamma}"
+    told = _run(f"{line} -o {tmp_path}/shown/{name}", capsys)
+    output = tmp_path / "made" / name
+    image = lm.relight(work / "scene.zarr", pattern, exposure=0.7, gamma=gamma, output=output)
+    _same_files(tmp_path / "shown", tmp_path / "made")
+    assert told["mean"] == float(image.mean())
+    written = lm.read_image(output)
+    if gamma == 2.2:
+        expected = np.rint(255 * np.clip(image, 0, 1) ** (1 / 2.2))
+        np.testing.assert_allclose(written, expected, atol=1)
+    else:
+        np.testing.assert_array_equal(written, image)
+
+
+def test_evaluate(work: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    told = _run(f"evaluate {work}/scene.zarr --truth {work}/T.npz --exposure 1.2", capsys)
+    estimate, known = lm.open(work / "scene.zarr"), lm.truth(f"{work}/T.npz")
+    assert told == lm.evaluate(estimate, known, 1.2).as_dict()
+    assert told == lm.evaluate(work / "scene.zarr", f"{work}/capture/truth.npz", 1.2).as_dict()
+
+
+@pytest.mark.parametrize("words", ["", "--dense-background"])
+def test_export(words: str, work: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "shown").mkdir()
+    _run(f"export {work}/scene.zarr {tmp_path}/shown/X.npz {words}", capsys)
+    lm.export(
+        tmp_path / "made" / "X.npz", lm.open(work / "scene.zarr"), dense_background=bool(words)
+    )
+    _same_files(tmp_path / "shown", tmp_path / "made")
+    if not words:
+        _same_matrix(
+            lm.open(tmp_path / "made" / "X.npz").sparse, lm.open(work / "scene.zarr").sparse
+        )
+
+
+def _as_json(advice: lm.Advice) -> dict[str, Any]:
+    read: dict[str, Any] = json.loads(json.dumps(advice.as_dict()))
+    return read
+
+
+def test_plan(work: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    told = _run("plan metal --size 64 -k 40", capsys)
+    assert told == _as_json(lm.plan("metal", size=(64, 64), frames=40))
+    by_truth = _as_json(lm.plan(lm.truth("metal"), frames=40))
+    assert all(by_truth[key] == told[key] for key in told if key not in ("source", "commands"))
+    light = np.random.default_rng(0).integers(20, 200, (20, 30)).astype(np.uint8)
+    lm.write_image(tmp_path / "white.png", light)
+    told = _run(f"plan {tmp_path}/white.png --black 3 --exposure 20 --size 32x48", capsys)
+    made = lm.plan(tmp_path / "white.png", black=3.0, exposure=20, size=(32, 48))
+    assert told == _as_json(made)
+    assert made.make_patterns().count == made.frames
+
+
+def test_the_advised_patterns_are_those_of_the_advised_command(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    advice = lm.plan("metal", size=(64, 64), frames=80)
+    words = advice.commands[0].split()[1:-1]
+    assert main([*words, str(tmp_path / "patterns")]) == 0
+    assert lm.read_patterns(tmp_path / "patterns").digest == advice.make_patterns().digest
+    np.testing.assert_array_equal(
+        lm.simulate("metal", advice.make_patterns(), exposure=advice.exposure).exposures,
+        advice.exposure_of_frames,
+    )
+
+
+@pytest.mark.parametrize("command", ["demo", "experiment"])
+def test_what_runs_long_is_passed_on_as_it_was_said(
+    command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    """The demo and the experiments, which other tests run, here by a stand-in."""
+    asked: list[dict[str, Any]] = []
+
+    def stand_in(folder: Path, **options: Any) -> dict[str, Any]:
+        (folder / "demo.json").write_text("{}")
+        options.pop("kept", None)
+        asked.append(options)
+        return {"rows": [1, float("nan")]}
+
+    monkeypatch.setattr("lightmatrix.experiments.demo.run", stand_in)
+    drawn = SimpleNamespace(run=stand_in)
+    monkeypatch.setitem(run.EXPERIMENTS, "fig4", drawn)
+    words = "demo" if command == "demo" else "experiment fig4 --quick"
+    told = _run(f"{words} -o {tmp_path}/shown", capsys)
+    if command == "demo":
+        lm.demo(tmp_path / "made")
+    else:
+        lm.experiment("fig4", tmp_path / "made", quick=True)
+    for options_given in asked:
+        del options_given["progress"]
+    assert asked[0] == asked[1]
+    assert told["rows"] == [1, None]
+    _same_files(tmp_path / "shown", tmp_path / "made")
+
+
+@pytest.mark.parametrize(
+    ("words", "settings"),
+    [
+        ("-k 20 --seed 4", {"count": 20, "seed": 4}),
+        (
+            "-k 18 --density 0.3 --exposure 0.01 --settle 0.06 --cell 2 --no-check "
+            "--reference-every 5 --response gamma:1.1",
+            {
+                "count": 18, "density": 0.3, "exposure": 0.01, "settle": 0.06, "cell": 2,
+                "check": False, "reference_every": 5, "response": "gamma:1.1",
+            },
+        ),
+    ],
+)  # fmt: skip
+def test_capture(
+    words: str, settings: dict[str, Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rig = "virtual:procedural,size=16,real=0,late=0.1"
+    told = _run(
+        f"capture --rig {rig} {words} --rig-file {tmp_path}/shown.json -o {tmp_path}/shown", capsys
+    )
+    with lm.open_rig(rig) as opened:
+        capture = lm.take_capture(
+            tmp_path / "made", opened, keep=tmp_path / "made.json", **settings
+        )
+    _same_files(tmp_path / "shown", tmp_path / "made")
+    assert told["frames"] == settings["count"] == capture.count
+
+
+@pytest.mark.parametrize("part", PARTS)
+def test_rig(part: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rig = "virtual:procedural,size=16,real=0"
+    told = _run(f"rig {part} --rig {rig} --rig-file {tmp_path}/rig.json", capsys)
+    with lm.open_rig(rig) as opened:
+        made = lm.calibrate(opened, [part], keep=tmp_path / "made.json")
+    assert told[part] == json.loads(json.dumps(made.as_dict()[part]))
+    shown = lm.Calibration.load(tmp_path / "rig.json")
+    assert {**shown.as_dict(), "measured": ""} == {
+        **lm.Calibration.load(tmp_path / "made.json").as_dict(), "measured": ""
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("device", ["camera", "projector"])
+def test_response(device: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    if device == "camera":
+        pytest.importorskip("cv2")
+    light = np.geomspace(0.002, 1, 4000).reshape(50, 80)
+    times = [0.125, 0.25, 0.5, 1, 2, 4] if device == "camera" else np.linspace(0, 1, 6) ** 2
+    levels = np.array([np.rint(200 * np.clip(time * light, 0, 1)) for time in times])
+    np.save(tmp_path / "s.npy", levels.astype(np.uint8))
+    for name in ("shown", "made"):
+        (tmp_path / name).mkdir()
+    said = "--exposure 0.125,0.25,0.5,1,2,4 --clip 200" if device == "camera" else "--projector"
+    made, shown = tmp_path / "made", tmp_path / "shown"
+    line = f"response {tmp_path}/s.npy {said} -o {shown}/c.json --picture {shown}/c.png"
+    told = _run(line, capsys)
+    files: dict[str, Any] = {"output": made / "c.json", "picture": made / "c.png"}
+    if device == "camera":
+        found = lm.camera_response(tmp_path / "s.npy", np.array(times), clip=200, **files)
+        assert told["misfit"] == found.as_dict()["misfit"]
+    else:
+        assert told["gamma"] == lm.projector_response(tmp_path / "s.npy", **files).gamma
+    _same_files(shown, made)
+
+
+def test_every_command_is_held_to_its_function() -> None:
+    commands = {command.__name__ for members in STAGES.values() for command in members}
+    # The folders of these names are not in the way of the functions take_capture and make_patterns.
+    # One command for cameras and projectors, which are two functions.
+    named_otherwise = {"info", "patterns", "capture", "response"}
+    assert commands == {name for name in dir(lm) if name in commands} | named_otherwise
+
+
+def test_help_texts_say_what_the_code_does() -> None:
+    assert options.USUAL_NOISE == USUAL_NOISE
+    assert options.USUAL_COUNT == making.USUAL_COUNT
+    assert options.USUAL_FRAMES == capturing.USUAL_COUNT
+    assert options.USUAL_REFERENCE == capturing.USUAL_REFERENCE
+    assert options.RIG_FILE == capturing.RIG_FILE
+    assert options.USUAL_PATIENCE == opening.USUAL_PATIENCE == Rig.patience
+    assert options.USUAL_SAMPLES == DEFAULT_SAMPLES
+    assert options.EXPOSURES_EXAMPLE == EXPOSURES_EXAMPLE
+    assert mix.EXAMPLE == options.MIX_EXAMPLE
+    assert mix.FEWEST_MIXED == options.FEWEST_MIXED
+    assert options.COHERENT_UP_TO == WORTH_IT_UP_TO
+    assert lm.ActiveSet().max_passes == options.PASSES
+    assert lm.ADMM().max_iterations == options.ADMM_ITERATIONS
+    assert lm.SaturationADMM().max_iterations == options.ADMM_ITERATIONS
+    assert options.size(options.USUAL_SIZE) == USUAL_SIZE
+    assert set(get_args(estimate_command.SolverName)) == set(auto.SOLVERS)
+    assert set(get_args(estimate_command.FidelityName)) == set(lm.Fidelity)
+    assert set(get_args(patterns_command.Kind)) == set(making.KINDS)
+    assert set(get_args(experiment_command.Figure)) == set(run.EXPERIMENTS)

@@ -1,0 +1,417 @@
+"""What is printed and how the program ends, whatever names, streams and stops do to it."""
+
+from __future__ import annotations
+
+import builtins
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import lightmatrix as lm
+from lightmatrix import cli
+from lightmatrix.cli import main
+from lightmatrix.errors import InputError
+from lightmatrix.simulation.procedural import ProceduralScene
+from lightmatrix.solvers import solve
+from tests.helpers.systems import SHELL, SIGNALS
+
+COMMAND = str(Path(sys.executable).with_name("lightmatrix"))
+
+
+@pytest.fixture(autouse=True)
+def _a_folder_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("store") / "x[red]:smile:[" / "y].zarr"
+    matrix = lm.truth("metal").transport()
+    lm.save(
+        path,
+        lm.LightTransport(
+            matrix.sparse[:6], matrix.background[:6], (2, 3), (64, 64),
+            provenance={"scene": "[/bold] :heart: [blink]", "versions": {"[x": "[/y]"}},
+        ),
+    )  # fmt: skip
+    return path
+
+
+@pytest.fixture(scope="module")
+def inputs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What every command needs, so that nothing but its numbers is wrong."""
+    folder = tmp_path_factory.mktemp("inputs")
+    known = ProceduralScene((6, 6), (64, 64)).truth()
+    patterns = lm.BernoulliPatterns((64, 64), 2)
+    lm.write_patterns(folder / "p", patterns)
+    lm.write_image(folder / "p.png", np.zeros((64, 64), np.uint8))
+    lm.simulate(known, patterns).save(folder / "capture")
+    lm.save(folder / "s.zarr", known.transport())
+    return folder
+
+
+def _shell(line: str, **settings: str) -> subprocess.CompletedProcess[bytes]:
+    line = line.replace("lightmatrix", COMMAND)
+    return subprocess.run(
+        ["bash", "-c", line], capture_output=True, env={**os.environ, **settings}, timeout=100
+    )
+
+
+def test_names_are_shown_as_they_are(store: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["info", str(store)]) == 0
+    shown = capsys.readouterr().out
+    assert str(store) in shown
+    assert "[/bold] :heart: [blink]" in shown
+    assert "made with [x [/y]" in shown
+    lm.write_image("p.png", np.full((64, 64), 255, np.uint8))
+    assert main(["relight", str(store), "p.png", "-o", "x[/y]:x:.png"]) == 0
+    assert "x[/y]:x:.png" in capsys.readouterr().out
+    assert main(["info", "nothing [/here] :x:"]) == 2
+    assert "nothing [/here] :x:" in capsys.readouterr().err
+
+
+def test_a_name_cannot_move_the_cursor(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["info", "a\x1b[2Jb\x07"]) == 2
+    assert "\x1b" not in capsys.readouterr().err
+
+
+@SHELL
+@pytest.mark.parametrize(
+    ("line", "code", "told"),
+    [
+        ("lightmatrix info $S >/dev/full", 2, b"standard output cannot be written"),
+        ("lightmatrix info $S --json >/dev/full", 2, b"standard output cannot be written"),
+        ("lightmatrix --help >/dev/full", 2, b"standard output cannot be written"),
+        ("lightmatrix info nothing 2>/dev/full", 2, b""),
+        ("lightmatrix info $S >&-", 0, b""),
+        ("lightmatrix info $S >&- 2>&-", 0, b""),
+        ("lightmatrix info $S <&-", 0, b""),
+        ("lightmatrix info $S --json | true; exit ${PIPESTATUS[0]}", 0, b""),
+        ("PYTHONIOENCODING=ascii lightmatrix info $S/Größe", 2, b"no such file"),
+        ("lightmatrix info $(printf 'a\\xffb')", 2, b"no such file"),
+    ],
+)
+def test_streams_that_fail(line: str, code: int, told: bytes, store: Path) -> None:
+    done = _shell(line, S=str(store))
+    assert done.returncode == code, done.stderr
+    assert told in done.stderr
+    assert bool(done.stderr) == bool(told), done.stderr
+    for word in (b"Traceback", b"Exception ignored", b"internal"):
+        assert word not in done.stderr
+
+
+@SIGNALS
+def test_ctrl_c_while_modules_are_loaded(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    whole = builtins.__import__
+
+    def interrupted(name: str, *rest: Any, **more: Any) -> Any:
+        if name == "lightmatrix.cli.app":
+            raise KeyboardInterrupt
+        return whole(name, *rest, **more)
+
+    monkeypatch.setattr(builtins, "__import__", interrupted)
+    assert main(["--help"]) == 130
+    assert capsys.readouterr().err == "stopped\n"
+
+
+@SIGNALS
+def test_ctrl_c_within_the_first_moments(store: Path) -> None:
+    for delay in (0.4, 0.8, 1.2):
+        process = subprocess.Popen(
+            [COMMAND, "info", str(store)], stdout=subprocess.PIPE, stderr=subprocess.PIPE
+        )
+        time.sleep(delay)
+        process.send_signal(signal.SIGINT)
+        _, told = process.communicate(timeout=60)
+        # Before Python itself is up, the system ends it without a word.
+        assert (process.returncode, told) in ((130, b"stopped\n"), (0, b""), (-2, b""))
+
+
+def test_ctrl_c_that_a_library_took_for_its_own(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def load(path: Path) -> None:
+        try:
+            raise KeyboardInterrupt
+        except KeyboardInterrupt as stop:
+            raise ImportError("numpy failed to load") from stop
+
+    monkeypatch.setattr(lm, "open", load)
+    assert main(["info", "x.zarr"]) == 130
+    assert capsys.readouterr().err == "stopped\n"
+
+
+@pytest.mark.parametrize("finished", [0, 1])
+def test_finished_tiles_are_promised_only_where_there_are_some(
+    finished: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    capture = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 8))
+    capture.save("capture")
+    solved = [0]
+
+    def stopped(*arguments: Any, **more: Any) -> Any:
+        if solved[0] == finished:
+            raise KeyboardInterrupt
+        solved[0] += 1
+        return solve(*arguments, **more)
+
+    monkeypatch.setattr("lightmatrix.estimators.plain.solve", stopped)
+    line = "estimate capture -o s.zarr --solver romp --iterations 1 --tile-rows 2048"
+    assert main(line.split()) == 130
+    told = capsys.readouterr().err
+    assert ("finished tiles are kept" in told) == bool(finished)
+    assert Path("s.zarr.partial").exists() == bool(finished)
+
+
+def test_ctrl_c_once_the_output_is_there_says_so(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def stopped(transport: Any) -> None:
+        # As a library may make its own of it.
+        try:
+            raise KeyboardInterrupt
+        except KeyboardInterrupt as stop:
+            raise RuntimeError("cancelled") from stop
+
+    lm.simulate("metal", lm.BernoulliPatterns((64, 64), 8)).save("capture")
+    monkeypatch.setattr(lm, "verdict", stopped)
+    line = "estimate capture -o s.zarr --solver romp --iterations 1"
+    for again in ("", " --overwrite"):
+        assert main((line + again).split()) == 130
+        assert capsys.readouterr().err.endswith("stopped; s.zarr is finished\n")
+        assert lm.open("s.zarr").camera_shape == (64, 64)
+
+
+@pytest.mark.parametrize("where", ["lightmatrix.verdict", "lightmatrix.store.zarr_file.open"])
+@pytest.mark.parametrize(
+    "error", [MemoryError(), RuntimeError("can't start new thread"), InputError("s.zarr: 9 GiB")]
+)
+def test_memory_that_ends_once_the_output_is_there_costs_its_words_only(
+    where: str,
+    error: Exception,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    def failing(*_: Any) -> None:
+        raise error
+
+    lm.simulate("metal", lm.BernoulliPatterns((64, 64), 8)).save("capture")
+    line = "estimate capture -o s.zarr --solver romp --iterations 1"
+    with monkeypatch.context() as patched:
+        patched.setattr(where, failing)
+        for again in ("", " --overwrite"):
+            assert main((line + again).split()) == 0
+            assert "s.zarr is finished; " in capsys.readouterr().err
+    assert lm.open("s.zarr").camera_shape == (64, 64)
+
+
+def test_memory_that_ends_before_all_was_told_is_a_failure(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def failing(*_: Any) -> None:
+        raise MemoryError
+
+    lm.simulate("metal", lm.BernoulliPatterns((64, 64), 8)).save("capture")
+    line = "estimate capture -o s.zarr --solver romp --iterations 1 --json"
+    monkeypatch.setattr("lightmatrix.store.zarr_file.open", failing)
+    assert main(line.split()) == 3
+    assert "error: s.zarr is finished; " in capsys.readouterr().err
+    assert main(line.split()) == 2
+    assert "s.zarr: exists already" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "told"),
+    [
+        (MemoryError(), 3, "error: not enough memory"),
+        (RuntimeError("can't start new thread"), 3, "error: not enough memory"),
+        (PermissionError(13, "Permission denied", "x.zarr"), 2, "error: x.zarr: Permission"),
+        (ValueError("a [bug]\nof ours"), 70, "internal error: ValueError: a [bug] of ours"),
+        (StopIteration(), 70, "internal error: StopIteration"),
+        (EOFError("end"), 70, "internal error: EOFError: end"),
+        (SystemError("odd"), 70, "internal error"),
+    ],
+)
+def test_every_end_has_one_message_and_a_code(
+    error: BaseException, code: int, told: str,
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    def fail(path: Path) -> None:
+        raise error
+
+    monkeypatch.setattr(lm, "open", fail)
+    assert main(["info", "x.zarr"]) == code
+    shown = capsys.readouterr().err
+    assert shown.startswith(told)
+    assert "Traceback" not in shown
+    monkeypatch.setenv("LIGHTMATRIX_DEBUG", "1")
+    assert main(["info", "x.zarr"]) == code
+    assert ("Traceback" in capsys.readouterr().err) == (code == 70)
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "estimate capture -o y.zarr --iterations 4294967296",
+        "estimate capture -o y.zarr --regularization 1e308",
+        "estimate capture -o y.zarr --regularization 0",
+        "simulate metal --patterns p -o c --blur inf",
+        "simulate metal --patterns p -o c --noise 1e308",
+        "simulate metal --patterns p -o c --exposure inf",
+        "simulate metal --patterns p -o c --seed 18446744073709551616",
+        "simulate metal --patterns p -o c --leak nan",
+        "simulate metal --patterns p -o c --leak -1",
+        "simulate metal --patterns p -o c --ambient inf",
+        "patterns bernoulli -k 99999999999 -o q",
+        "patterns bernoulli --size 999999x999999 -o q",
+        "patterns bernoulli --seed 18446744073709551616 -o q",
+        "patterns bernoulli --density nan -o q",
+        "relight s.zarr p.png -o b.tiff --gamma 2.2",
+        "relight s.zarr p.png -o b.png --gamma inf",
+        "relight s.zarr p.png -o b.png --exposure inf",
+        "evaluate s.zarr --truth metal --exposure inf",
+        "plan metal --frames 99999999999",
+        "plan metal --noise 1e308",
+    ],
+)
+def test_numbers_out_of_range_leave_nothing_behind(
+    line: str,
+    inputs: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(inputs)
+    before = {path.name for path in Path().iterdir()}
+    assert main(line.split()) == 2
+    told = capsys.readouterr().err
+    assert told.startswith("error: ")
+    assert len(told.splitlines()) == 2
+    assert {path.name for path in Path().iterdir()} == before
+
+
+def test_help_tells_the_exit_codes_and_the_stages(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--help"]) == 0
+    shown = " ".join(capsys.readouterr().out.split())
+    assert (
+        "0 done, 1 `check` found something, 2 bad input or output, 3 out of memory, 70 a bug"
+        in shown
+    )
+    assert shown.index("Prepare:") < shown.index("Measure and use:") < shown.index("Simulate:")
+    assert cli.console.__doc__
+
+
+@SIGNALS
+def test_destructors_met_by_a_stop_say_nothing() -> None:
+    script = (
+        "import os, signal\n"
+        # Background jobs of a shell start with interrupts ignored, and so would this child.
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        "from lightmatrix.cli.stops import quiet_stops\n"
+        "class Half:\n"
+        "    def __del__(self):\n"
+        "        raise AttributeError('half made')\n"
+        "with quiet_stops():\n"
+        "    Half()\n"
+        "    try:\n"
+        "        half = Half()\n"
+        "        os.kill(os.getpid(), signal.SIGINT)\n"
+        "        while True: pass\n"
+        "    except KeyboardInterrupt:\n"
+        "        print('stopped')\n"
+        "del half\n"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert done.stdout == "stopped\n"
+    assert done.stderr.count("half made") == 1  # of the first, before the stop
+
+
+@SIGNALS
+@pytest.mark.parametrize("stopped", [False, True])
+def test_a_task_left_by_a_stop_is_not_told(stopped: bool) -> None:
+    script = (
+        "import asyncio, os, signal, sys\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        "from lightmatrix.cli.stops import quiet_stops\n"
+        "loop = asyncio.new_event_loop()\n"
+        "with quiet_stops():\n"
+        "    task = loop.create_task(asyncio.sleep(60))\n"
+        "    loop.run_until_complete(asyncio.sleep(0))\n"
+        "    try:\n"
+        "        if sys.argv[1] == 'True':\n"
+        "            os.kill(os.getpid(), signal.SIGINT)\n"
+        "            while True: pass\n"
+        "    except KeyboardInterrupt:\n"
+        "        pass\n"
+        "loop.close()\n"
+        "del task, loop\n"
+    )
+    done = subprocess.run([sys.executable, "-c", script, str(stopped)], capture_output=True)
+    assert (b"Task was destroyed" in done.stderr) is not stopped
+
+
+@SIGNALS
+def test_a_stop_met_by_a_module_that_catches_everything_is_not_lost(tmp_path: Path) -> None:
+    (tmp_path / "greedy.py").write_text(
+        "import os, signal, time\n"
+        "try:\n"
+        "    os.kill(os.getpid(), signal.SIGINT)\n"
+        "    time.sleep(0.1)\n"
+        "except BaseException: pass\n"
+    )
+    script = (
+        "import signal, time\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        "from lightmatrix.cli.stops import quiet_stops\n"
+        "try:\n"
+        "    with quiet_stops():\n"
+        "        import greedy\n"
+        "        time.sleep(30)\n"
+        "except KeyboardInterrupt:\n"
+        "    print('stopped')\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, cwd=tmp_path, timeout=20
+    )
+    assert (done.stdout, done.stderr) == ("stopped\n", "")
+
+
+@SHELL
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        ("lightmatrix est", ["estimate"]),
+        ("lightmatrix estimate --solver ro", ["romp"]),
+        ("lightmatrix check --resp", ["--response"]),
+    ],
+)
+def test_a_shell_completes_commands_and_options(
+    words: str, expected: list[str], monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    monkeypatch.setenv("_LIGHTMATRIX_COMPLETE", "complete_bash")
+    monkeypatch.setenv("COMP_WORDS", words)
+    monkeypatch.setenv("COMP_CWORD", str(len(words.split()) - 1))
+    assert main([]) == 0
+    assert capsys.readouterr().out.split() == expected
+
+
+@SHELL
+def test_completion_installs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
+    # Which is looked for among the parents of the process, and tests may run without one.
+    monkeypatch.setattr("shellingham.detect_shell", lambda *_: ("bash", "/bin/bash"))
+    assert main(["--install-completion", "bash"]) == 0
+    assert "installed" in capfd.readouterr().out
+    written = (tmp_path / ".bashrc").read_text()
+    assert "lightmatrix" in written

@@ -1,0 +1,329 @@
+"""Compiled functions are safe against any argument: an ordinary exception, or the right result."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from contextlib import suppress
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from lightmatrix import _core
+from tests.helpers.hostile_core import (
+    BITS,
+    CLIPPED,
+    HOSTILE,
+    MATRIX,
+    MEANS,
+    ORDINARY,
+    PATTERNS,
+    PIXELS,
+    RNG,
+    ROWS,
+    SHOWN,
+    SHOWN_SET,
+    UNSHOWN,
+    VALUES,
+    Call,
+    around,
+    begin,
+    cells,
+    chosen,
+    expectation,
+    expected,
+    likely,
+    samples,
+    solve,
+    sparse,
+    weighted,
+)
+
+TESTS = Path(__file__).parent
+
+
+def run(*arguments: str) -> subprocess.CompletedProcess[str]:
+    """What a Python of its own says."""
+    command = [sys.executable, "-W", "ignore", *arguments]
+    return subprocess.run(
+        command, capture_output=True, text=True, check=False, cwd=TESTS, timeout=300
+    )
+
+
+def test_what_is_not_hostile_is_taken() -> None:
+    assert solve(start=begin(), progress=lambda done, rows: None).converged.all()
+    found, shares = weighted(
+        cells=cells(),
+        start=begin(),
+        expected=None,
+        background=np.full((ROWS, PATTERNS), 0.5, np.float32),
+    )
+    assert found.converged.all()
+    assert shares.shape == (ROWS, 2)
+    assert weighted(expected=(UNSHOWN, expectation()))[0].converged.all()
+    assert np.isfinite(expected()[0]).all()
+    assert likely()[0][-1] > 0
+
+
+def test_hostile_arguments_do_not_end_the_process() -> None:
+    # A crash in here would end all other tests too, and say nothing: first see from outside.
+    done = run("hostile_core.py")
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+@pytest.mark.parametrize("case", HOSTILE)
+def test_hostile_arguments_are_refused(case: str) -> None:
+    with pytest.raises(ORDINARY) as caught:
+        HOSTILE[case]()
+    assert str(caught.value)
+
+
+def test_nothing_is_solved_to_nothing() -> None:
+    none = samples(values=VALUES[:0], clipped=CLIPPED[:0])
+    assert len(solve(none).gap) == 0
+    assert _core.bits_forward(BITS, PIXELS, np.zeros((0, PIXELS))).shape == (0, PATTERNS)
+    assert _core.bits_adjoint(BITS[:0], PIXELS, np.zeros((2, 0))).tolist() == [[0] * PIXELS] * 2
+    assert _core.hadamard(np.zeros((0, 8))).shape == (0, 8)
+    assert likely(range=(3, 3), doubts=np.zeros(0))[0].tolist() == [0]
+
+
+def layouts(values: NDArray[Any]) -> list[NDArray[Any]]:
+    """The same values, otherwise in memory: by columns, by strides, backwards, out of step."""
+    spread = np.zeros([2 * side for side in values.shape], values.dtype)
+    every_other = spread[tuple(slice(None, None, 2) for _ in values.shape)]
+    every_other[...] = values
+    backwards = np.ascontiguousarray(values[::-1])[::-1]
+    raw = np.zeros(values.nbytes + 1, np.uint8)
+    shifted = raw[1:].view(values.dtype).reshape(values.shape)
+    shifted[...] = values
+    return [np.asfortranarray(values), every_other, backwards, shifted]
+
+
+def same(found: _core.Solved, other: _core.Solved) -> None:
+    for name in ("indptr", "indices", "values", "background", "gap", "passes"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(other, name))
+
+
+def test_no_layout_is_misread() -> None:
+    weights = RNG.random((ROWS, PATTERNS))
+    usual = solve(samples(weights=weights))
+    for values, clipped, weight in zip(
+        layouts(VALUES), layouts(CLIPPED), layouts(weights), strict=True
+    ):
+        same(usual, solve(samples(values=values, clipped=clipped, weights=weight)))
+    x = RNG.random((5, PIXELS))
+    for packed, rows in zip(layouts(BITS), layouts(x), strict=True):
+        product = _core.bits_forward(packed, PIXELS, rows)
+        np.testing.assert_array_equal(product, _core.bits_forward(BITS, PIXELS, x))
+    for rows in layouts(RNG.random((4, 8)).astype(np.float32)):
+        np.testing.assert_array_equal(_core.hadamard(rows), _core.hadamard(rows.copy()))
+    dense = SHOWN_SET.dense()
+    e = RNG.random((2, PATTERNS))
+    scores = _core.PreparedPatterns.from_dense(dense, MEANS).scores(e)[0]
+    for matrix in layouts(dense):
+        again = _core.PreparedPatterns.from_dense(matrix, MEANS).scores(e)[0]
+        np.testing.assert_array_equal(again, scores)
+
+
+def test_indices_of_either_width_and_values_of_either_precision_are_the_same() -> None:
+    usual, _ = weighted(start=begin(), cells=cells())
+    for whole in (np.int32, np.int64):
+        for real in (np.float32, np.float64):
+            rows = sparse(
+                indptr=MATRIX.indptr.astype(whole),
+                indices=MATRIX.indices.astype(whole),
+                data=MATRIX.data.astype(real),
+            )
+            same(usual, weighted(rows, start=begin(coefficients=rows), cells=cells())[0])
+            np.testing.assert_array_equal(likely(rows)[1], likely()[1])
+            np.testing.assert_array_equal(
+                expected(near=around(rows=begin(coefficients=rows)))[0], expected()[0]
+            )
+
+
+@given(
+    regularization=st.floats(1e-320, 1e308),
+    scale=st.sampled_from([0.0, 1e-300, 1e-30, 1.0, 1e30]),
+    weight=st.sampled_from([0.0, 1e-38, 1.0, 1e38]),
+    fidelity=st.sampled_from(["linear", "one-sided", "rejection"]),
+    instructions=st.sampled_from(["portable", "avx2", "avx512", "amx"]),
+    signs=st.tuples(st.booleans(), st.booleans()),
+    seed=st.integers(0, 2**32 - 1),
+)
+@settings(max_examples=60, deadline=None)
+def test_numbers_of_any_size_end(
+    regularization: float,
+    scale: float,
+    weight: float,
+    fidelity: str,
+    instructions: str,
+    signs: tuple[bool, bool],
+    seed: int,
+) -> None:
+    try:
+        prepared = SHOWN_SET.prepare(instructions=instructions)
+    except ValueError:
+        prepared = SHOWN
+    rng = np.random.default_rng(seed)
+    rows = samples(
+        values=rng.normal(size=(ROWS, PATTERNS)) * scale,
+        clipped=rng.random((ROWS, PATTERNS)) < 0.3,
+        weights=rng.random((ROWS, PATTERNS)) * weight,
+    )
+    nonnegative, background = signs
+    how = chosen(
+        regularization=regularization,
+        fidelity=fidelity,
+        nonnegative=nonnegative,
+        background=background,
+        max_passes=20,
+    )
+    found = prepared.solve(rows, how)
+    assert np.isfinite(found.values).all()
+    assert np.isfinite(found.background).all()
+    assert found.indptr[-1] == len(found.indices)
+    if nonnegative:
+        assert (found.values >= 0).all()
+        assert (found.background >= 0).all()
+
+
+ARRAYS = st.builds(
+    lambda shape, dtype, fill, layout: layouts(np.full(shape, fill).astype(dtype))[layout],
+    st.lists(st.sampled_from([0, 1, 2, PATTERNS, ROWS, PIXELS]), min_size=1, max_size=3),
+    st.sampled_from(["f4", "f8", "i4", "i8", "?", "u1", ">f4", "f2"]),
+    st.sampled_from([0.0, 1.0, 0.5, -1.0, 20.0]),
+    st.integers(0, 3),
+)
+THINGS = st.one_of(ARRAYS, st.none(), st.integers(), st.text(max_size=3), st.just(MATRIX))
+
+
+@given(things=st.lists(THINGS, min_size=9, max_size=9))
+@settings(max_examples=60, deadline=None)
+def test_any_things_give_an_ordinary_exception_or_a_result(things: list[Any]) -> None:
+    a, b, c, d, e, f, g, h, i = things
+    calls: list[Call] = [
+        lambda: _core.bits_forward(a, b, c),
+        lambda: _core.bits_adjoint(BITS, PIXELS, a),
+        lambda: _core.bits_columns(BITS, PIXELS, a),
+        lambda: _core.hadamard(a),
+        lambda: _core.rows_times(a, b),
+        lambda: _core.PreparedPatterns.from_bits(a, PIXELS, b, c),
+        lambda: _core.PreparedPatterns.from_dense(a, b),
+        lambda: SHOWN.scores(a),
+        lambda: solve(samples(values=a)),
+        lambda: solve(samples(values=a, clipped=b, weights=c)),
+        lambda: solve(samples(weights=d)),
+        lambda: solve(start=begin(background=e)),
+        lambda: weighted(SimpleNamespace(indptr=a, indices=b, data=c)),
+        lambda: weighted(cells=cells(means=d, penalties=e)),
+        lambda: weighted(background=f, start=begin(background=g), cells=cells()),
+        lambda: expected(near=around(movement=h)),
+        lambda: expected(background=i, reach=a),
+        lambda: likely(camera=a, projector=b, reach=(c, d), most=e, range=(f, g)),
+        lambda: likely(doubts=a),
+    ]
+    for call in calls:
+        with suppress(*ORDINARY):
+            call()
+
+
+LIMITED = """
+import resource
+import numpy as np
+from lightmatrix import _core
+from tests.helpers.hostile_core import CLIPPED, SHOWN, VALUES, chosen, samples
+
+SHOWN.scores(np.ones((1, 9)))
+pages = int(open("/proc/self/statm").read().split()[0])
+limit = pages * resource.getpagesize() + {room}
+soft, hard = resource.getrlimit(resource.RLIMIT_AS)
+resource.setrlimit(resource.RLIMIT_AS, (limit, hard))
+try:
+    {call}
+except (MemoryError, OSError) as error:
+    print(type(error).__name__, error)
+# Threads that end need room too.
+resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="limits of memory are Linux's here")
+@pytest.mark.parametrize(
+    ("room", "call", "message"),
+    [
+        (
+            2**26,
+            "_core.bits_forward(np.zeros((2**14, 1), np.uint8), 1, np.zeros((2**12, 1)))",
+            "MemoryError not enough memory for the product: 4096 x 16384 numbers",
+        ),
+        (
+            2**28,
+            "SHOWN.solve(samples(values=np.tile(VALUES, (60, 1)), "
+            "clipped=np.tile(CLIPPED, (60, 1))), chosen(threads=700))",
+            "MemoryError not enough memory for the threads",
+        ),
+        (
+            2**28,
+            "_core.likely_pixels(__import__('scipy.sparse').sparse.csr_array((1, 2**30), "
+            "dtype=np.float32), (1, 1, 1), (1, 2**15, 2**15), np.zeros((1, 4), np.float32), "
+            "[np.ones(1, np.float32)], 0.1, *[np.ones(1, np.float32)] * 2, (1, 1), 5, "
+            "np.ones(1), (0, 1))",
+            "MemoryError not enough memory for sums over the pixels",
+        ),
+    ],
+)
+def test_memory_that_is_not_there_is_an_error(room: int, call: str, message: str) -> None:
+    script = LIMITED.format(room=room, call=call)
+    done = run("-c", script)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith(message)
+
+
+NO_THREADS = """
+import os
+import resource
+from tests.helpers.hostile_core import chosen, solve
+
+# Root may start what it likes.
+if os.getuid() == 0:
+    os.setuid(65534)
+resource.setrlimit(resource.RLIMIT_NPROC, (1, 1))
+try:
+    solve(chosen_=chosen(threads=5))
+except OSError as error:
+    print(error)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="limits of threads are Linux's here")
+def test_threads_that_cannot_start_are_an_error() -> None:
+    done = run("-c", NO_THREADS)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("cannot start 5 threads: ")
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="there is no fork")
+def test_a_forked_process_has_threads_of_its_own() -> None:
+    script = (
+        "import os\nfrom hostile_core import chosen, solve\n"
+        "solve(chosen_=chosen(threads=None))\nchild = os.fork()\n"
+        "solve(chosen_=chosen(threads=None))\n"
+        "os._exit(0) if child == 0 else print(os.waitpid(child, 0)[1])"
+    )
+    done = run("-c", script)
+    assert (done.returncode, done.stdout) == (0, "0\n"), done.stderr
+
+
+def test_an_exception_in_progress_stops_the_rows() -> None:
+    def stop(done: int, rows: int) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        solve(progress=stop)

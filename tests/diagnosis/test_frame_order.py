@@ -1,0 +1,241 @@
+"""Frames out of order are named; good captures, of any kind, are left alone."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import lightmatrix as lm
+from lightmatrix.camera.sensor import Sensor
+from lightmatrix.capture.capture import Capture
+from lightmatrix.diagnosis import check as checking
+from lightmatrix.diagnosis.order import Disorder, find_disorder
+from lightmatrix.diagnosis.prediction import Assumption, Rows, column_scale, prediction_misses
+from lightmatrix.diagnosis.usable import refuse_unordered, refuse_unusable
+from lightmatrix.errors import InputError
+from lightmatrix.patterns.bits import BernoulliPatterns
+from lightmatrix.patterns.blocks import one_pixel_patterns
+from lightmatrix.patterns.hadamard import HadamardPatterns
+from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
+
+SHAPE = (16, 20)
+CAMERA = (18, 22)
+
+
+def scene(seed: int = 0, diffuse: float = 0.3) -> NDArray[np.float64]:
+    """T of a textured surface: a few neighbouring projector pixels a row, and diffuse light."""
+    generator = np.random.default_rng(seed)
+    rows = np.add.outer(np.linspace(0, SHAPE[0] - 2, CAMERA[0]), np.zeros(CAMERA[1]))
+    cols = np.add.outer(np.zeros(CAMERA[0]), np.linspace(0, SHAPE[1] - 2, CAMERA[1]))
+    albedo = generator.uniform(0.2, 1, CAMERA)
+    matrix = np.zeros((*CAMERA, *SHAPE))
+    for r in range(CAMERA[0]):
+        for c in range(CAMERA[1]):
+            y, x = int(rows[r, c]), int(cols[r, c])
+            fy, fx = rows[r, c] - y, cols[r, c] - x
+            weights = np.outer([1 - fy, fy], [1 - fx, fx])
+            matrix[r, c, y : y + 2, x : x + 2] = albedo[r, c] * weights
+    matrix += diffuse * albedo[..., None, None] / np.prod(SHAPE)
+    return matrix.reshape(-1, int(np.prod(SHAPE)))
+
+
+def capture(
+    patterns: PatternSet,
+    order: Sequence[int] | NDArray[np.integer] | None = None,
+    *,
+    exposure: float = 1.0,
+    noise: float = 0.01,
+    seed: int = 0,
+    diffuse: float = 0.3,
+) -> Capture:
+    light = patterns.forward(scene(seed, diffuse))
+    sensor = Sensor(exposure, read_noise=noise)
+    frames = sensor.expose(light, seed=seed).T.reshape(-1, *CAMERA)
+    shown = np.arange(patterns.count) if order is None else np.asarray(order)
+    return Capture.from_arrays(patterns, frames[shown], sensor)
+
+
+def follow(taken: Capture) -> None:
+    """Refuse a capture as `Capture.check` does, by the order of its frames alone."""
+    found = find_disorder(taken.patterns, taken.tiles(), taken.rows, taken.frames.name)
+    if found is not None:
+        raise InputError(found.message)
+
+
+def swapped(count: int, a: int, b: int) -> NDArray[np.int64]:
+    order = np.arange(count)
+    order[[a, b]] = b, a
+    return order
+
+
+def gray_code() -> ImagePatterns:
+    """Column and row stripes of all powers of two, each with its inverse, white and black."""
+    rows, cols = np.indices(SHAPE)
+    images: list[NDArray[np.float64]] = []
+    for place, size in ((cols, SHAPE[1]), (rows, SHAPE[0])):
+        for bit in reversed(range((size - 1).bit_length())):
+            stripe = ((place ^ (place >> 1)) >> bit & 1).astype(float)
+            images += [stripe, 1 - stripe]
+    return ImagePatterns(np.array([*images, np.ones(SHAPE), np.zeros(SHAPE)], np.float32))
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("exposure", [0.3, 2.0])
+@pytest.mark.parametrize("count", [8, 16, 32, 64, 200])
+def test_good_captures_pass(count: int, exposure: float, seed: int) -> None:
+    for density in (0.5, 0.1):
+        patterns = BernoulliPatterns(SHAPE, count, density, seed)
+        follow(capture(patterns, exposure=exposure, seed=seed, noise=0.02))
+
+
+@pytest.mark.parametrize(
+    "patterns",
+    [
+        HadamardPatterns(SHAPE, 48, "random", True),
+        HadamardPatterns(SHAPE, 64, "sequency"),
+        HadamardPatterns(SHAPE, 64, "natural"),
+        gray_code(),
+        one_pixel_patterns(SHAPE),
+        ImagePatterns(np.repeat(gray_code().stack, 2, axis=0)),
+    ],
+    ids=["hadamard", "sequency", "natural", "gray code", "one-pixel", "each pattern twice"],
+)
+def test_good_captures_of_other_patterns_pass(patterns: PatternSet) -> None:
+    for seed in range(3):
+        follow(capture(patterns, seed=seed, exposure=1.5, noise=0.02))
+
+
+def test_a_diffuse_scene_is_left_alone() -> None:
+    generator = np.random.default_rng(0)
+    patterns = BernoulliPatterns(SHAPE, 64)
+    light = patterns.forward(generator.uniform(0, 2 / 320, (400, 320)))
+    sensor = Sensor(read_noise=0.01)
+    frames = sensor.expose(light).T.reshape(64, 20, 20)
+    follow(Capture.from_arrays(patterns, frames, sensor))
+    follow(Capture.from_arrays(patterns, frames[swapped(64, 3, 9)], sensor))
+
+
+@pytest.mark.parametrize("exposure", [0.3, 1.5])
+@pytest.mark.parametrize("count", [32, 64, 200])
+def test_two_swapped_frames_are_named(count: int, exposure: float) -> None:
+    for seed in range(4):
+        a, b = np.sort(np.random.default_rng(seed).permutation(count)[:2])
+        patterns = BernoulliPatterns(SHAPE, count, seed=seed)
+        mixed = capture(patterns, swapped(count, a, b), exposure=exposure, seed=seed)
+        with pytest.raises(InputError, match=f"frame {a} and frame {b} look swapped"):
+            follow(mixed)
+        refuse_unusable(mixed)
+
+
+def test_swapped_stripes_of_different_width_are_noticed() -> None:
+    patterns = gray_code()
+    with pytest.raises(
+        InputError, match=r"frame (10 shows .* frame 0|0 shows .* frame 10|0 and frame 10)"
+    ):
+        follow(capture(patterns, swapped(patterns.count, 0, 10)))
+
+
+@pytest.mark.parametrize("first", [5, 20, 40, 55])
+def test_a_missing_frame_shifts_those_after_it(first: int) -> None:
+    patterns = BernoulliPatterns(SHAPE, 64)
+    order = np.append(np.delete(np.arange(64), first), 63)
+    with pytest.raises(InputError, match="after its own") as caught:
+        follow(capture(patterns, order))
+    if first > 32:
+        assert f"from frame {first} to frame 6" in caught.value.message
+
+
+def test_frames_displaced_alike() -> None:
+    patterns = BernoulliPatterns(SHAPE, 48)
+    frames = np.arange(48)
+    for order, words in (
+        (np.append(frames[1:], 0), "each image shows the pattern after its own"),
+        (np.append(0, frames[:-1]), "each image shows the pattern before its own"),
+        (frames[::-1], "the images follow the patterns backwards"),
+    ):
+        with pytest.raises(InputError, match=words):
+            follow(capture(patterns, order))
+
+
+def test_a_repeated_frame_is_named() -> None:
+    patterns = BernoulliPatterns(SHAPE, 64)
+    order = np.arange(64)
+    order[30] = 29
+    with pytest.raises(InputError, match="frame 30 shows the pattern of frame 29"):
+        follow(capture(patterns, order))
+
+
+def lost(count: int, place: int) -> NDArray[np.int64]:
+    """The frames when one is missing and the last is there twice."""
+    return np.append(np.delete(np.arange(count), place), count - 1)
+
+
+@pytest.mark.parametrize("count", [32, 48])
+def test_a_frame_missing_in_the_middle_of_few_is_noticed(count: int) -> None:
+    """Neither half of the frames is enough by itself."""
+    for seed in range(3):
+        place = count // 2 + seed - 1
+        patterns = BernoulliPatterns(SHAPE, count, seed=seed)
+        with pytest.raises(InputError, match=r"from frame \d+ to .* after its own") as caught:
+            follow(capture(patterns, lost(count, place), seed=seed))
+        first = int(caught.value.message.split()[2])
+        assert abs(first - place) <= 1
+
+
+@pytest.mark.parametrize("renamed", [True, False], ids=["files renamed", "projector late"])
+def test_displaced_frames_of_several_exposures_are_noticed(renamed: bool) -> None:
+    """Their exposure goes with them where files were renamed, else it is that of their place."""
+    count = 48
+    exposure = np.tile([2.0, 0.5, 2.0, 0.125], count // 4)
+    frames = np.arange(count)
+    patterns = BernoulliPatterns(SHAPE, count)
+    light = patterns.forward(scene())
+    for order, words in (
+        (frames, None),
+        (swapped(count, 4, 15), "frame 4 and frame 15 look swapped"),
+        (lost(count, 22), "from frame 2[123] to .* after its own"),
+        (np.append(frames[1:], count - 1), "each image shows the pattern after its own"),
+        (np.append(0, frames[:-1]), "each image shows the pattern before its own"),
+        (frames[::-1], "backwards"),
+    ):
+        sensor = Sensor(exposure[order] if renamed else exposure, read_noise=0.003)
+        raw = sensor.expose(np.ascontiguousarray(light[:, order])).T.reshape(count, *CAMERA)
+        found = Capture.from_arrays(patterns, raw, Sensor(exposure))
+        if words is None:
+            follow(found)
+            continue
+        with pytest.raises(InputError, match=words):
+            follow(found)
+
+
+def test_predictions_never_use_the_frame_they_predict() -> None:
+    patterns = BernoulliPatterns(SHAPE, 32)
+    values = np.asarray(patterns.forward(scene())[::5] / 10, np.float32)
+    frames = np.arange(32)
+    as_named, scale = Assumption(frames, frames), column_scale(patterns)
+    levels = np.full(values.shape, 10, np.float32)
+    before = prediction_misses(patterns, Rows(values, levels), as_named, scale)
+    assert before.own.max() < np.log(0.3)
+    # Noise in place of one frame: its own miss is that of noise, not fitted away.
+    noisy = values.copy()
+    noisy[:, 7] = np.random.default_rng(0).permutation(values[:, 7])
+    after = prediction_misses(patterns, Rows(noisy, levels), as_named, scale)
+    assert after.own[7] > 0
+
+
+def test_a_capture_is_judged_as_check_does(monkeypatch: pytest.MonkeyPatch) -> None:
+    patterns = BernoulliPatterns(SHAPE, 64)
+    mixed = capture(patterns, swapped(64, 4, 9))
+    told = [finding for finding in lm.check(mixed) if finding.kind == "order"]
+    with pytest.raises(InputError) as refused:
+        refuse_unordered(mixed)
+    assert refused.value.message == told[0].message
+    # What the first look suspects, and the second does not confirm, is held against nobody.
+    suspected = Disorder((4, 9), "frame 4 and frame 9 look swapped")
+    monkeypatch.setattr(checking, "find_disorder", lambda *_: suspected)
+    taken = capture(patterns)
+    assert lm.check(taken) == []
+    refuse_unordered(taken)

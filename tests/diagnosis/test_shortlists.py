@@ -1,0 +1,86 @@
+"""Predictions from shortlists are as good as those from all pixels, and as honest."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import lightmatrix as lm
+from lightmatrix.diagnosis import shortlists
+from lightmatrix.diagnosis.prediction import column_scale
+
+SHAPE, COUNT, ROWS = (48, 64), 64, 40
+
+
+def _values(patterns: lm.PatternSet) -> NDArray[np.float32]:
+    """Samples of camera pixels that see three projector pixels each, not far from each other."""
+    random = np.random.default_rng(0)
+    place = random.integers(8, (SHAPE[0] - 8, SHAPE[1] - 8), (ROWS, 2))
+    near = place[:, None] + random.integers(-3, 4, (ROWS, 3, 2))
+    seen = patterns.columns(np.ravel_multi_index(near.reshape(-1, 2).T, SHAPE))
+    light = np.einsum("kmp,p->mk", seen.reshape(COUNT, ROWS, 3), [0.5, 0.3, 0.2])
+    return (light + 0.01 * random.standard_normal(light.shape)).astype(np.float32)
+
+
+def _predicted(patterns: lm.PatternSet, values: Any, count: int = 60) -> NDArray[np.float32]:
+    taken = np.arange(count)
+    return shortlists.cross_predicted(patterns, column_scale(patterns), values, taken, taken % 3)
+
+
+@pytest.fixture(params=["bits", "grey"])
+def patterns(request: pytest.FixtureRequest) -> lm.PatternSet:
+    if request.param == "bits":
+        return lm.make_patterns("bernoulli", SHAPE, COUNT)
+    return lm.ImagePatterns(np.random.default_rng(3).random((COUNT, *SHAPE), np.float32))
+
+
+def test_they_predict_what_all_pixels_do(
+    patterns: lm.PatternSet, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    values = _values(patterns)
+    all_pixels = _predicted(patterns, values)
+    monkeypatch.setattr(shortlists, "FEW", 0)
+    # Not all in one block, nor all on the list.
+    monkeypatch.setattr(shortlists, "_MOST_ROWS", 16)
+    monkeypatch.setattr(shortlists, "_LISTED", 128)
+    monkeypatch.setattr(shortlists, "_GROUPS", 1000)
+    listed = _predicted(patterns, values)
+    spread = values.var(axis=1).sum()
+    missed = [((found - values) ** 2).mean(axis=1).sum() / spread for found in (all_pixels, listed)]
+    assert missed[0] < 0.3
+    assert missed[1] < 1.1 * missed[0]
+    # Most rows by the very same pixels.
+    assert (np.abs(all_pixels - listed).max(axis=1) < 1e-3).mean() > 0.6
+
+
+def test_what_a_part_holds_does_not_predict_it(
+    patterns: lm.PatternSet, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(shortlists, "FEW", 0)
+    values = _values(patterns)
+    before = _predicted(patterns, values)
+    values[:, 0:60:3] = np.random.default_rng(1).random((ROWS, 20))
+    # Nor do frames that are not there.
+    values[:, 60:] = np.nan
+    after = _predicted(patterns, values)
+    np.testing.assert_allclose(before[:, 0:60:3], after[:, 0:60:3], atol=1e-4)
+    assert np.isfinite(after).all()
+    assert np.abs(before[:, 1:60:3] - after[:, 1:60:3]).max() > 0.1
+
+
+def test_rows_beside_each_other_are_found_beside_each_other() -> None:
+    shape = (96, 128)
+    patterns = lm.make_patterns("bernoulli", shape, COUNT)
+    assert patterns.pixels > shortlists.FEW
+    random = np.random.default_rng(0)
+    place = random.integers(8, (88, 120), (10, 1, 2)) + random.integers(-6, 7, (10, 4, 2))
+    seen = np.ravel_multi_index(place.reshape(-1, 2).T, shape)
+    values = patterns.columns(seen).T + 0.1 * random.standard_normal((40, COUNT), np.float32)
+    taken = np.arange(COUNT)
+    scale = column_scale(patterns)
+    predicted = shortlists.cross_predicted(patterns, scale, values, taken, taken % 3, 4)
+    missed = ((predicted - values) ** 2).mean(axis=1) / values.var(axis=1)
+    assert missed.max() < 0.2

@@ -1,0 +1,217 @@
+"""Estimates of a large frame that are killed at random moments: are they whole afterwards?
+
+    python -m tests.estimators.kills [--count 50] [--first 0] [--small] [--workers 2]
+
+Each run starts one estimate on the same store again and again. It is killed (SIGKILL) after a
+random time up to three times, then left alone. The store must equal that of an estimate that was
+never killed, to the last bit, and nothing may be left beside it. The frame is a small one that is
+treated as large, so that light grows from seeds, and every round has several tiles.
+
+With `--workers` so many worker processes solve the tiles. Each time one of them is killed, which
+the estimate must survive, or the process that hands out tiles, where the next one goes on, with
+workers or without; none of its workers may outlive it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import os
+import random
+import signal
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable
+from contextlib import nullcontext, suppress
+from functools import partial
+from pathlib import Path
+from typing import Any, NoReturn
+
+import numpy as np
+import psutil
+
+from lightmatrix import store
+from lightmatrix.capture.capture import Capture
+from lightmatrix.estimators.coherent import stages
+from lightmatrix.estimators.coherent.estimator import WINDOWS, CoherentEstimator
+from lightmatrix.estimators.workers.opening import opened
+from lightmatrix.patterns.bits import BernoulliPatterns
+from lightmatrix.simulation.at_scale import simulate_procedural
+from lightmatrix.simulation.procedural import ProceduralScene
+
+# Half widths of the windows, sides of camera and projector, patterns.
+LARGER = (WINDOWS, 48, 40, 32)
+SMALLER = (((2, 1), (1, 1)), 24, 24, 16)
+MOST_KILLS = 3
+# Workers end at once when the process that started them does; a busy machine takes its time.
+ORPHANED = 20.0
+
+
+def in_child(work: Callable[[], None], seconds: float | None = None) -> bool:
+    """Do something in a process of its own; whether it was killed, after so many seconds."""
+    child = os.fork()
+    if child == 0:
+        _do(work)
+    if seconds is not None:
+        time.sleep(seconds)
+        os.kill(child, signal.SIGKILL)
+    _, status = os.waitpid(child, 0)
+    if os.WIFSIGNALED(status):
+        return True
+    if os.waitstatus_to_exitcode(status):
+        raise RuntimeError("an estimate failed")
+    return False
+
+
+def estimated(
+    capture: Path,
+    target: Path,
+    windows: tuple[tuple[int, int], ...],
+    *,
+    overwrite: bool = False,
+    workers: int = 0,
+    progress: Callable[[int, int], None] | None = None,
+) -> None:
+    """Begin an estimate, or go on with it."""
+    estimator = CoherentEstimator(windows=windows, tile_rows=200, threads=1)
+    taken = Capture.open(capture)
+    with opened(workers) if workers else nullcontext() as crew:
+        estimator.estimate(
+            taken, checkpoint=target, overwrite=overwrite, progress=progress, crew=crew
+        )
+
+
+def kill_later(victim: str, seconds: float, told: Path) -> Callable[[int, int], None]:
+    """Progress that kills this process or one of its workers, so long after it was called first.
+
+    A worker that was killed is told in a file.
+    """
+    timers: list[threading.Timer] = []
+
+    def kill() -> None:
+        found = workers_of(psutil.Process()) if victim == "worker" else [psutil.Process()]
+        if found:
+            found[0].kill()
+            told.touch()
+
+    def progress(done: int, total: int) -> None:
+        if not timers:
+            timers.append(threading.Timer(seconds, kill))
+            timers[0].daemon = True
+            timers[0].start()
+
+    return progress
+
+
+def workers_of(process: psutil.Process) -> list[psutil.Process]:
+    """The worker processes that a process has started."""
+    children = process.children(recursive=True)
+    return [child for child in children if any("spawn_main" in part for part in child.cmdline())]
+
+
+def outlived(workers: list[psutil.Process]) -> int:
+    """How many workers are still there, after a while."""
+    _, alive = psutil.wait_procs(workers, timeout=ORPHANED)
+    return len(alive)
+
+
+def killed_with_workers(
+    draw: random.Random, work: Callable[..., None], usual: float, told: Path
+) -> bool:
+    """Start an estimate with workers and kill one of these, or the estimate; whether it was."""
+    victim = draw.choice(["worker", "client"])
+    progress = kill_later(victim, draw.uniform(0, usual), told)
+    seen: dict[int, psutil.Process] = {}
+    child = os.fork()
+    if child == 0:
+        _do(partial(work, progress=progress))
+    while (found := os.waitpid(child, os.WNOHANG)) == (0, 0):
+        with suppress(psutil.Error):
+            seen |= {one.pid: one for one in workers_of(psutil.Process(child))}
+        time.sleep(0.05)
+    if not os.WIFSIGNALED(found[1]) and os.waitstatus_to_exitcode(found[1]):
+        raise RuntimeError("an estimate failed")
+    if outlived(list(seen.values())):
+        raise RuntimeError("workers outlived the estimate")
+    worker = told.exists()
+    told.unlink(missing_ok=True)
+    return worker or os.WIFSIGNALED(found[1])
+
+
+def digest(target: Path) -> str:
+    """Of all that a store says of its rows."""
+    found = store.open(target)
+    hasher = hashlib.sha256()
+    parts = [found.sparse.indptr, found.sparse.indices, found.sparse.data, found.background]
+    for values in (*parts, *(found.diagnostics[name] for name in sorted(found.diagnostics))):
+        hasher.update(np.ascontiguousarray(values).tobytes())
+    return hasher.hexdigest()
+
+
+def main() -> int:
+    """Run many, and tell what became of them."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--count", type=int, default=50)
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--small", action="store_true")
+    parser.add_argument("--workers", type=int, default=0)
+    options = parser.parse_args()
+    stages.LARGE, stages.FEWEST_SEEDS = 0, 3
+    windows, camera, projector, count = SMALLER if options.small else LARGER
+    kills = wrong = 0
+    with tempfile.TemporaryDirectory() as folder:
+        capture, whole = Path(folder) / "capture.zarr", Path(folder) / "whole.zarr"
+        scene = ProceduralScene((camera, camera), (projector, projector))
+        patterns = BernoulliPatterns((projector, projector), count)
+        in_child(lambda: _simulated(capture, scene, patterns))
+        started = time.monotonic()
+        in_child(lambda: estimated(capture, whole, windows))
+        usual = time.monotonic() - started
+        wanted = digest(whole)
+        for seed in range(options.first, options.first + options.count):
+            draw = random.Random(seed)
+            place = Path(folder) / f"run-{seed}"
+            place.mkdir()
+            target = place / "scene.zarr"
+
+            def work(target: Path = target, **how: Any) -> None:
+                estimated(capture, target, windows, **how)
+
+            killed = 0
+            for _ in range(draw.randint(1, MOST_KILLS)):
+                if target.exists():
+                    break
+                if options.workers:
+                    helped = partial(work, workers=options.workers)
+                    killed += killed_with_workers(draw, helped, usual, place / "told")
+                else:
+                    killed += in_child(work, draw.uniform(0, usual))
+            # Killed between its last renaming and tidying up, an estimate is whole, and the next
+            # one in its place tidies up.
+            in_child(partial(work, overwrite=target.exists()))
+            left = sorted(entry.name for entry in place.iterdir())
+            right = digest(target) == wanted and left == ["scene.zarr"]
+            kills, wrong = kills + killed, wrong + (not right)
+            print(f"{seed}: {killed} kills, {'right' if right else f'WRONG, {left}'}", flush=True)
+    print(f"{options.count} runs, {kills} kills, {wrong} wrong")
+    return 1 if wrong or not kills else 0
+
+
+def _do(work: Callable[[], None]) -> NoReturn:
+    """Do something in this process, a fork, and end it."""
+    try:
+        work()
+    except BaseException as error:
+        print(f"{type(error).__name__}: {error}", file=sys.stderr, flush=True)
+        os._exit(1)
+    os._exit(0)
+
+
+def _simulated(capture: Path, scene: ProceduralScene, patterns: BernoulliPatterns) -> None:
+    simulate_procedural(capture, scene, patterns)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

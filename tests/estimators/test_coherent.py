@@ -1,0 +1,246 @@
+"""Coherent estimation: few patterns suffice, tiles do not matter, interrupted runs go on."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+from scipy.sparse.linalg import norm
+
+from lightmatrix import store
+from lightmatrix.camera.sensor import Sensor
+from lightmatrix.capture.capture import Capture
+from lightmatrix.errors import InputError
+from lightmatrix.estimators.coherent import stages
+from lightmatrix.estimators.coherent.backgrounds import Backgrounds
+from lightmatrix.estimators.coherent.estimator import CoherentEstimator
+from lightmatrix.estimators.plain import PlainEstimator
+from lightmatrix.evaluation.metrics import relative_error, unclipped_rows
+from lightmatrix.patterns.bits import BernoulliPatterns
+from lightmatrix.simulation import library
+from lightmatrix.simulation.procedural import ProceduralScene
+from lightmatrix.simulation.simulate import irradiance
+from lightmatrix.simulation.truth import Truth
+from lightmatrix.solvers import ActiveSet
+from lightmatrix.transport.matrix import LightTransport
+
+EXPOSURE = 2.5
+
+
+def photographed(truth: Truth, count: int, exposure: float = EXPOSURE) -> Capture:
+    patterns = BernoulliPatterns(truth.projector_shape, count, seed=1)
+    sensor = Sensor(exposure, 0.0, 0.003, 0.0, 8)
+    frames = sensor.expose(irradiance(truth.matrix, patterns))
+    stack = np.ascontiguousarray(frames.T).reshape(count, *truth.camera_shape)
+    return Capture.from_arrays(patterns, stack, sensor)
+
+
+@pytest.fixture(scope="module")
+def scene() -> Truth:
+    return ProceduralScene((20, 18), (24, 20), seed=4, background=0.02, bounces=4).truth()
+
+
+def same(one: LightTransport, other: LightTransport) -> bool:
+    return (
+        (one.sparse != other.sparse).nnz == 0
+        and np.array_equal(one.background, other.background)
+        and np.array_equal(one.diagnostics["gap"], other.diagnostics["gap"])
+    )
+
+
+def rendered(name: str) -> tuple[Capture, LightTransport, NDArray[np.int64]]:
+    """A bundled scene under 32 patterns, its T, and the rows whose single responses do not clip."""
+    truth = library.truth(name)
+    known = truth.transport()
+    exposure = 0.8 / float(np.quantile(known.sparse.max(axis=1).toarray(), 0.8))
+    rows = np.flatnonzero(unclipped_rows(known, exposure))
+    return photographed(truth, 32, exposure), known, rows
+
+
+# Measured: .0178, .0133, .0286, .0323; row by row .43, .14, .21, .52.
+@pytest.mark.parametrize(
+    ("name", "most"),
+    [("l_objects", 0.0205), ("gripper", 0.015), ("metal", 0.035), ("corner", 0.037)],
+)
+def test_few_patterns_do_what_row_by_row_takes_many_for(name: str, most: float) -> None:
+    capture, known, rows = rendered(name)
+    plain = relative_error(PlainEstimator(ActiveSet()).estimate(capture), known, rows)
+    coherent = CoherentEstimator().estimate(capture)
+    found = relative_error(coherent, known, rows)
+    assert found < most
+    assert found < 0.2 * plain
+    assert (coherent.diagnostics["gap"][coherent.diagnostics["converged"]] <= 1e-3).all()
+    assert coherent.diagnostics["converged"].mean() > 0.99
+
+
+def test_expected_samples_and_halos_are_worth_something(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Left out, the error is 1.14 and 1.05 times what it is with them."""
+    capture, known, rows = rendered("l_objects")
+    whole = relative_error(CoherentEstimator().estimate(capture), known, rows)
+    with monkeypatch.context() as patch:
+        patch.setattr(stages, "EXPECTING", 99)
+        unexpecting = relative_error(CoherentEstimator().estimate(capture), known, rows)
+    assert whole < 0.9 * unexpecting
+
+    def evenly(backgrounds: Backgrounds, rows: csr_array) -> NDArray[np.float32]:
+        blocks = backgrounds.grid[0] * backgrounds.grid[1]
+        return np.full((rows.shape[0], blocks), 1 / blocks, np.float32)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Backgrounds, "spread", evenly)
+        even = relative_error(CoherentEstimator().estimate(capture), known, rows)
+    assert whole < 0.97 * even
+
+
+def test_tiles_and_threads_do_not_matter(scene: Truth) -> None:
+    capture = photographed(scene, 24)
+    whole = CoherentEstimator().estimate(capture)
+    for changed in (CoherentEstimator(tile_rows=7), CoherentEstimator(threads=1)):
+        assert same(whole, changed.estimate(capture))
+
+
+@pytest.mark.parametrize("finished", [0.01, 0.35, 0.92])
+def test_an_interrupted_estimate_goes_on(scene: Truth, tmp_path: Path, finished: float) -> None:
+    capture = photographed(scene, 24)
+    estimator = CoherentEstimator(tile_rows=90)
+    target = tmp_path / "scene.zarr"
+    reached: list[int] = []
+
+    def interrupt(done: int, total: int) -> None:
+        assert total == scene.matrix.shape[0]
+        reached.append(done)
+        if done > finished * total:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        estimator.estimate(capture, checkpoint=target, progress=interrupt)
+    assert not target.exists()
+    first = reached[0]
+    reached.clear()
+    again = estimator.estimate(
+        capture, checkpoint=target, progress=lambda done, total: reached.append(done)
+    )
+    # What was whole is not done again: a round is about a tenth of all.
+    assert first < 90
+    assert min(reached) >= (finished - 0.15) * 360
+    assert same(again, CoherentEstimator().estimate(capture))
+    assert same(store.open(target), again)
+    assert not target.with_name("scene.zarr.partial").exists()
+
+
+@pytest.mark.parametrize("name", ["indices", "background", "shape"])
+def test_a_damaged_round_is_done_again(scene: Truth, tmp_path: Path, name: str) -> None:
+    capture = photographed(scene, 24)
+    estimator = CoherentEstimator(tile_rows=90)
+    target = tmp_path / "scene.zarr"
+
+    def interrupt(done: int, total: int) -> None:
+        if done > 0.35 * total:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        estimator.estimate(capture, checkpoint=target, progress=interrupt)
+    round_file = sorted((tmp_path / "scene.zarr.partial").glob("round-*.npz"))[0]
+    with np.load(round_file) as arrays:
+        damaged = dict(arrays)
+    damaged[name] = damaged[name] + 1_000_000
+    if name == "background":
+        damaged[name][0] = np.nan
+    np.savez(round_file, **damaged)
+    again = estimator.estimate(capture, checkpoint=target)
+    assert same(again, CoherentEstimator().estimate(capture))
+
+
+def test_the_background_is_kept_in_cells(scene: Truth) -> None:
+    capture = photographed(scene, 64)
+    found = CoherentEstimator(background_grid=(3, 4)).estimate(capture)
+    assert found.background_grid == (3, 4)
+    assert found.background.shape == (360, 12)
+    single = CoherentEstimator(background_grid=(1, 1)).estimate(capture)
+    assert single.background.shape == (360, 1)
+    # Cells no finer than pixels.
+    assert CoherentEstimator(background_grid=(100, 100)).estimate(capture).background_grid == (
+        24,
+        20,
+    )
+
+
+def test_colour_channels_are_estimated_each_for_itself(scene: Truth) -> None:
+    grey = photographed(scene, 24)
+    frames = np.stack([grey.frame(k) for k in range(24)])
+    colour = Capture.from_arrays(
+        grey.patterns, np.stack([frames, frames // 2], axis=-1), grey.decoder
+    )
+    estimate = CoherentEstimator().estimate(colour)
+    assert estimate.camera_shape == (20, 18, 2)
+    expected = CoherentEstimator().estimate(grey)
+    # How footprints move is measured from all channels; it weighs what neighbours say.
+    difference = estimate.sparse[::2] - expected.sparse
+    assert norm(difference) < 0.01 * norm(expected.sparse)
+
+
+def test_masked_camera_pixels_stay_empty(scene: Truth) -> None:
+    grey = photographed(scene, 24)
+    frames = np.stack([grey.frame(k) for k in range(24)])
+    mask = np.ones((20, 18), bool)
+    mask[5:8, 6] = False
+    capture = Capture.from_arrays(grey.patterns, frames, grey.decoder, mask=mask)
+    found = CoherentEstimator().estimate(capture)
+    masked = np.flatnonzero(~mask.ravel())
+    assert found.sparse[masked].nnz == 0
+    assert not found.background[masked].any()
+    assert (np.diff(found.sparse.indptr)[mask.ravel()] > 0).mean() > 0.9
+
+
+def test_a_finer_projector_widens_the_windows() -> None:
+    truth = ProceduralScene((16, 16), (48, 48), seed=2, bounces=2).truth()
+    known = truth.transport()
+    capture = photographed(truth, 40)
+    plain = relative_error(PlainEstimator(ActiveSet()).estimate(capture), known)
+    assert relative_error(CoherentEstimator().estimate(capture), known) < 0.8 * plain
+
+
+def test_dark_and_clipped_captures() -> None:
+    patterns = BernoulliPatterns((8, 8), 12)
+    sensor = Sensor(1.0, 0.0, 0.003, 0.0, 8)
+    dark = np.zeros((12, 6, 6), np.uint8)
+    found = CoherentEstimator().estimate(Capture.from_arrays(patterns, dark, sensor))
+    assert found.sparse.nnz == 0
+    assert not found.background.any()
+    full = np.full((12, 6, 6), 255, np.uint8)
+    found = CoherentEstimator().estimate(Capture.from_arrays(patterns, full, sensor))
+    relit = found.relight(patterns.images())
+    assert (relit > 0.95).all()
+
+
+@pytest.mark.parametrize(
+    ("parameters", "what"),
+    [
+        ({"trust": 0.0}, "trust"),
+        ({"windows": ()}, "windows"),
+        ({"windows": ((1, -1),)}, "windows"),
+        ({"candidates": 0}, "candidates"),
+        ({"tile_rows": 0}, "tile_rows"),
+        ({"background_grid": (0, 3)}, "grid"),
+        ({"tolerance": 2.0}, "tolerance"),
+    ],
+)
+def test_parameters_out_of_range(parameters: dict[str, object], what: str) -> None:
+    with pytest.raises(InputError, match=what):
+        CoherentEstimator(**parameters)  # type: ignore[arg-type]
+
+
+def test_progress_counts_rows_once_and_ends(scene: Truth) -> None:
+    """Of all rounds together, never back; the frames held out have a round of their own."""
+    told: list[tuple[int, int]] = []
+    estimator = CoherentEstimator(windows=((2, 1), (1, 1), (1, 1)), tile_rows=100)
+    estimator.estimate(photographed(scene, 24), progress=lambda *step: told.append(step))
+    done, total = np.array(told).T
+    assert set(total) == {360}
+    assert (np.diff(done) >= 0).all()
+    assert done[-1] in (359, 360)
+    # Each of the five passes has its part: no jump over more than one of them.
+    assert np.diff(done, prepend=0).max() < 0.6 * 360

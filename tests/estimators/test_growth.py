@@ -1,0 +1,223 @@
+"""Large frames: few rows look everywhere, light grows from them, and the result is as good."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.sparse import csr_array
+
+from lightmatrix.camera.sensor import Sensor
+from lightmatrix.capture.capture import Capture
+from lightmatrix.estimators.coherent import stages
+from lightmatrix.estimators.coherent.certificate import SLACK, _residuals, holds_everywhere, sampled
+from lightmatrix.estimators.coherent.estimator import SIZES, WINDOWS, CoherentEstimator
+from lightmatrix.estimators.coherent.grid import CameraGrid
+from lightmatrix.estimators.coherent.neighbourhood import Neighbourhood
+from lightmatrix.estimators.coherent.rounds import HOLDS, LOOKED
+from lightmatrix.estimators.coherent.solving import Solving
+from lightmatrix.estimators.coherent.stages import Stage
+from lightmatrix.evaluation.metrics import relative_error
+from lightmatrix.patterns.atoms import AtomPatterns
+from lightmatrix.patterns.bits import BernoulliPatterns
+from lightmatrix.simulation.procedural import ProceduralScene
+from lightmatrix.simulation.simulate import irradiance
+from lightmatrix.simulation.truth import Truth
+from lightmatrix.solvers import ActiveSet
+from lightmatrix.transport.matrix import LightTransport
+from lightmatrix.transport.sparse_rows import SparseRows
+
+CAMERA = (40, 36)
+
+
+def photographed(truth: Truth, count: int = 32) -> Capture:
+    patterns = BernoulliPatterns(truth.projector_shape, count, seed=1)
+    sensor = Sensor(0.8, 0.0, 0.003, 0.0, 8)
+    frames = sensor.expose(irradiance(truth.matrix, patterns))
+    stack = np.ascontiguousarray(frames.T).reshape(count, *truth.camera_shape)
+    return Capture.from_arrays(patterns, stack, sensor)
+
+
+@pytest.fixture(scope="module")
+def scene() -> Truth:
+    return ProceduralScene(CAMERA, (40, 40), seed=4, background=0.02, bounces=4).truth()
+
+
+@pytest.fixture
+def growing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every frame is large."""
+    monkeypatch.setattr(stages, "LARGE", 0)
+    monkeypatch.setattr(stages, "FEWEST_SEEDS", 4)
+
+
+def same(one: LightTransport, other: LightTransport) -> bool:
+    facts = one.diagnostics.keys() == other.diagnostics.keys()
+    return (
+        facts
+        and (one.sparse != other.sparse).nnz == 0
+        and np.array_equal(one.background, other.background)
+        and all(
+            np.array_equal(values, other.diagnostics[name], equal_nan=True)
+            for name, values in one.diagnostics.items()
+        )
+    )
+
+
+def test_small_frames_look_everywhere_and_large_ones_grow() -> None:
+    usual = stages.stages((128, 128, 3), 128 * 128, WINDOWS)
+    assert [stage.window for stage in usual] == [None, *WINDOWS]
+    assert {stage.spacing for stage in usual} == {1}
+    assert not any(stage.again for stage in usual)
+    grown = stages.stages((1024, 1024), 768 * 1024, WINDOWS)
+    assert [stage.spacing for stage in grown] == [16] * 8 + [4] * 5 + [1] * 5
+    assert [stage.window is None for stage in grown] == [True] + [False] * 17
+    assert [stage.last for stage in grown] == [False] * 17 + [True]
+    assert [i for i, stage in enumerate(grown) if stage.again] == [9, 14]
+    assert [i for i, stage in enumerate(grown) if stage.still] == [11, 12, 15, 16]
+    # Narrow windows would leave gaps between seeds, and thin cameras have no neighbours.
+    assert stages.spacings((1024, 1024), 768 * 1024, ((1, 1),)) == (1,)
+    assert stages.spacings((10, 100_000), 768 * 1024, WINDOWS) == (1,)
+    short = stages.stages((1024, 1024), 768 * 1024, ((2, 1),))
+    assert [stage.spacing for stage in short] == [16, 4, 1, 1]
+    assert stages.spacings((128, 1000), 768 * 1024, WINDOWS) == (8, 4, 1)
+
+
+@pytest.fixture(scope="module")
+def grown(scene: Truth) -> LightTransport:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(stages, "LARGE", 0)
+        patch.setattr(stages, "FEWEST_SEEDS", 4)
+        return CoherentEstimator().estimate(photographed(scene))
+
+
+def test_grown_rows_are_as_good_and_say_what_they_looked_at(
+    scene: Truth, grown: LightTransport
+) -> None:
+    usual, known = CoherentEstimator().estimate(photographed(scene)), scene.transport()
+    assert HOLDS not in usual.diagnostics
+    error = relative_error(usual, known)
+    assert relative_error(grown, known) < 1.1 * error
+    # Seeds are a 64th of the rows.
+    assert 1 / 64 < grown.diagnostics[LOOKED].mean() < 0.2
+    held = grown.diagnostics[HOLDS]
+    assert np.isfinite(held).mean() == pytest.approx(0.2, abs=0.02)
+    assert np.nanmean(held) > 0.95
+    assert grown.summary()["rows_looked_everywhere"] == grown.diagnostics[LOOKED].mean()
+    assert grown.summary()["rows_that_hold_everywhere"] == np.nanmean(held)
+    assert grown.provenance["solver_parameters"]["spacings"] == [8, 4, 1]
+
+
+@pytest.mark.usefixtures("growing")
+def test_what_no_seed_sees_is_found(scene: Truth) -> None:
+    """A few camera pixels between seeds look at another place than all around them."""
+    rows = np.arange(CAMERA[0] * CAMERA[1]).reshape(CAMERA)
+    odd = rows[17:20, 21:24].ravel()
+    changed = scene.matrix.tolil()
+    places = 40 * np.arange(3, 6)[:, None] + np.arange(33, 36)
+    for row, place in zip(odd, places.ravel(), strict=True):
+        changed[row] = 0
+        changed[row, place] = 0.5
+    matrix = csr_array(changed.tocsr())
+    truth = Truth(matrix, matrix.data, CAMERA, scene.projector_shape, {})
+    found = CoherentEstimator().estimate(photographed(truth))
+    assert found.diagnostics[LOOKED][odd].any()
+    strongest = np.asarray(found.sparse[odd].argmax(axis=1)).ravel()
+    assert np.array_equal(strongest, places.ravel())
+
+
+@pytest.mark.usefixtures("growing")
+def test_tiles_and_interruptions_do_not_matter(
+    scene: Truth, grown: LightTransport, tmp_path: Path
+) -> None:
+    capture = photographed(scene)
+    estimator = CoherentEstimator(tile_rows=477)
+
+    def interrupt(done: int, total: int) -> None:
+        if done > 0.6 * total:
+            raise KeyboardInterrupt
+
+    target = tmp_path / "scene.zarr"
+    with pytest.raises(KeyboardInterrupt):
+        estimator.estimate(capture, checkpoint=target, progress=interrupt)
+    reached: list[int] = []
+    again = estimator.estimate(
+        capture, checkpoint=target, progress=lambda done, _: reached.append(done)
+    )
+    assert min(reached) > 0.4 * len(scene.matrix.indptr)
+    assert reached == sorted(reached)
+    assert same(again, grown)
+
+
+@pytest.mark.parametrize("channels", [(), (3,)])
+def test_a_grid_has_every_so_manieth_pixel(channels: tuple[int, ...]) -> None:
+    random = np.random.default_rng(0)
+    frames = random.integers(0, 255, (6, 11, 10, *channels)).astype(np.uint8)
+    mask = random.random((11, 10, *channels)) > 0.2
+    capture = Capture.from_arrays(BernoulliPatterns((8, 8), 6), frames, Sensor(), mask=mask)
+    grid, whole = CameraGrid(capture, 4), CameraGrid(capture)
+    index = np.arange(whole.count).reshape(11, 10, -1)[::4, ::4].ravel()
+    assert grid.camera == (3, 3, *(channels or (1,)))
+    wanted, found = whole.samples(0, whole.count).rows(index), grid.samples(0, grid.count)
+    for name in ("values", "clipped"):
+        assert np.array_equal(getattr(wanted, name), getattr(found, name))
+    assert np.array_equal(wanted.weights_of_all(), found.weights_of_all())
+    entries = csr_array(random.random((grid.count, 5)) * (random.random((grid.count, 5)) > 0.5))
+    facts = {"number": np.arange(grid.count)}
+    grown = whole.grown(grid, SparseRows(entries, random.random((grid.count, 1)), facts))
+    assert (grown.coefficients[index] != entries).nnz == 0
+    assert grown.coefficients.nnz == entries.nnz
+    assert np.array_equal(grown.diagnostics["number"][index], facts["number"])
+    moved = random.random((grid.count, 4)).astype(np.float32)
+    finer = whole.movement(grid, moved).reshape(*whole.camera, 4)
+    assert np.array_equal(finer[5, 9], moved.reshape(*grid.camera, 4)[1, 2] / 4)
+
+
+@pytest.mark.parametrize("count", [6, 70])
+def test_narrow_atoms_are_right_to_a_hundred_thousandth(count: int) -> None:
+    patterns = BernoulliPatterns((12, 9), count, seed=3)
+    wide, narrow = (AtomPatterns(patterns, (0.0, 0.7, 1.4), narrow=n) for n in (False, True))
+    index = np.arange(wide.pixels)
+    exact = wide.prepared.columns(index)
+    np.testing.assert_allclose(exact, wide.dense().T, atol=1e-6)
+    np.testing.assert_allclose(narrow.prepared.columns(index), exact, atol=1e-5)
+    e = np.random.default_rng(0).standard_normal((3, count))
+    scores, bounds = narrow.prepared.scores(e)
+    unit, offset, up, down = bounds.reshape(-1, 4, 1).transpose(1, 0, 2)
+    for columns in (exact, narrow.prepared.columns(index)):
+        correlations = e @ columns.T.astype(np.float64)
+        assert (correlations <= unit * (scores + offset + up) + 1e-6).all()
+        assert (correlations >= unit * (scores + offset - down) - 1e-6).all()
+
+
+def test_rows_that_left_something_out_do_not_hold(scene: Truth) -> None:
+    capture = photographed(scene)
+    count = capture.rows
+    solving = Solving(capture, ActiveSet(tolerance=1e-3), None, 0.01, 250, SIZES, (8, 8))
+    samples = capture.samples(0, count)
+    alone = solving.everywhere(samples).rows.single()
+    rows = np.arange(5, count, 97)
+    stage = Stage(1, (1, 1), 4, last=True)
+    # All rows are told that light is in the first corner, which it is not.
+    corner = csr_array((np.ones(count, np.float32), np.zeros(count, int), np.arange(count + 1)))
+    corner.resize(alone.coefficients.shape)
+    for coefficients, hold in ((alone.coefficients, True), (corner, False)):
+        found = SparseRows(coefficients, alone.background, alone.diagnostics)
+        known = Neighbourhood(found, (*CAMERA, 1), solving.atoms)
+        solved, weighing = solving.near(samples, np.arange(count), stage, known)
+        held = holds_everywhere(solving, weighing, solved, rows)
+        # By the definition: the gradient of the weighted problem.
+        shown, unseen = _residuals(solving, weighing, solved, rows)
+        assert unseen is not None
+        slopes = solving.atoms.adjoint(shown) + solving.unseen.adjoint(unseen)
+        limit = 2 * weighing.problem.regularization * (1 + SLACK)
+        assert np.array_equal(held, (slopes <= limit).all(axis=1))
+        assert held.any() == hold
+
+
+def test_rows_held_against_all_atoms_are_spread() -> None:
+    whole = sampled(0, 100_000, 100_000)
+    assert 256 <= len(whole) < 300
+    parts = [sampled(start, start + 1000, 100_000) for start in range(0, 100_000, 1000)]
+    assert np.array_equal(np.concatenate(parts), whole)
+    assert np.array_equal(sampled(0, 7, 7), np.arange(7))

@@ -1,0 +1,279 @@
+"""Coarse to fine: equal to the plain estimate where nothing is given up, and what is kept else."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.ndimage import binary_dilation
+from scipy.sparse import csr_array
+
+from lightmatrix import store
+from lightmatrix.camera.samples import Samples
+from lightmatrix.camera.sensor import Sensor
+from lightmatrix.capture.capture import Capture
+from lightmatrix.cli import main
+from lightmatrix.errors import InputError
+from lightmatrix.estimators.multiscale import estimator as multiscale
+from lightmatrix.estimators.multiscale.estimator import MultiScaleEstimator
+from lightmatrix.estimators.multiscale.scales import scales, split, strongest
+from lightmatrix.estimators.plain import PlainEstimator
+from lightmatrix.evaluation.metrics import relative_error
+from lightmatrix.patterns.bits import BernoulliPatterns
+from lightmatrix.patterns.hadamard import HadamardPatterns
+from lightmatrix.patterns.pattern_set import ImagePatterns
+from lightmatrix.simulation.procedural import ProceduralScene
+from lightmatrix.simulation.simulate import irradiance
+from lightmatrix.simulation.truth import Truth
+from lightmatrix.solvers import (
+    ADMM,
+    ROMP,
+    ActiveSet,
+    Fidelity,
+    Problem,
+    SaturationADMM,
+    Solver,
+    solve,
+)
+from lightmatrix.solvers.objective import objective, relative_gap
+from lightmatrix.solvers.system import System, centred_energy
+
+SOLVERS = [ActiveSet(), SaturationADMM(), SaturationADMM(Fidelity.CLIPPED), ADMM(), ROMP()]
+
+
+def photographed(truth: Truth, exposure: float, count: int = 96, noise: float = 0.003) -> Capture:
+    patterns = BernoulliPatterns(truth.projector_shape, count, seed=1)
+    sensor = Sensor(exposure, 0.0, noise, 0.0, 8 if noise else None)
+    frames = sensor.expose(irradiance(truth.matrix, patterns))
+    stack = np.ascontiguousarray(frames.T).reshape(count, *truth.camera_shape)
+    return Capture.from_arrays(patterns, stack, sensor)
+
+
+@pytest.fixture(scope="module")
+def truth() -> Truth:
+    """A scene whose camera blocks look at compact parts of the projector."""
+    return ProceduralScene((18, 13), (32, 32), seed=4, background=0.02, bounces=4).truth()
+
+
+@pytest.fixture(scope="module")
+def capture(truth: Truth) -> Capture:
+    opened = photographed(truth, 2.5)
+    assert 0.02 < opened.clipped_share < 0.6
+    return opened
+
+
+@pytest.mark.parametrize("solver", SOLVERS, ids=lambda solver: type(solver).__name__)
+def test_keeping_everything_gives_the_plain_estimate(capture: Capture, solver: Solver) -> None:
+    plain = PlainEstimator(solver, 0.05).estimate(capture)
+    whole = MultiScaleEstimator(solver, 0.05, active=0, coarse_solver=ADMM(max_iterations=2))
+    found = whole.estimate(capture)
+    assert (found.diagnostics["candidates"] == 1024).all()
+    difference = np.linalg.norm((found.sparse - plain.sparse).data)
+    assert difference < 2e-3 * np.linalg.norm(plain.sparse.data)
+    np.testing.assert_allclose(found.background, plain.background, atol=0.02)
+    clipped = found.diagnostics["clipped_share"]
+    np.testing.assert_array_equal(clipped, plain.diagnostics["clipped_share"])
+
+
+@pytest.mark.parametrize("solver", [*SOLVERS[:2], *SOLVERS[3:]], ids=lambda s: type(s).__name__)
+def test_sparse_unclipped_rows_are_recovered(truth: Truth, solver: Solver) -> None:
+    large = truth.matrix.data > 0.1 * truth.matrix.max()
+    sparse = truth.matrix.copy()
+    sparse.data = np.where(large, sparse.data, 0).astype(np.float32)
+    sparse.eliminate_zeros()
+    known = Truth(sparse, sparse.data, truth.camera_shape, truth.projector_shape)
+    unclipped = photographed(known, 0.9 / float(sparse.sum(axis=1).max()), 128, noise=0)
+    assert unclipped.clipped_share == 0
+    found = MultiScaleEstimator(solver, 0.01).estimate(unclipped)
+    error = relative_error(found, known.transport())
+    plain = relative_error(PlainEstimator(solver, 0.01).estimate(unclipped), known.transport())
+    assert error < plain + 0.01
+    # ROMP takes in wrong pixels too, and so gives up few blocks.
+    if not isinstance(solver, ROMP):
+        assert error < 0.01
+        assert found.diagnostics["candidates"].mean() < 0.8 * 1024
+
+
+def test_nothing_is_found_outside_the_candidates(capture: Capture) -> None:
+    """Rows of a camera block share their candidates, dilated blocks of 2 x 2 pixels."""
+    found = MultiScaleEstimator(ActiveSet(), 0.05, camera_block=6).estimate(capture)
+    counts = found.diagnostics["candidates"].reshape(capture.camera_shape)
+    for top in range(0, 18, 6):
+        for left in range(0, 13, 6):
+            assert np.ptp(counts[top : top + 6, left : left + 6]) == 0
+    assert counts.max() < 1024
+    assert (np.diff(found.sparse.indptr) <= counts.ravel()).all()
+    again = MultiScaleEstimator(ActiveSet(), 0.05, camera_block=6).estimate(capture)
+    np.testing.assert_array_equal(found.sparse.toarray(), again.sparse.toarray())
+
+
+def test_the_strongest_blocks_and_their_neighbours_stay() -> None:
+    coefficients = np.zeros((3, 40))
+    coefficients[0, 5] = 100.0
+    coefficients[1, [5, 17]] = [0.1, 0.05]
+    coefficients[2, :20] = 1e-3
+    candidates = np.arange(0, 120, 3)
+    active = strongest(csr_array(coefficients), candidates, (10, 12), 0.04)
+    expected = np.zeros((10, 12), bool)
+    scores = (coefficients / coefficients.sum(axis=1, keepdims=True)).sum(axis=0)
+    expected.ravel()[candidates[np.argsort(-scores, kind="stable")[:8]]] = True
+    np.testing.assert_array_equal(active, binary_dilation(expected, np.ones((3, 3))))
+    assert active[divmod(15, 12)]
+    assert active[divmod(51, 12)]
+    dark = strongest(csr_array((3, 40)), candidates, (10, 12), 0.05)
+    assert dark.ravel()[candidates].all()
+
+
+def test_blocks_split_into_the_pixels_they_cover() -> None:
+    active = np.zeros((3, 2), bool)
+    active[2, 1] = active[0, 0] = True
+    found = split(active, (5, 3))
+    np.testing.assert_array_equal(found, [0, 1, 3, 4, 4 * 3 + 2])
+
+
+def test_scales_end_at_single_pixels_and_keep_their_distance_to_noise() -> None:
+    patterns = BernoulliPatterns((64, 48), 200)
+    made = scales(patterns, 8, 0.3)
+    assert [scale.block for scale in made] == [8, 4, 2, 1]
+    assert made[-1].patterns is patterns
+    for scale in made:
+        assert scale.regularization == pytest.approx(0.3 / scale.block, rel=0.05)
+    assert [scale.block for scale in scales(BernoulliPatterns((9, 40), 5), 8, 1.0)] == [2, 1]
+    assert [scale.block for scale in scales(BernoulliPatterns((3, 3), 5), 8, 1.0)] == [1]
+
+
+@pytest.mark.parametrize("solver", SOLVERS, ids=lambda solver: type(solver).__name__)
+def test_problems_on_some_pixels_keep_the_means_of_whole_patterns(solver: Any) -> None:
+    """What the solvers compute of such a set is what its definition says."""
+    whole = HadamardPatterns((8, 8), 40, "random", seed=3)
+    columns = np.array([1, 8, 9, 20, 33, 63])
+    patterns = ImagePatterns(whole.columns(columns)[:, None, :])
+    centred = patterns.matrix.astype(np.float64) - whole.means[:, None]
+    np.testing.assert_allclose(
+        centred_energy(patterns, whole.means), (centred**2).sum(axis=1), atol=1e-9
+    )
+    system = System(patterns, 0.7, whole.means)
+    matrix = np.column_stack([centred, system.scale * whole.means])
+    random = np.random.default_rng(0)
+    target, point = random.random((2, 40)), random.random((2, 7))
+    x, prediction = system.solve(target, point)
+    np.testing.assert_allclose(prediction, x @ matrix.T, atol=1e-10)
+    gradient = (prediction - target) @ matrix + 0.7 * (x - point)
+    np.testing.assert_allclose(gradient, 0, atol=1e-9)
+
+    rows = random.random((3, 6)) @ patterns.matrix.T.astype(np.float64) + 0.4 * whole.means
+    level = float(np.quantile(rows, 0.9))
+    samples = np.minimum(rows, level)
+    seen = Samples(samples, samples >= level, np.full(40, level))
+    problem = Problem(patterns, seen, 1e-3, background_column=whole.means)
+    result = solve(problem, solver)
+    # Equation 6 is not convex; what is near its minimum is near that of the one-sided fidelity too.
+    fidelity = solver.fidelity if solver.fidelity.convex else Fidelity.ONE_SIDED
+    best = solve(problem, ActiveSet(fidelity, tolerance=1e-8))
+    _, gap = relative_gap(problem, best.coefficients, best.background, fidelity)
+    assert gap.max() < 1e-7
+    reached = objective(problem, result.coefficients, result.background, fidelity)
+    assert (reached > best.objective * (1 - 1e-7)).all()
+    assert (reached < best.objective * 1.012).all()
+    if fidelity is not Fidelity.LINEAR:  # which takes clipped samples for what they are not
+        np.testing.assert_allclose(result.background, 0.4, atol=0.01)
+
+
+def test_wide_systems_of_restricted_patterns() -> None:
+    whole = BernoulliPatterns((8, 8), 12)
+    patterns = ImagePatterns(whole.columns(np.arange(0, 60))[:, None, :])
+    system = System(patterns, 0.3, whole.means)
+    matrix = np.column_stack([patterns.matrix - whole.means[:, None], system.scale * whole.means])
+    random = np.random.default_rng(0)
+    target, point = random.random((2, 12)), random.random((2, 61))
+    x, prediction = system.solve(target, point)
+    np.testing.assert_allclose(prediction, x @ matrix.T, atol=1e-5)
+    gradient = (prediction - target) @ matrix + 0.3 * (x - point)
+    np.testing.assert_allclose(gradient, 0, atol=1e-5)
+
+
+def test_interrupted_runs_go_on(
+    capture: Capture, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    estimator = MultiScaleEstimator(ActiveSet(), 0.05)
+    expected = estimator.estimate(capture)
+    calls: list[int] = []
+
+    def interrupted(problem: Any, solver: Any) -> Any:
+        calls.append(problem.rows)
+        if len(calls) == 9:
+            raise KeyboardInterrupt
+        return solve(problem, solver)
+
+    output = tmp_path / "scene.zarr"
+    monkeypatch.setattr(multiscale, "solve", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        estimator.estimate(capture, checkpoint=output)
+    assert not output.exists()
+    calls[:] = [0] * 20
+    seen: list[tuple[int, int]] = []
+    found = estimator.estimate(
+        capture, checkpoint=output, progress=lambda done, total: seen.append((done, total))
+    )
+    assert seen[0] == (8 * 13 + 8 * 8, 18 * 13)
+    assert seen[-1] == (18 * 13, 18 * 13)
+    assert abs(found.sparse - expected.sparse).max() == 0
+    stored = store.open(output)
+    assert abs(stored.sparse - expected.sparse).max() == 0
+    assert stored.provenance["estimator"] == "multi-scale"
+    assert stored.provenance["solver"] == "ActiveSet"
+    assert stored.diagnostics["candidates"].shape == (18 * 13,)
+
+
+def test_colour_channels_of_a_pixel_share_their_block(truth: Truth) -> None:
+    grey = photographed(truth, 2.5, 64)
+    frames = np.stack([grey.frames.read(k) for k in range(64)])
+    colour = Capture.from_arrays(
+        grey.patterns, np.repeat(frames[..., None], 3, axis=-1), grey.decoder
+    )
+    found = MultiScaleEstimator(ActiveSet(), 0.05).estimate(colour)
+    assert found.camera_shape == (18, 13, 3)
+    rows = found.sparse.toarray().reshape(18 * 13, 3, -1)
+    np.testing.assert_allclose(rows[:, 0], rows[:, 2], atol=2e-3)
+
+
+def test_the_command_line_estimates_by_scales(
+    tmp_path: Path, truth: Truth, capsys: pytest.CaptureFixture[str]
+) -> None:
+    truth.save(tmp_path / "T.npz")
+    patterns, capture, scene = (str(tmp_path / name) for name in ("p", "c", "s.zarr"))
+    assert main(["patterns", "bernoulli", "-k", "48", "--size", "32x32", "-o", patterns]) == 0
+    known = str(tmp_path / "T.npz")
+    assert main(["simulate", known, "--patterns", patterns, "-o", capture]) == 0
+    assert main(["estimate", capture, "-o", scene, "--multi-scale", "--solver", "romp"]) == 0
+    made = store.open(scene).provenance
+    assert made["estimator"] == "multi-scale"
+    assert made["solver"] == "ROMP"
+    capsys.readouterr()
+    for wrong in ("--coherent", "--tile-rows=8"):
+        assert main(["estimate", capture, "-o", scene, "--multi-scale", "--overwrite", wrong]) == 2
+        assert wrong.split("=")[0].strip("-").replace("-", " ") in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"coarsest": 6}, "power of two"),
+        ({"coarsest": 0}, "power of two"),
+        ({"camera_block": 0}, "at least 1"),
+        ({"active": -0.1}, "share"),
+        ({"active": 1.0}, "share"),
+    ],
+)
+def test_parameters_out_of_range_are_refused(options: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError) as refused:
+        MultiScaleEstimator(ActiveSet(), **options)
+    assert message in f"{refused.value.message} {refused.value.hint}"
+
+
+def test_a_coarsest_scale_of_one_pixel_is_the_plain_estimate(capture: Capture) -> None:
+    found = MultiScaleEstimator(ActiveSet(), 0.05, coarsest=1).estimate(capture)
+    plain = PlainEstimator(ActiveSet(), 0.05).estimate(capture)
+    np.testing.assert_allclose(found.sparse.toarray(), plain.sparse.toarray(), atol=2e-3)

@@ -1,0 +1,436 @@
+"""Estimates by several processes: the same to the last bit, whoever dies; and what is refused."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import time
+import warnings
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from multiprocessing import spawn
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import lightmatrix as lm
+from lightmatrix import store
+from lightmatrix.capture.packed import PackedFrames
+from lightmatrix.cli import main
+from lightmatrix.errors import ClusterError, InputError, MissingExtraError
+from lightmatrix.estimators.coherent import stages
+from lightmatrix.estimators.coherent.estimator import CoherentEstimator
+from lightmatrix.estimators.join import joined
+from lightmatrix.estimators.multiscale.estimator import MultiScaleEstimator
+from lightmatrix.estimators.plain import PlainEstimator
+from lightmatrix.estimators.steps import LEAST_TILE, cut
+from lightmatrix.estimators.workers import crew as crews
+from lightmatrix.estimators.workers import opening, travel
+from lightmatrix.estimators.workers.opening import opened
+from lightmatrix.solvers import ActiveSet
+from lightmatrix.transport.matrix import LightTransport
+from tests.helpers.systems import SIGNALS
+
+distributed = pytest.importorskip("distributed")
+WINDOWS = ((2, 1), (1, 1))
+
+
+@pytest.fixture(scope="module")
+def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+    """Two workers that somebody else started."""
+    # On a busy machine Dask warns of slow disks and slow ends.
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        started = distributed.LocalCluster(
+            n_workers=2,
+            threads_per_worker=1,
+            host="127.0.0.1",
+            dashboard_address=None,
+            silence_logs=50,
+            memory_limit=0,
+            local_directory=str(tmp_path_factory.mktemp("dask")),
+        )
+    yield started
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        started.close()
+
+
+@pytest.fixture(scope="module")
+def capture(tmp_path_factory: pytest.TempPathFactory) -> lm.Capture:
+    """Photographs in files, 24 x 22 of them."""
+    folder = tmp_path_factory.mktemp("capture") / "capture.zarr"
+    scene = lm.ProceduralScene((24, 22), (24, 24))
+    lm.simulate_procedural(folder, scene, lm.BernoulliPatterns((24, 24), 24))
+    return lm.Capture.open(folder)
+
+
+def place_of(capture: lm.Capture) -> Path:
+    """Where it lies."""
+    assert isinstance(capture.frames, PackedFrames)
+    return capture.frames.array.place.parent
+
+
+def same(one: LightTransport, other: LightTransport) -> bool:
+    return (
+        all(
+            np.array_equal(getattr(one.sparse, name), getattr(other.sparse, name))
+            for name in ("data", "indices", "indptr")
+        )
+        and np.array_equal(one.background, other.background)
+        and one.diagnostics.keys() == other.diagnostics.keys()
+        and all(
+            np.array_equal(values, other.diagnostics[name], equal_nan=True)
+            for name, values in one.diagnostics.items()
+        )
+    )
+
+
+ESTIMATORS: dict[str, Any] = {
+    "plain": PlainEstimator(ActiveSet(), 0.1, tile_rows=100),
+    "multi-scale": MultiScaleEstimator(ActiveSet(), 0.1),
+    "coherent": CoherentEstimator(windows=WINDOWS, tile_rows=100),
+    "growing": CoherentEstimator(windows=WINDOWS, tile_rows=100),
+}
+
+
+@pytest.mark.parametrize("name", list(ESTIMATORS))
+def test_workers_find_the_same(
+    name: str, capture: lm.Capture, cluster: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if name == "growing":
+        monkeypatch.setattr(stages, "LARGE", 0)
+        monkeypatch.setattr(stages, "FEWEST_SEEDS", 3)
+    estimator, told = ESTIMATORS[name], list[int]()
+    alone = estimator.estimate(capture)
+    plan = estimator.plan(capture, lambda done, total: told.append(done))
+    with opened(cluster=cluster.scheduler_address) as crew:
+        found = joined(plan, checkpoint=tmp_path / "s.zarr", overwrite=False, crew=crew)
+    assert same(found, alone)
+    assert same(store.open(tmp_path / "s.zarr"), alone)
+    assert told == sorted(told)
+    assert told[-1] == capture.rows
+    assert os.listdir(tmp_path) == ["s.zarr"]
+
+
+def test_a_crew_makes_one_estimate_after_the_other(capture: lm.Capture, cluster: Any) -> None:
+    alone = ESTIMATORS["plain"].estimate(capture)
+    with opened(cluster=cluster.scheduler_address) as crew:
+        for _ in range(2):
+            assert same(ESTIMATORS["plain"].estimate(capture, crew=crew), alone)
+
+
+@SIGNALS
+def test_a_worker_that_dies_costs_its_tile_only(
+    capture: lm.Capture, cluster: Any, tmp_path: Path
+) -> None:
+    estimator = ESTIMATORS["coherent"]
+    killed, told = list[int](), list[int]()
+
+    def kill(done: int, total: int) -> None:
+        told.append(done)
+        if not killed and done > total / 4:
+            pids = crew.client.run(os.getpid)
+            killed.append(next(iter(pids.values())))
+            os.kill(killed[0], signal.SIGKILL)
+
+    with opened(cluster=cluster.scheduler_address) as crew:
+        plan = estimator.plan(capture, kill)
+        found = joined(plan, checkpoint=tmp_path / "s.zarr", overwrite=False, crew=crew)
+    assert killed
+    # No tile twice: done is told once for each.
+    assert told == sorted(told)
+    assert same(found, estimator.estimate(capture))
+    assert os.listdir(tmp_path) == ["s.zarr"]
+
+
+@SIGNALS
+def test_a_tile_whose_worker_dies_before_it_is_asked_ends_later(cluster: Any) -> None:
+    with opened(cluster=cluster.scheduler_address) as crew:
+
+        def slowly() -> int:
+            time.sleep(2.0)
+            return os.getpid()
+
+        tile = crew.client.submit(slowly, pure=False)
+        os.kill(tile.result(), signal.SIGKILL)
+        deadline = time.monotonic() + 30
+        while tile.status != "lost" and time.monotonic() < deadline:
+            time.sleep(0.01)
+        other = crew.client.submit(int, pure=False)
+        assert dict(crew._ended({tile: (0, 1), other: (1, 2)})) == {other: "finished"}
+        while not (ended := dict(crew._ended({tile: (0, 1)}))):
+            assert time.monotonic() < deadline
+        assert ended == {tile: "finished"}
+
+
+KILLED = """
+import os, pathlib, signal, sys
+import lightmatrix as lm
+from tests.estimators.test_workers import ESTIMATORS
+from lightmatrix.estimators.join import joined
+from lightmatrix.estimators.workers.opening import opened
+capture = lm.Capture.open(sys.argv[1])
+kill = lambda done, total: done > total / 2 and os.kill(os.getpid(), signal.SIGKILL)
+with opened(cluster=sys.argv[2]) as crew:
+    plan = ESTIMATORS["coherent"].plan(capture, kill)
+    joined(plan, checkpoint=pathlib.Path(sys.argv[3]), overwrite=False, crew=crew)
+"""
+
+
+@SIGNALS
+def test_a_killed_estimate_goes_on_with_its_workers(
+    capture: lm.Capture, cluster: Any, tmp_path: Path
+) -> None:
+    address, target = cluster.scheduler_address, tmp_path / "s.zarr"
+    command = [sys.executable, "-c", KILLED, str(place_of(capture)), address, str(target)]
+    killed = subprocess.run(command, cwd=Path(__file__).parent, check=False)
+    assert killed.returncode == -signal.SIGKILL
+    assert not target.exists()
+    told = list[int]()
+    plan = ESTIMATORS["coherent"].plan(capture, lambda done, total: told.append(done))
+    with opened(cluster=address) as crew:
+        found = joined(plan, checkpoint=target, overwrite=False, crew=crew)
+    assert min(told) > 0.4 * capture.rows
+    assert same(found, ESTIMATORS["coherent"].estimate(capture))
+    assert os.listdir(tmp_path) == ["s.zarr"]
+
+
+def test_with_workers_and_without_runs_go_on_where_they_stopped(
+    capture: lm.Capture, cluster: Any, tmp_path: Path
+) -> None:
+    address = cluster.scheduler_address
+    target = tmp_path / "s.zarr"
+
+    def run(workers: bool, stop_at: float | None) -> list[int]:
+        told = list[int]()
+
+        def stop(done: int, total: int) -> None:
+            told.append(done)
+            if stop_at is not None and done > stop_at * total:
+                raise KeyboardInterrupt
+
+        plan = CoherentEstimator(windows=WINDOWS, tile_rows=60).plan(capture, stop)
+        if not workers:
+            joined(plan, checkpoint=target, overwrite=False)
+            return told
+        with opened(cluster=address) as crew:
+            joined(plan, checkpoint=target, overwrite=False, crew=crew)
+        return told
+
+    for workers, share in ((True, 0.3), (False, 0.6), (True, 0.8)):
+        with pytest.raises(KeyboardInterrupt):
+            run(workers, share)
+        assert not target.exists()
+    assert min(run(False, None)) > 0.6 * capture.rows
+    assert same(store.open(target), ESTIMATORS["coherent"].estimate(capture))
+    assert os.listdir(tmp_path) == ["s.zarr"]
+
+
+def test_the_command_starts_workers_of_its_own(
+    capture: lm.Capture, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    output = tmp_path / "s.zarr"
+    command = [
+        "estimate",
+        str(place_of(capture)),
+        "-o",
+        str(output),
+        "--no-coherent",
+        "--workers",
+        "2",
+    ]
+    assert main([*command, "--memory", "2GiB", "--no-check"]) == 0
+    assert "2 workers" in capsys.readouterr().err
+    assert same(store.open(output), lm.estimate(capture, coherent=False))
+
+
+# ---- what is refused, before any work
+
+
+def refused(address: str, capture: lm.Capture, output: Path) -> ClusterError:
+    with pytest.raises(ClusterError) as caught:
+        lm.estimate(capture, coherent=False, cluster=address, output=output)
+    assert caught.value.hint
+    assert not output.exists()
+    assert not os.listdir(output.parent)
+    return caught.value
+
+
+@pytest.mark.parametrize("address", ["tcp://127.0.0.1:9", "nowhere", "ftp://127.0.0.1:9"])
+def test_a_scheduler_that_does_not_answer(
+    address: str, capture: lm.Capture, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(opening, "ANSWER", 0.5)
+    assert "no scheduler of Dask answers" in str(refused(address, capture, tmp_path / "s.zarr"))
+
+
+def test_workers_of_another_version(
+    capture: lm.Capture, cluster: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(opening, "versions", lambda: {"lightmatrix": "9.1", "numpy": "3.2"})
+    message = str(refused(cluster.scheduler_address, capture, tmp_path / "s.zarr"))
+    assert f"lightmatrix {lm.__version__}, not 9.1" in message
+    assert f"numpy {np.__version__}, not 3.2" in message
+
+
+def test_workers_without_the_package(
+    capture: lm.Capture, cluster: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    module = ModuleType("of_another_machine")
+    exec("def about(dask_worker): return {}", module.__dict__)
+    monkeypatch.setitem(sys.modules, module.__name__, module)
+    monkeypatch.setattr(opening, "about", module.about)
+    message = str(refused(cluster.scheduler_address, capture, tmp_path / "s.zarr"))
+    assert "has no lightmatrix like this one" in message
+
+
+@pytest.mark.parametrize(
+    ("where", "name", "value", "what"),
+    [
+        (os.path, "abspath", lambda path: f"/elsewhere{path}", "cannot read the capture"),
+        (crews, "look_of", lambda capture: "another", "sees another capture"),
+    ],
+)
+def test_a_capture_that_workers_do_not_see(
+    capture: lm.Capture,
+    cluster: Any,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    where: Any,
+    name: str,
+    value: Callable[..., Any],
+    what: str,
+) -> None:
+    monkeypatch.setattr(where, name, value)
+    error = refused(cluster.scheduler_address, capture, tmp_path / "s.zarr")
+    assert what in str(error)
+    assert "tcp://127.0.0.1" in str(error)
+
+
+def test_an_output_that_workers_do_not_see(
+    capture: lm.Capture, cluster: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(store.Checkpoint, "folder", Path("/elsewhere/s.zarr.partial"))
+    cluster_client = distributed.Client(cluster, set_as_default=False)
+    with cluster_client:
+        cluster_client.run(_impatient)
+    error = refused(cluster.scheduler_address, capture, tmp_path / "s.zarr")
+    assert "does not see the running results in /elsewhere" in str(error)
+
+
+def _impatient() -> None:
+    from lightmatrix.estimators.workers import solving
+
+    solving.PATIENCE = 0.1
+
+
+def test_what_does_not_go_together(capture: lm.Capture, monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(InputError, match="workers here and a cluster"):
+        lm.AutoEstimator(workers=2, cluster="tcp://127.0.0.1:9")
+    with pytest.raises(InputError, match="no output"):
+        lm.estimate(capture, cluster="tcp://127.0.0.1:9")
+    with pytest.raises(InputError, match="workers is 0"):
+        lm.AutoEstimator(workers=0)
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(MissingExtraError, match=r"lightmatrix\[cluster\]"):
+        lm.estimate(capture, workers=2)
+
+
+def test_machines_without_the_memory_for_all_their_workers() -> None:
+    facts = [{"host": "a", "available": 3 << 30}, {"host": "b", "available": 9 << 30}]
+    opening._check_memory(facts, 2 << 30)
+    with pytest.raises(ClusterError, match="a: 2 workers take about 4 GiB of memory, 3 GiB"):
+        opening._check_memory([*facts, facts[0]], 2 << 30)
+
+
+def test_workers_share_memory_and_threads(
+    capture: lm.Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    one, two = lm.AutoEstimator().needs(capture), lm.AutoEstimator(workers=2).needs(capture)
+    assert two.memory == 2 * one.memory
+    assert "(2 workers)" in str(two)
+    monkeypatch.setenv("RAYON_NUM_THREADS", "8")
+    assert [opening.threads_each(workers) for workers in (1, 3, 16)] == [8, 2, 1]
+
+
+def test_workers_started_here_have_their_threads_and_the_usual_malloc(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setenv("RAYON_NUM_THREADS", "2")
+    monkeypatch.setenv("OMP_NUM_THREADS", "7")
+    monkeypatch.delenv("MKL_NUM_THREADS", raising=False)
+    # Workers that Dask starts by itself leave it behind.
+    monkeypatch.delenv("MALLOC_TRIM_THRESHOLD_", raising=False)
+    before = dict(os.environ)
+    with opened(1) as crew:
+        (there,) = crew.client.run(lambda: dict(os.environ)).values()
+    assert [there[name] for name in opening._THREADS] == ["2"] * 4
+    assert "MALLOC_TRIM_THRESHOLD_" not in there
+    assert dict(os.environ) == before
+
+
+@given(st.integers(0, 9000), st.integers(1, 9000), st.integers(1, 40), st.booleans())
+def test_tiles_of_a_step(rows: int, most: int, parts: int, shrinking: bool) -> None:
+    spans = list(cut(rows, most, parts, shrinking))
+    assert [0, *(stop for _, stop in spans)] == [*(start for start, _ in spans), rows]
+    sizes = [stop - start for start, stop in spans]
+    assert max(sizes, default=0) <= most
+    assert sizes == sorted(sizes, reverse=True)
+    if shrinking and parts > 1:
+        assert len(spans) >= parts or rows < 2 * parts * LEAST_TILE
+        # The last one keeps nobody waiting for longer than half of what an equal part would.
+        assert sizes[-1:] <= [max(LEAST_TILE, -(-rows // parts) // 2 + 1)]
+    else:
+        assert len(set(sizes[:-1])) <= 1
+        assert max(sizes, default=0) <= max(LEAST_TILE, -(-rows // parts))
+
+
+def test_workers_do_not_read_the_script_that_starts_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    # As of a script; what runs the tests may be none.
+    monkeypatch.setattr(spawn, "get_preparation_data", lambda name: {"init_main_from_path": name})
+
+    def told(name: str) -> set[str]:
+        return {key for key in spawn.get_preparation_data(name) if key.startswith("init_main")}
+
+    with opening._without_script():
+        assert not told("Dask Worker process (from Nanny)")
+        assert told("another's")
+    assert told("Dask Worker process (from Nanny)")
+
+
+def test_what_travels_leaves_behind_what_was_worked_out(
+    capture: lm.Capture, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    folder = Path("c")
+    patterns = lm.BernoulliPatterns((24, 24), 24)
+    lm.simulate_procedural(folder / "c.zarr", lm.ProceduralScene((8, 8), (24, 24)), patterns)
+    near = lm.Capture.open(folder / "c.zarr")
+    plan = ESTIMATORS["plain"].plan(near, lambda done, total: None)
+    assert near.digest
+    assert near.patterns.prepared
+    data = travel.packed(plan.work)
+    assert len(data) < 20_000
+    monkeypatch.chdir("/")
+    there = travel.unpacked(data)
+    assert "digest" not in vars(there.capture)
+    assert there.capture.digest == near.digest
+    assert there.report(store.ROWS) is None
+    solver = type("Local", (ActiveSet,), {})()
+    own = replace(ESTIMATORS["plain"], solver=solver).plan(capture)
+    with pytest.raises(InputError, match="cannot be sent to workers"):
+        travel.packed(own.work)
+
+
+def test_errors_keep_their_hints_on_their_way() -> None:
+    error = pickle.loads(pickle.dumps(ClusterError("what", hint="how")))
+    assert (type(error), error.message, error.hint) == (ClusterError, "what", "how")

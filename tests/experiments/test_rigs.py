@@ -1,0 +1,112 @@
+"""Rigs as they are: footprints of any size, any geometry, and what estimates say of themselves."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.stats import spearmanr
+
+import lightmatrix as lm
+from lightmatrix.cli import main
+from lightmatrix.estimators.coherent.estimator import CoherentEstimator
+from lightmatrix.evaluation.metrics import relative_error
+from lightmatrix.experiments import rigs
+from lightmatrix.experiments.rigs import Case, measure, photographed, rig_truth
+from lightmatrix.experiments.run import EXPERIMENTS
+from lightmatrix.simulation.truth import Truth
+from lightmatrix.simulation.views import mapped, seen
+
+pytestmark = pytest.mark.usefixtures("small_scenes")
+# Errors are those of 64 x 64, in a quarter of the time: .027 and .025 for l_objects blurred, .0102
+# and .0123 for gripper turned.
+SIDE = 32
+
+
+def error_of(case: Case, estimator: CoherentEstimator | None = None) -> float:
+    truth = rig_truth(case.scene, case.rig, case.side)
+    found = (estimator or CoherentEstimator()).estimate(photographed(case, truth))
+    return relative_error(found, truth.transport())
+
+
+def test_blur_costs_no_patterns() -> None:
+    """Measured: .027; by single pixels only several times as much."""
+    case = Case("l_objects", "blur 1", 32, side=SIDE)
+    assert error_of(case) < 0.035
+    assert error_of(case, CoherentEstimator(sizes=(0.0,))) > 2.5 * 0.035
+
+
+def test_it_does_not_matter_how_the_camera_is_held() -> None:
+    straight = error_of(Case("gripper", "sharp", 32, side=SIDE))
+    assert error_of(Case("gripper", "quarter turn", 32, side=SIDE)) < 1.1 * straight
+
+
+def test_a_row_states_its_error_and_its_footprint() -> None:
+    measured = {rig: measure(Case("l_objects", rig, 32, side=SIDE)) for rig in ("sharp", "blur 2")}
+    sizes = {rig: one.rows[0]["footprint"] for rig, one in measured.items()}
+    assert sizes["sharp"] < 4
+    # 4 pi sigma^2, and some more where several blurred footprints meet.
+    assert 35 < sizes["blur 2"] < 70
+    true, stated = (
+        np.concatenate([one.arrays[name] for one in measured.values()])
+        for name in ("errors", "stated")
+    )
+    assert spearmanr(true, stated)[0] > 0.6
+
+
+def test_what_cannot_be_found_is_called_doubtful() -> None:
+    """Camera pixels in random order: no neighbour knows anything."""
+    truth = rig_truth("l_objects", "blur 2", SIDE)
+    order = np.random.default_rng(0).permutation(SIDE * SIDE).reshape(SIDE, SIDE)
+    shuffled = seen(truth, order)
+    found = lm.estimate(photographed(Case("l_objects", "blur 2", 16, side=SIDE), shuffled))
+    assert relative_error(found, shuffled.transport()) > 0.3
+    judged = lm.verdict(found)
+    assert judged.level == "doubtful"
+    assert "more patterns" in judged.sentence
+
+
+def test_views_show_the_same_rows() -> None:
+    truth = rig_truth("metal", "sharp", SIDE)
+    turned = seen(truth, mapped((SIDE, SIDE), np.array([[0, 1, 0], [-1, 0, 0], [0, 0, 1.0]])))
+    assert turned.camera_shape == (SIDE, SIDE)
+    white = np.ones(truth.projector_shape)
+    straight = truth.transport().relight(white)
+    np.testing.assert_allclose(turned.transport().relight(white), np.rot90(straight), rtol=1e-6)
+    beyond = seen(truth, np.array([[-1, 5]]))
+    assert not beyond.transport().relight(white)[0, 0]
+    np.testing.assert_allclose(
+        np.asarray(beyond.direct.sum(axis=1)).ravel()[1],
+        np.asarray(truth.direct.sum(axis=1)).ravel()[5],
+    )
+
+
+def test_a_view_of_a_colour_camera_is_refused() -> None:
+    truth = rig_truth("metal", "sharp", SIDE)
+    colour = Truth(truth.matrix, truth.direct_data, (SIDE, SIDE // 2, 2), truth.projector_shape)
+    with pytest.raises(lm.InputError, match="colour"):
+        seen(colour, np.zeros((2, 2), int))
+
+
+def test_every_rig_can_be_photographed() -> None:
+    for rig in (*rigs.VIEWS, *rigs.PHOTOGRAPHED, "camera 2x coarser", "camera 2x finer"):
+        truth = rig_truth("l_objects", rig, SIDE)
+        assert truth.matrix.sum() > 0
+        if rig in rigs.PHOTOGRAPHED:
+            capture = photographed(Case("l_objects", rig, 8, side=SIDE), truth)
+            assert capture.samples(0, 4).values.shape == (4, 8)
+
+
+def test_the_experiment_is_measured_and_drawn(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def few(quick: bool) -> Iterator[Case]:
+        return (replace(case, side=SIDE) for case in rigs.cases(quick))
+
+    monkeypatch.setitem(EXPERIMENTS, "rigs", replace(rigs.RIGS_EXPERIMENT, cases=few))
+    assert main(["experiment", "rigs", "--quick", "-o", str(tmp_path / "rigs")]) == 0
+    names = {path.name for path in (tmp_path / "rigs").iterdir()}
+    assert {"rigs.json", "rigs.csv", "rigs.png", "confidence.png"} <= names

@@ -1,0 +1,126 @@
+"""The documentation: it builds as a site without a warning, and what it says to type works."""
+
+from __future__ import annotations
+
+import os
+import re
+import runpy
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import typer
+
+import lightmatrix as lm
+from lightmatrix.cli import main
+from lightmatrix.cli.app import STAGES, app
+from lightmatrix.simulation.procedural import ProceduralScene
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The whole site. A warning is an error, among them links and anchors that lead nowhere."""
+    folder = tmp_path_factory.mktemp("site")
+    # Not --quiet, which would leave warnings uncounted.
+    command = [sys.executable, "-m", "mkdocs", "build", "--site-dir", str(folder)]
+    told = subprocess.run(
+        command, cwd=ROOT, capture_output=True, text=True,
+        env={**os.environ, "NO_MKDOCS_2_WARNING": "1"},
+    )  # fmt: skip
+    assert told.returncode == 0, told.stderr
+    return folder
+
+
+def test_every_page_is_there_and_asks_for_nothing_from_elsewhere(site: Path) -> None:
+    pages = sorted(site.rglob("*.html"))
+    assert len(pages) > 20
+    for page in pages:
+        text = page.read_text()
+        loaded = re.findall(r"<(?:img|script)[^>]*\ssrc=\"?([^\s\">]+)", text)
+        loaded += re.findall(r"<link[^>]*rel=\"?stylesheet\"?[^>]*href=\"?([^\s\">]+)", text)
+        for address in loaded:
+            assert not re.match("(?:https?:)?//", address), f"{page.name} loads {address}"
+        assert not re.search(r"<img(?![^>]*\salt=)", text), f"{page.name}: a picture without words"
+
+
+def test_the_reference_has_every_name_of_the_door(site: Path) -> None:
+    told = "".join(page.read_text() for page in (site / "reference").glob("*.html"))
+    for name in dir(lm):
+        if not name.startswith("_"):
+            home = getattr(lm, name).__module__
+            assert f'id="{home}.{name}"' in told or f'.{name}"' in told, name
+    commands = (site / "commands.html").read_text()
+    for members in STAGES.values():
+        for member in members:
+            assert f'id="{member.__name__}"' in commands
+            manual = (site / "commands" / f"{member.__name__}.html").read_text()
+            assert "Exit codes" in manual
+            for option in re.findall(r"--[a-z-]+", _help_of(member.__name__)):
+                assert option in manual or option == "--help"
+    assert "--rig-file" in (site / "commands" / "rig-settle.html").read_text()
+    # Its examples come from the README; colours stand between their words.
+    assert "l_objects" in (site / "commands" / "simulate.html").read_text()
+    # Formulas are there, and none of them is left as it was written.
+    mathematics = (site / "mathematics.html").read_text()
+    assert mathematics.count("<math") > 40
+    assert "arithmatex" not in mathematics
+
+
+def _help_of(name: str) -> str:
+    command = typer.main.get_command(app).commands[name]  # type: ignore[attr-defined]
+    context = command.make_context(name, [], resilient_parsing=True)
+    return str(command.get_help(context))
+
+
+@pytest.mark.parametrize("name", ["report", "other-programs", "colour"])
+def test_what_a_page_says_to_type_works(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    truth = ProceduralScene((24, 32), (32, 32), seed=1).truth()
+    capture = lm.simulate(truth, lm.BernoulliPatterns((32, 32), 24))
+    capture.save("capture")
+    lm.estimate(capture, coherent=False, output="scene.zarr")
+    if name == "colour":
+        _in_colour(capture)
+    text = (ROOT / "docs" / f"{name}.md").read_text()
+    commands = re.findall(r"^ *(lightmatrix .*)$", text, flags=re.MULTILINE)
+    assert commands
+    if name == "colour":
+        commands = [each for line in commands for each in _of_each_colour(line)]
+    for line in commands:
+        assert main(shlex.split(line)[1:]) == 0, line
+    blocks = re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL)
+    assert blocks
+    (tmp_path / "script.py").write_text("\n".join(blocks))
+    runpy.run_path("script.py")
+
+
+def _of_each_colour(line: str) -> list[str]:
+    """A line of a loop over the colours, smaller than it is shown; green tells enough of some."""
+    if "$colour" not in line:
+        return [line]
+    line = line.replace("-k 64 --size 64", "-k 16 --size 32")
+    line = line.replace("l_objects", "capture/truth.npz")
+    green = line.replace("$colour", "green")
+    if "check" in line:
+        return [green]
+    others = re.sub("(estimate .*) --report .*", r"\1 --no-check --no-coherent", line)
+    return [green, *(others.replace("$colour", colour) for colour in ("red", "blue"))]
+
+
+def _in_colour(capture: lm.SimulatedCapture) -> None:
+    """Photographs of three channels, in place of the grey ones."""
+    lm.write_patterns("patterns", capture.patterns)
+    for k in range(capture.count):
+        frame = capture.frame(k)
+        shown = np.stack([frame, frame // 2, frame // 3], axis=-1)
+        lm.write_image(f"photos/photo_{k:03d}.png", shown)
+    colourful = lm.Capture.from_folders("patterns", "photos")
+    lm.estimate(colourful, coherent=False, output="scene.zarr", overwrite=True)
+    lm.write_image("picture.png", np.random.default_rng(0).random((32, 32, 3)))

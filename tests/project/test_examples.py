@@ -1,0 +1,63 @@
+"""Every example runs, does what it says, and makes the pictures of the gallery."""
+
+from __future__ import annotations
+
+import runpy
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+from docs_site import GALLERY, GALLERY_FOLDER, pictures_of
+
+import lightmatrix as lm
+
+ROOT = Path(__file__).parents[2]
+EXAMPLES = ROOT / "examples"
+
+
+def _run(name: str, out: Path) -> Any:
+    """What an example finds; its pictures are those of the gallery, of the same size."""
+    found = runpy.run_path(str(EXAMPLES / f"{name}.py"))["main"](out)
+    for picture in pictures_of(name):
+        kept = ROOT / "docs" / GALLERY_FOLDER / f"{name}-{picture}"
+        assert lm.read_image(out / picture).shape == lm.read_image(kept).shape, "make gallery"
+    return found
+
+
+def test_every_example_is_tested_and_in_the_gallery() -> None:
+    assert {path.stem for path in EXAMPLES.glob("*.py")} == set(GALLERY)
+    assert all(f"def test_{name}(" in Path(__file__).read_text() for name in GALLERY)
+    named = {f"{name}-{picture}" for name in GALLERY for picture in pictures_of(name)}
+    assert {path.name for path in (ROOT / "docs" / GALLERY_FOLDER).iterdir()} == named
+
+
+def test_relight_and_dual(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    _run("relight_and_dual", tmp_path)
+    (tmp_path / "again").mkdir()
+    monkeypatch.setattr(sys, "argv", ["relight_and_dual.py", str(tmp_path / "again")])
+    runpy.run_path(str(EXAMPLES / "relight_and_dual.py"), run_name="__main__")
+    assert {path.name for path in (tmp_path / "again").iterdir()} == {
+        "relit.png", "dual.png", "row.png",
+    }  # fmt: skip
+
+
+def test_estimate_in_python(tmp_path: Path) -> None:
+    blind, paper, convex = _run("estimate_in_python", tmp_path).values()
+    assert max(paper, convex) < 0.5 * blind
+
+
+def test_few_patterns(tmp_path: Path) -> None:
+    row_by_row, coherent, two_exposures = _run("few_patterns", tmp_path).values()
+    assert coherent < 0.6 * row_by_row
+    assert two_exposures < 0.02
+
+
+def test_correspondence(tmp_path: Path) -> None:
+    assert _run("correspondence", tmp_path) > 0.97
+
+
+def test_own_photographs(tmp_path: Path) -> None:
+    told = _run("own_photographs", tmp_path)
+    assert told["verdict"] == "good"
+    assert (tmp_path / "report" / "report.html").exists()

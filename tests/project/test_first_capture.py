@@ -1,0 +1,62 @@
+"""The page on the first capture: its commands run, and it knows every option of a virtual rig."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from dataclasses import fields
+from pathlib import Path
+
+import pytest
+
+from lightmatrix.cli import main
+from lightmatrix.live.devices.virtual.settings import VirtualSettings
+
+PAGE = (Path(__file__).parents[2] / "docs" / "first-capture.md").read_text()
+
+
+def _blocks(language: str) -> list[str]:
+    return re.findall(rf"```{language}\n(.*?)```", PAGE, flags=re.DOTALL)
+
+
+def _without_waiting(text: str) -> str:
+    text = text.replace("size=32", "size=32,real=0")
+    return text.replace("virtual:l_objects", "virtual:l_objects,real=0")
+
+
+def test_its_commands_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    lines = [line for block in _blocks("sh") for line in block.splitlines()]
+    # Those for devices need them.
+    virtual = [
+        line for line in lines if "--projector" not in line and line != "lightmatrix rig list"
+    ]
+    assert len(virtual) == len(lines) - 2 >= 9
+    for line in virtual:
+        words = shlex.split(_without_waiting(line))
+        assert words[0] == "lightmatrix"
+        assert main(words[1:]) == 0, line
+    told = capsys.readouterr().out
+    assert "64 frames in capture" in told
+    assert "the projector's gamma is 2.20" in told
+    (python,) = _blocks("python")
+    exec(compile(_without_waiting(python), "first-capture.md", "exec"), {})
+    told = capsys.readouterr().out
+    # Some near chance are photographed twice.
+    counts = [int(number) for number in re.findall(r"'(?:matched|confirmed)': (\d+)", told)]
+    assert sum(counts) == 64
+    assert max(counts) > 40
+
+
+def test_it_knows_every_option_of_a_virtual_rig() -> None:
+    table = dict(re.findall(r"^\| (`[a-z_`, ]+`) \|.*\| (.*) \|$", PAGE, flags=re.MULTILINE))
+    told = {}
+    for names, defaults in table.items():
+        values = defaults.split(", ")
+        for name, value in zip(re.findall(r"`(\w+)`", names), values, strict=False):
+            told[name] = value
+    for field in fields(VirtualSettings):
+        if field.name != "scene":
+            assert float(told[field.name]) == field.default, field.name

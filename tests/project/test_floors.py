@@ -1,0 +1,156 @@
+"""Imports point only to lower floors, as docs/architecture.md numbers them.
+
+And the base install suffices to import everything.
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+from pathlib import Path
+
+import pytest
+
+TOP = Path(__file__).parents[2]
+ROOT = TOP / "src" / "lightmatrix"
+
+# From the ground up; a module may import from its own folder and from lower floors. The folders of
+# one floor do not know each other; the single files of the ground may.
+FLOORS = [
+    {"errors", "ranges", "regions", "reprs", "_version", "_core"},
+    {"resources", "outputs"},
+    {"files"},
+    {"patterns"},
+    {"camera", "transport"},
+    {"capture", "solvers", "store"},
+    {"diagnosis", "simulation", "pictures"},
+    {"estimators", "evaluation", "calibration"},
+    {"planning", "report"},
+    {"experiments", "live"},
+    {"cli"},
+    {"__main__"},
+]
+# Extras are imported inside the functions that need them, and nowhere else.
+EXTRAS = {"mitsuba", "drjit", "glfw", "moderngl", "gi", "harvesters", "genicam", "av", "gphoto2"}
+EXTRAS |= {"cv2", "OpenEXR", "rawpy", "distributed", "dask"}
+# The compiled core stands in the table by its crates.
+CORE = "_core"
+# Loads all else within the `try` that waits for a Ctrl-C.
+ENTRY = ROOT / "cli" / "__init__.py"
+
+
+def _floor(module: str) -> int:
+    for number, floor in enumerate(FLOORS):
+        if module in floor:
+            return number
+    raise AssertionError(f"{module} stands on no floor: add it to FLOORS")
+
+
+def _modules() -> list[Path]:
+    return sorted(path for path in ROOT.rglob("*.py") if path != ROOT / "__init__.py")
+
+
+def _imports(tree: ast.AST) -> set[str]:
+    """Names of our own modules that a file imports, such as 'rig.truth'; not the door's names."""
+    found = set()
+    for node in ast.walk(tree):
+        assert not (isinstance(node, ast.ImportFrom) and node.level), "imports are written in full"
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("lightmatrix"):
+            inner = (node.module or "").removeprefix("lightmatrix").lstrip(".")
+            for alias in node.names:
+                whole = f"{inner}.{alias.name}".lstrip(".")
+                found.add(whole if _is_module(whole) else inner)
+        elif isinstance(node, ast.Import):
+            names = {alias.name for alias in node.names if alias.name.startswith("lightmatrix.")}
+            found |= {name.removeprefix("lightmatrix.") for name in names}
+    return found - {""}
+
+
+def _is_module(name: str) -> bool:
+    place = ROOT.joinpath(*name.split("."))
+    return place.is_dir() or place.with_suffix(".py").exists() or name == CORE
+
+
+def test_the_floors_are_those_of_the_documented_table() -> None:
+    table: dict[int, set[str]] = {}
+    number = None
+    for line in (TOP / "docs" / "architecture.md").read_text().splitlines():
+        cells = [cell.strip() for cell in line.split("|")]
+        if len(cells) != 5 or not cells[2].startswith("`"):
+            continue
+        # A floor's number stands in its first line; the core and the door have words instead.
+        number = cells[1] or number
+        if number is not None and number.isdigit():
+            names = re.findall(r"`([a-z_]+)(?:/|\.py)`", cells[2])
+            table.setdefault(int(number), set()).update(names)
+    assert table == {floor: names - {CORE} for floor, names in enumerate(FLOORS)}
+
+
+def test_everything_stands_on_a_floor() -> None:
+    there = {path.relative_to(ROOT).parts[0].removesuffix(".py") for path in _modules()}
+    assert there | {CORE} == set().union(*FLOORS)
+
+
+@pytest.mark.parametrize("path", _modules(), ids=lambda path: str(path.relative_to(ROOT)))
+def test_imports_point_down(path: Path) -> None:
+    place = path.relative_to(ROOT).parts[0].removesuffix(".py")
+    tree = ast.parse(path.read_text())
+    for name in _imports(tree):
+        other = name.split(".")[0]
+        ground = _floor(place) == 0
+        fine = other == place or _floor(other) < _floor(place) + ground
+        assert fine, f"{path} imports {name}, which does not lie below it"
+
+
+@pytest.mark.parametrize("path", _modules(), ids=lambda path: str(path.relative_to(ROOT)))
+def test_nothing_imports_the_door_but_the_command_line_above_it(path: Path) -> None:
+    if path.relative_to(ROOT).parts[0] == "cli":
+        return
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            assert all(alias.name != "lightmatrix" for alias in node.names), f"{path}: the door"
+        elif isinstance(node, ast.ImportFrom) and node.module == "lightmatrix":
+            names = {alias.name for alias in node.names}
+            assert all(map(_is_module, names)), f"{path} takes {names} from the door"
+
+
+@pytest.mark.parametrize("path", _modules(), ids=lambda path: str(path.relative_to(ROOT)))
+def test_only_extras_are_imported_inside_functions(path: Path) -> None:
+    tree = ast.parse(path.read_text())
+    top = {id(node) for node in tree.body}
+    for node in ast.walk(tree):
+        if not isinstance(node, ast.Import | ast.ImportFrom):
+            continue
+        names = (
+            {node.module or ""}
+            if isinstance(node, ast.ImportFrom)
+            else {a.name for a in node.names}
+        )
+        extra = any(name.split(".")[0] in EXTRAS for name in names)
+        if id(node) in top:
+            assert not extra, f"{path} imports an extra at its top"
+        elif not _under_main(tree, node) and path != ENTRY:
+            assert extra, f"{path}:{node.lineno} imports {names} inside a function"
+
+
+def _under_main(tree: ast.Module, node: ast.AST) -> bool:
+    blocks = [part for part in tree.body if isinstance(part, ast.If)]
+    return any(node in ast.walk(block) for block in blocks)
+
+
+def test_no_circles() -> None:
+    graph = {}
+    for path in _modules():
+        name = ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
+        graph[name] = _imports(ast.parse(path.read_text()))
+    done: set[str] = set()
+
+    def visit(name: str, trail: tuple[str, ...]) -> None:
+        assert name not in trail, f"imports go round in a circle: {' -> '.join((*trail, name))}"
+        if name not in done:
+            for target in graph.get(name, ()):
+                visit(target, (*trail, name))
+            done.add(name)
+
+    for name in graph:
+        visit(name, ())

@@ -1,0 +1,71 @@
+"""Every command and every line of Python in the README runs, in order, as a newcomer would."""
+
+from __future__ import annotations
+
+import re
+import runpy
+import shlex
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lightmatrix.cli import main
+from lightmatrix.files.images import write_image
+
+ROOT = Path(__file__).parents[2]
+# Building and testing themselves, and the shell's own.
+NOT_RUN = ("make ", ". ")
+
+
+def _blocks(language: str) -> list[str]:
+    text = (ROOT / "README.md").read_text()
+    return re.findall(rf"```{language}\n(.*?)```", text, flags=re.DOTALL)
+
+
+def _commands() -> list[list[str]]:
+    lines = "".join(_blocks("sh")).replace("\\\n", " ").splitlines()
+    commands = [shlex.split(line, comments=True) for line in lines]
+    return [words for words in commands if words and not " ".join(words).startswith(NOT_RUN)]
+
+
+def test_readme_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    commands = _commands()
+    assert len(commands) >= 7
+    scripts = _blocks("python")
+    for words in commands:
+        assert words[0] == "lightmatrix"
+        if "--images" in words:
+            # The reader's own photographs: here the simulated ones, enlarged for binning.
+            _own_photographs(tmp_path)
+            words = [*words, "--overwrite"]
+        assert main(words[1:]) == 0, " ".join(words)
+        if words[1] == "export":
+            (tmp_path / "script.py").write_text("\n".join(scripts))
+            runpy.run_path(str(tmp_path / "script.py"))
+            scripts = []
+    assert not scripts
+
+
+def _own_photographs(folder: Path) -> None:
+    from lightmatrix.files.images import read_image
+    from lightmatrix.files.stack import list_images
+
+    total = np.zeros((32, 32))
+    paths = list_images(folder / "capture" / "images")
+    for path in paths:
+        image = read_image(path)[16:48, 16:48]
+        total += image
+        write_image(folder / "photos" / path.name, np.kron(image, np.ones((8, 8), np.uint8)))
+    write_image(folder / "black.png", np.zeros((256, 256), np.uint8))
+    # Half of white, which random patterns average to: no pixel of it clips.
+    white = np.kron(total / len(paths), np.ones((8, 8)))
+    write_image(folder / "white.png", white.astype(np.uint8))
+
+
+def test_links_lead_somewhere() -> None:
+    for document in [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]:
+        for target in re.findall(r"\]\(([^)#]+?)(?:#[^)]*)?\)", document.read_text()):
+            if not target.startswith("http"):
+                assert (document.parent / target).exists(), f"{document.name} links to {target}"

@@ -1,0 +1,326 @@
+"""The report: what it tells, and how it looks in a real browser."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from axe_playwright_python.sync_playwright import Axe
+from browser import installed, opened
+from playwright.sync_api import Browser
+
+import lightmatrix as lm
+from lightmatrix.cli import main
+from lightmatrix.pictures import maps
+from lightmatrix.report import held_out, images
+from lightmatrix.report.advice import advice
+from lightmatrix.report.facts import Facts
+from lightmatrix.simulation.procedural import ProceduralScene
+
+NOISE = 0.003
+
+
+@pytest.fixture(scope="module")
+def capture() -> lm.SimulatedCapture:
+    truth = ProceduralScene((20, 24), (16, 16), seed=1, bounces=3).truth()
+    return lm.simulate(truth, lm.BernoulliPatterns((16, 16), 40), exposure=0.9, noise=NOISE)
+
+
+@pytest.fixture(scope="module")
+def estimate(capture: lm.SimulatedCapture) -> lm.LightTransport:
+    return lm.estimate(capture)
+
+
+@pytest.fixture(scope="module")
+def written(
+    capture: lm.SimulatedCapture, estimate: lm.LightTransport,
+    tmp_path_factory: pytest.TempPathFactory,
+) -> Path:  # fmt: skip
+    """A report with all that can stand on one, and a title that is no markup."""
+    folder = tmp_path_factory.mktemp("written") / "report"
+    rows = np.arange(len(estimate.background))
+    knowing = replace(
+        estimate,
+        diagnostics={
+            **estimate.diagnostics,
+            "footprint": np.where(rows % 7, 1 + rows % 5, np.nan).astype(np.float32),
+            "estimated_error": (0.001 * (1 + rows % 50)).astype(np.float32),
+        },
+    )
+    lm.report(folder, knowing, capture, truth=capture.truth, title="<b>odd & title</b>")
+    return folder
+
+
+def _words(file: Path) -> str:
+    """The text of a page, without its pictures."""
+    text = re.sub(r"<style>.*?</style>|<[^>]+>", " ", file.read_text(), flags=re.DOTALL)
+    return " ".join(text.split())
+
+
+def test_the_page_stands_by_itself(written: Path) -> None:
+    page = (written / "report.html").read_text()
+    assert len(page.encode()) < 5_000_000
+    assert "<script" not in page
+    assert "&lt;b&gt;odd &amp; title&lt;/b&gt;" in page
+    addresses = re.findall(r"(?:src|href|url)\s*[=(]\s*[\"']?([^\"')\s>]+)", page)
+    assert addresses
+    assert all(address.startswith(("data:", "#")) for address in addresses)
+    assert all(f'id="{anchor[1:]}"' in page for anchor in addresses if anchor.startswith("#"))
+    pictures = re.findall(r"<img [^>]*>", page)
+    assert len(pictures) > 80
+    assert all(re.search(r'alt="[^"]{2,}"', picture) for picture in pictures)
+
+
+def test_the_page_tells_what_it_should(written: Path, estimate: lm.LightTransport) -> None:
+    words = _words(written / "report.html")
+    numbers = json.loads((written / "report.json").read_text())
+    assert numbers["verdict"] in ("good", "fair")
+    assert numbers["sentence"] in words
+    for told in (
+        "The first patterns and photographs", "0: ", "Samples that clipped, frame by frame",
+        "Relative duality gap", "Error that the estimate states", "Prediction minus photograph",
+        "Projector row", "Projector column", "Confidence", "Size of footprints", "Background",
+        "Dual image", "Row of camera pixel", "Column of projector pixel", "The truth",
+        "Error against the truth", "What to do better next time", "pattern digest",
+        str(estimate.provenance["pattern_digest"]), "versions: numpy",
+    ):  # fmt: skip
+        assert told in words, told
+
+
+def test_the_numbers_are_those_of_the_estimate(
+    written: Path, capture: lm.SimulatedCapture, estimate: lm.LightTransport
+) -> None:
+    numbers = json.loads((written / "report.json").read_text())
+    assert numbers["relative_error"] == lm.evaluate(estimate, capture.truth).relative_error
+    assert numbers["clipped_samples"] == pytest.approx(capture.clipped_share)
+    assert len(numbers["held_out_frames"]) == 2
+    assert numbers["held_out_error"] < 0.3 * numbers["mean_photograph_error"]
+
+
+def test_an_estimate_that_knows_little_has_a_report_too(tmp_path: Path) -> None:
+    """Colour, two exposures, bins, a mask, all rows dark on one side, no truth, no diagnostics."""
+    patterns = lm.BernoulliPatterns((8, 8), 6)
+    frames = np.random.default_rng(0).integers(0, 250, (6, 10, 12, 3)).astype(np.uint8)
+    frames[:, :, :6] = 0
+    frames[1, 3:5] = 255
+    mask = np.ones((10, 12, 3), bool)
+    mask[:, -2:] = False
+    sensor = lm.Sensor(np.array([1.0, 0.25] * 3))
+    capture = lm.Capture.from_arrays(patterns, frames, sensor, mask=mask).bin(camera=2)
+    estimate = lm.estimate(capture, solver="romp", iterations=2)
+    bare = replace(estimate, diagnostics={}, provenance={})
+    wrong = SimpleNamespace(
+        kind="swapped", frames=(2, 4), message="two frames look swapped", advice="swap them"
+    )
+    told = lm.report(tmp_path / "report", bare, capture, findings=[wrong])
+    assert told["findings"] == ["swapped"]
+    assert told["verdict"] == "not tested"
+    assert told["clipped_samples"] == pytest.approx(capture.clipped_share)
+    words = _words(tmp_path / "report" / "report.html")
+    assert "6 photographs are too few" in words
+    assert "clip, exposure 0.25" in words
+    assert (
+        "What is wrong with the frames two frames look swapped (frames 2, 4). Swap them." in words
+    )
+
+
+def test_a_capture_of_another_rig_is_refused(
+    capture: lm.SimulatedCapture, estimate: lm.LightTransport, tmp_path: Path
+) -> None:
+    with pytest.raises(lm.InputError, match=r"the estimate's camera shape is \(20, 24\), the cap"):
+        lm.report(tmp_path / "report", estimate, capture.bin(camera=2))
+    assert not list(tmp_path.iterdir())
+
+
+def test_estimate_writes_a_report(
+    capture: lm.SimulatedCapture, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    capture.save(tmp_path / "capture")
+    monkeypatch.chdir(tmp_path)
+    assert main(["estimate", "capture", "--report", "told", "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)["report"]
+    assert said == json.loads(Path("told/report.json").read_text())
+    # Simulated captures bring their truth along.
+    assert said["relative_error"] is not None
+    assert main(["estimate", "capture", "--report", "told", "-o", "other.zarr"]) == 2
+    assert "told: exists already" in capsys.readouterr().err
+    assert not Path("other.zarr").exists()
+
+
+def test_pictures_stay_small_whatever_they_show() -> None:
+    """About 40 of them, and as many thumbnails twice, stay below 5 MB."""
+    noise = np.random.default_rng(0).random((1000, 900, 3))
+    found = maps.error_map(noise[..., 0])
+    pictures = (
+        images.photograph(noise, "noise", exact=True),
+        images.pattern_image(noise[..., 0], "noise"),
+        images.difference_image(noise - 0.5, 1, "noise", "noise"),
+        images.faint_image(noise[..., 0], "noise", "noise"),
+        images.image_of_map(found),
+    )
+    for picture in pictures:
+        assert len(picture.source) < 150_000
+        assert max(picture.width, picture.height) <= images.MOST_PIXELS
+    thumbnail = images.photograph(noise, "noise", most=images.THUMB_PIXELS)
+    assert len(thumbnail.source) < 8_000
+
+
+# ---- photographs held out
+
+
+class _Known:
+    """An estimator that knows a matrix, and remembers what it was shown."""
+
+    def __init__(self, matrix: lm.LightTransport) -> None:
+        self.matrix = matrix
+        self.seen: list[lm.Capture] = []
+
+    def estimate(self, capture: lm.Capture, *, progress: Any = None) -> lm.LightTransport:
+        self.seen.append(capture)
+        return self.matrix
+
+
+def test_frames_held_out_are_not_seen(capture: lm.SimulatedCapture) -> None:
+    knowing = _Known(capture.truth.transport())
+    held = held_out.hold_out(capture, knowing)
+    assert isinstance(held, held_out.HeldOut)
+    seen = knowing.seen[0]
+    assert seen.count == capture.count - len(held.frames) == held.others
+    for index in held.frames:
+        frame = capture.frame(int(index))
+        assert not any((seen.frame(k) == frame).all() for k in range(seen.count))
+    # The truth misses them by the noise, and nothing by all of what did not clip.
+    level = float(np.sqrt(np.mean(np.square(held.photographed))))
+    assert held.error < 2 * NOISE / level
+    black = lm.LightTransport.from_matrix(
+        0 * capture.truth.matrix, capture.camera_shape, capture.projector_shape
+    )
+    nothing = held_out.hold_out(capture, _Known(black))
+    assert isinstance(nothing, held_out.HeldOut)
+    assert nothing.error == pytest.approx(1)
+    assert held.trivial_error > 10 * held.error
+
+
+def test_an_estimate_that_needs_every_frame_is_told(capture: lm.SimulatedCapture) -> None:
+    class Refusing:
+        def estimate(self, capture: lm.Capture, *, progress: Any = None) -> lm.LightTransport:
+            raise lm.InputError("too few patterns")
+
+    told = held_out.hold_out(capture, Refusing())
+    assert told == "without it the estimate is refused (too few patterns)"
+
+
+def test_large_cameras_are_tested_on_a_part(
+    capture: lm.SimulatedCapture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(held_out, "MOST_ROWS", 100)
+    seen: list[lm.Capture] = []
+
+    class Cropped:
+        def estimate(self, capture: lm.Capture, *, progress: Any = None) -> lm.LightTransport:
+            seen.append(capture)
+            return lm.estimate(capture, coherent=False, iterations=20)
+
+    held = held_out.hold_out(capture, Cropped())
+    assert isinstance(held, held_out.HeldOut)
+    assert held.place is not None
+    rows, cols = held.place
+    whole = capture.samples().values.reshape(*capture.camera_shape, -1)[rows, cols]
+    kept = np.setdiff1d(np.arange(capture.count), held.frames)
+    shown = seen[0].samples().values.reshape(*whole.shape[:2], -1)
+    np.testing.assert_array_equal(shown, whole[..., kept])
+    assert 50 < seen[0].rows <= 100
+
+
+def test_patterns_that_are_sums_of_others_are_not_held_out() -> None:
+    stripes = np.stack([(np.arange(16) >> bit & 1) * np.ones((16, 1)) for bit in range(4)])
+    gray = np.concatenate([stripes, 1 - stripes, np.ones((1, 16, 16))]).astype(np.float32)
+    told = held_out.choose_frames(lm.ImagePatterns(gray))
+    assert isinstance(told, str)
+    assert "sum of others" in told
+    random = lm.BernoulliPatterns((16, 16), 64)
+    chosen = held_out.choose_frames(random)
+    assert not isinstance(chosen, str)
+    assert len(set(chosen)) == 4
+    assert isinstance(held_out.choose_frames(lm.BernoulliPatterns((16, 16), 7)), str)
+
+
+# ---- advice
+
+
+def _facts(capture: lm.Capture, transport: lm.LightTransport, **more: Any) -> Facts:
+    return Facts(transport, capture, None, more.get("held", "nobody asked for it"))
+
+
+def test_advice_names_what_is_wanting(
+    capture: lm.SimulatedCapture, estimate: lm.LightTransport
+) -> None:
+    rows = len(estimate.background)
+    bright = replace(estimate, sparse=estimate.sparse * 3)
+    assert any("single projector pixel" in said for said in advice(_facts(capture, bright)))
+    stopped = {**estimate.diagnostics, "converged": np.arange(rows) % 2 == 0}
+    told = advice(_facts(capture, replace(estimate, diagnostics=stopped)))
+    assert any("50 % of the rows reached the iteration limit" in said for said in told)
+    often = {"clipped_share": np.full(rows, 0.9, np.float32)}
+    told = advice(_facts(capture, replace(estimate, diagnostics=often)))
+    assert any("more than half of their samples" in said for said in told)
+    dim = lm.simulate(capture.truth, capture.patterns, exposure=0.05)
+    assert any("times the exposure" in said for said in advice(_facts(dim, estimate)))
+    held = held_out.hold_out(capture, _Known(estimate))
+    assert isinstance(held, held_out.HeldOut)
+    told = advice(_facts(capture, estimate, held=replace(held, error=0.5)))
+    assert any("missed by 50 %" in said and "(80)" in said for said in told)
+    wide = {**estimate.diagnostics, "footprint": np.full(rows, 40, np.float32)}
+    told = advice(_facts(capture, replace(estimate, diagnostics=wide)))
+    assert any("Footprints cover 40" in said for said in told)
+
+
+# ---- in a browser
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    if installed() is None:
+        pytest.skip("no Chromium is installed: make system-deps brings one")
+    with opened() as found:
+        yield found
+
+
+@pytest.mark.parametrize(("width", "scheme"), [(1440, "light"), (360, "dark")])
+def test_the_page_is_accessible(width: int, scheme: Any, written: Path, browser: Browser) -> None:
+    page = browser.new_page(viewport={"width": width, "height": 900}, color_scheme=scheme)
+    page.goto((written / "report.html").as_uri())
+    found = Axe().run(page)
+    assert not found.response["violations"], found.generate_report()
+    assert page.evaluate("document.documentElement.scrollWidth") <= width
+    page.close()
+
+
+def test_the_page_asks_for_nothing_and_shows_its_pictures(written: Path, browser: Browser) -> None:
+    page = browser.new_page(color_scheme="dark")
+    asked: list[str] = []
+    said: list[str] = []
+    page.on("request", lambda request: asked.append(request.url))
+    page.on("console", lambda message: said.append(message.text))
+    page.goto((written / "report.html").as_uri())
+    missing = "[...document.images].filter(i => !(i.complete && i.naturalWidth)).length"
+    assert page.evaluate(missing) == 0
+    assert [url for url in asked if not url.startswith(("file:", "data:"))] == []
+    assert said == []
+    dark = page.evaluate("getComputedStyle(document.body).backgroundColor")
+    page.emulate_media(color_scheme="light")
+    assert page.evaluate("getComputedStyle(document.body).backgroundColor") != dark
+    # On paper always black on white, and without what can only be clicked.
+    page.emulate_media(media="print", color_scheme="dark")
+    assert page.evaluate("getComputedStyle(document.body).color") == "rgb(0, 0, 0)"
+    assert not page.locator("nav").is_visible()
+    assert page.pdf(format="A4").startswith(b"%PDF")
+    page.close()

@@ -1,0 +1,94 @@
+"""Blur, leak, vignetting and ambient light as operations on T."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter
+
+from lightmatrix.errors import InputError
+from lightmatrix.patterns.bits import BernoulliPatterns
+from lightmatrix.simulation import realism
+from lightmatrix.simulation.procedural import ProceduralScene
+from lightmatrix.simulation.truth import Truth
+
+
+@pytest.fixture
+def truth() -> Truth:
+    return ProceduralScene((9, 11), (12, 10), seed=2).truth()
+
+
+def test_defocus_is_a_blur_of_the_pattern(truth: Truth) -> None:
+    from scipy.ndimage import gaussian_filter
+
+    image = np.zeros((12, 10))
+    image[4:8, 3:6] = 1
+    blurred = gaussian_filter(image, 0.8, mode="reflect", truncate=5)
+    got = realism.defocus(truth, 0.8).matrix @ image.ravel()
+    np.testing.assert_allclose(got, truth.matrix @ blurred.ravel(), rtol=0.03, atol=0.004)
+
+
+def test_defocus_keeps_light_and_parts(truth: Truth) -> None:
+    blurred = realism.defocus(truth, 1.3)
+    # What reaches a spot on the projector; beyond its border there is no pixel to blur into it.
+    field = gaussian_filter(np.ones(truth.projector_shape), 1.3, mode="constant", truncate=3)
+    for part, before, rtol in (
+        (blurred.matrix, truth.matrix, 1e-4),
+        # The weakest entries are dropped, their light is counted as global.
+        (blurred.direct, truth.direct, 5e-4),
+    ):
+        np.testing.assert_allclose(part.sum(axis=1), before @ field.ravel(), rtol=rtol, atol=1e-6)
+    assert (blurred.direct_data <= blurred.matrix.data * (1 + 1e-5)).all()
+    assert blurred.matrix.nnz > truth.matrix.nnz
+    assert blurred.matrix.data.dtype == np.float32
+
+
+def test_vignetting_darkens_corners_only(truth: Truth) -> None:
+    dark = realism.vignetting(truth, 0.4)
+    gain = (dark.matrix.sum(axis=1) / truth.matrix.sum(axis=1)).reshape(9, 11)
+    assert gain[4, 5] == pytest.approx(1)
+    np.testing.assert_allclose(gain[[0, 0, -1, -1], [0, -1, 0, -1]], 0.6, rtol=1e-5)
+    np.testing.assert_allclose(
+        dark.direct_data / dark.matrix.data, truth.direct_data / truth.matrix.data, rtol=1e-5
+    )
+
+
+def test_blur_may_differ_from_row_to_row(truth: Truth) -> None:
+    sigmas = np.where(np.arange(truth.matrix.shape[0]) % 3 == 0, 1.3, 0.0)
+    mixed = realism.varying_defocus(truth, sigmas)
+    for sigma in (0.0, 1.3):
+        rows = np.flatnonzero(sigmas == sigma)
+        whole = realism.defocus(truth, sigma)
+        for found, expected in ((mixed.matrix, whole.matrix), (mixed.direct, whole.direct)):
+            np.testing.assert_allclose(
+                found[rows].toarray(), expected[rows].toarray(), rtol=1e-3, atol=2e-3
+            )
+
+
+def test_zero_changes_nothing(truth: Truth) -> None:
+    same = realism.vignetting(realism.defocus(truth, 0), 0)
+    np.testing.assert_array_equal(same.matrix.toarray(), truth.matrix.toarray())
+    assert (realism.ambient(truth, 0) == 0).all()
+    patterns = BernoulliPatterns((12, 10), 3).dense()
+    np.testing.assert_array_equal(realism.leak(patterns, 0), patterns)
+
+
+def test_leak_lifts_black_and_leaves_white() -> None:
+    shown = realism.leak(np.array([0.0, 0.5, 1.0]), 0.01)
+    np.testing.assert_allclose(shown, [0.01, 0.505, 1.0], rtol=1e-6)
+
+
+def test_ambient_light_has_the_stated_mean(truth: Truth) -> None:
+    room = realism.ambient(truth, 0.05)
+    assert room.shape == (99,)
+    assert (room > 0).all()
+    assert room.mean() == pytest.approx(0.05 * truth.matrix.sum() / 99, rel=0.05)
+
+
+@pytest.mark.parametrize("value", [-0.1, float("nan")])
+def test_impossible_strengths_are_refused(truth: Truth, value: float) -> None:
+    for operation in (realism.defocus, realism.vignetting, realism.ambient):
+        with pytest.raises(InputError):
+            operation(truth, value)
+    with pytest.raises(InputError):
+        realism.leak(np.zeros(3), value)

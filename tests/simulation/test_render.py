@@ -1,0 +1,279 @@
+"""The one-pass renderer: seeds, halves, colour, thinning, limits; the bundled scenes anew."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import re
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lightmatrix.errors import InputError, LightMatrixWarning, MissingExtraError
+from lightmatrix.files.images import read_image
+from lightmatrix.simulation import library, memory, renderer, thumbnails
+from lightmatrix.simulation.llvm import load_mitsuba
+from lightmatrix.simulation.memory import foreseen_bytes
+from lightmatrix.simulation.renderer import render
+from lightmatrix.simulation.scenes import names
+from lightmatrix.simulation.thumbnails import photograph, write_thumbnails
+from lightmatrix.simulation.truth import Truth
+
+needs_renderer = pytest.mark.skipif(
+    importlib.util.find_spec("mitsuba") is None, reason="needs the extra `render`"
+)
+
+
+def fast_renderer() -> bool:
+    """Whether there is an LLVM to render with; larger tests need it."""
+    if importlib.util.find_spec("mitsuba") is None:
+        return False
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", LightMatrixWarning)
+        return load_mitsuba()[1]
+
+
+needs_llvm = pytest.mark.skipif(not fast_renderer(), reason="needs LLVM (make system-deps)")
+
+
+@needs_llvm
+@pytest.mark.parametrize("name", library.BUNDLED)
+def test_bundled_scenes_agree_with_a_rendering(name: str) -> None:
+    bundled = library.truth(name)
+    rendered = render(name, library.BUNDLED_SIZE, samples=512, seed=7)
+    # Both in the renderer's own units, before the scale that makes a fifth of the rows clip.
+    expected = bundled.matrix.sum(axis=1) / bundled.metadata["scale"]
+    white = rendered.matrix.sum(axis=1) / rendered.metadata["scale"]
+    noise = rendered.metadata["noise_white"]
+    assert 0.001 < noise < 0.1
+    assert np.linalg.norm(white - expected) < 1.5 * noise * np.linalg.norm(expected)
+    assert white.sum() == pytest.approx(expected.sum(), rel=max(0.001, noise / 10))
+    entries = rendered.matrix / rendered.metadata["scale"]
+    wrong = np.linalg.norm((entries - bundled.matrix / bundled.metadata["scale"]).data)
+    assert wrong < 1.5 * rendered.metadata["noise_entries"] * np.linalg.norm(entries.data)
+    direct = rendered.direct_data.sum() / rendered.matrix.sum()
+    assert direct == pytest.approx(bundled.direct_data.sum() / bundled.matrix.sum(), abs=0.005)
+
+
+@needs_llvm
+def test_llvm_and_scalar_modes_agree() -> None:
+    fast = render("l_objects", (6, 6), projector_size=(4, 4), samples=4096, keep=1)
+    scalar = render("l_objects", (6, 6), projector_size=(4, 4), samples=256, keep=1, scalar=True)
+    assert scalar.metadata["renderer"].endswith("scalar_rgb")
+    a = fast.matrix.toarray() / fast.metadata["scale"]
+    b = scalar.matrix.toarray() / scalar.metadata["scale"]
+    noise = np.hypot(fast.metadata["noise_entries"], scalar.metadata["noise_entries"])
+    assert np.linalg.norm(a - b) < 1.5 * noise * np.linalg.norm(a)
+    again = render("l_objects", (6, 6), projector_size=(4, 4), samples=16, keep=1)
+    assert again.metadata["renderer"].endswith("llvm_ad_rgb")
+
+
+@needs_renderer
+def test_scalar_mode_obeys_energy_and_seed() -> None:
+    first, same, other = (
+        render("metal", (4, 5), projector_size=(3, 2), samples=40, seed=seed, scalar=True)
+        for seed in (1, 1, 2)
+    )
+    assert first.camera_shape == (4, 5)
+    assert first.projector_shape == (3, 2)
+    np.testing.assert_array_equal(first.matrix.toarray(), same.matrix.toarray())
+    assert abs(first.matrix - other.matrix).sum() > 0
+    assert (first.matrix.data > 0).all()
+    assert (first.direct_data <= first.matrix.data * (1 + 1e-6)).all()
+
+
+@needs_llvm
+def test_blocks_of_rows_do_not_change_the_picture(monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = render("gripper", (12, 12), samples=2048)
+    monkeypatch.setattr(renderer, "WAVEFRONT", 50 * 1024)
+    seen: list[tuple[int, int]] = []
+    blocks = render(
+        "gripper", (12, 12), samples=2048, progress=lambda done, total: seen.append((done, total))
+    )
+    assert seen[-1] == (144 * 2048, 144 * 2048)
+    assert len(seen) >= 6
+    a = whole.matrix.toarray() / whole.metadata["scale"]
+    b = blocks.matrix.toarray() / blocks.metadata["scale"]
+    noise = whole.metadata["noise_entries"]
+    assert np.linalg.norm(a - b) < 2 * noise * np.linalg.norm(a)
+
+
+@needs_llvm
+def test_noise_falls_with_the_root_of_the_samples() -> None:
+    few = render("l_objects", (16, 16), samples=128, seed=1).metadata
+    many = render("l_objects", (16, 16), samples=128 * 16, seed=2).metadata
+    assert few["noise_entries"] / many["noise_entries"] == pytest.approx(4, rel=0.25)
+    assert few["noise_white"] / many["noise_white"] == pytest.approx(4, rel=0.35)
+
+
+@needs_llvm
+def test_thinning_keeps_rows_and_the_stated_energy() -> None:
+    whole = render("corner", (10, 10), samples=1024, keep=1)
+    thin = render("corner", (10, 10), samples=1024, keep=0.9)
+    assert thin.matrix.nnz < 0.6 * whole.matrix.nnz
+    a = whole.matrix.sum(axis=1) / whole.metadata["scale"]
+    b = thin.matrix.sum(axis=1) / thin.metadata["scale"]
+    np.testing.assert_allclose(a, b, rtol=1e-4)
+
+
+@needs_llvm
+def test_colour_gives_three_rows_a_pixel() -> None:
+    colour = render("gripper", (8, 8), samples=1024, colour=True)
+    grey = render("gripper", (8, 8), samples=1024)
+    assert colour.camera_shape == (8, 8, 3)
+    assert colour.matrix.shape == (192, 64)
+    channels = np.asarray(colour.matrix.sum(axis=1)).reshape(8, 8, 3) / colour.metadata["scale"]
+    white = np.asarray(grey.matrix.sum(axis=1)).reshape(8, 8) / grey.metadata["scale"]
+    np.testing.assert_allclose(channels.mean(axis=2), white, rtol=2e-3)
+    assert np.ptp(channels, axis=2).max() > 0.01 * channels.max()
+
+
+@needs_llvm
+@pytest.mark.parametrize("size", [(8, 8), (5, 9), (9, 4)])
+def test_a_wall_is_seen_as_it_is_lit(size: tuple[int, int]) -> None:
+    """Camera and projector see the same rectangle of a wall, so T is diagonal and global-free."""
+    truth = render("wall", size, samples=1024)
+    share = truth.matrix.diagonal().sum() / truth.matrix.sum()
+    assert share > 0.99
+    np.testing.assert_array_equal(truth.direct_data, truth.matrix.data)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"name": "l_object"}, "did you mean l_objects"),
+        ({"size": (0, 8)}, "camera of 0 x 8"),
+        ({"projector_size": (8, 0)}, "projector of 8 x 0"),
+        ({"samples": 1}, "1 samples"),
+        ({"keep": 0.0}, "keep"),
+        ({"size": (1 << 20, 1 << 20)}, "GiB"),
+    ],
+)
+def test_impossible_renderings_are_refused(options: dict[str, object], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        render(**{"name": "l_objects", "size": (8, 8), **options})  # type: ignore[arg-type]
+
+
+@needs_llvm
+def test_memory_is_foreseen_from_a_few_rows(monkeypatch: pytest.MonkeyPatch) -> None:
+    room = foreseen_bytes((16, 16), entries=2000)
+    for module in (memory, renderer):
+        monkeypatch.setattr(module, "available_bytes", lambda: room)
+    sparse = render("wall", (16, 16), projector_size=(64, 64), samples=4096)
+    assert sparse.matrix.nnz < 256 * 2000
+    room = foreseen_bytes((16, 16), entries=300)
+    with pytest.raises(InputError, match="needs about") as refused:
+        render("corner", (16, 16), projector_size=(64, 64), samples=4096)
+    advised = re.search(r"--keep ([0-9.]+)", refused.value.hint or "")
+    assert advised is not None
+    keep = float(advised[1])
+    thin = render("corner", (16, 16), projector_size=(64, 64), samples=4096, keep=keep)
+    assert thin.matrix.nnz < 256 * 300
+
+
+def test_foreseen_memory_is_bounded_but_for_the_result() -> None:
+    assert foreseen_bytes((64, 64)) < 1.3 * 2**30
+    assert foreseen_bytes((512, 512)) < 1.3 * 2**30
+    more = foreseen_bytes((512, 512), entries=1001)
+    assert more - foreseen_bytes((512, 512)) == 512 * 512 * 1000 * 16
+
+
+def made(name: str, size: tuple[int, int], **options: object) -> Truth:
+    """Stands in for `render`: instant, and known by its options."""
+    from lightmatrix.simulation.procedural import ProceduralScene
+
+    truth = ProceduralScene(size, size, seed=int(str(options["seed"]))).truth()
+    return Truth(
+        truth.matrix, truth.direct_data, size, size, {"scene": name, **options, "progress": 0}
+    )
+
+
+def test_renderings_are_cached_by_everything_that_matters(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calls: list[object] = []
+
+    def counted(name: str, size: tuple[int, int], **options: object) -> Truth:
+        calls.append((name, size))
+        return made(name, size, **options)
+
+    monkeypatch.setattr(library, "render", counted)
+    monkeypatch.setattr(library, "cache_folder", lambda: tmp_path / "cache" / "truth")
+    first = library.truth("wall", (8, 8))
+    again = library.truth("wall", (8, 8))
+    assert len(calls) == 1
+    np.testing.assert_array_equal(first.matrix.toarray(), again.matrix.toarray())
+    library.truth("wall", (8, 8), seed=1)
+    library.truth("wall", (8, 8), samples=99)
+    library.truth("wall", (9, 8))
+    library.truth("l_objects", (8, 8))
+    assert len(calls) == 5
+    assert len(list((tmp_path / "cache" / "truth").iterdir())) == 5
+
+
+def test_an_interrupted_rendering_leaves_no_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(*_: object, **__: object) -> Truth:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(library, "render", interrupted)
+    monkeypatch.setattr(library, "cache_folder", lambda: tmp_path)
+    with pytest.raises(KeyboardInterrupt):
+        library.truth("wall", (8, 8))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_cache_that_cannot_be_written_costs_no_rendering(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "cache").write_text("a file where a folder should be")
+    monkeypatch.setattr(library, "render", made)
+    monkeypatch.setattr(library, "cache_folder", lambda: tmp_path / "cache")
+    with pytest.warns(LightMatrixWarning, match="not cached"):
+        truth = library.truth("wall", (8, 8))
+    assert truth.camera_shape == (8, 8)
+
+
+def test_a_damaged_cache_is_rendered_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(library, "render", made)
+    monkeypatch.setattr(library, "cache_folder", lambda: tmp_path)
+    good = library.truth("wall", (8, 8))
+    (path,) = tmp_path.iterdir()
+    path.write_bytes(path.read_bytes()[:100])
+    again = library.truth("wall", (8, 8))
+    np.testing.assert_array_equal(again.matrix.toarray(), good.matrix.toarray())
+
+
+def test_the_bundled_truth_needs_no_renderer(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(library, "render", None)
+    assert library.truth("l_objects").camera_shape == (64, 64)
+
+
+@needs_llvm
+def test_thumbnails_show_every_scene(tmp_path: Path) -> None:
+    image = photograph("l_objects", (24, 24), samples=64)
+    assert image.shape == (24, 24)
+    assert image.std() > 0.2 * image.mean()
+    paths = write_thumbnails(tmp_path / "pictures", size=(24, 24))
+    assert [path.stem for path in paths] == list(names())
+    for path in paths:
+        assert read_image(path).shape == (24, 24)
+    write_thumbnails(str(tmp_path / "pictures"), size=(8, 8), overwrite=True)
+    assert read_image(paths[0]).shape == (8, 8)
+    listed = json.loads((tmp_path / "pictures" / "scenes.json").read_text())
+    assert list(listed) == list(names())
+
+
+def test_thumbnails_without_the_renderer_show_the_bundled_scenes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def missing(*_: object, **__: object) -> None:
+        raise MissingExtraError("no renderer")
+
+    monkeypatch.setattr(thumbnails, "photograph", missing)
+    paths = write_thumbnails(tmp_path / "pictures")
+    assert [path.stem for path in paths] == list(library.BUNDLED)
+    assert all(read_image(path).shape == (64, 64) for path in paths)

@@ -1,0 +1,36 @@
+"""Sums of contributions against plain addition."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lightmatrix.simulation.summing import summed
+
+
+@pytest.mark.parametrize(
+    ("shape", "count"), [((7, 5), 400), ((1, 1), 9), ((3, 4), 0), ((40, 2), 3)]
+)
+def test_sums_are_those_of_plain_addition(shape: tuple[int, int], count: int) -> None:
+    random = np.random.default_rng(count)
+    place = random.integers(0, shape[0] * shape[1], count).astype(np.uint32)
+    value = np.maximum(random.random(count) - 0.2, 0).astype(np.float32)
+    direct = random.random(count) < 0.4
+    expected = np.zeros(shape[0] * shape[1], np.complex128)
+    np.add.at(expected, place, value + 1j * value * direct)
+    found = summed(place, value, direct, shape)
+    assert found.has_canonical_format
+    assert (found.data.real > 0).all()
+    np.testing.assert_allclose(found.toarray(), expected.reshape(shape), rtol=1e-6)
+    order = random.permutation(count)
+    again = summed(place[order], value[order], direct[order], shape)
+    np.testing.assert_array_equal(again.toarray(), found.toarray())
+
+
+def test_the_last_place_that_fits_32_bits_counts() -> None:
+    place = np.array([2**32 - 1, 0, 2**32 - 1], np.uint32)
+    light = np.array([1, 2, 3], np.float32)
+    found = summed(place, light, np.array([True, False, False]), (2**14, 2**18))
+    assert found.nnz == 2
+    assert found[2**14 - 1, 2**18 - 1] == 4 + 1j
+    assert found[0, 0] == 2

@@ -1,0 +1,231 @@
+"""Each fidelity against its definition: value, slope, u-update and conjugate, by brute force."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from scipy.special import log_ndtr
+
+from lightmatrix.errors import InputError, LightMatrixError, SolverError
+from lightmatrix.estimators.coherent.estimator import CoherentEstimator
+from lightmatrix.solvers import ROMP, ActiveSet, Fidelity, SaturationADMM, solve
+from lightmatrix.solvers.fidelity import Observed
+from lightmatrix.solvers.fidelity.likelihood import edge_update, mills
+from lightmatrix.solvers.objective import data_term, predictions, relative_gap
+from tests.helpers.problems import clipping_problem
+
+values = st.floats(-3, 6, allow_nan=False, width=32)
+positive = st.floats(0.01, 30)
+weights = st.sampled_from([0.0, 0.25, 1.0, 4.0])
+EVERY = pytest.mark.parametrize("fidelity", list(Fidelity))
+# Of the clip level.
+EDGE = 0.02
+
+
+@st.composite
+def samples(draw: Any) -> tuple[float, bool, float]:
+    """A sample, whether it is clipped, and its clip level."""
+    level, clipped = draw(positive), draw(st.booleans())
+    return (level if clipped else level * draw(st.floats(0, 1))), clipped, level
+
+
+def one(y: float, clipped: bool, level: float, weight: float = 1.0) -> Observed:
+    def array(value: float) -> np.ndarray:
+        return np.array([[value]])
+
+    return Observed(
+        array(y), np.array([[clipped]]), array(level), array(weight), array(EDGE * level)
+    )
+
+
+def term(u: np.ndarray, y: float, clipped: bool, level: float, fidelity: Fidelity) -> np.ndarray:
+    """f(u) from its definition in the table of fidelities."""
+    if fidelity is Fidelity.CLIPPED:
+        return (y - np.minimum(u, y if clipped else level)) ** 2 / 2
+    if clipped and fidelity is Fidelity.REJECTION:
+        return np.zeros_like(u)
+    if clipped and fidelity is Fidelity.LIKELIHOOD:
+        width = EDGE * level
+        return -(width**2) * log_ndtr((u - y) / width)
+    if clipped and fidelity is Fidelity.ONE_SIDED:
+        return np.maximum(0, y - u) ** 2 / 2
+    return (y - u) ** 2 / 2
+
+
+@EVERY
+@given(u=values, sample=samples())
+@settings(max_examples=100, deadline=None)
+def test_values_are_those_of_the_table(
+    fidelity: Fidelity, u: float, sample: tuple[float, bool, float]
+) -> None:
+    found = fidelity.term.value(np.array([[u]]), one(*sample))
+    np.testing.assert_allclose(found[0], term(np.array([u]), *sample, fidelity), rtol=1e-9)
+
+
+@EVERY
+@given(u=values, sample=samples())
+@settings(max_examples=100, deadline=None)
+def test_residuals_are_minus_the_slopes(
+    fidelity: Fidelity, u: float, sample: tuple[float, bool, float]
+) -> None:
+    y, clipped, level = sample
+    step = 1e-6 * (1 + abs(u))
+    # Not at the kink of `clipped`, where there is no slope.
+    assume(fidelity is not Fidelity.CLIPPED or abs(u - (y if clipped else level)) > step)
+    around = term(np.array([u - step, u + step]), *sample, fidelity)
+    slope = (around[1] - around[0]) / (2 * step)
+    found = fidelity.term.residual(np.array([[u]]), one(*sample))
+    assert -found[0, 0] == pytest.approx(slope, rel=1e-4, abs=1e-5 * (1 + level))
+
+
+@EVERY
+@given(v=values, sample=samples(), weight=weights, coupling=positive)
+@settings(max_examples=120, deadline=None)
+def test_prediction_update_minimises_its_own_problem(
+    fidelity: Fidelity, v: float, sample: tuple[float, bool, float], weight: float, coupling: float
+) -> None:
+    found = updated(v, *sample, weight, coupling, fidelity)
+    grid = np.linspace(-10, 40, 200_001)
+
+    def cost(u: np.ndarray) -> np.ndarray:
+        return weight * term(u, *sample, fidelity) + coupling / 2 * (v - u) ** 2
+
+    best = cost(grid).min()
+    assert cost(np.array([found]))[0] <= best + 1e-6 * (1 + best)
+
+
+@pytest.mark.parametrize("fidelity", [one for one in Fidelity if one.convex])
+@given(t=st.integers(-200, 200).map(lambda hundredths: hundredths / 100), sample=samples())
+@settings(max_examples=100, deadline=None)
+def test_conjugates_are_the_maximum_over_predictions(
+    fidelity: Fidelity, t: float, sample: tuple[float, bool, float]
+) -> None:
+    y, _, level = sample
+    found = float(fidelity.term.conjugate(np.array([[t]]), one(*sample))[0, 0])
+    # Coarse where the maximum may be far, fine where it must be for a narrow edge.
+    fine = np.linspace(-60 * EDGE, 60 * EDGE, 40_001) * level
+    grid = y + np.concatenate([np.linspace(-6, 6, 120_001), fine])
+
+    def gain(u: np.ndarray) -> np.ndarray:
+        return t * (y - u) - term(u, *sample, fidelity)
+
+    if np.isinf(found):
+        # It has no maximum: further out there is always more.
+        far = gain(y + np.array([-1e2, 1e2, -1e4, 1e4]))
+        assert far[2:].max() > 10 * max(far[:2].max(), 1e-12)
+    else:
+        assert gain(grid).max() == pytest.approx(found, rel=1e-4, abs=1e-8)
+
+
+def test_the_dual_of_the_fidelity_that_is_not_convex_is_refused() -> None:
+    with pytest.raises(SolverError, match="not convex"):
+        Fidelity.CLIPPED.term.conjugate(np.zeros((1, 1)), one(1.0, False, 1.0))
+
+
+def updated(
+    v: float, y: float, clipped: bool, level: float, weight: float, c: float, fidelity: Fidelity
+) -> float:
+    seen = one(y, clipped, level, weight)
+    return float(fidelity.term.update(np.array([[v]]), seen, c)[0, 0])
+
+
+@given(v=st.floats(-50, 50), y=st.floats(0, 3), ratio=st.floats(1e-3, 1e3),
+       width=st.floats(1e-2, 1))  # fmt: skip
+@settings(max_examples=200, deadline=None)
+def test_likelihood_update_is_stationary_in_both_tails(
+    v: float, y: float, ratio: float, width: float
+) -> None:
+    """The slope of the cost changes its sign within rounding of the answer."""
+    given = np.array([v]), np.array([y]), np.array([ratio])
+    u = float(edge_update(*given, 1.0, np.array([width]))[0])
+    assert u >= v - 1e-9 * (1 + abs(v))
+
+    def slope(u: float) -> float:
+        z = (u - y) / width
+        # Another way to the Mills ratio: the quotient of its definition, by logarithms.
+        ratio_of = np.exp(-(z**2) / 2 - np.log(2 * np.pi) / 2 - log_ndtr(z))
+        return float(u - v - ratio * width * ratio_of)
+
+    step = 1e-6 * (1 + abs(u) + abs(v))
+    assert slope(u - step) < 0 < slope(u + step)
+
+
+def test_a_narrow_edge_is_the_one_sided_term() -> None:
+    random = np.random.default_rng(0)
+    v, y = random.uniform(-3, 6, (2, 1, 500))
+    level = np.abs(y)
+    seen = Observed(y, np.ones(y.shape, bool), level, np.ones(y.shape), np.full(y.shape, 1e-4))
+    soft = Fidelity.LIKELIHOOD.term.update(v, seen, 0.7)
+    hard = Fidelity.ONE_SIDED.term.update(v, seen, 0.7)
+    np.testing.assert_allclose(soft, hard, atol=2e-4)
+    assert (soft >= hard - 1e-12).all()
+
+
+def test_mills_ratio_in_both_tails() -> None:
+    np.testing.assert_allclose(mills(np.array([0.0])), np.sqrt(2 / np.pi), rtol=1e-14)
+    np.testing.assert_allclose(mills(np.array([-1e6])), 1e6, rtol=1e-11)
+    assert mills(np.array([50.0]))[0] == 0
+
+
+@given(v=values, y=st.floats(0, 3), lam=positive, nu=positive)
+@settings(max_examples=200, deadline=None)
+def test_equation_19_as_it_is_printed(v: float, y: float, lam: float, nu: float) -> None:
+    """For weight 1 the update is Eq. 19 to the letter, at y = Y too."""
+    for level in (3.0, y):
+        threshold = y + np.sqrt(1 + 1 / (lam * nu)) * (level - y)
+        expected = (y + lam * nu * v) / (1 + lam * nu) if v <= threshold else v
+        found = updated(v, y, False, level, 1.0, lam * nu, Fidelity.CLIPPED)
+        assert found == pytest.approx(expected, abs=1e-9) or v == pytest.approx(threshold)
+
+
+@EVERY
+def test_which_samples_count_and_which_duals_are_free(fidelity: Fidelity) -> None:
+    problem, _ = clipping_problem()
+    seen, of = problem.observed, fidelity.term
+    u = np.random.default_rng(0).random(problem.samples.values.shape) * 3
+    # What does not count changes nothing, whatever its value.
+    silent = ~of.counted(seen)
+    assert not of.residual(u, seen)[silent].any()
+    assert silent.any() == (fidelity is Fidelity.REJECTION)
+    # Free is what takes either sign.
+    low, high = (of.residual(np.full_like(u, value), seen) for value in (-50.0, 50.0))
+    if fidelity.convex:
+        np.testing.assert_array_equal(of.free(seen), (low > 0) & (high < 0))
+
+
+MAKERS: dict[str, Callable[[str], Any]] = {
+    "active set": lambda name: ActiveSet(fidelity=name),
+    "Saturation ADMM": lambda name: SaturationADMM(fidelity=name),
+    "ROMP": lambda name: ROMP(fidelity=name),
+    "coherent": lambda name: CoherentEstimator(fidelity=name),
+}
+
+
+@pytest.mark.parametrize("make", MAKERS.values(), ids=MAKERS)
+def test_a_name_is_enough_and_a_wrong_one_is_refused(make: Callable[[str], Any]) -> None:
+    assert make("rejection").fidelity is Fidelity.REJECTION
+    with pytest.raises(InputError, match="a fidelity called 'linar'") as error:
+        make("linar")
+    assert isinstance(error.value, LightMatrixError)
+    for fidelity in Fidelity:
+        assert fidelity.value in str(error.value.hint)
+
+
+def test_names_give_the_same_results() -> None:
+    problem, _ = clipping_problem()
+    for name in ("linear", "one-sided", "rejection"):
+        by_name = solve(problem, ActiveSet(fidelity=name))
+        by_member = solve(problem, ActiveSet(Fidelity(name)))
+        np.testing.assert_array_equal(by_name.objective, by_member.objective)
+        x, b = by_name.coefficients, by_name.background
+        named, member = (relative_gap(problem, x, b, one) for one in (name, Fidelity(name)))
+        np.testing.assert_array_equal(named, member)
+        u = predictions(problem, x, b)
+        np.testing.assert_array_equal(
+            data_term(problem, u, name), data_term(problem, u, Fidelity(name))
+        )

@@ -1,0 +1,161 @@
+"""The loop all iterative solvers share: limits, status, history, progress, memory."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tracemalloc
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lightmatrix.solvers import (
+    ADMM,
+    ROMP,
+    ActiveSet,
+    Fidelity,
+    Problem,
+    Result,
+    SaturationADMM,
+    Status,
+    solve,
+)
+from lightmatrix.solvers.objective import objective
+from tests.helpers.problems import clipping_problem, with_samples
+
+
+def test_rows_of_the_result_are_rows_of_the_problem() -> None:
+    """Rows stop in any order and are put back into place."""
+    problem, _ = clipping_problem(rows=30)
+    result = solve(problem, SaturationADMM())
+    assert (np.diff(result.iterations) < 0).any()
+    order = np.random.default_rng(0).permutation(30)
+    shuffled = solve(problem.take(order), SaturationADMM())
+    np.testing.assert_array_equal(shuffled.iterations, result.iterations[order])
+    np.testing.assert_allclose(
+        shuffled.coefficients.toarray(), result.coefficients.toarray()[order], atol=1e-9
+    )
+    np.testing.assert_allclose(shuffled.background, result.background[order], atol=1e-9)
+
+
+def test_history_progress_and_iterations() -> None:
+    problem, _ = clipping_problem(rows=15)
+    seen: list[tuple[int, int]] = []
+    result = solve(problem, ADMM(), progress=lambda done, total: seen.append((done, total)))
+    assert result.status is Status.CONVERGED
+    assert result.converged.all()
+    assert seen[-1] == (15, 15)
+    assert [done for done, _ in seen] == sorted({done for done, _ in seen})
+    steps = int(result.iterations.max())
+    assert {name: len(values) for name, values in result.history.items()} == dict.fromkeys(
+        ("primal", "dual", "rows"), steps
+    )
+    running = [int((result.iterations >= step).sum()) for step in range(1, steps + 1)]
+    assert result.history["rows"] == running
+
+
+def test_iteration_limit_is_reported_and_what_was_found_is_kept() -> None:
+    problem, _ = clipping_problem(rows=12)
+    steps = int(np.median(solve(problem, SaturationADMM()).iterations))
+    result = solve(problem, SaturationADMM(max_iterations=steps))
+    assert result.status is Status.ITERATION_LIMIT
+    assert 0 < result.converged.sum() < 12
+    assert result.iterations.max() == steps
+    assert (result.iterations[~result.converged] == steps).all()
+    again = objective(problem, result.coefficients, result.background, Fidelity.ONE_SIDED)
+    np.testing.assert_allclose(result.objective, again, rtol=1e-12)
+
+
+@dataclass(frozen=True)
+class _Breaking(SaturationADMM):
+    """Leaves the finite numbers in the row of the brightest samples, at the third step."""
+
+    def step(self, problem: Problem, state: Any) -> Any:
+        after = super().step(problem, state)
+        broken = after.x.copy()
+        if np.abs(state.h).max() > 0:
+            broken[problem.samples.values.max(axis=1) > 90] = np.nan
+        return replace(after, x=broken)
+
+
+def test_a_row_that_leaves_the_finite_numbers_stops_alone() -> None:
+    problem, _ = clipping_problem(rows=6)
+    samples, clipped = problem.samples.values.copy(), problem.samples.clipped.copy()
+    samples[2], clipped[2] = 99.0, False
+    spoiled = with_samples(problem, values=samples, clipped=clipped)
+    others = np.delete(np.arange(6), 2)
+    result = solve(spoiled, _Breaking())
+    assert result.status is Status.NOT_FINITE
+    assert result.iterations[2] < 5
+    assert not result.converged[2]
+    assert result.converged[others].all()
+    assert np.isfinite(result.coefficients.data).all()
+    expected = solve(problem, SaturationADMM())
+    np.testing.assert_allclose(
+        result.coefficients.toarray()[others], expected.coefficients.toarray()[others], atol=1e-9
+    )
+
+
+def test_a_solver_with_its_own_loop_is_left_to_it() -> None:
+    problem, _ = clipping_problem()
+    expected = ROMP().solve(problem)
+
+    @dataclass(frozen=True)
+    class Own:
+        def solve(self, problem: Problem, progress: Any = None) -> Result:
+            progress(1, 2)
+            return expected
+
+        def row_bytes(self, patterns: int, pixels: int) -> int:
+            return 1
+
+    seen: list[tuple[int, int]] = []
+    assert solve(problem, Own(), progress=lambda *now: seen.append(now)) is expected
+    assert seen == [(1, 2)]
+
+
+PEAK = """
+import sys
+import numpy as np
+from tests.helpers.problems import clipping_problem
+from lightmatrix.solvers import ActiveSet, solve
+problem, _ = clipping_problem(rows=40, shape=(64, 64), count=96, dtype=np.float32)
+many = problem.take(np.resize(np.arange(40), int(sys.argv[1])))
+solve(many, ActiveSet(threads=1, max_passes=4))
+print(next(line.split()[1] for line in open("/proc/self/status") if line.startswith("VmHWM")))
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="reads a process's peak memory from /proc")
+def test_rows_of_the_compiled_solver_take_no_more_memory_than_it_says() -> None:
+    """Of a process each, since Python does not see what the core allocates."""
+    peaks = []
+    for rows in (500, 4500):
+        command = [sys.executable, "-c", PEAK, str(rows)]
+        peak = subprocess.run(command, cwd=Path(__file__).parent, capture_output=True, check=True)
+        peaks.append(1024 * int(peak.stdout))
+    measured = (peaks[1] - peaks[0]) / 4000
+    said = ActiveSet().row_bytes(96, 64 * 64)
+    assert measured <= said
+    # Samples alone are an eighth of it: the support that it allows for is generous.
+    assert measured > said / 16
+
+
+@pytest.mark.parametrize("solver", [ADMM(), SaturationADMM(), ROMP()])
+def test_rows_take_no_more_memory_than_the_solver_says(solver: Any) -> None:
+    """The difference between many rows and few, so that what all rows share does not count."""
+    peaks = {}
+    for rows in (40, 400):
+        problem, _ = clipping_problem(rows=rows, shape=(64, 64), count=96, dtype=np.float32)
+        solve(problem.take(np.arange(10)), replace(solver, max_iterations=2))
+        tracemalloc.start()
+        solve(problem, replace(solver, max_iterations=4))
+        peaks[rows] = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+    measured = (peaks[400] - peaks[40]) / 360
+    said = solver.row_bytes(96, 64 * 64)
+    assert measured <= said
+    assert measured > said / 3

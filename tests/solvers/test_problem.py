@@ -1,0 +1,93 @@
+"""A problem refuses what no solver could treat, and says what would work."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lightmatrix.errors import InputError
+from lightmatrix.solvers import ADMM, ROMP, ActiveSet, SaturationADMM, Status, solve
+from tests.helpers.problems import clipping_problem, with_samples
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"values": np.zeros((6, 3))}, "40 patterns"),
+        ({"values": np.zeros((6, 40), int)}, "float32"),
+        ({"values": np.full((6, 40), np.nan)}, "camera row 0, pattern 0"),
+        ({"clipped": np.zeros((6, 40))}, "one boolean for each"),
+        ({"clip_level": np.ones(3)}, "clip_level"),
+        ({"weights": np.ones((6, 3))}, "weights"),
+        ({"weights": np.full(40, -1.0)}, "negative"),
+    ],
+)
+def test_bad_samples(change: dict[str, Any], message: str) -> None:
+    problem, _ = clipping_problem()
+    with pytest.raises(InputError, match=message):
+        with_samples(problem, **change)
+
+
+@pytest.mark.parametrize("regularization", [0.0, float("nan"), float("inf")])
+def test_bad_regularization(regularization: float) -> None:
+    problem, _ = clipping_problem()
+    with pytest.raises(InputError, match="positive"):
+        replace(problem, regularization=regularization)
+
+
+def test_status_tells_the_remedy() -> None:
+    problem, _ = clipping_problem()
+    result = solve(problem, SaturationADMM(max_iterations=2))
+    assert result.status is Status.ITERATION_LIMIT
+    assert not result.converged.any()
+    assert (result.iterations == 2).all()
+    assert "raise the limit" in result.status
+
+
+def test_progress_counts_finished_rows() -> None:
+    problem, _ = clipping_problem()
+    seen: list[tuple[int, int]] = []
+    solve(problem, SaturationADMM(), progress=lambda done, total: seen.append((done, total)))
+    assert seen[-1] == (problem.rows, problem.rows)
+    assert [done for done, _ in seen] == sorted(done for done, _ in seen)
+
+
+def test_history_is_kept() -> None:
+    problem, _ = clipping_problem()
+    result = solve(problem, SaturationADMM())
+    assert len(result.history["primal"]) == result.iterations.max()
+    assert result.history["rows"][0] == problem.rows
+
+
+def test_the_column_of_the_background_is_the_means_unless_it_is_given() -> None:
+    problem, _ = clipping_problem()
+    means = problem.patterns.means
+    np.testing.assert_array_equal(problem.column, means)
+    same = replace(problem, background_column=means)
+    for solver in (ActiveSet(), SaturationADMM(), ADMM(), ROMP()):
+        one, other = solve(problem, solver), solve(same, solver)
+        np.testing.assert_array_equal(one.objective, other.objective)
+        np.testing.assert_array_equal(one.background, other.background)
+        # Twice the column takes half the coefficient.
+        double = solve(replace(problem, background_column=2 * means), solver)
+        np.testing.assert_allclose(2 * double.background, one.background, rtol=0.05, atol=5e-3)
+
+
+def test_some_patterns_keep_their_part_of_the_column() -> None:
+    problem, _ = clipping_problem()
+    column = np.linspace(0, 1, 40)
+    some = replace(problem, background_column=column).frames(np.array([3, 17, 5]))
+    np.testing.assert_array_equal(some.column, column[[3, 17, 5]])
+    np.testing.assert_array_equal(some.samples.values, problem.samples.values[:, [3, 17, 5]])
+    own = problem.frames(np.array([3, 17, 5]))
+    np.testing.assert_array_equal(own.column, problem.patterns.means[[3, 17, 5]])
+
+
+@pytest.mark.parametrize("column", [np.zeros(3), np.zeros((40, 1)), np.full(40, np.nan)])
+def test_bad_columns(column: Any) -> None:
+    problem, _ = clipping_problem()
+    with pytest.raises(InputError, match="background column"):
+        replace(problem, background_column=column)

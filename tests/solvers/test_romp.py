@@ -1,0 +1,134 @@
+"""ROMP: the batched version against the algorithm written out for one row."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from lightmatrix.camera.samples import Samples
+from lightmatrix.errors import InputError, SolverError
+from lightmatrix.patterns.bits import BernoulliPatterns
+from lightmatrix.patterns.pattern_set import ImagePatterns
+from lightmatrix.solvers import ROMP, Fidelity, Problem, Status, solve
+from lightmatrix.solvers.objective import data_term, predictions
+from tests.helpers.problems import clipping_problem, with_samples
+
+
+def _literal(a: Any, y: Any, n: int, rounds: int) -> Any:
+    """Needell & Vershynin's steps, one row, no background, signed."""
+    chosen: list[int] = []
+    x = np.zeros(a.shape[1])
+    residual = y.copy()
+    for _ in range(rounds):
+        if np.linalg.norm(residual) <= 1e-6 * np.linalg.norm(y) or len(chosen) >= 2 * n:
+            break
+        u = np.abs(a.T @ residual)
+        order = [i for i in np.argsort(-u, kind="stable")[:n] if u[i] > 0]
+        runs = [[j for j in order[i:] if u[order[i]] <= 2 * u[j]] for i in range(len(order))]
+        best = max(runs, key=lambda run: sum(u[j] ** 2 for j in run))
+        fresh = [j for j in best if j not in chosen]
+        if not fresh:
+            break
+        chosen += fresh
+        x = np.zeros(a.shape[1])
+        x[chosen] = np.linalg.lstsq(a[:, chosen], y, rcond=None)[0]
+        residual = y - a @ x
+    return x
+
+
+@given(seed=st.integers(0, 10_000), n=st.integers(1, 12), count=st.integers(20, 40))
+@settings(max_examples=60, deadline=None)
+def test_batched_romp_is_the_literal_algorithm(seed: int, n: int, count: int) -> None:
+    random = np.random.default_rng(seed)
+    stack = random.random((count, 5, 12)).astype(np.float32)
+    patterns = ImagePatterns(stack)
+    x = np.zeros((4, 60))
+    for row in x:
+        row[random.permutation(60)[:4]] = random.standard_normal(4)
+    y = patterns.forward(x)
+    problem = Problem(
+        patterns,
+        Samples(y, y > np.inf, np.full(count, np.inf), None),
+        1.0,
+        nonnegative=False,
+        background=False,
+    )
+    result = solve(problem, ROMP(n, Fidelity.LINEAR))
+    matrix = patterns.dense().astype(np.float64)
+    for index in range(4):
+        expected = _literal(matrix, y[index], n, n)
+        found = result.coefficients[[index]].toarray()[0]
+        # A nearly singular least squares has many answers; its fit is what both must share.
+        np.testing.assert_allclose(matrix @ found, matrix @ expected, atol=1e-4 * abs(y).max())
+
+
+def test_rejection_never_looks_at_clipped_samples() -> None:
+    problem, _ = clipping_problem(count=60)
+    spoiled = np.where(problem.samples.clipped, 50.0, problem.samples.values)
+    one = solve(problem, ROMP())
+    two = solve(with_samples(problem, values=spoiled), ROMP())
+    np.testing.assert_array_equal(one.coefficients.toarray(), two.coefficients.toarray())
+    np.testing.assert_array_equal(one.background, two.background)
+
+
+def test_sparse_rows_are_found_exactly() -> None:
+    problem, x = clipping_problem(rows=8, shape=(16, 16), count=150, clip_level=50.0)
+    result = solve(problem, ROMP(5))
+    assert np.linalg.norm(result.coefficients.toarray() - x) < 0.05 * np.linalg.norm(x)
+    assert result.background == pytest.approx(0.1, abs=0.05)
+    assert (result.coefficients.data >= 0).all()
+
+
+def test_objective_is_recomputed_from_the_definition() -> None:
+    problem, _ = clipping_problem()
+    result = solve(problem, ROMP())
+    u = predictions(problem, result.coefficients, result.background)
+    norm = np.abs(result.coefficients.toarray()).sum(axis=1) * problem.regularization
+    np.testing.assert_allclose(result.objective, norm + data_term(problem, u, Fidelity.REJECTION))
+    assert np.isnan(result.gap).all()
+
+
+def test_every_sample_clipped_and_dark_rows_give_nothing() -> None:
+    problem, _ = clipping_problem()
+    blind = solve(with_samples(problem, clipped=np.ones_like(problem.samples.clipped)), ROMP())
+    assert blind.coefficients.nnz == 0
+    dark = solve(
+        with_samples(problem, values=0 * problem.samples.values), ROMP(fidelity=Fidelity.LINEAR)
+    )
+    assert dark.coefficients.nnz == 0
+    empty = solve(problem.take(np.arange(0)), ROMP())
+    assert empty.coefficients.shape == (0, problem.patterns.pixels)
+
+
+def test_the_status_says_whether_all_rows_are_explained() -> None:
+    problem, _ = clipping_problem(rows=3)
+    enough = solve(problem, ROMP(sparsity=20, fidelity=Fidelity.LINEAR, tolerance=0.5))
+    assert enough.converged.all()
+    assert enough.status is Status.CONVERGED
+    few = solve(problem, ROMP(sparsity=1, max_iterations=1, tolerance=1e-9))
+    assert not few.converged.all()
+    assert few.status is Status.ITERATION_LIMIT
+
+
+def test_the_default_sparsity_is_an_eighth_of_the_patterns_and_32_at_most() -> None:
+    random = np.random.default_rng(0)
+    for count, sparsity in ((4, 1), (40, 5), (300, 32)):
+        patterns = BernoulliPatterns((20, 20), count)
+        values = random.random((2, count))
+        samples = Samples(values, np.zeros(values.shape, bool), np.ones(count))
+        problem = Problem(patterns, samples, 0.1)
+        found, same = solve(problem, ROMP()), solve(problem, ROMP(sparsity=sparsity))
+        np.testing.assert_array_equal(found.coefficients.toarray(), same.coefficients.toarray())
+        other = solve(problem, ROMP(sparsity=sparsity + 1))
+        assert (found.coefficients != other.coefficients).nnz > 0
+
+
+def test_bad_parameters() -> None:
+    with pytest.raises(SolverError, match="least squares"):
+        ROMP(fidelity=Fidelity.CLIPPED)
+    with pytest.raises(InputError, match="at least 1"):
+        ROMP(sparsity=0)

@@ -1,0 +1,405 @@
+"""Light transport on disk: whole or absent, the same when it comes back, no finished tile lost."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.sparse
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy.io import loadmat
+from scipy.sparse import csr_array
+
+from lightmatrix import store
+from lightmatrix.errors import InputError, OutputError
+from lightmatrix.store.tiles import gaps
+from lightmatrix.transport.matrix import LightTransport
+from lightmatrix.transport.sparse_rows import SparseRows
+from tests.helpers.systems import LIMITS, SIGNALS
+
+if sys.platform != "win32":
+    import resource
+
+
+def transport(
+    camera: tuple[int, ...] = (5, 4), seed: int = 0, density: float = 0.2
+) -> LightTransport:
+    generator = np.random.default_rng(seed)
+    rows = int(np.prod(camera))
+    sparse = scipy.sparse.random_array((rows, 42), density=density, rng=generator)
+    background = generator.random((rows, 6)).astype(np.float32)
+    background[::3] = 0
+    return LightTransport(
+        csr_array(sparse, dtype=np.float32),
+        background,
+        camera,
+        (6, 7),
+        (2, 3),
+        {"gap": generator.random(rows), "converged": generator.random(rows) < 0.5},
+        {"solver": "none", "seed": seed, "nested": {"list": [1, 2.5, None]}},
+    )
+
+
+def assert_same(found: LightTransport, expected: LightTransport) -> None:
+    assert (found.sparse != expected.sparse).nnz == 0
+    assert found.sparse.dtype == np.float32
+    np.testing.assert_array_equal(found.background, expected.background)
+    assert found.camera_shape == expected.camera_shape
+    assert found.projector_shape == expected.projector_shape
+    assert found.background_grid == expected.background_grid
+    assert dict(found.provenance) == dict(expected.provenance)
+
+
+@contextmanager
+def small_disk(size: int) -> Iterator[None]:
+    """The system refuses to let any file grow beyond `size`, as a full disk would."""
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, limits[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+
+
+@pytest.mark.parametrize("camera", [(5, 4), (3, 2, 3), (1, 1)])
+@pytest.mark.parametrize("density", [0.2, 0.0])
+def test_a_matrix_comes_back_from_disk(
+    tmp_path: Path, camera: tuple[int, ...], density: float
+) -> None:
+    written = transport(camera, density=density)
+    store.save(tmp_path / "scene.zarr", written)
+    found = store.open(tmp_path / "scene.zarr")
+    assert_same(found, written)
+    assert set(found.diagnostics) == {"gap", "converged"}
+    for name, values in written.diagnostics.items():
+        np.testing.assert_array_equal(found.diagnostics[name], values)
+        assert found.diagnostics[name].dtype == values.dtype
+    assert [entry.name for entry in tmp_path.iterdir()] == ["scene.zarr"]
+
+
+def test_the_group_is_zarr_version_3_with_a_format_version(tmp_path: Path) -> None:
+    store.save(tmp_path / "scene.zarr", transport())
+    header = json.loads((tmp_path / "scene.zarr" / "zarr.json").read_text())
+    assert header["zarr_format"] == 3
+    assert header["attributes"]["version"] == 1
+
+
+def test_an_existing_matrix_needs_overwrite(tmp_path: Path) -> None:
+    path = tmp_path / "scene.zarr"
+    store.save(path, transport(seed=1))
+    with pytest.raises(OutputError, match="--overwrite"):
+        store.save(path, transport(seed=2))
+    assert_same(store.open(path), transport(seed=1))
+    store.save(path, transport(seed=2), overwrite=True)
+    assert_same(store.open(path), transport(seed=2))
+
+
+def test_outputs_of_the_wrong_name(tmp_path: Path) -> None:
+    with pytest.raises(OutputError, match=r"ends in \.h5"):
+        store.save(tmp_path / "scene.h5", transport())
+    with pytest.raises(OutputError, match=r"ends in \.csv"):
+        store.export(tmp_path / "T.csv", transport())
+    assert not list(tmp_path.iterdir())
+
+
+@LIMITS
+@pytest.mark.parametrize("name", ["scene.zarr", "T.npz", "T.mat"])
+def test_a_full_disk_leaves_the_old_output_and_nothing_else(tmp_path: Path, name: str) -> None:
+    write = store.save if name.endswith("zarr") else store.export
+    big = transport((400, 30), density=0.5)
+    with small_disk(20_000), pytest.raises(OutputError, match="cannot be written"):
+        write(tmp_path / name, big)
+    assert not list(tmp_path.iterdir())
+    write(tmp_path / name, transport())
+    with small_disk(20_000), pytest.raises(OutputError, match="cannot be written"):
+        write(tmp_path / name, big, overwrite=True)
+    assert [entry.name for entry in tmp_path.iterdir()] == [name]
+    if name == "scene.zarr":
+        assert_same(store.open(tmp_path / name), transport())
+
+
+def test_what_is_no_matrix_is_not_read(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no such file"):
+        store.open(tmp_path / "scene.zarr")
+    (tmp_path / "file.zarr").touch()
+    (tmp_path / "folder.zarr").mkdir()
+    for name in ("file.zarr", "folder.zarr"):
+        with pytest.raises(InputError, match="is not a light transport matrix"):
+            store.open(tmp_path / name)
+    store.save(tmp_path / "scene.zarr", transport())
+    header = tmp_path / "scene.zarr" / "zarr.json"
+    content = json.loads(header.read_text())
+    content["attributes"]["version"] = 99
+    header.write_text(json.dumps(content))
+    with pytest.raises(InputError, match="format version 99"):
+        store.open(tmp_path / "scene.zarr")
+    header.write_text("{")
+    with pytest.raises(InputError, match="is not a light transport matrix"):
+        store.open(tmp_path / "scene.zarr")
+
+
+@pytest.mark.parametrize("array", ["indptr", "indices", "data", "background", "diagnostics/gap"])
+@pytest.mark.parametrize("damage", ["missing", "cut", "no array"])
+def test_damage_is_noticed(tmp_path: Path, array: str, damage: str) -> None:
+    store.save(tmp_path / "scene.zarr", transport())
+    place = tmp_path / "scene.zarr" / array
+    if damage == "no array":
+        (place / "zarr.json").write_text("{}")
+    else:
+        chunk = next(file for file in (place / "c").rglob("*") if file.is_file())
+        if damage == "missing":
+            chunk.unlink()
+        else:
+            chunk.write_bytes(chunk.read_bytes()[:-5])
+    with pytest.raises(InputError, match="is damaged"):
+        store.open(tmp_path / "scene.zarr")
+
+
+# ---- exchange
+
+
+@given(st.integers(0, 2**31), st.sampled_from([(5, 4), (3, 2, 3), (1, 1)]), st.floats(0, 1))
+@settings(max_examples=25, deadline=None)
+def test_npz_comes_back(
+    tmp_path_factory: pytest.TempPathFactory, seed: int, camera: tuple[int, ...], density: float
+) -> None:
+    path = tmp_path_factory.mktemp("npz") / "T.npz"
+    written = transport(camera, seed, density)
+    store.export(path, written)
+    assert_same(store.import_npz(path), written)
+    assert (scipy.sparse.load_npz(path) != written.sparse).nnz == 0
+
+
+def test_npz_with_the_background_spread_is_the_whole_matrix(tmp_path: Path) -> None:
+    written = transport()
+    store.export(tmp_path / "T.npz", written, dense_background=True)
+    whole = written.dense_rows(np.arange(20))
+    np.testing.assert_array_equal(scipy.sparse.load_npz(tmp_path / "T.npz").toarray(), whole)
+    back = store.import_npz(tmp_path / "T.npz")
+    assert not back.background.any()
+    patterns = np.random.default_rng(0).random((3, 6, 7))
+    np.testing.assert_allclose(back.relight(patterns), written.relight(patterns), rtol=1e-5)
+
+
+@pytest.mark.parametrize("dense", [False, True])
+def test_mat_is_read_by_matlab_s_rules(tmp_path: Path, dense: bool) -> None:
+    written = transport()
+    store.export(tmp_path / "T.mat", written, dense_background=dense)
+    content = loadmat(tmp_path / "T.mat")
+    expected = written.dense_rows(np.arange(20)) if dense else written.sparse.toarray()
+    np.testing.assert_array_equal(content["T"].toarray(), expected)
+    assert content["T"].dtype == np.float64
+    assert content["background"].any() != dense
+    np.testing.assert_array_equal(content["projector_shape"], [[6, 7]])
+
+
+def test_npz_of_others(tmp_path: Path) -> None:
+    matrix = transport().sparse
+    scipy.sparse.save_npz(tmp_path / "plain.npz", matrix)
+    with pytest.raises(InputError, match="does not say the shapes"):
+        store.import_npz(tmp_path / "plain.npz")
+    found = store.import_npz(tmp_path / "plain.npz", (5, 4), (6, 7))
+    assert (found.sparse != matrix).nnz == 0
+    with pytest.raises(InputError, match="its shape must be"):
+        store.import_npz(tmp_path / "plain.npz", (5, 5), (6, 7))
+    np.savez(tmp_path / "other.npz", values=np.zeros(3))
+    (tmp_path / "text.npz").write_text("no archive")
+    store.export(tmp_path / "half.npz", transport())
+    whole = (tmp_path / "half.npz").read_bytes()
+    (tmp_path / "half.npz").write_bytes(whole[: len(whole) // 2])
+    for name in ("other.npz", "text.npz", "half.npz"):
+        with pytest.raises(InputError, match="cannot be read as npz"):
+            store.import_npz(tmp_path / name)
+    with pytest.raises(InputError, match="no such file"):
+        store.import_npz(tmp_path / "none.npz")
+
+
+# ---- running results
+
+TILES = ((0, 8), (8, 16), (16, 20))
+FINGERPRINT = {"capture": "0123", "regularization": 0.3}
+
+
+def write_tile(running: store.Checkpoint, start: int, stop: int) -> None:
+    whole = transport()
+    rows = SparseRows(whole.sparse, whole.background, whole.diagnostics)
+    running.write(start, stop, rows.rows(slice(start, stop)))
+
+
+def finish(running: store.Checkpoint) -> LightTransport:
+    whole = transport()
+    return running.finish(
+        camera_shape=whole.camera_shape,
+        projector_shape=whole.projector_shape,
+        background_grid=whole.background_grid,
+        provenance=whole.provenance,
+    )
+
+
+def run(path: Path, fail_at: int | None = None, overwrite: bool = False) -> int:
+    """Compute all tiles; returns how many rows an earlier run had finished."""
+    with store.Checkpoint.open(path, FINGERPRINT, overwrite=overwrite) as running:
+        resumed = running.resumed_rows
+        for start, stop in TILES:
+            if start == fail_at:
+                raise KeyboardInterrupt
+            if (start, stop) not in running.spans():
+                write_tile(running, start, stop)
+        finish(running)
+    return resumed
+
+
+def test_an_interrupted_estimate_goes_on_where_it_stopped(tmp_path: Path) -> None:
+    path = tmp_path / "scene.zarr"
+    with pytest.raises(KeyboardInterrupt):
+        run(path, fail_at=16)
+    assert [entry.name for entry in tmp_path.iterdir()] == ["scene.zarr.partial"]
+    with pytest.raises(InputError, match="the estimate is incomplete"):
+        store.open(path)
+    assert run(path) == 16
+    assert_same(store.open(path), transport())
+    for name, values in transport().diagnostics.items():
+        np.testing.assert_array_equal(store.open(path).diagnostics[name], values)
+    assert [entry.name for entry in tmp_path.iterdir()] == ["scene.zarr"]
+
+
+def test_nothing_is_left_of_a_run_that_finished_no_tile(tmp_path: Path) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        run(tmp_path / "scene.zarr", fail_at=0)
+    assert not list(tmp_path.iterdir())
+
+
+KILLED = """
+import os, signal, sys
+import numpy as np
+sys.path.insert(0, {tests!r})
+from tests.store import test_store
+save = np.savez
+def half(path, **arrays):
+    if "rows-16-20" in str(path):
+        save(path, **arrays)
+        os.truncate(path, 100)
+        os.kill(os.getpid(), signal.SIGKILL)
+    save(path, **arrays)
+np.savez = half
+test_store.run(test_store.Path({path!r}))
+"""
+
+
+@SIGNALS
+def test_a_killed_run_loses_only_the_tile_it_was_writing(tmp_path: Path) -> None:
+    path = tmp_path / "scene.zarr"
+    script = KILLED.format(tests=str(Path(__file__).parent), path=str(path))
+    killed = subprocess.run([sys.executable, "-c", script], check=False)
+    assert killed.returncode == -signal.SIGKILL
+    assert not path.exists()
+    assert run(path) == 16
+    assert_same(store.open(path), transport())
+    assert [entry.name for entry in tmp_path.iterdir()] == ["scene.zarr"]
+
+
+def test_tiles_of_other_settings_are_neither_used_nor_lost(tmp_path: Path) -> None:
+    path = tmp_path / "scene.zarr"
+    with pytest.raises(KeyboardInterrupt):
+        run(path, fail_at=16)
+    other = {**FINGERPRINT, "regularization": 0.1}
+    with pytest.raises(OutputError, match=r"other settings \(regularization\)"):
+        store.Checkpoint.open(path, other)
+    assert run(path) == 16
+    store.save(path, transport(seed=5), overwrite=True)
+    with pytest.raises(KeyboardInterrupt):
+        run(path, fail_at=16, overwrite=True)
+    with store.Checkpoint.open(path, other, overwrite=True) as running:
+        assert running.resumed_rows == 0
+
+
+def test_a_complete_output_needs_overwrite_and_stays_until_replaced(tmp_path: Path) -> None:
+    path = tmp_path / "scene.zarr"
+    store.save(path, transport(seed=5))
+    with pytest.raises(OutputError, match="--overwrite"):
+        run(path)
+    with pytest.raises(KeyboardInterrupt):
+        run(path, fail_at=8, overwrite=True)
+    assert_same(store.open(path), transport(seed=5))
+    run(path, overwrite=True)
+    assert_same(store.open(path), transport())
+
+
+def test_another_tiling_keeps_what_is_there_and_a_damaged_tile_is_computed_again(
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / "scene.zarr"
+    with pytest.raises(KeyboardInterrupt):
+        run(path, fail_at=16)
+    tile = tmp_path / "scene.zarr.partial" / "rows-0-8.npz"
+    tile.write_bytes(tile.read_bytes()[:200])
+    with store.Checkpoint.open(path, FINGERPRINT) as running:
+        assert running.resumed_rows == 8
+        assert running.spans() == [(8, 16)]
+        with pytest.raises(InputError, match="do not cover all 20 rows"):
+            finish(running)
+        missing = gaps([(0, 10), (10, 20)], running.spans())
+        assert missing == [(0, 8), (16, 20)]
+        for start, stop in missing:
+            write_tile(running, start, stop)
+        assert_same(finish(running), transport())
+
+
+@pytest.mark.parametrize(
+    ("key", "change"),
+    [
+        ("data", lambda values: values * 2),
+        ("diagnostic_gap", None),
+        ("digest", None),
+        ("shape", lambda values: values + np.array([0, 1])),
+        ("background", lambda values: values.astype(np.float64)),
+    ],
+)
+def test_a_tile_is_taken_only_as_it_was_kept(
+    tmp_path: Path, key: str, change: Callable[[NDArray[Any]], NDArray[Any]] | None
+) -> None:
+    path = tmp_path / "scene.zarr"
+    with pytest.raises(KeyboardInterrupt):
+        run(path, fail_at=16)
+    tile = tmp_path / "scene.zarr.partial" / "rows-0-8.npz"
+    with np.load(tile) as held:
+        arrays = dict(held)
+    old = arrays.pop(key)
+    if change is not None:
+        arrays[key] = change(old)
+    np.savez(tile, **arrays)
+    assert run(path) == 8
+    assert_same(store.open(path), transport())
+
+
+def test_tiles_under_each_others_names_are_computed_again(tmp_path: Path) -> None:
+    path = tmp_path / "scene.zarr"
+    with pytest.raises(KeyboardInterrupt):
+        run(path, fail_at=16)
+    first, second = (tmp_path / "scene.zarr.partial" / f"rows-{n}.npz" for n in ("0-8", "8-16"))
+    first.rename(tmp_path / "other")
+    second.rename(first)
+    (tmp_path / "other").rename(second)
+    assert run(path) == 0
+    assert_same(store.open(path), transport())
+
+
+@LIMITS
+def test_a_full_disk_keeps_the_finished_tiles(tmp_path: Path) -> None:
+    path = tmp_path / "scene.zarr"
+    with pytest.raises(KeyboardInterrupt):
+        run(path, fail_at=16)
+    with small_disk(500), pytest.raises(OutputError, match="cannot be written"):
+        run(path)
+    assert not path.exists()
+    assert run(path) == 16
