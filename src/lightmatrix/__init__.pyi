@@ -53,9 +53,9 @@ from .simulation.truth import Truth as Truth
 # Rigs that photograph, real and virtual.
 from .live.measurements.exposure import measure_exposure as measure_exposure
 from .live.measurements.flicker import measure_flicker as measure_flicker
-from .live.measurements.measurements import (
-    Calibration as Calibration,
-    calibrate as calibrate,
+from .live.measurements.rig_measurements import (
+    RigMeasurements as RigMeasurements,
+    measure_rig as measure_rig,
 )
 from .live.measurements.linearity import measure_linearity as measure_linearity
 from .live.measurements.response import measure_response as measure_response

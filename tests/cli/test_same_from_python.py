@@ -23,7 +23,7 @@ from lightmatrix.estimators import auto
 from lightmatrix.estimators.coherent.estimator import WORTH_IT_UP_TO
 from lightmatrix.experiments import run
 from lightmatrix.live import capturing, opening
-from lightmatrix.live.measurements.measurements import PARTS
+from lightmatrix.live.measurements.rig_measurements import PARTS
 from lightmatrix.live.rig import Rig
 from lightmatrix.patterns import making, mix
 from lightmatrix.planning.plan import USUAL_SIZE
@@ -379,11 +379,11 @@ def test_rig(part: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> N
     rig = "virtual:procedural,size=16,real=0"
     told = _run(f"rig {part} --rig {rig} --rig-file {tmp_path}/rig.json", capsys)
     with lm.open_rig(rig) as opened:
-        made = lm.calibrate(opened, [part], keep=tmp_path / "made.json")
+        made = lm.measure_rig(opened, [part], keep=tmp_path / "made.json")
     assert told[part] == json.loads(json.dumps(made.as_dict()[part]))
-    shown = lm.Calibration.load(tmp_path / "rig.json")
+    shown = lm.RigMeasurements.load(tmp_path / "rig.json")
     assert {**shown.as_dict(), "measured": ""} == {
-        **lm.Calibration.load(tmp_path / "made.json").as_dict(), "measured": ""
+        **lm.RigMeasurements.load(tmp_path / "made.json").as_dict(), "measured": ""
     }  # fmt: skip
 
 

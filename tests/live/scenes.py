@@ -15,7 +15,7 @@ from lightmatrix.live.devices.projectors.folder import SHOWN
 from lightmatrix.live.measurements.exposure import ExposureAdvice
 from lightmatrix.live.measurements.flicker import Flicker
 from lightmatrix.live.measurements.linearity import CameraLinearity
-from lightmatrix.live.measurements.measurements import Calibration
+from lightmatrix.live.measurements.rig_measurements import RigMeasurements
 from lightmatrix.live.measurements.settle import SettleTime
 from lightmatrix.live.rig import Rig
 from lightmatrix.patterns.response import ProjectorResponse
@@ -71,11 +71,11 @@ class ShownScene:
         assert len(data) <= _JPEG_BYTES
         path.write_bytes(data.ljust(_JPEG_BYTES, b"\0"))
 
-    def known(self, rig: Rig) -> Calibration:
+    def known(self, rig: Rig) -> RigMeasurements:
         """What measuring the rig at length would find."""
         steps = tuple(range(0, 256, 15))
         white = self.light(np.full(self.projector, 255, np.uint8), self.exposure)
-        return Calibration(
+        return RigMeasurements(
             rig.projector.info(),
             rig.camera.info(),
             SettleTime(0.02, 0.0, 21, 0),

@@ -30,13 +30,13 @@ QUIET = "virtual:procedural,size=24,real=0,late=0,dropped=0,duplicate=0,torn=0"
 
 
 @pytest.fixture(scope="module")
-def _known() -> lm.Calibration:
+def _known() -> lm.RigMeasurements:
     with lm.open_rig(QUIET) as rig:
-        return lm.calibrate(rig)
+        return lm.measure_rig(rig)
 
 
 @pytest.fixture(autouse=True)
-def _here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, _known: lm.Calibration) -> None:
+def _here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, _known: lm.RigMeasurements) -> None:
     """A folder in which the quiet rig is known; rigs unlike it are measured anew."""
     monkeypatch.chdir(tmp_path)
     _known.save("rig.json")
@@ -260,7 +260,7 @@ def test_light_that_changes_meanwhile_is_named(what: str, words: str) -> None:
 
 def test_a_room_whose_light_varies_is_named() -> None:
     with lm.open_rig(QUIET) as rig:
-        known = lm.calibrate(rig)
+        known = lm.measure_rig(rig)
     assert known.flicker is not None
     replace(known, flicker=replace(known.flicker, room=0.05)).save("rig.json")
     with pytest.warns(lm.LightMatrixWarning, match="room's light varies by 5 % of white"):
@@ -411,7 +411,7 @@ def test_the_whole_way_by_one_command(capsys: pytest.CaptureFixture[str]) -> Non
 def test_ctrl_c_keeps_the_frames() -> None:
     # What is known of the rig need not be measured in real time.
     with lm.open_rig(QUIET) as rig:
-        lm.calibrate(rig, ["settle", "flicker", "response", "linearity"], keep="rig.json")
+        lm.measure_rig(rig, ["settle", "flicker", "response", "linearity"], keep="rig.json")
     # Slow enough not to be over before it is stopped, however busy the machine.
     started = (
         "import signal\n"

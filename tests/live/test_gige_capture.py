@@ -54,7 +54,7 @@ def test_a_capture_over_gige_vision_is_as_good_as_a_simulated_one(
     told = capture.provenance
     assert (capture.count, told["left_out"]) == (64, {})
     # Kept with the rig; a virtual screen has none, or one that changes nothing.
-    assert lm.Calibration.load("rig.json").projector["gamma_ramp"] in (None, {"linear": True})
+    assert lm.RigMeasurements.load("rig.json").projector["gamma_ramp"] in (None, {"linear": True})
     # A few, near chance, by a second photograph.
     assert set(told["checks"]) <= {"matched", "confirmed"}
     assert told["checks"]["matched"] >= 40

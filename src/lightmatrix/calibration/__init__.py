@@ -1,1 +1,5 @@
-"""Calibration of cameras and projectors: their responses."""
+"""What is measured of a camera and a projector, independent of any scene.
+
+`responses` measures how light and levels depend on each other. The geometry of camera and
+projector belongs here too.
+"""

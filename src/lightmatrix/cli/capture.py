@@ -106,7 +106,7 @@ def capture(
             reference_every=reference_every,
             overwrite=overwrite,
             progress=shown.photographed,
-            calibrating=shown.measured,
+            measuring=shown.measured,
         )
     told: dict[str, Any] = {"output": output, "clipped_share": captured.clipped_share}
     told |= captured.provenance

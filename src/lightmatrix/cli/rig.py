@@ -160,7 +160,7 @@ def _measure(
     """What was measured; nothing where it has been shown as JSON."""
     opening = lm.open_rig(rig, projector=projector, camera=camera, patience=patience)
     with opening as opened, stages() as shown:
-        known = lm.calibrate(opened, [part], keep=rig_file, progress=shown.measured)
+        known = lm.measure_rig(opened, [part], keep=rig_file, progress=shown.measured)
     told: dict[str, Any] = known.as_dict()[part]
     if as_json:
         show_json({"rig_file": rig_file, part: told})

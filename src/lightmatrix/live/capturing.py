@@ -22,7 +22,12 @@ from lightmatrix.live.devices.exposure_limits import exposure_limits
 from lightmatrix.live.frames.photograph import Taker
 from lightmatrix.live.frames.repeats import take_steady
 from lightmatrix.live.frames.same_light import Drift, References, drift
-from lightmatrix.live.measurements.measurements import PARTS, Calibration, calibrate, outdated
+from lightmatrix.live.measurements.rig_measurements import (
+    PARTS,
+    RigMeasurements,
+    measure_rig,
+    outdated,
+)
 from lightmatrix.live.measurements.white import FIRST_SETTLE, images
 from lightmatrix.live.record import Record
 from lightmatrix.live.rig import Rig, UnfitRigError
@@ -63,7 +68,7 @@ def take_capture(
     reference_every: int = USUAL_REFERENCE,
     overwrite: bool = False,
     progress: Callable[[Step], None] | None = None,
-    calibrating: Callable[[str, int, int], None] | None = None,
+    measuring: Callable[[str, int, int], None] | None = None,
 ) -> Capture:
     """Photograph a scene under patterns with a rig.
 
@@ -103,7 +108,7 @@ def take_capture(
         Whether an existing capture may be replaced, and frames of another one thrown away.
     progress : callable, optional
         Called with a `Step` after each frame.
-    calibrating : callable, optional
+    measuring : callable, optional
         Called with (part, done, total) while the rig is measured.
 
     Returns
@@ -151,7 +156,7 @@ def take_capture(
     if known_patterns is not None:
         Shown(known_patterns, screen, cell)
     with claimed(output, LIVE_CAPTURE, overwrite=overwrite) as target:
-        known = _calibrated(rig, keep, settle, exposure is None, calibrating)
+        known = _measured_rig(rig, keep, settle, exposure is None, measuring)
         assert known.settle is not None
         shown = known_patterns or _made(screen, cell, count, density, seed, known)
         showing = Shown(shown, screen, cell, known.response)
@@ -185,17 +190,17 @@ def take_capture(
     return Capture.open(output)
 
 
-def _calibrated(
+def _measured_rig(
     rig: Rig,
     keep: str | Path | None,
     settle: float | None,
     advised: bool,
-    calibrating: Callable[[str, int, int], None] | None,
-) -> Calibration:
+    measuring: Callable[[str, int, int], None] | None,
+) -> RigMeasurements:
     """What is known of the rig, and what has to be measured for that."""
     missing = [part for part in PARTS if advised or part != "exposure"]
     if keep is not None and Path(keep).exists():
-        known = Calibration.load(keep)
+        known = RigMeasurements.load(keep)
         if known.of_rig(rig):
             missing = [part for part in missing if getattr(known, part) is None]
             if settle is not None and known.settle is not None:
@@ -204,7 +209,7 @@ def _calibrated(
                 missing = outdated(rig, known)
             if not missing:
                 return known
-    return calibrate(rig, missing, keep=keep, settle=settle, progress=calibrating)
+    return measure_rig(rig, missing, keep=keep, settle=settle, progress=measuring)
 
 
 def _made(
@@ -213,7 +218,7 @@ def _made(
     count: int,
     density: float | None,
     seed: int,
-    known: Calibration,
+    known: RigMeasurements,
 ) -> PatternSet:
     advised = 0.5 if known.exposure is None else known.exposure.density
     lit = advised if density is None else density
@@ -222,7 +227,7 @@ def _made(
 
 
 def _exposures(
-    record: Record, patterns: PatternSet, exposure: float | None, known: Calibration
+    record: Record, patterns: PatternSet, exposure: float | None, known: RigMeasurements
 ) -> NDArray[np.float64]:
     """Seconds of each frame: as the frames have it that there are, as asked for, or as advised."""
     if record.state.exposures:
@@ -278,7 +283,7 @@ def _finish(
     patterns: PatternSet,
     seconds: NDArray[np.float64],
     references: References,
-    known: Calibration,
+    known: RigMeasurements,
     cell: int,
     response: str,
     overwrite: bool,
@@ -327,7 +332,7 @@ def _relative(seconds: NDArray[np.float64], longest: float) -> NDArray[np.float6
 
 
 def _provenance(
-    record: Record, known: Calibration, longest: float, patterns: PatternSet, cell: int
+    record: Record, known: RigMeasurements, longest: float, patterns: PatternSet, cell: int
 ) -> dict[str, Any]:
     state = record.state
     checks = Counter(frame.check for frame in state.frames.values())
@@ -345,7 +350,7 @@ def _provenance(
     }
 
 
-def _warn(record: Record, known: Calibration, response: str) -> None:
+def _warn(record: Record, known: RigMeasurements, response: str) -> None:
     """Say what the frames are not to be blamed for, but should be known."""
     state = record.state
     told = []

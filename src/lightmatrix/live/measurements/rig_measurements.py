@@ -41,8 +41,8 @@ Progress = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True)
-class Calibration:
-    """What is known of a rig; made by `calibrate`.
+class RigMeasurements:
+    """What is known of a rig; made by `measure_rig`.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ class Calibration:
     --------
     >>> import lightmatrix as lm
     >>> with lm.open_rig("virtual:procedural,size=16,delay=2,real=0") as rig:
-    ...     known = lm.calibrate(rig, ["settle"])
+    ...     known = lm.measure_rig(rig, ["settle"])
     >>> 0.03 < known.settle.seconds < 0.05, known.response is None
     (True, True)
     """
@@ -102,7 +102,7 @@ class Calibration:
             part.write_text(json.dumps(self.as_dict(), indent=2) + "\n")
 
     @classmethod
-    def load(cls, path: str | Path) -> Calibration:
+    def load(cls, path: str | Path) -> RigMeasurements:
         """Read what `save` wrote.
 
         Raises
@@ -176,14 +176,14 @@ def _jsonable(info: Mapping[str, Any]) -> dict[str, Any]:
     return read
 
 
-def calibrate(
+def measure_rig(
     rig: Rig,
     parts: Sequence[str] = PARTS,
     *,
     keep: str | Path | None = None,
     settle: float | None = None,
     progress: Progress | None = None,
-) -> Calibration:
+) -> RigMeasurements:
     """Measure a rig, or some of it, and what that needs.
 
     Parameters
@@ -201,7 +201,7 @@ def calibrate(
 
     Returns
     -------
-    Calibration
+    RigMeasurements
 
     Raises
     ------
@@ -216,8 +216,8 @@ def calibrate(
     --------
     >>> import lightmatrix as lm
     >>> with lm.open_rig("virtual:procedural,size=16,real=0") as rig:
-    ...     known = lm.calibrate(rig, ["response"], keep="rig.json")
-    >>> round(known.response.gamma, 1), lm.Calibration.load("rig.json") == known
+    ...     known = lm.measure_rig(rig, ["response"], keep="rig.json")
+    >>> round(known.response.gamma, 1), lm.RigMeasurements.load("rig.json") == known
     (2.2, True)
     """
     unknown = [part for part in parts if part not in PARTS]
@@ -225,9 +225,9 @@ def calibrate(
         raise InputError(
             f"nothing is known of measuring {unknown[0]!r}", hint=f"use {', '.join(PARTS)}"
         )
-    before = Calibration(_jsonable(rig.projector.info()), _jsonable(rig.camera.info()))
+    before = RigMeasurements(_jsonable(rig.projector.info()), _jsonable(rig.camera.info()))
     if keep is not None and Path(keep).exists():
-        found = Calibration.load(keep)
+        found = RigMeasurements.load(keep)
         before = found if found.of_rig(rig) else before
     known = rig.persistently(lambda: _measured(rig, before, parts, settle, progress))
     if keep is not None:
@@ -237,11 +237,11 @@ def calibrate(
 
 def _measured(
     rig: Rig,
-    known: Calibration,
+    known: RigMeasurements,
     parts: Sequence[str],
     settle: float | None,
     progress: Progress | None,
-) -> Calibration:
+) -> RigMeasurements:
     def tell(part: str) -> Callable[[int, int], None] | None:
         if progress is None:
             return None
@@ -287,13 +287,13 @@ def _brightness(whites: Whites) -> float:
     return float(whites.light.mean()) / whites.white.clip_level / whites.exposure
 
 
-def outdated(rig: Rig, known: Calibration) -> list[str]:
+def outdated(rig: Rig, known: RigMeasurements) -> list[str]:
     """The parts of a calibration that no longer hold, by a short look at the rig.
 
     Parameters
     ----------
     rig : Rig
-    known : Calibration
+    known : RigMeasurements
         With settle time and exposures.
 
     Returns
@@ -318,7 +318,7 @@ def outdated(rig: Rig, known: Calibration) -> list[str]:
     return found
 
 
-def _changed_levels(rig: Rig, known: Calibration) -> tuple[Whites, list[str]]:
+def _changed_levels(rig: Rig, known: RigMeasurements) -> tuple[Whites, list[str]]:
     """White and black, and the parts that levels of frames say are outdated."""
     assert known.settle is not None
     assert known.exposure is not None

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import lightmatrix as lm
-from lightmatrix.live.measurements.measurements import PARTS, outdated
+from lightmatrix.live.measurements.rig_measurements import PARTS, outdated
 from lightmatrix.live.rig import Rig
 from lightmatrix.patterns.response import ProjectorResponse
 
@@ -107,31 +107,31 @@ def test_a_camera_that_is_not_linear(curve: float, linear: bool) -> None:
 def test_a_camera_that_does_not_see_the_projector() -> None:
     for part in PARTS:
         with pytest.raises(lm.DeviceError, match="does not see the projector"):
-            lm.calibrate(_rig(",unit=1e6,room=0"), [part])
+            lm.measure_rig(_rig(",unit=1e6,room=0"), [part])
 
 
 def test_a_scene_that_is_too_bright() -> None:
     with pytest.raises(lm.DeviceError, match="clips even at the camera's shortest exposure"):
-        lm.calibrate(_rig(",unit=0.000001"), ["exposure"])
+        lm.measure_rig(_rig(",unit=0.000001"), ["exposure"])
 
 
 def test_what_is_known_is_kept_and_used(tmp_path: Path) -> None:
     file = tmp_path / "rig.json"
-    first = lm.calibrate(_rig(), keep=file)
-    assert lm.Calibration.load(file) == first
+    first = lm.measure_rig(_rig(), keep=file)
+    assert lm.RigMeasurements.load(file) == first
     # What is asked for is measured anew, the rest stays.
-    second = lm.calibrate(_rig(",seed=5"), ["exposure"], keep=file)
+    second = lm.measure_rig(_rig(",seed=5"), ["exposure"], keep=file)
     assert second.response == first.response
     assert second.exposure != first.exposure
     # That of another rig is no help.
-    other = lm.calibrate(lm.open_rig("virtual:procedural,size=10,real=0"), ["settle"], keep=file)
+    other = lm.measure_rig(lm.open_rig("virtual:procedural,size=10,real=0"), ["settle"], keep=file)
     assert other.response is None
     with pytest.raises(lm.InputError, match="measuring 'gamma'"):
-        lm.calibrate(_rig(), ["gamma"])
+        lm.measure_rig(_rig(), ["gamma"])
 
 
 def test_what_no_longer_holds_is_noticed() -> None:
-    known = lm.calibrate(_rig(",delay=2,fps=0"))
+    known = lm.measure_rig(_rig(",delay=2,fps=0"))
     assert outdated(_rig(",delay=2,fps=0,noise=0.004"), known) == []
     assert outdated(_rig(",delay=4,fps=0"), known) == ["settle"]
     assert outdated(_rig(",delay=2,fps=0,gamma=2.5"), known) == ["response", "linearity"]
@@ -154,10 +154,10 @@ def test_what_no_longer_holds_is_noticed() -> None:
 )
 def test_a_damaged_file(key: str, value: object, tmp_path: Path) -> None:
     file = tmp_path / "rig.json"
-    known = lm.calibrate(_rig(), ["settle"])
+    known = lm.measure_rig(_rig(), ["settle"])
     file.write_text(json.dumps({**known.as_dict(), key: value}))
     with pytest.raises(lm.InputError, match=r"rig\.json: is damaged") as told:
-        lm.calibrate(_rig(), ["settle"], keep=file)
+        lm.measure_rig(_rig(), ["settle"], keep=file)
     assert "remove it" in str(told.value.hint)
 
 
@@ -165,6 +165,6 @@ def test_a_file_that_is_not_ours_is_not_replaced(tmp_path: Path) -> None:
     file = tmp_path / "rig.json"
     file.write_text('{"format": "something else", "version": 1}')
     with pytest.raises(lm.InputError, match="lightmatrix-rig"):
-        lm.calibrate(_rig(), ["settle"], keep=file)
+        lm.measure_rig(_rig(), ["settle"], keep=file)
     with pytest.raises(lm.OutputError, match="not written by lightmatrix"):
-        replace(lm.calibrate(_rig(), ["settle"])).save(file)
+        replace(lm.measure_rig(_rig(), ["settle"])).save(file)
