@@ -88,10 +88,6 @@ from .estimators.needs import Needs as Needs
 from .estimators.coherent.estimator import CoherentEstimator as CoherentEstimator
 from .estimators.multiscale.estimator import MultiScaleEstimator as MultiScaleEstimator
 from .estimators.plain import PlainEstimator as PlainEstimator
-from .estimators.repair import (
-    Repair as Repair,
-    repair as repair,
-)
 from .solvers import (
     ADMM as ADMM,
     ROMP as ROMP,

@@ -175,15 +175,6 @@ def estimate(
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Say what memory and time it will take, and stop.")
     ] = False,
-    repair: Annotated[
-        bool,
-        typer.Option(
-            "--repair",
-            help="Make a damaged output whole: say what made it, and only the rows that lie in "
-            "damaged chunks are solved again, compared with what is left of them, and put back. A "
-            "coherent estimate goes through all its rounds again for it.",
-        ),
-    ] = False,
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
@@ -225,7 +216,7 @@ def estimate(
         workers=workers,
         cluster=cluster,
     )
-    if not (dry_run or repair):
+    if not dry_run:
         claim(output, STORE, overwrite=overwrite)
         if report is not None:
             claim(report, REPORT, overwrite=overwrite)
@@ -236,9 +227,6 @@ def estimate(
         _show_needs(needs, as_json)
         return
     _tell_needs(needs, check)
-    if repair:
-        _repair(output, opened, estimator, as_json)
-        return
     tell_what_is_left(output, "tiles", enough=not as_json and report is None)
     # What is wrong with workers is said before frames are read.
     with estimator.crew(opened) as crew:
@@ -300,18 +288,6 @@ def _tell_needs(needs: Needs, check: bool) -> None:
         warn(f"this takes {needs}")
     if needs.advice:
         warn(f"less: {needs.advice}", style="yellow")
-
-
-def _repair(output: Path, capture: Capture, estimator: AutoEstimator, as_json: bool) -> None:
-    """Solve the damaged rows of an output again."""
-    with progress("solving again", "rows") as step:
-        done = lm.repair(output, capture, estimator=estimator, progress=step)
-    if as_json:
-        show_json({"output": output, "chunks": done.chunks, "rows": done.rows})
-    elif not done.chunks:
-        say(f"{output}: nothing is damaged")
-    else:
-        say(f"{output}: whole again, {done.rows} rows solved for {', '.join(done.chunks)}")
 
 
 def _findings(opened: Capture, taken: Capture, check: bool) -> list[Finding]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import platform
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -129,18 +129,16 @@ def _least_bytes(plan: Plan) -> int:
     return row * plan.work.capture.rows
 
 
-def complete_with(
-    crew: Crew | None, work: Work, running: Checkpoint, wanted: Iterable[Span] | None = None
-) -> None:
+def complete_with(crew: Crew | None, work: Work, running: Checkpoint) -> None:
     """Solve what is missing of an estimate by a crew, or here; see `complete`."""
     if crew is None:
-        complete(work, running, wanted=wanted)
+        complete(work, running)
         return
 
     def solve(work: Work, step: str, spans: list[Span]) -> None:
         crew.solve(work, step, spans, running)
 
-    complete(work, running, wanted=wanted, parts=crew.parts, solve=solve)
+    complete(work, running, parts=crew.parts, solve=solve)
 
 
 def kept(samples: Samples, result: Result, **more: NDArray[Any]) -> SparseRows:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Protocol, Self
 
@@ -141,7 +141,6 @@ def complete(
     tiles: Tiles,
     step: str = ROWS,
     *,
-    wanted: Iterable[Span] | None = None,
     parts: int = 1,
     solve: SolveStep | None = None,
 ) -> None:
@@ -155,16 +154,12 @@ def complete(
     tiles : Tiles
         Those that are finished, and where others are put.
     step : str
-    wanted : iterable of (int, int), optional
-        Rows that are needed of the step; None: all.
     parts : int
         Into how many tiles a step is cut at least.
     solve : callable, optional
         Solves tiles of a step and keeps them; None: here, one after the other.
     """
-    if wanted is None:
-        wanted = work.ranges(step, parts, shrinking=True)
-    missing = gaps(wanted, tiles.spans(step))
+    missing = gaps(work.ranges(step, parts, shrinking=True), tiles.spans(step))
     if not missing:
         return
     for before in work.steps[step]:

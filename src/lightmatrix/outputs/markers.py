@@ -11,7 +11,7 @@ from __future__ import annotations
 import json
 import os
 import zipfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -98,21 +98,6 @@ class FolderKind:
                 inner = inner[key]
             inner[self.marker[-1]] = content
         # In one step, since a folder that is in use may be marked again.
-        written = file.with_name(f"{file.name}.new")
-        written.write_text(json.dumps(whole, indent=1) + "\n")
-        os.replace(written, file)
-
-    def resize(self, folder: Path, sizes: Mapping[str, int]) -> None:
-        """Write new sizes of some files of a folder, which were written again, into its marker."""
-        file = folder / self.marker[0]
-        whole = json.loads(file.read_text(encoding="utf-8"))
-        inner = whole
-        for key in self.marker[1:]:
-            inner = inner[key]
-        known = {name: size for name, size in sizes.items() if name in inner["files"]}
-        if all(inner["files"][name] == size for name, size in known.items()):
-            return
-        inner["files"] |= known
         written = file.with_name(f"{file.name}.new")
         written.write_text(json.dumps(whole, indent=1) + "\n")
         os.replace(written, file)

@@ -99,20 +99,6 @@ class RunningFolder:
         with put(self.place(name)) as part:
             yield part
 
-    def hand_over(self, name: str, data: bytes, target: Path) -> None:
-        """Write a file whole, and let it take the place of another one in one step.
-
-        Raises
-        ------
-        OutputError
-            If the disk fails; the other one then stays.
-        """
-        with self.keep(name) as part:
-            part.write_bytes(data)
-        with explained(target):
-            target.parent.mkdir(parents=True, exist_ok=True)
-            os.replace(self.file(name), target)
-
     def forget(self, name: str) -> None:
         """Remove a kept file, if it is there."""
         if name in self._names:

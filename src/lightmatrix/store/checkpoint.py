@@ -21,10 +21,8 @@ import numpy as np
 
 from lightmatrix.errors import ClusterError, InputError, LightMatrixError, OutputError
 from lightmatrix.outputs.kinds import PARTIAL, STORE
-from lightmatrix.outputs.locks import locked
 from lightmatrix.outputs.markers import read_object
 from lightmatrix.outputs.running import RunningFolder
-from lightmatrix.outputs.targets import final_target
 from lightmatrix.outputs.writing import claimed
 from lightmatrix.store import zarr_file
 from lightmatrix.store.tiles import Span, apart, read_tile, tile_name, tile_of, write_tile
@@ -82,19 +80,6 @@ class Checkpoint:
             target = claim.enter_context(claimed(path, STORE, overwrite=overwrite))
             kept = _begun(target, wanted, overwrite)
             return cls(Path(path), kept, _token(wanted), overwrite, claim.pop_all())
-
-    @classmethod
-    def repairing(cls, path: str | Path, fingerprint: Mapping[str, Any]) -> Checkpoint:
-        """The running results of a repair of an output that is there, and stays.
-
-        Parameters and errors are those of `open`.
-        """
-        wanted = json.loads(json.dumps(dict(fingerprint), default=str))
-        with ExitStack() as claim:
-            target = final_target(path)
-            claim.enter_context(locked(target))
-            kept = _begun(target, wanted, overwrite=False)
-            return cls(Path(path), kept, _token(wanted), False, claim.pop_all())
 
     def __enter__(self) -> Self:
         return self
@@ -168,18 +153,6 @@ class Checkpoint:
         """
         return SparseRows.joined(list(self._tiles(step)))
 
-    def rows(self, start: int, stop: int) -> SparseRows:
-        """The rows start..stop of the result, which finished tiles hold.
-
-        Raises
-        ------
-        InputError
-            If a tile was damaged since it was finished.
-        """
-        own = [span for span in self.spans(ROWS) if span[0] < stop and span[1] > start]
-        whole = SparseRows.joined([self._whole(ROWS, span) for span in own])
-        return whole.rows(slice(start - own[0][0], stop - own[0][0]))
-
     def keep(self, name: str, data: bytes) -> None:
         """Keep a file of another kind until the output is whole.
 
@@ -190,16 +163,6 @@ class Checkpoint:
         """
         with self._kept.keep(name) as part:
             part.write_bytes(data)
-
-    def replace(self, name: str, data: bytes, target: Path) -> None:
-        """Let a file that is written here first take the place of one of the output.
-
-        Raises
-        ------
-        OutputError
-            If the disk fails.
-        """
-        self._kept.hand_over(name, data, target)
 
     def forget(self, step: str) -> None:
         """Throw away the tiles of a step."""
@@ -251,10 +214,6 @@ class Checkpoint:
             ) from error
         self._kept.discard()
         return replace(zarr_file.open(self._path), provenance=told)
-
-    def discard(self) -> None:
-        """Throw away all that is kept."""
-        self._kept.discard()
 
     def _tiles(self, step: str) -> Iterator[SparseRows]:
         """Finished tiles one after the other, so that they are never all in memory."""

@@ -34,10 +34,7 @@ FORMAT, VERSION = "lightmatrix-transport", 1
 _DIAGNOSTICS = "diagnostics"
 # The arrays of the group, and what they are stored as.
 _ARRAYS = {"indptr": np.int64, "indices": np.int32, "data": np.float32, "background": np.float32}
-RESTORE = (
-    "restore it, or solve its damaged rows again: the `lightmatrix estimate` that made it, with "
-    "--repair; or estimate again"
-)
+RESTORE = "restore it from a copy, or run `lightmatrix estimate --overwrite` again"
 
 
 def save(path: str | Path, transport: LightTransport, *, overwrite: bool = False) -> None:
