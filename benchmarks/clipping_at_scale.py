@@ -24,7 +24,7 @@ from lightmatrix.camera.sensor import Sensor
 from lightmatrix.evaluation.metrics import benchmark_exposure, relative_error, unclipped_rows
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.simulation import library
-from lightmatrix.simulation.simulate import irradiance
+from lightmatrix.simulation.irradiance import irradiance
 from lightmatrix.solvers import ActiveSet, Fidelity, Problem, SaturationADMM, Solver, solve
 from lightmatrix.transport.matrix import LightTransport
 

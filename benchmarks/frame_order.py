@@ -30,7 +30,7 @@ from lightmatrix.patterns.hadamard import HadamardPatterns
 from lightmatrix.patterns.mix import MixedPatterns, default_mix
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.simulation import library
-from lightmatrix.simulation.simulate import irradiance
+from lightmatrix.simulation.irradiance import irradiance
 from lightmatrix.simulation.truth import Truth
 
 SIZE = library.BUNDLED_SIZE

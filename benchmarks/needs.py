@@ -27,7 +27,7 @@ from scipy.optimize import nnls
 
 import lightmatrix as lm
 from lightmatrix.estimators import costs
-from lightmatrix.simulation.procedural import ProceduralScene
+from lightmatrix.simulation.procedural_scene import ProceduralScene
 
 Case = tuple[str, int, int, int, bool]
 

@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 import lightmatrix as lm
-from lightmatrix.simulation.procedural import ProceduralScene
+from lightmatrix.simulation.procedural_scene import ProceduralScene
 
 PICTURES = {"row.png": "One row of T: the truth, and what three estimators make of it"}
 # A camera pixel whose samples often clip, although it does not clip under a single pixel.

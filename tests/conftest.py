@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 
 from lightmatrix.simulation import library
+from lightmatrix.simulation.bundled_file import unpack
 from lightmatrix.simulation.coarse import coarse
-from lightmatrix.simulation.pack import unpack
 from lightmatrix.simulation.truth import Truth
 
 

@@ -36,16 +36,16 @@ from .files.images import (
     read_image as read_image,
     write_image as write_image,
 )
-from .simulation.at_scale import simulate_procedural as simulate_procedural
+from .simulation.procedural_capture import simulate_procedural as simulate_procedural
 from .simulation.library import (
     scenes as scenes,
     truth as truth,
 )
-from .simulation.photograph import (
+from .simulation.simulate import (
     SimulatedCapture as SimulatedCapture,
     simulate as simulate,
 )
-from .simulation.procedural import ProceduralScene as ProceduralScene
+from .simulation.procedural_scene import ProceduralScene as ProceduralScene
 from .simulation.renderer import render as render
 from .simulation.thumbnails import write_thumbnails as write_thumbnails
 from .simulation.truth import Truth as Truth
@@ -133,8 +133,8 @@ from .transport.correspondence import (
     Correspondence as Correspondence,
     correspondence as correspondence,
 )
-from .evaluation.errors import ColourErrors as ColourErrors
-from .evaluation.errors import Errors as Errors
+from .evaluation.estimate_errors import ColourErrors as ColourErrors
+from .evaluation.estimate_errors import Errors as Errors
 from .transport.matrix import LightTransport as LightTransport
 from .evaluation.verdict import (
     Verdict as Verdict,

@@ -23,9 +23,9 @@ from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.mix import MixedPatterns, default_mix
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.patterns.shares import interleave, parse_shares
+from lightmatrix.simulation.irradiance import irradiance
 from lightmatrix.simulation.library import truth
-from lightmatrix.simulation.procedural import ProceduralScene
-from lightmatrix.simulation.simulate import irradiance
+from lightmatrix.simulation.procedural_scene import ProceduralScene
 from lightmatrix.simulation.truth import Truth
 from lightmatrix.solvers import ActiveSet
 

@@ -28,7 +28,7 @@ from lightmatrix.live.rig import Rig
 from lightmatrix.patterns import making, mix
 from lightmatrix.planning.plan import USUAL_SIZE
 from lightmatrix.simulation.library import DEFAULT_SAMPLES
-from lightmatrix.simulation.procedural import ProceduralScene
+from lightmatrix.simulation.procedural_scene import ProceduralScene
 
 
 @pytest.fixture(scope="module")

@@ -18,7 +18,7 @@ import lightmatrix as lm
 from lightmatrix import cli
 from lightmatrix.cli import main
 from lightmatrix.errors import InputError
-from lightmatrix.simulation.procedural import ProceduralScene
+from lightmatrix.simulation.procedural_scene import ProceduralScene
 from lightmatrix.solvers import solve
 from tests.helpers.systems import SHELL, SIGNALS
 

@@ -38,8 +38,8 @@ from lightmatrix.estimators.coherent import stages
 from lightmatrix.estimators.coherent.estimator import WINDOWS, CoherentEstimator
 from lightmatrix.estimators.workers.opening import opened
 from lightmatrix.patterns.bits import BernoulliPatterns
-from lightmatrix.simulation.at_scale import simulate_procedural
-from lightmatrix.simulation.procedural import ProceduralScene
+from lightmatrix.simulation.procedural_capture import simulate_procedural
+from lightmatrix.simulation.procedural_scene import ProceduralScene
 
 # Half widths of the windows, sides of camera and projector, patterns.
 LARGER = (WINDOWS, 48, 40, 32)

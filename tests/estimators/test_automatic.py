@@ -23,8 +23,8 @@ from lightmatrix.estimators.regularization import (
 from lightmatrix.evaluation.metrics import relative_error
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.pattern_set import PatternSet
-from lightmatrix.simulation.procedural import ProceduralScene
-from lightmatrix.simulation.simulate import irradiance
+from lightmatrix.simulation.irradiance import irradiance
+from lightmatrix.simulation.procedural_scene import ProceduralScene
 from lightmatrix.solvers import ActiveSet
 from lightmatrix.solvers.regularization import default_regularization
 

@@ -21,8 +21,8 @@ from lightmatrix.estimators.plain import PlainEstimator
 from lightmatrix.evaluation.metrics import relative_error, unclipped_rows
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.simulation import library
-from lightmatrix.simulation.procedural import ProceduralScene
-from lightmatrix.simulation.simulate import irradiance
+from lightmatrix.simulation.irradiance import irradiance
+from lightmatrix.simulation.procedural_scene import ProceduralScene
 from lightmatrix.simulation.truth import Truth
 from lightmatrix.solvers import ActiveSet
 from lightmatrix.transport.matrix import LightTransport

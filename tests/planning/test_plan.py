@@ -26,9 +26,9 @@ from lightmatrix.planning.advice import (
     single_clipped_share,
 )
 from lightmatrix.planning.table import counts, expectations, frames_for, table
+from lightmatrix.simulation.irradiance import irradiance
 from lightmatrix.simulation.library import truth
 from lightmatrix.simulation.renderer import render
-from lightmatrix.simulation.simulate import irradiance
 from tests.simulation.test_render import needs_llvm
 
 

@@ -20,9 +20,9 @@ import lightmatrix as lm
 from lightmatrix.cli import main
 from lightmatrix.pictures import maps
 from lightmatrix.report import held_out, images
-from lightmatrix.report.advice import advice
 from lightmatrix.report.facts import Facts
-from lightmatrix.simulation.procedural import ProceduralScene
+from lightmatrix.report.recommendations import advice
+from lightmatrix.simulation.procedural_scene import ProceduralScene
 
 NOISE = 0.003
 

@@ -15,7 +15,7 @@ from lightmatrix.errors import InputError, LightMatrixWarning, MissingExtraError
 from lightmatrix.files.images import read_image
 from lightmatrix.simulation import library, memory, renderer, thumbnails
 from lightmatrix.simulation.llvm import load_mitsuba
-from lightmatrix.simulation.memory import foreseen_bytes
+from lightmatrix.simulation.render_memory import foreseen_bytes
 from lightmatrix.simulation.renderer import render
 from lightmatrix.simulation.scenes import names
 from lightmatrix.simulation.thumbnails import photograph, write_thumbnails
@@ -182,7 +182,7 @@ def test_foreseen_memory_is_bounded_but_for_the_result() -> None:
 
 def made(name: str, size: tuple[int, int], **options: object) -> Truth:
     """Stands in for `render`: instant, and known by its options."""
-    from lightmatrix.simulation.procedural import ProceduralScene
+    from lightmatrix.simulation.procedural_scene import ProceduralScene
 
     truth = ProceduralScene(size, size, seed=int(str(options["seed"]))).truth()
     return Truth(

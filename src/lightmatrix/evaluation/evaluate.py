@@ -7,7 +7,7 @@ from pathlib import Path
 
 from lightmatrix import store
 from lightmatrix.errors import InputError
-from lightmatrix.evaluation.errors import (
+from lightmatrix.evaluation.estimate_errors import (
     ColourErrors,
     Errors,
     errors_by_rows,

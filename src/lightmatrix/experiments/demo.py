@@ -33,13 +33,13 @@ from lightmatrix.evaluation.verdict import percent
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.pictures.maps import WHITE_TO_RED
 from lightmatrix.pictures.style import display, figure, mark_clipped, panel, save
-from lightmatrix.report.blocks import Gallery, Section, Table
-from lightmatrix.report.held_out import Estimator
-from lightmatrix.report.images import image_of_file
+from lightmatrix.report.elements import Gallery, Section, Table
+from lightmatrix.report.image_data import image_of_file
 from lightmatrix.report.make import write_page
+from lightmatrix.report.validation import Estimator
 from lightmatrix.simulation import library
 from lightmatrix.simulation.coarse import coarse
-from lightmatrix.simulation.simulate import irradiance
+from lightmatrix.simulation.irradiance import irradiance
 from lightmatrix.solvers import ADMM, ROMP, Fidelity, SaturationADMM
 from lightmatrix.transport.matrix import LightTransport
 

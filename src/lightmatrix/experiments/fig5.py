@@ -18,7 +18,7 @@ from lightmatrix.experiments.measured_scene import LETTERED, SCENES
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.pictures.style import display, figure, mark_clipped, panel, save
 from lightmatrix.simulation import library
-from lightmatrix.simulation.simulate import irradiance
+from lightmatrix.simulation.irradiance import irradiance
 from lightmatrix.simulation.statistics import clipped_share, direct_share, entries_for_energy
 from lightmatrix.simulation.thumbnails import photograph, white_level
 from lightmatrix.simulation.truth import Truth

@@ -25,8 +25,8 @@ from lightmatrix.pictures.style import COLOURS, figure, fix_ticks, save
 from lightmatrix.planning.plan import plan
 from lightmatrix.simulation import library
 from lightmatrix.simulation.coarse import binned
-from lightmatrix.simulation.photograph import simulate
 from lightmatrix.simulation.realism import defocus, varying_defocus
+from lightmatrix.simulation.simulate import simulate
 from lightmatrix.simulation.truth import Truth
 from lightmatrix.simulation.views import depth_blur, mapped, seen
 

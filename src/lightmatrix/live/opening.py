@@ -16,7 +16,7 @@ from lightmatrix.live.devices.virtual.settings import PROCEDURAL, VirtualSetting
 from lightmatrix.live.rig import Rig
 from lightmatrix.ranges import check_number
 from lightmatrix.simulation import library, realism
-from lightmatrix.simulation.procedural import ProceduralScene
+from lightmatrix.simulation.procedural_scene import ProceduralScene
 from lightmatrix.simulation.truth import Truth
 
 USUAL_PATIENCE = 2.0

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.capture.capture import Capture
-from lightmatrix.evaluation.errors import Errors, errors_by_rows
+from lightmatrix.evaluation.estimate_errors import Errors, errors_by_rows
 from lightmatrix.evaluation.metrics import relative_error, squared_errors
 from lightmatrix.evaluation.verdict import (
     FAIR,
@@ -21,7 +21,7 @@ from lightmatrix.evaluation.verdict import (
     stated_error,
     verdict,
 )
-from lightmatrix.report.held_out import HeldOut
+from lightmatrix.report.validation import HeldOut
 from lightmatrix.transport.correspondence import Correspondence, correspondence
 from lightmatrix.transport.matrix import LightTransport
 

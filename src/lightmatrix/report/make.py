@@ -15,16 +15,16 @@ from lightmatrix.estimators.steps import Progress
 from lightmatrix.evaluation.verdict import percent
 from lightmatrix.outputs.kinds import REPORT
 from lightmatrix.outputs.writing import atomic_folder
-from lightmatrix.report.advice import advice
-from lightmatrix.report.blocks import Points, Section
+from lightmatrix.report.elements import Points, Section
 from lightmatrix.report.facts import Facts
-from lightmatrix.report.held_out import Estimator, HeldOut, hold_out
 from lightmatrix.report.page import Page, html
-from lightmatrix.report.sections.captured import captured, order
-from lightmatrix.report.sections.found import found
+from lightmatrix.report.recommendations import advice
+from lightmatrix.report.sections.error_estimates import solved
 from lightmatrix.report.sections.parameters import parameters
-from lightmatrix.report.sections.relit import relit
-from lightmatrix.report.sections.solved import solved
+from lightmatrix.report.sections.photographs import captured, order
+from lightmatrix.report.sections.relighting import relit
+from lightmatrix.report.sections.transport_matrix import found
+from lightmatrix.report.validation import Estimator, HeldOut, hold_out
 from lightmatrix.simulation.truth import Truth
 from lightmatrix.transport.matrix import LightTransport
 

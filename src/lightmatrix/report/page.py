@@ -9,7 +9,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
 from lightmatrix.evaluation.verdict import Verdict
-from lightmatrix.report.blocks import Section, Strip
+from lightmatrix.report.elements import Section, Strip
 
 
 @dataclass(frozen=True)

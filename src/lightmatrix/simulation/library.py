@@ -12,8 +12,8 @@ import platformdirs
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.description import TRUTH
 from lightmatrix.errors import InputError, LightMatrixWarning, OutputError
-from lightmatrix.simulation.at_scale import PROCEDURAL, truth_of
-from lightmatrix.simulation.pack import pack, unpack
+from lightmatrix.simulation.bundled_file import pack, unpack
+from lightmatrix.simulation.procedural_capture import PROCEDURAL, truth_of
 from lightmatrix.simulation.renderer import Progress, render
 from lightmatrix.simulation.scenes import names, scene
 from lightmatrix.simulation.truth import Truth

@@ -14,8 +14,8 @@ from lightmatrix.errors import InputError
 from lightmatrix.ranges import check_seed
 from lightmatrix.resources.memory import available_bytes
 from lightmatrix.simulation.llvm import load_mitsuba
-from lightmatrix.simulation.memory import WAVEFRONT, check_memory, foreseen_bytes
 from lightmatrix.simulation.mitsuba_scene import mitsuba_scene
+from lightmatrix.simulation.render_memory import WAVEFRONT, check_memory, foreseen_bytes
 from lightmatrix.simulation.scenes import scene as find_scene
 from lightmatrix.simulation.thinning import stacked, thinned_in_steps
 from lightmatrix.simulation.tracing import trace_block

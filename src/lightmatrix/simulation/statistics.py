@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.patterns.bits import BernoulliPatterns
-from lightmatrix.simulation.simulate import irradiance
+from lightmatrix.simulation.irradiance import irradiance
 from lightmatrix.simulation.thinning import ascending_in_rows
 from lightmatrix.simulation.truth import Truth
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from lightmatrix.report.blocks import Section, Table
+from lightmatrix.report.elements import Section, Table
 from lightmatrix.report.facts import Facts
 from lightmatrix.reprs import shown_value
 

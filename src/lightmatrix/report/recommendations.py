@@ -8,7 +8,7 @@ from lightmatrix.capture.capture import Capture
 from lightmatrix.evaluation.verdict import FAIR, GOOD, SINGLY_CLIPPED, percent
 from lightmatrix.pictures.maps import has_diagnostic
 from lightmatrix.report.facts import Facts
-from lightmatrix.report.held_out import HeldOut
+from lightmatrix.report.validation import HeldOut
 
 # Of the rows: more that clip in half of their samples, that did not converge, or see no projector,
 # are worth a word.

@@ -16,7 +16,7 @@ from lightmatrix.patterns.grids import block_mean
 from lightmatrix.pictures.maps import Map
 from lightmatrix.pictures.style import display
 from lightmatrix.pictures.transport import FAINT
-from lightmatrix.report.blocks import Image, Scale
+from lightmatrix.report.elements import Image, Scale
 
 # Of the longer side: more does not fit a column of the page.
 MOST_PIXELS = 320

@@ -7,10 +7,10 @@ import numpy as np
 from lightmatrix.evaluation.metrics import relighting_error, unseen_patterns
 from lightmatrix.evaluation.verdict import percent
 from lightmatrix.pictures.maps import error_map
-from lightmatrix.report.blocks import Block, Columns, Gallery, Section, Table, Text
+from lightmatrix.report.elements import Block, Columns, Gallery, Section, Table, Text
 from lightmatrix.report.facts import Facts
-from lightmatrix.report.held_out import HeldOut
-from lightmatrix.report.images import difference_image, image_of_map, pattern_image, photograph
+from lightmatrix.report.image_data import difference_image, image_of_map, pattern_image, photograph
+from lightmatrix.report.validation import HeldOut
 from lightmatrix.reprs import shown_value
 from lightmatrix.transport.labels import named
 

@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 from lightmatrix.capture.summary import told
 from lightmatrix.evaluation.verdict import percent
 from lightmatrix.pictures.maps import clipping_map
-from lightmatrix.report.blocks import Bars, Block, Columns, Gallery, Pair, Section, Strip, Table
+from lightmatrix.report.elements import Bars, Block, Columns, Gallery, Pair, Section, Strip, Table
 from lightmatrix.report.facts import Facts
-from lightmatrix.report.images import THUMB_PIXELS, image_of_map, pattern_image, photograph
+from lightmatrix.report.image_data import THUMB_PIXELS, image_of_map, pattern_image, photograph
 
 # Frames on the first screen, and in all.
 FIRST, MOST = 8, 48

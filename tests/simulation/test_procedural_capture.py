@@ -14,7 +14,7 @@ from lightmatrix.capture import packing
 from lightmatrix.cli import main
 from lightmatrix.errors import InputError
 from lightmatrix.simulation import at_scale
-from lightmatrix.simulation.at_scale import scene_of
+from lightmatrix.simulation.procedural_capture import scene_of
 
 SCENE = lm.ProceduralScene((13, 11), (8, 9), seed=2)
 PATTERNS = lm.BernoulliPatterns((8, 9), 40)

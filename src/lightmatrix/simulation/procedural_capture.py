@@ -31,8 +31,8 @@ from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.ranges import check_seed
 from lightmatrix.resources.memory import check_room
 from lightmatrix.resources.scratch import scratch_array
-from lightmatrix.simulation.procedural import ProceduralScene
-from lightmatrix.simulation.simulate import irradiance
+from lightmatrix.simulation.irradiance import irradiance
+from lightmatrix.simulation.procedural_scene import ProceduralScene
 from lightmatrix.simulation.truth import Truth
 from lightmatrix.transport.sparse_rows import stacked
 

@@ -6,9 +6,9 @@ import numpy as np
 
 from lightmatrix.evaluation.verdict import percent
 from lightmatrix.pictures.maps import correspondence_maps, footprint_map, has_diagnostic
-from lightmatrix.report.blocks import Block, Gallery, Image, Section, Text
+from lightmatrix.report.elements import Block, Gallery, Image, Section, Text
 from lightmatrix.report.facts import Facts
-from lightmatrix.report.images import faint_image, image_of_map, photograph
+from lightmatrix.report.image_data import faint_image, image_of_map, photograph
 
 
 def found(facts: Facts) -> Section:

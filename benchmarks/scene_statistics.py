@@ -1,6 +1,6 @@
-"""What kind of matrix each scene has: the table of docs/rig.md, and a picture of all scenes.
+"""What kind of matrix each scene has: the table of docs/simulation.md, and a picture of all scenes.
 
-    python benchmarks/rig_statistics.py [--size 64] [-o rig_statistics.json] [--picture scenes.png]
+    python benchmarks/scene_statistics.py [--size 64] [-o scene_statistics.json] [--picture scenes.png]
 
 The bundled scenes come at 64 x 64; everything else is rendered at 16,384 paths a pixel and cached.
 """
@@ -17,8 +17,8 @@ from lightmatrix.experiments.fig5 import EXPOSURES, statistics
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.pictures.style import display, figure, panel, save
 from lightmatrix.simulation import library
+from lightmatrix.simulation.irradiance import irradiance
 from lightmatrix.simulation.scenes import names
-from lightmatrix.simulation.simulate import irradiance
 from lightmatrix.simulation.thumbnails import photograph, white_level
 
 

@@ -1,6 +1,6 @@
 """T p of the rendered matrices against the renderer's own path integrator, at full size.
 
-    python benchmarks/rig_against_path.py [--size 128] [--spp 1024] [-o rig_against_path.json]
+    python benchmarks/render_against_path.py [--size 128] [--spp 1024] [-o render_against_path.json]
 
 The matrix comes from the cache (rendered at 16,384 paths a pixel on first use). The reference is
 path traced with the pattern as the projector's texture, twice with other seeds: their mean is
