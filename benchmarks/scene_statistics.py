@@ -1,6 +1,6 @@
 """What kind of matrix each scene has: the table of docs/simulation.md, and a picture of all scenes.
 
-    python benchmarks/scene_statistics.py [--size 64] [-o scene_statistics.json] [--picture scenes.png]
+    python benchmarks/scene_statistics.py [--size 64] [-o statistics.json] [--picture scenes.png]
 
 The bundled scenes come at 64 x 64; everything else is rendered at 16,384 paths a pixel and cached.
 """

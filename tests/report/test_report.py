@@ -19,7 +19,7 @@ from playwright.sync_api import Browser
 import lightmatrix as lm
 from lightmatrix.cli import main
 from lightmatrix.pictures import maps
-from lightmatrix.report import held_out, images
+from lightmatrix.report import image_data, validation
 from lightmatrix.report.facts import Facts
 from lightmatrix.report.recommendations import advice
 from lightmatrix.simulation.procedural_scene import ProceduralScene
@@ -160,16 +160,16 @@ def test_pictures_stay_small_whatever_they_show() -> None:
     noise = np.random.default_rng(0).random((1000, 900, 3))
     found = maps.error_map(noise[..., 0])
     pictures = (
-        images.photograph(noise, "noise", exact=True),
-        images.pattern_image(noise[..., 0], "noise"),
-        images.difference_image(noise - 0.5, 1, "noise", "noise"),
-        images.faint_image(noise[..., 0], "noise", "noise"),
-        images.image_of_map(found),
+        image_data.photograph(noise, "noise", exact=True),
+        image_data.pattern_image(noise[..., 0], "noise"),
+        image_data.difference_image(noise - 0.5, 1, "noise", "noise"),
+        image_data.faint_image(noise[..., 0], "noise", "noise"),
+        image_data.image_of_map(found),
     )
     for picture in pictures:
         assert len(picture.source) < 150_000
-        assert max(picture.width, picture.height) <= images.MOST_PIXELS
-    thumbnail = images.photograph(noise, "noise", most=images.THUMB_PIXELS)
+        assert max(picture.width, picture.height) <= image_data.MOST_PIXELS
+    thumbnail = image_data.photograph(noise, "noise", most=image_data.THUMB_PIXELS)
     assert len(thumbnail.source) < 8_000
 
 
@@ -190,8 +190,8 @@ class _Known:
 
 def test_frames_held_out_are_not_seen(capture: lm.SimulatedCapture) -> None:
     knowing = _Known(capture.truth.transport())
-    held = held_out.hold_out(capture, knowing)
-    assert isinstance(held, held_out.HeldOut)
+    held = validation.hold_out(capture, knowing)
+    assert isinstance(held, validation.HeldOut)
     seen = knowing.seen[0]
     assert seen.count == capture.count - len(held.frames) == held.others
     for index in held.frames:
@@ -203,8 +203,8 @@ def test_frames_held_out_are_not_seen(capture: lm.SimulatedCapture) -> None:
     black = lm.LightTransport.from_matrix(
         0 * capture.truth.matrix, capture.camera_shape, capture.projector_shape
     )
-    nothing = held_out.hold_out(capture, _Known(black))
-    assert isinstance(nothing, held_out.HeldOut)
+    nothing = validation.hold_out(capture, _Known(black))
+    assert isinstance(nothing, validation.HeldOut)
     assert nothing.error == pytest.approx(1)
     assert held.trivial_error > 10 * held.error
 
@@ -214,14 +214,14 @@ def test_an_estimate_that_needs_every_frame_is_told(capture: lm.SimulatedCapture
         def estimate(self, capture: lm.Capture, *, progress: Any = None) -> lm.LightTransport:
             raise lm.InputError("too few patterns")
 
-    told = held_out.hold_out(capture, Refusing())
+    told = validation.hold_out(capture, Refusing())
     assert told == "without it the estimate is refused (too few patterns)"
 
 
 def test_large_cameras_are_tested_on_a_part(
     capture: lm.SimulatedCapture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(held_out, "MOST_ROWS", 100)
+    monkeypatch.setattr(validation, "MOST_ROWS", 100)
     seen: list[lm.Capture] = []
 
     class Cropped:
@@ -229,8 +229,8 @@ def test_large_cameras_are_tested_on_a_part(
             seen.append(capture)
             return lm.estimate(capture, coherent=False, iterations=20)
 
-    held = held_out.hold_out(capture, Cropped())
-    assert isinstance(held, held_out.HeldOut)
+    held = validation.hold_out(capture, Cropped())
+    assert isinstance(held, validation.HeldOut)
     assert held.place is not None
     rows, cols = held.place
     whole = capture.samples().values.reshape(*capture.camera_shape, -1)[rows, cols]
@@ -243,14 +243,14 @@ def test_large_cameras_are_tested_on_a_part(
 def test_patterns_that_are_sums_of_others_are_not_held_out() -> None:
     stripes = np.stack([(np.arange(16) >> bit & 1) * np.ones((16, 1)) for bit in range(4)])
     gray = np.concatenate([stripes, 1 - stripes, np.ones((1, 16, 16))]).astype(np.float32)
-    told = held_out.choose_frames(lm.ImagePatterns(gray))
+    told = validation.choose_frames(lm.ImagePatterns(gray))
     assert isinstance(told, str)
     assert "sum of others" in told
     random = lm.BernoulliPatterns((16, 16), 64)
-    chosen = held_out.choose_frames(random)
+    chosen = validation.choose_frames(random)
     assert not isinstance(chosen, str)
     assert len(set(chosen)) == 4
-    assert isinstance(held_out.choose_frames(lm.BernoulliPatterns((16, 16), 7)), str)
+    assert isinstance(validation.choose_frames(lm.BernoulliPatterns((16, 16), 7)), str)
 
 
 # ---- advice
@@ -274,8 +274,8 @@ def test_advice_names_what_is_wanting(
     assert any("more than half of their samples" in said for said in told)
     dim = lm.simulate(capture.truth, capture.patterns, exposure=0.05)
     assert any("times the exposure" in said for said in advice(_facts(dim, estimate)))
-    held = held_out.hold_out(capture, _Known(estimate))
-    assert isinstance(held, held_out.HeldOut)
+    held = validation.hold_out(capture, _Known(estimate))
+    assert isinstance(held, validation.HeldOut)
     told = advice(_facts(capture, estimate, held=replace(held, error=0.5)))
     assert any("missed by 50 %" in said and "(80)" in said for said in told)
     wide = {**estimate.diagnostics, "footprint": np.full(rows, 40, np.float32)}

@@ -13,7 +13,7 @@ import lightmatrix as lm
 from lightmatrix.capture import packing
 from lightmatrix.cli import main
 from lightmatrix.errors import InputError
-from lightmatrix.simulation import at_scale
+from lightmatrix.simulation import procedural_capture
 from lightmatrix.simulation.procedural_capture import scene_of
 
 SCENE = lm.ProceduralScene((13, 11), (8, 9), seed=2)
@@ -25,9 +25,9 @@ PATTERNS = lm.BernoulliPatterns((8, 9), 40)
 def test_blocks_are_the_frames_of_the_whole(
     tmp_path: Path, name: str, settings: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(at_scale, "_ROWS", 10)
-    monkeypatch.setattr(at_scale, "_SAMPLES", 1)
-    monkeypatch.setattr(at_scale, "_PATTERN_BYTES", 1)
+    monkeypatch.setattr(procedural_capture, "_ROWS", 10)
+    monkeypatch.setattr(procedural_capture, "_SAMPLES", 1)
+    monkeypatch.setattr(procedural_capture, "_PATTERN_BYTES", 1)
     monkeypatch.setattr(packing, "_CHUNK_BYTES", 1000)
     told: list[tuple[int, int]] = []
     made = lm.simulate_procedural(

@@ -13,7 +13,7 @@ import pytest
 
 from lightmatrix.errors import InputError, LightMatrixWarning, MissingExtraError
 from lightmatrix.files.images import read_image
-from lightmatrix.simulation import library, memory, renderer, thumbnails
+from lightmatrix.simulation import library, renderer, thumbnails
 from lightmatrix.simulation.llvm import load_mitsuba
 from lightmatrix.simulation.render_memory import foreseen_bytes
 from lightmatrix.simulation.renderer import render
@@ -159,7 +159,7 @@ def test_impossible_renderings_are_refused(options: dict[str, object], message: 
 @needs_llvm
 def test_memory_is_foreseen_from_a_few_rows(monkeypatch: pytest.MonkeyPatch) -> None:
     room = foreseen_bytes((16, 16), entries=2000)
-    for module in (memory, renderer):
+    for module in (render_memory, renderer):
         monkeypatch.setattr(module, "available_bytes", lambda: room)
     sparse = render("wall", (16, 16), projector_size=(64, 64), samples=4096)
     assert sparse.matrix.nnz < 256 * 2000

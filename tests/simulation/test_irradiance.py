@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from lightmatrix.errors import InputError
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.hadamard import HadamardPatterns
-from lightmatrix.simulation import simulate
+from lightmatrix.simulation import irradiance
 from lightmatrix.simulation.procedural_scene import ProceduralScene
 
 
@@ -19,7 +19,7 @@ from lightmatrix.simulation.procedural_scene import ProceduralScene
 def test_light_is_the_dense_product(rows: int, cols: int, count: int, threads: int) -> None:
     truth = ProceduralScene((5, 4), (rows, cols)).truth()
     patterns = BernoulliPatterns((rows, cols), count)
-    light = simulate.irradiance(truth.matrix, patterns, threads=threads)
+    light = irradiance.irradiance(truth.matrix, patterns, threads=threads)
     expected = truth.matrix.toarray().astype(float) @ patterns.dense().T
     assert light.dtype == np.float32
     np.testing.assert_allclose(light, expected, rtol=1e-5, atol=1e-6)
@@ -28,17 +28,17 @@ def test_light_is_the_dense_product(rows: int, cols: int, count: int, threads: i
 def test_threads_and_blocks_do_not_change_a_bit(monkeypatch: pytest.MonkeyPatch) -> None:
     truth = ProceduralScene((32, 32), (16, 16)).truth()
     patterns = HadamardPatterns((16, 16), 64)
-    one = simulate.irradiance(truth.matrix, patterns, threads=1)
-    monkeypatch.setattr(simulate, "_BLOCK_ENTRIES", 999)
-    monkeypatch.setattr(simulate, "_CACHED_VALUES", 256 * 20)
-    many = simulate.irradiance(truth.matrix, patterns, threads=4)
+    one = irradiance.irradiance(truth.matrix, patterns, threads=1)
+    monkeypatch.setattr(irradiance, "_BLOCK_ENTRIES", 999)
+    monkeypatch.setattr(irradiance, "_CACHED_VALUES", 256 * 20)
+    many = irradiance.irradiance(truth.matrix, patterns, threads=4)
     np.testing.assert_array_equal(one, many)
 
 
 def test_progress_ends_at_the_last_row() -> None:
     truth = ProceduralScene((8, 8), (4, 4)).truth()
     seen: list[tuple[int, int]] = []
-    simulate.irradiance(
+    irradiance.irradiance(
         truth.matrix,
         BernoulliPatterns((4, 4), 2),
         progress=lambda done, all_: seen.append((done, all_)),
@@ -49,4 +49,4 @@ def test_progress_ends_at_the_last_row() -> None:
 def test_patterns_of_another_projector_are_refused() -> None:
     truth = ProceduralScene((8, 8), (4, 4)).truth()
     with pytest.raises(InputError, match="5 x 4"):
-        simulate.irradiance(truth.matrix, BernoulliPatterns((5, 4), 2))
+        irradiance.irradiance(truth.matrix, BernoulliPatterns((5, 4), 2))
