@@ -13,7 +13,7 @@ import pytest
 
 from lightmatrix.errors import InputError, LightMatrixWarning, MissingExtraError
 from lightmatrix.files.images import read_image
-from lightmatrix.simulation import library, renderer, thumbnails
+from lightmatrix.simulation import library, render_memory, renderer, thumbnails
 from lightmatrix.simulation.llvm import load_mitsuba
 from lightmatrix.simulation.render_memory import foreseen_bytes
 from lightmatrix.simulation.renderer import render
