@@ -31,6 +31,7 @@ from .camera.samples import Samples as Samples
 from .camera.sensor import Sensor as Sensor
 from .capture.capture import Capture as Capture
 from .capture.packing import pack as pack
+from .capture.settings import ReadSettings as ReadSettings
 from .files.images import (
     read_grey as read_grey,
     read_image as read_image,

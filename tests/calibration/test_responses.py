@@ -63,7 +63,7 @@ def test_a_curve_makes_a_capture_linear(tmp_path: Path) -> None:
     samples = lm.Capture.open(place).samples()
     np.testing.assert_allclose(samples.values.T.ravel(), light.clip(0, 1).ravel(), atol=0.02)
     plain = lm.Capture.from_folders(
-        place / "patterns", place / "images", response=str(tmp_path / "curve.json")
+        place / "patterns", place / "images", lm.ReadSettings(response=str(tmp_path / "curve.json"))
     )
     np.testing.assert_array_equal(plain.samples().values, samples.values)
 
@@ -76,17 +76,19 @@ def test_a_curve_knows_the_levels_it_was_measured_of(tmp_path: Path) -> None:
 
     def opened() -> lm.Capture:
         return lm.Capture.from_folders(
-            tmp_path / "p.npy", tmp_path / "i.npy",
-            response=str(tmp_path / "curve.json"),
-        )  # fmt: skip
+            tmp_path / "p.npy",
+            tmp_path / "i.npy",
+            lm.ReadSettings(response=str(tmp_path / "curve.json")),
+        )
 
     capture = opened()
     assert (capture.decoder.full_scale, capture.decoder.clip) == (4095, 4095)
     # Stated otherwise, levels keep the light that they were measured to have.
     told = lm.Capture.from_folders(
-        tmp_path / "p.npy", tmp_path / "i.npy", response=str(tmp_path / "curve.json"),
-        full_scale=65535, clip=4095,
-    )  # fmt: skip
+        tmp_path / "p.npy",
+        tmp_path / "i.npy",
+        lm.ReadSettings(response=str(tmp_path / "curve.json"), full_scale=65535, clip=4095),
+    )
     np.testing.assert_allclose(told.samples().values, capture.samples().values, atol=1e-6)
     np.save(tmp_path / "i.npy", stack(CURVES["gamma"], TIMES))
     with pytest.raises(InputError, match="levels up to 4095 for images of uint8"):
@@ -143,9 +145,10 @@ def test_the_projectors_gamma_is_found_and_used(tmp_path: Path) -> None:
     np.save(tmp_path / "patterns.npy", shown.images())
     np.save(tmp_path / "images.npy", np.full((2, 4, 4), 100, np.uint8))
     capture = lm.Capture.from_folders(
-        tmp_path / "patterns.npy", tmp_path / "images.npy",
-        projector_response=tmp_path / "p.json",
-    )  # fmt: skip
+        tmp_path / "patterns.npy",
+        tmp_path / "images.npy",
+        lm.ReadSettings(projector_response=tmp_path / "p.json"),
+    )
     np.testing.assert_allclose(capture.patterns.images(), shown.images() ** 1.8, atol=0.006)
     bits = lm.BernoulliPatterns((8, 8), 4)
     assert found.shown(bits) is bits

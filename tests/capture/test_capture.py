@@ -18,6 +18,7 @@ from lightmatrix.camera.sensor import Sensor
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.description import KEYS
 from lightmatrix.capture.folder import write_capture
+from lightmatrix.capture.settings import ReadSettings
 from lightmatrix.diagnosis.usable import refuse_unusable
 from lightmatrix.errors import InputError, LightMatrixWarning, OutputError
 from lightmatrix.files.images import write_image
@@ -173,7 +174,7 @@ def test_options_of_plain_folders(tmp_path: Path) -> None:
     frames = photographs(SETS[3], sensor)
     shown, photos = write_folders(tmp_path, SETS[3], frames)
     expected = Capture.from_arrays(SETS[3], frames, sensor)
-    found = Capture.from_folders(shown, photos, black=20, clip=200, exposure=1.0)
+    found = Capture.from_folders(shown, photos, ReadSettings(black=20, clip=200, exposure=1.0))
     assert found.digest == expected.digest
 
     black = np.full((5, 7), 20, np.uint8)
@@ -186,11 +187,13 @@ def test_options_of_plain_folders(tmp_path: Path) -> None:
     found = Capture.from_folders(
         shown,
         photos,
-        black=tmp_path / "black.png",
-        white=tmp_path / "white.png",
-        mask=tmp_path / "mask.png",
-        black_level=20,
-        clip=200,
+        ReadSettings(
+            black=tmp_path / "black.png",
+            white=tmp_path / "white.png",
+            mask=tmp_path / "mask.png",
+            black_level=20,
+            clip=200,
+        ),
     )
     assert found.count == COUNT + 1
     np.testing.assert_array_equal(found.patterns.images()[-1], 1)
@@ -211,7 +214,7 @@ def test_gamma_is_undone(tmp_path: Path) -> None:
     linear = photographs(SETS[3], Sensor(bits=16)) / 65535
     encoded = np.rint(255 * linear ** (1 / 2.2)).astype(np.uint8)
     shown, photos = write_folders(tmp_path, SETS[3], encoded)
-    samples = Capture.from_folders(shown, photos, response="gamma:2.2").samples()
+    samples = Capture.from_folders(shown, photos, ReadSettings(response="gamma:2.2")).samples()
     np.testing.assert_allclose(samples.values, linear.reshape(COUNT, -1).T, atol=0.01)
 
 
@@ -389,10 +392,10 @@ def test_fewer_bits_than_the_files_have(tmp_path: Path, bits: int) -> None:
     for block in (1, 2):
         with pytest.raises(InputError, match=f"no level above {2**bits - 1}.*\n.*--clip"):
             Capture.from_folders(SETS[0], tmp_path / "photos", bin_camera=block)
-    Capture.from_folders(SETS[0], tmp_path / "photos", clip=2**bits - 1)
+    Capture.from_folders(SETS[0], tmp_path / "photos", ReadSettings(clip=2**bits - 1))
     # Who insists that they are just dark is still told that they end where many cameras clip.
     with pytest.warns(LightMatrixWarning, match=f"samples are exactly {2**bits - 1}"):
-        Capture.from_folders(SETS[0], tmp_path / "photos", clip=65535)
+        Capture.from_folders(SETS[0], tmp_path / "photos", ReadSettings(clip=65535))
 
 
 def test_jpeg_without_a_response_is_warned_about(tmp_path: Path) -> None:
@@ -404,7 +407,7 @@ def test_jpeg_without_a_response_is_warned_about(tmp_path: Path) -> None:
     with pytest.warns(LightMatrixWarning, match="JPEG, so probably not linear"):
         Capture.from_folders(SETS[0], tmp_path / "photos")
     for response in ("linear", "srgb"):
-        Capture.from_folders(SETS[0], tmp_path / "photos", response=response)
+        Capture.from_folders(SETS[0], tmp_path / "photos", ReadSettings(response=response))
 
 
 def test_captures_no_estimate_can_come_from() -> None:

@@ -18,6 +18,7 @@ from lightmatrix.camera.response import Response
 from lightmatrix.camera.sensor import Sensor
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.folder import write_capture
+from lightmatrix.capture.settings import ReadSettings
 from lightmatrix.capture.white_frame import read_white_frame
 from lightmatrix.errors import InputError, LightMatrixWarning
 from lightmatrix.estimators.plain import PlainEstimator
@@ -325,7 +326,7 @@ def test_room_light_does_not_change_the_unit(tmp_path: Path, room: float, pedest
     write_image(tmp_path / "black.npy", black)
     black_file = tmp_path / "black.npy"
     plain = Capture.from_folders(
-        patterns, tmp_path / "photos", black=black_file, black_level=pedestal or None
+        patterns, tmp_path / "photos", ReadSettings(black=black_file, black_level=pedestal or None)
     )
     place = tmp_path / "c"
     write_capture(place, patterns, frames, sensor=sensor, black=black)
@@ -346,7 +347,9 @@ def test_room_light_does_not_change_the_unit(tmp_path: Path, room: float, pedest
         estimated.sparse.toarray(), expected.sparse.toarray(), atol=2e-3, rtol=1e-2
     )
     write_image(tmp_path / "white.npy", frames[0])
-    white = read_white_frame(tmp_path / "white.npy", black=black_file, black_level=pedestal)
+    white = read_white_frame(
+        tmp_path / "white.npy", ReadSettings(black=black_file, black_level=pedestal)
+    )
     np.testing.assert_allclose(white.values[:, 0], received[:, 0], atol=2e-6)
 
 
@@ -373,8 +376,8 @@ def test_a_pedestal_is_asked_for_where_black_light_is_scaled(tmp_path: Path) -> 
 def test_a_black_level_is_given_once(tmp_path: Path) -> None:
     shown, photos = write_folders(tmp_path, SETS[3], photographs(SETS[3], Sensor()))
     with pytest.raises(InputError, match="give the black level once"):
-        Capture.from_folders(shown, photos, black=20, black_level=20)
-    level = Capture.from_folders(shown, photos, black_level=20).samples()
-    number = Capture.from_folders(shown, photos, black=20).samples()
+        Capture.from_folders(shown, photos, ReadSettings(black=20, black_level=20))
+    level = Capture.from_folders(shown, photos, ReadSettings(black_level=20)).samples()
+    number = Capture.from_folders(shown, photos, ReadSettings(black=20)).samples()
     np.testing.assert_array_equal(level.values, number.values)
     shutil.rmtree(photos)

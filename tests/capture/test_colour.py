@@ -52,7 +52,7 @@ def rig(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, float]:
         lm.write_patterns(place / colour, PATTERNS, colour=colour)
         np.save(place / f"{colour}.npy", photographs(truth(seen), exposure))
         capture = lm.Capture.from_folders(
-            place / colour, place / f"{colour}.npy", exposure=exposure
+            place / colour, place / f"{colour}.npy", lm.ReadSettings(exposure=exposure)
         )
         lm.estimate(capture, output=place / f"{colour}.zarr")
     return place, exposure

@@ -35,9 +35,16 @@ def test_samples_are_those_of_the_rectangle(folder: Path) -> None:
     lm.write_image(folder.parent / "mask.png", mask)
     exposures = lm.Capture.open(folder).exposures
     whole = lm.Capture.from_folders(
-        folder / "patterns", folder / "images", black=folder / "black.png", black_level=0,
-        black_exposure=0.4, exposure=exposures, mask=folder.parent / "mask.png",
-    )  # fmt: skip
+        folder / "patterns",
+        folder / "images",
+        lm.ReadSettings(
+            black=folder / "black.png",
+            black_level=0,
+            black_exposure=0.4,
+            exposure=exposures,
+            mask=folder.parent / "mask.png",
+        ),
+    )
     part = whole.crop(CORNER, SHAPE)
     assert part.camera_shape == SHAPE
     inside = np.arange(64 * 64).reshape(WHOLE)[11:35, 21:41].ravel()
@@ -131,6 +138,9 @@ def test_jpeg_is_found_in_a_crop_beside_its_blocks(tmp_path: Path) -> None:
     for k in range(24):
         imageio.imwrite(images / f"{k:03d}.jpg", simulated.frame(k), quality=60)
     found = lm.check(
-        patterns=simulated.patterns, images=images, response="linear", crop=((3, 5), (58, 57))
+        patterns=simulated.patterns,
+        images=images,
+        settings=lm.ReadSettings(response="linear"),
+        crop=((3, 5), (58, 57)),
     )
     assert "jpeg" in [finding.kind for finding in found]

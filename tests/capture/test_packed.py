@@ -21,6 +21,7 @@ from lightmatrix.capture import packing
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.frames import PixelFrames
 from lightmatrix.capture.packed import PackedFrames
+from lightmatrix.capture.settings import ReadSettings
 from lightmatrix.capture.window import window
 from lightmatrix.cli import main
 from lightmatrix.errors import InputError, OutputError
@@ -226,7 +227,7 @@ def test_the_command_packs_plain_folders(folder: Path, capsys: pytest.CaptureFix
     assert main(f"pack {plain} -o {folder}/plain.zarr --json".split()) == 0
     assert json.loads(capsys.readouterr().out)["frames"] == 24
     inside = folder / "capture"
-    wanted = Capture.from_folders(inside / "patterns", inside / "images", black=3)
+    wanted = Capture.from_folders(inside / "patterns", inside / "images", ReadSettings(black=3))
     assert Capture.open(folder / "plain.zarr").digest == wanted.digest
 
 

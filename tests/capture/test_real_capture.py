@@ -18,6 +18,7 @@ from scipy.sparse import csr_array
 from benchmarks.gray_decoding import BLACK, CLIP, COLUMN_BITS, ROW_BITS, WHITE, decoded, strongest
 from lightmatrix.camera.samples import Samples
 from lightmatrix.capture.capture import Capture
+from lightmatrix.capture.settings import ReadSettings
 from lightmatrix.diagnosis.order import find_disorder
 from lightmatrix.diagnosis.usable import refuse_unordered, refuse_unusable
 from lightmatrix.errors import InputError
@@ -39,8 +40,7 @@ def capture() -> Capture:
     return Capture.from_folders(
         BOARD / "graycode_pattern",
         BOARD / "capture_0",
-        black=BOARD / "capture_0" / f"graycode_{BLACK}.png",
-        clip=CLIP,
+        ReadSettings(black=BOARD / "capture_0" / f"graycode_{BLACK}.png", clip=CLIP),
         bin_projector=BIN,
         bin_camera=BIN,
     )

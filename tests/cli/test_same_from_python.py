@@ -189,7 +189,7 @@ def test_estimate_from_two_binned_folders(
     line = f"estimate --patterns {work}/patterns --images {images} {bins} -o {tmp_path}/shown.zarr"
     _run(line, capsys)
     capture = lm.Capture.from_folders(
-        work / "patterns", images, clip=250, bin_camera=2, bin_projector=(2, 1)
+        work / "patterns", images, lm.ReadSettings(clip=250), bin_camera=2, bin_projector=(2, 1)
     )
     _same_transport(lm.open(tmp_path / "shown.zarr"), lm.estimate(capture))
 

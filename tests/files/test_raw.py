@@ -127,9 +127,10 @@ def test_a_capture_of_raw_files(mosaic: bool, tmp_path: Path) -> None:
         write_dng(place / "images" / f"{k}.dng", levels(frame))
     write_dng(tmp_path / "black.dng", np.full(SHAPE, BLACK))
     capture = lm.Capture.from_folders(
-        place / "patterns", place / "images",
-        black=tmp_path / "black.dng", mosaic=mosaic,
-    )  # fmt: skip
+        place / "patterns",
+        place / "images",
+        lm.ReadSettings(black=tmp_path / "black.dng", mosaic=mosaic),
+    )
     assert capture.camera_shape == (SHAPE if mosaic else (*SHAPE, 3))
     samples = capture.samples()
     assert samples.clipped.any()

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.camera.levels import check_levels, of_frames
+from lightmatrix.camera.levels import check_exposures, check_levels, of_frames
 from lightmatrix.camera.response import Response
 from lightmatrix.camera.samples import Samples
 from lightmatrix.errors import InputError
@@ -67,17 +67,17 @@ class Decoder:
 
     def __post_init__(self) -> None:
         check_levels(self.clip, self.black_level, self.full_scale)
-        exposure = np.asarray(self.exposure)
-        if not (np.isfinite(exposure).all() and (exposure > 0).all()):
-            raise InputError(
-                f"an exposure of {exposure.min()}", hint="use positive numbers, such as 1"
-            )
+        check_exposures(self.exposure)
         if self.black_exposure is not None and not 0 < self.black_exposure < np.inf:
             raise InputError(
                 f"a black frame of exposure {self.black_exposure}",
                 hint="use a positive number, in the unit of the frames' exposures",
             )
-        if self.black_frame is not None and self.black_exposure is None and np.ptp(exposure) > 0:
+        if (
+            self.black_frame is not None
+            and self.black_exposure is None
+            and np.ptp(self.exposure) > 0
+        ):
             raise InputError(
                 "a black frame of unknown exposure, while the frames differ in exposure",
                 hint="give the exposure of the black frame in capture.json",

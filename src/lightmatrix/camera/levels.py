@@ -29,28 +29,52 @@ def of_frames(value: float | NDArray[Any], start: int, stop: int, name: str) -> 
 
 
 def check_levels(
-    clip: float | NDArray[Any], black_level: float | NDArray[Any], full_scale: float
+    clip: float | NDArray[Any] | None,
+    black_level: float | NDArray[Any] | None,
+    full_scale: float | None,
 ) -> None:
-    """Refuse raw levels out of range.
+    """Refuse raw levels unless 0 <= black level < clip level <= full scale <= 2^32 in each frame.
+
+    A level that is None is not known yet, and bounds nothing.
 
     Raises
     ------
     InputError
-        Unless 0 <= black level < clip level <= full scale <= 2^32 in every frame.
+        On levels out of range.
     """
-    if not 0 < full_scale <= MOST_LEVEL:
+    top = MOST_LEVEL if full_scale is None else full_scale
+    if not 0 < top <= MOST_LEVEL:
         raise InputError(
-            f"a full scale of {full_scale:g}",
+            f"a full scale of {top:g}",
             hint=f"use the highest raw level, such as 255; at most {MOST_LEVEL:g}",
         )
-    clips, blacks = np.asarray(clip, np.float64), np.asarray(black_level, np.float64)
-    if not (np.isfinite(clips).all() and (clips > 0).all() and (clips <= full_scale).all()):
+    clips = np.asarray(np.inf if clip is None else clip, np.float64)
+    if clip is not None and not ((clips > 0) & (clips <= top)).all():
         raise InputError(
-            f"a clip level of {clips.min() if clips.size else clip:g}",
-            hint=f"use a raw level above 0 and at most {full_scale:g}",
+            f"a clip level of {clips.min():g}", hint=f"use a raw level above 0 and at most {top:g}"
         )
-    if not (np.isfinite(blacks).all() and (blacks >= 0).all() and (blacks < clips).all()):
+    blacks = np.asarray(0.0 if black_level is None else black_level, np.float64)
+    if np.shape(blacks) and np.shape(clips) and blacks.shape != clips.shape:
         raise InputError(
-            f"a black level of {blacks.flat[0]:g} with a clip level of {clips.flat[0]:g}",
+            f"{blacks.size} black levels, but {clips.size} clip levels",
+            hint="give one number, or one for each frame",
+        )
+    if not ((blacks >= 0) & (blacks < clips)).all():
+        highest = f" with a clip level of {clips.flat[0]:g}" if clip is not None else ""
+        raise InputError(
+            f"a black level of {blacks.flat[0]:g}{highest}",
             hint="use a raw level of at least 0 and below the clip level",
         )
+
+
+def check_exposures(exposure: float | NDArray[Any]) -> None:
+    """Refuse exposures that are no positive numbers.
+
+    Raises
+    ------
+    InputError
+        On zero, negative or infinite ones, and arrays of more than one dimension.
+    """
+    values = np.asarray(exposure, np.float64)
+    if values.ndim > 1 or not ((values > 0) & (values < np.inf)).all():
+        raise InputError(f"an exposure of {values.min():g}", hint="use positive numbers, such as 1")

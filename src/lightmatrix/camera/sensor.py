@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from lightmatrix.camera.decoder import Decoder
-from lightmatrix.camera.levels import check_levels, of_frames
+from lightmatrix.camera.levels import check_exposures, check_levels, of_frames
 from lightmatrix.errors import InputError
 from lightmatrix.ranges import check_number, check_seed
 from lightmatrix.reprs import short_repr
@@ -77,11 +77,7 @@ class Sensor:
                 f"a camera of {self.bits} bits",
                 hint=f"use one of {', '.join(map(str, BIT_DEPTHS))}",
             )
-        exposure = np.asarray(self.exposure)
-        if exposure.ndim > 1 or not (np.isfinite(exposure).all() and (exposure > 0).all()):
-            raise InputError(
-                f"an exposure of {self.exposure}", hint="use positive numbers, such as 1"
-            )
+        check_exposures(self.exposure)
         for name in ("read_noise", "shot_noise"):
             check_number(
                 f"a {name.replace('_', ' ')}",

@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from lightmatrix.capture.description import NAME, Description
+from lightmatrix.capture.settings import ReadSettings
 from lightmatrix.errors import InputError, LightMatrixWarning
 from lightmatrix.files.images import READABLE
 from lightmatrix.files.pages import is_stack
@@ -53,46 +54,40 @@ def check_name(place: Path) -> None:
             raise InputError(f"{entry}: is not read under this name", hint=f"call it {NAME}")
 
 
-def with_files_beside(place: Path, told: Description, described: bool) -> Description:
-    """The description with a black frame or mask that lies in the folder without being named.
+def with_files_beside(place: Path, description: Description, described: bool) -> ReadSettings:
+    """The settings with a black frame or mask that lies in the folder without being named.
 
-    Without capture.json it is used, and with one it is not; either way that is said.
-
-    Parameters
-    ----------
-    place : Path
-        The capture's folder.
-    told : Description
-        What is said of it.
-    described : bool
-        Whether capture.json says so.
+    Without capture.json it is used, and with one it is not; a warning says either.
 
     Raises
     ------
     InputError
         On two files of which either may be meant.
     """
+    settings = description.settings
     for key, what in (("black", "the black frame"), ("mask", "the mask")):
-        if described and key not in told.silent_of:
+        if described and key not in description.absent:
             continue
-        found = [
+        files = [
             entry
             for entry in sorted(place.iterdir())
             if entry.stem.lower() == key and entry.suffix.lower() in READABLE
         ]
-        if not found:
+        if not files:
             continue
         if described:
-            said = f"{found[0]}: is not used, since {NAME} does not name it"
-            said += f'; add "{key}" to it, or "{key}": null to leave it out'
-        elif len(found) > 1:
+            message = f"{files[0]}: is not used, since {NAME} does not name it"
+            message += f'; add "{key}" to it, or "{key}": null to leave it out'
+        elif len(files) > 1:
             raise InputError(
-                f"{place}: holds {found[0].name} and {found[1].name}",
+                f"{place}: holds {files[0].name} and {files[1].name}",
                 hint=f"keep the one that is {what}",
             )
         else:
-            said = f"{found[0]}: is taken for {what}, for want of a {NAME} that says so"
-            black, mask = (found[0], told.mask) if key == "black" else (told.black, found[0])
-            told = replace(told, black=black, mask=mask)
-        warnings.warn(said, LightMatrixWarning, stacklevel=2)
-    return told
+            message = f"{files[0]}: is taken for {what}, for want of a {NAME} that says so"
+            if key == "black":
+                settings = replace(settings, black=files[0])
+            else:
+                settings = replace(settings, mask=files[0])
+        warnings.warn(message, LightMatrixWarning, stacklevel=2)
+    return settings

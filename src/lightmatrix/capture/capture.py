@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.camera.decoder import Decoder
-from lightmatrix.camera.response import Response
 from lightmatrix.camera.samples import Samples
 from lightmatrix.camera.sensor import Sensor
 from lightmatrix.capture import summary
@@ -24,10 +23,10 @@ from lightmatrix.capture.checks import check_per_frame
 from lightmatrix.capture.folder import holds_capture, read_capture, read_folders
 from lightmatrix.capture.frames import ArrayStack, Frames, cut
 from lightmatrix.capture.reader import Reader
+from lightmatrix.capture.settings import ReadSettings
 from lightmatrix.errors import InputError
 from lightmatrix.patterns.grids import block_size
 from lightmatrix.patterns.pattern_set import PatternSet
-from lightmatrix.patterns.response import ProjectorResponse
 from lightmatrix.regions import Region
 from lightmatrix.reprs import html_table
 
@@ -148,19 +147,9 @@ class Capture:
         cls,
         patterns: str | Path | PatternSet,
         images: str | Path,
+        settings: ReadSettings | None = None,
         *,
-        black: str | Path | float | None = None,
-        white: str | Path | None = None,
-        clip: float | NDArray[Any] | None = None,
-        response: Response | str | None = None,
-        black_level: float | NDArray[Any] | None = None,
-        exposure: float | NDArray[Any] = 1.0,
-        mask: str | Path | None = None,
-        full_scale: float | None = None,
-        black_exposure: float | None = None,
         crop: Crop | None = None,
-        projector_response: str | Path | ProjectorResponse | None = None,
-        mosaic: bool = False,
         bin_projector: int | tuple[int, int] = 1,
         bin_camera: int | tuple[int, int] = 1,
     ) -> Capture:
@@ -173,32 +162,11 @@ class Capture:
             (K, rows, cols); or the set itself.
         images : str or Path
             Folder of the camera's frames, or such a file, in colour of (K, rows, cols, 3).
-        black : str, Path or float, optional
-            Image under a black pattern, which is subtracted; or a number, as `black_level`.
-        white : str or Path, optional
-            Image under a white pattern; becomes one more frame.
-        clip : float or (K,), optional
-            Raw level at which the camera clips; None means the end of the range.
-        response : Response or str, optional
-            See `Response.parse`; None means linear, and warns where the files say otherwise.
-        black_level : float or (K,), optional
-            Raw level without any light, the camera's electronic pedestal; None means 0. It sets
-            the unit of T, which the room light in a black frame does not change.
-        exposure : float or (K,)
-            Exposure of each frame.
-        mask : str or Path, optional
-            Image that is 0 where camera pixels are to be left out.
-        full_scale : float, optional
-            Raw level that the response calls 1; None means the end of the range.
-        black_exposure : float, optional
-            Exposure of the black frame; None means that of the frames, which must then be one.
+        settings : ReadSettings, optional
+            How the frames are read: levels, exposures, black frame, response, mask. None: as
+            those of a linear camera.
         crop : ((int, int), (int, int)), optional
             Corner and shape of a rectangle of the photographs, see `crop`. None: all of them.
-        projector_response : str, Path or ProjectorResponse, optional
-            The light of the patterns' grey values, if it is not proportional to them.
-        mosaic : bool
-            Whether raw camera files are taken as they are, each pixel a sample behind its colour of
-            the filter, not interpolated to three channels.
         bin_projector, bin_camera : int or (int, int)
             See `bin`.
 
@@ -207,21 +175,7 @@ class Capture:
         InputError
             On anything that makes the capture unusable, naming the file.
         """
-        parts = read_folders(
-            patterns,
-            images,
-            black=black,
-            white=white,
-            clip=clip,
-            response=response,
-            black_level=black_level,
-            exposure=exposure,
-            mask=mask,
-            full_scale=full_scale,
-            black_exposure=black_exposure,
-            projector_response=projector_response,
-            mosaic=mosaic,
-        )
+        parts = read_folders(patterns, images, settings or ReadSettings())
         capture = cls(parts.patterns, parts.frames, parts.decoder, parts.mask)
         return capture._cut_and_binned(crop, bin_projector, bin_camera)
 

@@ -12,22 +12,13 @@ from numpy.typing import NDArray
 from lightmatrix.camera.decoder import Decoder
 from lightmatrix.camera.levels import range_end
 from lightmatrix.camera.response import Response
+from lightmatrix.capture.settings import ReadSettings
 from lightmatrix.errors import InputError, LightMatrixWarning
 from lightmatrix.files.images import is_grey, read_image
 from lightmatrix.files.stack import ImageStack, nonlinear_tag
 
 
-def make_decoder(
-    stack: ImageStack,
-    *,
-    clip: float | NDArray[Any] | None,
-    response: Response,
-    exposure: float | NDArray[Any],
-    black: str | Path | float | None,
-    black_level: float | NDArray[Any] | None = None,
-    black_exposure: float | None = None,
-    full_scale: float | None = None,
-) -> Decoder:
+def make_decoder(stack: ImageStack, settings: ReadSettings) -> Decoder:
     """The decoder of a stack, with its black frame read and its range filled in.
 
     The black level, the camera's electronic pedestal, is 0 unless it is stated: a black frame holds
@@ -40,7 +31,8 @@ def make_decoder(
         exposure than the frames where no black level is stated; on levels out of range.
     """
     top = range_end(stack.dtype)
-    measured = response.full_scale
+    response = _stated_response(settings.response, stack)
+    measured, full_scale = response.full_scale, settings.full_scale
     if measured is not None and measured > top:
         raise InputError(
             f"a response of levels up to {measured:g} for images of {stack.dtype}",
@@ -53,64 +45,67 @@ def make_decoder(
             f"a full scale of {full_scale:g} for images of {stack.dtype}",
             hint=f"use a raw level of at most {top:g}",
         )
-    # A measured response knows where its camera clips.
-    assumed = clip is None and measured is None
-    response = response.of_full_scale(full_scale)
-    clip = full_scale if clip is None else clip
-    black_frame = None
-    if isinstance(black, (int, float)):
-        if black_level is not None:
-            raise InputError(
-                f"black levels of {black:g} and {black_level}", hint="give the black level once"
-            )
-        black_level = float(black)
-    elif black is not None:
-        image = read_image(black, mosaic=stack.mosaic)
-        if image.ndim == 3 and stack.grey and is_grey(image):
-            image = image[..., 0]
-        if image.shape != stack.shape:
-            raise InputError(
-                f"{black}: the black frame has shape {image.shape}, the images {stack.shape}",
-                hint="take the black frame with the same camera settings",
-            )
-        # The mean of several black frames may be kept as float, in levels of the frames.
-        if image.dtype != stack.dtype and image.dtype.kind != "f":
-            raise InputError(
-                f"{black}: the black frame is {image.dtype}, the images {stack.dtype}",
-                hint="save it with the bit depth of the images",
-            )
-        black_frame = image.ravel()
-        if float(np.median(black_frame)) >= np.min(clip):
-            raise InputError(
-                f"{black}: the black frame is clipped",
-                hint="take it with the projector showing black",
-            )
-        if black_level is None and _differs(black_exposure, exposure):
-            raise InputError(
-                f"{black}: its light is to be scaled to other exposures, but not its pedestal, and "
-                "no black level is given",
-                hint='give "black_level" in capture.json, 0 for a camera without pedestal',
-            )
+    clip = full_scale if settings.clip is None else settings.clip
     return Decoder(
         clip,
         full_scale,
-        0.0 if black_level is None else black_level,
-        response,
-        exposure,
-        black_frame,
-        black_exposure,
-        assumed,
+        0.0 if settings.black_level is None else settings.black_level,
+        response.of_full_scale(full_scale),
+        settings.exposure,
+        _read_black(stack, settings, clip),
+        settings.black_exposure,
+        # A measured response knows where its camera clips.
+        settings.clip is None and measured is None,
     )
 
 
-def read_mask(mask: str | Path, shape: tuple[int, ...]) -> NDArray[np.bool_]:
-    """Which camera samples count: those where a mask image is not 0.
+def _read_black(
+    stack: ImageStack, settings: ReadSettings, clip: float | NDArray[Any]
+) -> NDArray[Any] | None:
+    """Raw levels of the black frame, (M,); None where there is none."""
+    file = settings.black
+    if file is None:
+        return None
+    assert isinstance(file, (str, Path))
+    image = read_image(file, mosaic=stack.mosaic)
+    if image.ndim == 3 and stack.grey and is_grey(image):
+        image = image[..., 0]
+    if image.shape != stack.shape:
+        raise InputError(
+            f"{file}: the black frame has shape {image.shape}, the images {stack.shape}",
+            hint="take the black frame with the same camera settings",
+        )
+    # The mean of several black frames may be kept as float, in levels of the frames.
+    if image.dtype != stack.dtype and image.dtype.kind != "f":
+        raise InputError(
+            f"{file}: the black frame is {image.dtype}, the images {stack.dtype}",
+            hint="save it with the bit depth of the images",
+        )
+    if float(np.median(image)) >= np.min(clip):
+        raise InputError(
+            f"{file}: the black frame is clipped", hint="take it with the projector showing black"
+        )
+    exposure = settings.black_exposure
+    differs = exposure is not None and bool((np.asarray(settings.exposure) != exposure).any())
+    if settings.black_level is None and differs:
+        raise InputError(
+            f"{file}: its light is to be scaled to other exposures, but not its pedestal, and no "
+            "black level is given",
+            hint='give "black_level" in capture.json, 0 for a camera without pedestal',
+        )
+    return image.ravel()
+
+
+def read_mask(mask: str | Path | None, shape: tuple[int, ...]) -> NDArray[np.bool_] | None:
+    """Which camera samples count: those where a mask image is not 0; None without a mask.
 
     Raises
     ------
     InputError
         If it cannot be read or is not as large as the images.
     """
+    if mask is None:
+        return None
     image = read_image(mask)
     if image.ndim == 2 and len(shape) == 3 and image.shape == shape[:2]:
         image = np.repeat(image[..., None], shape[2], axis=2)
@@ -122,12 +117,12 @@ def read_mask(mask: str | Path, shape: tuple[int, ...]) -> NDArray[np.bool_]:
     return np.asarray(image > 0)
 
 
-def stated_response(response: Response | str | None, stack: ImageStack, folder: Path) -> Response:
+def _stated_response(response: Response | str | None, stack: ImageStack) -> Response:
     """The response that is stated, or the linear one, with a warning where files say otherwise."""
     if isinstance(response, Response):
         return response
     if response is not None:
-        return Response.parse(str(response), folder)
+        return Response.parse(str(response))
     tag = nonlinear_tag(stack.paths[0])
     if tag is not None:
         warnings.warn(
@@ -137,8 +132,3 @@ def stated_response(response: Response | str | None, stack: ImageStack, folder: 
             stacklevel=2,
         )
     return Response()
-
-
-def _differs(black_exposure: float | None, exposure: float | NDArray[Any]) -> bool:
-    """Whether a black frame's exposure is another than that of some frame."""
-    return black_exposure is not None and bool((np.asarray(exposure) != black_exposure).any())

@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.camera.levels import MOST_LEVEL
-from lightmatrix.camera.response import RESPONSES, curve_file
+from lightmatrix.camera.response import RESPONSES, Response, curve_file
+from lightmatrix.capture.settings import ReadSettings
 from lightmatrix.errors import InputError
-from lightmatrix.files.headers import read_json
+from lightmatrix.files.headers import read_json, said_in
 from lightmatrix.files.reading import within
 
 NAME = "capture.json"
@@ -26,53 +27,29 @@ Levels = float | NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Description:
-    """What capture.json says; None where it says nothing.
+    """What capture.json says of a capture.
 
     Parameters
     ----------
+    settings : ReadSettings
+        How its photographs are read.
     projector_shape, camera_shape : tuple of int, optional
-    exposure : float or (K,)
-    clip, black_level : float or (K,), optional
-    full_scale : float, optional
-    response : str, optional
-        See `Response.parse`.
-    black, mask : Path, optional
-        Image files.
-    black_exposure : float, optional
+        None: not stated.
     provenance : mapping
-    silent_of : frozenset of str
-        The keys that it does not have at all.
-    projector_response : Path, optional
-        File of a projector's response.
-    mosaic : bool
-        Whether raw camera files are not interpolated.
+        What made the capture.
+    absent : frozenset of str
+        The keys that capture.json does not have at all.
     """
 
+    settings: ReadSettings = field(default_factory=ReadSettings)
     projector_shape: tuple[int, ...] | None = None
     camera_shape: tuple[int, ...] | None = None
-    exposure: Levels = 1.0
-    clip: Levels | None = None
-    black_level: Levels | None = None
-    full_scale: float | None = None
-    response: str | None = None
-    black: Path | None = None
-    black_exposure: float | None = None
-    mask: Path | None = None
     provenance: Mapping[str, Any] = field(default_factory=dict)
-    silent_of: frozenset[str] = frozenset()
-    projector_response: Path | None = None
-    mosaic: bool = False
+    absent: frozenset[str] = frozenset()
 
 
 def read_description(file: Path, *, allow_outside: bool = False) -> Description:
-    """Read a capture.json.
-
-    Parameters
-    ----------
-    file : Path
-        The file.
-    allow_outside : bool
-        Whether the files that it names may lie outside its folder.
+    """Read a capture.json, whose files may lie outside its folder only with `allow_outside`.
 
     Raises
     ------
@@ -80,17 +57,17 @@ def read_description(file: Path, *, allow_outside: bool = False) -> Description:
         On a key that is unknown, at any level, or whose value is of another kind or out of range;
         on a file that lies outside the folder.
     """
-    return described(file, read_json(file, FORMAT, VERSION), allow_outside=allow_outside)
+    return parse_description(file, read_json(file, FORMAT, VERSION), allow_outside=allow_outside)
 
 
-def described(
+def parse_description(
     file: Path, content: Mapping[str, Any], *, allow_outside: bool = False
 ) -> Description:
-    """What keys and values say of a capture; parameters and errors as of `read_description`."""
-    found = _Table(file, "", content, KEYS)
-    black = found.get("black", _object, "an object with the black frame's file")
-    frame = None if black is None else _Table(file, "black.", black, _BLACK_KEYS)
-    if frame is not None and "file" not in black:
+    """The description that keys and values of a file make; errors as of `read_description`."""
+    table = _Table(file, "", content, KEYS)
+    black = table.get("black", _object, "an object with the black frame's file")
+    frame = _Table(file, "black.", black or {}, _BLACK_KEYS)
+    if black is not None and "file" not in black:
         raise InputError(f'{file}: "black" names no file', hint='add "file": "black.png" to it')
 
     def path(name: str | None) -> Path | None:
@@ -103,26 +80,35 @@ def described(
             )
         return named
 
-    response = found.get("response", _text, RESPONSES)
+    response = table.get("response", _text, RESPONSES)
     if response is not None:
         path(curve_file(response))
-    projector = found.get("projector_response", _text, "the name of a projector's curve")
-    exposure = found.get("exposure", _several(_above_0), "a number above 0, or one for each frame")
+    exposure = table.get("exposure", _several(_above_0), "a number above 0, or one for each frame")
+    with said_in(file):
+        settings = ReadSettings(
+            black=path(frame.get("file", _text, "the name of an image")),
+            black_exposure=frame.get("exposure", _above_0, "a number above 0"),
+            black_level=table.get(
+                "black_level", _several(_level), "a level of 0 or more, or one for each frame"
+            ),
+            clip=table.get("clip", _several(_above_0), "a level above 0, or one for each frame"),
+            full_scale=table.get(
+                "full_scale", _above_0, f"a level above 0, at most {MOST_LEVEL:g}"
+            ),
+            exposure=1.0 if exposure is None else exposure,
+            response=None if response is None else Response.parse(response, file.parent),
+            projector_response=path(
+                table.get("projector_response", _text, "the name of a projector's curve")
+            ),
+            mask=path(table.get("mask", _text, "the name of an image")),
+            mosaic=bool(table.get("mosaic", _truth, "true or false")),
+        )
     return Description(
-        found.get("projector_shape", _shape, "two whole numbers, such as [64, 64]"),
-        found.get("camera_shape", _shape, "two or three whole numbers, such as [480, 640]"),
-        1.0 if exposure is None else exposure,
-        found.get("clip", _several(_above_0), "a level above 0, or one for each frame"),
-        found.get("black_level", _several(_level), "a level of 0 or more, or one for each frame"),
-        found.get("full_scale", _above_0, f"a level above 0, at most {MOST_LEVEL:g}"),
-        response,
-        None if frame is None else path(frame.get("file", _text, "the name of an image")),
-        None if frame is None else frame.get("exposure", _above_0, "a number above 0"),
-        path(found.get("mask", _text, "the name of an image")),
-        found.get("provenance", _object, "an object; anything may stand in it") or {},
+        settings,
+        table.get("projector_shape", _shape, "two whole numbers, such as [64, 64]"),
+        table.get("camera_shape", _shape, "two or three whole numbers, such as [480, 640]"),
+        table.get("provenance", _object, "an object; anything may stand in it") or {},
         KEYS - content.keys(),
-        path(projector),
-        bool(found.get("mosaic", _truth, "true or false")),
     )
 
 

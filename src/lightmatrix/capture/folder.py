@@ -22,15 +22,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.camera.response import Response
 from lightmatrix.camera.sensor import Sensor
 from lightmatrix.capture.beside import check_name, find_images, with_files_beside
 from lightmatrix.capture.checks import check_per_frame
-from lightmatrix.capture.decoding import make_decoder, read_mask, stated_response
+from lightmatrix.capture.decoding import make_decoder, read_mask
 from lightmatrix.capture.description import FORMAT, NAME, VERSION, Description, read_description
 from lightmatrix.capture.packed import FORMAT as PACKED_FORMAT
 from lightmatrix.capture.packed import is_packed, read_packed
 from lightmatrix.capture.parts import CaptureParts
+from lightmatrix.capture.settings import ReadSettings
 from lightmatrix.errors import InputError
 from lightmatrix.files.headers import said_in
 from lightmatrix.files.images import fill_image
@@ -75,21 +75,23 @@ def read_capture(
         raise InputError(f"{place}: {problem}", hint="give a folder with patterns/ and images/")
     if is_packed(place):
         return read_packed(place)
-    shown, taken = find_images(place, "patterns"), find_images(place, "images")
+    pattern_images, photographs = find_images(place, "patterns"), find_images(place, "images")
     file = place / NAME
     # A link that leads nowhere is a description that is missing, not none.
     described = os.path.lexists(file)
     if not described:
         check_name(place)
-    told = read_description(file, allow_outside=allow_outside) if described else Description()
-    told = with_files_beside(place, told, described)
-    patterns = _as_light(read_patterns(shown), told.projector_response)
-    stack = ImageStack.open(taken, mosaic=told.mosaic)
+    description = Description()
+    if described:
+        description = read_description(file, allow_outside=allow_outside)
+    settings = with_files_beside(place, description, described)
+    patterns = _as_light(read_patterns(pattern_images), settings)
+    stack = ImageStack.open(photographs, mosaic=settings.mosaic)
     if counted:
-        _check_counts(patterns, stack, taken)
+        _check_counts(patterns, stack, photographs)
     for key, wanted, shape, what in (
-        ("projector_shape", told.projector_shape, patterns.shape, "patterns"),
-        ("camera_shape", told.camera_shape, stack.shape, "images"),
+        ("projector_shape", description.projector_shape, patterns.shape, "patterns"),
+        ("camera_shape", description.camera_shape, stack.shape, "images"),
     ):
         if wanted is not None and wanted != shape:
             raise InputError(
@@ -97,45 +99,21 @@ def read_capture(
                 hint="correct capture.json, or restore the folder",
             )
     with said_in(file):
-        decoder = make_decoder(
-            stack,
-            clip=told.clip,
-            response=stated_response(told.response, stack, place),
-            exposure=told.exposure,
-            black=told.black,
-            black_level=told.black_level,
-            black_exposure=told.black_exposure,
-            full_scale=told.full_scale,
-        )
+        decoder = make_decoder(stack, settings)
         if counted:
             check_per_frame(decoder, stack.count)
-    return CaptureParts(
-        patterns,
-        stack,
-        decoder,
-        None if told.mask is None else read_mask(told.mask, stack.shape),
-        dict(told.provenance),
-    )
+    mask = read_mask(settings.mask, stack.shape)
+    return CaptureParts(patterns, stack, decoder, mask, dict(description.provenance))
 
 
 def read_folders(
     patterns: str | Path | PatternSet,
     images: str | Path,
+    settings: ReadSettings,
     *,
-    black: str | Path | float | None = None,
-    white: str | Path | None = None,
-    clip: float | NDArray[Any] | None = None,
-    response: Response | str | None = None,
-    black_level: float | NDArray[Any] | None = None,
-    exposure: float | NDArray[Any] = 1.0,
-    mask: str | Path | None = None,
-    full_scale: float | None = None,
-    black_exposure: float | None = None,
-    projector_response: str | Path | ProjectorResponse | None = None,
-    mosaic: bool = False,
     counted: bool = True,
 ) -> CaptureParts:
-    """Read two plain folders of images, or stacks; parameters as of `Capture.from_folders`.
+    """Read two plain folders of images, or stacks; see `Capture.from_folders`.
 
     `counted` says whether patterns and frames must be of one number.
 
@@ -145,26 +123,15 @@ def read_folders(
         On numbers or sizes that differ, or files that cannot be read.
     """
     shown = patterns if isinstance(patterns, PatternSet) else read_patterns(patterns)
-    shown = _as_light(shown, projector_response)
-    stack = ImageStack.open(images, mosaic=mosaic)
+    shown = _as_light(shown, settings)
+    stack = ImageStack.open(images, mosaic=settings.mosaic)
     if counted:
         _check_counts(shown, stack, Path(images))
-    if white is not None:
+    if settings.white is not None:
         shown = with_white(shown)
-        stack = replace(stack, paths=(*stack.paths, Path(white)))
-    decoder = make_decoder(
-        stack,
-        clip=clip,
-        response=stated_response(response, stack, Path()),
-        exposure=exposure,
-        black=black,
-        black_level=black_level,
-        black_exposure=black_exposure,
-        full_scale=full_scale,
-    )
-    return CaptureParts(
-        shown, stack, decoder, None if mask is None else read_mask(mask, stack.shape)
-    )
+        stack = replace(stack, paths=(*stack.paths, Path(settings.white)))
+    decoder = make_decoder(stack, settings)
+    return CaptureParts(shown, stack, decoder, read_mask(settings.mask, stack.shape))
 
 
 def write_capture(
@@ -287,8 +254,9 @@ def _check_counts(patterns: PatternSet, stack: ImageStack, images: Path) -> None
         )
 
 
-def _as_light(patterns: PatternSet, response: str | Path | ProjectorResponse | None) -> PatternSet:
+def _as_light(patterns: PatternSet, settings: ReadSettings) -> PatternSet:
     """What the projector showed, where patterns are the grey values that it was given."""
+    response = settings.projector_response
     if response is None:
         return patterns
     if not isinstance(response, ProjectorResponse):

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from lightmatrix.camera.decoder import Decoder
 from lightmatrix.camera.response import Response
 from lightmatrix.capture.checks import check_per_frame
-from lightmatrix.capture.description import KEYS, Description, described
+from lightmatrix.capture.description import KEYS, Description, parse_description
 from lightmatrix.capture.parts import CaptureParts
 from lightmatrix.errors import InputError
 from lightmatrix.files.image_size import check_size
@@ -199,7 +199,9 @@ def read_packed(place: Path) -> CaptureParts:
         unknown = sorted(set(attributes) - _KEYS)
         if unknown:
             raise ValueError(f"does not know {str(unknown[0])[:60]!r}")
-        told = described(place / HEADER, {k: v for k, v in attributes.items() if k in _TOLD})
+        told = parse_description(
+            place / HEADER, {k: v for k, v in attributes.items() if k in _TOLD}
+        )
         frames = _frames(place, attributes, told)
         decoder = _decoder(place, attributes, told, frames)
         check_per_frame(decoder, frames.count)
@@ -235,18 +237,19 @@ def _decoder(
     place: Path, attributes: Mapping[str, Any], told: Description, frames: PackedFrames
 ) -> Decoder:
     top = float(np.iinfo(frames.dtype).max) if frames.dtype.kind == "u" else np.inf
-    if told.clip is None or told.full_scale is None or not told.full_scale <= top:
+    levels = told.settings
+    if levels.clip is None or levels.full_scale is None or not levels.full_scale <= top:
         raise ValueError("it does not say its clip level, or a full scale that no image has")
     black_exposure = attributes.get("black_exposure")
     if black_exposure is not None and type(black_exposure) not in (int, float):
         raise ValueError("the exposure of its black frame is no number")
     black = _array(place, BLACK, frames.shape, "uf")
     return Decoder(
-        told.clip,
-        told.full_scale,
-        0.0 if told.black_level is None else told.black_level,
+        levels.clip,
+        levels.full_scale,
+        0.0 if levels.black_level is None else levels.black_level,
         _response(place, attributes),
-        told.exposure,
+        levels.exposure,
         None if black is None else black.ravel(),
         black_exposure,
         attributes.get("clip_assumed") is True,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ from lightmatrix.camera.response import Response
 from lightmatrix.camera.samples import Samples
 from lightmatrix.capture.checks import check_depth
 from lightmatrix.capture.decoding import make_decoder
+from lightmatrix.capture.settings import ReadSettings
 from lightmatrix.errors import InputError
 from lightmatrix.files.stack import ImageStack
 
@@ -17,28 +19,10 @@ from lightmatrix.files.stack import ImageStack
 _DARK = 0.02
 
 
-def read_white_frame(
-    path: str | Path,
-    *,
-    black: str | Path | float | None = None,
-    black_level: float | None = None,
-    clip: float | None = None,
-    response: str | None = None,
-) -> Samples:
+def read_white_frame(path: str | Path, settings: ReadSettings) -> Samples:
     """One photograph as samples in units of the clip level, at exposure 1.
 
-    Parameters
-    ----------
-    path : str or Path
-        The image.
-    black : str, Path or float, optional
-        Photograph under a black pattern at the same exposure; or a number, as `black_level`.
-    black_level : float, optional
-        Raw level without any light; None means 0.
-    clip : float, optional
-        Raw level at which the camera clips; None means the end of the range.
-    response : str, optional
-        See `Response.parse`; None means linear.
+    The response is linear where none is stated.
 
     Returns
     -------
@@ -58,14 +42,7 @@ def read_white_frame(
             f"{file}: {problem}", hint="give a photograph of a white pattern, a scene, or a T.npz"
         )
     stack = ImageStack.open([file])
-    decoder = make_decoder(
-        stack,
-        clip=clip,
-        response=Response() if response is None else Response.parse(response),
-        exposure=1.0,
-        black=black,
-        black_level=black_level,
-    )
+    decoder = make_decoder(stack, replace(settings, response=settings.response or Response()))
     check_depth(stack, decoder)
     decoded = decoder.decode(stack.read(0).reshape(-1, 1))
     keep = slice(None) if decoder.hot is None else ~decoder.hot

@@ -17,27 +17,9 @@ from lightmatrix.cli.options import (
     PASSES,
     Json,
     Overwrite,
-    ResponseCurve,
     size,
 )
-from lightmatrix.cli.source import (
-    Black,
-    BlackExposure,
-    BlackLevel,
-    ClipLevel,
-    Crop,
-    Exposure,
-    Folder,
-    FullScale,
-    Images,
-    Mask,
-    Mosaic,
-    Patterns,
-    Photographs,
-    ProjectorCurve,
-    White,
-    source,
-)
+from lightmatrix.cli.source import Source, with_source
 from lightmatrix.cli.terminal import progress, say, show_json, show_table, warn
 from lightmatrix.diagnosis.finding import refuse_disorder
 from lightmatrix.diagnosis.usable import refuse_unusable
@@ -63,26 +45,13 @@ FIDELITY_HELP = (
 )
 
 
+@with_source()
 def estimate(
-    capture: Folder = None,
-    photographs: Photographs = None,
     output: Annotated[
         Path, typer.Option("-o", "--output", help="The store to write, ending in .zarr.")
     ] = Path("scene.zarr"),
-    patterns: Patterns = None,
-    images: Images = None,
-    black: Black = None,
-    black_exposure: BlackExposure = None,
-    white: White = None,
-    mask: Mask = None,
-    black_level: BlackLevel = None,
-    clip: ClipLevel = None,
-    full_scale: FullScale = None,
-    response: ResponseCurve = None,
-    projector_response: ProjectorCurve = None,
-    exposure: Exposure = None,
-    crop: Crop = None,
-    mosaic: Mosaic = False,
+    *,
+    source: Source,
     solver: Annotated[SolverName, typer.Option(help=SOLVERS_HELP)] = "active-set",
     fidelity: Annotated[
         FidelityName | None,
@@ -183,24 +152,6 @@ def estimate(
     Give a capture folder; or patterns and images, each a folder or a stack. A run that was
     interrupted goes on where it stopped if given again.
     """
-    where = source(
-        capture,
-        photographs,
-        patterns,
-        images,
-        crop=crop,
-        black=black,
-        black_exposure=black_exposure,
-        white=white,
-        mask=mask,
-        black_level=black_level,
-        clip=clip,
-        full_scale=full_scale,
-        response=response,
-        projector_response=projector_response,
-        exposure=exposure,
-        mosaic=mosaic or None,
-    )
     started = time.perf_counter()
     estimator = lm.AutoEstimator(
         solver=solver,
@@ -220,7 +171,7 @@ def estimate(
         claim(output, STORE, overwrite=overwrite)
         if report is not None:
             claim(report, REPORT, overwrite=overwrite)
-    taken = _open(where)
+    taken = source.open()
     opened = taken.bin(projector=size(bin_projector), camera=size(bin_camera))
     needs = estimator.needs(opened)
     if dry_run:
@@ -242,7 +193,7 @@ def estimate(
     if report is not None:
         # Photographs are held out of a part of the camera, which this process does by itself.
         here = replace(estimator, workers=None, cluster=None)
-        told = _report(report, output, where, transport, opened, here, findings, overwrite)
+        told = _report(report, output, source, transport, opened, here, findings, overwrite)
     summary = transport.summary()
     if as_json:
         found = [finding.as_dict() for finding in findings]
@@ -304,7 +255,7 @@ def _findings(opened: Capture, taken: Capture, check: bool) -> list[Finding]:
 def _report(
     folder: Path,
     store: Path,
-    where: dict[str, Any],
+    source: Source,
     transport: LightTransport,
     capture: Capture,
     estimator: AutoEstimator,
@@ -317,7 +268,7 @@ def _report(
             folder,
             transport,
             capture,
-            truth=_truth(where.get("capture"), transport),
+            truth=_truth(source.folder, transport),
             estimator=estimator,
             title=store.name,
             findings=findings,
@@ -326,20 +277,14 @@ def _report(
         )
 
 
-def _truth(source: Path | None, transport: LightTransport) -> LightTransport | None:
+def _truth(folder: Path | None, transport: LightTransport) -> LightTransport | None:
     """What was photographed, if it is known and was not binned since."""
-    file = None if source is None else source / "truth.npz"
+    file = None if folder is None else folder / "truth.npz"
     if file is None or not file.is_file():
         return None
     known = lm.truth(str(file)).transport().cut_alike(transport)
     shapes = (known.camera_shape, known.projector_shape)
     return known if shapes == (transport.camera_shape, transport.projector_shape) else None
-
-
-def _open(where: dict[str, Any]) -> Capture:
-    if "capture" in where:
-        return lm.Capture.open(where["capture"], crop=where.get("crop"))
-    return lm.Capture.from_folders(**where)
 
 
 def _regularization(text: str) -> str | float:

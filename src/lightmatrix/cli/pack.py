@@ -9,47 +9,19 @@ import typer
 
 import lightmatrix as lm
 from lightmatrix.cli.claims import claim
-from lightmatrix.cli.options import Json, Overwrite, ResponseCurve
-from lightmatrix.cli.source import (
-    Black,
-    BlackExposure,
-    BlackLevel,
-    ClipLevel,
-    Exposure,
-    Folder,
-    FullScale,
-    Images,
-    Mask,
-    Mosaic,
-    Patterns,
-    Photographs,
-    ProjectorCurve,
-    White,
-    source,
-)
+from lightmatrix.cli.options import Json, Overwrite
+from lightmatrix.cli.source import Source, with_source
 from lightmatrix.cli.terminal import progress, say, show_json
 from lightmatrix.outputs.kinds import PACKED_CAPTURE
 
 
+@with_source(crop=False)
 def pack(
-    capture: Folder = None,
-    photographs: Photographs = None,
     output: Annotated[
         Path, typer.Option("-o", "--output", help="Packed capture to write, ending in .zarr.")
     ] = Path("capture.zarr"),
-    patterns: Patterns = None,
-    images: Images = None,
-    black: Black = None,
-    black_exposure: BlackExposure = None,
-    white: White = None,
-    mask: Mask = None,
-    black_level: BlackLevel = None,
-    clip: ClipLevel = None,
-    full_scale: FullScale = None,
-    response: ResponseCurve = None,
-    projector_response: ProjectorCurve = None,
-    exposure: Exposure = None,
-    mosaic: Mosaic = False,
+    *,
+    source: Source,
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
@@ -59,25 +31,9 @@ def pack(
     packed capture takes the folder's place everywhere, and is read as far as asked: a tile of
     camera pixels without the rest of the frames.
     """
-    where = source(
-        capture,
-        photographs,
-        patterns,
-        images,
-        black=black,
-        black_exposure=black_exposure,
-        white=white,
-        mask=mask,
-        black_level=black_level,
-        clip=clip,
-        full_scale=full_scale,
-        response=response,
-        projector_response=projector_response,
-        exposure=exposure,
-        mosaic=mosaic or None,
-    )
     claim(output, PACKED_CAPTURE, overwrite=overwrite)
-    opened = where["capture"] if "capture" in where else lm.Capture.from_folders(**where)
+    # Of a folder, `pack` takes truth.npz along too.
+    opened = source.open() if source.folder is None else source.folder
     with progress("packing", "frames") as step:
         lm.pack(opened, output, overwrite=overwrite, progress=step)
     size = sum(file.stat().st_size for file in output.rglob("*") if file.is_file())

@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
+import functools
+import inspect
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+import lightmatrix as lm
+from lightmatrix.cli.options import ResponseCurve
 from lightmatrix.errors import InputError
 from lightmatrix.files.reading import read_text
+
+if TYPE_CHECKING:
+    from lightmatrix import Capture, Finding, ReadSettings
 
 _EACH = "one number, numbers a,b,c or a text file of one for each frame"
 
@@ -103,39 +111,107 @@ Mosaic = Annotated[
 ]
 
 
-def source(
-    capture: Path | None,
-    photographs: Path | None,
-    patterns: Path | None,
-    images: Path | None,
-    *,
-    crop: str | None = None,
-    **options: object,
-) -> dict[str, Any]:
-    """What a function of the door is told of where a capture comes from.
+@dataclass(frozen=True)
+class Source:
+    """Where a capture comes from: a capture folder, or patterns and photographs with settings."""
 
-    Parameters
-    ----------
-    capture, photographs : Path, optional
-        The first and the second place that were given without an option.
-    patterns, images : Path, optional
-        As given.
-    crop : str, optional
-        A rectangle of the photographs, wherever they come from.
-    options : optional
-        The others, by their names in Python; None where nothing was said.
+    folder: Path | None
+    patterns: Path | None
+    images: Path | None
+    settings: ReadSettings | None
+    crop: tuple[tuple[int, int], tuple[int, int]] | None
 
-    Returns
-    -------
-    dict
-        Either ``capture``, or ``patterns``, ``images`` and what else was said; and ``crop``.
+    def open(self) -> Capture:
+        """The capture, not binned."""
+        if self.folder is not None:
+            return lm.Capture.open(self.folder, crop=self.crop)
+        assert self.patterns is not None
+        assert self.images is not None
+        return lm.Capture.from_folders(self.patterns, self.images, self.settings, crop=self.crop)
+
+    def check(self) -> list[Finding]:
+        """What is wrong with the capture, which may be one that cannot be opened."""
+        return lm.check(
+            self.folder,
+            patterns=self.patterns,
+            images=self.images,
+            settings=self.settings,
+            crop=self.crop,
+        )
+
+
+def with_source(*, crop: bool = True) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Give a command the options of a capture in place of its parameter `source`.
+
+    `crop` says whether --crop is among them.
+    """
+
+    def decorate(command: Callable[..., None]) -> Callable[..., None]:
+        options = dict(inspect.signature(read_source, eval_str=True).parameters)
+        if not crop:
+            del options["crop"]
+        parameters: list[inspect.Parameter] = []
+        for name, own in inspect.signature(command, eval_str=True).parameters.items():
+            parameters.extend(options.values() if name == "source" else [own])
+
+        @functools.wraps(command)
+        def run(**values: Any) -> None:
+            source = read_source(**{name: values.pop(name) for name in options})
+            command(source=source, **values)
+
+        # Typer reads the options of a command from its signature.
+        del run.__wrapped__
+        keyword = inspect.Parameter.KEYWORD_ONLY
+        run.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
+            [parameter.replace(kind=keyword) for parameter in parameters]
+        )
+        run.__annotations__ = {each.name: each.annotation for each in parameters}
+        return run
+
+    return decorate
+
+
+def read_source(
+    capture: Folder = None,
+    photographs: Photographs = None,
+    patterns: Patterns = None,
+    images: Images = None,
+    black: Black = None,
+    black_exposure: BlackExposure = None,
+    white: White = None,
+    mask: Mask = None,
+    black_level: BlackLevel = None,
+    clip: ClipLevel = None,
+    full_scale: FullScale = None,
+    response: ResponseCurve = None,
+    projector_response: ProjectorCurve = None,
+    exposure: Exposure = None,
+    crop: Crop = None,
+    mosaic: Mosaic = False,
+) -> Source:
+    """The source that the options of a command describe.
 
     Raises
     ------
     InputError
-        Unless there is a capture folder alone, or patterns and images.
+        Unless there is a capture folder alone, or patterns and images; and on options that cannot
+        be read.
     """
-    cut = {} if crop is None else {"crop": rectangle(crop)}
+    stated = {
+        "black": black,
+        "black_exposure": black_exposure,
+        "white": white,
+        "mask": mask,
+        "black_level": black_level,
+        "clip": clip,
+        "full_scale": full_scale,
+        "response": response,
+        "projector_response": projector_response,
+        "exposure": exposure,
+        "mosaic": mosaic or None,
+    }
+    stated = {name: value for name, value in stated.items() if value is not None}
+    region = None if crop is None else rectangle(crop)
     if photographs is not None:
         if patterns is not None or images is not None:
             raise InputError(
@@ -143,18 +219,16 @@ def source(
                 hint="give patterns and images once",
             )
         capture, patterns, images = None, capture, photographs
-    said = {name: value for name, value in options.items() if value is not None}
     if capture is not None:
-        plain = {"patterns": patterns, "images": images, **said}
-        given = [
-            f"--{name.replace('_', '-')}" for name, value in plain.items() if value is not None
-        ]
-        if given:
+        folders = {"patterns": patterns, "images": images}
+        besides = [name for name, value in folders.items() if value is not None] + list(stated)
+        if besides:
+            options = ", ".join(map(_option, besides))
             raise InputError(
-                f"a capture folder and {', '.join(given)} were given",
+                f"a capture folder and {options} were given",
                 hint="a capture folder says all that in capture.json; give one or the other",
             )
-        return {"capture": capture, **cut}
+        return Source(capture, None, None, None, region)
     if patterns is None and images is None:
         raise InputError(
             "there is nothing to look at or to estimate from",
@@ -163,18 +237,22 @@ def source(
     if patterns is None or images is None:
         missing = "--patterns" if patterns is None else "--images"
         raise InputError(f"{missing} is missing", hint="give both, or a capture folder")
-    return {"patterns": patterns, "images": images, **cut, **_read(said)}
+    return Source(None, patterns, images, _read_settings(stated), region)
 
 
-def _read(said: Mapping[str, Any]) -> dict[str, Any]:
-    """The options with numbers in place of text."""
-    read = dict(said)
+def _read_settings(stated: Mapping[str, Any]) -> ReadSettings:
+    """The settings, with numbers in place of text."""
+    values = dict(stated)
     for name in ("exposure", "clip", "black_level"):
-        if name in read:
-            read[name] = numbers(read[name], f"--{name.replace('_', '-')}")
-    if "black" in read:
-        read["black"] = level_or_file(read["black"])
-    return read
+        if name in values:
+            values[name] = numbers(values[name], _option(name))
+    if "black" in values:
+        values["black"] = level_or_file(values["black"])
+    return lm.ReadSettings(**values)
+
+
+def _option(name: str) -> str:
+    return f"--{name.replace('_', '-')}"
 
 
 def rectangle(text: str) -> tuple[tuple[int, int], tuple[int, int]]:

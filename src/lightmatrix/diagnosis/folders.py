@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lightmatrix.camera.response import Response
 from lightmatrix.capture.capture import Capture, Crop
 from lightmatrix.capture.checks import check_per_frame
 from lightmatrix.capture.folder import read_capture, read_folders
 from lightmatrix.capture.parts import CaptureParts
+from lightmatrix.capture.settings import ReadSettings
 from lightmatrix.diagnosis.check import check_survey
 from lightmatrix.diagnosis.finding import Finding
 from lightmatrix.diagnosis.identity import check_patterns
@@ -22,7 +20,6 @@ from lightmatrix.errors import InputError
 from lightmatrix.files.pages import Page
 from lightmatrix.files.stack import ImageStack
 from lightmatrix.patterns.pattern_set import PatternSet
-from lightmatrix.patterns.response import ProjectorResponse
 
 
 def check(
@@ -30,18 +27,8 @@ def check(
     *,
     patterns: str | Path | PatternSet | None = None,
     images: str | Path | None = None,
-    black: str | Path | float | None = None,
-    white: str | Path | None = None,
-    clip: float | NDArray[Any] | None = None,
-    response: Response | str | None = None,
-    black_level: float | NDArray[Any] | None = None,
-    exposure: float | NDArray[Any] = 1.0,
-    mask: str | Path | None = None,
-    full_scale: float | None = None,
-    black_exposure: float | None = None,
+    settings: ReadSettings | None = None,
     crop: Crop | None = None,
-    projector_response: str | Path | ProjectorResponse | None = None,
-    mosaic: bool = False,
 ) -> list[Finding]:
     """What is wrong with a capture, as `lightmatrix check` says it.
 
@@ -53,14 +40,13 @@ def check(
     capture : Capture, str or Path, optional
         A capture, looked at as it was taken whatever is binned; or a capture folder, packed or
         not. None: two plain folders.
-    patterns, images : str or Path, optional
-        The two folders; of what follows see `Capture.from_folders`.
-    black, white, clip, response, black_level, exposure, mask, full_scale, black_exposure : optional
-        See `Capture.from_folders`.
+    patterns : str, Path or PatternSet, optional
+    images : str or Path, optional
+        The two folders, or stacks; see `Capture.from_folders`.
+    settings : ReadSettings, optional
+        How the images of the two folders are read. None: as those of a linear camera.
     crop : ((int, int), (int, int)), optional
         Corner and shape of the rectangle of the photographs that is looked at. None: all of them.
-    projector_response, mosaic : optional
-        See `Capture.from_folders`.
 
     Returns
     -------
@@ -92,25 +78,8 @@ def check(
         raise InputError(
             "there is nothing to check", hint="give a capture folder, or patterns and images"
         )
-    return _check_parts(
-        read_folders(
-            patterns,
-            images,
-            black=black,
-            white=white,
-            clip=clip,
-            response=response,
-            black_level=black_level,
-            exposure=exposure,
-            mask=mask,
-            full_scale=full_scale,
-            black_exposure=black_exposure,
-            projector_response=projector_response,
-            mosaic=mosaic,
-            counted=False,
-        ),
-        crop,
-    )
+    parts = read_folders(patterns, images, settings or ReadSettings(), counted=False)
+    return _check_parts(parts, crop)
 
 
 def _check_parts(parts: CaptureParts, crop: Crop | None) -> list[Finding]:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from lightmatrix.camera.exposures import of_frames
 from lightmatrix.camera.noise import USUAL_NOISE
+from lightmatrix.capture.settings import ReadSettings
 from lightmatrix.capture.white_frame import read_white_frame
 from lightmatrix.errors import InputError
 from lightmatrix.patterns.making import make_patterns
@@ -316,7 +317,7 @@ def _photograph(
     exposure: float,
 ) -> WhiteFrame:
     assert isinstance(source, str | Path)
-    frame = read_white_frame(source, black=black, clip=clip, response=response)
+    frame = read_white_frame(source, ReadSettings(black=black, clip=clip, response=response))
     values = frame.values[:, 0].astype(np.float64) / exposure
     return WhiteFrame(values, frame.clipped[:, 0])
 
