@@ -25,7 +25,7 @@ from lightmatrix.estimators.plain import PlainEstimator
 from lightmatrix.files.images import write_image
 from lightmatrix.patterns.folder import read_patterns, write_patterns
 from lightmatrix.solvers.active_set import ActiveSet
-from tests.capture.test_capture import COUNT, SETS, light, photographs, write_folders, write_plain
+from tests.helpers.captures import COUNT, SETS, light, photographs, write_folders, write_plain
 from tests.helpers.systems import PIPES
 
 DARK = np.full((5, 7), 20, np.uint8)

@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import builtins
-import os
-import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +15,6 @@ import lightmatrix as lm
 from lightmatrix import cli
 from lightmatrix.cli import main
 from lightmatrix.errors import InputError
-from lightmatrix.simulation.procedural_scene import ProceduralScene
 from lightmatrix.solvers import solve
 from tests.helpers.systems import SHELL, SIGNALS
 
@@ -44,26 +40,6 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-@pytest.fixture(scope="module")
-def inputs(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What every command needs, so that nothing but its numbers is wrong."""
-    folder = tmp_path_factory.mktemp("inputs")
-    known = ProceduralScene((6, 6), (64, 64)).truth()
-    patterns = lm.BernoulliPatterns((64, 64), 2)
-    lm.write_patterns(folder / "p", patterns)
-    lm.write_image(folder / "p.png", np.zeros((64, 64), np.uint8))
-    lm.simulate(known, patterns).save(folder / "capture")
-    lm.save(folder / "s.zarr", known.transport())
-    return folder
-
-
-def _shell(line: str, **settings: str) -> subprocess.CompletedProcess[bytes]:
-    line = line.replace("lightmatrix", COMMAND)
-    return subprocess.run(
-        ["bash", "-c", line], capture_output=True, env={**os.environ, **settings}, timeout=100
-    )
-
-
 def test_names_are_shown_as_they_are(store: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["info", str(store)]) == 0
     shown = capsys.readouterr().out
@@ -82,31 +58,6 @@ def test_a_name_cannot_move_the_cursor(capsys: pytest.CaptureFixture[str]) -> No
     assert "\x1b" not in capsys.readouterr().err
 
 
-@SHELL
-@pytest.mark.parametrize(
-    ("line", "code", "told"),
-    [
-        ("lightmatrix info $S >/dev/full", 2, b"standard output cannot be written"),
-        ("lightmatrix info $S --json >/dev/full", 2, b"standard output cannot be written"),
-        ("lightmatrix --help >/dev/full", 2, b"standard output cannot be written"),
-        ("lightmatrix info nothing 2>/dev/full", 2, b""),
-        ("lightmatrix info $S >&-", 0, b""),
-        ("lightmatrix info $S >&- 2>&-", 0, b""),
-        ("lightmatrix info $S <&-", 0, b""),
-        ("lightmatrix info $S --json | true; exit ${PIPESTATUS[0]}", 0, b""),
-        ("PYTHONIOENCODING=ascii lightmatrix info $S/Größe", 2, b"no such file"),
-        ("lightmatrix info $(printf 'a\\xffb')", 2, b"no such file"),
-    ],
-)
-def test_streams_that_fail(line: str, code: int, told: bytes, store: Path) -> None:
-    done = _shell(line, S=str(store))
-    assert done.returncode == code, done.stderr
-    assert told in done.stderr
-    assert bool(done.stderr) == bool(told), done.stderr
-    for word in (b"Traceback", b"Exception ignored", b"internal"):
-        assert word not in done.stderr
-
-
 @SIGNALS
 def test_ctrl_c_while_modules_are_loaded(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
@@ -121,19 +72,6 @@ def test_ctrl_c_while_modules_are_loaded(
     monkeypatch.setattr(builtins, "__import__", interrupted)
     assert main(["--help"]) == 130
     assert capsys.readouterr().err == "stopped\n"
-
-
-@SIGNALS
-def test_ctrl_c_within_the_first_moments(store: Path) -> None:
-    for delay in (0.4, 0.8, 1.2):
-        process = subprocess.Popen(
-            [COMMAND, "info", str(store)], stdout=subprocess.PIPE, stderr=subprocess.PIPE
-        )
-        time.sleep(delay)
-        process.send_signal(signal.SIGINT)
-        _, told = process.communicate(timeout=60)
-        # Before Python itself is up, the system ends it without a word.
-        assert (process.returncode, told) in ((130, b"stopped\n"), (0, b""), (-2, b""))
 
 
 def test_ctrl_c_that_a_library_took_for_its_own(
@@ -256,46 +194,6 @@ def test_every_end_has_one_message_and_a_code(
     monkeypatch.setenv("LIGHTMATRIX_DEBUG", "1")
     assert main(["info", "x.zarr"]) == code
     assert ("Traceback" in capsys.readouterr().err) == (code == 70)
-
-
-@pytest.mark.parametrize(
-    "line",
-    [
-        "estimate capture -o y.zarr --iterations 4294967296",
-        "estimate capture -o y.zarr --regularization 1e308",
-        "estimate capture -o y.zarr --regularization 0",
-        "simulate metal --patterns p -o c --blur inf",
-        "simulate metal --patterns p -o c --noise 1e308",
-        "simulate metal --patterns p -o c --exposure inf",
-        "simulate metal --patterns p -o c --seed 18446744073709551616",
-        "simulate metal --patterns p -o c --leak nan",
-        "simulate metal --patterns p -o c --leak -1",
-        "simulate metal --patterns p -o c --ambient inf",
-        "patterns bernoulli -k 99999999999 -o q",
-        "patterns bernoulli --size 999999x999999 -o q",
-        "patterns bernoulli --seed 18446744073709551616 -o q",
-        "patterns bernoulli --density nan -o q",
-        "relight s.zarr p.png -o b.tiff --gamma 2.2",
-        "relight s.zarr p.png -o b.png --gamma inf",
-        "relight s.zarr p.png -o b.png --exposure inf",
-        "evaluate s.zarr --truth metal --exposure inf",
-        "plan metal --frames 99999999999",
-        "plan metal --noise 1e308",
-    ],
-)
-def test_numbers_out_of_range_leave_nothing_behind(
-    line: str,
-    inputs: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    monkeypatch.chdir(inputs)
-    before = {path.name for path in Path().iterdir()}
-    assert main(line.split()) == 2
-    told = capsys.readouterr().err
-    assert told.startswith("error: ")
-    assert len(told.splitlines()) == 2
-    assert {path.name for path in Path().iterdir()} == before
 
 
 def test_help_tells_the_exit_codes_and_the_stages(capsys: pytest.CaptureFixture[str]) -> None:

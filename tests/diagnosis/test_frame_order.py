@@ -20,26 +20,7 @@ from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.blocks import one_pixel_patterns
 from lightmatrix.patterns.hadamard import HadamardPatterns
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
-
-SHAPE = (16, 20)
-CAMERA = (18, 22)
-
-
-def scene(seed: int = 0, diffuse: float = 0.3) -> NDArray[np.float64]:
-    """T of a textured surface: a few neighbouring projector pixels a row, and diffuse light."""
-    generator = np.random.default_rng(seed)
-    rows = np.add.outer(np.linspace(0, SHAPE[0] - 2, CAMERA[0]), np.zeros(CAMERA[1]))
-    cols = np.add.outer(np.zeros(CAMERA[0]), np.linspace(0, SHAPE[1] - 2, CAMERA[1]))
-    albedo = generator.uniform(0.2, 1, CAMERA)
-    matrix = np.zeros((*CAMERA, *SHAPE))
-    for r in range(CAMERA[0]):
-        for c in range(CAMERA[1]):
-            y, x = int(rows[r, c]), int(cols[r, c])
-            fy, fx = rows[r, c] - y, cols[r, c] - x
-            weights = np.outer([1 - fy, fy], [1 - fx, fx])
-            matrix[r, c, y : y + 2, x : x + 2] = albedo[r, c] * weights
-    matrix += diffuse * albedo[..., None, None] / np.prod(SHAPE)
-    return matrix.reshape(-1, int(np.prod(SHAPE)))
+from tests.helpers.surface import CAMERA, PROJECTOR, surface
 
 
 def capture(
@@ -51,7 +32,7 @@ def capture(
     seed: int = 0,
     diffuse: float = 0.3,
 ) -> Capture:
-    light = patterns.forward(scene(seed, diffuse))
+    light = patterns.forward(surface(seed, diffuse))
     sensor = Sensor(exposure, read_noise=noise)
     frames = sensor.expose(light, seed=seed).T.reshape(-1, *CAMERA)
     shown = np.arange(patterns.count) if order is None else np.asarray(order)
@@ -73,13 +54,13 @@ def swapped(count: int, a: int, b: int) -> NDArray[np.int64]:
 
 def gray_code() -> ImagePatterns:
     """Column and row stripes of all powers of two, each with its inverse, white and black."""
-    rows, cols = np.indices(SHAPE)
+    rows, cols = np.indices(PROJECTOR)
     images: list[NDArray[np.float64]] = []
-    for place, size in ((cols, SHAPE[1]), (rows, SHAPE[0])):
+    for place, size in ((cols, PROJECTOR[1]), (rows, PROJECTOR[0])):
         for bit in reversed(range((size - 1).bit_length())):
             stripe = ((place ^ (place >> 1)) >> bit & 1).astype(float)
             images += [stripe, 1 - stripe]
-    return ImagePatterns(np.array([*images, np.ones(SHAPE), np.zeros(SHAPE)], np.float32))
+    return ImagePatterns(np.array([*images, np.ones(PROJECTOR), np.zeros(PROJECTOR)], np.float32))
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -87,18 +68,18 @@ def gray_code() -> ImagePatterns:
 @pytest.mark.parametrize("count", [8, 16, 32, 64, 200])
 def test_good_captures_pass(count: int, exposure: float, seed: int) -> None:
     for density in (0.5, 0.1):
-        patterns = BernoulliPatterns(SHAPE, count, density, seed)
+        patterns = BernoulliPatterns(PROJECTOR, count, density, seed)
         follow(capture(patterns, exposure=exposure, seed=seed, noise=0.02))
 
 
 @pytest.mark.parametrize(
     "patterns",
     [
-        HadamardPatterns(SHAPE, 48, "random", True),
-        HadamardPatterns(SHAPE, 64, "sequency"),
-        HadamardPatterns(SHAPE, 64, "natural"),
+        HadamardPatterns(PROJECTOR, 48, "random", True),
+        HadamardPatterns(PROJECTOR, 64, "sequency"),
+        HadamardPatterns(PROJECTOR, 64, "natural"),
         gray_code(),
-        one_pixel_patterns(SHAPE),
+        one_pixel_patterns(PROJECTOR),
         ImagePatterns(np.repeat(gray_code().stack, 2, axis=0)),
     ],
     ids=["hadamard", "sequency", "natural", "gray code", "one-pixel", "each pattern twice"],
@@ -110,7 +91,7 @@ def test_good_captures_of_other_patterns_pass(patterns: PatternSet) -> None:
 
 def test_a_diffuse_scene_is_left_alone() -> None:
     generator = np.random.default_rng(0)
-    patterns = BernoulliPatterns(SHAPE, 64)
+    patterns = BernoulliPatterns(PROJECTOR, 64)
     light = patterns.forward(generator.uniform(0, 2 / 320, (400, 320)))
     sensor = Sensor(read_noise=0.01)
     frames = sensor.expose(light).T.reshape(64, 20, 20)
@@ -123,7 +104,7 @@ def test_a_diffuse_scene_is_left_alone() -> None:
 def test_two_swapped_frames_are_named(count: int, exposure: float) -> None:
     for seed in range(4):
         a, b = np.sort(np.random.default_rng(seed).permutation(count)[:2])
-        patterns = BernoulliPatterns(SHAPE, count, seed=seed)
+        patterns = BernoulliPatterns(PROJECTOR, count, seed=seed)
         mixed = capture(patterns, swapped(count, a, b), exposure=exposure, seed=seed)
         with pytest.raises(InputError, match=f"frame {a} and frame {b} look swapped"):
             follow(mixed)
@@ -140,7 +121,7 @@ def test_swapped_stripes_of_different_width_are_noticed() -> None:
 
 @pytest.mark.parametrize("first", [5, 20, 40, 55])
 def test_a_missing_frame_shifts_those_after_it(first: int) -> None:
-    patterns = BernoulliPatterns(SHAPE, 64)
+    patterns = BernoulliPatterns(PROJECTOR, 64)
     order = np.append(np.delete(np.arange(64), first), 63)
     with pytest.raises(InputError, match="after its own") as caught:
         follow(capture(patterns, order))
@@ -149,7 +130,7 @@ def test_a_missing_frame_shifts_those_after_it(first: int) -> None:
 
 
 def test_frames_displaced_alike() -> None:
-    patterns = BernoulliPatterns(SHAPE, 48)
+    patterns = BernoulliPatterns(PROJECTOR, 48)
     frames = np.arange(48)
     for order, words in (
         (np.append(frames[1:], 0), "each image shows the pattern after its own"),
@@ -161,7 +142,7 @@ def test_frames_displaced_alike() -> None:
 
 
 def test_a_repeated_frame_is_named() -> None:
-    patterns = BernoulliPatterns(SHAPE, 64)
+    patterns = BernoulliPatterns(PROJECTOR, 64)
     order = np.arange(64)
     order[30] = 29
     with pytest.raises(InputError, match="frame 30 shows the pattern of frame 29"):
@@ -178,7 +159,7 @@ def test_a_frame_missing_in_the_middle_of_few_is_noticed(count: int) -> None:
     """Neither half of the frames is enough by itself."""
     for seed in range(3):
         place = count // 2 + seed - 1
-        patterns = BernoulliPatterns(SHAPE, count, seed=seed)
+        patterns = BernoulliPatterns(PROJECTOR, count, seed=seed)
         with pytest.raises(InputError, match=r"from frame \d+ to .* after its own") as caught:
             follow(capture(patterns, lost(count, place), seed=seed))
         first = int(caught.value.message.split()[2])
@@ -191,8 +172,8 @@ def test_displaced_frames_of_several_exposures_are_noticed(renamed: bool) -> Non
     count = 48
     exposure = np.tile([2.0, 0.5, 2.0, 0.125], count // 4)
     frames = np.arange(count)
-    patterns = BernoulliPatterns(SHAPE, count)
-    light = patterns.forward(scene())
+    patterns = BernoulliPatterns(PROJECTOR, count)
+    light = patterns.forward(surface())
     for order, words in (
         (frames, None),
         (swapped(count, 4, 15), "frame 4 and frame 15 look swapped"),
@@ -212,8 +193,8 @@ def test_displaced_frames_of_several_exposures_are_noticed(renamed: bool) -> Non
 
 
 def test_predictions_never_use_the_frame_they_predict() -> None:
-    patterns = BernoulliPatterns(SHAPE, 32)
-    values = np.asarray(patterns.forward(scene())[::5] / 10, np.float32)
+    patterns = BernoulliPatterns(PROJECTOR, 32)
+    values = np.asarray(patterns.forward(surface())[::5] / 10, np.float32)
     frames = np.arange(32)
     as_named, scale = Assumption(frames, frames), column_scale(patterns)
     levels = np.full(values.shape, 10, np.float32)
@@ -227,7 +208,7 @@ def test_predictions_never_use_the_frame_they_predict() -> None:
 
 
 def test_a_capture_is_judged_as_check_does(monkeypatch: pytest.MonkeyPatch) -> None:
-    patterns = BernoulliPatterns(SHAPE, 64)
+    patterns = BernoulliPatterns(PROJECTOR, 64)
     mixed = capture(patterns, swapped(64, 4, 9))
     told = [finding for finding in lm.check(mixed) if finding.kind == "order"]
     with pytest.raises(InputError) as refused:

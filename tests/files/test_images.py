@@ -20,10 +20,11 @@ from lightmatrix.errors import InputError, OutputError
 from lightmatrix.files import png, png16
 from lightmatrix.files.images import read_grey, read_image, write_image
 from lightmatrix.files.stack import ImageStack, list_images, nonlinear_tag
+from tests.helpers.limits import largest_file
 from tests.helpers.systems import LIMITS
 
 if sys.platform != "win32":
-    import resource
+    pass
 
 
 def noise(shape: tuple[int, ...], dtype: Any, seed: int = 0) -> NDArray[Any]:
@@ -313,13 +314,7 @@ def test_a_failing_write_leaves_nothing_and_spares_the_old_file(tmp_path: Path) 
     file = tmp_path / "a.npy"
     write_image(file, np.zeros((2, 2)))
     before = file.read_bytes()
-    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
-    # The system refuses to let any file grow beyond 4 kB, as a full disk would.
-    resource.setrlimit(resource.RLIMIT_FSIZE, (4096, limits[1]))
-    try:
-        with pytest.raises(OutputError, match="cannot be written"):
-            write_image(file, noise((100, 100), np.float32), overwrite=True)
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    with largest_file(4096), pytest.raises(OutputError, match="cannot be written"):
+        write_image(file, noise((100, 100), np.float32), overwrite=True)
     assert [entry.name for entry in tmp_path.iterdir()] == ["a.npy"]
     assert file.read_bytes() == before

@@ -35,11 +35,11 @@ from lightmatrix.outputs.markers import FileKind, FolderKind, OutputKind
 from lightmatrix.outputs.running import RunningFolder
 from lightmatrix.outputs.writing import atomic_file, atomic_folder, check_output, claimed
 from lightmatrix.resources import scratch
+from tests.helpers.limits import largest_file
 from tests.helpers.systems import FLOCKS, FORKS, LIMITS, PIPES, SIGNALS
 
 if sys.platform != "win32":
     import fcntl
-    import resource
 
 CAPTURE = FolderKind("capture")
 TEXT = FileKind("text", (), lambda file: file.read_text().startswith("ours"))
@@ -406,13 +406,8 @@ def test_clean_up_is_claimed_only_when_it_was_done(
 def test_a_full_disk_spares_the_old_folder(tmp_path: Path, size: int) -> None:
     write(tmp_path / "out")
     before = snapshot(tmp_path)
-    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size, limits[1]))
-    try:
-        with pytest.raises(OutputError, match="cannot be written"):
-            write(tmp_path / "out", "new" * 1000, overwrite=True)
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    with largest_file(size), pytest.raises(OutputError, match="cannot be written"):
+        write(tmp_path / "out", "new" * 1000, overwrite=True)
     assert snapshot(tmp_path) == before
 
 
@@ -671,13 +666,8 @@ def test_large_arrays_ask_for_their_space_first(
     with pytest.raises(OutputError, match=r"no space for .* GiB"):
         scratch.scratch_array((1 << 30, 1 << 30), kind)
     monkeypatch.setattr(shutil, "disk_usage", lambda _: shutil._ntuple_diskusage(1, 1, 1 << 62))
-    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (4096, limits[1]))
-    try:
-        with pytest.raises(LightMatrixError, match="no space for") as error:
-            scratch.scratch_array((100, 100), kind)
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    with largest_file(4096), pytest.raises(LightMatrixError, match="no space for") as error:
+        scratch.scratch_array((100, 100), kind)
     assert "TMPDIR" in str(error.value)
 
 

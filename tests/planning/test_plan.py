@@ -29,7 +29,7 @@ from lightmatrix.planning.table import counts, expectations, frames_for, table
 from lightmatrix.simulation.irradiance import irradiance
 from lightmatrix.simulation.library import truth
 from lightmatrix.simulation.renderer import render
-from tests.simulation.test_render import needs_llvm
+from tests.helpers.renderer import needs_llvm
 
 
 def _white(levels: object, clipped: object = False) -> WhiteFrame:

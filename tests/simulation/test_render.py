@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import re
-import warnings
 from pathlib import Path
 
 import numpy as np
@@ -14,28 +12,12 @@ import pytest
 from lightmatrix.errors import InputError, LightMatrixWarning, MissingExtraError
 from lightmatrix.files.images import read_image
 from lightmatrix.simulation import library, render_memory, renderer, thumbnails
-from lightmatrix.simulation.llvm import load_mitsuba
 from lightmatrix.simulation.render_memory import foreseen_bytes
 from lightmatrix.simulation.renderer import render
 from lightmatrix.simulation.scenes import names
 from lightmatrix.simulation.thumbnails import photograph, write_thumbnails
 from lightmatrix.simulation.truth import Truth
-
-needs_renderer = pytest.mark.skipif(
-    importlib.util.find_spec("mitsuba") is None, reason="needs the extra `render`"
-)
-
-
-def fast_renderer() -> bool:
-    """Whether there is an LLVM to render with; larger tests need it."""
-    if importlib.util.find_spec("mitsuba") is None:
-        return False
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", LightMatrixWarning)
-        return load_mitsuba()[1]
-
-
-needs_llvm = pytest.mark.skipif(not fast_renderer(), reason="needs LLVM (make system-deps)")
+from tests.helpers.renderer import needs_llvm, needs_renderer
 
 
 @needs_llvm

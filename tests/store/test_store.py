@@ -6,8 +6,7 @@ import json
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -18,57 +17,23 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.io import loadmat
-from scipy.sparse import csr_array
 
 from lightmatrix import store
 from lightmatrix.errors import InputError, OutputError
 from lightmatrix.store.tiles import gaps
-from lightmatrix.transport.matrix import LightTransport
-from lightmatrix.transport.sparse_rows import SparseRows
+from tests.helpers.limits import largest_file
+from tests.helpers.stores import (
+    FINGERPRINT,
+    assert_same,
+    finish,
+    run,
+    transport,
+    write_tile,
+)
 from tests.helpers.systems import LIMITS, SIGNALS
 
 if sys.platform != "win32":
-    import resource
-
-
-def transport(
-    camera: tuple[int, ...] = (5, 4), seed: int = 0, density: float = 0.2
-) -> LightTransport:
-    generator = np.random.default_rng(seed)
-    rows = int(np.prod(camera))
-    sparse = scipy.sparse.random_array((rows, 42), density=density, rng=generator)
-    background = generator.random((rows, 6)).astype(np.float32)
-    background[::3] = 0
-    return LightTransport(
-        csr_array(sparse, dtype=np.float32),
-        background,
-        camera,
-        (6, 7),
-        (2, 3),
-        {"gap": generator.random(rows), "converged": generator.random(rows) < 0.5},
-        {"solver": "none", "seed": seed, "nested": {"list": [1, 2.5, None]}},
-    )
-
-
-def assert_same(found: LightTransport, expected: LightTransport) -> None:
-    assert (found.sparse != expected.sparse).nnz == 0
-    assert found.sparse.dtype == np.float32
-    np.testing.assert_array_equal(found.background, expected.background)
-    assert found.camera_shape == expected.camera_shape
-    assert found.projector_shape == expected.projector_shape
-    assert found.background_grid == expected.background_grid
-    assert dict(found.provenance) == dict(expected.provenance)
-
-
-@contextmanager
-def small_disk(size: int) -> Iterator[None]:
-    """The system refuses to let any file grow beyond `size`, as a full disk would."""
-    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size, limits[1]))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    pass
 
 
 @pytest.mark.parametrize("camera", [(5, 4), (3, 2, 3), (1, 1)])
@@ -117,11 +82,11 @@ def test_outputs_of_the_wrong_name(tmp_path: Path) -> None:
 def test_a_full_disk_leaves_the_old_output_and_nothing_else(tmp_path: Path, name: str) -> None:
     write = store.save if name.endswith("zarr") else store.export
     big = transport((400, 30), density=0.5)
-    with small_disk(20_000), pytest.raises(OutputError, match="cannot be written"):
+    with largest_file(20_000), pytest.raises(OutputError, match="cannot be written"):
         write(tmp_path / name, big)
     assert not list(tmp_path.iterdir())
     write(tmp_path / name, transport())
-    with small_disk(20_000), pytest.raises(OutputError, match="cannot be written"):
+    with largest_file(20_000), pytest.raises(OutputError, match="cannot be written"):
         write(tmp_path / name, big, overwrite=True)
     assert [entry.name for entry in tmp_path.iterdir()] == [name]
     if name == "scene.zarr":
@@ -227,38 +192,6 @@ def test_npz_of_others(tmp_path: Path) -> None:
 
 # ---- running results
 
-TILES = ((0, 8), (8, 16), (16, 20))
-FINGERPRINT = {"capture": "0123", "regularization": 0.3}
-
-
-def write_tile(running: store.Checkpoint, start: int, stop: int) -> None:
-    whole = transport()
-    rows = SparseRows(whole.sparse, whole.background, whole.diagnostics)
-    running.write(start, stop, rows.rows(slice(start, stop)))
-
-
-def finish(running: store.Checkpoint) -> LightTransport:
-    whole = transport()
-    return running.finish(
-        camera_shape=whole.camera_shape,
-        projector_shape=whole.projector_shape,
-        background_grid=whole.background_grid,
-        provenance=whole.provenance,
-    )
-
-
-def run(path: Path, fail_at: int | None = None, overwrite: bool = False) -> int:
-    """Compute all tiles; returns how many rows an earlier run had finished."""
-    with store.Checkpoint.open(path, FINGERPRINT, overwrite=overwrite) as running:
-        resumed = running.resumed_rows
-        for start, stop in TILES:
-            if start == fail_at:
-                raise KeyboardInterrupt
-            if (start, stop) not in running.spans():
-                write_tile(running, start, stop)
-        finish(running)
-    return resumed
-
 
 def test_an_interrupted_estimate_goes_on_where_it_stopped(tmp_path: Path) -> None:
     path = tmp_path / "scene.zarr"
@@ -284,7 +217,7 @@ KILLED = """
 import os, signal, sys
 import numpy as np
 sys.path.insert(0, {tests!r})
-from tests.store import test_store
+from tests.helpers import stores
 save = np.savez
 def half(path, **arrays):
     if "rows-16-20" in str(path):
@@ -293,7 +226,7 @@ def half(path, **arrays):
         os.kill(os.getpid(), signal.SIGKILL)
     save(path, **arrays)
 np.savez = half
-test_store.run(test_store.Path({path!r}))
+stores.run(stores.Path({path!r}))
 """
 
 
@@ -400,7 +333,7 @@ def test_a_full_disk_keeps_the_finished_tiles(tmp_path: Path) -> None:
     path = tmp_path / "scene.zarr"
     with pytest.raises(KeyboardInterrupt):
         run(path, fail_at=16)
-    with small_disk(500), pytest.raises(OutputError, match="cannot be written"):
+    with largest_file(500), pytest.raises(OutputError, match="cannot be written"):
         run(path)
     assert not path.exists()
     assert run(path) == 16

@@ -27,8 +27,8 @@ from lightmatrix.resources import memory
 from lightmatrix.simulation.truth import Truth
 from lightmatrix.store.checked import checked_matrix
 from lightmatrix.transport.sparse_rows import SparseRows
+from tests.helpers.stores import FINGERPRINT, TILES, assert_same, run, transport
 from tests.helpers.systems import PIPES
-from tests.store.test_store import FINGERPRINT, TILES, assert_same, run, transport
 
 
 def rewrite(place: Path, name: str, change: Callable[[NDArray[Any]], NDArray[Any]]) -> None:

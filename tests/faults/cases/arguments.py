@@ -138,6 +138,11 @@ def _first_wrong_then_right() -> list[Case]:
             "regularization",
             f"{PLAIN} -o deep/er/new.zarr",
         ),
+        "a gamma for linear light": (
+            "relight scene.zarr shown.png -o new.tiff --gamma 2.2",
+            "gamma",
+            RELIGHT,
+        ),
         "an export to T.NPZ": (
             "export scene.zarr new/T.NPZ --exposure",
             "such option",

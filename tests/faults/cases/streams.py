@@ -127,6 +127,13 @@ def _streams() -> list[Case]:
             code=1,
             scenario=by_shell("lm info gone.zarr 2>/dev/full; test $? = 2 && exit 1"),
         ),
+        Case("info with standard input closed", INFO, code=0, scenario=by_shell(f"lm {INFO} <&-")),
+        Case(
+            "info of a name that is no text",
+            "info",
+            "no such file",
+            scenario=by_shell("lm info $(printf 'a\\xffb')"),
+        ),
         Case(
             "info with all streams closed",
             INFO,
