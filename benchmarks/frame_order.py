@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.camera.exposures import of_frames, parse_exposures
+from lightmatrix.camera.exposure_sequence import exposure_sequence, parse_exposures
 from lightmatrix.camera.sensor import Sensor
 from lightmatrix.capture.capture import Capture
 from lightmatrix.diagnosis.usable import refuse_unordered
@@ -63,7 +63,7 @@ def cameras(truth: Truth) -> dict[str, float]:
 
 
 def exposure_list(name: str, unit: float, patterns: PatternSet) -> NDArray[np.float64]:
-    relative = of_frames(parse_exposures(EXPOSURES[name]), patterns)
+    relative = exposure_sequence(parse_exposures(EXPOSURES[name]), patterns)
     return np.asarray(unit * np.broadcast_to(relative, (patterns.count,)))
 
 

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from scipy.sparse import csr_array
 
-from lightmatrix.camera.exposures import of_frames
+from lightmatrix.camera.exposure_sequence import exposure_sequence
 from lightmatrix.camera.sensor import Sensor
 from lightmatrix.capture.capture import Capture
 from lightmatrix.estimators.coherent.estimator import CoherentEstimator
@@ -154,7 +154,7 @@ def photograph(
     noise: float = 0.003,
 ) -> tuple[Capture, float]:
     """A capture of 8 bits, and the share of its samples that clipped."""
-    sensor = Sensor(of_frames(exposures, patterns), read_noise=noise)
+    sensor = Sensor(exposure_sequence(exposures, patterns), read_noise=noise)
     frames = sensor.expose(irradiance(known.matrix, patterns))
     stack = np.ascontiguousarray(frames.T).reshape(patterns.count, *known.camera_shape)
     return Capture.from_arrays(patterns, stack, sensor), float((frames == 255).mean())

@@ -26,7 +26,7 @@ from .patterns.pattern_set import (
 
 # Captures, photographed and simulated.
 from .camera.decoder import Decoder as Decoder
-from .camera.response import Response as Response
+from .camera.camera_curve import Response as Response
 from .camera.samples import Samples as Samples
 from .camera.sensor import Sensor as Sensor
 from .capture.capture import Capture as Capture
@@ -75,7 +75,7 @@ from .diagnosis.finding import Finding as Finding
 from .diagnosis.folders import check as check
 
 # Responses, measured from photographs.
-from .patterns.response import ProjectorResponse as ProjectorResponse
+from .patterns.projector_curve import ProjectorResponse as ProjectorResponse
 from .calibration.responses.camera import (
     CameraResponse as CameraResponse,
     camera_response as camera_response,

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from lightmatrix.camera.camera_curve import Response
 from lightmatrix.camera.decoder import Decoder
-from lightmatrix.camera.response import Response
 from lightmatrix.camera.samples import Samples, bin_samples
 from lightmatrix.camera.sensor import Sensor
 from lightmatrix.errors import InputError

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lightmatrix.camera.exposures import of_frames, parse_exposures
+from lightmatrix.camera.exposure_sequence import exposure_sequence, parse_exposures
 from lightmatrix.camera.sensor import Sensor
 from lightmatrix.capture.capture import Capture
 from lightmatrix.cli import main
@@ -47,13 +47,15 @@ def test_every_exposure_sees_every_kind_of_pattern() -> None:
     patterns = MixedPatterns((64, 64), 128, default_mix((64, 64), 128))
     for text in ("1:0.75,0.25:0.25", "1:0.25,0.5:0.25,0.25:0.25,0.125:0.25", "2:0.5,1:0.5"):
         wanted = parse_exposures(text)
-        exposures = np.asarray(of_frames(wanted, patterns))
+        exposures = np.asarray(exposure_sequence(wanted, patterns))
         for value, share in wanted:
             for kind in range(3):
                 found = (exposures[patterns.kinds == kind] == value).mean()
                 assert found == pytest.approx(share, abs=1e-9)
-    assert of_frames([(0.7, 1.0)], patterns) == 0.7
-    some = np.asarray(of_frames(parse_exposures("1:0.75,0.25:0.25"), BernoulliPatterns((4, 4), 8)))
+    assert exposure_sequence([(0.7, 1.0)], patterns) == 0.7
+    some = np.asarray(
+        exposure_sequence(parse_exposures("1:0.75,0.25:0.25"), BernoulliPatterns((4, 4), 8))
+    )
     assert some.tolist() == [1, 1, 0.25, 1, 1, 1, 0.25, 1]
 
 
@@ -159,7 +161,7 @@ def test_frames_of_several_exposures_are_in_order(scene: str) -> None:
     for count, seed in ((32, 0), (64, 1), (64, 2)):
         patterns = MixedPatterns((64, 64), count, default_mix((64, 64), count), seed=seed)
         wanted = [(e, 0.5), (e / 4, 0.25), (e / 8, 0.25)]
-        capture = _capture(patterns, known, of_frames(wanted, patterns), order=True)
+        capture = _capture(patterns, known, exposure_sequence(wanted, patterns), order=True)
         swapped = [0, 9, *range(2, 9), 1, *range(10, count)]
         if count == 64:
             wrong = replace(capture, frames=capture.frames.select(swapped))
@@ -179,7 +181,7 @@ def test_a_quarter_of_short_frames_lowers_the_error(scene: str) -> None:
     errors = []
     for exposures in ([(e, 1.0)], [(e, 0.75), (e / 4, 0.25)]):
         some = replace(known, matrix=known.matrix[rows], camera_shape=(len(rows), 1))
-        capture = _capture(patterns, some, of_frames(exposures, patterns), order=False)
+        capture = _capture(patterns, some, exposure_sequence(exposures, patterns), order=False)
         estimate = PlainEstimator(ActiveSet(tolerance=1e-3)).estimate(capture)
         errors.append([relative_error(estimate, part), relative_error(estimate, part, plain)])
     one, two = np.array(errors)

@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 import lightmatrix as lm
+from lightmatrix.camera.camera_curve import Response
 from lightmatrix.camera.decoder import Decoder
-from lightmatrix.camera.response import Response
 from lightmatrix.capture import packing
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.frames import PixelFrames

@@ -12,7 +12,7 @@ import pytest
 from scipy.sparse import csr_array
 
 import lightmatrix as lm
-from lightmatrix.camera.exposures import EXAMPLE as EXPOSURES_EXAMPLE
+from lightmatrix.camera.exposure_sequence import EXAMPLE as EXPOSURES_EXAMPLE
 from lightmatrix.camera.noise import USUAL_NOISE
 from lightmatrix.cli import estimate as estimate_command
 from lightmatrix.cli import experiment as experiment_command

@@ -18,7 +18,7 @@ from lightmatrix.live.measurements.linearity import CameraLinearity
 from lightmatrix.live.measurements.rig_measurements import RigMeasurements
 from lightmatrix.live.measurements.settle import SettleTime
 from lightmatrix.live.rig import Rig
-from lightmatrix.patterns.response import ProjectorResponse
+from lightmatrix.patterns.projector_curve import ProjectorResponse
 
 _BLACK, _NOISE = 8.0, 1.2
 # Size of a JPEG file: virtual cameras look at it once.

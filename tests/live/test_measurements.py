@@ -12,7 +12,7 @@ import pytest
 import lightmatrix as lm
 from lightmatrix.live.measurements.rig_measurements import PARTS, outdated
 from lightmatrix.live.rig import Rig
-from lightmatrix.patterns.response import ProjectorResponse
+from lightmatrix.patterns.projector_curve import ProjectorResponse
 
 _RIG = "virtual:procedural,size=12,real=0"
 

@@ -19,7 +19,7 @@ from lightmatrix.patterns.blocks import BlockPatterns, one_pixel_patterns, sampl
 from lightmatrix.patterns.folder import read_patterns, write_patterns
 from lightmatrix.patterns.grids import block_mean, grid_cells
 from lightmatrix.patterns.hadamard import HadamardPatterns
-from lightmatrix.patterns.kinds import from_description
+from lightmatrix.patterns.making import remake_patterns
 from lightmatrix.patterns.mix import MixedPatterns, default_mix, parse_mix
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
 from lightmatrix.solvers import ActiveSet
@@ -92,7 +92,7 @@ def test_columns_rows_and_coarse_versions(patterns: PatternSet, data: st.DataObj
 @given(pattern_sets())
 @settings(max_examples=40, deadline=None)
 def test_descriptions_remake_the_set(patterns: PatternSet) -> None:
-    remade = from_description(json.loads(json.dumps(patterns.description)))
+    remade = remake_patterns(json.loads(json.dumps(patterns.description)))
     if isinstance(patterns, ImagePatterns | BitPatterns):
         assert remade is None
     else:
@@ -232,11 +232,11 @@ def test_the_fast_solver_takes_a_mix_as_bits() -> None:
         (lambda: parse_mix("fine:0.5,8by8:0.5", (9, 9)), "'8by8'"),
         (lambda: parse_mix("fine,8x8", (9, 9)), "for example"),
         (
-            lambda: from_description({"kind": "mix", "shape": [4, 4], "count": 2, "mix": [3]}),
+            lambda: remake_patterns({"kind": "mix", "shape": [4, 4], "count": 2, "mix": [3]}),
             "cannot be read",
         ),
-        (lambda: from_description({"kind": "bernoulli"}), "cannot be read"),
-        (lambda: from_description({"kind": "moire"}), "unknown"),
+        (lambda: remake_patterns({"kind": "bernoulli"}), "cannot be read"),
+        (lambda: remake_patterns({"kind": "moire"}), "unknown"),
     ],
 )
 def test_bad_patterns_are_refused_with_a_remedy(make: object, message: str) -> None:
@@ -261,7 +261,7 @@ def test_black_and_white_images_are_bits_as_generated_ones_are(
     found = read_patterns(folder)
     assert isinstance(found, ImagePatterns if grey else BitPatterns)
     if not grey:
-        np.testing.assert_array_equal(found.packed_bits(), made.bits)
+        np.testing.assert_array_equal(found.as_bits(), made.bits)
     assert (found.images()[:-1] == made.images()[:-1]).all()
     whiter = with_white(found)
     assert type(whiter) is type(found)

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.camera.levels import check_exposures, check_levels, of_frames
-from lightmatrix.camera.response import Response
+from lightmatrix.camera.camera_curve import Response
+from lightmatrix.camera.raw_levels import check_exposures, check_levels, per_frame
 from lightmatrix.camera.samples import Samples
 from lightmatrix.errors import InputError
 from lightmatrix.reprs import short_repr
@@ -125,9 +125,9 @@ class Decoder:
         """
         rows, frames = raw.shape
         stop = first_frame + frames
-        clip = of_frames(self.clip, first_frame, stop, "clip levels")
-        pedestal = self._light(of_frames(self.black_level, first_frame, stop, "black levels"))
-        exposure = of_frames(self.exposure, first_frame, stop, "exposures")
+        clip = per_frame(self.clip, first_frame, stop, "clip levels")
+        pedestal = self._light(per_frame(self.black_level, first_frame, stop, "black levels"))
+        exposure = per_frame(self.exposure, first_frame, stop, "exposures")
         # The first level of the raw type that is not below the clip level.
         if raw.dtype.kind == "u":
             clipped = raw >= np.ceil(clip).astype(raw.dtype)

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from lightmatrix.camera.decoder import Decoder
-from lightmatrix.camera.levels import check_exposures, check_levels, of_frames
+from lightmatrix.camera.raw_levels import check_exposures, check_levels, per_frame
 from lightmatrix.errors import InputError
 from lightmatrix.ranges import check_number, check_seed
 from lightmatrix.reprs import short_repr
@@ -138,7 +138,7 @@ class Sensor:
         """
         check_seed(seed)
         rows, frames = irradiance.shape
-        exposure = of_frames(self.exposure, first_frame, first_frame + frames, "exposures")
+        exposure = per_frame(self.exposure, first_frame, first_frame + frames, "exposures")
         sample = np.asarray(irradiance, np.float64) * exposure
         if self.read_noise or self.shot_noise:
             deviation = np.sqrt(self.read_noise**2 + self.shot_noise**2 * sample.clip(0))

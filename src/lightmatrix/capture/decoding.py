@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lightmatrix.camera.camera_curve import Response
 from lightmatrix.camera.decoder import Decoder
-from lightmatrix.camera.levels import range_end
-from lightmatrix.camera.response import Response
+from lightmatrix.camera.raw_levels import range_end
 from lightmatrix.capture.settings import ReadSettings
 from lightmatrix.errors import InputError, LightMatrixWarning
 from lightmatrix.files.images import is_grey, read_image

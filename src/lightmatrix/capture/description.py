@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.camera.levels import MOST_LEVEL
-from lightmatrix.camera.response import RESPONSES, Response, curve_file
+from lightmatrix.camera.camera_curve import RESPONSES, Response, curve_file
+from lightmatrix.camera.raw_levels import MOST_LEVEL
 from lightmatrix.capture.settings import ReadSettings
 from lightmatrix.errors import InputError
 from lightmatrix.files.headers import read_json, said_in

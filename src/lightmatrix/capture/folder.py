@@ -41,7 +41,7 @@ from lightmatrix.outputs.writing import atomic_folder
 from lightmatrix.patterns.bits import with_white
 from lightmatrix.patterns.folder import fill_pattern_folder, read_patterns
 from lightmatrix.patterns.pattern_set import PatternSet
-from lightmatrix.patterns.response import ProjectorResponse
+from lightmatrix.patterns.projector_curve import ProjectorResponse
 
 
 def holds_capture(place: Path) -> bool:

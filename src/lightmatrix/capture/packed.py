@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lightmatrix.camera.camera_curve import Response
 from lightmatrix.camera.decoder import Decoder
-from lightmatrix.camera.response import Response
 from lightmatrix.capture.checks import check_per_frame
 from lightmatrix.capture.description import KEYS, Description, parse_description
 from lightmatrix.capture.parts import CaptureParts
@@ -30,7 +30,7 @@ from lightmatrix.files.zarr_arrays import (
 )
 from lightmatrix.outputs.kinds import PACKED_CAPTURE, STORE
 from lightmatrix.patterns.bits import BitPatterns
-from lightmatrix.patterns.kinds import from_description
+from lightmatrix.patterns.making import remake_patterns
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
 from lightmatrix.reprs import short_repr
 from lightmatrix.resources.memory import check_room
@@ -300,10 +300,10 @@ def _patterns(place: Path, attributes: Mapping[str, Any], count: int) -> Pattern
     if description.get("count", count) != count or description.get("shape") != shape:
         raise ValueError("the description of its patterns is of others")
     # The fast operator they were made by, if it still makes the very same.
-    made = from_description(description)
+    made = remake_patterns(description)
     if made is None or made.count != count or made.shape != (rows, cols):
         return shown
-    again = made.packed_bits()
+    again = made.as_bits()
     return made if again is not None and np.array_equal(again, bits) else shown
 
 

@@ -238,7 +238,7 @@ def _small_arrays(
     shape: tuple[int, ...],
     mask: NDArray[np.bool_] | None,
 ) -> dict[str, NDArray[Any]]:
-    bits = patterns.packed_bits()
+    bits = patterns.as_bits()
     shown = {LEVELS: patterns.images()} if bits is None else {BITS: bits}
     found: dict[str, NDArray[Any]] = dict(shown)
     if decoder.black_frame is not None:

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.camera.levels import check_exposures, check_levels
-from lightmatrix.camera.response import Response
+from lightmatrix.camera.camera_curve import Response
+from lightmatrix.camera.raw_levels import check_exposures, check_levels
 from lightmatrix.errors import InputError
-from lightmatrix.patterns.response import ProjectorResponse
+from lightmatrix.patterns.projector_curve import ProjectorResponse
 from lightmatrix.ranges import check_number
 from lightmatrix.reprs import short_repr
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lightmatrix.camera.response import Response
+from lightmatrix.camera.camera_curve import Response
 from lightmatrix.camera.samples import Samples
 from lightmatrix.capture.checks import check_depth
 from lightmatrix.capture.decoding import make_decoder

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.camera.response import Response
+from lightmatrix.camera.camera_curve import Response
 from lightmatrix.diagnosis.finding import Finding
 from lightmatrix.diagnosis.local import Prediction, predict
 from lightmatrix.diagnosis.survey import Survey

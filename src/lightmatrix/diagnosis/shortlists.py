@@ -110,7 +110,7 @@ def _correlated(
     patterns: PatternSet, values: NDArray[np.float32], frames: NDArray[np.int64]
 ) -> NDArray[np.float32]:
     """Correlations of rows with every projector pixel over some frames, (m, N)."""
-    bits = patterns.packed_bits()
+    bits = patterns.as_bits()
     if bits is not None:
         return np.asarray(BitPatterns(patterns.shape, bits[frames]).adjoint(values[:, frames]))
     only = np.zeros_like(values)

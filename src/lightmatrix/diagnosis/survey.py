@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lightmatrix.camera.camera_curve import Response
 from lightmatrix.camera.decoder import Decoder
-from lightmatrix.camera.response import Response
 from lightmatrix.camera.samples import Samples
 from lightmatrix.capture.frames import CutFrames, Frames, levels_at
 from lightmatrix.patterns.pattern_set import PatternSet

@@ -151,7 +151,7 @@ def needs_of(
         capture.camera_shape,
         capture.patterns.pixels,
         capture.count,
-        isinstance(capture.patterns, ImagePatterns) and capture.patterns.packed_bits() is None,
+        isinstance(capture.patterns, ImagePatterns) and capture.patterns.as_bits() is None,
         5 if binned else capture.frames.dtype.itemsize,
         row_bytes,
         _LOOK_BYTES * min(math.prod(capture.frames.shape) * capture.count, _LOOKED_LEVELS),

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.camera.exposures import of_frames
+from lightmatrix.camera.exposure_sequence import exposure_sequence
 from lightmatrix.camera.noise import USUAL_NOISE
 from lightmatrix.camera.sensor import Sensor
 from lightmatrix.capture.capture import Capture
@@ -91,7 +91,7 @@ class MeasuredScene:
         """
         reach = 1 if clipping else 2**HEADROOM_BITS
         bits = BITS if clipping else BITS + HEADROOM_BITS
-        exposure = of_frames(exposures, patterns)
+        exposure = exposure_sequence(exposures, patterns)
         sensor = Sensor(
             np.multiply(exposure, self.exposure / reach), 0.0, USUAL_NOISE / reach, 0.0, bits
         )

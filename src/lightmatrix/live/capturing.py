@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.camera.exposures import of_frames
-from lightmatrix.camera.response import Response, curve_file
+from lightmatrix.camera.camera_curve import Response, curve_file
+from lightmatrix.camera.exposure_sequence import exposure_sequence
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.description import TRUTH
 from lightmatrix.errors import DeviceError, InputError, LightMatrixWarning
@@ -238,7 +238,7 @@ def _exposures(
         assert known.exposure is not None
         advised = known.exposure.seconds
         shares = [(each, 1 / len(advised)) for each in advised]
-        seconds = np.broadcast_to(of_frames(shares, patterns), patterns.count).copy()
+        seconds = np.broadcast_to(exposure_sequence(shares, patterns), patterns.count).copy()
     record.state.exposures = [float(each) for each in seconds]
     record.save()
     return seconds

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from lightmatrix.errors import InputError
 from lightmatrix.patterns.pattern_set import PatternSet, to_grey
-from lightmatrix.patterns.response import ProjectorResponse
+from lightmatrix.patterns.projector_curve import ProjectorResponse
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +58,7 @@ class Shown:
 
     @cached_property
     def _binary(self) -> NDArray[np.uint8] | None:
-        return self.patterns.packed_bits()
+        return self.patterns.as_bits()
 
     def image(self, index: int) -> NDArray[np.uint8]:
         """The image of a pattern, (rows, cols) uint8, in the middle of a black screen."""

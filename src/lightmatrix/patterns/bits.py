@@ -22,7 +22,7 @@ _DENSE_BYTES = 128 << 20
 _DENSE_ROWS = 8
 
 
-class PackedPatterns(PatternSet):
+class BinaryPatterns(PatternSet):
     """Patterns of zeros and ones, kept as bits: what the compiled core multiplies fastest.
 
     Parameters
@@ -59,7 +59,7 @@ class PackedPatterns(PatternSet):
         lit = np.unpackbits(self.bits[start:stop], axis=1, count=self.pixels, bitorder="little")
         return lit.astype(np.float32)
 
-    def packed_bits(self) -> NDArray[np.uint8]:
+    def as_bits(self) -> NDArray[np.uint8]:
         return self.bits
 
     def subset(self, index: NDArray[np.integer]) -> PatternSet:
@@ -67,7 +67,7 @@ class PackedPatterns(PatternSet):
 
 
 @dataclass(frozen=True, eq=False)
-class BitPatterns(PackedPatterns):
+class BitPatterns(BinaryPatterns):
     """Patterns of zeros and ones given as bits, such as some of the patterns of another set.
 
     Parameters
@@ -108,7 +108,7 @@ class BitPatterns(PackedPatterns):
 
 
 @dataclass(frozen=True, eq=False)
-class BernoulliPatterns(PackedPatterns):
+class BernoulliPatterns(BinaryPatterns):
     """Random on/off patterns: each projector pixel is lit with probability `density`.
 
     The patterns of the paper's experiments (after Sen & Darabi 2009), kept as bits.
@@ -168,7 +168,7 @@ class BernoulliPatterns(PackedPatterns):
 
 def with_white(patterns: PatternSet) -> PatternSet:
     """The patterns and a white one behind them, as bits if they are black and white."""
-    bits = patterns.packed_bits()
+    bits = patterns.as_bits()
     if bits is None:
         white = np.ones((1, *patterns.shape), np.float32)
         return ImagePatterns(np.concatenate([patterns.images(), white]))

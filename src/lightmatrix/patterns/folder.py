@@ -25,7 +25,7 @@ from lightmatrix.files.stack import ImageStack, list_entries
 from lightmatrix.outputs.kinds import PATTERNS
 from lightmatrix.outputs.writing import atomic_folder
 from lightmatrix.patterns.bits import BitPatterns
-from lightmatrix.patterns.kinds import from_description
+from lightmatrix.patterns.making import remake_patterns
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet, to_grey
 from lightmatrix.resources.memory import check_room
 
@@ -121,7 +121,7 @@ def read_patterns(source: str | Path) -> PatternSet:
     if description is not None:
         odd = _misfit(description, paths)
         with said_in(place / DESCRIPTION):
-            operator = None if odd else from_description(description)
+            operator = None if odd else remake_patterns(description)
         if operator is not None:
             odd = _first_difference(operator, paths)
             if odd is None:

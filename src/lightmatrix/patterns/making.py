@@ -1,6 +1,9 @@
-"""Pattern sets by the name of their kind, as the command line and the planner ask for them."""
+"""Pattern sets made by the name of their kind, or remade from their description."""
 
 from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
 
 import numpy as np
 
@@ -11,9 +14,20 @@ from lightmatrix.patterns.hadamard import HadamardPatterns
 from lightmatrix.patterns.mix import Mix, MixedPatterns, default_mix, parse_mix
 from lightmatrix.patterns.pattern_set import PatternSet
 
+# The kinds that `make_patterns` makes.
 KINDS = ("bernoulli", "hadamard", "onepixel", "blocks", "mix")
-# Where there is no natural number of patterns.
+# The number of random patterns where none is asked for. Chosen by hand: one for 64 pixels of the
+# usual projector of 128 x 128.
 USUAL_COUNT = 256
+
+# The kinds in descriptions. Patterns of the kind "images" are only in their images.
+_DESCRIBED: Mapping[str, Callable[..., PatternSet]] = {
+    "bernoulli": BernoulliPatterns,
+    "blocks": BlockPatterns,
+    "hadamard": HadamardPatterns,
+    "mix": MixedPatterns,
+}
+_IMAGES = "images"
 
 
 def make_patterns(
@@ -87,6 +101,35 @@ def make_patterns(
     if kind == "blocks":
         return _some(BlockPatterns(shape, block), count, "blocks", seed)
     raise InputError(f"patterns of the kind {kind!r}", hint=f"use one of {', '.join(KINDS)}")
+
+
+def remake_patterns(description: Mapping[str, Any]) -> PatternSet | None:
+    """Remake a pattern set from its description; None for a set that only its images hold.
+
+    Raises
+    ------
+    InputError
+        On an unknown kind or missing parameters.
+    """
+    parameters = {key: value for key, value in description.items() if key != "kind"}
+    kind = description.get("kind")
+    if kind == _IMAGES:
+        return None
+    if not isinstance(kind, str) or kind not in _DESCRIBED:
+        raise InputError(
+            f"patterns of kind {kind!r} are unknown",
+            hint="remove patterns.json to read the patterns from their images",
+        )
+    try:
+        for key in ("shape", "block"):
+            if key in parameters:
+                parameters[key] = tuple(int(v) for v in parameters[key])
+        return _DESCRIBED[kind](**parameters)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise InputError(
+            f"a description of {kind} patterns that cannot be read: {error}",
+            hint="remove patterns.json to read the patterns from their images",
+        ) from error
 
 
 def _some(whole: BlockPatterns, count: int | None, kind: str, seed: int) -> BlockPatterns:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.errors import InputError
-from lightmatrix.patterns.bits import PackedPatterns
+from lightmatrix.patterns.bits import BinaryPatterns
 from lightmatrix.patterns.grids import grid_cells
 from lightmatrix.patterns.pattern_set import check_geometry
 from lightmatrix.patterns.shares import interleave, parse_shares
@@ -31,7 +31,7 @@ Mix = tuple[tuple[tuple[int, int], float], ...]
 
 
 @dataclass(frozen=True, eq=False)
-class MixedPatterns(PackedPatterns):
+class MixedPatterns(BinaryPatterns):
     """Random on/off patterns, some lighting single pixels and some whole cells of coarse grids.
 
     The kinds follow each other so that every prefix of the set holds about the stated shares, and

@@ -6,7 +6,7 @@ the light transport matrix are estimated in batches, so the operators act on row
     forward:  (M, N) -> (M, K)   samples = X P'
     adjoint:  (M, K) -> (M, N)   correlations = E P
 
-Every set knows how it was made (`description`, which `patterns.kinds` reads back) and a digest
+Every set knows how it was made (`description`, which `patterns.making` reads back) and a digest
 of its content, which ties a capture and an estimate to the patterns they belong to.
 """
 
@@ -157,7 +157,7 @@ class PatternSet(ABC):
         """
         return None
 
-    def packed_bits(self) -> NDArray[np.uint8] | None:
+    def as_bits(self) -> NDArray[np.uint8] | None:
         """Patterns of zeros and ones only as bits, (K, ceil(N / 8)) uint8; None for others.
 
         Least significant bit first.
@@ -188,7 +188,7 @@ class PatternSet(ABC):
             None takes the best this CPU has; all give the same scores.
         """
         means = np.ascontiguousarray(self.means if column is None else column, np.float64)
-        bits = self.packed_bits()
+        bits = self.as_bits()
         if bits is None:
             matrix = np.ascontiguousarray(self.dense())
             return _core.PreparedPatterns.from_dense(matrix, means, instructions)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.camera.exposures import of_frames
+from lightmatrix.camera.exposure_sequence import exposure_sequence
 from lightmatrix.camera.noise import USUAL_NOISE
 from lightmatrix.capture.settings import ReadSettings
 from lightmatrix.capture.white_frame import read_white_frame
@@ -269,7 +269,9 @@ def plan(
     exposures = advise_exposures(frame, noise, shortest, wanted)
     density = advise_density(frame, exposures)
     mix = default_mix(projector, wanted)
-    per_frame = np.broadcast_to(of_frames(exposures, MixedPatterns(projector, wanted, mix)), wanted)
+    per_frame = np.broadcast_to(
+        exposure_sequence(exposures, MixedPatterns(projector, wanted, mix)), wanted
+    )
     advised = tuple(
         AdvisedExposure(e, share, int((per_frame == e).sum()), clipped_share(frame, e, density))
         for e, share in exposures

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.camera.exposures import of_frames, parse_exposures
+from lightmatrix.camera.exposure_sequence import exposure_sequence, parse_exposures
 from lightmatrix.camera.noise import USUAL_NOISE
 from lightmatrix.camera.sensor import Sensor
 from lightmatrix.capture.capture import Capture
@@ -118,7 +118,9 @@ def simulate_procedural(
             f"{scene.projector_shape[0]} x {scene.projector_shape[1]}",
             hint="make the patterns for the projector of this scene",
         )
-    sensor = Sensor(of_frames(exposures, shown), float(black_level), noise, shot_noise, bits)
+    sensor = Sensor(
+        exposure_sequence(exposures, shown), float(black_level), noise, shot_noise, bits
+    )
     if truth:
         check_truth(scene, output)
     rig = _Photographer(scene, shown, sensor, seed, progress)

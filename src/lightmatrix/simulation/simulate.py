@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lightmatrix.camera.exposures import of_frames, parse_exposures
+from lightmatrix.camera.exposure_sequence import exposure_sequence, parse_exposures
 from lightmatrix.camera.noise import USUAL_NOISE
 from lightmatrix.camera.sensor import Sensor
 from lightmatrix.capture.capture import Capture
@@ -199,7 +199,9 @@ def simulate(
     check_seed(seed)
     exposures = parse_exposures(exposure if isinstance(exposure, str) else repr(float(exposure)))
     shown = patterns if isinstance(patterns, PatternSet) else read_patterns(patterns)
-    sensor = Sensor(of_frames(exposures, shown), float(black_level), noise, shot_noise, bits)
+    sensor = Sensor(
+        exposure_sequence(exposures, shown), float(black_level), noise, shot_noise, bits
+    )
     realism.check_realism(shown.shape, blur=blur, vignetting=vignetting, leak=leak, ambient=ambient)
     truth = library.truth(scene, shown.shape, progress=progress)
     if primary is not None:

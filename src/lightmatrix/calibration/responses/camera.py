@@ -22,8 +22,8 @@ from lightmatrix.calibration.responses.photographs import (
     open_photographs,
 )
 from lightmatrix.calibration.responses.pictures import Residuals, draw_camera_response
-from lightmatrix.camera.levels import range_end
-from lightmatrix.camera.response import Response
+from lightmatrix.camera.camera_curve import Response
+from lightmatrix.camera.raw_levels import range_end
 from lightmatrix.errors import InputError, MissingExtraError
 from lightmatrix.files.curves import CurveFile
 from lightmatrix.outputs.kinds import PICTURE, RESPONSE

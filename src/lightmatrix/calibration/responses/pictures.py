@@ -9,8 +9,8 @@ import matplotlib as mpl
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.camera.response import Response
-from lightmatrix.patterns.response import ProjectorResponse
+from lightmatrix.camera.camera_curve import Response
+from lightmatrix.patterns.projector_curve import ProjectorResponse
 from lightmatrix.pictures.style import COLOURS, STYLE
 from lightmatrix.pictures.transport import Picture
 

@@ -259,7 +259,7 @@ class Rounds:
         """What each round costs, and the last one twice, in rows that look at few atoms."""
         capture = self.solving.capture
         patterns = capture.patterns
-        grey = patterns.packed_bits() is None
+        grey = patterns.as_bits() is None
         everywhere = first_round_cost(capture.rows, patterns.pixels, patterns.count, grey)
         costs = [
             self._grid(stage).count * (everywhere if stage.window is None else 1.0)

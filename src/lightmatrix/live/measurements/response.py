@@ -10,7 +10,7 @@ from lightmatrix.live.frames.photograph import Taker
 from lightmatrix.live.frames.repeats import take_steady
 from lightmatrix.live.measurements.white import Whites, find_white
 from lightmatrix.live.rig import Rig
-from lightmatrix.patterns.response import ProjectorResponse
+from lightmatrix.patterns.projector_curve import ProjectorResponse
 
 _STEPS = 17
 

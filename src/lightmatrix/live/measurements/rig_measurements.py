@@ -25,7 +25,7 @@ from lightmatrix.live.measurements.white import FIRST_SETTLE, Whites, find_white
 from lightmatrix.live.rig import Rig
 from lightmatrix.outputs.kinds import RIG, RIG_FORMAT
 from lightmatrix.outputs.writing import atomic_file
-from lightmatrix.patterns.response import ProjectorResponse
+from lightmatrix.patterns.projector_curve import ProjectorResponse
 
 VERSION = 1
 # In the order in which each can use those before it.

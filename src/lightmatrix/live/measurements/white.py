@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.camera.between import lit_samples, share_of_white
+from lightmatrix.camera.white_share import lit_samples, share_of_white
 from lightmatrix.live.devices.exposure_limits import exposure_limits
 from lightmatrix.live.frames.photograph import Taker
 from lightmatrix.live.frames.repeats import Steady, take_steady

@@ -45,7 +45,7 @@ def parse_exposures(text: str) -> list[tuple[float, float]]:
     return result
 
 
-def of_frames(
+def exposure_sequence(
     exposures: Sequence[tuple[float, float]], patterns: PatternSet
 ) -> float | NDArray[np.float64]:
     """The exposure of each frame; one number where all have one.

@@ -18,7 +18,7 @@ def range_end(dtype: np.dtype[Any]) -> float:
     return 1.0 if dtype.kind == "f" else float(np.iinfo(dtype).max)
 
 
-def of_frames(value: float | NDArray[Any], start: int, stop: int, name: str) -> NDArray[np.float64]:
+def per_frame(value: float | NDArray[Any], start: int, stop: int, name: str) -> NDArray[np.float64]:
     """The values of the frames start..stop: one for all, or a list of one each."""
     array = np.asarray(value, np.float64)
     if array.ndim == 0:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.camera.levels import MOST_LEVEL
+from lightmatrix.camera.raw_levels import MOST_LEVEL
 from lightmatrix.errors import InputError
 from lightmatrix.files.curves import CurveFile
 from lightmatrix.files.npy import read_npy

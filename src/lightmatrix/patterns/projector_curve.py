@@ -81,7 +81,7 @@ class ProjectorResponse:
 
         Those of black and white alone are what they are.
         """
-        if patterns.packed_bits() is not None:
+        if patterns.as_bits() is not None:
             return patterns
         return ImagePatterns(self.light_of(patterns.images()))
 
