@@ -18,7 +18,7 @@ from lightmatrix.camera.exposure_sequence import exposure_sequence
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.description import TRUTH
 from lightmatrix.errors import DeviceError, InputError, LightMatrixWarning
-from lightmatrix.live.devices.exposure_limits import exposure_limits
+from lightmatrix.live.devices.exposures import exposure_limits
 from lightmatrix.live.frames.photograph import Taker
 from lightmatrix.live.frames.repeats import take_steady
 from lightmatrix.live.frames.same_light import Drift, References, drift

@@ -1,4 +1,4 @@
-"""How a device is named: KIND, KIND:ARGUMENT or KIND:ARGUMENT,option=value,option=value."""
+"""Addresses of devices: KIND, KIND:ARGUMENT or KIND:ARGUMENT,option=value,option=value."""
 
 from __future__ import annotations
 
@@ -8,20 +8,21 @@ from dataclasses import dataclass, field
 
 from lightmatrix.errors import InputError, MissingExtraError
 
-# A comma that is not followed by NAME= is part of the argument, as in a folder's name.
+# A comma separates options only if NAME= follows; any other comma is part of the argument, such as
+# one in a folder's name.
 _OPTION = re.compile(r",(?=[A-Za-z_][A-Za-z0-9_]*=)")
 
 
 @dataclass(frozen=True)
 class Address:
-    """A device's name in its parts.
+    """The parts of a device's address.
 
     Parameters
     ----------
     kind : str
-        The back end, "window" or "aravis".
+        The back end, such as "window" or "aravis".
     argument : str
-        Which of its devices; "" for the one that is there.
+        Which of its devices; "" for the first one.
     options : dict
         Settings by name, as text.
     """
@@ -32,21 +33,13 @@ class Address:
 
     @classmethod
     def parse(cls, text: str) -> Address:
-        """The parts of "aravis:Basler-21,trigger=free,Gain=0".
+        """Split an address into its parts; an InputError if an option is given twice.
 
-        Raises
-        ------
-        InputError
-            If an option is given twice.
-
-        Examples
-        --------
-        >>> from lightmatrix.live.devices.addresses import Address
         >>> Address.parse("aravis:Basler-21,trigger=free,Gain=0")
         Address(kind='aravis', argument='Basler-21', options={'trigger': 'free', 'Gain': '0'})
         """
-        named, *settings = _OPTION.split(text)
-        kind, _, argument = named.partition(":")
+        device, *settings = _OPTION.split(text)
+        kind, _, argument = device.partition(":")
         options: dict[str, str] = {}
         for setting in settings:
             name, _, value = setting.partition("=")
@@ -60,20 +53,7 @@ class Address:
         return self.kind + (f":{self.argument}" if self.argument else "") + "".join(settings)
 
     def check_options(self, known: Sequence[str], *, features: bool = False) -> None:
-        """Refuse options that a back end does not have.
-
-        Parameters
-        ----------
-        known : sequence of str
-            Those that it has.
-        features : bool
-            Whether names with a capital letter, those of a camera's own features, pass too.
-
-        Raises
-        ------
-        InputError
-            If one is none of them.
-        """
+        """Refuse unknown options; with `features`, names with a capital pass to the camera."""
         for name in self.options:
             if name not in known and not (features and name[0].isupper()):
                 offered = ", ".join(known) or "none"
@@ -84,13 +64,7 @@ class Address:
                 )
 
     def number(self, name: str, default: float) -> float:
-        """The value of an option that is a number above 0.
-
-        Raises
-        ------
-        InputError
-            If it is none.
-        """
+        """The value of an option that must be a number above 0."""
         text = self.options.get(name)
         if text is None:
             return default
@@ -103,13 +77,7 @@ class Address:
         return value
 
     def choice(self, name: str, choices: Sequence[str], default: str) -> str:
-        """The value of an option that is one of a few words.
-
-        Raises
-        ------
-        InputError
-            If it is none of them.
-        """
+        """The value of an option that must be one of a few words."""
         value = self.options.get(name, default)
         if value not in choices:
             raise InputError(
@@ -119,39 +87,21 @@ class Address:
 
 
 @dataclass(frozen=True)
-class Found:
-    """A device that is there.
-
-    Parameters
-    ----------
-    address : str
-        What opens it: "window:1".
-    description : str
-        What it is, in words.
-    """
+class AvailableDevice:
+    """A device that is present: the address that opens it, and what it is in words."""
 
     address: str
     description: str
 
 
 def missing_extra(extra: str, what: str, *, system: str | None = None) -> MissingExtraError:
-    """The error of a back end whose packages are not installed.
-
-    Parameters
-    ----------
-    extra : str
-        The extra of lightmatrix that brings them.
-    what : str
-        What cannot be done without, as in "GigE cameras through Aravis".
-    system : str, optional
-        What the system must bring, and how.
-    """
+    """The error for a back end whose packages are missing; `system` says what else to install."""
     hint = f"from the source folder: .venv/bin/pip install -e '.[{extra}]'"
     if system is not None:
         hint = f"{system}, then {hint}"
     return MissingExtraError(f"{what} cannot be used, a package is not installed", hint=hint)
 
 
-def in_words(shape: tuple[int, ...]) -> str:
-    """A shape as people say it: "1024 x 768" with the width first, as monitors and cameras are."""
+def size_in_words(shape: tuple[int, ...]) -> str:
+    """A shape with the width first, as monitors and cameras write it: "1024 x 768"."""
     return f"{shape[1]} x {shape[0]}"

@@ -1,4 +1,4 @@
-"""Time as the live rig reads it: the system's, or one that passes without waiting."""
+"""The time by which a rig lives: the system's, or a simulated one that passes without waiting."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ class Clock(Protocol):
     """Tells the time and waits."""
 
     def now(self) -> float:
-        """Seconds of `time.monotonic`, or of a clock that stands in its place."""
+        """The time in seconds, as `time.monotonic` counts them."""
 
     def sleep(self, seconds: float) -> None:
-        """Wait; not at all where the seconds are not above 0."""
+        """Wait; not at all unless the seconds are above 0."""
 
 
 @dataclass(frozen=True)
 class SystemClock:
-    """The real one."""
+    """The system's clock."""
 
     def now(self) -> float:
         return time.monotonic()
@@ -31,13 +31,7 @@ class SystemClock:
 
 @dataclass
 class SimulatedClock:
-    """Waits in no time: an hour of a virtual rig passes in seconds.
-
-    Parameters
-    ----------
-    seconds : float
-        The time it begins at.
-    """
+    """A clock that jumps instead of waiting: an hour of a virtual rig passes in seconds."""
 
     seconds: float = 0.0
 

@@ -1,4 +1,4 @@
-"""What a projector and a camera are to the rest of the live rig."""
+"""The contract of projectors and cameras, which every back end keeps."""
 
 from __future__ import annotations
 
@@ -8,6 +8,9 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from lightmatrix.errors import InputError
+from lightmatrix.live.devices.addresses import size_in_words
+
 
 @dataclass(frozen=True)
 class Frame:
@@ -16,11 +19,11 @@ class Frame:
     Parameters
     ----------
     data : (rows, cols) or (rows, cols, channels) uint8 or uint16
-        Sensor values; they belong to the frame and do not change any more.
+        Sensor values; the frame owns them.
     id : int
-        The camera's own number of the frame; one more than that of the frame before it.
+        Number of the frame; one more than that of the frame before unless frames were lost.
     timestamp : float
-        When its exposure ended, as well as is known, in seconds of `time.monotonic`.
+        End of the exposure as well as is known, in seconds of `time.monotonic`.
     clip_level : float
         The value at which the sensor clips, in units of `data`.
     """
@@ -39,10 +42,10 @@ class Projector(Protocol):
         """Rows and columns of its pixels."""
 
     def info(self) -> dict[str, Any]:
-        """What it is, JSON-ready: at least "name", "shape" and, where known, "refresh" in Hz."""
+        """JSON-ready facts: at least "name", "shape" and, where known, "refresh" in Hz."""
 
     def show(self, image: NDArray[np.uint8]) -> float:
-        """Show an image (rows, cols) or (rows, cols, 3), and say when (`time.monotonic`).
+        """Show an image (rows, cols) or (rows, cols, 3); return when (`time.monotonic`).
 
         Raises
         ------
@@ -53,7 +56,7 @@ class Projector(Protocol):
         """
 
     def black(self) -> float:
-        """Show no light, and say when."""
+        """Show no light; return when."""
 
     def close(self) -> None:
         """Give the device back; may be called twice."""
@@ -70,7 +73,7 @@ class Camera(Protocol):
     def exposure(self, seconds: float) -> None: ...
 
     def info(self) -> dict[str, Any]:
-        """What it is, JSON-ready: at least "name", "shape" (rows, cols[, channels]), "bits"."""
+        """JSON-ready facts: at least "name", "shape" (rows, cols[, channels]) and "bits"."""
 
     def get_image(self, timeout: float) -> Frame:
         """The next frame that has not been handed out yet.
@@ -83,16 +86,30 @@ class Camera(Protocol):
         Raises
         ------
         FrameTimeoutError
-            If none came.
+            If none arrives in time.
         DeviceError
             If the camera is gone.
         """
 
     def flush(self) -> None:
-        """Throw away frames that were taken but not yet handed out."""
+        """Discard frames that were taken but not yet handed out."""
 
     def trigger(self) -> None:
-        """Ask for one frame to be taken now; nothing on a camera that runs freely."""
+        """Ask for one frame to be taken now; a free-running camera does nothing."""
 
     def close(self) -> None:
         """Give the device back; may be called twice."""
+
+
+def check_image(image: NDArray[np.uint8], shape: tuple[int, int]) -> None:
+    """Refuse an image that a projector of a shape (rows, cols) cannot show pixel by pixel."""
+    if image.dtype != np.uint8:
+        raise InputError(
+            f"an image of {image.dtype} for the projector",
+            hint="projectors show uint8, 0 to 255",
+        )
+    if image.shape not in (shape, (*shape, 3)):
+        raise InputError(
+            f"an image of shape {image.shape} for a projector of {size_in_words(shape)} pixels",
+            hint=f"show images of shape {shape} or {(*shape, 3)}",
+        )

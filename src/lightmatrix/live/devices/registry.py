@@ -1,4 +1,4 @@
-"""The devices that lightmatrix drives, by name: "window:1", "aravis:Basler-21", "watch:frames/"."""
+"""The back ends that lightmatrix has, and opening devices by their addresses."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Generic, TypeVar
 
 from lightmatrix.errors import DeviceError, InputError, MissingExtraError
-from lightmatrix.live.devices.addresses import Address, Found
+from lightmatrix.live.devices.addresses import Address, AvailableDevice
 from lightmatrix.live.devices.cameras.aravis import find_aravis, open_aravis
 from lightmatrix.live.devices.cameras.dslr import find_dslr, open_dslr
 from lightmatrix.live.devices.cameras.gentl import find_gentl, open_gentl
@@ -22,24 +22,15 @@ Device = TypeVar("Device")
 
 @dataclass(frozen=True)
 class BackEnd(Generic[Device]):
-    """A kind of device.
+    """A kind of device: what it is, the form of its addresses, how to open one.
 
-    Parameters
-    ----------
-    summary : str
-        What it is.
-    form : str
-        How one of its devices is named.
-    open : callable
-        Opens the device of an address.
-    find : callable, optional
-        Lists its devices; None where there is nothing to find.
+    `find` lists the devices that are present; None where they cannot be listed.
     """
 
     summary: str
     form: str
     open: Callable[[Address], Device]
-    find: Callable[[], list[Found]] | None = None
+    find: Callable[[], list[AvailableDevice]] | None = None
 
 
 PROJECTORS: dict[str, BackEnd[Projector]] = {
@@ -62,18 +53,18 @@ CAMERAS: dict[str, BackEnd[Camera]] = {
 
 
 @dataclass(frozen=True)
-class Listed:
+class BackEndStatus:
     """What is known of one back end on this computer.
 
     Parameters
     ----------
     role : {"projector", "camera"}
     kind, summary, form : str
-        Its name, what it is, and how its devices are named.
+        Its name, what it is, and the form of its addresses.
     finds : bool
-        Whether its devices can be found at all.
-    found : tuple of Found
-        Those that are there.
+        Whether its devices can be listed at all.
+    found : tuple of AvailableDevice
+        Devices that are present.
     problem, hint : str, optional
         Why it cannot be used now, and what to do.
     """
@@ -83,13 +74,13 @@ class Listed:
     summary: str
     form: str
     finds: bool
-    found: tuple[Found, ...] = ()
+    found: tuple[AvailableDevice, ...] = ()
     problem: str | None = None
     hint: str | None = None
 
 
 def open_projector(address: str) -> Projector:
-    """Open a projector by its name.
+    """Open a projector by its address.
 
     Parameters
     ----------
@@ -99,14 +90,14 @@ def open_projector(address: str) -> Projector:
     Returns
     -------
     Projector
-        To be closed in the end.
+        Close it in the end.
 
     Raises
     ------
     InputError
-        If the name or an option is none that is known.
+        If the kind or an option is unknown.
     MissingExtraError
-        If what drives it is not installed.
+        If the packages of its back end are not installed.
     DeviceError
         If there is no such device, or it is in use.
 
@@ -118,11 +109,11 @@ def open_projector(address: str) -> Projector:
     (48, 64)
     >>> projector.close()
     """
-    return _opened(PROJECTORS, "projector", address)
+    return _open_device(PROJECTORS, "projector", address)
 
 
 def open_camera(address: str) -> Camera:
-    """Open a camera by its name.
+    """Open a camera by its address.
 
     Parameters
     ----------
@@ -133,7 +124,7 @@ def open_camera(address: str) -> Camera:
     Returns
     -------
     Camera
-        To be closed in the end.
+        Close it in the end.
 
     Raises
     ------
@@ -148,11 +139,11 @@ def open_camera(address: str) -> Camera:
     0.02
     >>> camera.close()
     """
-    return _opened(CAMERAS, "camera", address)
+    return _open_device(CAMERAS, "camera", address)
 
 
-def list_devices() -> list[Listed]:
-    """Every back end with the devices that it finds, or with what it lacks.
+def list_devices() -> list[BackEndStatus]:
+    """List every back end with the devices that it finds, or with what it lacks.
 
     Examples
     --------
@@ -160,11 +151,11 @@ def list_devices() -> list[Listed]:
     >>> [back.kind for back in lm.list_devices() if back.role == "projector"]
     ['window', 'folder']
     """
-    listed = [_listed("projector", kind, back) for kind, back in PROJECTORS.items()]
-    return listed + [_listed("camera", kind, back) for kind, back in CAMERAS.items()]
+    projectors = [_status("projector", kind, back) for kind, back in PROJECTORS.items()]
+    return projectors + [_status("camera", kind, back) for kind, back in CAMERAS.items()]
 
 
-def _opened(known: Mapping[str, BackEnd[Device]], role: str, text: str) -> Device:
+def _open_device(known: Mapping[str, BackEnd[Device]], role: str, text: str) -> Device:
     address = Address.parse(text)
     if address.kind not in known:
         forms = ", ".join(back.form for back in known.values())
@@ -172,11 +163,11 @@ def _opened(known: Mapping[str, BackEnd[Device]], role: str, text: str) -> Devic
     return known[address.kind].open(address)
 
 
-def _listed(role: str, kind: str, back: BackEnd[Device]) -> Listed:
-    told = Listed(role, kind, back.summary, back.form, back.find is not None)
+def _status(role: str, kind: str, back: BackEnd[Device]) -> BackEndStatus:
+    status = BackEndStatus(role, kind, back.summary, back.form, back.find is not None)
     if back.find is None:
-        return told
+        return status
     try:
-        return replace(told, found=tuple(back.find()))
+        return replace(status, found=tuple(back.find()))
     except (MissingExtraError, DeviceError) as error:
-        return replace(told, problem=error.message, hint=error.hint)
+        return replace(status, problem=error.message, hint=error.hint)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.errors import DeviceError, FrameTimeoutError
-from lightmatrix.live.devices.exposure_limits import same_exposure, set_exposure
+from lightmatrix.live.devices.exposures import same_exposure, set_exposure
 from lightmatrix.live.devices.protocols import Frame
 from lightmatrix.live.rig import Rig
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from lightmatrix.live.devices.exposure_limits import exposure_limits
+from lightmatrix.live.devices.exposures import exposure_limits
 from lightmatrix.live.frames.photograph import Taker
 from lightmatrix.live.frames.repeats import take_steady
 from lightmatrix.live.measurements.white import Whites, find_white, images

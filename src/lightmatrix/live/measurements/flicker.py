@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.errors import FrameTimeoutError
-from lightmatrix.live.devices.exposure_limits import same_exposure, set_exposure
+from lightmatrix.live.devices.exposures import same_exposure, set_exposure
 from lightmatrix.live.frames.photograph import Taker
 from lightmatrix.live.measurements.white import Whites, find_white, images
 from lightmatrix.live.rig import Rig

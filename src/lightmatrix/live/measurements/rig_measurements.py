@@ -13,7 +13,7 @@ import numpy as np
 
 from lightmatrix.errors import InputError
 from lightmatrix.files.headers import read_json
-from lightmatrix.live.devices.exposure_limits import set_exposure
+from lightmatrix.live.devices.exposures import set_exposure
 from lightmatrix.live.frames.photograph import Taker, UntrustedFrameError
 from lightmatrix.live.frames.repeats import take_steady
 from lightmatrix.live.measurements.exposure import ExposureAdvice, measure_exposure

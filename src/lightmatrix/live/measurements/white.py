@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.camera.white_share import lit_samples, share_of_white
-from lightmatrix.live.devices.exposure_limits import exposure_limits
+from lightmatrix.live.devices.exposures import exposure_limits
 from lightmatrix.live.frames.photograph import Taker
 from lightmatrix.live.frames.repeats import Steady, take_steady
 from lightmatrix.live.rig import Rig, UnfitRigError

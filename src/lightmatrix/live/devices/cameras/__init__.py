@@ -1,1 +1,1 @@
-"""Cameras: one back end a file."""
+"""Cameras: one file for each back end, and what they share (`base`, `genicam`)."""

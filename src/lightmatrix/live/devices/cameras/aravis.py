@@ -3,32 +3,39 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from typing import Any
 
 from lightmatrix.errors import DeviceError, FrameTimeoutError
-from lightmatrix.live.devices.addresses import Address, Found, missing_extra
-from lightmatrix.live.devices.cameras.exposures import check_exposure
-from lightmatrix.live.devices.cameras.formats import PixelFormat, choose_format
-from lightmatrix.live.devices.cameras.stamps import Stamps
+from lightmatrix.live.devices.addresses import Address, AvailableDevice, missing_extra
+from lightmatrix.live.devices.cameras.genicam import BUFFERS, GenICamCamera
+from lightmatrix.live.devices.cameras.pixel_formats import PixelFormat
+from lightmatrix.live.devices.cameras.timestamps import FrameStamps
 from lightmatrix.live.devices.protocols import Frame
 
 EXTRA = "aravis"
-_BUFFERS = 8
-# Frame numbers of GigE Vision have 16 bits unless the camera extends them, and leave 0 out.
+# GigE Vision numbers frames from 1 to this, unless the camera extends the numbers to 64 bits.
 _LARGEST_GIGE_ID = 0xFFFF
 _SYSTEM = "install Aravis (Debian, Ubuntu: apt-get install gir1.2-aravis-0.8; macOS: brew install "
 _SYSTEM += "aravis)"
 
 
-class AravisCamera:
+class AravisCamera(GenICamCamera):
     """A camera that Aravis drives; made by `open_aravis`."""
 
+    kind = "aravis"
+    _features_hint = "`arv-tool-0.8 features` lists those that it has"
+    _values_hint = "`arv-tool-0.8 values` lists what its features can be"
+    _silent_hint = "a firewall may hold back its packets: see docs/devices.md"
+
     def __init__(self, aravis: Any, error: Any, address: Address) -> None:
-        self._aravis, self._error, self._address = aravis, error, address
+        super().__init__(address)
+        self._aravis, self._driver_error = aravis, error
+        self._refusals = (error,)
         self._gone = False
-        # The only references: the camera is given back when they end, not when a traceback does.
+        # Aravis gives the camera back when its last reference ends. No local variable may refer to
+        # it: the traceback of an error would keep it alive.
         self._stream: Any = None
         self._camera: Any = aravis.Camera.new(address.argument or None)
         try:
@@ -39,85 +46,46 @@ class AravisCamera:
             raise
 
     def _set_up(self) -> None:
-        self._take_control()
+        self._require_control()
         vendor, model = self._camera.get_vendor_name(), self._camera.get_model_name()
         self._name = f"{vendor} {model} {self._camera.get_device_serial_number()}"
-        self._set_features()
-        self._format = self._set_format()
-        self._trigger = self._set_trigger()
+        self._configure()
         if self._camera.is_gv_device():
-            # A network that does not let large packets pass keeps the size that it had.
-            with suppress(self._error):
+            # A network that blocks large packets keeps its packet size.
+            with suppress(self._driver_error):
                 self._camera.gv_auto_packet_size()
-        self._region = self._camera.get_region()
-        least, most = self._camera.get_exposure_time_bounds()
-        self._exposures = (1e-6 * least, 1e-6 * most)
+        _, _, width, height = self._camera.get_region()
+        self._set_shape(height, width)
+        shortest, longest = self._camera.get_exposure_time_bounds()
+        self._range = (1e-6 * shortest, 1e-6 * longest)
         largest = _LARGEST_GIGE_ID if self._has_short_ids() else None
-        self._stamps = Stamps(largest_id=largest, first_id=1)
+        self._stamps = FrameStamps(largest_id=largest, first_id=1)
         self._stream = self._camera.create_stream(None, None)
-        for _ in range(_BUFFERS):
+        for _ in range(BUFFERS):
             self._stream.push_buffer(self._aravis.Buffer.new_allocate(self._camera.get_payload()))
         self._camera.set_acquisition_mode(self._aravis.AcquisitionMode.CONTINUOUS)
         self._camera.start_acquisition()
 
-    @property
-    def exposure(self) -> float:
-        """Exposure time in seconds, read back from the camera."""
-        with self._talking("say its exposure"):
-            return float(self._camera.get_exposure_time()) * 1e-6
-
-    @exposure.setter
-    def exposure(self, seconds: float) -> None:
-        with self._talking("set its exposure"):
-            check_exposure(self._address, seconds, *self._exposures)
-            self._camera.set_exposure_time(seconds * 1e6)
-
-    def info(self) -> dict[str, Any]:
-        """Name, id, shape, pixel format, bits, trigger."""
-        _, _, width, height = self._region
-        channels = () if self._format.channels == 1 else (self._format.channels,)
-        return {
-            "name": self._name,
-            "kind": "aravis",
-            "address": str(self._address),
-            "shape": (height, width, *channels),
-            "bits": self._format.bits,
-            "pixel_format": self._format.name,
-            "trigger": self._trigger,
-            "shortest_exposure": self._exposures[0],
-            "longest_exposure": self._exposures[1],
-        }
-
     def get_image(self, timeout: float) -> Frame:
-        """The next frame that came whole.
-
-        Those of which packets were lost are passed over; their numbers are missing from the ids.
-
-        Raises
-        ------
-        FrameTimeoutError
-            If none came in `timeout` seconds.
-        DeviceError
-            If the camera is closed or gone.
-        """
+        """The next complete frame; the numbers of incomplete ones are missing from the ids."""
         until = time.monotonic() + timeout
-        torn = 0
+        incomplete = 0
         while True:
             self._check_open()
             left = max(0.0, until - time.monotonic())
             buffer = self._stream.timeout_pop_buffer(int(left * 1e6))
             if buffer is None:
-                raise self._no_frame(timeout, torn)
+                raise self._no_frame(timeout, incomplete)
             try:
                 frame_id = self._stamps.count(buffer.get_frame_id())
                 if buffer.get_status() == self._aravis.BufferStatus.SUCCESS:
                     return self._frame(buffer, frame_id)
             finally:
                 self._stream.push_buffer(buffer)
-            torn += 1
+            incomplete += 1
 
     def flush(self) -> None:
-        """Throw away frames that arrived but were not yet handed out."""
+        """Discard frames that arrived but were not yet handed out."""
         self._check_open()
         while (buffer := self._stream.try_pop_buffer()) is not None:
             self._stamps.count(buffer.get_frame_id())
@@ -132,145 +100,124 @@ class AravisCamera:
 
     def close(self) -> None:
         """Stop the camera and give it back."""
-        if self._camera is None:
+        if self._closed:
             return
-        # Each word to a camera that is gone is waited for, for seconds.
+        # A camera that is gone delays each command by seconds.
         if not self._gone:
-            with suppress(self._error):
+            with suppress(self._driver_error):
                 if self._stream is not None:
                     self._camera.stop_acquisition()
-                # Left waiting for a trigger, it would seem dead to the next program.
+                # A camera that waits for a trigger would seem dead to the next program.
                 self._camera.clear_triggers()
-        # The stream's thread ends with its last reference, and then the camera's control.
-        self._stream = None
-        self._camera = None
+        # The stream's thread ends with its last reference, and then the control of the camera.
+        self._stream = self._camera = None
+        self._closed = True
 
-    def _check_open(self) -> None:
-        if self._stream is None:
-            raise DeviceError(f"{self._address}: is closed", hint="open the camera again")
+    def _exposure_range(self) -> tuple[float, float]:
+        return self._range
+
+    def _read_exposure(self) -> float:
+        with self._talking("say its exposure"):
+            return float(self._camera.get_exposure_time()) * 1e-6
+
+    def _write_exposure(self, seconds: float) -> None:
+        with self._talking("set its exposure"):
+            self._camera.set_exposure_time(seconds * 1e6)
 
     def _frame(self, buffer: Any, frame_id: int) -> Frame:
-        # The wall clock may be set meanwhile: only its difference to now is used.
+        # The wall clock may be set meanwhile, so only its difference to now is used.
         age = max(0.0, time.time() - buffer.get_system_timestamp() * 1e-9)
         arrival = time.monotonic() - age
-        taken = self._stamps.time(buffer.get_timestamp() * 1e-9, arrival)
+        timestamp = self._stamps.time(buffer.get_timestamp() * 1e-9, arrival)
         rows, cols = buffer.get_image_height(), buffer.get_image_width()
         data = self._format.image(buffer.get_data(), rows, cols)
-        return Frame(data, frame_id, taken, self._format.clip_level)
+        return Frame(data, frame_id, timestamp, self._format.clip_level)
 
-    def _no_frame(self, timeout: float, torn: int) -> DeviceError:
+    def _no_frame(self, timeout: float, incomplete: int) -> DeviceError:
         self._gone = True
         with self._talking("be reached"):
             self._camera.get_exposure_time()
         self._gone = False
-        if torn:
+        if incomplete:
             return FrameTimeoutError(
-                f"{self._address}: {torn} frames came, but each with packets missing",
+                f"{self._address}: {incomplete} frames came, but each with packets missing",
                 hint="use a wired network, raise its MTU to 9000, or add the option "
                 "GevSCPSPacketSize=1400",
             )
-        hint = "is the cable of the trigger connected? trigger=software or trigger=free need none"
-        if self._trigger in ("free", "software"):
-            hint = "a firewall may hold back its packets: see docs/devices.md"
-        return FrameTimeoutError(f"{self._address}: no frame within {timeout:g} s", hint=hint)
+        return self._silent(timeout)
 
-    def _take_control(self) -> None:
+    def _require_control(self) -> None:
         if self._camera.is_gv_device() and not self._camera.get_device().is_controller():
-            # It would not listen to us when it is closed.
+            # Closing must not talk to a camera that does not listen to us.
             self._gone = True
-            raise DeviceError(
-                f"{self._address}: another program has the camera",
-                hint="close it there; a program that was killed gives it back after some seconds",
+            raise self._error(
+                "another program has the camera",
+                "close it there; a program that was killed gives it back after some seconds",
             )
 
-    def _set_features(self) -> None:
-        """What alters pictures by itself is switched off; then what the user wants is set."""
-        off = self._aravis.Auto.OFF
+    def _switch_off_automatics(self) -> None:
         for available, switch in (
             ("is_exposure_auto_available", "set_exposure_time_auto"),
             ("is_gain_auto_available", "set_gain_auto"),
             ("is_black_level_auto_available", "set_black_level_auto"),
         ):
             if getattr(self._camera, available)():
-                getattr(self._camera, switch)(off)
-        for name, value in self._address.options.items():
-            if not name[0].isupper() or name == "PixelFormat":
-                continue
-            if not self._camera.is_feature_available(name):
-                raise DeviceError(
-                    f"{self._address}: the camera has no feature {name}",
-                    hint="`arv-tool-0.8 features` lists those that it has",
-                )
-            try:
-                self._camera.get_device().set_features_from_string(f"{name}={value}")
-            except self._error as error:
-                raise DeviceError(
-                    f"{self._address}: {name}={value} was refused ({error.message})",
-                    hint="`arv-tool-0.8 values` lists what its features can be",
-                ) from error
+                getattr(self._camera, switch)(self._aravis.Auto.OFF)
 
-    def _set_format(self) -> PixelFormat:
-        offered = self._camera.dup_available_pixel_formats_as_strings()
-        chosen = choose_format(
-            str(self._address), offered, self._address.options.get("PixelFormat")
-        )
+    def _has_feature(self, name: str) -> bool:
+        return bool(self._camera.is_feature_available(name))
+
+    def _set_feature(self, name: str, value: str) -> None:
+        self._camera.get_device().set_features_from_string(f"{name}={value}")
+
+    def _reason(self, error: Exception) -> str:
+        return str(getattr(error, "message", error))
+
+    def _offered_formats(self) -> Sequence[str]:
+        offered: Sequence[str] = self._camera.dup_available_pixel_formats_as_strings()
+        return offered
+
+    def _use_format(self, chosen: PixelFormat) -> None:
         self._camera.set_pixel_format_from_string(chosen.name)
-        return chosen
 
-    def _set_trigger(self) -> str:
-        wanted = self._address.options.get("trigger")
-        if wanted is None:
-            wanted = "software" if self._camera.is_software_trigger_supported() else "free"
-        if wanted == "free":
+    def _has_software_trigger(self) -> bool:
+        return bool(self._camera.is_software_trigger_supported())
+
+    def _trigger_sources(self) -> Sequence[str]:
+        sources: Sequence[str] = self._camera.dup_available_trigger_sources()
+        return sources
+
+    def _use_trigger(self, source: str | None) -> None:
+        if source is None:
             self._camera.clear_triggers()
-            return wanted
-        sources = self._camera.dup_available_trigger_sources()
-        source = "Software" if wanted == "software" else wanted
-        if source not in sources:
-            raise DeviceError(
-                f"{self._address}: the camera has no trigger {wanted!r}",
-                hint=f"its triggers are {', '.join(sources) or 'none'}, and free",
-            )
-        self._camera.set_trigger(source)
-        return wanted
+        else:
+            self._camera.set_trigger(source)
 
     def _has_short_ids(self) -> bool:
         if not self._camera.is_gv_device():
             return False
-        with suppress(self._error):
+        with suppress(self._driver_error):
             return not self._camera.get_device().get_boolean_feature_value("GevGVSPExtendedIDMode")
         return True
 
     @contextmanager
     def _talking(self, doing: str) -> Iterator[None]:
-        """What Aravis says against it becomes ours."""
-        if self._camera is None:
-            raise DeviceError(f"{self._address}: is closed", hint="open the camera again")
+        """Turn errors of Aravis into a DeviceError."""
+        self._check_open()
         try:
             yield
-        except self._error as error:
-            raise DeviceError(
-                f"{self._address}: the camera cannot {doing} ({error.message})",
-                hint="check its cable and power, and whether another program has it",
+        except self._driver_error as error:
+            raise self._error(
+                f"the camera cannot {doing} ({error.message})",
+                "check its cable and power, and whether another program has it",
             ) from error
 
 
 def open_aravis(address: Address) -> AravisCamera:
-    """A camera that an address names by its id, serial number, or network address.
+    """Open a camera by its id, serial number or network address, or the first one.
 
-    Parameters
-    ----------
-    address : Address
-        "aravis:Basler-21211553", "aravis:192.168.1.20", or "aravis" alone: the first that is
-        found. The option trigger is software (the default where the camera can), free, or one of
-        its inputs, as Line1; options with a capital are its own features: Gain=0, Width=640.
-
-    Raises
-    ------
-    MissingExtraError
-        If PyGObject or Aravis is not installed.
-    DeviceError
-        If there is no such camera, another program has it, or it refuses a setting.
+    The option trigger is software (the default where the camera can), free, or one of its inputs,
+    such as Line1. Options with a capital are the camera's own features: Gain=0, Width=640.
     """
     address.check_options(("trigger",), features=True)
     aravis, error = _load()
@@ -284,25 +231,19 @@ def open_aravis(address: Address) -> AravisCamera:
         ) from reason
 
 
-def find_aravis() -> list[Found]:
-    """The GigE and USB3 Vision cameras that answer.
-
-    Raises
-    ------
-    MissingExtraError
-        As `open_aravis`.
-    """
+def find_aravis() -> list[AvailableDevice]:
+    """The GigE and USB3 Vision cameras that answer."""
     aravis, _ = _load()
     aravis.update_device_list()
-    found = []
+    devices = []
     for index in range(aravis.get_n_devices()):
         words = (aravis.get_device_vendor(index), aravis.get_device_model(index))
         description = " ".join(word for word in words if word)
         description += (
             f", {aravis.get_device_protocol(index)} at {aravis.get_device_address(index)}"
         )
-        found.append(Found(f"aravis:{aravis.get_device_id(index)}", description))
-    return found
+        devices.append(AvailableDevice(f"aravis:{aravis.get_device_id(index)}", description))
+    return devices
 
 
 def _load() -> tuple[Any, Any]:
@@ -311,7 +252,7 @@ def _load() -> tuple[Any, Any]:
 
         gi.require_version("Aravis", "0.8")
         from gi.repository import Aravis, GLib
-    # A ValueError where PyGObject is there but Aravis is not.
+    # A ValueError means that PyGObject is installed but Aravis is not.
     except (ImportError, ValueError) as error:
         raise missing_extra(
             EXTRA, "GigE and USB3 Vision cameras through Aravis", system=_SYSTEM

@@ -14,34 +14,33 @@ from typing import Any
 
 import numpy as np
 
-from lightmatrix.errors import DeviceError, FrameTimeoutError, InputError
+from lightmatrix.errors import DeviceError, InputError
 from lightmatrix.files.images import READABLE, read_image
-from lightmatrix.live.devices.addresses import Address, Found, missing_extra
-from lightmatrix.live.devices.cameras.exposures import (
-    check_exposure,
-    not_ours_to_set,
-    stated_exposure,
-)
+from lightmatrix.live.devices.addresses import Address, AvailableDevice, missing_extra
+from lightmatrix.live.devices.cameras.base import BaseCamera, stated_exposure
 from lightmatrix.live.devices.protocols import Frame
 
 EXTRA = "dslr"
-# What cameras call their exposure time, and where they put a picture.
+# Names of the exposure time among the settings of different makers.
 _SHUTTERS = ("shutterspeed", "shutterspeed2", "exptime")
+# The setting that chooses where pictures are stored, and its value for the camera's own memory.
 _TARGET, _MEMORY = "capturetarget", "Internal RAM"
+# An exposure time as cameras write it: "1/125", "0.0100s" or "30".
 _TIME = re.compile(r"(?:([0-9]+)/)?([0-9]*\.?[0-9]+)s?")
 
 
-class DSLRCamera:
+class DSLRCamera(BaseCamera):
     """A digital camera; made by `open_dslr`. Each frame is asked for by `trigger`."""
 
+    kind = "dslr"
+
     def __init__(self, gphoto2: Any, camera: Any, name: str, address: Address) -> None:
-        self._gphoto2, self._camera = gphoto2, camera
-        self._name, self._address = name, address
-        # Pictures that were taken and still lie in the camera, with the moment of it.
-        self._taken: deque[tuple[Any, float]] = deque()
+        super().__init__(address)
+        self._gphoto2, self._camera, self._name = gphoto2, camera, name
+        self._trigger = "software"
+        # Pictures that still lie in the camera, each with the time at which it was taken.
+        self._waiting: deque[tuple[Any, float]] = deque()
         self._count = 0
-        self._shape: tuple[int, ...] | None = None
-        self._bits: int | None = None
         try:
             with self._talking("be set up"):
                 self._set_up()
@@ -57,14 +56,12 @@ class DSLRCamera:
             if name == "exposure":
                 continue
             if name not in settings:
-                raise DeviceError(
-                    f"{self._address}: the camera has no setting {name!r}",
-                    hint=f"it has {', '.join(sorted(settings))}",
+                raise self._error(
+                    f"the camera has no setting {name!r}", f"it has {', '.join(sorted(settings))}"
                 )
             if settings[name] and value not in settings[name]:
-                raise DeviceError(
-                    f"{self._address}: {name} cannot be {value!r}",
-                    hint=f"it can be {', '.join(settings[name])}",
+                raise self._error(
+                    f"{name} cannot be {value!r}", f"it can be {', '.join(settings[name])}"
                 )
             self._set(name, value)
         self._shutter = next((name for name in _SHUTTERS if name in settings), None)
@@ -72,69 +69,23 @@ class DSLRCamera:
         if self._shutter is not None:
             read = {text: _seconds(text) for text in settings[self._shutter]}
             self._speeds = {value: text for text, value in read.items() if value is not None}
-        # In its automatic modes it lets nobody choose.
-        self._stated = None if self._speeds else stated_exposure(self._address)
-
-    @property
-    def exposure(self) -> float:
-        """Exposure time in seconds, as the camera is set, or as the address says it."""
-        if self._stated is not None:
-            return self._stated
-        self._check_open()
-        with self._talking("say its exposure"):
-            text = self._camera.get_single_config(self._shutter).get_value()
-        return _seconds(text) or math.nan
-
-    @exposure.setter
-    def exposure(self, seconds: float) -> None:
-        if self._stated is not None:
-            raise not_ours_to_set(self._address)
-        self._check_open()
-        check_exposure(self._address, seconds, min(self._speeds), max(self._speeds))
-        # It has steps; the one that it took is read back.
-        nearest = min(self._speeds, key=lambda speed: abs(math.log(speed / seconds)))
-        with self._talking("set its exposure"):
-            self._set(str(self._shutter), self._speeds[nearest])
-
-    def info(self) -> dict[str, Any]:
-        """Name, address, exposures; shape and bits once a frame has been seen, None before."""
-        least, most = self._stated, self._stated
-        if self._speeds:
-            least, most = min(self._speeds), max(self._speeds)
-        return {
-            "name": self._name,
-            "kind": "dslr",
-            "address": str(self._address),
-            "shape": self._shape,
-            "bits": self._bits,
-            "trigger": "software",
-            "shortest_exposure": least,
-            "longest_exposure": most,
-        }
+        if not self._speeds:
+            # In its automatic modes the camera does not let the exposure be set.
+            self._stated = stated_exposure(self._address)
 
     def get_image(self, timeout: float) -> Frame:
-        """The next picture, by `trigger` or by the camera's own button, fetched from the camera.
+        """The next picture, taken by `trigger` or by the camera's own button.
 
-        Its time is when the camera said that it was taken, which is after its exposure.
-
-        Raises
-        ------
-        FrameTimeoutError
-            If none was taken within `timeout` seconds.
-        DeviceError
-            If the camera is closed or gone, or its pictures cannot be read.
+        Its time is when the camera reported it, which is after its exposure.
         """
         self._check_open()
         until = time.monotonic() + timeout
-        while not self._taken:
+        while not self._waiting:
             left = until - time.monotonic()
             if left <= 0:
-                raise FrameTimeoutError(
-                    f"{self._address}: no frame within {timeout:g} s",
-                    hint="can it focus? switch the lens to manual focus",
-                )
+                raise self._timeout(timeout, "can it focus? switch the lens to manual focus")
             self._listen(left)
-        where, when = self._taken.popleft()
+        where, when = self._waiting.popleft()
         self._count += 1
         with self._talking("hand over a picture"):
             file = self._camera.file_get(
@@ -146,38 +97,44 @@ class DSLRCamera:
     def flush(self) -> None:
         """Pass over pictures that were taken but not yet handed out."""
         self._check_open()
-        self._taken.clear()
+        self._waiting.clear()
 
     def trigger(self) -> None:
-        """Take a picture, and wait until it is taken.
-
-        Raises
-        ------
-        DeviceError
-            If the camera does not.
-        """
+        """Take a picture, and wait until it is taken."""
         self._check_open()
         exposure = self.exposure
         began = time.monotonic()
         with self._talking("take a picture"):
             where = self._camera.capture(self._gphoto2.GP_CAPTURE_IMAGE)
-        # A driver may come back while the shutter is still open; "bulb" does not say how long.
+        # A driver may return while the shutter is still open; "bulb" does not say how long.
         left = began + exposure - time.monotonic()
         if left > 0:
             time.sleep(left)
-        self._taken.append((where, time.monotonic()))
+        self._waiting.append((where, time.monotonic()))
 
     def close(self) -> None:
         """Give the camera back."""
-        if self._camera is None:
+        if self._closed:
             return
         with suppress(self._gphoto2.GPhoto2Error):
             self._camera.exit()
         self._camera = None
+        self._closed = True
 
-    def _check_open(self) -> None:
-        if self._camera is None:
-            raise DeviceError(f"{self._address}: is closed", hint="open the camera again")
+    def _exposure_range(self) -> tuple[float, float]:
+        return min(self._speeds), max(self._speeds)
+
+    def _read_exposure(self) -> float:
+        self._check_open()
+        with self._talking("say its exposure"):
+            text = self._camera.get_single_config(self._shutter).get_value()
+        return _seconds(text) or math.nan
+
+    def _write_exposure(self, seconds: float) -> None:
+        # A shutter has steps; the one that was set is read back.
+        nearest = min(self._speeds, key=lambda speed: abs(math.log(speed / seconds)))
+        with self._talking("set its exposure"):
+            self._set(str(self._shutter), self._speeds[nearest])
 
     def _listen(self, seconds: float) -> None:
         """Wait for a picture that somebody takes at the camera."""
@@ -185,17 +142,17 @@ class DSLRCamera:
         with self._talking("be listened to"):
             kind, what = self._camera.wait_for_event(max(1, int(1000 * seconds)))
         if kind == self._gphoto2.GP_EVENT_FILE_ADDED:
-            self._taken.append((what, time.monotonic()))
-        # Some drivers come back at once, with nothing.
+            self._waiting.append((what, time.monotonic()))
+        # Some drivers return at once without an event.
         elif time.monotonic() - began < 0.01:
             time.sleep(min(0.01, seconds))
 
     def _frame(self, name: str, content: bytes, when: float) -> Frame:
         suffix = Path(name).suffix.lower()
         if suffix not in READABLE:
-            raise DeviceError(
-                f"{self._address}: delivers {suffix or 'nameless'} files, which are not read",
-                hint="set it to JPEG, or develop them and take the folder with watch:DIR",
+            raise self._error(
+                f"delivers {suffix or 'nameless'} files, which are not read",
+                "set it to JPEG, or develop them and take the folder with watch:DIR",
             )
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / f"picture{suffix}"
@@ -203,28 +160,24 @@ class DSLRCamera:
             try:
                 image = read_image(path)
             except InputError as error:
-                raise DeviceError(
-                    f"{self._address}: {name} came damaged", hint="check the USB cable"
-                ) from error
+                raise self._error(f"{name} came damaged", "check the USB cable") from error
         self._shape, self._bits = image.shape, 8 * image.dtype.itemsize
         return Frame(image, self._count, when, float(np.iinfo(image.dtype).max))
 
     def _settings(self) -> dict[str, tuple[str, ...]]:
-        """What can be set, by name, with the choices that there are."""
-        found: dict[str, tuple[str, ...]] = {}
-        open_ = [self._camera.get_config()]
-        while open_:
-            widget = open_.pop()
-            open_.extend(widget.get_child(index) for index in range(widget.count_children()))
-            if widget.get_type() in (
-                self._gphoto2.GP_WIDGET_RADIO,
-                self._gphoto2.GP_WIDGET_MENU,
-            ):
+        """Settings by name with their choices; none for a free text."""
+        gphoto2 = self._gphoto2
+        settings: dict[str, tuple[str, ...]] = {}
+        widgets = [self._camera.get_config()]
+        while widgets:
+            widget = widgets.pop()
+            widgets.extend(widget.get_child(index) for index in range(widget.count_children()))
+            if widget.get_type() in (gphoto2.GP_WIDGET_RADIO, gphoto2.GP_WIDGET_MENU):
                 choices = (widget.get_choice(index) for index in range(widget.count_choices()))
-                found[widget.get_name()] = tuple(choices)
-            elif widget.get_type() == self._gphoto2.GP_WIDGET_TEXT:
-                found[widget.get_name()] = ()
-        return found
+                settings[widget.get_name()] = tuple(choices)
+            elif widget.get_type() == gphoto2.GP_WIDGET_TEXT:
+                settings[widget.get_name()] = ()
+        return settings
 
     def _set(self, name: str, value: str) -> None:
         widget = self._camera.get_single_config(name)
@@ -233,29 +186,19 @@ class DSLRCamera:
 
     @contextmanager
     def _talking(self, doing: str) -> Iterator[None]:
-        with _explained(self._gphoto2, self._address, f"cannot {doing}"):
+        with _translated_errors(self._gphoto2, self._address, f"cannot {doing}"):
             yield
 
 
 def open_dslr(address: Address) -> DSLRCamera:
-    """A digital camera that an address names by model or port.
+    """Open a digital camera by its model or port, or the first one.
 
-    Parameters
-    ----------
-    address : Address
-        "dslr:Nikon DSC D750", "dslr:usb:001,004", or "dslr" alone for the first that is found.
-        Options are the camera's own settings, as gphoto2 calls them: iso=100, imagesize=640x480;
-        exposure, in seconds, is for a camera that does not let its shutter be set.
-
-    Raises
-    ------
-    MissingExtraError
-        If gphoto2 is not installed.
-    DeviceError
-        If there is no such camera, another program has it, or it has no such setting.
+    Addresses are "dslr:Nikon DSC D750" or "dslr:usb:001,004". Options are the camera's own
+    settings, as gphoto2 calls them: iso=100, imagesize=640x480. The option exposure, in seconds, is
+    for a camera that does not let its shutter be set.
     """
     gphoto2 = _load()
-    cameras = _autodetect(gphoto2, address)
+    cameras = _detected(gphoto2, address)
     wanted = address.argument
     chosen = next((each for each in cameras if not wanted or wanted in each), None)
     if chosen is None:
@@ -266,7 +209,7 @@ def open_dslr(address: Address) -> DSLRCamera:
         )
     name, port = chosen
     camera = gphoto2.Camera()
-    with _explained(gphoto2, address, "does not answer"):
+    with _translated_errors(gphoto2, address, "does not answer"):
         models, ports = gphoto2.CameraAbilitiesList(), gphoto2.PortInfoList()
         models.load()
         ports.load()
@@ -276,15 +219,10 @@ def open_dslr(address: Address) -> DSLRCamera:
     return DSLRCamera(gphoto2, camera, name, address)
 
 
-def find_dslr() -> list[Found]:
-    """The digital cameras on USB.
-
-    Raises
-    ------
-    MissingExtraError, DeviceError
-        As `open_dslr`.
-    """
-    return [Found(f"dslr:{port}", name) for name, port in _autodetect(_load(), Address("dslr"))]
+def find_dslr() -> list[AvailableDevice]:
+    """The digital cameras on USB."""
+    cameras = _detected(_load(), Address("dslr"))
+    return [AvailableDevice(f"dslr:{port}", name) for name, port in cameras]
 
 
 def _load() -> Any:
@@ -295,15 +233,15 @@ def _load() -> Any:
     return gphoto2
 
 
-def _autodetect(gphoto2: Any, address: Address) -> list[tuple[str, str]]:
-    with _explained(gphoto2, address, "cannot be looked for"):
+def _detected(gphoto2: Any, address: Address) -> list[tuple[str, str]]:
+    with _translated_errors(gphoto2, address, "cannot be looked for"):
         cameras = gphoto2.Camera.autodetect()
     return [(cameras.get_name(k), cameras.get_value(k)) for k in range(cameras.count())]
 
 
 @contextmanager
-def _explained(gphoto2: Any, address: Address, what: str) -> Iterator[None]:
-    """What gphoto2 says against it becomes ours."""
+def _translated_errors(gphoto2: Any, address: Address, what: str) -> Iterator[None]:
+    """Turn errors of gphoto2 into a DeviceError that says what to do."""
     try:
         yield
     except gphoto2.GPhoto2Error as error:
@@ -324,8 +262,8 @@ def _explained(gphoto2: Any, address: Address, what: str) -> Iterator[None]:
 
 
 def _seconds(text: str) -> float | None:
-    """The exposure time that a camera writes as "1/125", "0.0100s" or "30"; None for "bulb"."""
-    found = _TIME.fullmatch(text.strip())
-    if found is None or not float(found[2]):
+    """An exposure time that a camera writes as "1/125", "0.0100s" or "30"; None for "bulb"."""
+    match = _TIME.fullmatch(text.strip())
+    if match is None or not float(match[2]):
         return None
-    return float(found[1] or 1) / float(found[2]) if found[1] else float(found[2])
+    return float(match[1] or 1) / float(match[2]) if match[1] else float(match[2])

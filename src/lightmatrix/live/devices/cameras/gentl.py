@@ -5,41 +5,45 @@ from __future__ import annotations
 import logging
 import os
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from lightmatrix.errors import DeviceError, FrameTimeoutError
-from lightmatrix.live.devices.addresses import Address, Found, missing_extra
-from lightmatrix.live.devices.cameras.exposures import (
-    check_exposure,
-    not_ours_to_set,
-    stated_exposure,
-)
-from lightmatrix.live.devices.cameras.formats import PixelFormat, choose_format
-from lightmatrix.live.devices.cameras.stamps import Stamps
+from lightmatrix.errors import DeviceError
+from lightmatrix.live.devices.addresses import Address, AvailableDevice, missing_extra
+from lightmatrix.live.devices.cameras.base import stated_exposure
+from lightmatrix.live.devices.cameras.genicam import BUFFERS, GenICamCamera
+from lightmatrix.live.devices.cameras.pixel_formats import PixelFormat
+from lightmatrix.live.devices.cameras.timestamps import FrameStamps
 from lightmatrix.live.devices.protocols import Frame
 
 EXTRA = "gentl"
-# Folders of producers, as the standard has it.
+# The standard's environment variable for the folders of producers.
 _PATHS = "GENICAM_GENTL64_PATH"
-_BUFFERS = 8
-# What switches off, where a camera has it, all that alters pictures by itself.
-_PLAIN = ("ExposureAuto", "GainAuto", "BlackLevelAuto", "BalanceWhiteAuto")
-# Frames that are thrown away wait already; none is waited for.
+# Features that let a camera alter pictures by itself; all of them have the value Off.
+_AUTOMATICS = ("ExposureAuto", "GainAuto", "BlackLevelAuto", "BalanceWhiteAuto")
+# Seconds to wait for a frame that is to be discarded: such frames have arrived already.
 _AT_ONCE = 0.001
 
 
-class GenTLCamera:
+class GenTLCamera(GenICamCamera):
     """A camera behind a GenTL producer; made by `open_gentl`."""
 
+    kind = "gentl"
+    # Harvesters passes on errors of its own kind and of the producer's.
+    _refusals = (Exception,)
+    _features_hint = "its maker's program lists those that it has"
+    _values_hint = "its maker's program says what its features can be"
+    _silent_hint = "does its maker's program get pictures? try a smaller one: Width, Height"
+
     def __init__(self, gentl: Any, harvester: Any, address: Address) -> None:
-        self._gentl, self._harvester, self._address = gentl, harvester, address
+        super().__init__(address)
+        self._gentl, self._harvester = gentl, harvester
         self._acquirer: Any = None
-        self._stamps = Stamps()
+        self._stamps = FrameStamps()
         try:
-            device = _chosen(harvester, address)
+            device = _chosen_device(harvester, address)
             self._name = f"{device.vendor} {device.model} {device.serial_number}"
             with self._talking("be set up"):
                 self._acquirer = harvester.create(harvester.device_info_list.index(device))
@@ -49,79 +53,31 @@ class GenTLCamera:
             raise
 
     def _set_up(self) -> None:
-        for name in _PLAIN:
-            if (node := self._node(name)) is not None:
-                # Some cameras have it without an Off.
-                with suppress(self._gentl.GenericException):
-                    node.value = "Off"
-        self._set_features()
-        self._format = self._set_format()
-        self._trigger = self._set_trigger()
+        self._configure()
         nodes = self._acquirer.remote_device.node_map
-        self._size = (int(nodes.Height.value), int(nodes.Width.value))
-        self._exposure = self._node("ExposureTime") or self._node("ExposureTimeAbs")
-        # A camera that does not say it needs a user who does.
-        self._stated = None if self._exposure is not None else stated_exposure(self._address)
-        self._acquirer.num_buffers = max(_BUFFERS, self._acquirer.min_num_buffers)
+        self._set_shape(int(nodes.Height.value), int(nodes.Width.value))
+        self._exposure_node = self._node("ExposureTime") or self._node("ExposureTimeAbs")
+        if self._exposure_node is None:
+            self._stated = stated_exposure(self._address)
+        self._acquirer.num_buffers = max(BUFFERS, self._acquirer.min_num_buffers)
         self._acquirer.start()
 
-    @property
-    def exposure(self) -> float:
-        """Exposure time in seconds, read back from the camera, or as the address says it."""
-        if self._stated is not None:
-            return self._stated
-        with self._talking("say its exposure"):
-            return float(self._exposure.value) * 1e-6
-
-    @exposure.setter
-    def exposure(self, seconds: float) -> None:
-        if self._stated is not None:
-            raise not_ours_to_set(self._address)
-        with self._talking("set its exposure"):
-            check_exposure(self._address, seconds, *self._exposures())
-            self._exposure.value = seconds * 1e6
-
-    def info(self) -> dict[str, Any]:
-        """Name, address, shape, pixel format, bits, trigger."""
-        channels = () if self._format.channels == 1 else (self._format.channels,)
-        least, most = self._exposures()
-        return {
-            "name": self._name,
-            "kind": "gentl",
-            "address": str(self._address),
-            "shape": (*self._size, *channels),
-            "bits": self._format.bits,
-            "pixel_format": self._format.name,
-            "trigger": self._trigger,
-            "shortest_exposure": least,
-            "longest_exposure": most,
-        }
-
     def get_image(self, timeout: float) -> Frame:
-        """The next frame that came whole.
-
-        Raises
-        ------
-        FrameTimeoutError
-            If none came in `timeout` seconds.
-        DeviceError
-            If the camera is closed or gone.
-        """
+        """The next complete frame; harvesters passes over the others."""
         self._check_open()
         try:
-            # Those of which a part was lost are passed over by harvesters.
             with (
                 self._talking("deliver frames"),
                 self._acquirer.fetch(timeout=max(_AT_ONCE, timeout)) as buffer,
             ):
                 return self._frame(buffer)
         except self._gentl.TimeoutException:
-            raise self._no_frame(timeout) from None
+            raise self._silent(timeout) from None
 
     def flush(self) -> None:
-        """Throw away frames that arrived but were not yet handed out."""
+        """Discard frames that arrived but were not yet handed out."""
         self._check_open()
-        # As many as there is room for: a camera that runs freely goes on meanwhile.
+        # No more than the buffers hold: a camera that runs freely goes on meanwhile.
         for _ in range(self._acquirer.num_buffers):
             try:
                 with self._talking("be flushed"), self._acquirer.fetch(timeout=_AT_ONCE):
@@ -138,25 +94,28 @@ class GenTLCamera:
 
     def close(self) -> None:
         """Stop the camera and give it back."""
-        if self._harvester is None:
+        if self._closed:
             return
         with suppress(self._gentl.GenericException):
             if self._acquirer is not None:
                 self._acquirer.destroy()
         self._harvester.reset()
         self._acquirer = self._harvester = None
+        self._closed = True
 
-    def _check_open(self) -> None:
-        if self._acquirer is None:
-            raise DeviceError(f"{self._address}: is closed", hint="open the camera again")
+    def _exposure_range(self) -> tuple[float, float]:
+        return float(self._exposure_node.min) * 1e-6, float(self._exposure_node.max) * 1e-6
+
+    def _read_exposure(self) -> float:
+        with self._talking("say its exposure"):
+            return float(self._exposure_node.value) * 1e-6
+
+    def _write_exposure(self, seconds: float) -> None:
+        with self._talking("set its exposure"):
+            self._exposure_node.value = seconds * 1e6
 
     def _node(self, name: str) -> Any:
         return getattr(self._acquirer.remote_device.node_map, name, None)
-
-    def _exposures(self) -> tuple[float, float]:
-        if self._stated is not None:
-            return self._stated, self._stated
-        return float(self._exposure.min) * 1e-6, float(self._exposure.max) * 1e-6
 
     def _frame(self, buffer: Any) -> Frame:
         arrival = time.monotonic()
@@ -165,121 +124,93 @@ class GenTLCamera:
         with suppress(self._gentl.GenericException):
             stamp = buffer.module.timestamp_ns * 1e-9
         image = buffer.payload.components[0]
-        # The buffer is used again for another frame.
+        # The data is copied because the buffer will hold another frame.
         data = self._format.image(image.data.tobytes(), image.height, image.width)
-        taken = self._stamps.time(stamp, arrival)
-        return Frame(data, int(buffer.module.frame_id), taken, self._format.clip_level)
+        timestamp = self._stamps.time(stamp, arrival)
+        return Frame(data, int(buffer.module.frame_id), timestamp, self._format.clip_level)
 
-    def _no_frame(self, timeout: float) -> FrameTimeoutError:
-        hint = "is the cable of the trigger connected? trigger=software or trigger=free need none"
-        if self._trigger in ("free", "software"):
-            hint = "does its maker's program get pictures? try a smaller one: Width, Height"
-        return FrameTimeoutError(f"{self._address}: no frame within {timeout:g} s", hint=hint)
+    def _switch_off_automatics(self) -> None:
+        for name in _AUTOMATICS:
+            if (node := self._node(name)) is not None:
+                # Some cameras have the feature without the value Off.
+                with suppress(self._gentl.GenericException):
+                    node.value = "Off"
 
-    def _set_features(self) -> None:
-        for name, value in self._address.options.items():
-            if not name[0].isupper() or name == "PixelFormat":
-                continue
-            node = self._node(name)
-            if node is None:
-                raise DeviceError(
-                    f"{self._address}: the camera has no feature {name}",
-                    hint="its maker's program lists those that it has",
-                )
-            try:
-                node.from_string(value)
-            except (self._gentl.GenericException, Exception) as error:
-                raise DeviceError(
-                    f"{self._address}: {name}={value} was refused ({_text(error)})",
-                    hint="its maker's program says what its features can be",
-                ) from error
+    def _has_feature(self, name: str) -> bool:
+        return self._node(name) is not None
 
-    def _set_format(self) -> PixelFormat:
-        node = self._node("PixelFormat")
-        chosen = choose_format(
-            str(self._address), tuple(node.symbolics), self._address.options.get("PixelFormat")
-        )
-        node.value = chosen.name
-        return chosen
+    def _set_feature(self, name: str, value: str) -> None:
+        self._node(name).from_string(value)
 
-    def _set_trigger(self) -> str:
-        can = self._node("TriggerSoftware") is not None
-        wanted = self._address.options.get("trigger", "software" if can else "free")
-        mode, selector = self._node("TriggerMode"), self._node("TriggerSelector")
+    def _reason(self, error: Exception) -> str:
+        return _one_line(error)
+
+    def _offered_formats(self) -> Sequence[str]:
+        return tuple(self._node("PixelFormat").symbolics)
+
+    def _use_format(self, chosen: PixelFormat) -> None:
+        self._node("PixelFormat").value = chosen.name
+
+    def _choose_trigger(self) -> str:
+        selector = self._node("TriggerSelector")
         if selector is not None and "FrameStart" in selector.symbolics:
             selector.value = "FrameStart"
-        if wanted == "free":
-            if mode is not None:
-                mode.value = "Off"
-            return wanted
-        node = self._node("TriggerSource")
-        sources = () if node is None else tuple(node.symbolics)
-        source = "Software" if wanted == "software" else wanted
-        if source not in sources or mode is None:
-            raise DeviceError(
-                f"{self._address}: the camera has no trigger {wanted!r}",
-                hint=f"its triggers are {', '.join(sources) or 'none'}, and free",
-            )
-        node.value = source
-        mode.value = "On"
-        return wanted
+        return super()._choose_trigger()
+
+    def _has_software_trigger(self) -> bool:
+        return self._node("TriggerSoftware") is not None
+
+    def _trigger_sources(self) -> Sequence[str]:
+        mode, node = self._node("TriggerMode"), self._node("TriggerSource")
+        return () if mode is None or node is None else tuple(node.symbolics)
+
+    def _use_trigger(self, source: str | None) -> None:
+        mode = self._node("TriggerMode")
+        if source is not None:
+            self._node("TriggerSource").value = source
+            mode.value = "On"
+        elif mode is not None:
+            mode.value = "Off"
 
     @contextmanager
     def _talking(self, doing: str) -> Iterator[None]:
-        """What the producer says against it becomes ours, but for frames that are late."""
+        """Turn errors of the producer into a DeviceError, except timeouts."""
+        self._check_open()
         try:
             yield
         except self._gentl.TimeoutException:
             raise
         except self._gentl.ResourceInUseException as error:
-            raise DeviceError(
-                f"{self._address}: another program has the camera", hint="close it there"
-            ) from error
+            raise self._error("another program has the camera", "close it there") from error
         except self._gentl.GenericException as error:
-            raise DeviceError(
-                f"{self._address}: the camera cannot {doing} ({_text(error)})",
-                hint="check its cable and power, and whether another program has it",
+            raise self._error(
+                f"the camera cannot {doing} ({_one_line(error)})",
+                "check its cable and power, and whether another program has it",
             ) from error
 
 
 def open_gentl(address: Address) -> GenTLCamera:
-    """A camera that an address names by id, serial number, or number in the list.
+    """Open a camera by its id, serial number or number in the list, or the first one.
 
-    Parameters
-    ----------
-    address : Address
-        "gentl:ID", or "gentl" alone for the first one. Option producer is the maker's .cti file
-        (otherwise all those in the folders of GENICAM_GENTL64_PATH); trigger is software, free or
-        an input, as Line1; exposure, in seconds, is for a camera that does not say it; options
-        with a capital are its own features: Gain=0, Width=640.
-
-    Raises
-    ------
-    MissingExtraError
-        If harvesters is not installed.
-    DeviceError
-        If there is no producer or no such camera, another program has it, or it refuses a setting.
+    The option producer is the maker's .cti file; by default all files in the folders of
+    GENICAM_GENTL64_PATH are loaded. The option trigger is software, free or an input such as Line1.
+    The option exposure, in seconds, is for a camera that does not say it. Options with a capital
+    are the camera's own features: Gain=0, Width=640.
     """
     address.check_options(("producer", "trigger", "exposure"), features=True)
     gentl, harvester = _harvester(address)
     return GenTLCamera(gentl, harvester, address)
 
 
-def find_gentl() -> list[Found]:
-    """The cameras that the installed producers find.
-
-    Raises
-    ------
-    MissingExtraError, DeviceError
-        As `open_gentl`.
-    """
+def find_gentl() -> list[AvailableDevice]:
+    """The cameras that the installed producers find."""
     _, harvester = _harvester(Address("gentl"))
-    found = []
+    devices = []
     for device in harvester.device_info_list:
         words = f"{device.vendor} {device.model}, serial number {device.serial_number}"
-        found.append(Found(f"gentl:{device.id_}", words))
+        devices.append(AvailableDevice(f"gentl:{device.id_}", words))
     harvester.reset()
-    return found
+    return devices
 
 
 def _harvester(address: Address) -> tuple[Any, Any]:
@@ -289,18 +220,18 @@ def _harvester(address: Address) -> tuple[Any, Any]:
     except ImportError as error:
         raise missing_extra(EXTRA, "cameras through GenTL") from error
     producers = _producers(address)
-    # It prints what it raises as well.
+    # Harvesters logs every error that it raises as well.
     logging.getLogger("harvesters").setLevel(logging.CRITICAL)
     harvester = Harvester()
     try:
         for producer in producers:
             harvester.add_file(str(producer), check_validity=True)
         harvester.update()
-    # A producer is code of its maker's, and so are its errors.
+    # A producer is its maker's code and raises errors of any kind.
     except Exception as error:
         harvester.reset()
         raise DeviceError(
-            f"{address}: a GenTL producer cannot be loaded ({_text(error)})",
+            f"{address}: a GenTL producer cannot be loaded ({_one_line(error)})",
             hint="install its maker's software again, or name another one: producer=FILE.cti",
         ) from error
     return gentl, harvester
@@ -309,22 +240,22 @@ def _harvester(address: Address) -> tuple[Any, Any]:
 def _producers(address: Address) -> list[Path]:
     named = address.options.get("producer")
     if named is not None:
-        found = [Path(named)] if Path(named).is_file() else []
+        files = [Path(named)] if Path(named).is_file() else []
         where = named
     else:
         folders = [Path(text) for text in os.environ.get(_PATHS, "").split(os.pathsep) if text]
-        found = sorted(file for folder in folders for file in folder.glob("*.cti"))
+        files = sorted(file for folder in folders for file in folder.glob("*.cti"))
         where = f"the folders of {_PATHS}" if folders else f"sight, {_PATHS} is not set"
-    if not found:
+    if not files:
         raise DeviceError(
             f"{address}: there is no GenTL producer in {where}",
             hint="install the software of the camera's maker, which brings a .cti file, and name "
             "it: producer=FILE.cti",
         )
-    return found
+    return files
 
 
-def _chosen(harvester: Any, address: Address) -> Any:
+def _chosen_device(harvester: Any, address: Address) -> Any:
     devices = harvester.device_info_list
     wanted = address.argument
     for number, device in enumerate(devices):
@@ -337,5 +268,5 @@ def _chosen(harvester: Any, address: Address) -> Any:
     )
 
 
-def _text(error: BaseException) -> str:
+def _one_line(error: BaseException) -> str:
     return " ".join(str(error).split()) or type(error).__name__

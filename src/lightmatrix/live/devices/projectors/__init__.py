@@ -1,1 +1,1 @@
-"""Projectors: one back end a file."""
+"""Projectors: one file for each back end."""

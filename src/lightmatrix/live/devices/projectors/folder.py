@@ -1,4 +1,4 @@
-"""A folder that another program shows: each image takes the place of the one before."""
+"""A folder that another program shows: each image replaces the one before."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from numpy.typing import NDArray
 from lightmatrix.errors import DeviceError, InputError
 from lightmatrix.files.images import write_image
 from lightmatrix.live.devices.addresses import Address
-from lightmatrix.live.devices.projectors.images import check_image
+from lightmatrix.live.devices.protocols import check_image
 
-# The one file that the other program watches.
+# The file that the other program watches.
 SHOWN = "shown.png"
 _SIZE = re.compile(r"([0-9]{1,5})x([0-9]{1,5})")
 
 
 class FolderProjector:
-    """Writes ``shown.png``, whole at any moment; made by `open_folder`."""
+    """Writes ``shown.png``, which is a complete image at any moment; made by `open_folder`."""
 
     def __init__(self, address: Address, folder: Path, shape: tuple[int, int]) -> None:
         self._address, self._folder, self._shape = address, folder, shape
@@ -30,11 +30,11 @@ class FolderProjector:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Rows and columns, as the address gives them."""
+        """Rows and columns, as the address states them."""
         return self._shape
 
     def info(self) -> dict[str, Any]:
-        """Name, folder, shape."""
+        """JSON-ready facts."""
         return {
             "name": f"folder {self._folder}",
             "kind": "folder",
@@ -43,18 +43,9 @@ class FolderProjector:
         }
 
     def show(self, image: NDArray[np.uint8]) -> float:
-        """Write an image, (rows, cols) or (rows, cols, 3) uint8; when the file was in place.
+        """Write an image; return when the file was in place.
 
-        When the other program shows it is not known: `lightmatrix rig settle` measures it.
-
-        Raises
-        ------
-        InputError
-            If it is not of the projector's shape, or not uint8.
-        OutputError
-            If it cannot be written.
-        DeviceError
-            If the projector is closed.
+        When the other program shows it is not known; `lightmatrix rig settle` measures it.
         """
         if self._closed:
             raise DeviceError(f"{self._address}: is closed", hint="open it again")
@@ -63,7 +54,7 @@ class FolderProjector:
         return time.monotonic()
 
     def black(self) -> float:
-        """Show no light, and say when."""
+        """Show no light; return when."""
         return self.show(np.zeros(self._shape, np.uint8))
 
     def close(self) -> None:
@@ -72,20 +63,7 @@ class FolderProjector:
 
 
 def open_folder(address: Address) -> FolderProjector:
-    """A folder, which is made if need be.
-
-    Parameters
-    ----------
-    address : Address
-        "folder:DIR,size=1024x768", width first as monitors have it.
-
-    Raises
-    ------
-    InputError
-        If the folder or the size is missing or makes no sense.
-    OutputError
-        If it cannot be written to.
-    """
+    """Open "folder:DIR,size=1024x768", width first as monitors have it; makes a missing folder."""
     address.check_options(("size",))
     size = _SIZE.fullmatch(address.options.get("size", ""))
     if not address.argument or size is None or "0" in size.groups():

@@ -1,8 +1,7 @@
 """A full-screen window on a monitor or projector, exact to the bit.
 
-The image reaches the screen by one texel fetch a pixel at the monitor's own resolution: no scaling,
-no filter, no colour management, no dither. What the graphics card does behind that, its gamma ramp,
-is reported.
+Each screen pixel is one texel fetch at the monitor's own resolution: no scaling, no filter, no
+colour management, no dither. The graphics card's gamma ramp, which acts behind that, is reported.
 """
 
 from __future__ import annotations
@@ -16,8 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.errors import DeviceError, InputError
-from lightmatrix.live.devices.addresses import Address, Found, in_words, missing_extra
-from lightmatrix.live.devices.projectors.images import check_image
+from lightmatrix.live.devices.addresses import (
+    Address,
+    AvailableDevice,
+    missing_extra,
+    size_in_words,
+)
+from lightmatrix.live.devices.protocols import check_image
 
 EXTRA = "window"
 _VERTEX = """
@@ -39,15 +43,16 @@ void main() {
 """
 _GL_DITHER = 0x0BD0
 _GLFW_MESSAGE = re.compile(r"^\([0-9]+\) b?['\"]?(.*?) ?['\"]?$")
-# At which a bent gamma ramp is told.
+# A gamma ramp that is not linear is reported at this many grey values from 0 to 1.
 _RAMP_STEPS = 17
+# Number of open windows: GLFW ends with the last one.
 _windows = 0
 
 
 class WindowProjector:
     """A full-screen window; made by `open_window`.
 
-    All its methods are to be called from the thread that made it: the main thread, as macOS has it.
+    Call its methods only from the thread that made it; on macOS that is the main thread.
     """
 
     def __init__(self, glfw: Any, moderngl: Any, monitor: Any, number: int, gamma: str) -> None:
@@ -57,7 +62,7 @@ class WindowProjector:
         mode = glfw.get_video_mode(monitor)
         self._window: Any = _full_screen(glfw, monitor, mode)
         glfw.make_context_current(self._window)
-        # Waits for the monitor's refresh, so that no half of an image is shown.
+        # A swap waits for the monitor's refresh, so that no image is torn.
         glfw.swap_interval(1)
         glfw.set_input_mode(self._window, glfw.CURSOR, glfw.CURSOR_HIDDEN)
         glfw.set_key_callback(self._window, self._pressed)
@@ -70,7 +75,7 @@ class WindowProjector:
         self._triangle = self._context.vertex_array(self._program, [])
         self._textures: dict[int, Any] = {}
         if gamma == "linear":
-            # GLFW puts back what was there when it ends.
+            # GLFW restores the ramp when it ends.
             glfw.set_gamma(monitor, 1.0)
         largest = max(mode.size for mode in glfw.get_video_modes(monitor))
         self._info = {
@@ -78,7 +83,7 @@ class WindowProjector:
             "kind": "window",
             "monitor": number,
             "shape": self._shape,
-            # Where it is not the monitor's own resolution, the monitor scales.
+            # The monitor scales the image if its current mode is a smaller one.
             "largest_mode": (largest.height, largest.width),
             "refresh": float(mode.refresh_rate) or None,
             "gamma_ramp": _gamma_ramp(glfw, monitor),
@@ -92,26 +97,18 @@ class WindowProjector:
         return self._shape
 
     def info(self) -> dict[str, Any]:
-        """Name, monitor, shape, refresh in Hz, gamma ramp, renderer."""
+        """JSON-ready facts."""
         return dict(self._info)
 
     def show(self, image: NDArray[np.uint8]) -> float:
-        """Show an image, (rows, cols) or (rows, cols, 3) uint8; when the swap was done.
-
-        Raises
-        ------
-        InputError
-            If it is not of the projector's shape, or not uint8.
-        DeviceError
-            If the window was closed or the monitor unplugged.
-        """
+        """Show an image; return when the swap was done."""
         if self._window is None:
             raise DeviceError("the projector window is closed", hint="open it again")
         check_image(image, self._shape)
         channels = 1 if image.ndim == 2 else 3
         texture = self._textures.get(channels)
         if texture is None:
-            # Rows follow one another without a gap.
+            # An alignment of 1 means that there is no gap between rows.
             texture = self._context.texture(self._shape[::-1], channels, alignment=1)
             texture.filter = (self._context.NEAREST, self._context.NEAREST)
             if channels == 1:
@@ -121,7 +118,7 @@ class WindowProjector:
         texture.use()
         self._triangle.render(vertices=3)
         self._glfw.swap_buffers(self._window)
-        # Until the graphics card has done it, not only heard of it.
+        # Wait until the graphics card has done it, not only received it.
         self._context.finish()
         shown = time.monotonic()
         self._glfw.poll_events()
@@ -137,11 +134,11 @@ class WindowProjector:
         return shown
 
     def black(self) -> float:
-        """Show no light, and say when."""
+        """Show no light; return when."""
         return self.show(np.zeros(self._shape, np.uint8))
 
     def close(self) -> None:
-        """Close the window; the screen is again as it was."""
+        """Close the window; the screen is as it was before."""
         global _windows
         if self._window is None:
             return
@@ -153,27 +150,16 @@ class WindowProjector:
             self._glfw.terminate()
 
     def _pressed(self, window: Any, key: int, *_: int) -> None:
-        # On a single monitor the window covers the terminal.
+        # On a single monitor the window covers the terminal, so the Escape key closes it.
         if key == self._glfw.KEY_ESCAPE:
             self._glfw.set_window_should_close(window, True)
 
 
 def open_window(address: Address) -> WindowProjector:
-    """A window on the monitor that an address names by number or name.
+    """Open a window on the monitor of a number or name, or on the second one if there is one.
 
-    Parameters
-    ----------
-    address : Address
-        "window:1", "window:HDMI-1" or "window" alone: the second monitor where there is one. The
-        option gamma=linear loads a straight gamma ramp as long as the window is open; keep, the
-        default, leaves it.
-
-    Raises
-    ------
-    MissingExtraError
-        If glfw or moderngl is not installed.
-    DeviceError
-        If there is no display or no such monitor, or no window with OpenGL 3.3 can be opened.
+    The option gamma=linear loads a linear gamma ramp as long as the window is open; gamma=keep, the
+    default, leaves the ramp.
     """
     global _windows
     address.check_options(("gamma",))
@@ -197,28 +183,22 @@ def open_window(address: Address) -> WindowProjector:
         ) from error
 
 
-def find_windows() -> list[Found]:
-    """The monitors that there are.
-
-    Raises
-    ------
-    MissingExtraError, DeviceError
-        As `open_window`.
-    """
+def find_windows() -> list[AvailableDevice]:
+    """The monitors of this computer."""
     glfw, _ = _load()
     _start(glfw)
-    found = []
+    devices = []
     for number, monitor in enumerate(glfw.get_monitors()):
         size, _, refresh = glfw.get_video_mode(monitor)
-        words = f"{_name(glfw, monitor)}, {in_words((size.height, size.width))}"
+        words = f"{_name(glfw, monitor)}, {size_in_words((size.height, size.width))}"
         if refresh:
             words += f" at {refresh} Hz"
         if not number:
             words += ", the first monitor"
-        found.append(Found(f"window:{number}", words))
+        devices.append(AvailableDevice(f"window:{number}", words))
     if not _windows:
         glfw.terminate()
-    return found
+    return devices
 
 
 def _load() -> tuple[Any, Any]:
@@ -227,7 +207,7 @@ def _load() -> tuple[Any, Any]:
         import moderngl
     except ImportError as error:
         raise missing_extra(EXTRA, "a projector window") from error
-    # Its warnings would be printed, or be lost.
+    # Otherwise GLFW only prints its errors.
     glfw.ERROR_REPORTING = "raise"
     return glfw, moderngl
 
@@ -280,11 +260,11 @@ def _full_screen(glfw: Any, monitor: Any, mode: Any) -> Any:
         (glfw.RED_BITS, mode.bits.red),
         (glfw.GREEN_BITS, mode.bits.green),
         (glfw.BLUE_BITS, mode.bits.blue),
-        # The monitor keeps its mode.
+        # Keep the monitor's mode.
         (glfw.REFRESH_RATE, mode.refresh_rate or glfw.DONT_CARE),
         (glfw.SRGB_CAPABLE, False),
         (glfw.SAMPLES, 0),
-        # The window stays when somebody clicks on another monitor.
+        # Keep the window open when somebody clicks on another monitor.
         (glfw.AUTO_ICONIFY, False),
     ):
         glfw.window_hint(hint, value)
@@ -294,24 +274,24 @@ def _full_screen(glfw: Any, monitor: Any, mode: Any) -> Any:
 
 
 def _gamma_ramp(glfw: Any, monitor: Any) -> dict[str, Any] | None:
-    """The graphics card's ramp, 0 to 1, and whether it changes nothing; None if it has none.
+    """Whether the graphics card's gamma ramp is linear, and its values if it is not.
 
-    What one that is bent makes of 0, 1/16, ... 1 is said of each colour.
+    The values are those at 0, 1/16, ... 1, by colour. None if the system does not state a ramp.
     """
     try:
         ramp = glfw.get_gamma_ramp(monitor)
-    # Not to be had under Wayland.
+    # Wayland does not give access to it.
     except glfw.GLFWError:
         return None
     channels = {name: np.array(getattr(ramp, name)) for name in ("red", "green", "blue")}
-    # Virtual screens give an empty one, or zeros throughout, and show pictures all the same.
+    # Virtual screens return an empty ramp, or zeros, although they show pictures.
     if not any(values.any() for values in channels.values()):
         return None
-    straight = np.linspace(0, 1, len(ramp.red))
-    if all(np.abs(values - straight).max() < 1 / 255 for values in channels.values()):
+    linear = np.linspace(0, 1, len(ramp.red))
+    if all(np.abs(values - linear).max() < 1 / 255 for values in channels.values()):
         return {"linear": True}
     steps = np.linspace(0, 1, _RAMP_STEPS)
-    bent = {name: np.interp(steps, straight, values) for name, values in channels.items()}
+    bent = {name: np.interp(steps, linear, values) for name, values in channels.items()}
     return {"linear": False, **{name: np.round(bent[name], 4).tolist() for name in bent}}
 
 
@@ -321,5 +301,5 @@ def _name(glfw: Any, monitor: Any) -> str:
 
 
 def _text(error: BaseException) -> str:
-    """What GLFW says, without its number and the quotes of bytes."""
+    """GLFW's message without its number and the quotes of bytes."""
     return _GLFW_MESSAGE.sub(r"\1", " ".join(str(error).split()))

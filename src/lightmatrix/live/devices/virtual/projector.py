@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from lightmatrix.errors import DeviceError
 from lightmatrix.live.devices.clock import Clock
-from lightmatrix.live.devices.projectors.images import check_image
+from lightmatrix.live.devices.protocols import check_image
 from lightmatrix.live.devices.virtual.light import Light
 from lightmatrix.live.devices.virtual.settings import VirtualSettings
 

@@ -6,20 +6,20 @@ import numpy as np
 import pytest
 
 from lightmatrix.errors import DeviceError
-from lightmatrix.live.devices.cameras.formats import READABLE, PixelFormat, choose_format
-from lightmatrix.live.devices.cameras.stamps import Stamps
+from lightmatrix.live.devices.cameras.pixel_formats import FORMATS, PixelFormat, choose_format
+from lightmatrix.live.devices.cameras.timestamps import FrameStamps
 
 
 def test_numbers_go_on_over_the_end_of_16_bits() -> None:
-    stamps = Stamps(largest_id=0xFFFF, first_id=1)
+    stamps = FrameStamps(largest_id=0xFFFF, first_id=1)
     seen = [stamps.count(number) for number in (65534, 65535, 1, 2, 4, 3, 5)]
     # 0 is left out, and a frame that overtook another begins no round.
     assert seen == [65534, 65535, 65536, 65537, 65539, 65538, 65540]
-    assert [Stamps().count(number) for number in (7, 8)] == [7, 8]
+    assert [FrameStamps().count(number) for number in (7, 8)] == [7, 8]
 
 
 def test_a_frame_that_lay_in_a_queue_keeps_its_time() -> None:
-    stamps = Stamps()
+    stamps = FrameStamps()
     random = np.random.default_rng(0)
     offset = 1234.5
     for k in range(200):
@@ -33,7 +33,7 @@ def test_a_frame_that_lay_in_a_queue_keeps_its_time() -> None:
 
 
 def test_a_camera_whose_clock_begins_again() -> None:
-    stamps = Stamps()
+    stamps = FrameStamps()
     assert stamps.time(1000.0, 5.0) == 5.0
     assert stamps.time(0.5, 6.0) == 6.0
     assert stamps.time(1.5, 7.2) == pytest.approx(7.0)
@@ -61,7 +61,7 @@ def test_formats_that_cannot_be_read_are_named() -> None:
     assert "Mono8" in str(caught.value.hint)
 
 
-@pytest.mark.parametrize("known", READABLE, ids=lambda known: known.name)
+@pytest.mark.parametrize("known", FORMATS, ids=lambda known: known.name)
 def test_bytes_become_images(known: PixelFormat) -> None:
     shape = (3, 5) if known.channels == 1 else (3, 5, known.channels)
     image = np.random.default_rng(0).integers(0, 2**known.bits, shape).astype(known.dtype)

@@ -1,20 +1,21 @@
-"""Frame numbers and times of a camera, in our own clock."""
+"""Frame numbers that never wrap, and frame times by this computer's clock."""
 
 from __future__ import annotations
 
 from collections import deque
 
-# So many frames are looked back on; in their time a camera's clock drifts by less than a frame.
+# The clock offset is the smallest of this many last frames. In their time a camera's clock drifts
+# by less than a frame; fewer frames may all have waited in a queue. Chosen by hand.
 _REMEMBERED = 100
 
 
-class Stamps:
+class FrameStamps:
     """Turns a camera's frame numbers into ones without end, and its times into `time.monotonic`.
 
-    A frame arrives at the host some time after its exposure, by a delay that varies; the camera
-    stamps it with a clock of its own, whose offset is unknown. The frame that travelled fastest
-    tells the offset best: the smallest difference between arrival and stamp over the last frames.
-    So a frame that lay in a queue keeps the time at which it was taken.
+    A frame arrives some time after its exposure, by a delay that varies. The camera stamps it by a
+    clock of its own, whose offset is unknown. The frame that travelled fastest gives the best
+    estimate of that offset: the smallest difference between arrival and stamp over the last frames.
+    So a frame that waited in a queue keeps the time at which it was taken.
 
     Parameters
     ----------
@@ -32,23 +33,18 @@ class Stamps:
 
     def count(self, camera_id: int) -> int:
         """The frame's number, one more than that of the frame before it if none was lost."""
-        if self._largest is not None:
-            # A later frame may arrive first, but none is half a round late.
-            back = self._last_id is not None and camera_id < self._last_id - self._largest // 2
-            self._rounds += back
-            self._last_id = camera_id
-            return camera_id + self._rounds * (self._largest - self._first + 1)
-        return camera_id
+        if self._largest is None:
+            return camera_id
+        # Frames may overtake each other, but none is half a round late.
+        wrapped = self._last_id is not None and camera_id < self._last_id - self._largest // 2
+        self._rounds += wrapped
+        self._last_id = camera_id
+        return camera_id + self._rounds * (self._largest - self._first + 1)
 
     def time(self, stamp: float | None, arrival: float) -> float:
         """When a frame was taken, in seconds of `time.monotonic`; never later than it arrived.
 
-        Parameters
-        ----------
-        stamp : float or None
-            Seconds by the camera's clock; None if it has none.
-        arrival : float
-            When the host heard of it.
+        The stamp is in seconds by the camera's clock; None if it has none.
         """
         if stamp is None or stamp <= 0:
             return arrival
@@ -57,5 +53,5 @@ class Stamps:
             self._offsets.clear()
         self._last_stamp = stamp
         self._offsets.append(arrival - stamp)
-        # The sum is rounded.
+        # Rounding may put the sum after the arrival.
         return min(arrival, stamp + min(self._offsets))

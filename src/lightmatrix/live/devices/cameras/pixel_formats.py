@@ -1,4 +1,4 @@
-"""Pixel formats of GenICam cameras, those that are read without unpacking bits."""
+"""Pixel formats of GenICam cameras that can be read without unpacking bits."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class PixelFormat:
     name : str
         By the naming convention of GenICam (PFNC).
     bits : int
-        Used ones of a value.
+        Bits of a value that carry light.
     channels : int
         1 or 3; a colour filter's mosaic is one channel, each pixel a sample of its own.
     reverse : bool
@@ -35,7 +35,7 @@ class PixelFormat:
 
     @property
     def dtype(self) -> np.dtype[Any]:
-        """Little endian, as the convention has it."""
+        """Type of a value; the convention prescribes little endian."""
         return np.dtype("u1" if self.bits == 8 else "<u2")
 
     @property
@@ -44,13 +44,7 @@ class PixelFormat:
         return float(2**self.bits - 1)
 
     def image(self, data: bytes, rows: int, cols: int) -> NDArray[Any]:
-        """The image in the bytes of a buffer, which may be longer.
-
-        Raises
-        ------
-        DeviceError
-            If it is shorter.
-        """
+        """The image in a buffer, which may be longer; a DeviceError if it is shorter."""
         count = rows * cols * self.channels
         if len(data) < count * self.dtype.itemsize:
             raise DeviceError(
@@ -64,8 +58,9 @@ class PixelFormat:
         return np.ascontiguousarray(image[..., ::-1]) if self.reverse else image
 
 
-# The best first: most bits, and grey before a mosaic before colours mixed by the camera.
-READABLE = (
+# The formats from best to worst. More bits are better; grey is better than a mosaic, and a mosaic
+# better than colours that the camera interpolates.
+FORMATS = (
     *(PixelFormat(f"Mono{bits}", bits) for bits in (16, 14, 12, 10)),
     *(
         PixelFormat(f"Bayer{order}{bits}", bits)
@@ -82,14 +77,8 @@ READABLE = (
 
 
 def choose_format(camera: str, offered: Sequence[str], wanted: str | None = None) -> PixelFormat:
-    """The format that a camera is read in: the wanted one, or the best of those it offers.
-
-    Raises
-    ------
-    DeviceError
-        If the camera does not offer the wanted one, or none that can be read.
-    """
-    usable = [known for known in READABLE if known.name in offered]
+    """The wanted format, or the best one that a camera offers; a DeviceError if there is none."""
+    usable = [known for known in FORMATS if known.name in offered]
     names = ", ".join(known.name for known in usable)
     if wanted is not None:
         chosen = next((known for known in usable if known.name == wanted), None)
