@@ -19,7 +19,7 @@ from lightmatrix.experiments.fig6 import Case
 from lightmatrix.experiments.harness import Measured
 from lightmatrix.experiments.measured_scene import captured, measured_scene
 from lightmatrix.experiments.methods import METHODS, Reach
-from lightmatrix.outputs.running import RunningFolder
+from lightmatrix.outputs.running import RunningResults
 from lightmatrix.patterns.blocks import sampled_pixels
 
 SCENE = "gripper"
@@ -100,7 +100,7 @@ def forbidden(case: Case) -> Measured:
 def test_files_and_going_on(tmp_path: Path) -> None:
     chosen = [Case(SCENE, "admm", 16, 64), Case(SCENE, "admm-iterated", 16, 64)]
     experiment = replace(fig6.FIG6, cases=lambda quick: chosen)
-    out, kept = tmp_path / "out", RunningFolder.open(tmp_path / "out", ".cases")
+    out, kept = tmp_path / "out", RunningResults.open(tmp_path / "out", ".cases")
     out.mkdir()
     seen: list[int] = []
     first = experiment.run(out, kept=kept, progress=lambda done, total: seen.append(done))
@@ -131,7 +131,7 @@ def test_the_full_run_measures_every_method_everywhere() -> None:
 def test_relit_images_are_judged_and_drawn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(fig7, "SCENES", {SCENE: "gripper"})
     monkeypatch.setattr(fig7, "METHODS", ("saturation-admm", "coherent"))
-    out, kept = tmp_path / "out", RunningFolder.open(tmp_path / "out", ".cases")
+    out, kept = tmp_path / "out", RunningResults.open(tmp_path / "out", ".cases")
     out.mkdir()
     result = fig7.FIG7.run(out, quick=True, kept=kept)
     plain, coherent, mixed = result["rows"]

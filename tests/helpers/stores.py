@@ -64,7 +64,7 @@ def finish(running: store.Checkpoint) -> LightTransport:
 def run(path: Path, fail_at: int | None = None, overwrite: bool = False) -> int:
     """Compute all tiles; returns how many rows an earlier run had finished."""
     with store.Checkpoint.open(path, FINGERPRINT, overwrite=overwrite) as running:
-        resumed = running.resumed_rows
+        resumed = sum(stop - start for start, stop in running.spans())
         for start, stop in TILES:
             if start == fail_at:
                 raise KeyboardInterrupt

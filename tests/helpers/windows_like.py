@@ -8,8 +8,9 @@ marked as needing more than Windows has (`systems.py`).
 
 What Windows lacks is taken away (modules and functions of POSIX only), and files behave as there:
 nothing is renamed onto what exists, folders are not replaced, and what is open or mapped into
-memory is neither removed nor renamed, nor is a folder that holds it. Its locks are told by a
-stand-in of msvcrt. Libraries are loaded before, as they ask for the system, too.
+memory is neither removed nor renamed, nor is a folder that holds it. Libraries are loaded
+before, since they ask for the system too; filelock keeps its locks of POSIX, but removes a lock
+file as it does on Windows.
 """
 
 from __future__ import annotations
@@ -26,10 +27,10 @@ from pathlib import Path
 from typing import Any
 
 LIBRARIES = (
-    "asyncio", "concurrent.futures", "imageio.v3", "jinja2", "matplotlib.pyplot", "numpy", "psutil",
-    "platformdirs", "rich.console", "rich.progress", "rich.table", "scipy.io", "scipy.sparse",
-    "scipy.fft", "scipy.ndimage", "tempfile", "tifffile", "typer", "typer.testing", "zarr",
-    "multiprocessing", "subprocess", "PIL.Image",
+    "asyncio", "concurrent.futures", "filelock", "imageio.v3", "jinja2", "matplotlib.pyplot",
+    "numpy", "psutil", "platformdirs", "rich.console", "rich.progress", "rich.table", "scipy.io",
+    "scipy.sparse", "scipy.fft", "scipy.ndimage", "tempfile", "tifffile", "typer", "typer.testing",
+    "zarr", "multiprocessing", "subprocess", "PIL.Image",
 )  # fmt: skip
 MODULES = ("fcntl", "resource", "pwd", "grp", "termios", "pty", "tty", "posix", "readline")
 OF_OS = (
@@ -79,20 +80,17 @@ def _renaming(real: Callable[..., None], replaces: bool) -> Callable[..., None]:
     return rename
 
 
-def _msvcrt() -> types.ModuleType:
-    """A stand-in that locks whole files."""
-    fcntl: Any = importlib.import_module("fcntl")
+def _filelock_as_on_windows() -> None:
+    """Let filelock go on with the functions of POSIX, and remove its file once it is unlocked."""
+    library: Any = importlib.import_module("filelock._unix")
+    library.os = types.SimpleNamespace(**vars(os))
+    unlock = library.UnixFileLock._release
 
-    def locking(file: int, mode: int, size: int) -> None:
-        assert (mode, size) == (2, 1)
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise PermissionError(13, "Permission denied") from None
+    def release(lock: Any) -> None:
+        unlock(lock)
+        Path(lock.lock_file).unlink(missing_ok=True)
 
-    module: Any = types.ModuleType("msvcrt")
-    module.locking, module.LK_NBLCK = locking, 2
-    return module
+    library.UnixFileLock._release = release
 
 
 def pretend() -> None:
@@ -100,7 +98,7 @@ def pretend() -> None:
     for name in LIBRARIES:
         importlib.import_module(name)
     known: Any = sys.modules
-    known["msvcrt"] = _msvcrt()
+    _filelock_as_on_windows()
     for name in MODULES:
         known[name] = None
     for module, names in ((os, OF_OS), (signal, OF_SIGNAL)):

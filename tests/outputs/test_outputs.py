@@ -17,6 +17,7 @@ from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -32,7 +33,7 @@ from lightmatrix.outputs import targets
 from lightmatrix.outputs import writing as outputs
 from lightmatrix.outputs.kinds import IMAGE, MAT, NPZ
 from lightmatrix.outputs.markers import FileKind, FolderKind, OutputKind
-from lightmatrix.outputs.running import RunningFolder
+from lightmatrix.outputs.running import RunningResults
 from lightmatrix.outputs.writing import atomic_file, atomic_folder, check_output, claimed
 from lightmatrix.resources import scratch
 from tests.helpers.limits import largest_file
@@ -253,14 +254,14 @@ def test_links_are_followed_to_their_end(tmp_path: Path) -> None:
 KILLED = """
 import os, signal, sys
 from pathlib import Path
-from lightmatrix.outputs import writing as outputs
+from lightmatrix.outputs import swap, writing as outputs
 from lightmatrix.outputs.markers import FileKind, FolderKind
 
 folder, mode = Path(sys.argv[1]), sys.argv[2]
 out = folder / "out"
 folders, texts = FolderKind("capture"), FileKind("text", (), lambda file: True)
 if mode == "moved aside":
-    outputs.exchange = lambda one, other: False
+    swap.exchange = lambda one, other: False
 
 def replace(text):
     if mode == "file":
@@ -360,9 +361,10 @@ def test_ctrl_c_right_after_the_temporary_folder_is_made_leaves_nothing(
 ) -> None:
     make = Path.mkdir
 
-    def interrupted_mkdir(folder: Path) -> None:
-        make(folder)
-        raise KeyboardInterrupt
+    def interrupted_mkdir(folder: Path, *more: Any, **options: Any) -> None:
+        make(folder, *more, **options)
+        if folder.name == ".out.part":
+            raise KeyboardInterrupt
 
     with monkeypatch.context() as patched:
         patched.setattr(Path, "mkdir", interrupted_mkdir)
@@ -509,7 +511,7 @@ def test_file_systems_without_locks(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         raise OSError(errno.ENOLCK, "No locks available")
 
     monkeypatch.setattr(fcntl, "flock", unknown)
-    with pytest.warns(LightMatrixWarning, match="knows no locks"):
+    with pytest.warns(LightMatrixWarning, match="has no locks"):
         write(tmp_path / "out")
     assert os.listdir(tmp_path) == ["out"]
 
@@ -518,7 +520,7 @@ def test_file_systems_without_locks(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 
 
 def test_running_results_are_kept_found_and_removed(tmp_path: Path) -> None:
-    kept = RunningFolder.open(tmp_path / "out", ".cases")
+    kept = RunningResults.open(tmp_path / "out", ".cases")
     with kept.keep("a.json") as part:
         part.write_text("1")
     with pytest.raises(OutputError, match="cannot be written"), kept.keep("b.json"):
@@ -528,7 +530,7 @@ def test_running_results_are_kept_found_and_removed(tmp_path: Path) -> None:
     # As a killed run leaves it.
     (kept.path / ".b.0123abcd.part.json").touch()
     (kept.path / "d.json").write_text("of somebody else")
-    again = RunningFolder.open(tmp_path / "out", ".cases")
+    again = RunningResults.open(tmp_path / "out", ".cases")
     assert again.names == ["a.json", "c.json"]
     assert not again.has("d.json")
     again.forget("d.json")
@@ -539,7 +541,7 @@ def test_running_results_are_kept_found_and_removed(tmp_path: Path) -> None:
         again.discard()
     assert sorted(os.listdir(again.path)) == [".lightmatrix", "d.json"]
     (again.path / "d.json").unlink()
-    RunningFolder.open(tmp_path / "out", ".cases").discard()
+    RunningResults.open(tmp_path / "out", ".cases").discard()
     assert not os.listdir(tmp_path)
 
 

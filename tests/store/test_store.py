@@ -20,7 +20,7 @@ from scipy.io import loadmat
 
 from lightmatrix import store
 from lightmatrix.errors import InputError, OutputError
-from lightmatrix.store.tiles import gaps
+from lightmatrix.store.tiles import unfinished_spans
 from tests.helpers.limits import largest_file
 from tests.helpers.stores import (
     FINGERPRINT,
@@ -247,14 +247,14 @@ def test_tiles_of_other_settings_are_neither_used_nor_lost(tmp_path: Path) -> No
     with pytest.raises(KeyboardInterrupt):
         run(path, fail_at=16)
     other = {**FINGERPRINT, "regularization": 0.1}
-    with pytest.raises(OutputError, match=r"other settings \(regularization\)"):
+    with pytest.raises(OutputError, match=r"other settings \(regularization was 0.3, is 0.1\)"):
         store.Checkpoint.open(path, other)
     assert run(path) == 16
     store.save(path, transport(seed=5), overwrite=True)
     with pytest.raises(KeyboardInterrupt):
         run(path, fail_at=16, overwrite=True)
     with store.Checkpoint.open(path, other, overwrite=True) as running:
-        assert running.resumed_rows == 0
+        assert running.spans() == []
 
 
 def test_a_complete_output_needs_overwrite_and_stays_until_replaced(tmp_path: Path) -> None:
@@ -278,11 +278,10 @@ def test_another_tiling_keeps_what_is_there_and_a_damaged_tile_is_computed_again
     tile = tmp_path / "scene.zarr.partial" / "rows-0-8.npz"
     tile.write_bytes(tile.read_bytes()[:200])
     with store.Checkpoint.open(path, FINGERPRINT) as running:
-        assert running.resumed_rows == 8
         assert running.spans() == [(8, 16)]
         with pytest.raises(InputError, match="do not cover all 20 rows"):
             finish(running)
-        missing = gaps([(0, 10), (10, 20)], running.spans())
+        missing = unfinished_spans([(0, 10), (10, 20)], running.spans())
         assert missing == [(0, 8), (16, 20)]
         for start, stop in missing:
             write_tile(running, start, stop)

@@ -9,7 +9,7 @@ from typing import Protocol, Self
 
 from lightmatrix.capture.capture import Capture
 from lightmatrix.store import ROWS
-from lightmatrix.store.tiles import Span, gaps
+from lightmatrix.store.tiles import Span, unfinished_spans
 from lightmatrix.transport.sparse_rows import SparseRows
 
 Progress = Callable[[int, int], None]
@@ -159,7 +159,7 @@ def complete(
     solve : callable, optional
         Solves tiles of a step and keeps them; None: here, one after the other.
     """
-    missing = gaps(work.ranges(step, parts, shrinking=True), tiles.spans(step))
+    missing = unfinished_spans(work.ranges(step, parts, shrinking=True), tiles.spans(step))
     if not missing:
         return
     for before in work.steps[step]:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from lightmatrix.errors import InputError
 from lightmatrix.files.headers import parse_json
 from lightmatrix.files.npz import read_npz
-from lightmatrix.outputs.running import RunningFolder
+from lightmatrix.outputs.running import RunningResults
 
 Row = dict[str, Any]
 C = TypeVar("C", bound="Case")
@@ -78,7 +78,7 @@ class Experiment(Generic[C]):
         *,
         quick: bool = False,
         progress: Callable[[int, int], None] | None = None,
-        kept: RunningFolder | None = None,
+        kept: RunningResults | None = None,
     ) -> dict[str, Any]:
         """Measure all cases and write the table as JSON and CSV, and the figure.
 
@@ -90,7 +90,7 @@ class Experiment(Generic[C]):
             Few small cases, for a first look.
         progress : callable, optional
             Called with (done, all) cases.
-        kept : RunningFolder, optional
+        kept : RunningResults, optional
             Where finished cases are kept, for a run that goes on.
 
         Returns
@@ -116,7 +116,7 @@ class Experiment(Generic[C]):
         self.draw(out, found)
         return result
 
-    def _measured(self, case: C, kept: RunningFolder | None) -> Measured:
+    def _measured(self, case: C, kept: RunningResults | None) -> Measured:
         name = f"{case.name}.npz"
         known = _read(kept.file(name)) if kept is not None and kept.has(name) else None
         if known is None:

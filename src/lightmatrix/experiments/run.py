@@ -11,7 +11,7 @@ from lightmatrix.experiments import demo as demo_report
 from lightmatrix.experiments import few_patterns, fig4, fig5, fig6, fig7, rigs
 from lightmatrix.experiments.harness import Experiment
 from lightmatrix.outputs.kinds import CASES, DEMO, FIGURE
-from lightmatrix.outputs.running import RunningFolder
+from lightmatrix.outputs.running import RunningResults
 from lightmatrix.outputs.writing import atomic_folder, claimed
 
 Progress = Callable[[int, int], None]
@@ -109,7 +109,7 @@ def experiment(
             f"there is no experiment {figure!r}", hint=f"use one of {', '.join(EXPERIMENTS)}"
         )
     with claimed(folder, FIGURE, overwrite=overwrite) as target:
-        kept = RunningFolder.open(target, CASES)
+        kept = RunningResults.open(target, CASES)
         with atomic_folder(folder, FIGURE, overwrite=overwrite) as part:
             result = EXPERIMENTS[figure].run(part, quick=quick, progress=progress, kept=kept)
         kept.discard()

@@ -19,11 +19,10 @@ from numpy.typing import NDArray
 
 from lightmatrix.camera.sensor import Sensor
 from lightmatrix.capture.folder import jsonable, write_capture
-from lightmatrix.errors import InputError, OutputError
+from lightmatrix.errors import InputError
 from lightmatrix.files.images import fill_image, is_grey, read_image
 from lightmatrix.outputs.kinds import PARTIAL
-from lightmatrix.outputs.markers import read_object
-from lightmatrix.outputs.running import RunningFolder
+from lightmatrix.outputs.running import RunningResults
 from lightmatrix.patterns.pattern_set import PatternSet
 
 _STATE = "session.json"
@@ -94,7 +93,7 @@ class Record:
     """
 
     def __init__(
-        self, target: Path, kept: RunningFolder, wanted: Mapping[str, Any], state: State
+        self, target: Path, kept: RunningResults, wanted: Mapping[str, Any], state: State
     ) -> None:
         self._target, self._kept, self._wanted, self.state = target, kept, wanted, state
 
@@ -116,21 +115,19 @@ class Record:
         OutputError
             If there are such frames, or the disk fails.
         """
-        kept = RunningFolder.open(target, PARTIAL)
         asked = json.loads(json.dumps(dict(wanted), default=jsonable))
-        found = read_object(kept.file(_STATE)) if kept.has(_STATE) else None
-        if found is None or found.get("format") != FORMAT:
+        kept = RunningResults.resume(
+            target,
+            PARTIAL,
+            asked,
+            file=_STATE,
+            key="wanted",
+            contents="frames of another capture",
+            overwrite=overwrite,
+        )
+        found = kept.read_object(_STATE)
+        if found is None:
             return cls(target, kept, asked, State())
-        if found["wanted"] != asked:
-            if not overwrite:
-                raise OutputError(
-                    f"{kept.path}: holds frames of another capture "
-                    f"({_changes(found['wanted'], asked)})",
-                    hint="go on with the same settings, add --overwrite to begin anew, or choose "
-                    "another output",
-                )
-            kept.discard()
-            return cls(target, RunningFolder.open(target, PARTIAL), asked, State())
         state = State(
             {int(k): Taken(**frame) for k, frame in found["frames"].items()},
             dict(found["faults"]),
@@ -274,24 +271,3 @@ class Record:
     def _name(self, frame: int) -> str:
         # Packing the noise of a large frame as PNG takes longer than photographing it.
         return f"image_{frame:04d}.tif"
-
-
-def _changes(before: Mapping[str, Any], now: Mapping[str, Any]) -> str:
-    """What differs between what was asked for and what is now, in words."""
-    told = []
-    for key in sorted({*before, *now}):
-        old, new = before.get(key), now.get(key)
-        if old == new:
-            continue
-        if key == "patterns":
-            # Their digests mean nothing to anybody.
-            told.append("the patterns differ")
-        elif isinstance(old, Mapping) and isinstance(new, Mapping):
-            told.append(f"the {key}: {_changes(old, new)}")
-        else:
-            told.append(f"{key} was {_words(old)}, is {_words(new)}")
-    return "; ".join(told)
-
-
-def _words(value: Any) -> str:
-    return "not given" if value is None else str(value)

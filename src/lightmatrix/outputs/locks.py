@@ -1,8 +1,8 @@
-"""Locks of outputs that are being written: one process at a time, and who it is.
+"""Locks of outputs: one thread of one process writes an output at a time, and others learn who.
 
-The lock is the kernel's (flock) on a small file beside the output, so that it ends with its owner
-however that ends; a file that a dead process left is taken over. Libraries for this do not say who
-holds a lock that the kernel frees, so it is done here.
+filelock holds the operating system's lock on ``.NAME.lock`` beside the output, so the lock ends
+with its owner, however that ends. filelock keeps neither of two promises that users rely on, so
+they are kept here: the file names its owner, and no lock file stays behind.
 """
 
 from __future__ import annotations
@@ -12,62 +12,35 @@ import json
 import os
 import platform
 import shlex
-import stat
 import sys
-import threading
 import time
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass
+from contextlib import contextmanager, suppress
 from datetime import datetime
 from pathlib import Path
 
+from filelock import FileLock, Timeout, lock_descriptor
+
 from lightmatrix.errors import LightMatrixWarning, OutputError
 from lightmatrix.outputs.markers import printable
-from lightmatrix.outputs.system import (
-    CAREFULLY,
-    read_start,
-    remove_locked,
-    try_lock,
-    write_whole,
-)
 from lightmatrix.outputs.targets import explained
 
 FORMAT, VERSION = "lightmatrix-lock", 1
-# Who asks only whether an output is locked holds the lock for a moment too.
-_PATIENCE = 0.2
+# A lock counts as held by another process after 0.2 s, in which it is tried every 0.01 s. Both were
+# chosen by hand: `check_unlocked` of another process holds it for less than a millisecond.
+_PATIENCE, _POLL = 0.2, 0.01
+# A lock file of ours takes less than 1000 bytes. No more than this is read of any.
 _MOST_BYTES = 1 << 16
+# What file systems without locks answer, some network file systems among them.
 _UNSUPPORTED = {errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP, errno.EINVAL}
-
-
-@dataclass
-class _Held:
-    file: int
-    thread: int
-    # Whether the kernel holds it; some network file systems know no locks.
-    firm: bool
-    times: int = 1
-
-
-_held: dict[Path, _Held] = {}
-_guard = threading.Lock()
-
-
-def _forget() -> None:
-    # A forked child would otherwise keep its parent's locks alive after the parent's death.
-    for held in _held.values():
-        os.close(held.file)
-    _held.clear()
-
-
-if hasattr(os, "register_at_fork"):  # Windows knows no forks.
-    os.register_at_fork(after_in_child=_forget)
+# Neither follow a link nor wait for a pipe. Windows has neither flag.
+_OPEN_FLAGS = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
 
 
 @contextmanager
 def locked(target: Path) -> Iterator[bool]:
-    """Hold the lock of an output; a thread that holds it already just goes on.
+    """Hold the lock of an output; a thread that holds it already may take it again.
 
     Parameters
     ----------
@@ -77,7 +50,7 @@ def locked(target: Path) -> Iterator[bool]:
     Yields
     ------
     bool
-        Whether it was taken just now and firmly, so that what lies half-written beside the output
+        Whether the lock is new and works, so that what lies half-written beside the output
         belongs to no living process.
 
     Raises
@@ -85,46 +58,33 @@ def locked(target: Path) -> Iterator[bool]:
     OutputError
         If another process or thread holds it (saying which), or the lock cannot be made.
     """
-    with _guard:
-        held = _held.get(target)
-        if held is not None and held.thread == threading.get_ident():
-            held.times += 1
-            first = False
-        elif held is not None:
-            raise _refusal(target, "another thread of this process")
-        else:
-            with explained(target):
-                held = _held[target] = _acquire(target)
-            first = held.firm
+    lock = _lock(target)
+    with explained(target):
+        if not lock.is_locked:
+            _check_ours(lock_file(target))
+        works = _acquire(lock, target)
     try:
-        yield first
+        yield works and lock.lock_counter == 1
     finally:
-        with _guard:
-            held.times -= 1
-            # In a forked child it is not there any more.
-            if held.times == 0 and _held.pop(target, None) is not None:
-                remove_locked(lock_file(target), held.file)
+        if works:
+            _release(lock, target)
 
 
 def check_unlocked(target: Path) -> None:
-    """Refuse an output that somebody else is writing; makes nothing.
-
-    Raises
-    ------
-    OutputError
-        Saying who holds its lock.
-    """
-    with _guard:
-        if target in _held and _held[target].thread == threading.get_ident():
-            return
-    try:
-        file = os.open(lock_file(target), os.O_RDONLY | CAREFULLY)
-    except OSError:
+    """Refuse an output that another process or thread is writing; makes nothing."""
+    if _lock(target).is_locked:
         return
     try:
-        try_lock(file, shared=True)
-    except BlockingIOError:
-        raise _refusal(target, _owner(file)) from None
+        file = os.open(lock_file(target), _OPEN_FLAGS)
+    except OSError:
+        return
+    deadline = time.monotonic() + _PATIENCE
+    try:
+        # An open file, since a FileLock would make the file that it locks.
+        while not lock_descriptor(file, blocking=False):
+            if time.monotonic() > deadline:
+                raise _refusal(target)
+            time.sleep(_POLL)
     except OSError:
         return
     finally:
@@ -136,63 +96,56 @@ def lock_file(target: Path) -> Path:
     return target.with_name(f".{target.name}.lock")
 
 
-def _acquire(target: Path) -> _Held:
-    path = lock_file(target)
-    flags = os.O_RDWR | os.O_CREAT | CAREFULLY
-    deadline = time.monotonic() + _PATIENCE
-    while True:
-        file = os.open(path, flags, 0o666)
-        try:
-            firm = _try(file, target, deadline)
-            # Its owner may have removed the file between our opening and locking it.
-            if firm is not None and _is_there(path, file):
-                _check_ours(path, file)
-                _sign(path, file)
-                return _Held(file, threading.get_ident(), firm)
-        except BaseException:
-            os.close(file)
-            raise
-        os.close(file)
+def _lock(target: Path) -> FileLock:
+    # filelock keeps one object for each path while it is held, which counts for each thread.
+    return FileLock(
+        lock_file(target),
+        timeout=_PATIENCE,
+        poll_interval=_POLL,
+        is_singleton=True,
+        on_acquired=_sign,
+    )
 
 
-def _try(file: int, target: Path, deadline: float) -> bool | None:
-    """Lock an open file: firmly (True), not at all (False), or not yet (None)."""
+def _acquire(lock: FileLock, target: Path) -> bool:
+    """Take a lock; False where the file system has none."""
     try:
-        try_lock(file)
-        return True
-    except BlockingIOError:
-        if time.monotonic() > deadline:
-            raise _refusal(target, _owner(file)) from None
-        time.sleep(0.01)
-        return None
+        lock.acquire()
+    except Timeout:
+        raise _refusal(target) from None
     except OSError as error:
         if error.errno not in _UNSUPPORTED:
             raise
+        lock_file(target).unlink(missing_ok=True)
         warnings.warn(
-            f"{target}: its file system knows no locks; make sure that nothing else writes it",
+            f"{target}: its file system has no locks; make sure that nothing else writes it",
             LightMatrixWarning,
             stacklevel=2,
         )
         return False
+    return True
 
 
-def _is_there(path: Path, file: int) -> bool:
-    try:
-        return os.path.samestat(os.lstat(path), os.fstat(file))
-    except FileNotFoundError:
-        return False
+def _release(lock: FileLock, target: Path) -> None:
+    # On Windows filelock removes the file; elsewhere it must be removed while it is locked, or a
+    # process that has just locked it would lose it. A forked child does not hold the lock.
+    if sys.platform != "win32" and lock.is_locked and lock.lock_counter == 1:
+        lock_file(target).unlink(missing_ok=True)
+    lock.release()
 
 
-def _check_ours(path: Path, file: int) -> None:
-    regular = stat.S_ISREG(os.fstat(file).st_mode)
-    if not regular or (os.fstat(file).st_size and _read(file) is None):
+def _check_ours(path: Path) -> None:
+    if not os.path.lexists(path) or path.is_symlink():
+        return  # filelock refuses a link.
+    if not path.is_file() or (path.stat().st_size and _read(path) is None):
         raise OutputError(
             f"{path}: is in the way of a lock and was not written by lightmatrix",
             hint="move it elsewhere, or choose another name for the output",
         )
 
 
-def _sign(path: Path, file: int) -> None:
+def _sign(file: int) -> None:
+    """Write into a lock file, just locked, who holds it."""
     content = {
         "format": FORMAT,
         "version": VERSION,
@@ -201,30 +154,30 @@ def _sign(path: Path, file: int) -> None:
         "since": datetime.now().astimezone().isoformat(timespec="seconds"),
         "command": shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])[:500],
     }
-    try:
-        write_whole(file, (json.dumps(content) + "\n").encode())
-    except OSError:
-        path.unlink(missing_ok=True)
-        raise
+    # The first byte is a blank, since Windows lets nobody else read the byte that is locked. A
+    # full disk only costs the name of the owner here; the output itself will name the problem.
+    with suppress(OSError):
+        os.ftruncate(file, 0)
+        os.write(file, f" {json.dumps(content)}\n".encode())
 
 
-def _read(file: int) -> dict[str, object] | None:
+def _read(path: Path) -> dict[str, object] | None:
+    """What the owner of a lock file wrote into it; None if it is not ours."""
     try:
-        content = json.loads(read_start(file, _MOST_BYTES))
+        with path.open("rb", buffering=0) as file:
+            file.seek(1)
+            content = json.loads(file.read(_MOST_BYTES))
     except (OSError, ValueError, RecursionError):
         return None
     return content if isinstance(content, dict) and content.get("format") == FORMAT else None
 
 
-def _owner(file: int) -> str:
-    content = _read(file)
-    if content is None:
-        return "another process"
-    words = f"process {content.get('pid')} on {content.get('host')} since {content.get('since')}"
-    return printable(f"{words} ({content.get('command')})")
-
-
-def _refusal(target: Path, owner: str) -> OutputError:
+def _refusal(target: Path) -> OutputError:
+    content = _read(lock_file(target)) or {}
+    owner = "another process"
+    if content:
+        owner = f"process {content.get('pid')} on {content.get('host')} since "
+        owner = printable(f"{owner}{content.get('since')} ({content.get('command')})")
     return OutputError(
         f"{target}: is being written by {owner}",
         hint="wait for it to end, or choose another name for the output",

@@ -1,8 +1,10 @@
-"""Running results: finished parts of an output, kept beside it until it is whole.
+"""Running results: finished parts of an output, kept in a folder beside it until it is whole.
 
-A running folder carries a marker of lines: the first says what it is, each further one names a file
-that was kept in it. Only those files are ever read, replaced or removed. Other processes may put
-files there too, once the one that holds the folder has written their names down.
+The tiles of an estimate, the frames of a live capture and the cases of a figure are kept this way,
+so that a run that was stopped goes on. The folder has a marker of lines: the first says what the
+folder is, each further one is the name of a file that was kept in it. Only those files are ever
+read, replaced or removed. Other processes may write files there too, once the process that holds
+the folder has written down their names.
 """
 
 from __future__ import annotations
@@ -12,29 +14,31 @@ import os
 import re
 import secrets
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 from lightmatrix.errors import LightMatrixWarning, OutputError
-from lightmatrix.outputs.markers import MARKER, printable
+from lightmatrix.outputs.markers import MARKER, printable, read_object
 from lightmatrix.outputs.targets import explained
 
 FORMAT, VERSION = "lightmatrix-running", 1
-# What a file is called until it is whole: its name, around a number that no other writer has.
-_PUT = re.compile(r"\.(.+)\.[0-9a-f]{8}\.part(\.[^.]*)?")
+# The name of a file that is being written: its final name around eight random digits.
+_PART_NAME = re.compile(r"\.(.+)\.[0-9a-f]{8}\.part(\.[^.]*)?")
+# Values of settings that tell a reader nothing.
+_DIGEST = re.compile(r"[0-9a-f]{16,}")
 
 
-class RunningFolder:
-    """Files that are kept while an output is made; made by `open`.
+class RunningResults:
+    """Files that are kept while an output is made; opened by `open` or `resume`.
 
     The caller holds the lock of the output (`lightmatrix.outputs.writing.claimed`).
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._names = _names(path)
+        self._names = _listed_names(path)
 
     @classmethod
     def open(cls, target: Path, ending: str) -> Self:
@@ -43,14 +47,14 @@ class RunningFolder:
         Parameters
         ----------
         target : Path
-            The output, as `claimed` gives it.
+            The output, as `claimed` yields it.
         ending : str
-            What the folder's name has after the output's, such as ".partial".
+            What follows the output's name in the folder's name, such as ".partial".
 
         Raises
         ------
         OutputError
-            If there is a folder of that name that is not ours, or the disk fails.
+            If the folder exists and is not ours, or the disk fails.
         """
         folder = check_running(target, ending)
         with explained(folder):
@@ -62,27 +66,76 @@ class RunningFolder:
         running._sweep()
         return running
 
+    @classmethod
+    def resume(
+        cls,
+        target: Path,
+        ending: str,
+        settings: Mapping[str, Any],
+        *,
+        file: str,
+        key: str = "",
+        contents: str,
+        overwrite: bool = False,
+    ) -> Self:
+        """Go on with results that were kept under the same settings, or begin anew.
+
+        Parameters
+        ----------
+        target, ending
+            See `open`.
+        settings : mapping
+            Everything that the results depend on, as JSON gives it back.
+        file, key : str
+            The JSON file that keeps the settings, and their key in it; "" where they are all of it.
+            It is missing when the results begin anew, and the caller keeps it before any other.
+        contents : str
+            What messages call the results, such as "frames of another capture".
+        overwrite : bool
+            Whether results of other settings may be thrown away.
+
+        Raises
+        ------
+        OutputError
+            If there are results of other settings, the folder is not ours, or the disk fails.
+        """
+        running = cls.open(target, ending)
+        before: Any = running.read_object(file)
+        if before is not None and key:
+            before = before.get(key)
+        if before == settings:
+            return running
+        if not overwrite and any(name != file for name in running.names):
+            differences = "unknown settings"
+            if isinstance(before, Mapping):
+                differences = setting_differences(before, settings)
+            raise OutputError(
+                f"{running.path}: holds {contents} ({differences})",
+                hint="continue with those settings, add --overwrite to begin anew, or choose "
+                "another output",
+            )
+        running.discard()
+        return cls.open(target, ending)
+
     @property
     def names(self) -> list[str]:
-        """Names of the files that are kept, in the order in which they came first."""
+        """Names of the files that are kept, in the order in which they were listed."""
         return [name for name in self._names if self.file(name).is_file()]
 
     def file(self, name: str) -> Path:
-        """Where a kept file lies, or would."""
+        """Where a kept file lies, or would lie."""
         return self.path / name
 
     def has(self, name: str) -> bool:
         """Whether a file of that name is kept."""
         return name in self._names and self.file(name).is_file()
 
-    def place(self, name: str) -> Path:
-        """Where another process may `put` a file of that name, which is written down now.
+    def read_object(self, name: str) -> dict[str, Any] | None:
+        """The JSON object of a kept file; None if there is none that can be read."""
+        return read_object(self.file(name)) if self.has(name) else None
 
-        Raises
-        ------
-        OutputError
-            If the disk fails, or there is a file of that name that was not kept by us.
-        """
+    def place(self, name: str) -> Path:
+        """List a file and return where another process may write it with `write_whole`."""
         with explained(self.file(name)):
             self._list(name)
         return self.file(name)
@@ -94,9 +147,9 @@ class RunningFolder:
         Raises
         ------
         OutputError
-            If the disk fails, or there is a file of that name that was not kept by us.
+            If the disk fails, or a file that we did not write has that name.
         """
-        with put(self.place(name)) as part:
+        with write_whole(self.place(name)) as part:
             yield part
 
     def forget(self, name: str) -> None:
@@ -123,7 +176,7 @@ class RunningFolder:
             )
 
     def _list(self, name: str) -> None:
-        """Write a name down before its file appears."""
+        """Add a name to the marker, before its file appears."""
         if name in self._names:
             return
         if os.path.lexists(self.file(name)):
@@ -131,28 +184,26 @@ class RunningFolder:
                 f"{self.file(name)}: was not written by lightmatrix", hint="move it elsewhere"
             )
         with (self.path / MARKER).open("a") as marker:
-            # The line break first: a line that a full disk cut off spoils none but itself.
+            # The line break comes first, so that a line that a full disk cut off spoils no other.
             marker.write("\n" + json.dumps(name))
         self._names.append(name)
 
     def _sweep(self) -> None:
-        """Remove what killed processes left half-written."""
-        known = set(self._names)
+        """Remove files that killed processes left half-written."""
+        listed = set(self._names)
         for entry in os.listdir(self.path):
-            found = _PUT.fullmatch(entry)
-            if found is not None and f"{found[1]}{found[2] or ''}" in known:
+            match = _PART_NAME.fullmatch(entry)
+            if match is not None and f"{match[1]}{match[2] or ''}" in listed:
                 (self.path / entry).unlink(missing_ok=True)
 
 
 @contextmanager
-def put(file: Path) -> Iterator[Path]:
-    """Write a file where `RunningFolder.place` said, also from a process that does not hold it.
+def write_whole(file: Path) -> Iterator[Path]:
+    """Write a file of running results at a temporary path, which is renamed on success.
 
-    Yields
-    ------
-    Path
-        A temporary path with the same ending, of this writer alone: two may write the same file,
-        where one was taken for dead. It is renamed on success.
+    The path has the same ending, and is this writer's alone: two processes may write the same
+    file, if one of them was taken for dead. Only the process that holds the folder may list names
+    (`RunningResults.place`); this may be called in any.
 
     Raises
     ------
@@ -171,7 +222,7 @@ def put(file: Path) -> Iterator[Path]:
 
 
 def check_running(target: Path, ending: str) -> Path:
-    """The folder of an output's running results, if it is ours or does not exist; makes nothing.
+    """The folder of an output's running results, if it is ours or missing; makes nothing.
 
     Raises
     ------
@@ -188,34 +239,54 @@ def check_running(target: Path, ending: str) -> Path:
     )
 
 
+def setting_differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> str:
+    """What differs between two sets of settings, such as "exposure was 0.01, is 0.02"."""
+    words = []
+    for key in sorted({*before, *now}):
+        old, new = before.get(key), now.get(key)
+        if old == new:
+            continue
+        if isinstance(old, Mapping) and isinstance(new, Mapping):
+            words.append(f"the {key}: {setting_differences(old, new)}")
+        elif any(_DIGEST.fullmatch(str(value)) for value in (old, new)):
+            words.append(f"different {key}")
+        else:
+            words.append(f"{key} was {_shown(old)}, is {_shown(new)}")
+    return "; ".join(words)
+
+
+def _shown(value: Any) -> str:
+    return "not given" if value is None else str(value)
+
+
 def _is_ours(folder: Path) -> bool:
     if folder.is_symlink() or not folder.is_dir():
         return False
     marker = folder / MARKER
     inside = list(folder.iterdir())
-    # A run that was killed before the marker was whole had kept nothing.
+    # A run that was killed before it had written its marker has kept nothing.
     if not inside or (inside == [marker] and not marker.lstat().st_size):
         return True
-    header = _lines(marker)[:1]
+    header = _marker_lines(marker)[:1]
     return bool(header) and isinstance(header[0], dict) and header[0].get("format") == FORMAT
 
 
-def _names(folder: Path) -> list[str]:
-    found = [name for name in _lines(folder / MARKER)[1:] if isinstance(name, str)]
-    # Only names of files right in the folder: a marker is read, not trusted.
-    return [name for name in dict.fromkeys(found) if name == Path(name).name and name != MARKER]
+def _listed_names(folder: Path) -> list[str]:
+    names = [name for name in _marker_lines(folder / MARKER)[1:] if isinstance(name, str)]
+    # The marker may come from anywhere, so names that lead out of the folder are passed over.
+    return [name for name in dict.fromkeys(names) if name == Path(name).name and name != MARKER]
 
 
-def _lines(marker: Path) -> list[object]:
-    """What the lines of a marker say; None for one that cannot be read."""
+def _marker_lines(marker: Path) -> list[object]:
+    """The values in the lines of a marker; None for a line that cannot be read."""
     if marker.is_symlink() or not marker.is_file():
         return []
     text = marker.read_text(encoding="utf-8", errors="replace")
-    return [_line(line) for line in text.split("\n")]
+    return [_parsed(line) for line in text.split("\n")]
 
 
-def _line(text: str) -> object:
+def _parsed(line: str) -> object:
     try:
-        return json.loads(text)
+        return json.loads(line)
     except (ValueError, RecursionError):
         return None

@@ -1,4 +1,4 @@
-"""Two folders change places in one step, where the system can do that."""
+"""Puts a new folder in the place of an old one, in one step where the system can do that."""
 
 from __future__ import annotations
 
@@ -8,26 +8,36 @@ import os
 import sys
 from pathlib import Path
 
+# Arguments of Linux's renameat2: paths count from the current folder, and change places.
 _AT_FDCWD = -100
 _RENAME_EXCHANGE = 2
-# What kernels and file systems answer that do not know it.
+# What kernels and file systems answer that cannot exchange paths.
 _UNSUPPORTED = {errno.ENOSYS, errno.EINVAL, errno.ENOTSUP, errno.EOPNOTSUPP}
 
 
-def exchange(one: Path, other: Path) -> bool:
-    """Let two paths of one file system change places, so that neither is ever missing.
+def put_in_place(new: Path, target: Path, aside: Path) -> None:
+    """Let a whole folder take the place of a folder, or of nothing.
 
-    Returns
-    -------
-    bool
-        False, with nothing changed, where the system or the file system cannot.
-
-    Raises
-    ------
-    OSError
-        If the disk fails.
+    The old folder ends at `new` where the two can change places in one step, else at `aside`.
     """
-    if sys.platform == "win32":
+    if not os.path.lexists(target):
+        os.rename(new, target)
+    elif not any(target.iterdir()):
+        # Windows renames nothing onto what exists.
+        target.rmdir()
+        os.rename(new, target)
+    elif not exchange(new, target):
+        os.rename(target, aside)
+        try:
+            os.rename(new, target)
+        except OSError:
+            os.rename(aside, target)
+            raise
+
+
+def exchange(one: Path, other: Path) -> bool:
+    """Let two paths change places, so that neither is ever missing; False where that is unknown."""
+    if not sys.platform.startswith("linux"):
         return False
     # Python has no function for it.
     rename = getattr(ctypes.CDLL(None, use_errno=True), "renameat2", None)

@@ -21,8 +21,7 @@ from lightmatrix.errors import OutputError
 from lightmatrix.outputs.locks import check_unlocked, locked
 from lightmatrix.outputs.markers import MARKER, FolderKind, OutputKind, read_object
 from lightmatrix.outputs.running import check_running
-from lightmatrix.outputs.swap import exchange
-from lightmatrix.outputs.system import rename_folder
+from lightmatrix.outputs.swap import put_in_place
 from lightmatrix.outputs.targets import explained, failure, final_target
 
 TEMPORARY = "lightmatrix-temporary"
@@ -139,7 +138,7 @@ def atomic_folder(path: str | Path, kind: FolderKind, *, overwrite: bool = False
         kind.mark(part)
         # Somebody may have put a file into the old one meanwhile.
         check_output(path, kind, overwrite=overwrite)
-        _put(part, target, place / _OLD)
+        put_in_place(part, target, place / _OLD)
 
 
 @contextmanager
@@ -179,19 +178,6 @@ def _remove(path: Path) -> None:
         shutil.rmtree(path)
     else:
         path.unlink()
-
-
-def _put(part: Path, target: Path, old: Path) -> None:
-    """Let a whole folder take the place of the output."""
-    if not os.path.lexists(target) or not any(target.iterdir()):
-        rename_folder(part, target)
-    elif not exchange(part, target):
-        os.rename(target, old)
-        try:
-            os.rename(part, target)
-        except OSError:
-            os.rename(old, target)
-            raise
 
 
 def _tidy(target: Path) -> None:

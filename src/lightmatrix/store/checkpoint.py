@@ -1,9 +1,9 @@
-"""Running results: finished tiles of rows beside the output, so that no work is lost.
+"""Checkpoints of estimates: finished tiles of rows beside the output, so that no work is lost.
 
 While an estimate runs, `<output>.partial` holds each finished tile of each of its steps as one
 file, renamed into place when whole, and the fingerprint of what is being computed. A run that was
-killed goes on there. The output is locked meanwhile; tiles that are damaged, by their digests, are
-computed again.
+killed continues there. The output is locked meanwhile. Tiles whose digests show damage are computed
+again.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ import numpy as np
 from lightmatrix.errors import ClusterError, InputError, LightMatrixError, OutputError
 from lightmatrix.outputs.kinds import PARTIAL, STORE
 from lightmatrix.outputs.markers import read_object
-from lightmatrix.outputs.running import RunningFolder
+from lightmatrix.outputs.running import RunningResults
 from lightmatrix.outputs.writing import claimed
 from lightmatrix.store import zarr_file
-from lightmatrix.store.tiles import Span, apart, read_tile, tile_name, tile_of, write_tile
+from lightmatrix.store.tiles import Span, read_tile, tile_name, tile_of, without_overlap, write_tile
 from lightmatrix.store.zarr_file import save_rows
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.transport.sparse_rows import SparseRows
@@ -40,25 +40,25 @@ class Checkpoint:
 
     Made by `open`, used in a ``with`` statement, which holds the lock of the output. An exception
     leaves the tiles for the next run. Tiles belong to steps: those of the step `ROWS` are the
-    result, those of others are what an estimator needs to go on.
+    result, those of others are what an estimator needs to continue.
     """
 
     def __init__(
-        self, path: Path, kept: RunningFolder, token: str, overwrite: bool, claim: ExitStack
+        self, path: Path, kept: RunningResults, token: str, overwrite: bool, claim: ExitStack
     ) -> None:
         self._path = path
         self._kept = kept
         self._overwrite = overwrite
         self._claim = claim
         self.token = token
-        # Whole tiles of the steps that were asked for.
+        # The undamaged tiles of each step that was asked for.
         self._spans: dict[str, list[Span]] = {}
 
     @classmethod
     def open(
         cls, path: str | Path, fingerprint: Mapping[str, Any], *, overwrite: bool = False
     ) -> Checkpoint:
-        """Begin, or go on with, the running results of an output.
+        """Begin, or continue, the running results of an output.
 
         Parameters
         ----------
@@ -78,7 +78,16 @@ class Checkpoint:
         wanted = json.loads(json.dumps(dict(fingerprint), default=str))
         with ExitStack() as claim:
             target = claim.enter_context(claimed(path, STORE, overwrite=overwrite))
-            kept = _begun(target, wanted, overwrite)
+            kept = RunningResults.resume(
+                target,
+                PARTIAL,
+                wanted,
+                file=_FINGERPRINT,
+                contents="an incomplete estimate with other settings",
+                overwrite=overwrite,
+            )
+            if not kept.has(_FINGERPRINT):
+                _write_fingerprint(kept, wanted)
             return cls(Path(path), kept, _token(wanted), overwrite, claim.pop_all())
 
     def __enter__(self) -> Self:
@@ -91,83 +100,55 @@ class Checkpoint:
         trace: TracebackType | None,
     ) -> None:
         with self._claim:
-            tiles = any(_span(name, ROWS) is not None for name in self._kept.names)
+            tiles = [tile for name in self._kept.names if (tile := tile_of(name)) is not None]
             # Settings that no tile could be computed with must not stand in the way of others.
-            hopeless = isinstance(error, LightMatrixError) and not isinstance(
+            refused = isinstance(error, LightMatrixError) and not isinstance(
                 error, OutputError | ClusterError
             )
-            if not _results(self._kept) or (hopeless and not tiles):
-                self._kept.discard()
+            if not tiles or (refused and not any(step == ROWS for step, _ in tiles)):
+                self.discard()
 
     @property
     def folder(self) -> Path:
         """Where the tiles are kept, as an absolute path."""
         return self._kept.path
 
-    @property
-    def resumed_rows(self) -> int:
-        """How many rows of the result are finished."""
-        return sum(stop - start for start, stop in self.spans(ROWS))
-
     def spans(self, step: str = ROWS) -> list[Span]:
-        """Rows of the tiles of a step that are finished and whole, in order; none overlap."""
+        """Rows of the finished, undamaged tiles of a step, in order and without overlap."""
         if step not in self._spans:
-            named = [span for name in self._kept.names if (span := _span(name, step)) is not None]
-            # Damaged tiles are solved again.
-            whole = [span for span in named if self._tile(step, span) is not None]
-            self._spans[step] = apart(whole)
+            tiles = [tile for name in self._kept.names if (tile := tile_of(name)) is not None]
+            spans = [span for other, span in tiles if other == step]
+            whole = [span for span in spans if self._tile(step, span) is not None]
+            self._spans[step] = without_overlap(whole)
         return list(self._spans[step])
 
     def write(self, start: int, stop: int, rows: SparseRows, step: str = ROWS) -> None:
-        """Keep a finished tile, the rows start..stop of a step.
-
-        Raises
-        ------
-        OutputError
-            If the disk fails; tiles that were written remain.
-        """
+        """Keep a finished tile, the rows start..stop of a step."""
         write_tile(self.place(start, stop, step), self.token, rows)
         self.add(start, stop, step)
 
     def place(self, start: int, stop: int, step: str = ROWS) -> Path:
-        """Where another process may write a tile, with `write_tile` and the `token`.
-
-        Raises
-        ------
-        OutputError
-            If the disk fails, or a file of others has its name.
-        """
+        """Where another process may write a tile, with `write_tile` and the `token`."""
         return self._kept.place(tile_name(step, (start, stop)))
 
     def add(self, start: int, stop: int, step: str = ROWS) -> None:
         """Count a tile that was written as finished."""
-        self._spans[step] = apart([*self.spans(step), (start, stop)])
+        self._spans[step] = without_overlap([*self.spans(step), (start, stop)])
 
     def read(self, step: str) -> SparseRows:
-        """All tiles of a step, joined.
-
-        Raises
-        ------
-        InputError
-            If one was damaged since it was finished.
-        """
+        """All tiles of a step, joined."""
         return SparseRows.joined(list(self._tiles(step)))
 
     def keep(self, name: str, data: bytes) -> None:
-        """Keep a file of another kind until the output is whole.
-
-        Raises
-        ------
-        OutputError
-            If the disk fails.
-        """
+        """Keep a file that is no tile until the output is whole."""
         with self._kept.keep(name) as part:
             part.write_bytes(data)
 
     def forget(self, step: str) -> None:
         """Throw away the tiles of a step."""
         for name in self._kept.names:
-            if _span(name, step) is not None:
+            tile = tile_of(name)
+            if tile is not None and tile[0] == step:
                 self._kept.forget(name)
         self._spans[step] = []
 
@@ -181,7 +162,7 @@ class Checkpoint:
     ) -> LightTransport:
         """Join the tiles of the result into the output, then throw them away.
 
-        They are joined on disk, so that the matrix is in memory once, when it is whole.
+        They are joined on disk, so that the matrix is in memory only once, when it is whole.
 
         Raises
         ------
@@ -194,8 +175,8 @@ class Checkpoint:
         edges = [0, *(stop for _, stop in spans)]
         rows = int(np.prod(camera_shape))
         if [start for start, _ in spans] != edges[:-1] or edges[-1] != rows:
-            raise InputError(f"{self._kept.path}: the tiles do not cover all {rows} rows once")
-        told = dict(provenance or {})
+            raise InputError(f"{self.folder}: the tiles do not cover all {rows} rows once")
+        provenance = dict(provenance or {})
         try:
             save_rows(
                 self._path,
@@ -203,17 +184,21 @@ class Checkpoint:
                 camera_shape=camera_shape,
                 projector_shape=projector_shape,
                 background_grid=background_grid,
-                provenance=told,
+                provenance=provenance,
                 overwrite=self._overwrite,
             )
         except OutputError as error:
             raise OutputError(
                 error.message,
-                hint=f"the finished tiles are kept in {self._kept.path}: check the folder, its "
+                hint=f"the finished tiles are kept in {self.folder}: check the folder, its "
                 "permissions and the free space, and run the same estimate again",
             ) from error
+        self.discard()
+        return replace(zarr_file.open(self._path), provenance=provenance)
+
+    def discard(self) -> None:
+        """Throw away all that is kept."""
         self._kept.discard()
-        return replace(zarr_file.open(self._path), provenance=told)
 
     def _tiles(self, step: str) -> Iterator[SparseRows]:
         """Finished tiles one after the other, so that they are never all in memory."""
@@ -224,66 +209,30 @@ class Checkpoint:
         tile = self._tile(step, span)
         if tile is None:
             raise InputError(
-                f"{self._kept.path}: the tile {tile_name(step, span)} was damaged meanwhile",
+                f"{self.folder}: the tile {tile_name(step, span)} was damaged meanwhile",
                 hint="run the same estimate again; it computes that tile anew",
             )
         return tile
 
     def _tile(self, step: str, span: Span) -> SparseRows | None:
         """A finished tile; None if it is damaged."""
-        file = self._kept.file(tile_name(step, span))
-        return read_tile(file, self.token, span[1] - span[0])
+        return read_tile(self._kept.file(tile_name(step, span)), self.token, span[1] - span[0])
 
 
 def fingerprint_token(folder: Path) -> str | None:
-    """What the tiles of a folder of running results are marked with; None if there are none."""
-    found = read_object(folder / _FINGERPRINT)
-    return None if found is None else _token(found)
+    """The token that marks the tiles of a folder of running results; None if there is none."""
+    fingerprint = read_object(folder / _FINGERPRINT)
+    return None if fingerprint is None else _token(fingerprint)
 
 
 def _token(fingerprint: Mapping[str, Any]) -> str:
     return hashlib.sha256(json.dumps(fingerprint, sort_keys=True).encode()).hexdigest()
 
 
-def _begun(target: Path, wanted: Mapping[str, Any], overwrite: bool) -> RunningFolder:
-    """The running results of an output under a fingerprint, those found or new ones."""
-    kept = RunningFolder.open(target, PARTIAL)
-    differing = _differing(kept, wanted)
-    if differing is None:
-        return kept
-    if _results(kept):
-        if not overwrite:
-            raise OutputError(
-                f"{kept.path}: holds an incomplete estimate with other settings ({differing})",
-                hint="finish it with its own settings, or add --overwrite to discard it",
-            )
-        kept.discard()
-        kept = RunningFolder.open(target, PARTIAL)
+def _write_fingerprint(kept: RunningResults, fingerprint: Mapping[str, Any]) -> None:
     try:
         with kept.keep(_FINGERPRINT) as part:
-            part.write_text(json.dumps(wanted, indent=2))
+            part.write_text(json.dumps(fingerprint, indent=2))
     except OutputError:
         kept.discard()
         raise
-    return kept
-
-
-def _results(kept: RunningFolder) -> bool:
-    return any(tile_of(name) is not None for name in kept.names)
-
-
-def _span(name: str, step: str) -> Span | None:
-    """The rows of a tile by its file's name; None if it is none of the step."""
-    found = tile_of(name)
-    return found[1] if found is not None and found[0] == step else None
-
-
-def _differing(kept: RunningFolder, wanted: Mapping[str, Any]) -> str | None:
-    """Which keys of a stored fingerprint differ, in words; None if none does."""
-    found = read_object(kept.file(_FINGERPRINT)) if kept.has(_FINGERPRINT) else None
-    if found is None:
-        return "unknown ones"
-    if found == wanted:
-        return None
-    keys = [key for key in {**found, **wanted} if found.get(key) != wanted.get(key)]
-    return ", ".join(sorted(keys))

@@ -1,8 +1,7 @@
-"""Tiles of rows as running results keep them: one file each, that is known to be whole and its own.
+"""Tiles of rows as running results keep them: one file each, whose digest shows damage.
 
-A tile carries a digest of its arrays, of its name and of the fingerprint of what is computed. So
-one that was damaged, renamed, or written late by a worker of other settings is known, and solved
-again.
+The digest covers the arrays, the file's name and the fingerprint of what is computed. So a tile
+that was damaged, renamed, or written late by a worker with other settings is computed again.
 """
 
 from __future__ import annotations
@@ -18,12 +17,12 @@ from numpy.typing import NDArray
 
 from lightmatrix.errors import InputError
 from lightmatrix.files.npz import read_npz
-from lightmatrix.outputs.running import put
+from lightmatrix.outputs.running import write_whole
 from lightmatrix.transport.sparse_rows import SparseRows
 
 # First row of a tile, and the row after its last.
 Span = tuple[int, int]
-# The array of a kept file that tells whether the others are those that were kept under its name.
+# The array of a tile's file that holds the digest of all others.
 _DIGEST = "digest"
 
 
@@ -39,29 +38,15 @@ def tile_of(name: str) -> tuple[str, Span] | None:
 
 
 def write_tile(file: Path, token: str, rows: SparseRows) -> None:
-    """Write a tile in one step, from whichever process.
-
-    Parameters
-    ----------
-    file : Path
-        Where the running results have its place.
-    token : str
-        Fingerprint of what is computed.
-    rows : SparseRows
-
-    Raises
-    ------
-    OutputError
-        If the disk fails.
-    """
-    with put(file) as part:
+    """Write a tile in one step, from any process; `token` is that of the fingerprint."""
+    with write_whole(file) as part:
         arrays: dict[str, Any] = rows.arrays()
         arrays[_DIGEST] = _digest(file.name, token, arrays)
         np.savez(part, **arrays)
 
 
 def read_tile(file: Path, token: str, count: int) -> SparseRows | None:
-    """A tile of so many rows; None if it is missing, damaged or another's."""
+    """A tile of `count` rows; None if it is missing, damaged, or was written for another token."""
     try:
         arrays = read_npz(file)
         digest = arrays.pop(_DIGEST, None)
@@ -75,8 +60,8 @@ def read_tile(file: Path, token: str, count: int) -> SparseRows | None:
     return rows if rows.count == count else None
 
 
-def apart(spans: Iterable[Span]) -> list[Span]:
-    """Those of some spans of rows that do not overlap, the longest of each place, in order."""
+def without_overlap(spans: Iterable[Span]) -> list[Span]:
+    """Spans of rows in order, of which a longer one excludes those that overlap it."""
     chosen: list[Span] = []
     for start, stop in sorted(spans, key=lambda span: span[0] - span[1]):
         if start < stop and all(stop <= other[0] or start >= other[1] for other in chosen):
@@ -84,30 +69,25 @@ def apart(spans: Iterable[Span]) -> list[Span]:
     return sorted(chosen)
 
 
-def gaps(wanted: Iterable[Span], there: Iterable[Span]) -> list[Span]:
-    """What of the wanted spans is not there, each piece within one of them.
+def unfinished_spans(wanted: Iterable[Span], finished: Iterable[Span]) -> list[Span]:
+    """The unfinished parts of the wanted spans, each within one of them.
 
-    Parameters
-    ----------
-    wanted : iterable of (int, int)
-        In order, apart.
-    there : iterable of (int, int)
-        In order, apart.
+    Both arguments are in order and without overlap.
     """
-    held, found = list(there), []
+    finished, missing = list(finished), []
     for start, stop in wanted:
-        for first, last in held:
+        for first, last in finished:
             if last > start and first < stop:
                 if first > start:
-                    found.append((start, first))
+                    missing.append((start, first))
                 start = max(start, last)
         if start < stop:
-            found.append((start, stop))
-    return found
+            missing.append((start, stop))
+    return missing
 
 
 def _digest(name: str, token: str, arrays: Mapping[str, NDArray[Any]]) -> NDArray[np.uint8]:
-    """Hash of arrays, of the name that they are kept under, and of what is computed, 32 bytes."""
+    """Hash of arrays, of their file's name and of what is computed, 32 bytes."""
     hasher = hashlib.sha256(f"{name}\n{token}".encode())
     for key in sorted(arrays):
         values = arrays[key]
