@@ -75,7 +75,7 @@ class Region:
         }
 
     @classmethod
-    def told(cls, provenance: Mapping[str, Any]) -> Self | None:
+    def from_provenance(cls, provenance: Mapping[str, Any]) -> Self | None:
         """The rectangle that an estimate's provenance tells of; None if of none, or nonsense."""
         described = provenance.get("capture_description")
         told = described.get("crop") if isinstance(described, Mapping) else None

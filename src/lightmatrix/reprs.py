@@ -42,6 +42,11 @@ def shown_value(value: Any) -> str:
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
+def jsonable(value: Any) -> Any:
+    """NumPy numbers and arrays as JSON can hold them; to be the ``default`` of ``json.dumps``."""
+    return value.tolist() if hasattr(value, "tolist") else value
+
+
 def _short(value: Any) -> str:
     if hasattr(value, "nnz") and hasattr(value, "shape"):
         return f"<{_size(value.shape)} {value.dtype}, {value.nnz} entries>"

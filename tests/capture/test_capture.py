@@ -345,17 +345,22 @@ def test_a_capture_is_written_whole_or_not_at_all(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("bits", [10, 12])
 def test_fewer_bits_than_the_files_have(tmp_path: Path, bits: int) -> None:
-    # No word of the clip level, and nothing above a sixteenth of that of the files.
+    # Nobody stated the clip level, and no level is above a sixteenth of that of the files.
     frames = photographs(SETS[0], Sensor(bits=bits))
     for k, frame in enumerate(frames):
         write_image(tmp_path / "photos" / f"{k}.png", frame)
+
+    def judge(settings: ReadSettings, block: int = 1) -> None:
+        photos = tmp_path / "photos"
+        refuse_unusable(Capture.from_folders(SETS[0], photos, settings, bin_camera=block))
+
     for block in (1, 2):
         with pytest.raises(InputError, match=f"no level above {2**bits - 1}.*\n.*--clip"):
-            Capture.from_folders(SETS[0], tmp_path / "photos", bin_camera=block)
-    Capture.from_folders(SETS[0], tmp_path / "photos", ReadSettings(clip=2**bits - 1))
-    # Who insists that they are just dark is still told that they end where many cameras clip.
+            judge(ReadSettings(), block)
+    judge(ReadSettings(clip=2**bits - 1))
+    # A user who insists that they are just dark is warned that many cameras clip there.
     with pytest.warns(LightMatrixWarning, match=f"samples are exactly {2**bits - 1}"):
-        Capture.from_folders(SETS[0], tmp_path / "photos", ReadSettings(clip=65535))
+        judge(ReadSettings(clip=65535))
 
 
 def test_jpeg_without_a_response_is_warned_about(tmp_path: Path) -> None:
@@ -389,9 +394,9 @@ def test_captures_no_estimate_can_come_from() -> None:
     ]
     for patterns, stack, message in cases:
         with pytest.raises(InputError, match=message):
-            Capture.from_arrays(patterns, stack, sensor)
+            refuse_unusable(Capture.from_arrays(patterns, stack, sensor))
     with pytest.raises(InputError, match="all camera pixels are masked"):
-        Capture.from_arrays(SETS[0], frames, sensor, mask=np.zeros((5, 7), bool))
+        refuse_unusable(Capture.from_arrays(SETS[0], frames, sensor, mask=np.zeros((5, 7), bool)))
     with pytest.raises(InputError, match="a mask of shape"):
         Capture.from_arrays(SETS[0], frames, sensor, mask=np.zeros((7, 5), bool))
 

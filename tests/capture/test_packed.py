@@ -22,7 +22,6 @@ from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.frames import PixelFrames
 from lightmatrix.capture.packed import PackedFrames
 from lightmatrix.capture.settings import ReadSettings
-from lightmatrix.capture.window import window
 from lightmatrix.cli import main
 from lightmatrix.errors import InputError, OutputError
 from lightmatrix.patterns.pattern_set import PatternSet
@@ -105,9 +104,9 @@ def test_a_packed_capture_is_the_same_capture(tmp_path: Path, words: str) -> Non
     for block in ((2, 2), (3, 8)):
         assert found.bin(camera=block).digest == wanted.bin(camera=block).digest
     part = slice(1, 4), slice(2, 6)
-    assert window(found, *part).digest == window(wanted, *part).digest
+    assert found.window(*part).digest == wanted.window(*part).digest
     some = [3, 0]
-    assert window(found, *part).select(some).digest == window(wanted, *part).select(some).digest
+    assert found.window(*part).select(some).digest == wanted.window(*part).select(some).digest
     assert [entry.name for entry in tmp_path.iterdir()] == ["c.zarr"]
 
 

@@ -100,6 +100,22 @@ class Decoder:
             return None
         return np.asarray(np.asarray(self.black_frame) >= np.min(self.clip))
 
+    def check_count(self, count: int) -> None:
+        """Refuse lists of exposures or levels that do not have one number for each of the frames.
+
+        Raises
+        ------
+        InputError
+            Naming the list.
+        """
+        for name in ("clip", "black_level", "exposure"):
+            value = np.asarray(getattr(self, name))
+            if value.ndim and value.shape != (count,):
+                raise InputError(
+                    f"{name} has {value.size} values for {count} frames",
+                    hint="give one number, or one for each frame",
+                )
+
     def select(self, frames: NDArray[np.integer]) -> Decoder:
         """The decoder of the frames of the given indices."""
         values = {name: getattr(self, name) for name in ("clip", "black_level", "exposure")}

@@ -19,7 +19,6 @@ from lightmatrix.camera.decoder import Decoder
 from lightmatrix.camera.samples import Samples
 from lightmatrix.camera.sensor import Sensor
 from lightmatrix.capture import summary
-from lightmatrix.capture.checks import check_per_frame
 from lightmatrix.capture.folder import holds_capture, read_capture, read_folders
 from lightmatrix.capture.frames import ArrayStack, Frames, cut
 from lightmatrix.capture.reader import Reader
@@ -78,11 +77,11 @@ class Capture:
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
     def __repr__(self) -> str:
-        facts = summary.told(self.patterns, self.reader)
+        facts = summary.summarize(self.patterns, self.reader)
         return f"Capture({', '.join(f'{name}={value}' for name, value in facts.items())})"
 
     def _repr_html_(self) -> str:
-        return html_table("Capture", summary.told(self.patterns, self.reader))
+        return html_table("Capture", summary.summarize(self.patterns, self.reader))
 
     def __post_init__(self) -> None:
         if self.patterns.count != self.frames.count:
@@ -211,7 +210,7 @@ class Capture:
         """
         decoder = sensor.decoder() if isinstance(sensor, Sensor) else sensor
         capture = cls(patterns, ArrayStack(frames), decoder, mask, provenance=provenance or {})
-        check_per_frame(capture.decoder, capture.count)
+        capture.decoder.check_count(capture.count)
         return capture
 
     def _cut_and_binned(
@@ -220,7 +219,7 @@ class Capture:
         bin_projector: int | tuple[int, int],
         bin_camera: int | tuple[int, int],
     ) -> Capture:
-        check_per_frame(self.decoder, self.count)
+        self.decoder.check_count(self.count)
         whole = self if crop is None else self.crop(*crop)
         return whole.bin(bin_projector, bin_camera)
 
@@ -292,6 +291,16 @@ class Capture:
             decoder = replace(decoder, black_frame=black.ravel())
         mask = None if self.mask is None else self.mask[inside]
         return replace(self, frames=frames, decoder=decoder, mask=mask)
+
+    def window(self, rows: slice, cols: slice) -> Capture:
+        """The capture of a rectangle of its binned camera pixels; slices with start and stop."""
+        height, width = self.frames.shape[:2]
+        down, across = self.bin_camera
+        corner = (rows.start * down, cols.start * across)
+        end = (min(rows.stop * down, height), min(cols.stop * across, width))
+        whole = replace(self, bin_camera=(1, 1))
+        part = whole.crop(corner, (end[0] - corner[0], end[1] - corner[1]))
+        return replace(part, bin_camera=self.bin_camera)
 
     def bin(
         self, projector: int | tuple[int, int] = 1, camera: int | tuple[int, int] = 1
@@ -377,10 +386,15 @@ class Capture:
 
     def summary(self) -> dict[str, Any]:
         """Number of frames, shapes, kind of patterns, levels, exposures: as names and values."""
-        return summary.told(self.patterns, self.reader)
+        return summary.summarize(self.patterns, self.reader)
 
     @property
     def description(self) -> dict[str, Any]:
         """What the capture is and how it is read, JSON-ready."""
         facts = summary.description(self.patterns, self.reader, self.bin_projector)
         return {**facts, **dict(self.provenance)}
+
+
+def open_capture(capture: Capture | str | Path) -> Capture:
+    """The capture itself, or the one that a capture folder or packed capture holds."""
+    return capture if isinstance(capture, Capture) else Capture.open(capture)

@@ -1,8 +1,10 @@
-"""How the frames of a capture are to be read: black frame, levels, response and mask."""
+"""From the settings of a capture to its decoder and mask, with the files that they name."""
 
 from __future__ import annotations
 
 import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +14,26 @@ from numpy.typing import NDArray
 from lightmatrix.camera.camera_curve import Response
 from lightmatrix.camera.decoder import Decoder
 from lightmatrix.camera.raw_levels import range_end
+from lightmatrix.capture.frames import Frames, level_blocks
 from lightmatrix.capture.settings import ReadSettings
 from lightmatrix.errors import InputError, LightMatrixWarning
 from lightmatrix.files.images import is_grey, read_image
 from lightmatrix.files.stack import ImageStack, nonlinear_tag
+from lightmatrix.patterns.pattern_set import PatternSet
+
+# The highest levels of cameras of 8, 10, 12 and 14 bits, whose files may have 16.
+_HIGHEST_LEVELS = (255, 1023, 4095, 16383)
+
+
+@dataclass(frozen=True, eq=False)
+class CaptureParts:
+    """What a capture is made of as it is read from disk; the counts may still differ."""
+
+    patterns: PatternSet
+    frames: Frames
+    decoder: Decoder
+    mask: NDArray[np.bool_] | None = None
+    provenance: Mapping[str, Any] = field(default_factory=dict)
 
 
 def make_decoder(stack: ImageStack, settings: ReadSettings) -> Decoder:
@@ -94,6 +112,31 @@ def _read_black(
             hint='give "black_level" in capture.json, 0 for a camera without pedestal',
         )
     return image.ravel()
+
+
+def check_depth(frames: Frames, decoder: Decoder) -> None:
+    """Refuse 16-bit files that hold fewer bits, while their full range was assumed.
+
+    A camera of 12 bits clips at 4095: with 65535 in its place all samples are below 1/16, none is
+    clipped, and an estimate finds nothing without a sign that it is wrong.
+
+    Raises
+    ------
+    InputError
+        Naming the clip level that is probably meant.
+    """
+    if not decoder.clip_assumed or frames.dtype != np.uint16:
+        return
+    top = 0
+    for block in level_blocks(frames):
+        top = max(top, int(block.max()))
+        if top > _HIGHEST_LEVELS[-1]:
+            return
+    likely = next(level for level in _HIGHEST_LEVELS if level >= top)
+    raise InputError(
+        f"the images have 16 bits, but no level above {top}: a camera that clips at {likely}?",
+        hint=f'say --clip {likely}, or "clip" in capture.json; --clip 65535 if they are just dark',
+    )
 
 
 def read_mask(mask: str | Path | None, shape: tuple[int, ...]) -> NDArray[np.bool_] | None:

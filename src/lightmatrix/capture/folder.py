@@ -14,26 +14,24 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import warnings
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.camera.sensor import Sensor
-from lightmatrix.capture.beside import check_name, find_images, with_files_beside
-from lightmatrix.capture.checks import check_per_frame
-from lightmatrix.capture.decoding import make_decoder, read_mask
+from lightmatrix.capture.decoding import CaptureParts, make_decoder, read_mask
 from lightmatrix.capture.description import FORMAT, NAME, VERSION, Description, read_description
 from lightmatrix.capture.packed import FORMAT as PACKED_FORMAT
 from lightmatrix.capture.packed import is_packed, read_packed
-from lightmatrix.capture.parts import CaptureParts
 from lightmatrix.capture.settings import ReadSettings
-from lightmatrix.errors import InputError
+from lightmatrix.errors import InputError, LightMatrixWarning
 from lightmatrix.files.headers import said_in
-from lightmatrix.files.images import fill_image
+from lightmatrix.files.images import READABLE, fill_image
+from lightmatrix.files.pages import is_stack
 from lightmatrix.files.stack import ImageStack
 from lightmatrix.files.zarr_arrays import read_attributes
 from lightmatrix.outputs.kinds import CAPTURE
@@ -42,6 +40,7 @@ from lightmatrix.patterns.bits import with_white
 from lightmatrix.patterns.folder import fill_pattern_folder, read_patterns
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.patterns.projector_curve import ProjectorResponse
+from lightmatrix.reprs import jsonable
 
 
 def holds_capture(place: Path) -> bool:
@@ -75,16 +74,16 @@ def read_capture(
         raise InputError(f"{place}: {problem}", hint="give a folder with patterns/ and images/")
     if is_packed(place):
         return read_packed(place)
-    pattern_images, photographs = find_images(place, "patterns"), find_images(place, "images")
+    pattern_images, photographs = _find_images(place, "patterns"), _find_images(place, "images")
     file = place / NAME
     # A link that leads nowhere is a description that is missing, not none.
     described = os.path.lexists(file)
     if not described:
-        check_name(place)
+        _check_name(place)
     description = Description()
     if described:
         description = read_description(file, allow_outside=allow_outside)
-    settings = with_files_beside(place, description, described)
+    settings = _with_files_beside(place, description, described)
     patterns = _as_light(read_patterns(pattern_images), settings)
     stack = ImageStack.open(photographs, mosaic=settings.mosaic)
     if counted:
@@ -101,7 +100,7 @@ def read_capture(
     with said_in(file):
         decoder = make_decoder(stack, settings)
         if counted:
-            check_per_frame(decoder, stack.count)
+            decoder.check_count(stack.count)
     mask = read_mask(settings.mask, stack.shape)
     return CaptureParts(patterns, stack, decoder, mask, dict(description.provenance))
 
@@ -239,11 +238,84 @@ def _link(file: Path, image: Path) -> None:
         shutil.copyfile(file, image)
 
 
-def jsonable(value: Any) -> Any:
-    """NumPy numbers and arrays as JSON can hold them."""
-    if isinstance(value, np.ndarray):
-        return value.tolist()
-    return value.item() if isinstance(value, np.generic) else value
+def _find_images(place: Path, name: str) -> Path:
+    """The folder `name` of a capture, or the one file of all its images, such as images.tif.
+
+    Raises
+    ------
+    InputError
+        If there is neither, or more than one.
+    """
+    folder = place / name
+    found = [folder] if folder.is_dir() else []
+    found += [
+        entry
+        for entry in sorted(place.iterdir())
+        if entry.stem == name and is_stack(entry) and not entry.is_dir()
+    ]
+    if not found:
+        raise InputError(
+            f"{place}: has no folder {name}/",
+            hint="give a folder with patterns/ and images/ (or a stack of each, such as "
+            "images.tif), or --patterns and --images",
+        )
+    if len(found) > 1:
+        raise InputError(
+            f"{place}: holds {found[0].name} and {found[1].name}", hint="keep the one that is meant"
+        )
+    return found[0]
+
+
+def _check_name(place: Path) -> None:
+    """Refuse a folder without a capture.json that has one in other letters, such as Capture.json.
+
+    Raises
+    ------
+    InputError
+        Naming it.
+    """
+    for entry in sorted(place.iterdir()):
+        if entry.name != NAME and entry.name.casefold() == NAME:
+            raise InputError(f"{entry}: is not read under this name", hint=f"call it {NAME}")
+
+
+def _with_files_beside(place: Path, description: Description, described: bool) -> ReadSettings:
+    """The settings with a black frame or mask that lies in the folder without being named.
+
+    Without capture.json it is used, and with one it is not; a warning says either.
+
+    Raises
+    ------
+    InputError
+        On two files of which either may be meant.
+    """
+    settings = description.settings
+    for key, what in (("black", "the black frame"), ("mask", "the mask")):
+        if described and key not in description.absent:
+            continue
+        files = [
+            entry
+            for entry in sorted(place.iterdir())
+            if entry.stem.lower() == key and entry.suffix.lower() in READABLE
+        ]
+        if not files:
+            continue
+        if described:
+            message = f"{files[0]}: is not used, since {NAME} does not name it"
+            message += f'; add "{key}" to it, or "{key}": null to leave it out'
+        elif len(files) > 1:
+            raise InputError(
+                f"{place}: holds {files[0].name} and {files[1].name}",
+                hint=f"keep the one that is {what}",
+            )
+        else:
+            message = f"{files[0]}: is taken for {what}, for want of a {NAME} that says so"
+            if key == "black":
+                settings = replace(settings, black=files[0])
+            else:
+                settings = replace(settings, mask=files[0])
+        warnings.warn(message, LightMatrixWarning, stacklevel=2)
+    return settings
 
 
 def _check_counts(patterns: PatternSet, stack: ImageStack, images: Path) -> None:

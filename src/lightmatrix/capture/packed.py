@@ -16,9 +16,8 @@ from numpy.typing import NDArray
 
 from lightmatrix.camera.camera_curve import Response
 from lightmatrix.camera.decoder import Decoder
-from lightmatrix.capture.checks import check_per_frame
+from lightmatrix.capture.decoding import CaptureParts
 from lightmatrix.capture.description import KEYS, Description, parse_description
-from lightmatrix.capture.parts import CaptureParts
 from lightmatrix.errors import InputError
 from lightmatrix.files.image_size import check_size
 from lightmatrix.files.zarr_arrays import (
@@ -204,7 +203,7 @@ def read_packed(place: Path) -> CaptureParts:
         )
         frames = _frames(place, attributes, told)
         decoder = _decoder(place, attributes, told, frames)
-        check_per_frame(decoder, frames.count)
+        decoder.check_count(frames.count)
         patterns = _patterns(place, attributes, frames.count)
         if told.projector_shape != patterns.shape:
             raise ValueError(f"its patterns are {patterns.shape}")

@@ -15,11 +15,9 @@ import zarr
 from numpy.typing import NDArray
 
 from lightmatrix.camera.decoder import Decoder
-from lightmatrix.capture.capture import Capture
+from lightmatrix.capture.capture import Capture, open_capture
 from lightmatrix.capture.description import TRUTH
-from lightmatrix.capture.folder import jsonable
 from lightmatrix.capture.frames import Frames, PixelFrames, in_order
-from lightmatrix.capture.given import given_capture
 from lightmatrix.capture.packed import (
     BITS,
     BLACK,
@@ -35,6 +33,7 @@ from lightmatrix.files.zarr_arrays import create_array, write_array
 from lightmatrix.outputs.kinds import PACKED_CAPTURE
 from lightmatrix.outputs.writing import atomic_folder, check_output
 from lightmatrix.patterns.pattern_set import PatternSet
+from lightmatrix.reprs import jsonable
 from lightmatrix.resources.disk import check_disk
 
 Progress = Callable[[int, int], None]
@@ -93,7 +92,7 @@ def pack(
     True
     """
     check_output(output, PACKED_CAPTURE, overwrite=overwrite)
-    opened = given_capture(capture)
+    opened = open_capture(capture)
     truth = None if isinstance(capture, Capture) else Path(capture) / TRUTH
 
     def beside(part: Path) -> None:

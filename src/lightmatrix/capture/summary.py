@@ -7,16 +7,16 @@ from typing import Any
 
 import numpy as np
 
-from lightmatrix.capture.folder import jsonable
 from lightmatrix.capture.frames import CutFrames
 from lightmatrix.capture.reader import Reader
 from lightmatrix.patterns.pattern_set import PatternSet
+from lightmatrix.reprs import jsonable
 
 # Of so many exposures each is told; of more, how many there are.
 _TOLD_EXPOSURES = 4
 
 
-def told(patterns: PatternSet, reader: Reader) -> dict[str, Any]:
+def summarize(patterns: PatternSet, reader: Reader) -> dict[str, Any]:
     """What is said of a capture in one line; decodes nothing."""
     exposures = np.unique(reader.exposures)
     shown = ", ".join(f"{exposure:g}" for exposure in exposures[:_TOLD_EXPOSURES])

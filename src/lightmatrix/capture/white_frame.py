@@ -9,8 +9,7 @@ import numpy as np
 
 from lightmatrix.camera.camera_curve import Response
 from lightmatrix.camera.samples import Samples
-from lightmatrix.capture.checks import check_depth
-from lightmatrix.capture.decoding import make_decoder
+from lightmatrix.capture.decoding import check_depth, make_decoder
 from lightmatrix.capture.settings import ReadSettings
 from lightmatrix.errors import InputError
 from lightmatrix.files.stack import ImageStack

@@ -7,9 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from lightmatrix.capture.capture import Capture, Crop
-from lightmatrix.capture.checks import check_per_frame
+from lightmatrix.capture.decoding import CaptureParts
 from lightmatrix.capture.folder import read_capture, read_folders
-from lightmatrix.capture.parts import CaptureParts
 from lightmatrix.capture.settings import ReadSettings
 from lightmatrix.diagnosis.check import check_survey
 from lightmatrix.diagnosis.finding import Finding
@@ -86,7 +85,7 @@ def _check_parts(parts: CaptureParts, crop: Crop | None) -> list[Finding]:
     try:
         if parts.patterns.count != parts.frames.count:
             return _check_uncounted(parts)
-        check_per_frame(parts.decoder, parts.frames.count)
+        parts.decoder.check_count(parts.frames.count)
         whole = Capture(parts.patterns, parts.frames, parts.decoder, parts.mask)
         return check_capture(whole if crop is None else whole.crop(*crop))
     except InputError:

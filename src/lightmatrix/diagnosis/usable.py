@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from lightmatrix.camera.decoder import Decoder
 from lightmatrix.camera.samples import Samples
 from lightmatrix.capture.capture import Capture
-from lightmatrix.capture.checks import check_depth
+from lightmatrix.capture.decoding import check_depth
 from lightmatrix.diagnosis.check import check_survey
 from lightmatrix.diagnosis.finding import refuse_disorder
 from lightmatrix.diagnosis.survey import Survey

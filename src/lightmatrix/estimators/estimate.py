@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from lightmatrix.capture.capture import Capture
-from lightmatrix.capture.given import given_capture
+from lightmatrix.capture.capture import Capture, open_capture
 from lightmatrix.diagnosis.usable import refuse_unordered, refuse_unusable
 from lightmatrix.estimators.auto import AutoEstimator
 from lightmatrix.estimators.needs import Needs
@@ -126,7 +125,7 @@ def estimate(
     estimator.check_shared(output)
     if output is not None:
         check_output(output, STORE, overwrite=overwrite)
-    taken = given_capture(capture)
+    taken = open_capture(capture)
     estimator.needs(taken).check()
     # What is wrong with workers is said before frames are read.
     with estimator.crew(taken) as crew:
@@ -169,5 +168,5 @@ def needs(capture: Capture | str | Path, *, estimator: AutoEstimator | None = No
     >>> lm.needs(capture).fits
     True
     """
-    taken = given_capture(capture)
+    taken = open_capture(capture)
     return (estimator or AutoEstimator()).needs(taken)

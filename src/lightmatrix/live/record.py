@@ -18,12 +18,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.camera.sensor import Sensor
-from lightmatrix.capture.folder import jsonable, write_capture
+from lightmatrix.capture.folder import write_capture
 from lightmatrix.errors import InputError
 from lightmatrix.files.images import fill_image, is_grey, read_image
 from lightmatrix.outputs.kinds import PARTIAL
 from lightmatrix.outputs.running import RunningResults
 from lightmatrix.patterns.pattern_set import PatternSet
+from lightmatrix.reprs import jsonable
 
 _STATE = "session.json"
 FORMAT, VERSION = "lightmatrix-session", 1

@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.capture.capture import Capture
-from lightmatrix.capture.window import window
 from lightmatrix.errors import LightMatrixError
 from lightmatrix.estimators.steps import Progress
 from lightmatrix.patterns.pattern_set import PatternSet
@@ -103,7 +102,7 @@ def hold_out(
     if isinstance(frames, str):
         return frames
     place = _place(capture, frames)
-    tested = capture if place is None else window(capture, *place)
+    tested = capture if place is None else capture.window(*place)
     rest = np.setdiff1d(np.arange(capture.count), frames)
     try:
         found = estimator.estimate(tested.select(rest), progress=progress)

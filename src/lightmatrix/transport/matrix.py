@@ -248,7 +248,7 @@ class LightTransport:
     @property
     def region(self) -> Region | None:
         """The rectangle of the photographs that was estimated from; None for all of them."""
-        return Region.told(self.provenance)
+        return Region.from_provenance(self.provenance)
 
     def summary(self) -> dict[str, Any]:
         """Shapes, sparsity, clipping, convergence and gaps, as names and values; JSON-ready.

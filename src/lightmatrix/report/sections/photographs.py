@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.capture.summary import told
+from lightmatrix.capture.summary import summarize
 from lightmatrix.evaluation.verdict import percent
 from lightmatrix.pictures.maps import clipping_map
 from lightmatrix.report.elements import Bars, Block, Columns, Gallery, Pair, Section, Strip, Table
@@ -59,7 +59,7 @@ def captured(facts: Facts) -> Section:
 def _facts(facts: Facts) -> dict[str, object]:
     capture = facts.capture
     decoder = capture.decoder
-    found: dict[str, object] = dict(told(capture.patterns, capture.reader))
+    found: dict[str, object] = dict(summarize(capture.patterns, capture.reader))
     found["samples that clipped"] = percent(float(facts.frames.clipped.mean()))
     found["response"] = decoder.response.name
     found["black frame"] = "subtracted" if decoder.black_frame is not None else "none"
