@@ -1,11 +1,12 @@
 """Mutation testing: break one thing in a copy of the sources, and see whether a test fails.
 
-    python tools/mutants.py                      200 of all mutants of solvers, estimators, capture
+    python tools/mutants.py                      a sample of 200 mutants of the folders in TARGETS
     python tools/mutants.py --count 60 --seed 1 src/lightmatrix/solvers
 
-First the whole suite runs once, to record which test runs which line (kept until sources or tests
-change). Then each mutant is given the tests that run its line, the quickest first, up to a budget;
-the first that fails kills it. Survivors are printed and written to mutants-out/mutants.json: either
+First the tests in SUITES run once, in as many processes as --jobs, to record which test runs which
+line. The record is kept in mutants-out/coverage.json until a source or a test changes. Then each
+mutant gets the tests that run its line, the quickest first, up to a budget of seconds; the first
+test that fails kills it. The survivors are printed and written to mutants-out/mutants.json: either
 a test is missing, or the mutant changes nothing that matters. Compiled code is not mutated.
 """
 
@@ -33,17 +34,30 @@ from mutations import Mutant, mutants_of, mutated
 ROOT = Path(__file__).resolve().parents[1]
 OUT = ROOT / "mutants-out"
 PACKAGE = Path("src") / "lightmatrix"
-TARGETS = [PACKAGE / name for name in ("solvers", "estimators", "capture")]
-# Imported once, before workers are forked: a mutant then costs a second, not five.
+TARGETS = [
+    PACKAGE / name
+    for name in ("solvers", "estimators", "capture", "diagnosis", "transport", "evaluation")
+]
+# Folders of tests that run the code of TARGETS in their own process. The tests of the live rig, the
+# renderer and the table of faults would double the time of the record: they wait for devices, or
+# run the command line in other processes, whose lines are not recorded.
+SUITES = [
+    *("tests/solvers", "tests/estimators", "tests/capture", "tests/diagnosis", "tests/transport"),
+    *("tests/evaluation", "tests/core", "tests/camera", "tests/planning", "tests/report"),
+    *("tests/store", "tests/cli"),
+]
+# Modules that are imported once, before the children are forked: a mutant then takes one second
+# instead of five.
 HEAVY = (
     "pytest hypothesis numpy scipy.sparse scipy.optimize scipy.ndimage scipy.signal scipy.io zarr "
     "matplotlib.pyplot typer rich imageio tifffile"
 )
-# Seconds of tests, as recorded, that a mutant is given. It may take PATIENCE times as long, and
-# GRACE more, before it counts as one that hangs.
+# Each mutant gets tests of at most this many recorded seconds.
 BUDGET = 60.0
+# A mutant hangs if it takes this many times the recorded seconds, and this many seconds more. Both
+# are chosen by hand: children that run side by side take up to twice the recorded time.
 PATIENCE, GRACE = 4.0, 60.0
-# Exit code of a child in which pytest could not be started.
+# The exit code of a child in which pytest could not be started.
 BROKEN = 97
 
 
@@ -59,13 +73,13 @@ def main() -> int:
     parser.add_argument("--record", type=Path, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.record:
-        return record(arguments.record)
+        return record(arguments.record, [str(path) for path in arguments.paths])
     OUT.mkdir(exist_ok=True)
     with tempfile.TemporaryDirectory() as folder:
-        # Who goes on working in the tree does not disturb.
+        # Mutants live in copies, so that the working tree may change meanwhile.
         copies = [copied(Path(folder) / str(number)) for number in range(arguments.jobs)]
         mutants = sample(copies[0], arguments.paths, arguments.count, arguments.seed)
-        recorded = recording(copies[0])
+        recorded = recording(copies)
         for module in HEAVY.split():
             importlib.import_module(module)
         control(mutants, recorded, copies[0])
@@ -75,8 +89,8 @@ def main() -> int:
 
 def sample(tree: Path, paths: list[Path], count: int, seed: int) -> list[Mutant]:
     """Some mutants of the files in `paths`, all if `count` is 0."""
-    found = [tree / path for path in paths]
-    files = sorted(f for p in found for f in ([p] if p.is_file() else p.rglob("*.py")))
+    places = [tree / path for path in paths]
+    files = sorted(f for p in places for f in ([p] if p.is_file() else p.rglob("*.py")))
     mutants = [m for f in files for m in mutants_of(f.relative_to(tree), f.read_text())]
     chosen = mutants
     if 0 < count < len(mutants):
@@ -102,22 +116,45 @@ def copied(to: Path) -> Path:
 # --- which test runs which line
 
 
-def recording(tree: Path) -> dict[str, Any]:
+def recording(copies: list[Path]) -> dict[str, Any]:
     """Tests with their seconds, and for each file's lines the tests that run them."""
+    tree = copies[0]
     sources = [*(tree / "src").rglob("*.py"), *(tree / "tests").rglob("*.py")]
     digest = hashlib.sha256(b"".join(p.read_bytes() for p in sorted(sources))).hexdigest()
     kept = OUT / "coverage.json"
     if kept.exists():
-        found: dict[str, Any] = json.loads(kept.read_text())
-        if found["digest"] == digest:
-            return found
-    print("recording which test runs which line: the whole suite, once", flush=True)
-    result = tree / "coverage.json"
-    command = [sys.executable, "tools/mutants.py", "--record", str(result)]
-    subprocess.run(command, cwd=tree, env=environment(tree), check=True)
-    found = {"digest": digest, **json.loads(result.read_text())}
-    kept.write_text(json.dumps(found))
-    return found
+        earlier: dict[str, Any] = json.loads(kept.read_text())
+        if earlier["digest"] == digest:
+            return earlier
+    print("recording which test runs which line", flush=True)
+    files = sorted(f for suite in SUITES for f in (tree / suite).glob("test_*.py"))
+    # The largest files first, in turn to each process: about the same time for all.
+    files.sort(key=lambda file: -file.stat().st_size)
+    started = []
+    for number, copy in enumerate(copies):
+        share = [str(file.relative_to(tree)) for file in files[number :: len(copies)]]
+        command = [sys.executable, "tools/mutants.py", "--record", "coverage.json", *share]
+        started.append(subprocess.Popen(command, cwd=copy, env=environment(copy)))
+    codes = [process.wait() for process in started]
+    if any(codes):
+        raise SystemExit("the tests could not be recorded: see above")
+    merged = merge([json.loads((copy / "coverage.json").read_text()) for copy in copies])
+    kept.write_text(json.dumps({"digest": digest, **merged}))
+    return merged
+
+
+def merge(records: list[dict[str, Any]]) -> dict[str, Any]:
+    """The records of several processes as one."""
+    lines: dict[str, dict[str, list[str]]] = {}
+    for record in records:
+        for file, tests_by_line in record["lines"].items():
+            for line, tests in tests_by_line.items():
+                lines.setdefault(file, {}).setdefault(line, []).extend(tests)
+    return {
+        "seconds": {test: n for record in records for test, n in record["seconds"].items()},
+        "failed": [test for record in records for test in record["failed"]],
+        "lines": lines,
+    }
 
 
 class Recorder:
@@ -139,7 +176,7 @@ class Recorder:
         self.coverage.switch_context(nodeid)
 
     def pytest_fixture_setup(self, fixturedef: Any, request: Any) -> None:
-        # What a shared fixture runs, all tests that use it rely on, not only the first.
+        # All tests that use a shared fixture rely on the lines that it runs, not only the first.
         if fixturedef.scope != "function":
             file = request.node.nodeid.split("::")[0]
             self.coverage.switch_context(f"{file}::fixture {fixturedef.argname}")
@@ -157,8 +194,8 @@ class Recorder:
             self.failed.add(report.nodeid)
 
 
-def record(target: Path) -> int:
-    """In a copy of the tree: run the suite under coverage."""
+def record(target: Path, tests: list[str]) -> int:
+    """In a copy of the tree: run some files of tests under coverage."""
     import coverage
     import pytest
 
@@ -167,7 +204,7 @@ def record(target: Path) -> int:
     )
     recorder = Recorder(measured)
     measured.start()
-    pytest.main(["-p", "no:cacheprovider"], plugins=[recorder])
+    pytest.main(["-p", "no:cacheprovider", *tests], plugins=[recorder])
     measured.stop()
     data = measured.get_data()
     lines: dict[str, dict[int, list[str]]] = {}
@@ -187,28 +224,28 @@ def tests_of(mutant: Mutant, recorded: dict[str, Any], budget: float) -> tuple[l
     """Tests that run the mutant's lines, quickest first, and how long they take."""
     lines = recorded["lines"].get(str(mutant.file), {})
     names = {t for n in range(mutant.first, mutant.last + 1) for t in lines.get(str(n), [])}
-    if not names:  # Runs when the module is imported.
+    if not names:  # The line runs when its module is imported.
         names = {t for tests in lines.values() for t in tests}
     seconds = recorded["seconds"]
     usable = sorted(
         (n for n in names if n in seconds and n not in recorded["failed"]),
         key=lambda n: (seconds[n], n),
     )
-    taken: list[str] = []
+    chosen: list[str] = []
     total = 0.0
     for name in usable:
-        total += seconds[name] + 0.005
-        if taken and total > budget:
+        total += seconds[name] + 0.005  # pytest itself takes some 5 ms a test
+        if chosen and total > budget:
             break
-        taken.append(name)
-    return taken, min(total, budget)
+        chosen.append(name)
+    return chosen, min(total, budget)
 
 
 # --- running
 
 
 def control(mutants: list[Mutant], recorded: dict[str, Any], tree: Path) -> None:
-    """See the tests pass while nothing is broken: else each mutant would count as killed."""
+    """Check that the tests pass on the unbroken tree; else every mutant would count as killed."""
     tests = {t for m in mutants[:50] for t in tests_of(m, recorded, 1.0)[0]}
     child = os.fork()
     if child == 0:
@@ -287,11 +324,11 @@ def attempt(tree: Path, tests: list[str]) -> None:
         os.chdir(tree)
         os.environ.update(environment(tree))
         sys.path[:0] = [str(tree / "src")]
-        # A stale .pyc of a mutant of the same size and second would be run instead of the next.
+        # A .pyc of an earlier mutant of the same size and second would be run instead of this one.
         sys.dont_write_bytecode = True
         import pytest
 
-        # Plugins that are imported already are not rewritten, which pytest warns of.
+        # pytest warns that it cannot rewrite plugins that are imported already.
         options = ["-x", "-p", "no:cacheprovider", "-p", "no:faulthandler"]
         options += ["-W", "ignore::pytest.PytestAssertRewriteWarning"]
         code = int(pytest.main([*options, *tests]))
@@ -300,14 +337,14 @@ def attempt(tree: Path, tests: list[str]) -> None:
 
 
 def environment(tree: Path) -> dict[str, str]:
-    """Children import the copy; one thread each, since mutants run side by side."""
+    """Let children import the copy, and use one thread each, since mutants run side by side."""
     single = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
-    found = {"PYTHONPATH": str(tree / "src"), "PYTHONDONTWRITEBYTECODE": "1", "NO_COLOR": "1"}
-    return {**os.environ, **single, **found}
+    settings = {"PYTHONPATH": str(tree / "src"), "PYTHONDONTWRITEBYTECODE": "1", "NO_COLOR": "1"}
+    return {**os.environ, **single, **settings}
 
 
 def fate_of(worker: Worker) -> str | None:
-    """What became of the child, None while it runs."""
+    """How the child ended; None while it runs."""
     done, status = os.waitpid(worker.child, os.WNOHANG)
     if done:
         code = os.waitstatus_to_exitcode(status)

@@ -1,7 +1,7 @@
 """The ways in which `mutants.py` breaks a source file: one change of its syntax tree a mutant.
 
-Left alone: docstrings, annotations, decorators, texts (messages are checked where they matter), and
-sizes of tiles by memory (shifts, and what names in _BYTES give), which change no result.
+Docstrings, annotations, decorators and texts stay as they are, and so do sizes of tiles by memory
+(shifts, and statements with a name that ends in _BYTES), since they change no result.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ ARITHMETIC: dict[type[ast.operator], type[ast.operator]] = {
 
 @dataclass(frozen=True)
 class Mutant:
-    """One change: the `choice`-th of those of node number `node` of the file's tree.
+    """One change: change number `choice` of node number `node` in the syntax tree of the file.
 
-    `first` to `last` are the lines of the statement around it, which tests must run.
+    The statement around it spans the lines `first` to `last`: tests that run one can kill it.
     """
 
     file: Path
@@ -41,7 +41,7 @@ class Mutant:
     change: str
 
     def described(self) -> dict[str, Any]:
-        """For the report."""
+        """The mutant as a row of the report."""
         return {"file": str(self.file), "line": self.line, "change": self.change}
 
 
@@ -76,7 +76,7 @@ def mutated(source: str, mutant: Mutant) -> str:
 
 
 def _changes(node: ast.AST) -> Iterator[ast.AST]:
-    """What may stand in a node's place."""
+    """The nodes that may replace a node."""
     match node:
         case ast.Compare():
             for place, operator in enumerate(node.ops):
@@ -135,15 +135,15 @@ def _left_alone(tree: ast.AST) -> set[ast.AST]:
                 roots.append(node)
             case ast.stmt() if not hasattr(node, "body") and _of_memory(node):
                 roots.append(node)
-            # NewTypes and aliases such as `Tile = tuple[...]` are annotations too.
+            # Aliases such as `Tile = tuple[...]` are annotations too.
             case ast.Assign(value=ast.Subscript(value=ast.Name(id="tuple" | "Callable"))):
                 roots.append(node)
     return {inner for root in roots if root is not None for inner in ast.walk(root)}
 
 
 def _statements(tree: ast.AST) -> dict[ast.AST, tuple[int, int]]:
-    """Lines of the innermost statement around each node; of a compound one, its head's."""
-    found: dict[ast.AST, tuple[int, int]] = {}
+    """The lines of the innermost statement around each node; only the head of a compound one."""
+    spans: dict[ast.AST, tuple[int, int]] = {}
 
     def visit(node: ast.AST, lines: tuple[int, int] | None) -> None:
         if isinstance(node, ast.stmt):
@@ -151,9 +151,9 @@ def _statements(tree: ast.AST) -> dict[ast.AST, tuple[int, int]]:
             last = body[0].lineno - 1 if body else node.end_lineno
             lines = (node.lineno, max(node.lineno, last or node.lineno))
         if lines is not None:
-            found[node] = lines
+            spans[node] = lines
         for child in ast.iter_child_nodes(node):
             visit(child, lines)
 
     visit(tree, None)
-    return found
+    return spans
