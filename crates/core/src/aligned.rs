@@ -1,19 +1,19 @@
-//! Memory that begins where a vector register's worth of it does.
+//! An allocator that aligns memory to cache lines.
 //!
-//! An allocator aligns to 16 bytes, which makes every other register of 32 bytes, and every one of
-//! 64, lie on two cache lines: that costs rows 7 to 10 % of their time.
+//! The system's allocator aligns to 16 bytes only. Then every second load of 32 bytes and every load of 64
+//! bytes crosses a cache line, which makes solving rows 7 to 10 % slower.
 
 use std::alloc::{GlobalAlloc, Layout, System};
 
-/// A cache line, and the widest register.
+/// Bytes of a cache line, and of the widest vector register.
 const LINE: usize = 64;
-/// Smaller pieces are not worth the room,
+/// Smaller allocations (in bytes) keep their alignment: aligning them would waste memory.
 const SMALLEST: usize = 4 * LINE;
-/// and larger ones keep the system's ways of growing them without a copy, and of zeroing them
-/// without touching them.
+/// Larger allocations (in bytes) keep theirs too, so that the system can still grow them without copying
+/// and zero them without touching them.
 const LARGEST: usize = 16 << 20;
 
-/// The system's allocator, aligned to cache lines. For the program that links this library:
+/// The system's allocator, aligned to cache lines. A program that links this library installs it by:
 ///
 /// ```
 /// #[global_allocator]
@@ -29,8 +29,8 @@ fn aligned(layout: Layout) -> Layout {
     }
 }
 
-// SAFETY: the system's allocator does all the work; a layout is changed in the same way, by its size
-// and alignment alone, wherever it comes along.
+// SAFETY: the system's allocator does all the work. How a layout is changed depends on its size and
+// alignment alone, so that every method changes it in the same way.
 unsafe impl GlobalAlloc for Aligned {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         // SAFETY: the caller's promises hold for a larger alignment too.
@@ -51,7 +51,7 @@ unsafe impl GlobalAlloc for Aligned {
         // SAFETY: the caller's promises, of which `size` is one, make this layout a sound one.
         let next = unsafe { Layout::from_size_align_unchecked(size, layout.align()) };
         let (old, new) = (aligned(layout), aligned(next));
-        // SAFETY: as above; memory of another alignment is got anew, and what was there copied.
+        // SAFETY: as above. If the alignment changes, new memory is allocated and the contents copied.
         unsafe {
             if old.align() == new.align() {
                 return System.realloc(pointer, old, size);
@@ -71,9 +71,9 @@ mod tests {
     use super::*;
 
     #[test]
-    fn keeps_what_it_held_when_it_grows_and_shrinks_across_the_sizes() {
+    fn growing_and_shrinking_keeps_the_contents() {
         let mut layout = Layout::array::<u8>(100).unwrap();
-        // SAFETY: sizes are not zero, layouts those that the memory was got with.
+        // SAFETY: sizes are not zero, and memory is freed with the layout it was allocated with.
         unsafe {
             let mut pointer = Aligned.alloc_zeroed(layout);
             pointer.write_bytes(7, 100);

@@ -1,8 +1,9 @@
-//! Atoms: spots of light of several sizes, one of each at every projector pixel.
+//! Atoms: spots of light of several sizes, one of each size at every projector pixel.
 //!
-//! The column of the atom of plane s at pixel j is g_s sum_i h_s(i - j) a_i, with h_s the kernel of
-//! the plane, a_i the columns of the patterns, and g_s a gain that makes the planes' columns
-//! comparable. Light beyond the projector is lost. Atoms are numbered plane by plane.
+//! All atoms of one size form a plane. The column of the atom of plane s at pixel j is
+//! g_s sum_i h_s(i - j) a_i, with h_s the kernel of the plane, a_i the columns of the patterns, and g_s a
+//! gain that makes the planes' columns comparable. Light beyond the projector's edge is lost. Atoms are
+//! numbered plane by plane.
 
 use crate::columns::{Columns, DenseColumns};
 use crate::simd::{multiversion, Level};
@@ -10,24 +11,25 @@ use crate::vector::{fold, padded, SUMS};
 use crate::words::{to_words, WordColumns};
 use rayon::prelude::*;
 
-/// Columns of a stretch that stays in registers.
+/// Image columns that are blurred together: their sums fit into vector registers.
 const STRETCH: usize = 64;
 
-/// Places that one thread takes on at a time.
+/// Pixels that one thread handles at a time, enough to hide the cost of starting a task.
 const TASK: usize = 256;
 
-/// One size of spots.
+/// The spots of one size.
 #[derive(Clone, Debug)]
 pub struct Plane {
     /// One side of the separable, symmetric kernel, from its middle outwards.
     pub kernel: Vec<f32>,
-    /// In (0, 1].
+    /// The factor of the plane's columns, in (0, 1].
     pub gain: f32,
 }
 
-/// All planes, over a projector of some rows and columns.
+/// The planes of atoms over a projector.
 #[derive(Clone, Debug)]
 pub struct Atoms {
+    /// Rows and columns of the projector.
     pub grid: [usize; 2],
     pub planes: Vec<Plane>,
 }
@@ -43,7 +45,7 @@ impl Atoms {
         self.pixels() * self.planes.len()
     }
 
-    /// What each atom gives under the patterns whose columns these are.
+    /// The columns of all atoms, computed from the patterns' `columns`.
     pub fn columns(&self, level: Level, columns: &Columns, patterns: usize) -> DenseColumns {
         let stride = padded(patterns);
         let mut values = vec![0f32; self.count() * stride];
@@ -53,7 +55,7 @@ impl Atoms {
         DenseColumns::from_padded(values, stride, 1.0)
     }
 
-    /// The same in half the memory, each value rounded.
+    /// The same in half the memory, with rounded values.
     pub fn words(&self, level: Level, columns: &Columns, patterns: usize) -> WordColumns {
         let stride = padded(patterns);
         let mut values = vec![0u16; self.count() * stride];
@@ -63,7 +65,7 @@ impl Atoms {
         WordColumns::from_padded(values, stride)
     }
 
-    /// Keeps the column of each atom, `stride` values, as `keep` does.
+    /// Computes the column of each atom, `stride` values, and stores it by `keep`.
     fn each<T: Send>(
         &self,
         level: Level,
@@ -103,13 +105,13 @@ impl Atoms {
     }
 }
 
-/// Sets the `stride` values of every place on all threads.
+/// Calls `set` for the `stride` values of every pixel, on all threads.
 fn at_places(stride: usize, values: &mut [f32], set: impl Fn(usize, &mut [f32]) + Sync) {
     let places = values.par_chunks_exact_mut(stride).enumerate();
     (places.with_min_len(TASK)).for_each(|(place, out)| set(place, out));
 }
 
-/// Places on a line of `length` under a kernel that lies at `place`, and its values there.
+/// The places on a line of `length` that a kernel centred at `place` covers, and its values there.
 fn taps(kernel: &[f32], place: usize, length: usize) -> impl Iterator<Item = (usize, f32)> + '_ {
     let first = place.saturating_sub(kernel.len() - 1);
     let last = (place + kernel.len()).min(length);
@@ -132,7 +134,7 @@ multiversion! {
 pub fn moments(level: Level, grid: [usize; 2], plane: &Plane, images: &[f32]) -> [f64; 2] {
     let pixels = grid[0] * grid[1];
     assert!(images.len().is_multiple_of(pixels));
-    let found: Vec<[f64; 2]> = images
+    let sums_of_images: Vec<[f64; 2]> = images
         .par_chunks_exact(pixels)
         .map_init(
             || (Blurring::default(), vec![0f32; pixels]),
@@ -142,8 +144,8 @@ pub fn moments(level: Level, grid: [usize; 2], plane: &Plane, images: &[f32]) ->
             },
         )
         .collect();
-    // In the order of the images, whichever thread was first.
-    (found.iter()).fold([0.0; 2], |all, one| [all[0] + one[0], all[1] + one[1]])
+    // Summed in the order of the images, so that the result does not depend on threads.
+    (sums_of_images.iter()).fold([0.0; 2], |all, one| [all[0] + one[0], all[1] + one[1]])
 }
 
 multiversion! {
@@ -161,7 +163,7 @@ multiversion! {
     }
 }
 
-/// Buffers for blurring images, of one thread.
+/// One thread's buffers for blurring images.
 #[derive(Default)]
 pub struct Blurring {
     line: Vec<f32>,
@@ -172,7 +174,7 @@ impl Blurring {
     /// out = gain times the image under the plane's kernel, both (rows, columns).
     ///
     /// # Panics
-    /// If image or `out` are of another size.
+    /// If the image or `out` have another size.
     pub fn run(
         &mut self,
         level: Level,

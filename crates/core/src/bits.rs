@@ -1,7 +1,7 @@
 //! Products with 0/1 patterns stored as bits, least significant bit first along the pixels.
 //!
-//! Both products go through tables of partial sums ('four Russians'): a byte of pattern picks one
-//! of 256 sums, so a table costs 256 additions and saves eight per use.
+//! Both products use tables of partial sums ('four Russians'): a byte of a pattern picks one of 256
+//! sums. A table costs 256 additions and saves seven at each use.
 
 use crate::float::Float;
 use crate::subsets::subset_sums;
@@ -66,12 +66,12 @@ pub fn forward<T: Float>(bits: Bits, rows: usize, x: &[T], out: &mut [T]) {
 }
 
 fn forward_row<T: Float>(bits: Bits, x: &[T], out: &mut [T]) {
-    // Eight tables at a time, so that a pass over the patterns reads a whole 64-bit word of each.
+    // Eight tables at a time, so that a pass over the patterns reads 64 bits of each.
     const GROUP: usize = 8;
     let mut tables = [[T::default(); 256]; GROUP];
     out.fill(T::default());
     for (word, values) in x.chunks(8 * GROUP).enumerate() {
-        // Rows of T are mostly zero: a stretch without light adds nothing.
+        // Rows of T are mostly zero, so skip words without light.
         if values.iter().all(|v| is_zero(*v)) {
             continue;
         }
@@ -89,7 +89,7 @@ fn forward_row<T: Float>(bits: Bits, x: &[T], out: &mut [T]) {
     }
 }
 
-/// Bits beyond the last pixel are padding that a table of fewer than eight values does not hold.
+/// A mask for the last byte of a pattern: bits beyond the last pixel are padding.
 fn mask(values: usize, byte: &u8, bytes: &[u8]) -> usize {
     let last = std::ptr::eq(byte, &bytes[bytes.len() - 1]);
     match values % 8 {
@@ -133,8 +133,8 @@ fn adjoint_row<T: Float>(codes: &[u8], e: &[T], out: &mut [T]) {
     }
 }
 
-/// The transposed patterns: for each group of eight patterns one byte a pixel, pattern `8 g + i` in
-/// bit `i`. Laid out (group, pixel).
+/// The transposed patterns, laid out (group, pixel): group g has one byte for each pixel, whose bit i is
+/// pattern 8 g + i.
 pub fn column_codes(bits: Bits) -> Vec<u8> {
     let pixels = bits.pixels();
     let mut codes = vec![0u8; bits.patterns().div_ceil(8) * pixels];
@@ -153,7 +153,7 @@ pub fn column_codes(bits: Bits) -> Vec<u8> {
     codes
 }
 
-/// Chosen columns of P as (K, index.len()).
+/// The columns `index` of P, as (K, index.len()).
 ///
 /// # Panics
 /// If an index is beyond the pixels, or `out` has the wrong length.

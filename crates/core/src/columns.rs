@@ -1,4 +1,4 @@
-//! Single columns of P: what one projector pixel contributes to the samples of a row.
+//! Columns of P. Column j says how much projector pixel j contributes to each sample of a row.
 
 use crate::bits::{column_codes, Bits};
 use crate::simd::{multiversion, Kind, Level};
@@ -31,7 +31,7 @@ impl BitColumns {
         BitColumns { words, stride }
     }
 
-    /// Words a column.
+    /// Number of words of a column.
     pub fn stride(&self) -> usize {
         self.stride
     }
@@ -89,7 +89,7 @@ impl DenseColumns {
         }
     }
 
-    /// The columns' memory, to be used again.
+    /// The memory of the columns, for reuse.
     pub fn into_values(self) -> Vec<f32> {
         self.values
     }
@@ -98,7 +98,7 @@ impl DenseColumns {
         &self.values[pixel as usize * self.stride..][..self.stride]
     }
 
-    /// Columns side by side.
+    /// The columns of a range of pixels, side by side.
     pub fn block(&self, pixels: std::ops::Range<usize>) -> &[f32] {
         &self.values[pixels.start * self.stride..pixels.end * self.stride]
     }
@@ -109,7 +109,7 @@ impl DenseColumns {
     }
 }
 
-/// Columns of P, by how they are kept.
+/// Columns of P in one of three storage formats.
 pub enum Columns {
     Bits(BitColumns),
     Dense(DenseColumns),
@@ -117,7 +117,7 @@ pub enum Columns {
 }
 
 impl Columns {
-    /// Most that a value may differ from the pattern's own.
+    /// The largest difference between a stored value and the pattern's own.
     pub fn lost(&self) -> f64 {
         match self {
             Columns::Bits(_) | Columns::Dense(_) => 0.0,
@@ -132,7 +132,7 @@ impl Columns {
             Columns::Bits(bits) => {
                 assert_eq!(64 * bits.stride(), e.len());
                 for pixel in pixels {
-                    ahead(bits.column(*pixel));
+                    prefetch(bits.column(*pixel));
                 }
                 let (fours, rest) = pixels.as_chunks::<4>();
                 let (out_fours, out_rest) = out.as_chunks_mut::<4>();
@@ -183,7 +183,7 @@ impl Columns {
         if let (Columns::Bits(bits), Kind::Avx512) = (self, level.kind()) {
             assert_eq!(64 * bits.stride(), u.len());
             for (pixel, _) in terms {
-                ahead(bits.column(*pixel));
+                prefetch(bits.column(*pixel));
             }
             // SAFETY: the level proves the instructions; the lengths were just compared.
             unsafe { avx512::add_all(bits, terms, u) };
@@ -204,18 +204,18 @@ impl Columns {
     }
 }
 
-/// Asks for a column that is read soon: a pass over all pixels leaves few in the nearer caches, and
-/// the processor cannot tell which come next.
-fn ahead(words: &[u64]) {
+/// Prefetches a column that is needed soon. A pass over all pixels leaves few columns in the nearer caches,
+/// and the processor cannot predict which columns come next.
+fn prefetch(words: &[u64]) {
     #[cfg(target_arch = "x86_64")]
     for line in words.chunks(8) {
         use std::arch::x86_64::{_mm_prefetch, _MM_HINT_T0};
-        // SAFETY: every x86-64 processor has the instruction, and it reads nothing.
+        // SAFETY: every x86-64 processor has the instruction, and it never faults.
         unsafe { _mm_prefetch::<_MM_HINT_T0>(line.as_ptr().cast()) };
     }
 }
 
-/// Sums of the values whose bit is set, for several columns.
+/// For several columns, the sums of the values whose bits are set.
 fn masked_sums<const C: usize>(level: Level, columns: [&[u64]; C], e: &[f64]) -> [f64; C] {
     match level.kind() {
         #[cfg(target_arch = "x86_64")]
@@ -375,7 +375,7 @@ mod avx512 {
     }
 
     /// # Safety
-    /// `u` holds 64 values a word.
+    /// `u` holds 64 values for each word.
     #[target_feature(enable = "avx512f")]
     pub unsafe fn masked_add(words: &[u64], factor: f64, u: &mut [f64]) {
         let factor = _mm512_set1_pd(factor);

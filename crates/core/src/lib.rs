@@ -1,6 +1,19 @@
-//! Bit-packed pattern products and solvers for light transport estimation; knows no Python.
+//! Pattern products and solvers for light transport estimation. This crate knows no Python.
+//!
+//! A camera row of the light transport matrix T is estimated from samples y = min(1, P x + b m):
+//! P holds the patterns, x >= 0 the row of T, m the means of the patterns and b the background.
+//!
+//! - `active_set` solves rows by themselves, each to a certified duality gap: start at
+//!   `active_set::solve`. It correlates residuals with all columns of P by `correlate` and handles
+//!   single columns by `columns`.
+//! - `coherent` predicts from neighbouring rows which pixels a row holds and what its clipped samples
+//!   are, and solves rows on these pixels with the same solver.
+//! - `problem` defines what solvers take and return. `bits`, `words`, `atoms`, `hadamard` and
+//!   `product` store patterns and multiply with them.
+//! - `vector` and `octet` hold the inner loops, which `simd` compiles for each instruction set.
 
-// Other processors than x86-64 have the portable kernels only, and leave unused what the rest takes.
+// Processors other than x86-64 compile the portable kernels only, which leaves helpers of the other
+// kernels unused.
 #![cfg_attr(
     not(target_arch = "x86_64"),
     allow(

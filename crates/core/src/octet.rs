@@ -1,9 +1,9 @@
-//! Eight float64 numbers at a time, for loops that compilers do not make vectors of by themselves.
+//! Eight float64 numbers at a time, for loops that the compiler does not vectorise by itself.
 
-/// Numbers in an octet.
+/// Number of values in an octet.
 pub const WIDTH: usize = 8;
 
-/// Pixels that learn of moves together: two octets, which as float32 fill a register.
+/// Number of values in two octets, which as float32 fill one AVX-512 register.
 pub const PAIR: usize = 2 * WIDTH;
 
 /// The places of the bits that are set, ascending.
@@ -16,17 +16,17 @@ pub fn set_bits(mut bits: u8) -> impl Iterator<Item = u32> {
     })
 }
 
-/// Eight numbers: an array, or a register.
+/// Eight numbers, in an array or in a register.
 ///
 /// # Safety
-/// For all functions: the CPU must have the instructions of the implementation.
+/// All functions require the instructions of the implementation.
 pub trait Octet: Copy {
     unsafe fn splat(value: f64) -> Self;
     unsafe fn load(values: &[f64; 8]) -> Self;
     unsafe fn store(self, values: &mut [f64; 8]);
     unsafe fn plus(self, other: Self) -> Self;
     unsafe fn times(self, other: Self) -> Self;
-    /// self - a b; in one rounding where the CPU has an instruction for it.
+    /// self - a b, with one rounding if the implementation has an instruction for it.
     unsafe fn minus_product(self, a: Self, b: Self) -> Self;
     /// Bits of the numbers above zero.
     unsafe fn positive(self) -> u8;
@@ -79,7 +79,7 @@ mod register {
     #[derive(Clone, Copy)]
     pub struct Register(__m512d);
 
-    // SAFETY, for all: the trait asks for the instructions; references to eight values are valid.
+    // SAFETY, for all: the trait requires the instructions; references to eight values are valid.
     impl Octet for Register {
         #[inline(always)]
         unsafe fn splat(value: f64) -> Self {
@@ -112,7 +112,7 @@ mod register {
     }
 }
 
-/// Compiles one function, generic over `Octet`, once a level and calls the right one.
+/// Compiles a function, generic over `Octet`, for each instruction set and calls the right version.
 macro_rules! octets {
     ($(#[$meta:meta])* $vis:vis fn $name:ident<$octet:ident>($($arg:ident: $ty:ty),* $(,)?) $(-> $ret:ty)? $body:block) => {
         $(#[$meta])*
@@ -125,7 +125,7 @@ macro_rules! octets {
             #[cfg(target_arch = "x86_64")]
             #[target_feature(enable = "avx2,bmi1,bmi2,popcnt")]
             fn avx2($($arg: $ty),*) $(-> $ret)? {
-                // SAFETY: arrays need no instructions.
+                // SAFETY: arrays need no special instructions.
                 unsafe { generic::<$crate::octet::Array>($($arg),*) }
             }
 
@@ -137,7 +137,7 @@ macro_rules! octets {
             }
 
             match level.kind() {
-                // SAFETY: arrays need no instructions.
+                // SAFETY: arrays need no special instructions.
                 $crate::simd::Kind::Portable => unsafe {
                     generic::<$crate::octet::Array>($($arg),*)
                 },

@@ -1,10 +1,10 @@
-//! What the solvers take and give: patterns, rows, settings, solutions. No arithmetic.
+//! The solvers' input and output: patterns, rows of samples, settings, solutions. No arithmetic.
 
 use crate::columns::Columns;
 use crate::correlate::Correlator;
 use crate::simd::Level;
 
-/// The patterns, ready for solving.
+/// The patterns, prepared for solving.
 pub struct Dictionary {
     pub level: Level,
     pub columns: Columns,
@@ -18,7 +18,7 @@ pub struct Dictionary {
 /// How clipped samples are treated.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Fidelity {
-    /// Like any other.
+    /// They count like any other sample.
     Linear,
     /// Their value is a lower bound.
     OneSided,
@@ -31,17 +31,17 @@ pub struct Settings {
     /// lambda, > 0.
     pub regularization: f64,
     pub fidelity: Fidelity,
-    /// Whether x and b are >= 0.
+    /// Whether x and b must be >= 0.
     pub nonnegative: bool,
-    /// Whether there is a coefficient b.
+    /// Whether there is a background coefficient b.
     pub background: bool,
-    /// Relative duality gap at which a row is done.
+    /// The relative duality gap at which a row is solved.
     pub tolerance: f64,
-    /// Passes over all pixels after which a row is given up as it is.
+    /// Limit of passes over all pixels. A row that reaches it is returned as it is.
     pub max_passes: u32,
 }
 
-/// Numbers as they came.
+/// Numbers in the precision in which the caller holds them.
 #[derive(Clone, Copy)]
 pub enum Values<'a> {
     F32(&'a [f32]),
@@ -72,7 +72,7 @@ impl Values<'_> {
     }
 }
 
-/// Rows over projector pixels, as the parts of a CSR matrix.
+/// Sparse rows over projector pixels: the parts of a CSR matrix.
 #[derive(Clone, Copy)]
 pub struct Sparse<'a, T> {
     pub indptr: &'a [i64],
@@ -88,10 +88,10 @@ impl<'a, T> Sparse<'a, T> {
     }
 }
 
-/// Where to start.
+/// The point where the solver starts.
 #[derive(Clone, Copy)]
 pub struct Start<'a> {
-    /// No pixel twice in a row.
+    /// A row holds no pixel twice.
     pub rows: Sparse<'a, f64>,
     pub background: &'a [f64],
 }
@@ -104,7 +104,7 @@ pub struct Rows<'a> {
     pub samples: Values<'a>,
     /// (count, patterns)
     pub clipped: &'a [bool],
-    /// (count, patterns), or (patterns) shared by all rows, or none for 1.
+    /// (count, patterns), or (patterns) shared by all rows; None means 1.
     pub weights: Option<Values<'a>>,
     pub start: Option<Start<'a>>,
 }
@@ -112,7 +112,7 @@ pub struct Rows<'a> {
 /// One row's solution.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Solution {
-    /// Ascending.
+    /// Pixels that differ from zero, ascending.
     pub pixels: Vec<u32>,
     pub x: Vec<f64>,
     pub background: f64,
@@ -120,5 +120,6 @@ pub struct Solution {
     /// (P - D) / max(P, 1e-6 ||y||^2 / 2)
     pub gap: f64,
     pub passes: u32,
+    /// Whether the gap reached the tolerance.
     pub converged: bool,
 }

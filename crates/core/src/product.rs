@@ -1,10 +1,10 @@
-//! Rows times a matrix, where each row comes out the same by itself as among others, which BLAS does
-//! not promise.
+//! Rows times a matrix. The result for a row does not depend on the other rows, bit for bit, which BLAS
+//! does not guarantee.
 
 use crate::simd::{multiversion, Level};
 use rayon::prelude::*;
 
-/// Rows that one thread takes on at a time.
+/// Rows that one thread multiplies at a time, enough to hide the cost of starting a task.
 const TASK: usize = 64;
 
 /// out = rows matrix, with rows (m, n), matrix (n, `width`) and out (m, `width`).

@@ -1,13 +1,13 @@
-//! Which vector instructions to use, decided once at run time.
+//! The choice of vector instructions at run time.
 //!
-//! A `Level` can only be had from `detect` or `available`, so holding one proves that this CPU has
-//! the instructions it names: that is what every `unsafe` call of a vector routine rests on.
+//! Only `detect`, `available` and `named` create a `Level`, so a `Level` proves that this CPU has its
+//! instructions. Every `unsafe` call of a vector routine relies on this proof.
 
-/// A set of vector instructions this CPU has.
+/// A set of vector instructions that this CPU has.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Level {
     kind: Kind,
-    /// Whether there are products of tiles of bytes too.
+    /// Whether the CPU also multiplies tiles of bytes (AMX).
     tiles: bool,
 }
 
@@ -26,7 +26,7 @@ impl Level {
         *Self::available().last().expect("portable is always there")
     }
 
-    /// Every level of this CPU, plainest first.
+    /// Every level of this CPU, slowest first.
     pub fn available() -> Vec<Self> {
         let level = |kind| Level { kind, tiles: false };
         let mut levels = vec![level(Kind::Portable)];
@@ -61,7 +61,7 @@ impl Level {
         Self::available().into_iter().find(|l| l.name() == name)
     }
 
-    /// "portable", "avx2", "avx512" or "amx", which is AVX-512 and products of tiles.
+    /// "portable", "avx2", "avx512" or "amx" (AVX-512 with products of tiles).
     pub fn name(self) -> &'static str {
         match self.kind {
             _ if self.tiles => "amx",
@@ -82,12 +82,12 @@ impl Level {
     }
 }
 
-/// Tiles of bytes that the processor multiplies (AMX). Linux gives them to a process that asks.
+/// Whether the processor multiplies tiles of bytes (AMX). On Linux a process must ask to use them.
 #[cfg(target_arch = "x86_64")]
 mod amx {
     use std::sync::LazyLock;
 
-    /// Whether this process has them.
+    /// Whether this process may use tiles.
     pub fn available() -> bool {
         static AVAILABLE: LazyLock<bool> = LazyLock::new(|| has_instructions() && allowed());
         *AVAILABLE
@@ -97,22 +97,22 @@ mod amx {
         use std::arch::x86_64::{__cpuid, __cpuid_count};
         const FEATURES: u32 = 7;
         const TILES_AND_BYTES: u32 = 1 << 24 | 1 << 25;
-        // SAFETY: every x86-64 processor has the instruction; compilers of today know.
+        // SAFETY: every x86-64 processor has this instruction. (Newer compilers know: no `unsafe`.)
         #[allow(unused_unsafe)]
         let (last, features) = unsafe { (__cpuid(0).eax, __cpuid_count(FEATURES, 0).edx) };
-        // The kernel expands bits by products of matrices of bits.
+        // The kernel expands bits to bytes with GFNI.
         let expands = std::arch::is_x86_feature_detected!("gfni");
         expands && last >= FEATURES && features & TILES_AND_BYTES == TILES_AND_BYTES
     }
 
-    /// Asks the system, which says no where it does not know them.
+    /// Asks the system. An older kernel, which does not know tiles, refuses.
     #[cfg(target_os = "linux")]
     fn allowed() -> bool {
         const ARCH_PRCTL: i64 = 158;
         const REQUEST_PERMISSION: u64 = 0x1023;
         const TILE_DATA: u64 = 18;
         let answer: i64;
-        // SAFETY: a system call that changes nothing but what this process may use.
+        // SAFETY: the system call changes only which registers this process may use.
         unsafe {
             std::arch::asm!(
                 "syscall",
@@ -133,10 +133,10 @@ mod amx {
     }
 }
 
-/// Compiles one plain function once a level and calls the right one.
+/// Compiles a plain function for each instruction set and calls the right version.
 ///
-/// The bodies are the same, so that results are too: sums run in lanes of fixed number, and no
-/// multiplication is fused with an addition.
+/// All versions give the same results bit for bit: they have the same body, sums run in a fixed number
+/// of lanes, and no multiplication is fused with an addition.
 macro_rules! multiversion {
     ($(#[$meta:meta])* $vis:vis fn $name:ident($($arg:ident: $ty:ty),* $(,)?) $(-> $ret:ty)? $body:block) => {
         $(#[$meta])*

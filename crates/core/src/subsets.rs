@@ -1,9 +1,8 @@
-//! Tables of partial sums ('four Russians'): the bits of an index say which values it sums.
+//! Tables of partial sums ('four Russians'): entry i sums the values of the bits of i.
 
 use std::ops::Add;
 
-/// Sums over all subsets of `values`: entry i sums the values of i's bits. Entries beyond those
-/// stay as they are.
+/// Fills the table with the sums over all subsets of `values`. Further entries stay as they are.
 ///
 /// # Panics
 /// If the table is too short.

@@ -1,13 +1,13 @@
-//! Loops over the samples of a row, in float64.
+//! The inner loops over the samples of a row, in float64.
 //!
-//! Vectors are padded with zeros to a multiple of `LANES` samples where columns of bits go with them,
-//! of `SUMS` samples at least. Sums run in `SUMS` lanes, so that they come out the same on every CPU.
+//! Vectors are padded with zeros: to a multiple of `LANES` samples where columns of bits are used, else to
+//! a multiple of `SUMS`. Sums run in `SUMS` lanes, so that they are the same on every CPU.
 
 use crate::simd::multiversion;
 
-/// Samples are padded to a multiple of this.
+/// Vectors are padded to a multiple of this: the bits of a word of a bit column.
 pub const LANES: usize = 64;
-/// Independent partial sums of a reduction.
+/// Number of independent partial sums of a reduction: two AVX-512 registers.
 pub(crate) const SUMS: usize = 16;
 
 /// The padded length of `samples` values.
@@ -15,7 +15,7 @@ pub fn padded(samples: usize) -> usize {
     samples.div_ceil(LANES) * LANES
 }
 
-/// The length that sums over `samples` values need.
+/// `samples` rounded up to a multiple of `SUMS`, the length that sums need.
 pub fn summed(samples: usize) -> usize {
     samples.next_multiple_of(SUMS)
 }
@@ -56,8 +56,8 @@ multiversion! {
 }
 
 multiversion! {
-    /// The smallest and the largest value a sum over any subset may have: (sum of the negative
-    /// values, sum of the positive ones).
+    /// The smallest and the largest sum over any subset: the sum of the negative values and the sum of
+    /// the positive values.
     pub fn signed_sums(values: &[f64]) -> (f64, f64) {
         let (mut low, mut high) = ([0.0; SUMS], [0.0; SUMS]);
         for values in values.chunks_exact(SUMS) {
@@ -78,13 +78,13 @@ multiversion! {
 pub struct DataTerm {
     pub y: Vec<f64>,
     pub weights: Vec<f64>,
-    /// One over the weights, 0 where they are: a division takes ten times a product.
+    /// 1 / weights, or 0 where a weight is 0. A division takes ten times as long as a product.
     pub inverse: Vec<f64>,
     pub lower: Vec<f64>,
 }
 
 multiversion! {
-    /// out = 1 / w, or 0 where w is.
+    /// out = 1 / w, or 0 where w is 0.
     pub fn invert(weights: &[f64], out: &mut [f64]) {
         for (out, w) in out.iter_mut().zip(weights) {
             *out = if *w > 0.0 { 1.0 / w } else { 0.0 };
@@ -102,7 +102,7 @@ multiversion! {
 }
 
 multiversion! {
-    /// The energy of the means over two-sided samples that count.
+    /// The sum of the squared means over the two-sided samples that count.
     pub fn free_energy(means: &[f64], weights: &[f64], lower: &[f64]) -> f64 {
         let mut sums = [0.0; SUMS];
         let n = means.len();
@@ -111,7 +111,7 @@ multiversion! {
             let means = &means[start..start + SUMS];
             let (weights, lower) = (&weights[start..start + SUMS], &lower[start..start + SUMS]);
             for i in 0..SUMS {
-                // A mask, since compilers make branches of a choice here.
+                // A mask, as the compiler turns `if` into a branch here.
                 let free = (weights[i] > 0.0) & (lower[i] == f64::NEG_INFINITY);
                 let mask = u64::from(free).wrapping_neg();
                 sums[i] += f64::from_bits((means[i] * means[i]).to_bits() & mask);

@@ -1,11 +1,11 @@
 //! Columns of values in [0, 1] as 16-bit fixed-point numbers: half the memory of float32.
 //!
-//! A value is off by half a step of 1/65535 at most, far below any camera's noise.
+//! The rounding error is at most half a step of 1/65535, far below any camera's noise.
 
 use crate::simd::{multiversion, Level};
 use crate::vector::{fold, SUMS};
 
-/// The largest number stands for 1.
+/// The 16-bit number that stands for 1.
 const STEPS: f32 = 65_535.0;
 
 /// Columns side by side, each padded to `stride` values.
@@ -15,7 +15,8 @@ pub struct WordColumns {
 }
 
 impl WordColumns {
-    /// Most that a value may be off, with room for the rounding of the product with the step.
+    /// The largest rounding error of a value: half a step, and 2 % more for the rounding of the product
+    /// with the step.
     pub const LOST: f64 = 0.51 / STEPS as f64;
 
     /// From words side by side, each column padded to `stride` of them.
@@ -53,7 +54,7 @@ impl WordColumns {
 }
 
 multiversion! {
-    /// The words of values in [0, 1], each rounded to the nearest.
+    /// Rounds values in [0, 1] to the nearest 16-bit numbers.
     pub fn to_words(values: &[f32], out: &mut [u16]) {
         for (out, value) in out.iter_mut().zip(values) {
             *out = (value.clamp(0.0, 1.0) * STEPS + 0.5) as u16;

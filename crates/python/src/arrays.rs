@@ -1,7 +1,7 @@
-//! Arrays and numbers from Python: in C order, aligned, of a dtype and shape that are said.
+//! Arrays and numbers from Python, checked for dtype, shape, order and alignment.
 //!
-//! What is in C order is read where it lies; what is not (Fortran order, strides, a slice of bytes)
-//! is copied first: read as it lies it would be misread.
+//! Aligned arrays in C order are read in place. Others (Fortran order, strides, a slice of bytes) are copied
+//! first.
 
 use numpy::{
     Element, PyArrayDescrMethods, PyArrayDyn, PyArrayMethods, PyReadonlyArrayDyn, PyUntypedArray,
@@ -18,7 +18,7 @@ pub fn wrong_type(what: &str, value: &Bound<'_, PyAny>, expected: &str) -> PyErr
     PyTypeError::new_err(format!("{what} is a {name}, expected {expected}"))
 }
 
-/// An attribute of an object that is named `what` in messages.
+/// An attribute of an object. Messages call the object `what`.
 pub fn attribute<'py>(
     object: &Bound<'py, PyAny>,
     name: &str,
@@ -44,11 +44,11 @@ pub fn array<'py, T: Element>(
     value: &Bound<'py, PyAny>,
     what: &str,
 ) -> PyResult<PyReadonlyArrayDyn<'py, T>> {
-    let found = untyped(value, what)?.dtype();
+    let dtype = untyped(value, what)?.dtype();
     let Ok(array) = value.cast::<PyArrayDyn<T>>() else {
         let expected = T::get_dtype(value.py());
         return Err(PyTypeError::new_err(format!(
-            "{what} is an array of {found}, expected {expected}"
+            "{what} is an array of {dtype}, expected {expected}"
         )));
     };
     let aligned = (array.data() as usize).is_multiple_of(align_of::<T>());
@@ -61,8 +61,8 @@ pub fn array<'py, T: Element>(
     Ok(copied.cast::<PyArrayDyn<T>>()?.try_readonly()?)
 }
 
-/// A NumPy array of booleans, each a 0 or a 1: other bytes, which a view can smuggle in, are no
-/// booleans to the core.
+/// A NumPy array of booleans. Rejects bytes other than 0 and 1, which a view of an array can contain: they
+/// are undefined behaviour in Rust.
 pub fn booleans<'py>(
     value: &Bound<'py, PyAny>,
     what: &str,
@@ -78,7 +78,7 @@ pub fn booleans<'py>(
     Ok(booleans)
 }
 
-/// Refuses any shape but the expected one; None stands for a side of any length.
+/// Rejects any other shape than the expected one. None means a side of any length.
 pub fn check_shape(
     what: &str,
     shape: &[usize],
@@ -111,7 +111,7 @@ fn tuple(sides: impl Iterator<Item = String>) -> String {
 pub trait Real: Element + Copy {
     fn from_single(value: f32) -> Self;
     fn from_double(value: f64) -> Self;
-    /// Whether it is a number that float32 can hold: squares of such numbers do not overflow.
+    /// Whether it is a finite number in the range of float32, whose square does not overflow float64.
     fn is_moderate(self) -> bool;
 }
 
@@ -139,14 +139,14 @@ impl Real for f64 {
     }
 }
 
-/// An array of float32 or float64, as it came.
+/// An array of float32 or float64.
 pub enum Floats<'py> {
     Single(PyReadonlyArrayDyn<'py, f32>),
     Double(PyReadonlyArrayDyn<'py, f64>),
 }
 
 impl<'py> Floats<'py> {
-    /// Any values, NaN among them.
+    /// Accepts any values, NaN and infinity included.
     pub fn unchecked(value: &Bound<'py, PyAny>, what: &str) -> PyResult<Self> {
         let dtype = untyped(value, what)?.dtype();
         if dtype.is_equiv_to(&f32::get_dtype(value.py())) {
@@ -178,7 +178,7 @@ impl<'py> Floats<'py> {
 }
 
 fn check_moderate<T: Real + Into<f64>>(values: &[T], what: &str) -> PyResult<()> {
-    // All of them, without a way out: that is what compilers make vectors of.
+    // Without an early exit, so that the compiler vectorises the loop.
     if values.iter().fold(true, |all, v| all & v.is_moderate()) {
         return Ok(());
     }
@@ -189,7 +189,7 @@ fn check_moderate<T: Real + Into<f64>>(values: &[T], what: &str) -> PyResult<()>
     )))
 }
 
-/// Values of the type that the core wants: as they lie in an array, or converted.
+/// Values of the type that the core needs: an array in place, or converted values.
 pub enum Values<'py, T: Element> {
     Array(PyReadonlyArrayDyn<'py, T>),
     Converted(Vec<T>, Vec<usize>),
@@ -215,7 +215,7 @@ impl<'py, T: Element + Copy> Values<'py, T> {
         convert: impl Fn(S) -> T,
         what: &str,
     ) -> PyResult<Self> {
-        room::<T>(&[array.len()], what)?;
+        check_memory::<T>(&[array.len()], what)?;
         let values = array.as_slice()?.iter().map(|&v| convert(v)).collect();
         Ok(Values::Converted(values, array.shape().to_vec()))
     }
@@ -253,7 +253,7 @@ pub fn indices<'py>(
         .is_equiv_to(&i32::get_dtype(value.py()))
     {
         let array = array::<i32>(value, what)?;
-        // A negative index is a large one without its sign.
+        // Without its sign, a negative index is a large one.
         let within = |&&i: &&i32| (i as u32 as usize) < size;
         let values = array.as_slice()?;
         if !values.iter().fold(true, |all, i| all & within(&i)) {
@@ -288,7 +288,7 @@ pub fn long_or_short<'py>(value: &Bound<'py, PyAny>, what: &str) -> PyResult<Val
     }
 }
 
-/// A whole number of a range.
+/// A whole number within a range.
 pub fn whole(
     value: &Bound<'_, PyAny>,
     what: &str,
@@ -312,7 +312,7 @@ pub fn whole(
     }
 }
 
-/// A number above 0; infinity is none.
+/// A finite number above 0.
 pub fn positive(value: &Bound<'_, PyAny>, what: &str) -> PyResult<f64> {
     match value.extract::<f64>() {
         Ok(number) if number > 0.0 && number.is_finite() => Ok(number),
@@ -335,7 +335,7 @@ pub fn boolean(value: &Bound<'_, PyAny>, what: &str) -> PyResult<bool> {
     }
 }
 
-/// The sides of a grid, each at least 1, and how many places it has.
+/// The sides of a grid, each at least 1, and its number of places.
 pub fn grid<const N: usize>(value: &Bound<'_, PyAny>, what: &str) -> PyResult<([usize; N], usize)> {
     let Ok(sides) = value.extract::<Vec<Bound<'_, PyAny>>>() else {
         return Err(wrong_type(what, value, &format!("{N} whole numbers")));
@@ -357,15 +357,14 @@ pub fn grid<const N: usize>(value: &Bound<'_, PyAny>, what: &str) -> PyResult<([
     Ok((grid, places))
 }
 
-/// The product of `sides`, if there is memory for so many numbers: the core's own large arrays
-/// cannot fail any more then.
-pub fn room<T>(sides: &[usize], what: &str) -> PyResult<usize> {
+/// Rejects arrays for which there is no memory, as the core would abort; returns the product of `sides`.
+pub fn check_memory<T>(sides: &[usize], what: &str) -> PyResult<usize> {
     let count = sides
         .iter()
         .try_fold(1usize, |n, side| n.checked_mul(*side));
     let mut tried = Vec::<T>::new();
     let fits = count.is_some_and(|count| tried.try_reserve_exact(count).is_ok());
-    // Unseen by compilers, which may leave out an allocation that nobody uses.
+    // The compiler might remove an unused allocation.
     std::hint::black_box(&mut tried);
     count.filter(|_| fits).ok_or_else(|| {
         let sides = sides.iter().map(usize::to_string).collect::<Vec<_>>();

@@ -1,7 +1,7 @@
-//! What the solvers take, decoded and checked once: rows of samples, sparse rows, settings, starts.
+//! The solvers' input, checked once: settings, rows of samples, sparse rows and starting points.
 //!
-//! Python hands over objects whose attributes are read here. Every condition has a message of its
-//! own, which names the attribute and what was expected of it.
+//! Python passes objects, whose attributes are read here. Every check has its own message, which names the
+//! attribute and the expected value.
 
 use crate::arrays::{
     attribute, boolean, booleans, check_shape, indices, long_or_short, positive, whole, Floats,
@@ -12,7 +12,7 @@ use numpy::{PyReadonlyArrayDyn, PyUntypedArrayMethods};
 use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
 
-/// More threads than any machine has cores would only fail later, and slower.
+/// Largest number of threads. More would only be slower.
 pub const MOST_THREADS: usize = 1024;
 
 const FIDELITIES: [(&str, Fidelity); 3] = [
@@ -21,7 +21,7 @@ const FIDELITIES: [(&str, Fidelity); 3] = [
     ("rejection", Fidelity::Rejection),
 ];
 
-/// How rows are solved.
+/// Settings of the solver.
 ///
 /// Parameters
 /// ----------
@@ -30,20 +30,20 @@ const FIDELITIES: [(&str, Fidelity); 3] = [
 /// fidelity : {"linear", "one-sided", "rejection"}
 ///     How clipped samples are treated.
 /// nonnegative : bool
-///     Whether coefficients and the background are >= 0.
+///     Whether coefficients and the background must be >= 0.
 /// background : bool
-///     Whether there is a coefficient of the patterns' means.
+///     Whether there is a background: a coefficient of the patterns' means.
 /// tolerance : float
-///     Relative duality gap at which a row is done, in (0, 1).
+///     Relative duality gap at which a row is solved, in (0, 1).
 /// max_passes : int
-///     Passes over all pixels after which a row is given up as it is; at least 1.
+///     Limit of passes over all pixels, at least 1. A row that reaches it is returned as it is.
 /// threads : int or None
-///     1 to 1024; None takes one per core.
+///     1 to 1024; None means one per core.
 ///
 /// Raises
 /// ------
 /// ValueError, TypeError
-///     On values out of range or of another type; the message names the parameter.
+///     If a value has a wrong type or is out of range; the message names the parameter.
 #[pyclass(frozen, get_all, module = "lightmatrix._core")]
 pub struct Settings {
     regularization: f64,
@@ -109,7 +109,7 @@ impl Settings {
     }
 }
 
-/// Rows of samples: an object with `values` (M, K), `clipped` (M, K) and `weights` (None, (K,) or
+/// Rows of samples, from an object with `values` (M, K), `clipped` (M, K) and `weights` (None, (K,) or
 /// (M, K)).
 pub struct Samples<'py> {
     values: Floats<'py>,
@@ -184,7 +184,7 @@ fn view<'a>(floats: &'a Floats<'_>) -> PyResult<problem::Values<'a>> {
     })
 }
 
-/// Sparse rows over pixels: an object with `indptr`, `indices` and `data`, such as a csr_array.
+/// Sparse rows over pixels, from an object with `indptr`, `indices` and `data`, such as a csr_array.
 pub struct SparseRows<'py, T: Real> {
     indptr: Values<'py, i64>,
     indices: Values<'py, i32>,
@@ -193,14 +193,14 @@ pub struct SparseRows<'py, T: Real> {
 }
 
 impl<'py, T: Real + Into<f64>> SparseRows<'py, T> {
-    /// Rows whose parts fit together and the `shape` (rows, pixels).
+    /// Checks that the parts fit together and to `shape` (rows, pixels).
     pub fn read(
         object: &Bound<'py, PyAny>,
         what: &'static str,
         shape: (usize, usize),
     ) -> PyResult<Self> {
         let (count, pixels) = shape;
-        // Other sparse matrices have parts of the same names and mean something else by them.
+        // The attributes of other sparse formats have the same names but another meaning.
         if let Some(format) = object.getattr_opt("format")? {
             if !format.eq("csr")? {
                 return Err(PyTypeError::new_err(format!(
@@ -264,7 +264,7 @@ impl<'py, T: Real + Into<f64>> SparseRows<'py, T> {
         })
     }
 
-    /// Refuses rows whose pixels do not ascend.
+    /// Rejects rows whose pixels are not in ascending order.
     pub fn check_ascending(&self) -> PyResult<()> {
         let rows = self.view()?;
         for row in 0..rows.indptr.len() - 1 {
@@ -279,7 +279,7 @@ impl<'py, T: Real + Into<f64>> SparseRows<'py, T> {
         Ok(())
     }
 
-    /// Refuses rows that hold a pixel twice.
+    /// Rejects rows that hold a pixel twice.
     fn check_distinct(&self) -> PyResult<()> {
         let rows = self.view()?;
         let mut sorted = Vec::new();
@@ -325,8 +325,8 @@ fn check_indptr(indptr: &[i64], entries: usize, what: &str) -> PyResult<()> {
     Ok(())
 }
 
-/// Where to start: an object with `coefficients` (sparse rows) and `background` (M, 1 + C): of the
-/// background's own column and, perhaps, of the cells of a weighted problem.
+/// A starting point, from an object with `coefficients` (sparse rows) and `background` (M, 1 + C): the
+/// background's coefficient and those of the C cells of a weighted problem.
 pub struct Start<'py> {
     rows: SparseRows<'py, f64>,
     background: Vec<f64>,
@@ -336,7 +336,7 @@ pub struct Start<'py> {
 }
 
 impl<'py> Start<'py> {
-    /// A start at (rows, pixels); None stays None.
+    /// Checks a starting point of `shape` (rows, pixels); None stays None.
     pub fn read(
         object: Option<&Bound<'py, PyAny>>,
         shape: (usize, usize),
@@ -376,7 +376,7 @@ impl<'py> Start<'py> {
         })
     }
 
-    /// Coefficients of the cells, unless there are others than so many.
+    /// The coefficients of the cells; None if their number differs from `count`.
     pub fn cells(&self, count: usize) -> Option<&[f32]> {
         (count > 0 && self.cell_count == count).then_some(&self.cells)
     }

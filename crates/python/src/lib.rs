@@ -1,4 +1,9 @@
-//! `lightmatrix._core`: casts, checks and releases the GIL; no arithmetic.
+//! The Python module `lightmatrix._core`: it checks and converts arguments, releases the GIL and calls the
+//! core. No arithmetic.
+//!
+//! Functions are in `products` (pattern products), `planes` (blurred images), `solver` (prepared patterns,
+//! the active-set solver) and `coherent`. `arrays` and `input` check arguments, `threads` runs the core.
+//! `_core.pyi` documents the module for Python.
 
 mod arrays;
 mod coherent;

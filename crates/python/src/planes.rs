@@ -1,4 +1,4 @@
-//! Separable kernels, of which atoms are made, and what they do to images.
+//! Separable kernels, which define atoms, and images blurred by them.
 
 use crate::arrays::{array, check_shape, grid, positive, Values};
 use crate::threads::on_all_cores;
@@ -8,7 +8,7 @@ use numpy::PyUntypedArrayMethods;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
-/// A kernel, from its middle outwards, and a gain.
+/// A plane of atoms from a kernel, from its middle outwards, and a gain.
 pub fn plane((kernel, gain): &(Bound<'_, PyAny>, Bound<'_, PyAny>)) -> PyResult<Plane> {
     let gain = positive(gain, "a gain")?;
     if gain > 1.0 {
@@ -34,7 +34,7 @@ fn kernel_of(kernel: &Bound<'_, PyAny>) -> PyResult<Vec<f32>> {
     Ok(kernel)
 }
 
-/// Sum, and sum of squares, of all values of images (m, N) float32 under a separable kernel.
+/// The sum and the sum of squares of all values of images (m, N) float32 after blurring with a kernel.
 #[pyfunction]
 fn blurred_moments(
     py: Python<'_>,

@@ -1,6 +1,6 @@
-//! Pattern products, transforms, and products with a matrix.
+//! Products with patterns and matrices, and the Walsh-Hadamard transform.
 
-use crate::arrays::{array, check_shape, long_or_short, room, whole, Floats};
+use crate::arrays::{array, check_memory, check_shape, long_or_short, whole, Floats};
 use crate::threads::on_all_cores;
 use lightmatrix_core::bits::{self, Bits};
 use lightmatrix_core::float::Float;
@@ -10,7 +10,7 @@ use numpy::{Element, IntoPyArray, PyReadonlyArrayDyn, PyUntypedArrayMethods};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
-/// Pixels are counted in int32.
+/// Largest number of projector pixels: their indices are int32.
 pub const MOST_PIXELS: usize = i32::MAX as usize;
 
 /// Patterns as packed bits, (K, ceil(N / 8)).
@@ -35,7 +35,7 @@ impl<'py> Packed<'py> {
     }
 }
 
-/// `compute(rows, input, output)` with rows of `widths` (input, output) values.
+/// Calls `compute(rows, input, output)`, with rows of `widths` (input, output) values.
 fn product<'py, T: Float + Element>(
     py: Python<'py>,
     rows: &PyReadonlyArrayDyn<'py, T>,
@@ -46,7 +46,7 @@ fn product<'py, T: Float + Element>(
     check_shape("rows", rows.shape(), &[None, Some(widths.0)], &why)?;
     let count = rows.shape()[0];
     let input = rows.as_slice()?;
-    let length = room::<T>(&[count, widths.1], "the product")?;
+    let length = check_memory::<T>(&[count, widths.1], "the product")?;
     let output = on_all_cores(py, || {
         let mut output = vec![T::default(); length];
         compute(count, input, &mut output);
@@ -57,7 +57,7 @@ fn product<'py, T: Float + Element>(
         .call_method1("reshape", (count, widths.1))
 }
 
-/// Calls `product` on rows of float32 or float64, whichever they are.
+/// Calls `product` on rows of float32 or float64.
 macro_rules! product_of_either {
     ($py:expr, $rows:expr, $widths:expr, $compute:expr) => {
         match &Floats::unchecked($rows, "rows")? {
@@ -92,7 +92,7 @@ fn bits_adjoint<'py>(
     let packed = Packed::read(packed, pixels)?;
     let bits = packed.view()?;
     let widths = (bits.patterns(), bits.pixels());
-    room::<u8>(&[bits.patterns().div_ceil(8), bits.pixels()], "the columns")?;
+    check_memory::<u8>(&[bits.patterns().div_ceil(8), bits.pixels()], "the columns")?;
     product_of_either!(py, e, widths, |n, e, out| bits::adjoint(bits, n, e, out))
 }
 
@@ -109,18 +109,18 @@ fn bits_columns<'py>(
     let index = long_or_short(index, "index")?;
     check_shape("index", index.shape(), &[None], "pixels")?;
     let index = below(index.as_slice()?, bits.pixels(), "index")?;
-    let length = room::<f32>(&[bits.patterns(), index.len()], "the columns")?;
+    let length = check_memory::<f32>(&[bits.patterns(), index.len()], "the columns")?;
     let mut out = vec![0f32; length];
     bits::columns(bits, &index, &mut out);
     let shape = (bits.patterns(), index.len());
     out.into_pyarray(py).call_method1("reshape", shape)
 }
 
-/// Indices as the core takes them, each below `size`.
+/// Converts indices to the core's type; rejects those that are not below `size`.
 pub fn below<T: TryFrom<i64>>(values: &[i64], size: usize, what: &str) -> PyResult<Vec<T>> {
     let outside =
         |value| PyValueError::new_err(format!("{what} holds {value}, expected 0 to below {size}"));
-    room::<T>(&[values.len()], what)?;
+    check_memory::<T>(&[values.len()], what)?;
     values
         .iter()
         .map(|&value| {
@@ -148,7 +148,7 @@ fn hadamard_rows<'py>(py: Python<'py>, x: &Bound<'py, PyAny>) -> PyResult<Bound<
     })
 }
 
-/// Rows of float32, (M, B), times a matrix (B, K) of float32; each the same by itself as among others.
+/// Rows (M, B) times a matrix (B, K), float32. The result for a row does not depend on the other rows.
 #[pyfunction(name = "rows_times")]
 fn rows_times_matrix<'py>(
     py: Python<'py>,

@@ -1,13 +1,13 @@
-//! What describes a set of patterns beside their values, checked.
+//! Checks of a pattern set: its size, means, Hadamard structure and instruction set.
 
-use crate::arrays::{check_shape, long_or_short, room, whole, Values};
+use crate::arrays::{check_memory, check_shape, long_or_short, whole, Values};
 use crate::products::{below, MOST_PIXELS};
 use lightmatrix_core::simd::Level;
 use lightmatrix_core::vector::padded;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
-/// The processor's own instructions, or the set of a name.
+/// The processor's best instruction set, or the one called `name`.
 pub fn level(name: Option<&str>) -> PyResult<Level> {
     match name {
         None => Ok(Level::detect()),
@@ -21,7 +21,7 @@ pub fn level(name: Option<&str>) -> PyResult<Level> {
     }
 }
 
-/// Refuses a set without patterns or pixels: nothing could be said of any row.
+/// Rejects a set without patterns or pixels, from which no row can be estimated.
 pub fn check_any(patterns: usize, pixels: usize) -> PyResult<()> {
     if patterns == 0 || pixels == 0 {
         return Err(PyValueError::new_err(format!(
@@ -31,7 +31,7 @@ pub fn check_any(patterns: usize, pixels: usize) -> PyResult<()> {
     Ok(())
 }
 
-/// The mean of each pattern, with zeros behind them up to the length of a column.
+/// The mean of each pattern, padded with zeros to the length of a column.
 pub fn padded_means(means: &Bound<'_, PyAny>, patterns: usize) -> PyResult<Vec<f64>> {
     let means = Values::<f64>::reals(means, "means")?;
     check_shape("means", means.shape(), &[Some(patterns)], "one a pattern")?;
@@ -40,7 +40,7 @@ pub fn padded_means(means: &Bound<'_, PyAny>, patterns: usize) -> PyResult<Vec<f
     Ok(values)
 }
 
-/// Rows of a Sylvester matrix of order `length` that patterns are, and columns that pixels are.
+/// Hadamard structure: the rows (patterns) and columns (pixels) of the Sylvester matrix of order `length`.
 pub struct Transform {
     pub length: usize,
     pub selected: Vec<u32>,
@@ -59,14 +59,14 @@ impl Transform {
                 "the transform of length {length} needs a power of two"
             )));
         }
-        room::<u32>(&[length, 2], "the transform")?;
+        check_memory::<u32>(&[length, 2], "the transform")?;
         let places = |value: &Bound<'_, PyAny>, what: &str, count| -> PyResult<Vec<u32>> {
             let value = long_or_short(value, what)?;
             check_shape(what, value.shape(), &[Some(count)], "one place each")?;
             let places: Vec<u32> = below(value.as_slice()?, length, what)?;
-            let mut taken = vec![false; length];
+            let mut used = vec![false; length];
             for &place in &places {
-                if std::mem::replace(&mut taken[place as usize], true) {
+                if std::mem::replace(&mut used[place as usize], true) {
                     return Err(PyValueError::new_err(format!("{what} holds {place} twice")));
                 }
             }

@@ -1,14 +1,14 @@
-//! Rows as the solver leaves them, as arrays.
+//! The solver's result as NumPy arrays.
 
-use crate::arrays::room;
+use crate::arrays::check_memory;
 use lightmatrix_core::problem::Solution;
 use numpy::{IntoPyArray, PyArray1};
 use pyo3::prelude::*;
 
-/// Bytes of an ordinary row's solution.
+/// Estimated bytes of a row's solution, with 64 entries of 12 bytes. Used to check for memory.
 pub const ROW_BYTES: usize = size_of::<Solution>() + 64 * 12;
 
-/// Rows as the parts of a CSR matrix, and what is known of each.
+/// Solved rows: the parts of a CSR matrix, and the diagnostics of each row.
 #[pyclass(frozen, get_all, module = "lightmatrix._core")]
 pub struct Solved {
     indptr: Py<PyArray1<i64>>,
@@ -24,7 +24,7 @@ pub struct Solved {
 impl Solved {
     pub fn new(py: Python<'_>, solutions: Vec<Solution>) -> PyResult<Self> {
         let entries = solutions.iter().map(|solution| solution.x.len()).sum();
-        room::<(i32, f64)>(&[entries], "the solved rows")?;
+        check_memory::<(i32, f64)>(&[entries], "the solved rows")?;
         let mut indptr = vec![0i64];
         let (mut indices, mut values) = (Vec::new(), Vec::new());
         for solution in &solutions {
@@ -32,8 +32,8 @@ impl Solved {
             values.extend_from_slice(&solution.x);
             indptr.push(indices.len() as i64);
         }
-        let each = |take: fn(&Solution) -> f64| -> Py<PyArray1<f64>> {
-            let values: Vec<f64> = solutions.iter().map(take).collect();
+        let each = |value: fn(&Solution) -> f64| -> Py<PyArray1<f64>> {
+            let values: Vec<f64> = solutions.iter().map(value).collect();
             values.into_pyarray(py).unbind()
         };
         let passes: Vec<i32> = solutions.iter().map(|s| s.passes as i32).collect();

@@ -1,12 +1,12 @@
-//! The active-set solver and its correlation pass.
+//! Prepared patterns, with the active-set solver and its correlation pass as methods.
 
-use crate::arrays::{array, check_shape, grid, long_or_short, room, Values};
+use crate::arrays::{array, check_memory, check_shape, grid, long_or_short, Values};
 use crate::input::{Samples, Settings, Start};
 use crate::planes::plane;
 use crate::products::{below, Packed};
 use crate::sets::{check_any, level, padded_means, Transform};
 use crate::solved::{Solved, ROW_BYTES};
-use crate::threads::{count_of, on_all_cores, run_interruptibly};
+use crate::threads::{on_all_cores, run_interruptibly, thread_count};
 use lightmatrix_core::active_set;
 use lightmatrix_core::atoms::Atoms;
 use lightmatrix_core::columns::{BitColumns, Columns, DenseColumns};
@@ -18,13 +18,13 @@ use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use std::sync::Arc;
 
-/// Bytes that one thread works in, beside what grows with patterns and pixels: the factor and the
-/// Gram matrix of a few hundred pixels.
+/// Bytes of a thread's buffers whose size does not depend on patterns and pixels: the factor and the Gram
+/// matrix of a few hundred pixels.
 const THREAD_BYTES: usize = 4 << 20;
-/// Float64 vectors over the patterns that a thread keeps.
+/// Number of float64 vectors over the patterns that a thread holds, rounded up.
 const THREAD_VECTORS: usize = 64;
 
-/// Patterns prepared for the solver: packed columns and the tables of the correlation pass.
+/// Patterns prepared for the solver: columns, and the tables of the correlation pass.
 #[pyclass(frozen, module = "lightmatrix._core")]
 pub struct PreparedPatterns {
     pub dictionary: Arc<Dictionary>,
@@ -52,7 +52,7 @@ impl PreparedPatterns {
         let transform = transform.map(|parts| Transform::read(parts, patterns, pixels));
         let transform = transform.transpose()?;
         // Bytes of columns, their transpose and the planes of the pass.
-        room::<u8>(&[pixels, padded(patterns) / 2], "the prepared patterns")?;
+        check_memory::<u8>(&[pixels, padded(patterns) / 2], "the prepared patterns")?;
         let dictionary = on_all_cores(py, || Dictionary {
             level,
             columns: Columns::Bits(BitColumns::new(bits)),
@@ -96,7 +96,7 @@ impl PreparedPatterns {
         if !values.iter().all(|v| (0.0..=1.0).contains(v)) {
             return Err(PyValueError::new_err("a pattern value is outside [0, 1]"));
         }
-        room::<f32>(&[pixels, padded(patterns)], "the prepared patterns")?;
+        check_memory::<f32>(&[pixels, padded(patterns)], "the prepared patterns")?;
         let dictionary = on_all_cores(py, || Dictionary {
             level,
             columns: Columns::Dense(DenseColumns::new(values, patterns, pixels)),
@@ -109,8 +109,8 @@ impl PreparedPatterns {
         Ok(PreparedPatterns { dictionary })
     }
 
-    /// What atoms give under the patterns, (kernel, gain) a plane; see `lightmatrix_core::atoms`.
-    /// `narrow` keeps columns in half the memory, each value to within 1e-5.
+    /// Atoms under the patterns, with (kernel, gain) for each plane; see `lightmatrix_core::atoms`.
+    /// `narrow` stores columns in half the memory, with an error of at most 1e-5.
     #[pyo3(signature = (shape, planes, narrow=false))]
     fn atoms<'py>(
         &self,
@@ -131,9 +131,9 @@ impl PreparedPatterns {
         let planes = planes.iter().map(plane).collect::<PyResult<Vec<_>>>()?;
         let atoms = Atoms { grid, planes };
         let (level, patterns) = (single.level, single.patterns);
-        // The columns, and those of one plane twice on the way.
+        // The columns, and two temporary copies of those of one plane.
         let size = atoms.planes.len() * if narrow { 2 } else { 4 } + 2 * size_of::<f32>();
-        room::<u8>(&[size, pixels, padded(patterns)], "the prepared atoms")?;
+        check_memory::<u8>(&[size, pixels, padded(patterns)], "the prepared atoms")?;
         let dictionary = on_all_cores(py, || Dictionary {
             level,
             columns: if narrow {
@@ -158,7 +158,7 @@ impl PreparedPatterns {
         })
     }
 
-    /// The columns of some atoms or pixels, (m, K) float32.
+    /// The columns of the pixels or atoms `index`, (m, K) float32.
     fn columns<'py>(
         &self,
         py: Python<'py>,
@@ -169,7 +169,7 @@ impl PreparedPatterns {
         check_shape("index", index.shape(), &[None], "one a column")?;
         let index: Vec<u32> = below(index.as_slice()?, dictionary.pixels, "index")?;
         let (count, stride) = (dictionary.patterns, padded(dictionary.patterns));
-        room::<f32>(&[index.len(), count], "the columns")?;
+        check_memory::<f32>(&[index.len(), count], "the columns")?;
         let mut values = vec![0f32; index.len() * count];
         let mut column = vec![0f32; stride];
         for (out, &pixel) in values.chunks_exact_mut(count).zip(&index) {
@@ -187,8 +187,8 @@ impl PreparedPatterns {
         self.dictionary.level.name()
     }
 
-    /// One correlation pass: for each row of `e` a lower and an upper bound of a_j . e, as
-    /// (scores, unit, offset, up, down).
+    /// One correlation pass: scores, and for each row of `e` the numbers unit, offset, up, down that turn
+    /// them into bounds of a_j . e.
     fn scores<'py>(
         &self,
         py: Python<'py>,
@@ -196,7 +196,7 @@ impl PreparedPatterns {
     ) -> PyResult<(Bound<'py, PyAny>, Bound<'py, PyArray1<f64>>)> {
         let dictionary = &self.dictionary;
         let rows = self.checked_rows(e)?;
-        room::<i16>(&[rows.len(), dictionary.pixels], "the scores")?;
+        check_memory::<i16>(&[rows.len(), dictionary.pixels], "the scores")?;
         let (values, bounds) = py.detach(|| {
             let n = dictionary.pixels;
             let mut values = vec![0i16; rows.len() * n];
@@ -219,14 +219,14 @@ impl PreparedPatterns {
         Ok((values, bounds.into_pyarray(py)))
     }
 
-    /// Runs the pass over all rows of `e` on one thread and throws the scores away: for timing.
+    /// Runs the pass over all rows of `e` on one thread and discards the scores, for timing.
     fn pass_only(&self, py: Python<'_>, e: &Bound<'_, PyAny>) -> PyResult<()> {
         let rows = self.checked_rows(e)?;
         py.detach(|| self.each_batch(&rows, |_, _| {}));
         Ok(())
     }
 
-    /// Solves rows; see `lightmatrix.solvers.active_set`.
+    /// Solves rows of samples; see `lightmatrix.solvers.active_set`.
     #[pyo3(signature = (samples, settings, *, start=None, progress=None))]
     fn solve<'py>(
         &self,
@@ -242,7 +242,7 @@ impl PreparedPatterns {
         let start = Start::read(start, (count, dictionary.pixels))?;
         let start = start.as_ref().map(Start::view).transpose()?;
         let rows = samples.rows(start)?;
-        self.check_room(count, settings.threads)?;
+        self.check_solver_memory(count, settings.threads)?;
         let threads = settings.threads;
         let settings = settings.view();
         let solutions = run_interruptibly(py, count, threads, progress, |cancelled, finished| {
@@ -253,13 +253,13 @@ impl PreparedPatterns {
 }
 
 impl PreparedPatterns {
-    /// Refuses what there is no memory for: `count` rows solved on some threads.
-    pub fn check_room(&self, count: usize, threads: Option<usize>) -> PyResult<()> {
+    /// Rejects a solve of `count` rows for which there is no memory.
+    pub fn check_solver_memory(&self, count: usize, threads: Option<usize>) -> PyResult<()> {
         let (pixels, vector) = (self.dictionary.pixels, 8 * padded(self.dictionary.patterns));
         let scores = size_of::<i16>() * self.dictionary.correlator.batch() * pixels;
         let thread = THREAD_BYTES + THREAD_VECTORS * vector + scores;
-        room::<u8>(&[count_of(threads), thread], "the threads")?;
-        room::<u8>(&[count, ROW_BYTES], "the solved rows")?;
+        check_memory::<u8>(&[thread_count(threads), thread], "the threads")?;
+        check_memory::<u8>(&[count, ROW_BYTES], "the solved rows")?;
         Ok(())
     }
 
@@ -268,7 +268,7 @@ impl PreparedPatterns {
         let e = Values::<f64>::reals(e, "e")?;
         let why = format!("there are {patterns} patterns");
         check_shape("e", e.shape(), &[None, Some(patterns)], &why)?;
-        room::<f64>(&[e.shape()[0], padded(patterns)], "the rows")?;
+        check_memory::<f64>(&[e.shape()[0], padded(patterns)], "the rows")?;
         Ok(e.as_slice()?
             .chunks_exact(patterns)
             .map(|row| {
@@ -279,7 +279,7 @@ impl PreparedPatterns {
             .collect())
     }
 
-    fn each_batch(&self, rows: &[Vec<f64>], mut take: impl FnMut(usize, &[Scores])) {
+    fn each_batch(&self, rows: &[Vec<f64>], mut use_scores: impl FnMut(usize, &[Scores])) {
         let batch = self.dictionary.correlator.batch();
         let mut scores = vec![Scores::default(); batch];
         let mut scratch = Scratch::default();
@@ -292,7 +292,7 @@ impl PreparedPatterns {
                 ..
             } = &*self.dictionary;
             correlator.run(columns, &e, &mut out, &mut scratch);
-            take(number * batch, &scores[..e.len()]);
+            use_scores(number * batch, &scores[..e.len()]);
         }
     }
 }

@@ -1,4 +1,4 @@
-//! The threads that the core works on, started where a failure can still be said.
+//! The core's threads. They are started in a way that reports a failure as a Python exception.
 
 use crate::input::MOST_THREADS;
 use pyo3::exceptions::PyOSError;
@@ -11,43 +11,45 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{mpsc, Arc, Mutex, PoisonError};
 use std::time::Duration;
 
-/// How long a signal such as Ctrl-C may wait, and how often progress is reported.
+/// Interval at which a running solve checks for signals such as Ctrl-C and reports progress. A person does
+/// not notice the delay, and the checks cost nothing measurable.
 const PATIENCE: Duration = Duration::from_millis(50);
 
-/// One thread a core, shared by all calls, and the process they run in: a forked child has none of
-/// its parent's threads.
+/// The shared pool of one thread per core, and its process: a forked child has none of its parent's
+/// threads.
 static SHARED: Mutex<Option<(u32, Arc<ThreadPool>)>> = Mutex::new(None);
 
-/// What a thread takes as it starts: its stack, and what the system's library keeps for it, without
-/// which it would end the process.
+/// Bytes of a thread's stack, the default of Rust.
 const STACK: usize = 2 << 20;
+/// Bytes that the C library needs for a new thread besides its stack, rounded up. Where it cannot get them
+/// it ends the process.
 const BESIDE_STACK: usize = 1 << 20;
 
-/// Whether there is memory for so many more threads.
-fn room(threads: usize) -> io::Result<()> {
+/// Fails if there is no memory for this many more threads.
+fn check_memory(threads: usize) -> io::Result<()> {
     Vec::<u8>::new()
         .try_reserve_exact(threads.saturating_mul(STACK + BESIDE_STACK))
         .map_err(|_| io::ErrorKind::OutOfMemory.into())
 }
 
-/// Threads started one after the other, so that no stack takes the room that the thread before
-/// still needs. None starts where there is no room for all: the system's library keeps the stacks
-/// of those that ended, and nothing would be left to say so with.
+/// Starts threads one after the other, so that no stack takes memory that the thread before still needs. If
+/// there is no memory for all, none is started: the C library keeps the stacks of threads that ended, so no
+/// memory would be left to raise the exception.
 fn start(threads: usize) -> PyResult<Arc<ThreadPool>> {
     let refused = |why| PyOSError::new_err(format!("cannot start {threads} threads: {why}"));
-    room(threads).map_err(|error| refused(error.to_string()))?;
+    check_memory(threads).map_err(|error| refused(error.to_string()))?;
     let pool = ThreadPoolBuilder::new()
         .num_threads(threads)
         .spawn_handler(|thread| {
-            room(1)?;
+            check_memory(1)?;
             let (ready, begun) = mpsc::channel();
             let builder = std::thread::Builder::new().stack_size(STACK);
             builder.spawn(move || {
-                // Nobody has stopped waiting for it.
+                // The receiver below is still waiting.
                 let _ = ready.send(());
                 thread.run();
             })?;
-            // Disconnected without a word, it has ended already.
+            // An error means that the thread has ended already.
             let _ = begun.recv();
             Ok(())
         })
@@ -58,7 +60,7 @@ fn start(threads: usize) -> PyResult<Arc<ThreadPool>> {
     })
 }
 
-/// The shared threads. Rayon's own would panic where they cannot start, then and ever after.
+/// The shared pool. Rayon's global pool would panic if threads cannot start, and in every later call.
 fn shared() -> PyResult<Arc<ThreadPool>> {
     let mut shared = SHARED.lock().unwrap_or_else(PoisonError::into_inner);
     let process = std::process::id();
@@ -66,35 +68,36 @@ fn shared() -> PyResult<Arc<ThreadPool>> {
         Some((owner, pool)) if *owner == process => Ok(pool.clone()),
         _ => {
             let pool = start(usual_threads())?;
-            // To end the threads of another process is to wait for them for ever.
+            // Dropping a pool of the parent process would wait for its threads for ever.
             std::mem::forget(shared.replace((process, pool.clone())));
             Ok(pool)
         }
     }
 }
 
-/// One thread a core, or as many as the environment asks for, within reason.
+/// The number of threads that RAYON_NUM_THREADS sets, or one per core.
 fn usual_threads() -> usize {
-    let asked = std::env::var("RAYON_NUM_THREADS").ok();
-    let asked = asked.and_then(|text| text.parse::<usize>().ok());
-    let threads = asked.filter(|&threads| threads > 0);
-    threads.unwrap_or_else(|| count_of(None)).min(MOST_THREADS)
+    let variable = std::env::var("RAYON_NUM_THREADS").ok();
+    let threads = variable.and_then(|text| text.parse::<usize>().ok());
+    let threads = threads.filter(|&threads| threads > 0);
+    threads
+        .unwrap_or_else(|| thread_count(None))
+        .min(MOST_THREADS)
 }
 
-/// How many threads None or a number of them stands for.
-pub fn count_of(threads: Option<usize>) -> usize {
+/// The number of threads; None means one per core.
+pub fn thread_count(threads: Option<usize>) -> usize {
     let cores = || std::thread::available_parallelism().map_or(1, NonZero::get);
     threads.unwrap_or_else(cores)
 }
 
-/// Works on all cores while other Python threads run.
+/// Runs `work` on all cores and releases the GIL meanwhile.
 pub fn on_all_cores<T: Send>(py: Python<'_>, work: impl FnOnce() -> T + Send) -> PyResult<T> {
     let pool = shared()?;
     Ok(py.detach(|| pool.install(work)))
 }
 
-/// Solves `count` rows on other threads while this one listens for signals and reports progress.
-/// None takes one thread a core.
+/// Solves `count` rows on other threads while this thread checks for signals and reports progress.
 pub fn run_interruptibly<T: Send>(
     py: Python<'_>,
     count: usize,
@@ -104,7 +107,7 @@ pub fn run_interruptibly<T: Send>(
 ) -> PyResult<T> {
     let pool = match threads {
         None => shared()?,
-        // A row is solved by one thread: more than there are rows would have nothing to do.
+        // A row is solved by one thread, so more threads than rows are useless.
         Some(threads) => start(threads.min(count.max(1)))?,
     };
     let (cancelled, finished) = (AtomicBool::new(false), AtomicUsize::new(0));
@@ -112,7 +115,7 @@ pub fn run_interruptibly<T: Send>(
     let solved = pool.in_place_scope(|scope| {
         let (cancelled, finished) = (&cancelled, &finished);
         scope.spawn(move |_| {
-            // Nobody has stopped listening: this scope waits.
+            // The receiver is alive: this scope waits for it.
             let _ = sender.send(solve(cancelled, finished));
         });
         let mut outcome = Ok(());
@@ -135,7 +138,7 @@ pub fn run_interruptibly<T: Send>(
             match received {
                 Ok(solved) => return outcome.map(|()| solved),
                 Err(mpsc::RecvTimeoutError::Timeout) => {}
-                // A panic, which goes on when the scope ends.
+                // The solver panicked; the panic continues when the scope ends.
                 Err(mpsc::RecvTimeoutError::Disconnected) => return outcome.map(|()| None),
             }
         }

@@ -1,4 +1,4 @@
-//! How far from optimal a row is at most: the dual value of its residual, in float64.
+//! The certificate of a row: a dual value, which bounds how far from optimal the row is. In float64.
 //!
 //! The dual problem is: maximise sum y theta - theta^2 / (2 w) subject to A' theta <= lambda (in
 //! absolute value if x may be negative), theta >= 0 on one-sided samples and m' theta <= 0 (= 0 if b
@@ -9,14 +9,14 @@ use crate::problem::Settings;
 use crate::simd::Level;
 use crate::vector::{dot, dual_sums, subtract_free, DataTerm};
 
-/// Near the optimum the best scaling is 1; far beyond, it would only magnify rounding errors in
-/// m' theta = 0.
+/// Limit of the factor that scales the dual point. Near the optimum the best factor is 1; a much larger
+/// one would only magnify rounding errors in m' theta = 0.
 const LARGEST_SCALING: f64 = 2.0;
 
 /// Moves `theta` along the means, on two-sided samples, until m' theta <= 0 (= 0 if b is free);
-/// `energy` is that of the means over those samples.
+/// `energy` is the sum of the squared means over these samples.
 ///
-/// After an exact b this repairs no more than rounding. Returns by how much m' theta was off.
+/// Returns by how much m' theta was off. Where b is optimal that is no more than rounding.
 pub fn orthogonal_to_means(
     level: Level,
     settings: &Settings,
@@ -36,7 +36,7 @@ pub fn orthogonal_to_means(
         let (weights, lower) = (&data.weights, &data.lower);
         subtract_free(level, theta, excess / energy, means, weights, lower);
     } else {
-        // What counts against the means lies on one-sided samples: leave those out.
+        // Only one-sided samples have a slope along the means: drop them from the dual point.
         for k in (0..theta.len()).filter(|&k| means[k] > 0.0) {
             theta[k] = 0.0;
         }
@@ -57,7 +57,7 @@ pub fn dual_value(
     if square <= 0.0 {
         return 0.0;
     }
-    // A parabola in the scaling: its top, or the last feasible point before it.
+    // The dual value is a parabola in the scaling. Take its top, or the last feasible scaling below it.
     let limit = if largest > 0.0 {
         regularization / largest
     } else {

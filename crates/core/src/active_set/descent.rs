@@ -1,4 +1,4 @@
-//! Coordinate descent on the quadratic model, which gives way to exact solution where it is slow.
+//! Coordinate descent on the quadratic model. Where it converges slowly the exact method takes over.
 
 use super::exact::Exact;
 use super::factor::subtract_rows;
@@ -10,15 +10,18 @@ use crate::problem::{Dictionary, Settings};
 use crate::simd::{multiversion, Level};
 use crate::vector::add_scaled;
 
-/// Choices of the pixels that take part.
+// These numbers were chosen by hand for speed; measure it with `python -m benchmarks`.
+
+/// Rounds of one run. Each round chooses the pixels that take part and sweeps over them.
 const ROUNDS: usize = 3;
-/// Most sweeps over those first chosen,
+/// Limit of sweeps right after new pixels were chosen. Many of these return to zero at once, so the
+/// set is shrunk before the other sweeps.
 const FIRST_SWEEPS: usize = 3;
-/// and over those of a later choice.
+/// Limit of sweeps over the remaining pixels of a round.
 const SWEEPS: usize = 12;
-/// Accuracy, in lambda, from which exact solution can pay.
+/// The exact method can pay if the required accuracy is finer than this, in units of lambda.
 const EXACT_ACCURACY: f64 = 0.01;
-/// Coordinate descent has settled when no coordinate's slope changes by this share of the accuracy.
+/// Descent has converged when a sweep changes no slope by more than this share of the accuracy.
 const SETTLED_SHARE: f64 = 0.3;
 
 pub struct Descent {
@@ -26,16 +29,16 @@ pub struct Descent {
     packed: Packed,
     /// Bits of the pixels that differ from zero or are pulled away from it.
     chosen: Vec<u8>,
-    /// Bits of those that do not differ from it.
+    /// Bits of the pixels that are zero.
     at_zero: Vec<u8>,
     moves: Vec<f64>,
     places: Vec<usize>,
     exact: Exact,
-    /// Whether exact solution is called for whatever the accuracy.
+    /// Whether to use the exact method whatever the accuracy.
     pub exactly: bool,
-    /// Whether the last run came as far as it should.
+    /// Whether the last run reached its accuracy.
     pub settled: bool,
-    /// Pixels without curvature.
+    /// Pixels along which the model has no curvature, though they differ from zero.
     pub flat: Vec<usize>,
 }
 
@@ -55,8 +58,8 @@ impl Descent {
         }
     }
 
-    /// Minimises the model from `x` with slopes `gradient - excess per_mean coupling`, to slopes
-    /// within `accuracy`.
+    /// Minimises the model from `x`, where minus its slopes are `gradient - shift coupling`, until the
+    /// optimality conditions hold within `accuracy`.
     #[allow(clippy::too_many_arguments)]
     pub fn run(
         &mut self,
@@ -100,7 +103,7 @@ impl Descent {
             } else {
                 self.packed.renew(level, &progress.target, &progress.slope);
             }
-            // Many of the pixels that enter leave again at once.
+            // Many of the pixels that enter return to zero at once.
             if entering {
                 change = self.packed.sweep(level, settled, FIRST_SWEEPS);
                 if change > settled {
@@ -145,8 +148,8 @@ impl Descent {
         }
     }
 
-    /// Pixels that differ from zero or are pulled away from it take part; whether there are any of
-    /// the second kind.
+    /// Chooses the pixels that take part: those that differ from zero or are pulled away from it.
+    /// Returns whether there are any of the second kind.
     fn choose(
         &mut self,
         dictionary: &Dictionary,
@@ -182,8 +185,8 @@ impl Descent {
 }
 
 multiversion! {
-    /// Bits of the pixels that differ from zero or are pulled by more than `limit`, and of those that
-    /// do not differ from zero.
+    /// Sets the bits of the pixels that differ from zero or are pulled by more than `limit`, and the bits
+    /// of the pixels that are zero.
     fn choose(
         target: &[f64], slope: &[f64], limit: f64, signed: bool, chosen: &mut [u8], at_zero: &mut [u8]
     ) {

@@ -1,4 +1,4 @@
-//! The exact minimum of the quadratic model, by letting pixels enter and leave the support.
+//! The exact minimum of the quadratic model: pixels enter and leave the support until none should.
 
 use super::factor::{subtract_rows, Factor, LARGEST};
 use super::model::Model;
@@ -6,22 +6,25 @@ use super::progress::Progress;
 use crate::problem::{Dictionary, Settings};
 use crate::simd::Level;
 
-/// Exact solutions on one support after another.
+/// Limit of exact solutions, each on one support. Rows that need more return to coordinate descent.
+/// Chosen by hand.
 const ROUNDS: usize = 60;
-/// Of the pixels there, one in so many may enter at a time, and at least one.
+/// The support may grow by a quarter (one in `ENTERING`) at a time, and by at least one pixel: many of
+/// the pixels that violate their condition at first no longer do once the strongest have entered. Chosen
+/// by hand.
 const ENTERING: usize = 4;
 
-/// The pixels in play and what a round does with them.
+/// The support and the buffers of a round.
 pub struct Exact {
     level: Level,
     factor: Factor,
-    /// Pixels in play, where their rows begin, and how far each is to go.
+    /// Pixels of the support, where their rows of the model begin, and the change of each.
     set: Vec<u32>,
     places: Vec<usize>,
     change: Vec<f64>,
-    /// Whether a pixel is in play, or out of it because it depends on others.
-    taken: Vec<bool>,
-    whole: Vec<f64>,
+    /// Whether a pixel is in the support or was removed because its column depends on others.
+    tried: Vec<bool>,
+    full_change: Vec<f64>,
     entering: Vec<(f64, u32)>,
 }
 
@@ -33,19 +36,19 @@ impl Exact {
             set: Vec::new(),
             places: Vec::new(),
             change: Vec::new(),
-            taken: Vec::new(),
-            whole: Vec::new(),
+            tried: Vec::new(),
+            full_change: Vec::new(),
             entering: Vec::new(),
         }
     }
 
-    /// From where coordinate descent has come to, to slopes within `accuracy`; whether it got there.
-    /// The model's value never rises.
+    /// Continues from the result of coordinate descent until the optimality conditions hold within
+    /// `accuracy`; returns whether they do. The model's value never rises.
     ///
-    /// Goes to the solution for the pixels that differ from zero. Those that would change sign stop
-    /// at zero and leave: all at once where that still lowers the model's value (projected Newton,
-    /// Bertsekas 1982), else the first one on the way (Lawson & Hanson 1974). At a solution the
-    /// pixels that violate their conditions most enter.
+    /// Each round moves to the minimum for the pixels that differ from zero. Pixels that would change
+    /// sign stop at zero and leave: all at once where that still lowers the model's value (projected
+    /// Newton, Bertsekas 1982), else only the first one on the way (Lawson & Hanson 1974). At a minimum
+    /// the pixels that violate their conditions most enter.
     pub fn run(
         &mut self,
         dictionary: &Dictionary,
@@ -59,8 +62,8 @@ impl Exact {
             return false;
         }
         let lambda = settings.regularization;
-        self.taken.clear();
-        self.taken.resize(pixels.len(), false);
+        self.tried.clear();
+        self.tried.resize(pixels.len(), false);
         self.set.clear();
         self.places.clear();
         for &j in &progress.order {
@@ -79,7 +82,7 @@ impl Exact {
                 .factor
                 .solve(&model.rows, &self.places, &self.set, &mut self.change);
             if let Err(place) = solved {
-                self.slide(model, lambda, place, target, slope);
+                self.move_along_dependency(model, lambda, place, target, slope);
                 continue;
             }
             let wrong = self.set.iter().zip(&self.change).any(|(&j, change)| {
@@ -94,7 +97,7 @@ impl Exact {
                 self.leave(target);
                 continue;
             }
-            self.go(model, target, slope);
+            self.apply_change(model, target, slope);
             if !self.find_violators(settings, pixels, lambda + accuracy, target, slope) {
                 return true;
             }
@@ -118,20 +121,20 @@ impl Exact {
     }
 
     fn enter(&mut self, model: &Model, j: u32) {
-        self.taken[j as usize] = true;
+        self.tried[j as usize] = true;
         if model.inverse[j as usize] > 0.0 {
             self.set.push(j);
             self.places.push(model.place(j));
         }
     }
 
-    /// Pixels at zero leave.
+    /// Removes pixels at zero from the support.
     fn leave(&mut self, target: &[f64]) {
         let mut kept = 0;
         for i in 0..self.set.len() {
             let j = self.set[i];
             if target[j as usize] == 0.0 {
-                self.taken[j as usize] = false;
+                self.tried[j as usize] = false;
             } else {
                 self.set[kept] = j;
                 self.places[kept] = self.places[i];
@@ -142,8 +145,8 @@ impl Exact {
         self.places.truncate(kept);
     }
 
-    /// Moves by `change`; what goes back to zero lands on it.
-    fn go(&mut self, model: &Model, target: &mut [f64], slope: &mut [f64]) {
+    /// Moves by `change`. A pixel that returns to zero becomes exactly zero.
+    fn apply_change(&mut self, model: &Model, target: &mut [f64], slope: &mut [f64]) {
         for (&j, change) in self.set.iter().zip(&self.change) {
             let x = &mut target[j as usize];
             *x = if *change == -*x { 0.0 } else { *x + change };
@@ -151,8 +154,8 @@ impl Exact {
         subtract_rows(self.level, slope, &model.rows, &self.places, &self.change);
     }
 
-    /// Goes the whole way, with those that would change sign stopped at zero, if that lowers the
-    /// model's value.
+    /// Moves by the full change, with pixels that would change sign stopped at zero, if that lowers
+    /// the model's value. Returns whether it does.
     fn project(
         &mut self,
         model: &Model,
@@ -160,7 +163,7 @@ impl Exact {
         target: &mut [f64],
         slope: &mut [f64],
     ) -> bool {
-        self.whole.clone_from(&self.change);
+        self.full_change.clone_from(&self.change);
         let mut rise = 0.0;
         for (&j, change) in self.set.iter().zip(&mut self.change) {
             let (x, g) = (target[j as usize], slope[j as usize]);
@@ -169,7 +172,7 @@ impl Exact {
             }
             rise += lambda * ((x + *change).abs() - x.abs()) - 0.5 * *change * g;
         }
-        // A quadratic falls by the mean of its slopes at both ends.
+        // The change of a quadratic is the step times the mean of its slopes at both ends.
         subtract_rows(self.level, slope, &model.rows, &self.places, &self.change);
         for (&j, change) in self.set.iter().zip(&self.change) {
             rise -= 0.5 * change * slope[j as usize];
@@ -183,12 +186,12 @@ impl Exact {
         }
         self.change.iter_mut().for_each(|change| *change = -*change);
         subtract_rows(self.level, slope, &model.rows, &self.places, &self.change);
-        std::mem::swap(&mut self.change, &mut self.whole);
+        std::mem::swap(&mut self.change, &mut self.full_change);
         false
     }
 
-    /// Goes towards the solution until the first pixel becomes zero; those that would leave zero to
-    /// the wrong side stay.
+    /// Moves towards the minimum until the first pixel becomes zero. Pixels at zero that would move
+    /// to the wrong side stay.
     fn go_to_first_zero(&mut self, model: &Model, target: &mut [f64], slope: &mut [f64]) {
         let mut limit: f64 = 1.0;
         for (&j, &change) in self.set.iter().zip(&self.change) {
@@ -207,13 +210,13 @@ impl Exact {
                 limit * *change
             };
         }
-        self.go(model, target, slope);
+        self.apply_change(model, target, slope);
     }
 
-    /// The column at `place` is a combination of those before it: along that combination nothing
-    /// changes but lambda's share. Goes the way that lowers it until a pixel becomes zero and
-    /// leaves, or, where there is no such way, leaves the column out of play.
-    fn slide(
+    /// Handles a column that is a linear combination of those before it. Along this combination only
+    /// the l1 norm changes, so moves the way that lowers it until a pixel becomes zero and leaves.
+    /// Where no way lowers it, removes the column from the support.
+    fn move_along_dependency(
         &mut self,
         model: &Model,
         lambda: f64,
@@ -254,11 +257,12 @@ impl Exact {
                 limit * *way
             };
         }
-        self.go(model, target, slope);
+        self.apply_change(model, target, slope);
         self.leave(target);
     }
 
-    /// Lists the pixels out of play that are pulled by more than `limit`; whether there are any.
+    /// Lists the pixels outside the support that are pulled by more than `limit`; returns whether there
+    /// are any.
     fn find_violators(
         &mut self,
         settings: &Settings,
@@ -268,7 +272,7 @@ impl Exact {
         slope: &[f64],
     ) -> bool {
         self.entering.clear();
-        for j in (0..pixels.len()).filter(|&j| !self.taken[j] && target[j] == 0.0) {
+        for j in (0..pixels.len()).filter(|&j| !self.tried[j] && target[j] == 0.0) {
             let g = slope[j];
             let pull = if settings.nonnegative { g } else { g.abs() };
             if pull > limit {
@@ -279,7 +283,7 @@ impl Exact {
     }
 }
 
-/// The side of zero that a pixel is on, or is pulled to.
+/// A number whose sign is the side of zero on which a pixel lies or to which it is pulled.
 fn side(x: f64, pull: f64) -> f64 {
     if x == 0.0 {
         pull

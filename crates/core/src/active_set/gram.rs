@@ -1,17 +1,17 @@
-//! Inner products among the columns of a working set, by counting common bits.
+//! Inner products of the columns of a working set, by counting common bits.
 
 use crate::columns::Columns;
 use crate::octet::WIDTH;
 use crate::simd::{multiversion, Kind, Level};
 
-/// From so many columns on tables of partial sums cost less than they save.
+/// From this many columns on, tables of partial sums save more than they cost.
 #[cfg(target_arch = "x86_64")]
 const MANY: usize = 24;
 
-/// Inner products among the columns of a working set.
+/// The columns of a working set, ready for inner products.
 ///
-/// Columns of bits are kept in groups of `WIDTH`, word by word, so that a row of the Gram matrix is a
-/// few vector instructions a word and group.
+/// Columns of bits are stored in groups of `WIDTH`, word by word, so that a row of the Gram matrix takes
+/// a few vector instructions per word and group.
 #[derive(Default)]
 pub struct GramSource {
     packed: Vec<u64>,
@@ -22,7 +22,7 @@ pub struct GramSource {
 }
 
 impl GramSource {
-    /// Takes in the columns of a new working set.
+    /// Loads the columns of a new working set.
     pub fn load(&mut self, columns: &Columns, pixels: &[u32]) {
         if let Columns::Bits(bits) = columns {
             let group = bits.stride() * WIDTH;
@@ -60,11 +60,11 @@ impl GramSource {
     }
 
     /// out_i = sum_k d_k a_ik a_jk + factor coupling_i for every column i of the working set, by
-    /// counting; false where it cannot be counted.
+    /// counting bits. Returns false if columns or d are not bits.
     ///
-    /// `out` and `coupling` are padded to whole groups. `active` holds the bits of d where d is only
-    /// 0 or 1, and is empty otherwise.
-    // All of them are borrowed from the row's own state, which a struct would only name again.
+    /// `out` and `coupling` are padded to whole groups. `active` holds the bits of d if d is only 0 or
+    /// 1, and is empty otherwise.
+    // The arguments are parts of the row's state; a struct would only name them again.
     #[allow(clippy::too_many_arguments)]
     pub fn count_row(
         &mut self,
@@ -90,7 +90,7 @@ impl GramSource {
         true
     }
 
-    /// sum_k d_k a_ik a_jk for some columns i, where j is `pixel`: of any values.
+    /// sum_k d_k a_ik a_jk for the columns `others`, with j = `pixel`, for any values.
     pub fn products(
         &mut self,
         level: Level,
@@ -107,7 +107,7 @@ impl GramSource {
     }
 }
 
-/// Bits that each packed column shares with the query, plus `factor coupling`.
+/// The number of bits that each packed column shares with the query, plus `factor coupling`.
 fn common_bits(
     level: Level,
     packed: &[u64],
@@ -147,11 +147,11 @@ mod avx512 {
     use super::WIDTH;
     use std::arch::x86_64::*;
 
-    /// Groups of columns that share a reading of the tables.
+    /// Number of groups of columns that share one reading of the tables: their sums fit into registers.
     const GROUPS: usize = 4;
 
-    /// Sums of the values whose bits each packed column has, by tables of four values: a look-up
-    /// serves eight columns.
+    /// For each packed column the sum of the values whose bits are set, by tables of the sums of four
+    /// values: one look-up serves eight columns.
     ///
     /// # Safety
     /// `e` holds 64 values for each word of a column, `tables` four times as many, and `packed` the
@@ -178,7 +178,8 @@ mod avx512 {
         let group = e.len() / 64 * WIDTH;
         let many = packed.chunks(GROUPS * group);
         for (packed, out) in many.zip(out.chunks_mut(GROUPS * WIDTH)) {
-            // SAFETY: whole groups, as many as the number says; one table for each four bits.
+            // SAFETY: `packed` holds as many whole groups as the parameter says; each four bits have a
+            // table.
             unsafe {
                 match packed.len() / group {
                     1 => look_up::<1>(packed, tables, out),
@@ -191,7 +192,7 @@ mod avx512 {
     }
 
     /// # Safety
-    /// `packed` holds `G` groups of columns, `tables` one of 16 values for every four of their bits.
+    /// `packed` holds `G` groups of columns, `tables` 16 values for every four of their bits.
     #[target_feature(enable = "avx512f")]
     unsafe fn look_up<const G: usize>(packed: &[u64], tables: &[f64], out: &mut [f64]) {
         let group = packed.len() / G;

@@ -1,4 +1,4 @@
-//! Several rows at a time, so that they share passes over the patterns.
+//! Solves several rows at a time, so that they share passes over the patterns.
 
 use super::restricted::Restricted;
 use super::row::{Next, Problem, RowSolver};
@@ -10,12 +10,12 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 struct Lane {
     solver: RowSolver,
     scores: Scores,
-    /// The row in work.
+    /// The row that this lane is solving.
     row: usize,
 }
 
-/// Solves rows that wait (`waiting` is the first of them) until none does. A row depends on no
-/// other, so it does not matter who solves which.
+/// Solves rows until none is left; `waiting` is the next row that no thread has begun. Rows do not
+/// depend on each other, so it does not matter which thread solves which.
 pub fn solve_rows(
     dictionary: &Dictionary,
     rows: Rows,
@@ -30,9 +30,9 @@ pub fn solve_rows(
     };
     let mut solutions = Vec::new();
     let mut scratch = Scratch::default();
-    // Its buffers are large: lanes that share one leave the caches to the patterns.
+    // These buffers are large. Lanes share them, which leaves the caches to the patterns.
     let mut restricted = Restricted::new(dictionary.level);
-    // Batches are full until the rows run out; where rows are few, every thread gets some.
+    // Batches are full until the rows run out. Where there are few rows, every thread gets some.
     let batch = dictionary.correlator.batch();
     let lanes = batch.min(rows.count.div_ceil(rayon::current_num_threads()));
     let mut lanes: Vec<Lane> = (0..lanes)
@@ -42,7 +42,7 @@ pub fn solve_rows(
             row: 0,
         })
         .collect();
-    // Goes on with a lane until it needs a pass (true) or no row is left for it (false).
+    // Advances a lane until it needs a pass (returns true) or no row is left for it (false).
     let mut advance = |lane: &mut Lane, next: Option<Next>, restricted: &mut Restricted| {
         let mut next = next;
         loop {
@@ -66,7 +66,7 @@ pub fn solve_rows(
         let (residuals, mut scores): (Vec<&[f64]>, Vec<&mut Scores>) = lanes
             .iter_mut()
             .map(|lane| {
-                lane.scores.wanted = lane.solver.wanted();
+                lane.scores.filter = lane.solver.filter();
                 (lane.solver.dual(), &mut lane.scores)
             })
             .unzip();
@@ -83,17 +83,17 @@ pub fn solve_rows(
     solutions
 }
 
-/// Solves rows by themselves, each with a dictionary of its own, in memory that they share.
-pub struct Alone {
+/// Solves one row at a time, each with a dictionary of its own, in the same memory.
+pub struct SingleRowSolver {
     solver: RowSolver,
     scores: Scores,
     scratch: Scratch,
     restricted: Restricted,
 }
 
-impl Alone {
+impl SingleRowSolver {
     pub fn new(level: Level) -> Self {
-        Alone {
+        SingleRowSolver {
             solver: RowSolver::new(),
             scores: Scores::default(),
             scratch: Scratch::default(),
@@ -107,7 +107,7 @@ impl Alone {
             dictionary,
             settings: &settings,
         };
-        let Alone {
+        let SingleRowSolver {
             solver,
             scores,
             scratch,
@@ -120,7 +120,7 @@ impl Alone {
         } = dictionary;
         let mut next = solver.begin(problem, rows, 0, restricted);
         while let Next::Pass = next {
-            scores.wanted = solver.wanted();
+            scores.filter = solver.filter();
             correlator.run(columns, &[solver.dual()], &mut [scores], scratch);
             next = solver.after_pass(problem, scores, restricted);
         }

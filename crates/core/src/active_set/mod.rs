@@ -1,4 +1,4 @@
-//! The active-set solver: every row of the light transport matrix to a certified duality gap.
+//! The active-set solver: solves every row of the light transport matrix to a certified duality gap.
 //!
 //! For each row, with a_j the columns of P and m the means of the patterns,
 //!
@@ -7,10 +7,19 @@
 //! ```
 //!
 //! where l_k is 0 on one-sided (clipped) samples and minus infinity elsewhere. A row alternates
-//! between a restricted solve on few pixels and a pass over all pixels, which finds the strongest
-//! violators and, with the dual value, how far from optimal the row is at most.
+//! between a restricted solve on few pixels (the working set) and a pass over all pixels. The pass
+//! finds the pixels that violate their optimality condition most, and bounds the duality gap.
 //!
-//! A row depends on no other, so results depend neither on threads nor on how rows are grouped.
+//! `solve` calls `lanes::solve_rows` on every thread. That advances several `row::RowSolver`s, whose
+//! passes share one reading of the patterns (`correlate`). After each pass a row
+//!
+//! 1. finds violators (`pricing`) and computes its gap (`certificate`),
+//! 2. adds them to the working set and solves there (`restricted`): Newton steps on a quadratic
+//!    `model`, each minimised by coordinate `descent` (in float32, `packed`) or, where that is slow,
+//!    by an `exact` active-set method with a Cholesky `factor`; `search` does line searches.
+//!
+//! Rows do not depend on each other, so results depend neither on the number of threads nor on how
+//! rows are grouped.
 
 mod certificate;
 mod descent;
@@ -30,10 +39,10 @@ mod search;
 use crate::problem::{Dictionary, Rows, Settings, Solution};
 use crate::vector::padded;
 use lanes::solve_rows;
-pub use lanes::Alone;
+pub use lanes::SingleRowSolver;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
-/// Solves all rows. Returns None if `cancelled` was set meanwhile; `finished` counts rows.
+/// Solves all rows. Returns None if `cancelled` is set meanwhile; `finished` counts solved rows.
 ///
 /// # Panics
 /// If the lengths of the arrays do not match.

@@ -1,8 +1,8 @@
-//! The restricted problem while no sample changes between clipped-above and not: a quadratic.
+//! The quadratic model of the restricted problem, exact while no sample's clip state changes.
 //!
-//! Its Hessian is the Gram matrix of the working set's columns over the samples that count, with
-//! the background eliminated ('centred'). Rows are made when they are first asked for: most never
-//! are.
+//! Its Hessian is the Gram matrix A' D A of the working set's columns, with D the samples' curvature.
+//! Where the background is free it is eliminated ('centred'): A' D A - A' D m m' D A / (m' D m). Rows of
+//! the matrix are computed on first use, as most are never used.
 
 use super::gram::GramSource;
 use crate::octet::{octets, WIDTH};
@@ -10,16 +10,18 @@ use crate::problem::Dictionary;
 use crate::simd::{multiversion, Level};
 use crate::vector::{dot, DataTerm};
 
-/// Columns with less curvature than this share of the samples are combinations of the background.
+/// A column whose curvature is below this, per sample, counts as a multiple of the background: it is
+/// rounding. Curvature per sample is at most the largest weight.
 const FLAT: f64 = 1e-9;
+/// Marks rows that have not been computed.
 const UNSET: u32 = u32::MAX;
 
 pub struct Model {
     pub level: Level,
     gram: GramSource,
-    /// Whether weights are 0 or 1 only.
+    /// Whether all weights are 0 or 1.
     unit_weights: bool,
-    /// d, the samples' curvature, and its bits where it is 0 or 1.
+    /// The curvature d of the samples, and its bits if the weights are 0 or 1.
     curvature: Vec<f64>,
     active: Vec<u64>,
     /// d m
@@ -27,19 +29,19 @@ pub struct Model {
     /// a_j . d m, padded
     pub coupling: Vec<f64>,
     coupled: bool,
-    /// 1 / m' D m where the background is eliminated, 0 where it is held.
+    /// 1 / m' D m where the background is eliminated, 0 where it is fixed.
     per_mean: f64,
-    /// Rows of the centred Gram matrix made so far, `stride` apart, and where each pixel's is.
+    /// The rows of the centred Gram matrix computed so far, `stride` apart, and the row of each pixel.
     pub rows: Vec<f64>,
     pub slot: Vec<u32>,
     pub stride: usize,
-    /// Pixels of the working set that no row made so far holds products with: buffers.
+    /// Buffers: the pixels with which no computed row holds products.
     missing: Vec<usize>,
     missing_pixels: Vec<u32>,
-    /// One over the diagonal, padded; 0 where there is no curvature.
+    /// The inverse diagonal, padded; 0 where there is no curvature.
     pub inverse: Vec<f64>,
     pub diagonal: Vec<f64>,
-    /// Bits of the pixels whose rows have been made and that have curvature.
+    /// Bits of the pixels whose rows are computed and that have curvature.
     pub ready: Vec<u8>,
 }
 
@@ -66,16 +68,16 @@ impl Model {
         }
     }
 
-    /// Takes note of a new row's data.
+    /// Loads a new row's data.
     pub fn load_row(&mut self, data: &DataTerm) {
         self.unit_weights = all_zero_or_one(self.level, &data.weights);
         self.curvature.clear();
-        // Nothing known of the last row holds for this one.
+        // NaN equals nothing, so the curvature of the last row is not reused.
         self.curvature.resize(data.y.len(), f64::NAN);
         self.weighted_means.resize(data.y.len(), 0.0);
     }
 
-    /// Takes in the pixels of a new working set.
+    /// Loads the columns of a new working set.
     pub fn load_pixels(&mut self, dictionary: &Dictionary, pixels: &[u32]) {
         self.gram.load(&dictionary.columns, pixels);
         self.stride = pixels.len().next_multiple_of(WIDTH);
@@ -104,7 +106,7 @@ impl Model {
             .correlate(self.level, &dictionary.columns, pixels, e, out);
     }
 
-    /// Makes the samples' curvature that of the model; exchanges it with what was there before.
+    /// Sets the samples' curvature; `curvature` receives the old one.
     pub fn set_curvature(&mut self, means: &[f64], curvature: &mut Vec<f64>) {
         if self.has_curvature(curvature) {
             return;
@@ -129,7 +131,7 @@ impl Model {
         dot(self.level, &self.weighted_means, means)
     }
 
-    /// Whether pixels act on the background's slope from now on.
+    /// Couples the pixels with the background, or not.
     pub fn couple(&mut self, dictionary: &Dictionary, pixels: &[u32], centred: bool) {
         if !centred {
             self.coupling.fill(0.0);
@@ -143,7 +145,7 @@ impl Model {
         }
     }
 
-    /// Eliminates the background (`per_mean` = 1 / m' D m) or holds it (0).
+    /// Eliminates the background (`per_mean` = 1 / m' D m) or fixes it (0).
     pub fn centre(&mut self, per_mean: f64) {
         if per_mean != self.per_mean {
             self.forget_rows();
@@ -158,7 +160,7 @@ impl Model {
         self.rows.clear();
     }
 
-    /// Where row j, which has been made, begins.
+    /// Where row j, which must be computed, begins.
     pub fn place(&self, j: u32) -> usize {
         self.slot[j as usize] as usize * self.stride
     }
@@ -167,12 +169,12 @@ impl Model {
         self.slot[j] != UNSET
     }
 
-    /// Row j, which has been made.
+    /// Row j, which must be computed.
     pub fn row(&self, j: usize) -> &[f64] {
         &self.rows[self.place(j as u32)..][..self.stride]
     }
 
-    /// Makes row j unless it is there.
+    /// Computes row j unless that is done.
     pub fn make_row(&mut self, dictionary: &Dictionary, pixels: &[u32], j: usize) {
         if self.has_row(j) {
             return;
@@ -185,7 +187,7 @@ impl Model {
         let (active, coupling) = (&self.active, &self.coupling);
         let gram = &mut self.gram;
         if !gram.count_row(level, columns, pixels[j], active, factor, coupling, row) {
-            // The matrix is symmetric: only what no other row holds is left to work out.
+            // The matrix is symmetric: copy the products that other rows hold, compute the rest.
             self.missing.clear();
             self.missing_pixels.clear();
             for (i, &slot) in self.slot.iter().enumerate() {
@@ -211,7 +213,7 @@ impl Model {
 }
 
 octets! {
-    /// Bits of the values above zero, 64 a word.
+    /// Sets the bits of the values above zero, 64 in a word.
     fn positive<O>(values: &[f64], words: &mut [u64]) {
         for (word, values) in words.iter_mut().zip(values.as_chunks::<64>().0) {
             let octets = values.as_chunks().0.iter().enumerate();
@@ -221,7 +223,7 @@ octets! {
 }
 
 multiversion! {
-    // Without branches, so that vectors are compared at once.
+    // Without branches, so that the compiler vectorises the comparison.
     fn all_zero_or_one(values: &[f64]) -> bool {
         values.iter().fold(true, |all, &v| all & ((v == 0.0) | (v == 1.0)))
     }

@@ -1,17 +1,21 @@
-//! A point of the restricted problem: pixels that may differ from zero, and what they predict.
+//! A point of the restricted problem: the working set, its x and b, and the samples that they predict.
 
 use super::search;
 use crate::problem::{Dictionary, Settings};
 use crate::vector::{add_scaled, DataTerm};
 
-/// A point: pixels that may differ from zero, their x, b, and the prediction u.
+/// The slope along b counts as zero below this share of tolerance times lambda, so that its error does
+/// not matter for the gap. Chosen by hand.
+const SLOPE_SHARE: f64 = 1e-6;
+
+/// The pixels that may differ from zero (the working set), their x, the background b, and u = A x + b m.
 #[derive(Default)]
 pub struct Point {
     pub pixels: Vec<u32>,
     pub x: Vec<f64>,
     pub background: f64,
     pub prediction: Vec<f64>,
-    /// A buffer for the support.
+    /// Buffer for the support.
     terms: Vec<(u32, f64)>,
 }
 
@@ -27,7 +31,7 @@ impl Point {
         self.x.push(x);
     }
 
-    /// Pixels that differ from zero.
+    /// The pixels that differ from zero, and their x.
     pub fn support(&self) -> impl Iterator<Item = (u32, f64)> + '_ {
         self.pixels
             .iter()
@@ -36,7 +40,7 @@ impl Point {
             .filter(|&(_, x)| x != 0.0)
     }
 
-    /// Drops pixels at zero.
+    /// Removes pixels at zero from the working set.
     pub fn prune(&mut self) {
         let mut kept = 0;
         for i in 0..self.x.len() {
@@ -50,7 +54,7 @@ impl Point {
         self.x.truncate(kept);
     }
 
-    /// Makes a start feasible.
+    /// Makes a starting point feasible.
     pub fn restrict_to(&mut self, settings: &Settings) {
         if settings.nonnegative {
             self.x.iter_mut().for_each(|x| *x = x.max(0.0));
@@ -62,7 +66,7 @@ impl Point {
         self.prune();
     }
 
-    /// u = A x + b m
+    /// Computes u = A x + b m.
     pub fn predict(&mut self, dictionary: &Dictionary) {
         let level = dictionary.level;
         self.prediction.fill(0.0);
@@ -82,7 +86,7 @@ impl Point {
         }
     }
 
-    /// Moves b to its best value for these x.
+    /// Sets b to its optimum for these x.
     pub fn exact_background(
         &mut self,
         dictionary: &Dictionary,
@@ -98,7 +102,7 @@ impl Point {
             f64::NEG_INFINITY
         };
         let level = dictionary.level;
-        let negligible = 1e-6 * settings.tolerance * settings.regularization;
+        let negligible = SLOPE_SHARE * settings.tolerance * settings.regularization;
         let means = &dictionary.means;
         let step = search::background(level, data, &self.prediction, means, floor, negligible);
         if step != 0.0 {

@@ -1,73 +1,83 @@
-//! Which pixels violate their condition most: scores of all, then exact correlations of the few
-//! that may.
+//! Finds the pixels that violate their optimality condition most: a pass gives approximate scores of
+//! all pixels, then the few that may violate it are correlated exactly.
 
-use crate::correlate::{Scores, Wanted};
+use crate::correlate::{ScoreFilter, Scores};
 use crate::problem::{Dictionary, Settings};
 
-/// Pixels whose correlation lies this share below lambda may soon exceed it: they come along.
+/// Pixels whose correlation lies less than this share of lambda below lambda join the working set too,
+/// as they may soon exceed it. Chosen by hand.
 const LOOK_AHEAD: f64 = 0.02;
-/// A violation by this share of lambda rules out that the row is solved.
-const CLEARLY: f64 = 0.01;
+/// A violation above this share of lambda proves that the row is not solved yet. Chosen by hand, well
+/// above the rounding of scores.
+const CLEAR_VIOLATION: f64 = 0.01;
 
-/// Where patterns are random, correlations lie about those of the means with a deviation of at most
-/// half the norm of what is correlated: few are beyond so many deviations in a row's first pass,
+// Under random patterns, correlations scatter about the one with the means; their standard deviation
+// is at most half the norm of the dual point. Few pixels without light lie beyond these thresholds.
+
+/// Threshold of a row's first pass, in standard deviations.
 const FIRST_DEVIATIONS: f64 = 3.0;
-/// and in a later one, which takes in more pixels.
+/// Threshold of a later pass, which adds more pixels, in standard deviations.
 const DEVIATIONS: f64 = 2.5;
 
-/// How closely scores are looked at.
+/// The correlation above which a pass returns the scores of pixels.
 #[derive(Clone, Copy)]
-pub enum Look {
-    First,
-    Again,
-    /// At all that may exceed lambda, or nearly: the few largest do not tell whether a row is
-    /// solved, which it may be.
-    Closely,
+pub enum Threshold {
+    /// `FIRST_DEVIATIONS`: a row's first pass, whose violations are large.
+    FirstPass,
+    /// `DEVIATIONS`: a later pass, while the row is far from solved.
+    LaterPass,
+    /// Just below lambda: all pixels that matter, to decide whether the row is solved.
+    Lambda,
 }
 
-/// The scores that `Pricing` looks at. `sums` gives the dual point's correlation with the means and
-/// the sum of its squares, where they are needed.
-pub fn wanted(settings: &Settings, look: Look, sums: impl FnOnce() -> (f64, f64)) -> Wanted {
+/// The filter of a pass for this threshold. `sums` returns the dual point's correlation with the means
+/// and the sum of its squares; it is called only where they are needed.
+pub fn filter(
+    settings: &Settings,
+    threshold: Threshold,
+    sums: impl FnOnce() -> (f64, f64),
+) -> ScoreFilter {
     let both = !settings.nonnegative;
-    let few = |deviations: f64| {
+    let beyond_noise = |deviations: f64| {
         let (of_means, square) = sums();
         let means = if both { of_means.abs() } else { of_means };
         means + deviations * (square.sqrt() / 2.0)
     };
-    let few = match look {
-        Look::First => few(FIRST_DEVIATIONS),
-        Look::Again => few(DEVIATIONS),
-        Look::Closely => 0.0,
+    let value: f64 = match threshold {
+        Threshold::FirstPass => beyond_noise(FIRST_DEVIATIONS),
+        Threshold::LaterPass => beyond_noise(DEVIATIONS),
+        Threshold::Lambda => 0.0,
     };
-    Wanted::Beyond {
-        value: few.max(settings.regularization * (1.0 - LOOK_AHEAD)),
+    ScoreFilter::Beyond {
+        value: value.max(settings.regularization * (1.0 - LOOK_AHEAD)),
         both,
     }
 }
 
-/// Exact correlations of the pixels that matter.
+/// The exact correlations of candidate pixels.
 #[derive(Default)]
 pub struct Pricing {
     places: Vec<u32>,
-    /// Those that scores point at beside the working set, then this.
+    /// The pixels outside the working set that scores point at, then the working set.
     candidates: Vec<u32>,
     correlations: Vec<f64>,
-    /// How many of the candidates are the working set.
-    known: usize,
+    /// Number of candidates that form the working set.
+    set_size: usize,
 }
 
-/// What a pass found.
-pub struct Found {
-    /// Whether that is all there is to know: else scores have to be looked at closely.
-    pub enough: bool,
+/// What pricing says about the optimality of a row.
+pub struct Outcome {
+    /// Whether the bound is tight or a violation is clear. If not, a pass with `Threshold::Lambda` must
+    /// decide.
+    pub conclusive: bool,
     /// No correlation of any pixel exceeds this.
-    pub largest: f64,
-    /// The largest correlation known exactly.
+    pub bound: f64,
+    /// The largest correlation that was computed exactly.
     pub exact: f64,
 }
 
 impl Pricing {
-    /// Looks at the working set `pixels` and at about `new` others.
+    /// Correlates the working set `pixels` and about `new` other pixels exactly.
     pub fn run(
         &mut self,
         dictionary: &Dictionary,
@@ -76,21 +86,21 @@ impl Pricing {
         dual: &[f64],
         pixels: &[u32],
         new: usize,
-    ) -> Found {
+    ) -> Outcome {
         let lambda = settings.regularization;
         let (level, both) = (dictionary.level, !settings.nonnegative);
         let mut most = new + pixels.len();
-        self.known = pixels.len();
+        self.set_size = pixels.len();
         loop {
             let (bound, all) = scores.collect_largest(level, most, &mut self.places);
             let exact = self.correlate(dictionary, dual, pixels, both);
-            // Correlations that were not collected do not exceed the bound. Where rounding hides
-            // which is the largest and little is violated, look at more pixels exactly.
-            let enough = bound <= exact.max(lambda) || exact > (1.0 + CLEARLY) * lambda;
-            if enough || all {
-                return Found {
-                    enough,
-                    largest: exact.max(bound),
+            // Correlations that were not collected do not exceed the bound. If rounding hides which
+            // one is the largest and no violation is clear, correlate more pixels exactly.
+            let conclusive = bound <= exact.max(lambda) || exact > (1.0 + CLEAR_VIOLATION) * lambda;
+            if conclusive || all {
+                return Outcome {
+                    conclusive,
+                    bound: exact.max(bound),
                     exact,
                 };
             }
@@ -98,14 +108,14 @@ impl Pricing {
         }
     }
 
-    /// Correlations of the working set, in its order.
-    pub fn known(&self) -> &[f64] {
-        &self.correlations[self.candidates.len() - self.known..]
+    /// The correlations of the working set, in its order.
+    pub fn working_set(&self) -> &[f64] {
+        &self.correlations[self.candidates.len() - self.set_size..]
     }
 
-    /// Pixels outside the working set that violate their condition, or nearly, with correlations.
+    /// Pixels outside the working set that violate their condition, or nearly do, and their correlations.
     pub fn violators(&self, lambda: f64) -> impl Iterator<Item = (u32, f64)> + '_ {
-        let others = &self.candidates[..self.candidates.len() - self.known];
+        let others = &self.candidates[..self.candidates.len() - self.set_size];
         others
             .iter()
             .zip(&self.correlations)
@@ -113,7 +123,7 @@ impl Pricing {
             .filter(move |(_, correlation)| correlation.abs() > lambda * (1.0 - LOOK_AHEAD))
     }
 
-    /// Correlates what was collected and the working set; returns the largest.
+    /// Correlates the collected pixels and the working set; returns the largest correlation.
     fn correlate(
         &mut self,
         dictionary: &Dictionary,
@@ -122,7 +132,7 @@ impl Pricing {
         both: bool,
     ) -> f64 {
         self.candidates.clear();
-        // Most of what was collected is told from the working set by its last bits.
+        // A bit set of the pixels' lowest 12 bits rules most collected pixels out of the working set.
         let mut last = [0u64; 64];
         for pixel in pixels {
             last[(pixel / 64 % 64) as usize] |= 1 << (pixel % 64);

@@ -1,8 +1,8 @@
-//! The problem restricted to a few pixels: Newton steps on the clip state.
+//! The problem restricted to the working set, solved by Newton steps.
 //!
-//! While no sample changes between clipped-above and not, the restricted problem is a quadratic
-//! (`model`), which coordinate descent solves, or exchanges of pixels where that is slow. A line
-//! search guards the step where the clip state changes.
+//! The clip state of a one-sided sample says whether it counts: it does while the prediction lies below
+//! it. While no clip state changes, the restricted problem is a quadratic (`model`), which `descent`
+//! minimises. A line search makes sure that the objective falls even if a step changes clip states.
 
 use super::descent::Descent;
 use super::model::Model;
@@ -12,22 +12,22 @@ use crate::problem::{Dictionary, Settings};
 use crate::simd::Level;
 use crate::vector::{add_scaled, curvature, dot, residual, DataTerm};
 
-/// Steps between which the clip state may change.
+/// Limit of Newton steps. The row's next pass continues where they stop. Chosen by hand.
 const NEWTON_STEPS: usize = 12;
-/// A step is solved to this share of the violation it starts from.
+/// A step is solved until its violation is this share of the violation before. Clip states change
+/// anyway, so a more accurate step would be wasted. Chosen by hand.
 const STEP_SHARE: f64 = 0.1;
-
-/// Steps that leave more than this share of the violation call for exact solution.
-const CRAWLING: f64 = 0.9;
+/// If a step leaves more than this share of the violation, the next one uses the exact method.
+const SLOW_PROGRESS: f64 = 0.9;
 
 /// How a Newton step ended.
 #[derive(PartialEq)]
 enum Step {
-    /// The conditions hold as accurately as they should.
+    /// The optimality conditions hold within the required accuracy.
     Solved,
-    /// It led nowhere.
+    /// The objective did not fall.
     Stuck,
-    /// Another one may be needed.
+    /// Another step may be needed.
     Open,
 }
 
@@ -39,9 +39,9 @@ pub struct Restricted {
     /// a_j . theta
     gradient: Vec<f64>,
     direction: Vec<f64>,
-    /// Pixels that move, and how far.
+    /// The pixels that move, and how far.
     moves: Vec<(u32, f64)>,
-    /// Whether b = 0 held the last step of the row.
+    /// Whether the constraint b = 0 was active in the last step.
     pub held: bool,
 }
 
@@ -58,7 +58,7 @@ impl Restricted {
         }
     }
 
-    /// Turns to a row: its data, and how its last solve ended.
+    /// Loads a row's data, and `held` of its last restricted solve.
     pub fn load(&mut self, data: &DataTerm, held: bool) {
         self.held = held;
         self.model.load_row(data);
@@ -72,7 +72,7 @@ impl Restricted {
 
     /// Improves `point` until every pixel's optimality condition holds within `accuracy` lambda.
     ///
-    /// `known` may hold the weighted residual at `point` and its correlations.
+    /// `known` may hold the weighted residual at `point` and the columns' correlations with it.
     pub fn solve(
         &mut self,
         dictionary: &Dictionary,
@@ -110,8 +110,8 @@ impl Restricted {
             if violation <= accuracy * settings.regularization {
                 return;
             }
-            // Coordinate descent may crawl where columns nearly depend on each other.
-            self.descent.exactly = !self.descent.settled && violation > CRAWLING * before;
+            // Coordinate descent is slow where columns are nearly dependent.
+            self.descent.exactly = !self.descent.settled && violation > SLOW_PROGRESS * before;
             before = violation;
             if self.step(dictionary, settings, data, point, accuracy) != Step::Open {
                 return;
@@ -119,7 +119,7 @@ impl Restricted {
         }
     }
 
-    /// How far the optimality conditions of the pixels are from holding.
+    /// The largest violation of a pixel's optimality condition.
     fn violation(&self, settings: &Settings, point: &Point) -> f64 {
         let lambda = settings.regularization;
         let mut most: f64 = 0.0;
@@ -156,10 +156,9 @@ impl Restricted {
             && along_means > 0.0
             && (!settings.nonnegative || point.background > 0.0 || excess > 0.0);
         self.model.couple(dictionary, &point.pixels, centred);
-        // A step that the clip state will make inexact anyway need not be solved well.
-        let wanted = accuracy * settings.regularization;
-        let accuracy = wanted.max(STEP_SHARE * self.violation(settings, point));
-        // Every step is one of descent on the model, so the line search always finds progress.
+        let required = accuracy * settings.regularization;
+        let accuracy = required.max(STEP_SHARE * self.violation(settings, point));
+        // Every step descends on the model, so the line search always lowers the objective.
         let b = point.background;
         let (mut rise, mut limit) = (0.0, 1.0);
         let mut free = centred && (b > 0.0 || !self.held);
@@ -176,7 +175,7 @@ impl Restricted {
             }
         }
         if !free {
-            // b stays at 0 while x moves; if m' theta then calls for more, b follows.
+            // b stays at 0 while x moves. If m' theta is positive then, the next step frees b.
             rise = 0.0;
             limit = 1.0;
             self.descend(dictionary, settings, point, 0.0, 0.0, accuracy);
@@ -189,8 +188,8 @@ impl Restricted {
         if t <= 0.0 {
             return Step::Stuck;
         }
-        // After a whole step within one clip state the model was the truth.
-        if t == 1.0 && accuracy == wanted && self.descent.settled {
+        // If a full step changed no clip state, the model was exact and the step solved the problem.
+        if t == 1.0 && accuracy == required && self.descent.settled {
             let (u, d) = (&point.prediction, &mut self.direction);
             curvature(level, &data.y, &data.weights, &data.lower, u, d);
             if self.model.has_curvature(d) {
@@ -200,8 +199,8 @@ impl Restricted {
         Step::Open
     }
 
-    /// Finds the model's minimum, with the background eliminated (`per_mean` = 1 / m' D m) or held
-    /// (0).
+    /// Minimises the model, with the background eliminated (`per_mean` = 1 / m' D m) or held fixed
+    /// (`per_mean` = 0).
     fn descend(
         &mut self,
         dictionary: &Dictionary,
@@ -224,8 +223,8 @@ impl Restricted {
         );
     }
 
-    /// Pixels that lie beyond the clip level of all their samples see no curvature, only lambda:
-    /// each goes down by itself to its minimum; false if there was none.
+    /// Lowers pixels that are so bright that all their samples are beyond the clip level. The model has
+    /// no curvature along them, so each gets a line search of its own. Returns whether there were any.
     fn lower_flat(
         &mut self,
         dictionary: &Dictionary,
@@ -250,13 +249,13 @@ impl Restricted {
         !self.descent.flat.is_empty()
     }
 
-    /// What the change from `point.x` to `target` does to m' theta, in the model.
+    /// How much the change from `point.x` to `target` lowers m' theta, in the model.
     fn coupled_change(&self, point: &Point) -> f64 {
         let changes = self.target().iter().zip(&point.x).zip(&self.model.coupling);
         changes.map(|((target, x), c)| c * (target - x)).sum()
     }
 
-    /// Goes towards `target` as far as the objective falls; returns the share of the way.
+    /// Moves towards `target` while the objective falls; returns the share of the way.
     fn advance(
         &mut self,
         dictionary: &Dictionary,

@@ -1,34 +1,47 @@
-//! One row, from its samples to its certificate.
+//! The solution of one row, from its samples to its certificate.
 
 use super::certificate::{dual_value, orthogonal_to_means};
 use super::point::Point;
-use super::pricing::{self, Look, Pricing};
+use super::pricing::{self, Pricing, Threshold};
 use super::restricted::Restricted;
-use crate::correlate::{Scores, Wanted};
+use crate::correlate::{ScoreFilter, Scores};
 use crate::problem::{Dictionary, Fidelity, Rows, Settings, Solution, Values};
 use crate::vector::{dot, free_energy, invert, one_sided, residual, signed_sums, DataTerm};
 
-/// New pixels taken in after the first pass, and after each later one.
+// The constants below trade passes over all pixels for time in the restricted solve. They do not
+// affect what a row converges to, only how fast. They were chosen by hand for speed; measure it with
+// `python -m benchmarks`.
+
+/// Number of pixels that join the working set after the first pass, and after each later pass.
 const NEW_PIXELS: [usize; 2] = [8, 16];
-/// The same where a pass reads its patterns from memory: it takes longer than a row of many pixels.
+/// The same numbers where a pass reads its patterns from memory: there a pass costs more than solving
+/// a row on many pixels.
 const MANY_NEW_PIXELS: [usize; 2] = [64, 128];
-/// The restricted solve goes to this share of the violation that was found outside,
+/// The restricted solve stops when its own violation falls below this share of the largest violation
+/// that the pass found outside the working set.
 const INNER_SHARE: f64 = 0.25;
-/// and no rougher than this share of lambda.
-const ROUGH: f64 = 1.0;
-/// On up to so many pixels being exact is cheaper than another pass: there violations below this
-/// share of lambda are taken for the last ones, and the restricted solve is as fine as can be.
-const FEW: usize = 12;
-const NEARLY: f64 = 1.0;
-/// On more pixels violations are taken for the last ones below this.
-const VERY_NEARLY: f64 = 0.03;
-/// But no finer than this share of the tolerance, until the gap asks for it.
+/// The restricted solve always reaches this violation, in units of lambda.
+const COARSEST: f64 = 1.0;
+/// On a working set of up to this many pixels a precise restricted solve costs less than another pass.
+const SMALL_SET: usize = 12;
+/// On a small working set, the restricted solve is precise once no violation outside exceeds this, in
+/// units of lambda.
+const PRECISE_BELOW_SMALL: f64 = 1.0;
+/// On a larger working set, it is precise once no violation outside exceeds this, in units of lambda.
+const PRECISE_BELOW: f64 = 0.03;
+/// A precise solve goes to this share of the tolerance at first. It goes further only where accuracy
+/// within the working set keeps the gap open.
 const FINEST_SHARE: f64 = 0.2;
-/// A dual point this share of lambda off the residual's slope along the means counts as the residual.
+/// Factor by which the precise accuracy then shrinks after each pass.
+const REFINEMENT: f64 = 0.3;
+/// The dual point counts as equal to the residual if m' theta was off by less than this, in units of
+/// lambda.
 const NEGLIGIBLE: f64 = 1e-9;
-/// Predictions follow the steps of x, whose rounding adds up, and are made afresh after so many passes.
-const AFRESH: u32 = 8;
-/// The gap is relative to at least this share of ||y||^2 / 2.
+/// The prediction u is updated by steps whose rounding errors add up. It is computed afresh after this
+/// many passes.
+const REFRESH_PASSES: u32 = 8;
+/// The gap is relative to the objective, but at least to this share of ||y||^2 / 2, so that rows
+/// without light can converge.
 const FLOOR_SHARE: f64 = 1e-6;
 
 pub enum Next {
@@ -37,34 +50,34 @@ pub enum Next {
     Done,
 }
 
-/// What a row is solved on, and how.
+/// The patterns and settings that a row is solved with.
 #[derive(Clone, Copy)]
 pub struct Problem<'a> {
     pub dictionary: &'a Dictionary,
     pub settings: &'a Settings,
 }
 
-/// Solves one row after the other, each of a problem of its own if need be, in the same memory.
+/// Solves one row after the other in the same memory. Each row may have a problem of its own.
 pub struct RowSolver {
     data: DataTerm,
     /// ||y||^2 / 2
     energy: f64,
-    /// Energy of the means over two-sided samples.
+    /// Sum of the squared means over the two-sided samples.
     free_energy: f64,
     point: Point,
-    /// Whether b = 0 held the last step of the restricted solve.
+    /// Whether the constraint b = 0 was active at the end of the last restricted solve.
     held: bool,
     dual: Vec<f64>,
-    wanted: Wanted,
+    filter: ScoreFilter,
     passes: u32,
     objective: f64,
     dual_value: f64,
-    /// Finest accuracy of the restricted solve so far.
+    /// Accuracy of a precise restricted solve, in units of lambda.
     finest: f64,
     pricing: Pricing,
-    /// Correlations of the point's pixels.
+    /// Correlations of the working set's columns with `dual`.
     gradient: Vec<f64>,
-    /// Whether `dual` is the residual, but for rounding.
+    /// Whether `dual` equals the residual up to rounding.
     dual_is_residual: bool,
 }
 
@@ -77,7 +90,7 @@ impl RowSolver {
             point: Point::default(),
             held: false,
             dual: Vec::new(),
-            wanted: Wanted::All,
+            filter: ScoreFilter::All,
             passes: 0,
             objective: 0.0,
             dual_value: f64::NEG_INFINITY,
@@ -88,17 +101,17 @@ impl RowSolver {
         }
     }
 
-    /// The scores that the next pass is to give.
-    pub fn wanted(&self) -> Wanted {
-        self.wanted
+    /// Which scores the next pass must return.
+    pub fn filter(&self) -> ScoreFilter {
+        self.filter
     }
 
-    /// The dual point that the next pass correlates.
+    /// The dual point, which the next pass correlates with all columns.
     pub fn dual(&self) -> &[f64] {
         &self.dual
     }
 
-    /// The solution as it stands.
+    /// The current solution.
     pub fn solution(&self, problem: Problem) -> Solution {
         let mut support: Vec<(u32, f64)> = self.point.support().collect();
         support.sort_unstable_by_key(|&(pixel, _)| pixel);
@@ -107,7 +120,7 @@ impl RowSolver {
             .map(|&(_, x)| x)
             .chain([self.point.background]);
         if !numbers.all(f64::is_finite) {
-            // Samples and weights so large that squares of them overflow: nothing was found.
+            // Squares of very large samples or weights overflow: return a row without light.
             return Solution {
                 objective: self.energy,
                 gap: f64::INFINITY,
@@ -127,7 +140,7 @@ impl RowSolver {
         }
     }
 
-    /// Starts on a row, from the given start or from nothing.
+    /// Begins a row, from `rows.start` or from zero.
     pub fn begin(
         &mut self,
         problem: Problem,
@@ -150,13 +163,13 @@ impl RowSolver {
         }
         self.update_prediction(problem);
         if self.point.pixels.is_empty() {
-            return self.prepare_pass(problem, Look::First);
+            return self.prepare_pass(problem, Threshold::FirstPass);
         }
         self.solve_restricted(problem, restricted, self.finest, false);
-        self.prepare_pass(problem, Look::Closely)
+        self.prepare_pass(problem, Threshold::Lambda)
     }
 
-    /// Goes on with the scores of `dual`.
+    /// Continues the row with the scores of `dual`.
     pub fn after_pass(
         &mut self,
         problem: Problem,
@@ -174,7 +187,7 @@ impl RowSolver {
             NEW_PIXELS
         };
         let new = if self.passes == 1 { first } else { later };
-        let found = self.pricing.run(
+        let outcome = self.pricing.run(
             dictionary,
             settings,
             scores,
@@ -182,35 +195,41 @@ impl RowSolver {
             &self.point.pixels,
             new,
         );
-        self.certify(problem, found.largest);
+        self.certify(problem, outcome.bound);
         if self.gap() <= settings.tolerance || self.passes >= settings.max_passes {
             return Next::Done;
         }
-        if !found.enough {
-            self.want(problem, Look::Closely);
+        if !outcome.conclusive {
+            self.set_filter(problem, Threshold::Lambda);
             return Next::Pass;
         }
         let before = self.point.pixels.len();
         self.gradient.clear();
-        self.gradient.extend_from_slice(self.pricing.known());
+        self.gradient.extend_from_slice(self.pricing.working_set());
         let lambda = settings.regularization;
         for (pixel, correlation) in self.pricing.violators(lambda) {
             self.point.push(pixel, 0.0);
             self.gradient.push(correlation);
         }
-        let violation = (found.exact / lambda - 1.0).max(0.0);
+        let violation = (outcome.exact / lambda - 1.0).max(0.0);
         if violation < settings.tolerance {
-            // Few pixels are left to find: what keeps the gap open is the accuracy within.
-            self.finest *= 0.3;
+            // Hardly any pixel is missing, so it is accuracy within the working set that keeps the
+            // gap open.
+            self.finest *= REFINEMENT;
         }
-        let last = if before <= FEW { NEARLY } else { VERY_NEARLY };
-        let (accuracy, look) = if violation < last {
-            (self.finest, Look::Closely)
+        let precise_below = if before <= SMALL_SET {
+            PRECISE_BELOW_SMALL
         } else {
-            (ROUGH.min(INNER_SHARE * violation), Look::Again)
+            PRECISE_BELOW
+        };
+        let (accuracy, threshold) = if violation < precise_below {
+            (self.finest, Threshold::Lambda)
+        } else {
+            let accuracy = COARSEST.min(INNER_SHARE * violation);
+            (accuracy, Threshold::LaterPass)
         };
         self.solve_restricted(problem, restricted, accuracy, self.dual_is_residual);
-        self.prepare_pass(problem, look)
+        self.prepare_pass(problem, threshold)
     }
 
     fn gap(&self) -> f64 {
@@ -292,13 +311,13 @@ impl RowSolver {
         );
         self.held = restricted.held;
         self.point.prune();
-        if self.passes.is_multiple_of(AFRESH) {
+        if self.passes.is_multiple_of(REFRESH_PASSES) {
             self.update_prediction(problem);
         }
     }
 
-    /// Makes the dual point of the current residual; done at once if it is sure to be feasible.
-    fn prepare_pass(&mut self, problem: Problem, look: Look) -> Next {
+    /// Computes the dual point from the residual. No pass is needed where the row is certainly dark.
+    fn prepare_pass(&mut self, problem: Problem, threshold: Threshold) -> Next {
         let Problem {
             dictionary,
             settings,
@@ -323,8 +342,8 @@ impl RowSolver {
             &mut self.dual,
         );
         self.dual_is_residual = moved <= NEGLIGIBLE * settings.regularization;
-        // No correlation with values in [0, 1] exceeds the sum of the positive residuals: what rules
-        // dark rows out. Of pixels that hold light it is about lambda.
+        // Pattern values lie in [0, 1], so no correlation exceeds the sum of the positive residuals.
+        // That alone certifies dark rows. In lit rows correlations are about lambda, so do not try.
         if self.point.pixels.is_empty() {
             let (low, high) = signed_sums(level, &self.dual);
             let most = if settings.nonnegative {
@@ -339,22 +358,22 @@ impl RowSolver {
                 }
             }
         }
-        self.want(problem, look);
+        self.set_filter(problem, threshold);
         Next::Pass
     }
 
-    fn want(&mut self, problem: Problem, look: Look) {
+    fn set_filter(&mut self, problem: Problem, threshold: Threshold) {
         let Problem {
             dictionary,
             settings,
         } = problem;
-        let look = if dictionary.correlator.is_lookup() {
-            look
+        let threshold = if dictionary.correlator.is_lookup() {
+            threshold
         } else {
-            Look::Closely
+            Threshold::Lambda
         };
         let (level, dual) = (dictionary.level, &self.dual);
-        self.wanted = pricing::wanted(settings, look, || {
+        self.filter = pricing::filter(settings, threshold, || {
             let of_means = dot(level, dual, &dictionary.means);
             (of_means, dot(level, dual, dual))
         });

@@ -1,60 +1,64 @@
-//! What a row's samples probably are, by what its neighbours' rows would give in its place.
+//! Predicts the samples of a row from its neighbours' rows.
 //!
-//! A neighbour's footprint, moved along with it and scaled, is a guess at the row's own. How well
-//! it explains the samples that are known says how much it counts; how far the guesses lie apart
-//! says how little is known.
+//! A neighbour's footprint, moved back and scaled, is a guess at the row's own. A guess has more weight the
+//! better it explains the row's known samples. The mean of the guesses is the expected sample, their
+//! variance its uncertainty.
 
-use super::around::{self, moved_back};
+use super::camera_window::{self, moved_back};
 use crate::problem::{Dictionary, Rows, Sparse};
 use crate::simd::{multiversion, Level};
 use crate::vector::{fold, one_sided, padded, SUMS};
 use rayon::prelude::*;
 
-/// Rows that one thread takes on at a time.
+/// Rows that one thread handles at a time, enough to hide the cost of starting a task.
 const TASK: usize = 64;
-/// A neighbour's brightness may differ by this factor, and
+
+// The constants below were chosen by hand.
+
+/// A neighbour may be brighter or darker than the row by at most this factor.
 const BRIGHTEST: f64 = 2.0;
-/// is taken to be the row's own as if one more sample of the clip level said so.
-const LIKENESS: f64 = 1.0;
-/// Misfits below this share of the clip level, per sample, count alike.
+/// The prior that a neighbour is as bright as the row, with the weight of this many samples at the clip
+/// level.
+const EQUAL_BRIGHTNESS: f64 = 1.0;
+/// Standard error of a perfect guess, in shares of the clip level: better fits gain no more weight.
 const PRECISION: f64 = 0.01;
-/// So far, as a share of the brightest guess or of the clip level, guesses may miss what is known
-/// together without being doubted. (With 0.05 rows that clip lose help that they need.)
-const COMMON: f64 = 0.15;
+/// The mean guess may miss the known samples by this share of the brightest expected sample or of the clip
+/// level. A larger misfit raises the variance. With 0.05, clipping rows lose help that they need.
+const TOLERATED_MISFIT: f64 = 0.15;
+/// A neighbour's light may have moved to several places. Where samples are known they distinguish the
+/// places; where all samples clip, each place has the weight of its share to this power.
+const SHARE_POWER: f64 = 4.0;
 
-/// Of the places that a neighbour's light may have moved to, each is a guess. Samples tell them
-/// apart, and where all samples clip the shares of the places do, by this power.
-const PLACES: f64 = 4.0;
-
-/// The rows around, on their grids.
+/// All rows, and the grids of camera and projector.
 #[derive(Clone, Copy)]
 pub struct Neighbours<'a> {
     /// All rows.
     pub matrix: Sparse<'a, f32>,
     /// Rows, columns and channels of the camera.
     pub camera: [usize; 3],
-    /// Planes of atoms, one for each size, and rows and columns of the projector.
+    /// Planes of atoms, rows and columns of the projector.
     pub projector: [usize; 3],
     /// Half width of the camera window.
     pub reach: usize,
-    /// How far footprints move, in projector rows and columns, a camera row and a camera column
-    /// on: four numbers for each row.
-    pub movement: &'a [f32],
-    /// What the background of some rows, the first of which is `first`, gives under all patterns:
-    /// those shown, then the unseen ones.
+    /// The Jacobian of the correspondence, four numbers for each row: (projector row, projector column) by
+    /// (camera row, camera column), in pixels.
+    pub jacobian: &'a [f32],
+    /// The samples of the background of some rows, from row `first` on: under the patterns shown, then
+    /// under the unseen ones.
     pub background: &'a [f32],
     pub first: usize,
 }
 
-/// Expected samples of each row asked for, under all patterns, and their variances.
+/// The expected samples of some rows under all patterns, and their variances (infinite where no neighbour
+/// holds light).
 #[derive(Debug, Default, PartialEq)]
 pub struct Expected {
     pub values: Vec<f32>,
     pub variances: Vec<f32>,
 }
 
-/// Expected samples of the rows `asked` under the patterns `shown` and the `unseen` ones, with
-/// `rows` the samples that are known and `level` the clip level.
+/// Predicts the samples of the rows `selected` under the patterns `shown` and `unseen`. `rows` are their
+/// samples under the patterns shown, `level` is the clip level.
 ///
 /// # Panics
 /// If the lengths of the arrays do not match.
@@ -64,10 +68,10 @@ pub fn expected(
     neighbours: Neighbours,
     rows: Rows,
     level: f64,
-    asked: &[usize],
+    selected: &[usize],
 ) -> Expected {
     let all = shown.patterns + unseen.patterns;
-    assert_eq!(rows.count, asked.len());
+    assert_eq!(rows.count, selected.len());
     let mut result = Expected {
         values: vec![0.0; rows.count * all],
         variances: vec![f32::INFINITY; rows.count * all],
@@ -78,26 +82,26 @@ pub fn expected(
         || Guesses::new(shown.level, shown.patterns, unseen.patterns),
         |guesses, (i, (values, variances))| {
             guesses.load(rows, i);
-            guesses.gather(shown, unseen, neighbours, asked[i], level);
+            guesses.gather(shown, unseen, neighbours, selected[i], level);
             guesses.write(values, variances, level);
         },
     );
     result
 }
 
-/// One row's samples, and sums over its neighbours' guesses at them. Buffers of one thread.
+/// One row's samples and the sums over its neighbours' guesses: the buffers of one thread.
 struct Guesses {
     level: Level,
     /// Samples, padded, and their weights.
     y: Vec<f64>,
     weights: Vec<f64>,
-    /// Weights of the samples that do not clip, 0 for those that do.
+    /// The weights, but 0 for samples that clip.
     known: Vec<f64>,
     /// 0 for samples that clip, minus infinity for others.
     lower: Vec<f64>,
-    /// The power of places' shares.
-    unsure: f64,
-    /// A neighbour's guess, under the patterns shown and the unseen ones.
+    /// The power of the shares of places: `SHARE_POWER` times the share of clipped samples.
+    share_power: f64,
+    /// One guess, under the patterns shown and the unseen ones.
     shown: Vec<f64>,
     unseen: Vec<f64>,
     patterns: [usize; 2],
@@ -119,7 +123,7 @@ impl Guesses {
             weights: samples(1.0),
             known: samples(0.0),
             lower: samples(0.0),
-            unsure: 0.0,
+            share_power: 0.0,
             shown: vec![0.0; padded(shown)],
             unseen: vec![0.0; padded(unseen)],
             patterns: [shown, unseen],
@@ -138,7 +142,7 @@ impl Guesses {
         }
         let clipped = &rows.clipped[row * n..][..n];
         let count = clipped.iter().filter(|&&clipped| clipped).count();
-        self.unsure = PLACES * count as f64 / n.max(1) as f64;
+        self.share_power = SHARE_POWER * count as f64 / n.max(1) as f64;
         one_sided(self.level, clipped, &mut self.lower[..n]);
         self.known.copy_from_slice(&self.weights);
         for (known, clipped) in self.known.iter_mut().zip(clipped) {
@@ -149,7 +153,7 @@ impl Guesses {
         self.total = 0.0;
     }
 
-    /// Asks all neighbours of `row`.
+    /// Adds the guesses of all neighbours of `row`.
     fn gather(
         &mut self,
         shown: &Dictionary,
@@ -160,24 +164,24 @@ impl Guesses {
     ) {
         let Neighbours {
             camera,
-            movement,
+            jacobian,
             reach,
             ..
         } = neighbours;
-        for (other, places) in around::neighbours(camera, movement, row, reach) {
+        for (other, places) in camera_window::neighbours(camera, jacobian, row, reach) {
             if other == row {
                 continue;
             }
             for (moved, share) in places {
-                if self.ask(shown, unseen, neighbours, other, moved) {
-                    self.weigh(level, share);
+                if self.guess(shown, unseen, neighbours, other, moved) {
+                    self.add_weighted(level, share);
                 }
             }
         }
     }
 
-    /// What the row `other` would give, moved back by `moved`. False if that is nothing.
-    fn ask(
+    /// Computes the samples of the row `other`, moved back by `moved`. Returns false if it has no light.
+    fn guess(
         &mut self,
         shown: &Dictionary,
         unseen: &Dictionary,
@@ -209,16 +213,16 @@ impl Guesses {
         any
     }
 
-    /// Scales the guess to the samples that are known and adds it by how well it explains them,
-    /// and by the share of the place that it is for as far as samples clip.
-    fn weigh(&mut self, level: f64, share: f32) {
+    /// Scales the guess to the known samples and adds it to the sums. Its weight is the inverse square of
+    /// its misfit, times a power of the share of its place that grows with the share of clipped samples.
+    fn add_weighted(&mut self, level: f64, share: f32) {
         let (cpu, [n, _]) = (self.level, self.patterns);
-        let prior = LIKENESS * level * level;
+        let prior = EQUAL_BRIGHTNESS * level * level;
         let (product, square) = products(cpu, &self.known, &self.y, &self.shown);
         let scale = ((product + prior) / (square + prior)).clamp(1.0 / BRIGHTEST, BRIGHTEST);
         let misfit = misfit(cpu, &self.weights, &self.y, &self.lower, &self.shown, scale);
-        let off = misfit / (n as f64 * level * level) + PRECISION * PRECISION;
-        let weight = f64::from(share).powf(self.unsure) / (off * off);
+        let error = misfit / (n as f64 * level * level) + PRECISION * PRECISION;
+        let weight = f64::from(share).powf(self.share_power) / (error * error);
         let (shown, unseen) = self.sums.split_at_mut(n);
         let (shown_squares, unseen_squares) = self.squares.split_at_mut(n);
         add_guess(cpu, &self.shown, scale, weight, shown, shown_squares);
@@ -238,18 +242,18 @@ impl Guesses {
         }
     }
 
-    /// How far the mean guess misses the samples that are known, squared, beyond what is borne:
-    /// neighbours may agree and err together, as where all are moved by a pixel too many.
+    /// The squared misfit of the mean guess to the known samples, beyond the tolerated one. Neighbours may
+    /// agree and still be wrong, for instance if all are moved by a pixel too many.
     fn common_error(&self, level: f64) -> f64 {
-        let (mut misfit, mut whole) = (0.0, 0.0);
+        let (mut misfit, mut total) = (0.0, 0.0);
         for k in 0..self.patterns[0] {
             let off = self.y[k] - self.sums[k] / self.total;
             misfit += self.known[k] * off * off;
-            whole += self.known[k];
+            total += self.known[k];
         }
         let brightest = self.sums.iter().fold(0.0, |most, sum| sum.max(most)) / self.total;
-        let borne = (COMMON * brightest.max(level)).powi(2);
-        (misfit / whole.max(f64::MIN_POSITIVE) - borne).max(0.0)
+        let tolerated = (TOLERATED_MISFIT * brightest.max(level)).powi(2);
+        (misfit / total.max(f64::MIN_POSITIVE) - tolerated).max(0.0)
     }
 }
 

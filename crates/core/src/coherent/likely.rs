@@ -1,48 +1,52 @@
-//! Which projector pixels a camera pixel probably sees, from what its neighbours see.
+//! Predicts which atoms a row holds from its neighbours' rows.
 
-use super::around::{around, moved_back, neighbours};
+use super::camera_window::{around, moved_back, neighbours};
 use crate::problem::Sparse;
 use rayon::prelude::*;
 
-/// Rows that one thread takes on at a time.
+/// Rows that one thread handles at a time, enough to hide the cost of starting a task.
 const TASK: usize = 64;
 
-/// Where no neighbour holds light, twice as far is looked, again and again up to so many camera
-/// pixels: so light that was found in few rows reaches the others in few rounds.
+/// Where no neighbour holds light, the camera window is doubled until it reaches this many pixels, so that
+/// light that only few rows hold spreads to the others in few rounds. Chosen by hand.
 pub(super) const FURTHEST: usize = 16;
 
-/// The grids that rows and columns of the matrix lie on, and the windows.
+/// The grids of camera and projector, and the windows in which rows vote for atoms.
 #[derive(Clone, Copy)]
 pub struct Windows<'a> {
     /// Rows, columns and channels of the camera.
     pub camera: [usize; 3],
-    /// Planes of atoms, one for each size, and rows and columns of the projector.
+    /// Planes of atoms, rows and columns of the projector.
     pub projector: [usize; 3],
-    /// How far footprints move, in projector rows and columns, a camera row and a camera column
-    /// on: four numbers for each row.
-    pub movement: &'a [f32],
-    /// One side of each plane's kernel over its middle. Single pixels, which are the first plane,
-    /// become likely within the spots of the others:
+    /// The Jacobian of the correspondence, four numbers for each row: (projector row, projector column) by
+    /// (camera row, camera column), in pixels.
+    pub jacobian: &'a [f32],
+    /// One side of each plane's kernel, divided by its middle. A spot also votes for the single pixels
+    /// (the first plane) within it.
     pub spots: &'a [&'a [f32]],
-    /// by this share.
+    /// The weight of these votes.
     pub within: f32,
-    /// At the same place the next wider spot becomes likely by this share, one for each plane.
+    /// The weight of a spot's vote for the next wider spot at its place, one for each plane.
     pub wider: &'a [f32],
-    /// How far single pixels are believed in, in [0, 1], for each row.
+    /// The factor of the votes for single pixels, in [0, 1], one for each row.
     pub singles: &'a [f32],
     /// Half widths of the box windows, in camera and projector pixels.
     pub camera_reach: usize,
     pub projector_reach: usize,
-    /// Pixels kept of each row.
+    /// Number of atoms to keep for a row.
     pub most: usize,
 }
 
-/// For each of the rows `asked` the strongest atoms, ascending, of the sum of its neighbours' rows
-/// (itself among them), each moved back, over its own maximum and blurred by the projector window;
-/// and the sums, relative to the strongest.
-pub fn likely(matrix: Sparse<f32>, windows: Windows, asked: &[usize]) -> Vec<(Vec<i32>, Vec<f32>)> {
+/// For each of the rows `selected`, the atoms with the most votes, ascending, and their votes relative to
+/// the most. Each neighbour (and the row itself) votes by its coefficients, divided by its maximum, moved
+/// back, and blurred by the projector window.
+pub fn likely(
+    matrix: Sparse<f32>,
+    windows: Windows,
+    selected: &[usize],
+) -> Vec<(Vec<i32>, Vec<f32>)> {
     let pixels = windows.projector.iter().product();
-    asked
+    selected
         .par_iter()
         .with_min_len(TASK)
         .map_init(
@@ -57,8 +61,8 @@ pub fn likely(matrix: Sparse<f32>, windows: Windows, asked: &[usize]) -> Vec<(Ve
                     reach *= 2;
                     sums.add_neighbours(matrix, windows, row, reach);
                 }
-                sums.believe(windows, windows.singles[row]);
-                sums.take(windows.most)
+                sums.scale_single_pixels(windows, windows.singles[row]);
+                sums.strongest(windows.most)
             },
         )
         .collect()
@@ -71,16 +75,16 @@ pub struct Penalties {
     pub values: Vec<f32>,
 }
 
-/// Rows of likely atoms with shares s, joined; s becomes the penalty 2 e / (e + s), with one e of
-/// `doubts` for each row.
+/// Joins rows of likely atoms to a CSR matrix. The share s of an atom becomes its penalty 2 e / (e + s),
+/// where e is the row's entry of `doubts`: the larger e, the more alike are the penalties.
 pub fn penalties(rows: &[(Vec<i32>, Vec<f32>)], doubts: &[f64]) -> Penalties {
     assert_eq!(rows.len(), doubts.len());
     let mut indptr = vec![0];
     for (atoms, _) in rows {
         indptr.push(indptr[indptr.len() - 1] + atoms.len() as i64);
     }
-    let whole = indptr[rows.len()] as usize;
-    let (mut atoms, mut values) = (vec![0; whole], vec![0.0; whole]);
+    let count = indptr[rows.len()] as usize;
+    let (mut atoms, mut values) = (vec![0; count], vec![0.0; count]);
     let mut places = Vec::with_capacity(rows.len());
     let (mut rest_atoms, mut rest_values) = (&mut atoms[..], &mut values[..]);
     for (atoms, _) in rows {
@@ -95,8 +99,8 @@ pub fn penalties(rows: &[(Vec<i32>, Vec<f32>)], doubts: &[f64]) -> Penalties {
     }
     let each = places.into_par_iter().zip(rows).zip(doubts);
     each.with_min_len(TASK)
-        .for_each(|(((atoms, values), (found, shares)), doubt)| {
-            atoms.copy_from_slice(found);
+        .for_each(|(((atoms, values), (row_atoms, shares)), doubt)| {
+            atoms.copy_from_slice(row_atoms);
             for (value, share) in values.iter_mut().zip(shares) {
                 *value = (2.0 * doubt / (doubt + f64::from(*share))) as f32;
             }
@@ -108,7 +112,7 @@ pub fn penalties(rows: &[(Vec<i32>, Vec<f32>)], doubts: &[f64]) -> Penalties {
     }
 }
 
-/// A dense row, and which of its pixels differ from zero.
+/// The votes for all atoms, and the list of those with votes.
 struct Sums {
     values: Vec<f32>,
     touched: Vec<i32>,
@@ -116,7 +120,7 @@ struct Sums {
 
 impl Sums {
     fn add_neighbours(&mut self, matrix: Sparse<f32>, windows: Windows, row: usize, reach: usize) {
-        for (other, places) in neighbours(windows.camera, windows.movement, row, reach) {
+        for (other, places) in neighbours(windows.camera, windows.jacobian, row, reach) {
             let (pixels, values) = matrix.row(other);
             let most = values.iter().fold(0f32, |most, &v| most.max(v));
             for (moved, share) in places {
@@ -145,7 +149,7 @@ impl Sums {
         }
     }
 
-    /// A spot makes the single pixels within it a little likely: its shape may be another.
+    /// Votes for the single pixels within a spot, whose true shape may differ.
     fn add_within(&mut self, windows: Windows, atom: usize, value: f32) {
         let [_, rows, cols] = windows.projector;
         let (plane, pixel) = (atom / (rows * cols), atom % (rows * cols));
@@ -165,7 +169,7 @@ impl Sums {
         }
     }
 
-    /// Several spots may be one that is wider: where it is not, the samples object.
+    /// Votes for the next wider spot, which may replace several spots. The samples reject a wrong one.
     fn add_wider(&mut self, windows: Windows, atom: usize, value: f32) {
         let [planes, rows, cols] = windows.projector;
         let plane = atom / (rows * cols);
@@ -174,8 +178,8 @@ impl Sums {
         }
     }
 
-    /// Scale the sums of single pixels.
-    fn believe(&mut self, windows: Windows, share: f32) {
+    /// Scales the votes for single pixels.
+    fn scale_single_pixels(&mut self, windows: Windows, share: f32) {
         let [_, rows, cols] = windows.projector;
         for &atom in &self.touched {
             if (atom as usize) < rows * cols {
@@ -191,8 +195,8 @@ impl Sums {
         self.values[atom] += value;
     }
 
-    /// The strongest pixels and their share of the strongest; all sums become zero.
-    fn take(&mut self, most: usize) -> (Vec<i32>, Vec<f32>) {
+    /// The atoms with the most votes and their share of the most; sets all votes to zero.
+    fn strongest(&mut self, most: usize) -> (Vec<i32>, Vec<f32>) {
         let sums = &mut self.values;
         let strongest = (self.touched.iter()).fold(0f32, |m, &j| m.max(sums[j as usize]));
         let mut kept = self.touched.clone();

@@ -49,23 +49,23 @@ fn settings() -> Settings {
     }
 }
 
-/// Slopes of the data term at the solution: a_j . theta for the pixels, then the further columns.
-fn slopes(packed: &[u8], further: &[f32], y: &[f64], found: &Weighted) -> Vec<f64> {
+/// Slopes of the data term at the solution: a_j . theta for the pixels, then the shared columns.
+fn slopes(packed: &[u8], shared_columns: &[f32], y: &[f64], solved: &Weighted) -> Vec<f64> {
     let theta: Vec<f64> = (0..PATTERNS)
         .map(|k| {
-            let pixels = found.row.pixels.iter().zip(&found.row.x);
+            let pixels = solved.row.pixels.iter().zip(&solved.row.x);
             let u: f64 = pixels.map(|(&j, x)| bit(packed, k, j as usize) * x).sum();
-            let shared = found.further.iter().enumerate();
+            let shared = solved.shared.iter().enumerate();
             let v: f64 = shared
-                .map(|(i, g)| f64::from(further[i * PATTERNS + k]) * g)
+                .map(|(i, g)| f64::from(shared_columns[i * PATTERNS + k]) * g)
                 .sum();
             y[k] - u - v
         })
         .collect();
     let dot = |value: &dyn Fn(usize) -> f64| (0..PATTERNS).map(|k| value(k) * theta[k]).sum();
     let pixels = (0..PIXELS).map(|j| dot(&|k| bit(packed, k, j)));
-    let shared =
-        (0..further.len() / PATTERNS).map(|i| dot(&|k| f64::from(further[i * PATTERNS + k])));
+    let shared = (0..shared_columns.len() / PATTERNS)
+        .map(|i| dot(&|k| f64::from(shared_columns[i * PATTERNS + k])));
     pixels.chain(shared).collect()
 }
 
@@ -75,11 +75,13 @@ fn every_pixel_meets_the_optimality_condition_of_its_own_penalty() {
     let packed: Vec<u8> = (0..PATTERNS * PIXELS / 8)
         .map(|_| random(&mut state) as u8)
         .collect();
-    let further: Vec<f32> = (0..2 * PATTERNS)
+    let shared_columns: Vec<f32> = (0..2 * PATTERNS)
         .map(|_| (random(&mut state) % 1000) as f32 / 1000.0)
         .collect();
     let y: Vec<f64> = (0..PATTERNS)
-        .map(|k| 0.7 * bit(&packed, k, 3) + 0.2 * bit(&packed, k, 9) + 0.1 * f64::from(further[k]))
+        .map(|k| {
+            0.7 * bit(&packed, k, 3) + 0.2 * bit(&packed, k, 9) + 0.1 * f64::from(shared_columns[k])
+        })
         .collect();
     let pixels: Vec<i32> = (0..PIXELS as i32).filter(|j| j % 2 == 1).collect();
     let penalties: Vec<f32> = pixels.iter().map(|&j| 0.1 + 0.2 * j as f32).collect();
@@ -87,7 +89,7 @@ fn every_pixel_meets_the_optimality_condition_of_its_own_penalty() {
     let lambda = settings().regularization;
     for level in Level::available() {
         let dictionary = dictionary(level, &packed);
-        let solve_from = |start: Option<Start>, further_start: Option<&[f32]>| {
+        let solve_from = |start: Option<Start>, shared_start: Option<&[f32]>| {
             let rows = Rows {
                 count: 1,
                 samples: Values::F64(&y),
@@ -101,16 +103,16 @@ fn every_pixel_meets_the_optimality_condition_of_its_own_penalty() {
                     indices: &pixels,
                     values: &penalties,
                 },
-                further: Further {
-                    columns: &further,
+                shared_columns: SharedColumns {
+                    columns: &shared_columns,
                     penalties: &shared,
-                    start: further_start,
+                    start: shared_start,
                 },
-                expected: None,
+                pseudo_samples: None,
                 background: None,
             };
             let (cancelled, finished) = (AtomicBool::new(false), AtomicUsize::new(0));
-            let found = solve(
+            let solved = solve(
                 &dictionary,
                 rows,
                 knowledge,
@@ -118,42 +120,42 @@ fn every_pixel_meets_the_optimality_condition_of_its_own_penalty() {
                 &cancelled,
                 &finished,
             );
-            found.expect("not cancelled").remove(0)
+            solved.expect("not cancelled").remove(0)
         };
-        let found = solve_from(None, None);
-        assert!(found.row.converged);
-        assert!(found.row.pixels.contains(&3) && found.row.pixels.contains(&9));
-        let slopes = slopes(&packed, &further, &y, &found);
+        let solved = solve_from(None, None);
+        assert!(solved.row.converged);
+        assert!(solved.row.pixels.contains(&3) && solved.row.pixels.contains(&9));
+        let slopes = slopes(&packed, &shared_columns, &y, &solved);
         for (&pixel, &penalty) in pixels.iter().zip(&penalties) {
             let excess = slopes[pixel as usize] / (lambda * f64::from(penalty)) - 1.0;
             assert!(excess < 1e-3);
-            if found.row.pixels.contains(&(pixel as u32)) {
+            if solved.row.pixels.contains(&(pixel as u32)) {
                 assert!(excess.abs() < 1e-3);
             }
         }
         for i in 0..2 {
             let excess = slopes[PIXELS + i] / (lambda * f64::from(shared[i])) - 1.0;
             assert!(excess < 1e-3);
-            if found.further[i] > 0.0 {
+            if solved.shared[i] > 0.0 {
                 assert!(excess.abs() < 1e-3);
             }
         }
-        // From its own solution nothing is left to do but to certify it.
-        let indices: Vec<i32> = found.row.pixels.iter().map(|&j| j as i32).collect();
-        let further_start: Vec<f32> = found.further.iter().map(|&g| g as f32).collect();
+        // Starting at the solution, the solver only needs to certify it.
+        let indices: Vec<i32> = solved.row.pixels.iter().map(|&j| j as i32).collect();
+        let shared_start: Vec<f32> = solved.shared.iter().map(|&g| g as f32).collect();
         let again = solve_from(
             Some(Start {
                 rows: Sparse {
                     indptr: &[0, indices.len() as i64],
                     indices: &indices,
-                    values: &found.row.x,
+                    values: &solved.row.x,
                 },
                 background: &[0.0],
             }),
-            Some(&further_start),
+            Some(&shared_start),
         );
-        assert!(again.row.converged && again.row.passes <= found.row.passes);
-        assert!((again.row.objective - found.row.objective).abs() < 1e-8);
+        assert!(again.row.converged && again.row.passes <= solved.row.passes);
+        assert!((again.row.objective - solved.row.objective).abs() < 1e-8);
     }
 }
 
@@ -172,7 +174,7 @@ fn likely_pixels_are_the_neighbours_rows_over_their_maximum_blurred() {
     let windows = |camera_reach, projector_reach, most| Windows {
         camera,
         projector,
-        movement: &still,
+        jacobian: &still,
         spots: &spots,
         within: 0.1,
         wider: &[2.0],
@@ -182,41 +184,41 @@ fn likely_pixels_are_the_neighbours_rows_over_their_maximum_blurred() {
         most,
     };
     // Row 3 has the neighbours 0, 1 and 4: pixel 0 once, pixel 7 by 1 and 1/4, pixel 13 once.
-    let found = likely(matrix, windows(1, 0, 9), &[3]);
-    assert_eq!(found, [(vec![0, 7, 13], vec![0.8, 1.0, 0.8])]);
+    let atoms = likely(matrix, windows(1, 0, 9), &[3]);
+    assert_eq!(atoms, [(vec![0, 7, 13], vec![0.8, 1.0, 0.8])]);
     assert_eq!(
         likely(matrix, windows(1, 0, 1), &[3]),
         [(vec![7], vec![1.0])]
     );
-    // Alone, row 0 is blurred into the corner of the projector.
-    let found = likely(matrix, windows(0, 1, 9), &[0]);
-    assert_eq!(found, [(vec![0, 1, 5, 6], vec![1.0; 4])]);
-    // A row nobody knows anything of.
+    // Without neighbours, row 0 is blurred into the corner of the projector.
+    let atoms = likely(matrix, windows(0, 1, 9), &[0]);
+    assert_eq!(atoms, [(vec![0, 1, 5, 6], vec![1.0; 4])]);
+    // A row without neighbours that hold light.
     assert_eq!(likely(matrix, windows(0, 2, 9), &[5]), [(vec![], vec![])]);
 }
 
 #[test]
-fn likely_atoms_of_little_doubt_cost_little() {
+fn the_penalty_of_an_atom_falls_with_its_share() {
     let rows = [
         (vec![3, 7], vec![1.0, 0.5]),
         (vec![], vec![]),
         (vec![2], vec![1.0]),
     ];
-    let found = penalties(&rows, &[0.5, 1.0, 3.0]);
-    assert_eq!(found.indptr, [0, 2, 2, 3]);
-    assert_eq!(found.atoms, [3, 7, 2]);
-    assert_eq!(found.values, [2.0 * 0.5 / 1.5, 1.0, 1.5]);
+    let rows = penalties(&rows, &[0.5, 1.0, 3.0]);
+    assert_eq!(rows.indptr, [0, 2, 2, 3]);
+    assert_eq!(rows.atoms, [3, 7, 2]);
+    assert_eq!(rows.values, [2.0 * 0.5 / 1.5, 1.0, 1.5]);
 }
 
 #[test]
 fn likely_atoms_are_moved_back_and_make_single_pixels_within_them_likely() {
-    // Two planes over a projector of 3 x 4; a camera of 1 x 2 whose footprints move one column on.
-    let movement = [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
+    // Two planes over a projector of 3 x 4, and a camera of 1 x 2 with footprints one column apart.
+    let jacobian = [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
     let spots: [&[f32]; 2] = [&[1.0], &[1.0, 0.5]];
     let windows = Windows {
         camera: [1, 2, 1],
         projector: [2, 3, 4],
-        movement: &movement,
+        jacobian: &jacobian,
         spots: &spots,
         within: 0.1,
         wider: &[0.5, 2.0],
@@ -225,24 +227,24 @@ fn likely_atoms_are_moved_back_and_make_single_pixels_within_them_likely() {
         projector_reach: 0,
         most: 99,
     };
-    // Row 1 holds the spot around pixel (1, 2), and light at (0, 0), which row 0 would see beyond
-    // the projector.
+    // Row 1 holds the spot around pixel (1, 2), and light at (0, 0), which lies beyond the projector
+    // after moving it back to row 0.
     let matrix = Sparse {
         indptr: &[0, 0, 2],
         indices: &[0, 12 + 6],
         values: &[1.0, 2.0],
     };
-    let found = likely(matrix, windows, &[0]).remove(0);
-    // Row 0 has the spot around (1, 1), and a tenth of it around its middle in single pixels.
-    assert_eq!(found.0, [0, 1, 2, 4, 5, 6, 8, 9, 10, 12 + 5]);
+    let atoms = likely(matrix, windows, &[0]).remove(0);
+    // Row 0 gets the spot around (1, 1), and a tenth of it as votes for the single pixels within.
+    assert_eq!(atoms.0, [0, 1, 2, 4, 5, 6, 8, 9, 10, 12 + 5]);
     let expected = [0.025, 0.05, 0.025, 0.05, 0.1, 0.05, 0.025, 0.05, 0.025, 1.0];
-    for (share, expected) in found.1.iter().zip(expected) {
+    for (share, expected) in atoms.1.iter().zip(expected) {
         assert!((share - expected).abs() < 1e-6);
     }
-    // In row 1 the pixel, half as bright as the spot, makes the spot in its place half as likely as
-    // itself, and is believed in by two fifths, as are the pixels within the spot.
-    let found = likely(matrix, windows, &[1]).remove(0);
-    let share = |atom| found.1[found.0.iter().position(|&other| other == atom).unwrap()];
+    // In row 1 the pixel, half as bright as the spot, votes with half its weight for the spot at its
+    // place. All votes for single pixels are scaled by two fifths.
+    let atoms = likely(matrix, windows, &[1]).remove(0);
+    let share = |atom| atoms.1[atoms.0.iter().position(|&other| other == atom).unwrap()];
     for (atom, expected) in [(0, 0.2), (6, 0.04), (12, 0.25), (12 + 6, 1.0)] {
         assert!((share(atom) - expected).abs() < 1e-6);
     }
@@ -250,13 +252,13 @@ fn likely_atoms_are_moved_back_and_make_single_pixels_within_them_likely() {
 
 #[test]
 fn light_that_moved_by_part_of_a_pixel_is_likely_in_both_places() {
-    // A camera of 1 x 2 and one column of the projector for each of the two ends of a part.
+    // A camera of 1 x 2 whose footprints are a part of a projector column apart.
     let likely_at = |part: f32| {
-        let movement = [0.0, 0.0, 0.0, part, 0.0, 0.0, 0.0, part];
+        let jacobian = [0.0, 0.0, 0.0, part, 0.0, 0.0, 0.0, part];
         let windows = Windows {
             camera: [1, 2, 1],
             projector: [1, 3, 4],
-            movement: &movement,
+            jacobian: &jacobian,
             spots: &[&[1.0]],
             within: 0.1,
             wider: &[0.5],
@@ -276,14 +278,14 @@ fn light_that_moved_by_part_of_a_pixel_is_likely_in_both_places() {
     let (atoms, shares) = likely_at(-0.3);
     assert_eq!((atoms, shares[0]), (vec![6, 7], 1.0));
     assert!((shares[1] - 1.0 / 3.0).abs() < 1e-6);
-    // Measured movement is never quite whole.
+    // Measured displacements are never quite whole.
     assert_eq!(likely_at(0.06), (vec![6], vec![1.0]));
     assert_eq!(likely_at(-1.06), (vec![7], vec![1.0]));
 }
 
 #[test]
-fn where_no_neighbour_holds_light_rows_further_away_are_asked() {
-    // A camera of 1 x 40, of which the first pixel alone holds light, two pixels' worth.
+fn where_no_neighbour_holds_light_the_window_grows() {
+    // A camera of 1 x 40 of which only the first pixel holds light, in two projector pixels.
     const ROWS: usize = 40;
     let mut indptr = [2i64; ROWS + 1];
     indptr[0] = 0;
@@ -296,7 +298,7 @@ fn where_no_neighbour_holds_light_rows_further_away_are_asked() {
     let windows = |camera_reach| Windows {
         camera: [1, ROWS, 1],
         projector: [1, 4, 5],
-        movement: &[0.0; 4 * ROWS],
+        jacobian: &[0.0; 4 * ROWS],
         spots: &spots,
         within: 0.1,
         wider: &[2.0],
@@ -305,16 +307,16 @@ fn where_no_neighbour_holds_light_rows_further_away_are_asked() {
         projector_reach: 0,
         most: 9,
     };
-    let found = likely(matrix, windows(2), &(0..ROWS).collect::<Vec<_>>());
-    for (row, found) in found.iter().enumerate() {
+    let rows = likely(matrix, windows(2), &(0..ROWS).collect::<Vec<_>>());
+    for (row, atoms) in rows.iter().enumerate() {
         let lit = (vec![3, 6], vec![0.25, 1.0]);
         let expected = if row <= FURTHEST {
             lit
         } else {
             (vec![], vec![])
         };
-        assert_eq!(*found, expected, "row {row}");
+        assert_eq!(*atoms, expected, "row {row}");
     }
-    // A window of one pixel stays one.
+    // A window of one pixel does not grow.
     assert_eq!(likely(matrix, windows(0), &[1]), [(vec![], vec![])]);
 }

@@ -1,10 +1,10 @@
-//! Rows solved on given pixels only, each pixel with a penalty of its own.
+//! Solves rows on candidate atoms only, each with a penalty of its own.
 //!
-//! A penalty of w lambda on x is a penalty of lambda on w x, whose column is a / w. So the
-//! active-set solver works on a dictionary of the row's own columns, and its certificate covers
-//! the weighted problem on these columns.
+//! A penalty w lambda x is a penalty lambda (w x), and the column of w x is a / w. So the active-set solver
+//! gets a dictionary of the row's own scaled columns, and its certificate holds for the weighted problem
+//! on these columns.
 
-use crate::active_set::Alone;
+use crate::active_set::SingleRowSolver;
 use crate::columns::{Columns, DenseColumns};
 use crate::correlate::Correlator;
 use crate::problem::{Dictionary, Rows, Settings, Solution, Sparse, Start, Values};
@@ -13,41 +13,41 @@ use crate::vector::{padded, summed};
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
-/// Rows that one thread takes on at a time.
+/// Rows that one thread solves at a time, enough to hide the cost of starting a task.
 const TASK: usize = 16;
 
-/// Columns that every row may use beside its pixels, such as the means over coarse cells.
+/// Columns that all rows may use besides their candidates, such as the means over coarse cells.
 #[derive(Clone, Copy)]
-pub struct Further<'a> {
-    /// One column after the other, a value in [0, 1] for each pattern: those shown, then the
-    /// unseen ones of the expectation.
+pub struct SharedColumns<'a> {
+    /// One column after the other, with a value in [0, 1] for each pattern: those shown, then the unseen
+    /// ones of the pseudo-samples.
     pub columns: &'a [f32],
     /// Penalties relative to lambda, > 0.
     pub penalties: &'a [f32],
-    /// Where to start, (rows, columns).
+    /// The starting point, (rows, columns).
     pub start: Option<&'a [f32]>,
 }
 
-/// What each row's samples are expected to be: further samples, each of its own weight. The first
-/// ones are of patterns that were shown (whose own samples clip, say), then come unseen ones.
+/// Expected samples as additional samples with weights: first under patterns that were shown (where the
+/// true samples clip, for example), then under unseen patterns.
 #[derive(Clone, Copy)]
-pub struct Expectation<'a> {
+pub struct PseudoSamples<'a> {
     pub unseen: &'a Dictionary,
     /// (rows, patterns shown and unseen).
     pub values: &'a [f32],
-    /// Of the same shape; 0 where nothing is expected.
+    /// The same shape; 0 omits a pseudo-sample.
     pub weights: &'a [f32],
 }
 
-/// What is known of the rows before they are solved.
+/// Prior knowledge of the rows.
 #[derive(Clone, Copy)]
 pub struct Knowledge<'a> {
-    /// Pixels that each row may use, ascending, and their penalties relative to lambda, > 0.
+    /// The atoms that each row may use, ascending, and their penalties relative to lambda, > 0.
     pub candidates: Sparse<'a, f32>,
-    pub further: Further<'a>,
-    pub expected: Option<Expectation<'a>>,
-    /// What a row's background gives under all patterns, (rows, patterns shown and unseen), in
-    /// place of the patterns' means.
+    pub shared_columns: SharedColumns<'a>,
+    pub pseudo_samples: Option<PseudoSamples<'a>>,
+    /// The samples of each row's background, (rows, patterns shown and unseen), in place of the patterns'
+    /// means.
     pub background: Option<&'a [f32]>,
 }
 
@@ -55,12 +55,12 @@ pub struct Knowledge<'a> {
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Weighted {
     pub row: Solution,
-    /// Coefficients of the further columns.
-    pub further: Vec<f64>,
+    /// Coefficients of the shared columns.
+    pub shared: Vec<f64>,
 }
 
-/// Solves every row on its candidates. Returns None if `cancelled` was set meanwhile; `finished`
-/// counts rows.
+/// Solves every row on its candidates. Returns None if `cancelled` is set meanwhile; `finished` counts
+/// solved rows.
 ///
 /// # Panics
 /// If the lengths of the arrays do not match.
@@ -74,22 +74,22 @@ pub fn solve(
 ) -> Option<Vec<Weighted>> {
     let Knowledge {
         candidates,
-        further,
-        expected,
+        shared_columns,
+        pseudo_samples,
         background,
     } = knowledge;
-    let shared = further.penalties.len();
-    let patterns = dictionary.patterns + expected.map_or(0, |e| e.unseen.patterns);
+    let shared = shared_columns.penalties.len();
+    let patterns = dictionary.patterns + pseudo_samples.map_or(0, |e| e.unseen.patterns);
     assert_eq!(candidates.indptr.len(), rows.count + 1);
     assert_eq!(candidates.indices.len(), candidates.values.len());
-    assert_eq!(further.columns.len(), shared * patterns);
-    if let Some(start) = further.start {
+    assert_eq!(shared_columns.columns.len(), shared * patterns);
+    if let Some(start) = shared_columns.start {
         assert_eq!(start.len(), rows.count * shared);
     }
-    if let Some(expected) = expected {
-        assert_eq!(expected.unseen.pixels, dictionary.pixels);
-        assert_eq!(expected.values.len(), rows.count * patterns);
-        assert_eq!(expected.weights.len(), rows.count * patterns);
+    if let Some(pseudo_samples) = pseudo_samples {
+        assert_eq!(pseudo_samples.unseen.pixels, dictionary.pixels);
+        assert_eq!(pseudo_samples.values.len(), rows.count * patterns);
+        assert_eq!(pseudo_samples.weights.len(), rows.count * patterns);
     }
     if let Some(background) = background {
         assert_eq!(background.len(), rows.count * patterns);
@@ -111,9 +111,9 @@ pub fn solve(
     (!cancelled.load(Ordering::Relaxed)).then_some(solutions)
 }
 
-/// Buffers of one thread.
+/// The buffers of one thread.
 struct Work {
-    solver: Alone,
+    solver: SingleRowSolver,
     values: Vec<f32>,
     penalties: Vec<f32>,
     places: Vec<i32>,
@@ -122,7 +122,7 @@ struct Work {
     weights: Vec<f64>,
     clipped: Vec<bool>,
     means: Vec<f64>,
-    /// Patterns of the expected samples: those shown, then the unseen ones.
+    /// The patterns of the row's pseudo-samples: those shown, then the unseen ones.
     added: Vec<usize>,
     /// A column's values under the unseen patterns.
     unseen: Vec<f32>,
@@ -131,7 +131,7 @@ struct Work {
 impl Work {
     fn new(level: Level) -> Self {
         Work {
-            solver: Alone::new(level),
+            solver: SingleRowSolver::new(level),
             values: Vec::new(),
             penalties: Vec::new(),
             places: Vec::new(),
@@ -155,20 +155,20 @@ impl Work {
     ) -> Weighted {
         let Knowledge {
             candidates,
-            further,
-            expected,
+            shared_columns,
+            pseudo_samples,
             background,
         } = knowledge;
         let (pixels, penalties) = candidates.row(row);
         self.penalties.clear();
         self.penalties.extend(penalties);
-        self.penalties.extend(further.penalties);
-        // The smallest penalty becomes 1, so that no column exceeds 1.
+        self.penalties.extend(shared_columns.penalties);
+        // Scale penalties so that the smallest is 1, so that no column exceeds 1.
         let least = self.penalties.iter().copied().fold(f32::INFINITY, f32::min);
         let least = if least.is_finite() { least } else { 1.0 };
-        self.load(dictionary, rows, row, expected);
+        self.load(dictionary, rows, row, pseudo_samples);
         if let Some(background) = background {
-            let all = dictionary.patterns + expected.map_or(0, |e| e.unseen.patterns);
+            let all = dictionary.patterns + pseudo_samples.map_or(0, |e| e.unseen.patterns);
             let own = &background[row * all..][..all];
             let used = (0..dictionary.patterns).chain(self.added.iter().copied());
             for (mean, k) in self.means.iter_mut().zip(used) {
@@ -176,12 +176,12 @@ impl Work {
             }
         }
         let patterns = self.samples.len();
-        self.gather(dictionary, expected, pixels, further, least);
-        let shared = further.penalties.len();
+        self.gather(dictionary, pseudo_samples, pixels, shared_columns, least);
+        let shared = shared_columns.penalties.len();
         let background = [rows.start.map_or(0.0, |start| start.background[row])];
-        self.starting(rows.start, row, pixels, further, least);
+        self.starting(rows.start, row, pixels, shared_columns, least);
         let indptr = [0, self.places.len() as i64];
-        let start = rows.start.is_some() || further.start.is_some();
+        let start = rows.start.is_some() || shared_columns.start.is_some();
         let local = Dictionary {
             level: dictionary.level,
             columns: Columns::Dense(DenseColumns::from_padded(
@@ -221,13 +221,13 @@ impl Work {
         self.unscaled(solution, pixels, shared, least)
     }
 
-    /// The row's samples, the expected ones last, and the means of their patterns.
+    /// Loads the row's samples, with the pseudo-samples last, and the means of their patterns.
     fn load(
         &mut self,
         dictionary: &Dictionary,
         rows: Rows,
         row: usize,
-        expected: Option<Expectation>,
+        pseudo_samples: Option<PseudoSamples>,
     ) {
         let patterns = dictionary.patterns;
         let first = row * patterns;
@@ -245,41 +245,42 @@ impl Work {
         self.means.clear();
         self.means.extend(&dictionary.means[..patterns]);
         self.added.clear();
-        if let Some(expected) = expected {
-            let all = patterns + expected.unseen.patterns;
-            let weights = &expected.weights[row * all..][..all];
+        if let Some(pseudo_samples) = pseudo_samples {
+            let all = patterns + pseudo_samples.unseen.patterns;
+            let weights = &pseudo_samples.weights[row * all..][..all];
             self.added.extend((0..all).filter(|&k| weights[k] > 0.0));
             for &k in &self.added {
-                self.samples.push(f64::from(expected.values[row * all + k]));
+                self.samples
+                    .push(f64::from(pseudo_samples.values[row * all + k]));
                 self.weights.push(f64::from(weights[k]));
                 self.clipped.push(false);
                 self.means.push(match k.checked_sub(patterns) {
                     None => dictionary.means[k],
-                    Some(unseen) => expected.unseen.means[unseen],
+                    Some(unseen) => pseudo_samples.unseen.means[unseen],
                 });
             }
         }
-        // Copies of columns are as long as the patterns shown need.
+        // `copy_scaled` writes columns of the padded length.
         let stride = summed(self.samples.len()).max(padded(patterns));
         self.means.resize(stride, 0.0);
     }
 
-    /// The row's columns, each over its penalty, the expected samples last.
+    /// Gathers the row's columns, each divided by its penalty, with the pseudo-samples last.
     fn gather(
         &mut self,
         dictionary: &Dictionary,
-        expected: Option<Expectation>,
+        pseudo_samples: Option<PseudoSamples>,
         pixels: &[i32],
-        further: Further,
+        shared_columns: SharedColumns,
         least: f32,
     ) {
         let patterns = dictionary.patterns;
-        let unseen = expected.map_or(0, |expected| expected.unseen.patterns);
+        let unseen = pseudo_samples.map_or(0, |pseudo_samples| pseudo_samples.unseen.patterns);
         let own = padded(patterns);
         let stride = self.means.len();
         self.values.resize(self.penalties.len() * stride, 0.0);
         self.unseen.resize(padded(unseen), 0.0);
-        let (of_shown, of_unseen) = {
+        let (shown_places, unseen_places) = {
             let first = self.added.partition_point(|&k| k < patterns);
             self.added.split_at(first)
         };
@@ -289,25 +290,26 @@ impl Work {
             let columns = &dictionary.columns;
             columns.copy_scaled(dictionary.level, pixel, factor, &mut out[..own]);
             let (shown, rest) = out.split_at_mut(patterns);
-            let (again, rest) = rest.split_at_mut(of_shown.len());
-            for (out, &k) in again.iter_mut().zip(of_shown) {
+            let (repeated, rest) = rest.split_at_mut(shown_places.len());
+            for (out, &k) in repeated.iter_mut().zip(shown_places) {
                 *out = shown[k];
             }
-            if let Some(expected) = expected {
-                let (level, columns) = (expected.unseen.level, &expected.unseen.columns);
+            if let Some(pseudo_samples) = pseudo_samples {
+                let (level, columns) =
+                    (pseudo_samples.unseen.level, &pseudo_samples.unseen.columns);
                 columns.copy_scaled(level, pixel, factor, &mut self.unseen);
             }
-            let (rest, end) = rest.split_at_mut(of_unseen.len());
+            let (rest, end) = rest.split_at_mut(unseen_places.len());
             if rest.len() == unseen {
                 rest.copy_from_slice(&self.unseen[..unseen]);
             } else {
-                for (out, &k) in rest.iter_mut().zip(of_unseen) {
+                for (out, &k) in rest.iter_mut().zip(unseen_places) {
                     *out = self.unseen[k - patterns];
                 }
             }
             end.fill(0.0);
         }
-        for (column, (out, penalty)) in further
+        for (column, (out, penalty)) in shared_columns
             .columns
             .chunks_exact((patterns + unseen).max(1))
             .zip(places)
@@ -321,13 +323,13 @@ impl Work {
         }
     }
 
-    /// Where to start, in the places and scales of the row's own columns.
+    /// Converts the starting point to the places and scales of the row's own columns.
     fn starting(
         &mut self,
         start: Option<Start>,
         row: usize,
         pixels: &[i32],
-        further: Further,
+        shared_columns: SharedColumns,
         least: f32,
     ) {
         self.places.clear();
@@ -342,8 +344,8 @@ impl Work {
                 }
             }
         }
-        if let Some(values) = further.start {
-            let shared = further.penalties.len();
+        if let Some(values) = shared_columns.start {
+            let shared = shared_columns.penalties.len();
             for (i, &value) in values[row * shared..][..shared].iter().enumerate() {
                 if value != 0.0 {
                     let place = pixels.len() + i;
@@ -355,10 +357,10 @@ impl Work {
         }
     }
 
-    /// Back to pixels and their own scale.
+    /// Converts the solution back to atoms and their own scale.
     fn unscaled(&self, solution: Solution, pixels: &[i32], shared: usize, least: f32) -> Weighted {
         let mut result = Weighted {
-            further: vec![0.0; shared],
+            shared: vec![0.0; shared],
             row: Solution {
                 pixels: Vec::new(),
                 x: Vec::new(),
@@ -373,7 +375,7 @@ impl Work {
                     result.row.pixels.push(pixels[place] as u32);
                     result.row.x.push(x);
                 }
-                Some(i) => result.further[i] = x,
+                Some(i) => result.shared[i] = x,
             }
         }
         result

@@ -1,4 +1,5 @@
-//! The look-up pass with AVX2: tables of four patterns, 16 sums as low and high bytes, byte shuffles.
+//! The look-up pass with AVX2: byte shuffles look up 16-bit sums of four patterns, low and high bytes
+//! apart.
 
 use super::scores::Scores;
 use crate::simd::{Kind, Level};
@@ -8,7 +9,7 @@ use std::ops::Range;
 
 /// Pixels whose sums stay in the first-level cache while all patterns pass.
 const TILE: usize = 4096;
-/// Bytes of the tables of one plane: low and high bytes of two tables of 16.
+/// Bytes of the tables of one plane of eight patterns: low and high bytes of two tables of 16 sums.
 const TABLE: usize = 64;
 
 /// # Panics
@@ -38,7 +39,7 @@ pub fn run(level: Level, codes: &[u8], length: usize, rows: &[Vec<i16>], out: &m
     }
 }
 
-/// The scores of some pixels.
+/// Computes the scores of some pixels.
 ///
 /// # Safety
 /// `codes` holds planes of `length` bytes; `pixels` lie within them, from and to a multiple of 32;
@@ -69,8 +70,8 @@ unsafe fn pass(codes: &[u8], length: usize, pixels: Range<usize>, tables: &[u8],
                     _mm256_shuffle_epi8(low1, second),
                     _mm256_shuffle_epi8(high1, second),
                 );
-                // Within each half of a register: eight pixels, then the next eight. The two
-                // middle groups of the 32 change places, and back at the end.
+                // Unpacking works within each half of a register, so the second and the third group of
+                // eight pixels swap places. The last loop swaps them back.
                 let near =
                     _mm256_add_epi16(_mm256_unpacklo_epi8(l0, h0), _mm256_unpacklo_epi8(l1, h1));
                 let far =

@@ -1,9 +1,9 @@
-//! The look-up pass with AVX-512: tables of six patterns, 64 sums of a byte each in one register.
+//! The look-up pass with AVX-512: a register holds the table of six patterns, 64 sums of one byte each.
 //!
-//! A step takes two tables, whose sums together fit a byte: two permutes look 64 pixels up, one
-//! addition makes bytes of them. To widen these, words of two bytes are added up as they are, and
-//! their upper bytes once more by themselves; what these are too much in the words is known in the
-//! end.
+//! A step handles two tables, whose added sums fit a byte: two permutes look up 64 pixels in each, and one
+//! addition joins them. To widen the bytes to 16 bits, one sum adds up words of two pixels and another one
+//! only their upper bytes. At the end the upper bytes are subtracted from the words, which leaves the lower
+//! ones.
 
 use super::scores::{Scores, BATCH, MANY};
 use super::tables::{count, PATTERNS};
@@ -12,20 +12,21 @@ use crate::simd::{Kind, Level};
 use rayon::prelude::*;
 use std::arch::x86_64::*;
 
-/// Entries of a table, and bytes of a register.
+/// Number of sums of a table, one byte each: one register.
 const TABLE: usize = 64;
-/// Pixels whose sums are in registers while patterns pass, a byte each,
+/// Number of pixels whose sums stay in registers while all patterns of a part are read.
 const BLOCK: usize = 64;
-/// the first half of them in the lower bytes of words, the second in the upper ones.
+/// The first half of a block is in the lower bytes of words, the second half in the upper bytes.
 const HALF: usize = BLOCK / 2;
-/// Steps at a time: tables of so many stay in the first-level cache.
+/// Number of steps of a part: its tables (4 KB for each row) stay in the first-level cache.
 const STEPS: usize = 32;
-/// Bytes of codes that are asked for before they are read: they come from the second-level cache or
-/// the third, whose own foresight ends with each page.
+/// Distance of prefetching, in bytes of codes. They come from the second- or third-level cache, whose
+/// own prefetching stops at each page.
 const AHEAD: usize = 2048;
-/// Pixels whose codes of so many steps, and whose sums, stay in the first caches while rows pass.
+/// Number of pixels of a tile: its codes of one part, and its sums, stay in the nearer caches while the
+/// rows are processed.
 const TILE: usize = 1024;
-/// Bit i of each index below 64.
+/// For each bit i, the indices below 64 that have it.
 const LANES: [u64; PATTERNS] = [
     0xaaaa_aaaa_aaaa_aaaa,
     0xcccc_cccc_cccc_cccc,
@@ -35,8 +36,8 @@ const LANES: [u64; PATTERNS] = [
     0xffff_ffff_0000_0000,
 ];
 
-/// Indices of all pixels, in the order in which `run` reads them: tiles of pixels, `STEPS` steps at a
-/// time, blocks of pixels one after the other, within each all steps.
+/// The indices of all pixels in the order in which `run` reads them: by tile, then by part of `STEPS`
+/// steps, then by block of pixels, then by step.
 pub fn codes(bits: Bits, length: usize) -> Vec<u8> {
     let (bytes, tables) = (column_codes(bits), count(bits.patterns()));
     let mut codes = vec![0; tables * length];
@@ -61,7 +62,7 @@ pub fn codes(bits: Bits, length: usize) -> Vec<u8> {
     codes
 }
 
-/// Indices into one table of `HALF` pixels from `first` on.
+/// The indices of `HALF` pixels from `first` on into one table.
 fn indices(bytes: &[u8], bits: Bits, table: usize, first: usize) -> [u8; HALF] {
     let mut indices = [0; HALF];
     let end = bits.pixels().min(first + HALF);
@@ -77,11 +78,11 @@ fn indices(bytes: &[u8], bits: Bits, table: usize, first: usize) -> [u8; HALF] {
     indices
 }
 
-/// Buffers of one thread.
+/// The buffers of one thread.
 #[derive(Default)]
 pub struct Buffers {
     tables: Vec<u8>,
-    /// Of a tile.
+    /// Sums of the pixels of a tile.
     sums: [Vec<i16>; BATCH],
 }
 
@@ -135,14 +136,14 @@ pub fn run(
                 }
             }
             for (out, sums) in out.iter_mut().zip(&*sums) {
-                out.take(level, pixel, sums);
+                out.keep(level, pixel, sums);
             }
         }
     }
 }
 
-/// The tables of a row, each shifted so that its least sum is 0; returns what all shifts together
-/// add to a score.
+/// Fills the tables of a row, each shifted so that its least sum is 0; returns the sum of all shifts, which
+/// a score contains.
 #[target_feature(enable = "avx512f,avx512bw")]
 fn make_tables(row: &[i16], tables: &mut [u8]) -> i16 {
     let each = tables.len() / TABLE;
@@ -151,8 +152,7 @@ fn make_tables(row: &[i16], tables: &mut [u8]) -> i16 {
         let values = || row[t..].iter().step_by(each);
         let shift: i16 = values().map(|value| -value.min(&0)).sum();
         all = all.wrapping_add(shift);
-        // The sums of two tables span no more than 255, so that bytes hold them whatever they wrap on
-        // the way.
+        // The shifted sums lie in 0 to 255, so bytes hold them even if additions wrap on the way.
         let mut sums = _mm512_set1_epi8(shift as i8);
         for (value, lanes) in values().zip(LANES) {
             let value = _mm512_maskz_set1_epi8(lanes, *value as i8);
@@ -164,7 +164,7 @@ fn make_tables(row: &[i16], tables: &mut [u8]) -> i16 {
     all
 }
 
-/// Adds to the scores of some pixels what the patterns of `steps` steps from `first` on give.
+/// Adds the sums of the steps `first` to `first + steps` to the scores of a tile.
 ///
 /// # Safety
 /// Each `out` has one length, a multiple of `BLOCK`; `codes` holds 2 `steps` bytes a pixel, `tables`
@@ -186,7 +186,7 @@ unsafe fn pass<const R: usize>(
         // SAFETY: codes of `steps` steps are read for each block, once each; a row has pairs of
         // tables for all steps; pixel + BLOCK <= length bounds the sums.
         unsafe {
-            // Of words, and of their upper bytes.
+            // Sums of words, and of their upper bytes.
             let mut sums = [[_mm512_setzero_si512(); 2]; R];
             for step in first..first + steps {
                 let [a, b] = [0, 1].map(|i| _mm512_loadu_si512(code.add(i * BLOCK).cast()));

@@ -1,7 +1,7 @@
-//! Atoms of several sizes: the scores of single pixels, blurred.
+//! The pass over atoms of several sizes: it blurs the scores of single pixels.
 //!
-//! The correlation with a blurred column is the blurred correlation, so one pass over the patterns
-//! serves all sizes, and what they cost does not depend on the number of patterns.
+//! The correlation with a blurred column is the blurred correlation. So one pass over the patterns serves
+//! all sizes, and the blurring costs the same for any number of patterns.
 
 use super::quantise::largest;
 use super::scores::{Scores, GROUP};
@@ -10,16 +10,16 @@ use crate::simd::{multiversion, Level};
 
 pub struct Blurred {
     atoms: Atoms,
-    /// The pixel of each score of single pixels, or none.
+    /// The pixel of each score of the pass over single pixels; None for padding.
     pixel: Vec<Option<u32>>,
 }
 
-/// Scores go up to this, so that rounding cannot leave 16 bits.
+/// Largest score. It leaves room for rounding within 16 bits (32,767).
 const LARGEST: f32 = 32_000.0;
-/// Half a step of rounding a score, with room for the rounding of the quotient.
+/// Largest rounding error of a score, in steps: a half, and 2 % for the rounding of the quotient.
 const HALF: f64 = 0.51;
 
-/// Buffers of one thread.
+/// The buffers of one thread.
 #[derive(Default)]
 pub struct Buffers {
     image: Vec<f32>,
@@ -36,7 +36,7 @@ impl Blurred {
         self.atoms.count().next_multiple_of(GROUP)
     }
 
-    /// Scores of all atoms from those of single pixels.
+    /// Computes the scores of all atoms from those of single pixels.
     pub fn run(&self, level: Level, single: &Scores, out: &mut Scores, buffers: &mut Buffers) {
         let Buffers {
             image,
@@ -58,7 +58,7 @@ impl Blurred {
         self.score(level, single, image, planes, out);
     }
 
-    /// From blurred scores to scores: in their unit, with what blurring and rounding may lose.
+    /// Rounds blurred scores to scores, with bounds on the errors of blurring and rounding.
     fn score(
         &self,
         level: Level,
@@ -68,12 +68,12 @@ impl Blurred {
         out: &mut Scores,
     ) {
         let taps = self.atoms.planes.iter().map(|plane| 2 * plane.kernel.len());
-        // Two sums of so many products, of kernels that sum to 1 and gains of at most 1.
+        // Two sums of `taps` products each, with kernels that sum to 1 and gains of at most 1.
         let roundings = 2 * taps.max().unwrap_or(0) + 8;
         let error = f64::from(largest(level, image)) * roundings as f64 * f64::from(f32::EPSILON);
         let margin = (single.up + single.down) / 2.0 + error;
         let top = largest(level, planes);
-        // Finer than the margin would be finer than what is known.
+        // A finer step than the margin would only resolve errors.
         let step = (top / LARGEST)
             .max(margin as f32 / LARGEST)
             .max(f32::MIN_POSITIVE);
@@ -87,7 +87,7 @@ impl Blurred {
     }
 }
 
-/// Adding this number rounds to the nearest integer, which its low bits then hold.
+/// 1.5 * 2^23: adding it rounds a float32 to the nearest integer, held in the low bits of the sum.
 const MAGIC: f32 = 12_582_912.0;
 
 multiversion! {

@@ -1,4 +1,4 @@
-//! Patterns of any values: float32 products, then scores.
+//! The pass over patterns of any values: float32 products, rounded to scores.
 
 use super::quantise::{largest, MAGIC};
 use super::scores::Scores;
@@ -8,18 +8,21 @@ use crate::vector::{signed_sums, summed};
 
 pub struct Dense;
 
-/// Buffers of one thread: rows and their products, in float32.
+/// The buffers of one thread: rows and their products, in float32.
 #[derive(Default)]
 pub struct Buffers {
     rows: Vec<f32>,
     values: Vec<f32>,
 }
 
+/// Number of independent partial sums: one AVX-512 register of float32.
 const SUMS: usize = 16;
-/// Columns that one row takes before the next one does.
+/// Number of columns that all rows are multiplied with before the next ones, while these are in the cache.
 const BLOCK: usize = 64;
-/// Scores go up to this, so that rounding cannot leave 16 bits.
+/// Largest score. It leaves room for rounding within 16 bits (32,767).
 const LARGEST: f64 = 32_000.0;
+/// Largest rounding error of a score, in units: a half, and 2 % for the rounding of the quotient.
+const HALF: f64 = 0.51;
 
 impl Dense {
     /// # Panics
@@ -97,12 +100,12 @@ fn score(level: Level, most: f64, patterns: usize, e: &[f64], values: &[f32], ou
     let top = f64::from(largest(level, values));
     let (negative, positive) = signed_sums(level, e);
     let total = positive - negative;
-    // The error of a float32 sum of products, whatever their order (Higham 2002, Eq. 3.5), with
-    // room for the rounding of e and for terms below the normal range.
+    // Bound on the error of a float32 sum of products in any order (Higham 2002, Eq. 3.5), enlarged for
+    // the rounding of e and for terms below the normal range.
     let error = most * total * (patterns + 4) as f64 * f64::from(f32::EPSILON) + 1e-30;
     out.unit = (top / LARGEST).max(error / LARGEST);
     out.offset = 0.0;
-    (out.up, out.down) = (0.51 + error / out.unit, 0.51 + error / out.unit);
+    (out.up, out.down) = (HALF + error / out.unit, HALF + error / out.unit);
     out.values[values.len()..].fill(0);
     to_nearest(level, values, 1.0 / out.unit, &mut out.values);
 }

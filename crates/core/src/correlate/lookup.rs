@@ -1,8 +1,8 @@
-//! Sums over 0/1 patterns by tables of partial sums ('four Russians').
+//! The pass over 0/1 patterns, by tables of partial sums ('four Russians').
 //!
 //! A table holds the sums over all subsets of a few values; the bits of a pixel's column pick one.
-//! AVX-512 keeps tables of six values in registers (a permute of 64 bytes), AVX2 tables of four (byte
-//! shuffles), and the portable twin tables of eight in memory.
+//! AVX-512 keeps tables of six values in registers (a permute of 64 bytes) and AVX2 tables of four (byte
+//! shuffles). The portable version has tables of eight in memory. AMX multiplies instead.
 
 use super::scores::{Scores, BATCH, GROUP, MANY};
 #[cfg(target_arch = "x86_64")]
@@ -11,7 +11,8 @@ use crate::bits::{column_codes, Bits};
 use crate::simd::{Kind, Level};
 use crate::subsets::subset_sums;
 
-/// More bytes of patterns are read from memory by every pass: no cache of today keeps them.
+/// Patterns of more bytes than this are read from memory in every pass, as today's caches do not hold
+/// them.
 const CACHED: usize = 16 << 20;
 
 pub struct Lookup {
@@ -20,17 +21,17 @@ pub struct Lookup {
 }
 
 enum Codes {
-    /// Planes of (length) bytes, eight patterns a plane.
+    /// Planes of `length` bytes, one for each eight patterns.
     Bytes(Vec<u8>),
-    /// An index a byte into each table of six patterns.
+    /// One byte for each pixel and table of six patterns: the index into the table.
     #[cfg(target_arch = "x86_64")]
     Sixes(Vec<u8>),
-    /// A bit a pattern and pixel.
+    /// One bit for each pixel and pattern.
     #[cfg(target_arch = "x86_64")]
     Tiles(Vec<u8>),
 }
 
-/// Buffers of one thread.
+/// The buffers of one thread.
 #[derive(Default)]
 pub struct Buffers {
     #[cfg(target_arch = "x86_64")]
@@ -56,7 +57,7 @@ impl Lookup {
         self.length
     }
 
-    /// How many rows a run should have: so many share a reading of the patterns best.
+    /// The best number of rows for a run: they share one reading of the patterns.
     pub fn batch(&self) -> usize {
         match &self.codes {
             #[cfg(target_arch = "x86_64")]
@@ -66,12 +67,12 @@ impl Lookup {
         }
     }
 
-    /// Whether a pass reads more than the caches keep from one to the next.
+    /// Whether the patterns exceed the caches, so that each pass reads them from memory.
     pub fn reads_memory(&self) -> bool {
         self.bytes() > CACHED
     }
 
-    /// What a pass reads.
+    /// Number of bytes that a pass reads.
     fn bytes(&self) -> usize {
         match &self.codes {
             Codes::Bytes(codes) => codes.len(),
@@ -80,12 +81,12 @@ impl Lookup {
         }
     }
 
-    /// Whether scores go to their rows as they come, and are written only where all are wanted.
-    pub fn hands_on(&self) -> bool {
+    /// Whether the kernel filters scores while it computes them, instead of writing all of them first.
+    pub fn streams(&self) -> bool {
         !matches!(self.codes, Codes::Bytes(_))
     }
 
-    /// Scores. Places that stand for no pixel are lit by no pattern: their scores are 0.
+    /// Computes the scores. Padding gets the score 0.
     pub fn run(
         &self,
         level: Level,
@@ -116,7 +117,7 @@ impl Lookup {
     }
 }
 
-/// The plain twin: for each group of eight patterns, one table look-up a pixel.
+/// The portable version: one table look-up for each pixel and group of eight patterns.
 fn portable(codes: &[u8], length: usize, row: &[i16], out: &mut [i16]) {
     let mut table = [0i16; 256];
     out.fill(0);

@@ -1,9 +1,13 @@
-//! The correlation pass: a_j . e for every projector pixel j, as 16-bit scores with a sure margin.
+//! The correlation pass: a_j . e for every projector pixel j, as 16-bit scores with guaranteed bounds.
 //!
-//! Values e are rounded to integers times a unit, so that every sum of a subset of them fits 16 bits.
-//! What rounding may have done to a sum of any subset is known, so a score bounds the exact
-//! correlation from both sides. Integer sums do not depend on their order: every kernel gives the
-//! same scores.
+//! e is rounded to integers times a unit (`quantise`), chosen so that the sum over every subset fits 16
+//! bits. The rounding error of any such sum is bounded, so a score bounds the exact correlation from both
+//! sides. Integer sums do not depend on their order, so all kernels give the same scores.
+//!
+//! `Correlator::run` chooses the kernel: `lookup` for 0/1 patterns (tables of partial sums in portable
+//! code, `avx2` or `avx512`, or byte tiles in `amx`), `transform` for Hadamard patterns, `dense` for any
+//! other values, and `blurred` for atoms, which blurs the scores of single pixels. `Scores` keeps the
+//! scores beyond a threshold (`outside`); `select` finds the largest among them.
 
 #[cfg(target_arch = "x86_64")]
 mod amx;
@@ -30,11 +34,11 @@ use blurred::{Blurred, Buffers};
 use dense::Dense;
 use lookup::Lookup;
 use quantise::{quantise, Sums};
-pub use scores::{Scores, Wanted};
+pub use scores::{ScoreFilter, Scores};
 use scores::{BATCH, GROUP};
 use transform::Transform;
 
-/// One way of computing scores, chosen by what the patterns are.
+/// Computes scores in the way that suits the patterns.
 pub struct Correlator {
     level: Level,
     patterns: usize,
@@ -42,7 +46,7 @@ pub struct Correlator {
     kind: Kind,
 }
 
-/// Scores of some rows, as `Correlator::run` gives them.
+/// A function that computes the scores of some rows, like `Correlator::run`.
 pub type Pass = Box<dyn Fn(&[&[f64]], &mut [&mut Scores], &mut Scratch) + Send + Sync>;
 
 enum Kind {
@@ -52,20 +56,20 @@ enum Kind {
     Blurred(Pass, Blurred),
 }
 
-/// Buffers of one thread.
+/// The buffers of one thread.
 #[derive(Default)]
 pub struct Scratch {
     quantised: Vec<Vec<i16>>,
     lookup: lookup::Buffers,
     dense: dense::Buffers,
-    /// For atoms: what the pass over single pixels gives, and works in.
+    /// For atoms: the scores and the buffers of the pass over single pixels.
     single: Vec<Scores>,
     inner: Option<Box<Scratch>>,
     blurred: Buffers,
 }
 
 impl Correlator {
-    /// Any 0/1 patterns, by tables of partial sums.
+    /// For 0/1 patterns: tables of partial sums, or byte tiles.
     pub fn lookup(level: Level, bits: Bits) -> Self {
         Correlator {
             level,
@@ -75,8 +79,8 @@ impl Correlator {
         }
     }
 
-    /// Rows `selected` of (H + 1) / 2 with H the Sylvester matrix of order `length`; pixel j is
-    /// column `position[j]`.
+    /// For Hadamard patterns: the rows `selected` of (H + 1) / 2 with H the Sylvester matrix of order
+    /// `length`. Pixel j is column `position[j]`.
     ///
     /// # Panics
     /// If `length` is no power of two or an index is not below it.
@@ -89,7 +93,7 @@ impl Correlator {
         }
     }
 
-    /// Patterns of any values, whose columns are kept elsewhere.
+    /// For patterns of any values. Their columns are passed to `run`.
     pub fn dense(level: Level, patterns: usize, pixels: usize) -> Self {
         Correlator {
             level,
@@ -99,10 +103,10 @@ impl Correlator {
         }
     }
 
-    /// Atoms of several sizes, over the `single` pixels whose `pass` this is.
+    /// For atoms of several sizes. `single` and `pass` are the correlator and the pass of single pixels.
     ///
     /// # Panics
-    /// If there are not as many pixels as the atoms lie on.
+    /// If the atoms lie on another number of pixels.
     pub fn blurred(
         level: Level,
         patterns: usize,
@@ -120,7 +124,7 @@ impl Correlator {
         }
     }
 
-    /// Scores of a row: one for each pixel, and some that stand for none.
+    /// Number of scores of a row: one for each pixel, and padding.
     pub fn length(&self) -> usize {
         match &self.kind {
             Kind::Lookup(lookup) => lookup.length(),
@@ -130,7 +134,7 @@ impl Correlator {
         }
     }
 
-    /// The pixel that a score belongs to.
+    /// The pixel of a score; None for padding.
     pub fn pixel(&self, score: usize) -> Option<u32> {
         match &self.kind {
             Kind::Transform(transform) => transform.pixel(score),
@@ -138,17 +142,18 @@ impl Correlator {
         }
     }
 
-    /// Whether there are so many correlations, of random patterns, that few should be looked at.
+    /// Whether patterns are of 0/1 values without structure, so that a row's first passes should return
+    /// only the largest of many scores.
     pub fn is_lookup(&self) -> bool {
         matches!(self.kind, Kind::Lookup(_))
     }
 
-    /// Whether a pass reads more than the caches keep from one to the next.
+    /// Whether the patterns exceed the caches, so that each pass reads them from memory.
     pub fn reads_memory(&self) -> bool {
         matches!(&self.kind, Kind::Lookup(lookup) if lookup.reads_memory())
     }
 
-    /// How many rows a run should have: so many share a reading of the patterns best.
+    /// The best number of rows for a run: they share one reading of the patterns.
     pub fn batch(&self) -> usize {
         match &self.kind {
             Kind::Lookup(lookup) => lookup.batch(),
@@ -156,10 +161,10 @@ impl Correlator {
         }
     }
 
-    /// Scores of up to `batch` rows `e` (padded): those that each `out` wants.
+    /// Computes the scores of up to `batch` rows `e` (padded); each `out` keeps those that pass its filter.
     ///
     /// # Panics
-    /// If there are more rows or not one `out` a row.
+    /// If there are more rows, or not as many `out` as rows.
     pub fn run(
         &self,
         columns: &Columns,
@@ -168,22 +173,22 @@ impl Correlator {
         scratch: &mut Scratch,
     ) {
         assert!(e.len() <= self.batch() && e.len() == out.len());
-        let hands_on = matches!(&self.kind, Kind::Lookup(lookup) if lookup.hands_on());
+        let streams = matches!(&self.kind, Kind::Lookup(lookup) if lookup.streams());
         for out in out.iter_mut() {
-            if !hands_on || matches!(out.wanted, Wanted::All) {
+            if !streams || matches!(out.filter, ScoreFilter::All) {
                 out.values.resize(self.length(), 0);
             }
         }
         self.score(columns, e, out, scratch);
-        if !hands_on {
+        if !streams {
             for out in out {
                 out.begin();
-                out.take_values(self.level);
+                out.filter_values(self.level);
             }
         }
     }
 
-    /// All scores, or, of a kernel that hands them on as they come, those that are wanted.
+    /// Computes all scores; a streaming kernel keeps only those that pass the filter.
     fn score(
         &self,
         columns: &Columns,
@@ -202,7 +207,7 @@ impl Correlator {
                 let mut single: Vec<&mut Scores> = scratch.single.iter_mut().collect();
                 pass(e, &mut single, scratch.inner.get_or_insert_default());
                 for ((single, out), e) in single.iter_mut().zip(out).zip(e) {
-                    // Columns that were rounded differ from the blurred patterns by so much.
+                    // Stored columns may be rounded; widen the bounds by what that can change.
                     let (negative, positive) = signed_sums(self.level, e);
                     let lost = columns.lost() * (positive - negative) / single.unit;
                     single.up += lost;

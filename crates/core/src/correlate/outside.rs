@@ -1,10 +1,10 @@
-//! Scores outside two thresholds, and where they are.
+//! Collects the scores outside two thresholds, and their places.
 
 use crate::simd::{multiversion, Kind, Level};
 
-/// Scores of a register of AVX-512.
+/// Number of scores in an AVX-512 register.
 pub const WIDTH: usize = 32;
-/// Scores of which it is first seen whether any lies outside: few do.
+/// Number of scores that are first tested together, as few lie outside.
 const GROUP: usize = 64;
 
 /// Appends the places (from `first` on) and the values of scores outside `below..=above`.
@@ -14,25 +14,25 @@ pub fn collect_outside(
     scores: &[i16],
     (below, above): (i16, i16),
     places: &mut Vec<u32>,
-    found: &mut Vec<i16>,
+    collected: &mut Vec<i16>,
 ) {
     match level.kind() {
         #[cfg(target_arch = "x86_64")]
         // SAFETY: the level proves the instructions.
         Kind::Avx512 => unsafe {
             if below == i16::MIN {
-                avx512::collect::<false>(first as u32, scores, below, above, places, found);
+                avx512::collect::<false>(first as u32, scores, below, above, places, collected);
             } else {
-                avx512::collect::<true>(first as u32, scores, below, above, places, found);
+                avx512::collect::<true>(first as u32, scores, below, above, places, collected);
             }
         },
-        _ => collect_plain(level, first as u32, scores, below, above, places, found),
+        _ => collect_plain(level, first as u32, scores, below, above, places, collected),
     }
 }
 
 multiversion! {
     fn collect_plain(
-        first: u32, scores: &[i16], below: i16, above: i16, places: &mut Vec<u32>, found: &mut Vec<i16>
+        first: u32, scores: &[i16], below: i16, above: i16, places: &mut Vec<u32>, collected: &mut Vec<i16>
     ) {
         for (block, group) in scores.chunks(GROUP).enumerate() {
             let outside = |any, &score: &i16| any | (score > above) | (score < below);
@@ -40,7 +40,7 @@ multiversion! {
                 for (i, &score) in group.iter().enumerate() {
                     if score > above || score < below {
                         places.push(first + (block * GROUP + i) as u32);
-                        found.push(score);
+                        collected.push(score);
                     }
                 }
             }
@@ -56,13 +56,13 @@ pub fn collect_marked(
     scores: &[i16; WIDTH],
     mask: u32,
     places: &mut Vec<u32>,
-    found: &mut Vec<i16>,
+    collected: &mut Vec<i16>,
 ) {
     assert!(level.kind() == Kind::Avx512);
-    let mut ends = avx512::Ends::new(places, found, WIDTH);
+    let mut appender = avx512::Appender::new(places, collected, WIDTH);
     // SAFETY: the level proves the instructions; there is room for all.
-    unsafe { ends.append(first as u32, scores, mask) };
-    ends.close();
+    unsafe { appender.append(first as u32, scores, mask) };
+    appender.finish();
 }
 
 #[cfg(target_arch = "x86_64")]
@@ -70,7 +70,7 @@ mod avx512 {
     use super::WIDTH;
     use std::arch::x86_64::*;
 
-    /// Registers of which it is first seen whether any score lies outside: few do.
+    /// Number of registers that are first tested together, as few scores lie outside.
     const STRETCH: usize = 16;
     const LANES: [i32; 16] = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15];
 
@@ -81,10 +81,10 @@ mod avx512 {
         below: i16,
         above: i16,
         places: &mut Vec<u32>,
-        found: &mut Vec<i16>,
+        collected: &mut Vec<i16>,
     ) {
         assert!(scores.len().is_multiple_of(WIDTH));
-        let mut ends = Ends::new(places, found, scores.len());
+        let mut appender = Appender::new(places, collected, scores.len());
         let (lowest, highest) = (_mm512_set1_epi16(below), _mm512_set1_epi16(above));
         for (stretch, scores) in scores.chunks(STRETCH * WIDTH).enumerate() {
             let groups = scores.as_chunks::<WIDTH>().0;
@@ -104,31 +104,31 @@ mod avx512 {
                 let group = any.trailing_zeros() as usize;
                 let place = first + ((stretch * STRETCH + group) * WIDTH) as u32;
                 // SAFETY: each score once.
-                unsafe { ends.append(place, &groups[group], masks[group]) };
+                unsafe { appender.append(place, &groups[group], masks[group]) };
                 any &= any - 1;
             }
         }
-        ends.close();
+        appender.finish();
     }
 
-    /// The ends of a list of places and one of their scores.
-    pub struct Ends<'a> {
+    /// Appends to a list of places and a list of their scores without checking their capacity each time.
+    pub struct Appender<'a> {
         places: &'a mut Vec<u32>,
-        found: &'a mut Vec<i16>,
+        collected: &'a mut Vec<i16>,
         count: usize,
     }
 
-    impl<'a> Ends<'a> {
-        /// With room for `most` scores.
-        pub fn new(places: &'a mut Vec<u32>, found: &'a mut Vec<i16>, most: usize) -> Self {
-            debug_assert_eq!(places.len(), found.len());
-            // A register more than can be appended is written.
+    impl<'a> Appender<'a> {
+        /// Reserves space for `most` scores.
+        pub fn new(places: &'a mut Vec<u32>, collected: &'a mut Vec<i16>, most: usize) -> Self {
+            debug_assert_eq!(places.len(), collected.len());
+            // Whole registers are written, also behind the last score.
             places.reserve(most + WIDTH);
-            found.reserve(most + WIDTH);
-            let count = found.len();
-            Ends {
+            collected.reserve(most + WIDTH);
+            let count = collected.len();
+            Appender {
                 places,
-                found,
+                collected,
                 count,
             }
         }
@@ -136,7 +136,7 @@ mod avx512 {
         /// Appends the scores whose bits are set.
         ///
         /// # Safety
-        /// No more than there is room for.
+        /// At most `most` scores are appended in all.
         #[target_feature(enable = "avx512f,avx512bw,avx512vbmi2,popcnt")]
         pub unsafe fn append(&mut self, place: u32, scores: &[i16; WIDTH], mask: u32) {
             let lower = (mask as u16).count_ones() as usize;
@@ -144,7 +144,7 @@ mod avx512 {
             unsafe {
                 let scores = _mm512_loadu_si512(scores.as_ptr().cast());
                 let kept = _mm512_maskz_compress_epi16(mask, scores);
-                _mm512_storeu_si512(self.found.as_mut_ptr().add(self.count).cast(), kept);
+                _mm512_storeu_si512(self.collected.as_mut_ptr().add(self.count).cast(), kept);
                 let at = self.places.as_mut_ptr().add(self.count);
                 let lanes = _mm512_loadu_si512(LANES.as_ptr().cast());
                 let half = _mm512_add_epi32(lanes, _mm512_set1_epi32(place as i32));
@@ -157,11 +157,11 @@ mod avx512 {
             self.count += mask.count_ones() as usize;
         }
 
-        pub fn close(self) {
-            // SAFETY: so many were written.
+        pub fn finish(self) {
+            // SAFETY: `append` wrote this many.
             unsafe {
                 self.places.set_len(self.count);
-                self.found.set_len(self.count);
+                self.collected.set_len(self.count);
             }
         }
     }

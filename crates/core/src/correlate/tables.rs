@@ -1,32 +1,32 @@
-//! Which patterns share a table of partial sums.
+//! Which patterns share a table of partial sums, and the unit that its kernels need.
 //!
-//! Patterns that are `count` apart do, so that sums over tables are sums of vectors. A kernel that
-//! keeps a table's sums in bytes relies on what rounding promises of them (`quantise`); to all others
-//! the sums of integers are the same whatever the tables are.
+//! Patterns that are `count` apart share a table, so that sums over tables are sums of vectors. A kernel
+//! that keeps the sums of tables in bytes relies on `least_unit`, which `quantise` respects. Integer sums,
+//! and so the scores, are the same for any choice of tables.
 
 use crate::simd::{multiversion, Level};
 
-/// Patterns a table.
+/// Number of patterns of a table: 64 sums, which fill a register of bytes.
 pub const PATTERNS: usize = 6;
-/// Most that the sums of two tables, which a kernel adds in a byte, may span together.
+/// Largest span of the sums of two tables, which a kernel adds in a byte.
 const SPAN: f64 = 255.0;
-/// Most that an integer may be, for kernels that keep it in a byte.
+/// Largest integer, for kernels that keep integers in signed bytes.
 const LARGEST: f64 = 127.0;
 
-/// Tables of so many patterns: an even number, for kernels take two at a time.
+/// The number of tables for `patterns`. It is even, as kernels read two tables at a time.
 pub fn count(patterns: usize) -> usize {
     patterns.div_ceil(2 * PATTERNS) * 2
 }
 
-/// The least unit in which values `e`, one a pattern, are integers that kernels can take; each may
-/// have been rounded by up to `rounding` units.
+/// The smallest unit in which the values `e`, one for each pattern, are integers that all kernels can use,
+/// if rounding changes each by up to `rounding` units.
 pub fn least_unit(level: Level, e: &[f64], rounding: f64) -> f64 {
     let (span, largest) = extremes(level, e);
     (span / (SPAN - 2.0 * PATTERNS as f64 * rounding)).max(largest / LARGEST)
 }
 
 multiversion! {
-    /// The largest span of the sums of two adjacent tables, and the largest of the values alone.
+    /// The largest span of the sums of two adjacent tables, and the largest value.
     fn extremes(e: &[f64]) -> (f64, f64) {
         const PART: usize = 32;
         let tables = count(e.len());
@@ -54,7 +54,7 @@ mod tests {
     use crate::simd::Level;
 
     #[test]
-    fn kernels_can_take_the_integers_of_the_least_unit() {
+    fn integers_in_the_least_unit_fit_the_kernels() {
         for patterns in [1, 5, 12, 13, 100, 400] {
             let mut e: Vec<f64> = (0..patterns).map(|k| (k as f64 * 1.3).cos()).collect();
             for alone in [1.0, 100.0] {

@@ -1,4 +1,4 @@
-//! Every kernel against the definition, and against each other.
+//! Compares every kernel with the definition, and the kernels with each other.
 
 use super::scores::MANY;
 use super::*;
@@ -48,7 +48,7 @@ fn run(correlator: &Correlator, columns: &Columns, rows: &[Vec<f64>]) -> Vec<Sco
     scores
 }
 
-/// Asserts that scores bound the exact correlations and are not needlessly loose.
+/// Asserts that scores bound the exact correlations, and tightly.
 fn check(
     correlator: &Correlator,
     scores: &[Scores],
@@ -116,7 +116,7 @@ fn scores_of_bits_bound_the_exact_correlations() {
 
 #[test]
 fn rows_that_share_a_reading_have_the_scores_of_rows_by_themselves() {
-    // More than the caches hold, two stretches of patterns, tiles of pixels of which one is smaller.
+    // Patterns beyond the caches, two parts of patterns, and tiles of pixels of which one is smaller.
     let (patterns, pixels) = (600, 230_000);
     let mut random = Random(7);
     let packed = bytes(patterns, pixels, &mut random);
@@ -202,7 +202,7 @@ fn scores_of_dense_patterns_bound_the_exact_correlations() {
 
 #[test]
 fn sums_do_not_leave_sixteen_bits() {
-    // All of one sign, and far more values than can be rounded to nearest.
+    // All of one sign, and more values than are rounded to nearest.
     for patterns in [300, 40_000] {
         let packed = vec![0xff; patterns];
         let bits = Bits::new(&packed, patterns, 3);
@@ -244,11 +244,11 @@ fn scores_beyond_a_value_are_those_among_all() {
             let rows = rows(correlator.batch() - 1, patterns, &mut random);
             let e: Vec<&[f64]> = rows.iter().map(Vec::as_slice).collect();
             let all = run(&correlator, &columns, &rows);
-            // Most of them, some, and none.
+            // A threshold that most, some and none exceed.
             for (value, both) in [(-0.1, false), (0.1, true), (0.5, false), (1e3, true)] {
                 let mut scores = vec![Scores::default(); e.len()];
                 for scores in &mut scores {
-                    scores.wanted = Wanted::Beyond { value, both };
+                    scores.filter = ScoreFilter::Beyond { value, both };
                 }
                 let mut out: Vec<&mut Scores> = scores.iter_mut().collect();
                 correlator.run(&columns, &e, &mut out, &mut Scratch::default());
@@ -260,7 +260,7 @@ fn scores_beyond_a_value_are_those_among_all() {
                         .map(|(place, score)| (place as u32, score))
                         .unzip();
                     assert_eq!(places, scores.places);
-                    assert_eq!(found, scores.found);
+                    assert_eq!(found, scores.collected);
                 }
             }
         }
@@ -284,9 +284,9 @@ fn selection_finds_all_that_may_exceed_a_value() {
         for both in [false, true] {
             for (most, floor) in [(100, 1.0), (7, 250.0), (4096, 55.5), (50, 299.0), (5, 1e4)] {
                 let mut found = Vec::new();
-                scores.wanted = Wanted::Beyond { value: floor, both };
+                scores.filter = ScoreFilter::Beyond { value: floor, both };
                 scores.begin();
-                scores.take_values(level);
+                scores.filter_values(level);
                 let (value, all) = scores.collect_largest(level, most, &mut found);
                 let expected: Vec<u32> = (0..4096u32)
                     .filter(|&i| {

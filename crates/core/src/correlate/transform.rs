@@ -1,4 +1,4 @@
-//! Hadamard patterns: a fast Walsh-Hadamard transform in 16 bits.
+//! The pass over Hadamard patterns: a fast Walsh-Hadamard transform in 16 bits.
 
 use super::scores::GROUP;
 use crate::simd::{multiversion, Kind, Level};
@@ -6,14 +6,14 @@ use crate::simd::{multiversion, Kind, Level};
 pub struct Transform {
     length: usize,
     selected: Vec<u32>,
-    /// The pixel at each place of the transform, or NONE.
+    /// The pixel of each place of the transform, or NONE.
     pixel: Vec<u32>,
     /// Whether there are places without a pixel.
     partial: bool,
 }
 
 const NONE: u32 = u32::MAX;
-/// Places are padded to whole registers.
+/// Number of 16-bit values in an AVX-512 register.
 const WIDTH: usize = 32;
 
 impl Transform {
@@ -40,7 +40,7 @@ impl Transform {
         Some(self.pixel[place]).filter(|&p| p != NONE)
     }
 
-    /// H q at every place; places without a pixel get the score of correlation 0.
+    /// Computes H q at every place. Places without a pixel get the score of correlation 0.
     pub fn run(&self, level: Level, row: &[i16], offset: f64, out: &mut [i16]) {
         assert_eq!(out.len(), self.pixel.len());
         out.fill(0);
@@ -69,10 +69,10 @@ impl Transform {
 }
 
 multiversion! {
-    /// Butterflies of distance `first` and all larger ones.
+    /// All butterflies of distance `first` and more.
     fn across(out: &mut [i16], first: usize) {
         let mut half = first;
-        // Two stages at a time halve the traffic.
+        // Two stages at a time halve the memory traffic.
         while 4 * half <= out.len() {
             for group in out.chunks_exact_mut(4 * half) {
                 let (ab, cd) = group.split_at_mut(2 * half);
@@ -105,7 +105,7 @@ mod avx512 {
     use super::WIDTH;
     use std::arch::x86_64::*;
 
-    /// The five stages of distances below `WIDTH`, within registers.
+    /// The five stages of distances below `WIDTH`, each within a register.
     ///
     /// # Safety
     /// The length is a multiple of `WIDTH`.
@@ -114,7 +114,7 @@ mod avx512 {
         for group in out.chunks_exact_mut(WIDTH) {
             // SAFETY: a group holds one register.
             let mut v = unsafe { _mm512_loadu_si512(group.as_ptr().cast()) };
-            // In each pair the first becomes the sum, the second first minus second.
+            // In each pair, the first becomes the sum and the second the difference.
             let stage = |v: __m512i, swapped: __m512i, second: u32| {
                 _mm512_mask_sub_epi16(_mm512_add_epi16(v, swapped), second, swapped, v)
             };

@@ -1,17 +1,17 @@
-//! Packing and sweeping with AVX-512: moves of eight pixels, of which sixteen learn at a time.
+//! Packing and sweeping with AVX-512: eight pixels move, then the slopes of sixteen at a time are updated.
 
 use crate::octet::{PAIR, WIDTH};
 use std::arch::x86_64::*;
 
-/// The values of a row whose bits are set, times `inverse`, in float32, then zeros up to `size`.
+/// Writes the values of a row whose bits are set, times `inverse`, in float32, then zeros up to `size`.
 ///
 /// # Safety
 /// `row` and `inverse` have eight values a group, `out` eight more than `size`, a multiple of `PAIR`,
 /// and at most `size` bits are set.
 #[target_feature(enable = "avx512f,avx512vl")]
 pub unsafe fn compress(row: &[f64], inverse: &[f64], groups: &[u8], size: usize, out: &mut [f32]) {
-    // SAFETY: as this function's; what lies behind the compressed values is zero, and the next
-    // octet, or the next row, overwrites it.
+    // SAFETY: as this function's. The zeros behind the compressed values are overwritten by the next
+    // octet or the next row.
     unsafe {
         let mut at = out.as_mut_ptr();
         _mm512_storeu_ps(at.add(size - PAIR), _mm512_setzero_ps());
@@ -25,7 +25,7 @@ pub unsafe fn compress(row: &[f64], inverse: &[f64], groups: &[u8], size: usize,
     }
 }
 
-/// The values whose bits are set, then zeros up to `size`.
+/// Writes the values whose bits are set, then zeros up to `size`.
 ///
 /// # Safety
 /// `values` has eight values a group, `out` eight more than `size`, a multiple of `PAIR`, and at most
@@ -75,7 +75,7 @@ pub unsafe fn sweep(
             let back = _mm256_loadu_ps(room.as_ptr().add(block));
             let band = _mm256_loadu_ps(band.as_ptr().add(block));
             let pull = _mm256_loadu_ps(pulls.add(block));
-            // Where none would move at first none will: most blocks of pixels that stay at zero.
+            // If no pixel of the block would move first, none moves. Most blocks at zero end here.
             let first = if signed {
                 _mm256_min_ps(back, _mm256_add_ps(pull, band))
             } else {
@@ -84,8 +84,8 @@ pub unsafe fn sweep(
             if _mm256_cmp_ps_mask::<_CMP_NEQ_UQ>(_mm256_max_ps(pull, first), zero) == 0 {
                 continue;
             }
-            // One number after the other: a maximum and a fused product are all that the next
-            // move waits for, where a register of eight would wait for a permutation too.
+            // Moves are scalars: the next one then waits for a maximum and a fused product only. With
+            // the eight in one register it would wait for a permutation too.
             let lanes = |values: __m256| {
                 let mut lanes = [0.0; WIDTH];
                 _mm256_storeu_ps(lanes.as_mut_ptr(), values);
@@ -100,7 +100,7 @@ pub unsafe fn sweep(
                     least = _mm_min_ss(least, _mm_add_ss(pulled[i], bands[i]));
                 }
                 let by = _mm_max_ss(pulled[i], least);
-                // Compilers unroll this loop with an index, and not with an iterator.
+                // The compiler unrolls this loop with an index, but not with an iterator.
                 #[allow(clippy::needless_range_loop)]
                 for k in i + 1..WIDTH {
                     let factor = _mm_load_ss(rows.add(i * size + block + k));
@@ -109,14 +109,14 @@ pub unsafe fn sweep(
                 moves[i] = _mm512_broadcastss_ps(by);
                 moved = _mm256_mask_mov_ps(moved, 1 << i, _mm512_castps512_ps256(moves[i]));
             }
-            // A pixel that goes back to zero has no room left.
+            // A pixel that returns to zero has no room left.
             _mm256_storeu_ps(room.as_mut_ptr().add(block), _mm256_sub_ps(back, moved));
-            let there = delta.as_mut_ptr().add(block);
-            _mm256_storeu_ps(there, _mm256_add_ps(_mm256_loadu_ps(there), moved));
+            let deltas = delta.as_mut_ptr().add(block);
+            _mm256_storeu_ps(deltas, _mm256_add_ps(_mm256_loadu_ps(deltas), moved));
             let diagonal = _mm256_loadu_ps(diagonal.as_ptr().add(block));
             let size_of = _mm256_andnot_ps(_mm256_set1_ps(-0.0), moved);
             change = _mm256_max_ps(change, _mm256_mul_ps(size_of, diagonal));
-            // The next block first: it waits for nothing else.
+            // Update the next block first, as its moves wait for nothing else.
             let next = (block + WIDTH) / PAIR * PAIR;
             for other in (next..size).chain(0..next).step_by(PAIR) {
                 let row = |i: usize| _mm512_loadu_ps(rows.add(i * size + other));

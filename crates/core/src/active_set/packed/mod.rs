@@ -1,7 +1,8 @@
-//! Coordinate descent on the pixels that move, side by side in memory.
+//! Coordinate descent on the pixels that move, packed side by side in float32.
 //!
-//! Within a block of eight, moves follow each other as numbers in registers; the other slopes learn of
-//! eight moves at once.
+//! In units of its own diagonal, a pixel's best move is max(pull, -x). The moves of a block of eight
+//! pixels are computed one after the other in registers; then the slopes of all other pixels are updated
+//! for the eight moves at once.
 
 #[cfg(target_arch = "x86_64")]
 mod avx512;
@@ -10,50 +11,52 @@ use super::model::Model;
 use crate::octet::{set_bits, PAIR, WIDTH};
 use crate::simd::{multiversion, Kind, Level};
 
-/// How far beyond its best value a pixel goes: where columns nearly depend on each other that takes
-/// fewer sweeps. Any factor below 2 lowers the model's value at every move; where x may have
-/// both signs, moves that end at zero are no longer one maximum, so there it is 1.
+/// Over-relaxation: a pixel moves this many times as far as its minimum, which saves sweeps where columns
+/// are nearly dependent. Any factor below 2 lowers the model's value at every move. Where x may have
+/// both signs it is 1, as an over-relaxed move that stops at zero would not be a single maximum there.
+/// Chosen by hand.
 const RELAXATION: f64 = 1.3;
-/// So few pixels come to their best values at once, one pixel in one move.
+/// Up to this many pixels are not over-relaxed: they converge in a few sweeps anyway. Chosen by hand.
 const FEW: usize = 16;
 
-/// A part of a quadratic model: some pixels' rows and columns, padded to whole blocks.
+/// A part of a quadratic model: the rows and columns of the pixels that take part, padded to whole blocks.
 ///
-/// In units of each pixel's own diagonal, so that a pixel's move is max(pull, -x). In float32, which
-/// takes half the time and leaves the matrix of a hundred pixels in the first cache: it holds what
-/// changes, which goes back into the float64 of the model, whence slopes are taken anew.
+/// It is in float32, which takes half the time of float64 and keeps the matrix of a hundred pixels in the
+/// first-level cache. That costs no accuracy in the end: it holds changes only, which are added to x in
+/// float64, and slopes are computed anew from the float64 model.
 #[derive(Default)]
 pub struct Packed {
-    /// The pixels, ascending,
+    /// The pixels, ascending.
     pub set: Vec<u32>,
-    /// and their bits.
+    /// The bits of these pixels.
     chosen: Vec<u8>,
-    /// The x that counts as 1: numbers stay near it, whatever the samples' own unit is.
+    /// The unit of x: it keeps float32 numbers near 1, whatever the samples' unit is.
     unit: f64,
-    /// The slope that counts as 1.
+    /// The unit of slopes.
     lambda: f64,
     signed: bool,
-    /// Columns over their relaxed diagonals.
+    /// Columns divided by their relaxed diagonals.
     matrix: Vec<f32>,
-    /// The inverse diagonals, times the relaxation.
+    /// The inverse diagonals of all pixels of the model, times the relaxation.
     relaxed: Vec<f64>,
-    /// Of the pixels: their inverse diagonals, times the relaxation and over the unit,
+    /// The inverse diagonals of the pixels, times the relaxation, in these units.
     inverse: Vec<f64>,
+    /// The diagonals of the pixels, in these units.
     diagonal: Vec<f32>,
-    /// 2 lambda over the relaxed diagonal.
+    /// 2 lambda divided by the relaxed diagonal.
     band: Vec<f32>,
-    /// -x
+    /// -x, the move that ends at zero.
     room: Vec<f32>,
-    /// How far x has come from where it was taken on.
+    /// How far x has moved since it was loaded.
     delta: Vec<f32>,
-    /// (slope - lambda) over the relaxed diagonal.
+    /// (slope - lambda) divided by the relaxed diagonal.
     pull: Vec<f32>,
-    /// A buffer.
+    /// Buffer.
     picked: Vec<f64>,
 }
 
 impl Packed {
-    /// Takes on the pixels whose bits are set.
+    /// Loads the pixels whose bits are set.
     pub fn load(
         &mut self,
         model: &Model,
@@ -96,7 +99,7 @@ impl Packed {
         self.gather(model);
     }
 
-    /// Takes x and the slopes anew.
+    /// Loads x and slopes again, for the same pixels.
     pub fn renew(&mut self, level: Level, target: &[f64], slope: &[f64]) {
         let size = self.inverse.len();
         pick(level, target, &self.chosen, &self.set, &mut self.picked);
@@ -115,13 +118,13 @@ impl Packed {
         self.delta.resize(size, 0.0);
     }
 
-    /// Where the pixel at a place has come to, from `x`.
+    /// The new x of the pixel at a place, which was `x` before.
     pub fn moved(&self, place: usize, x: f64) -> f64 {
         if self.room[place] == 0.0 {
             return 0.0;
         }
         let x = x + self.unit * f64::from(self.delta[place]);
-        // Rounding may take it to the wrong side.
+        // Rounding may move it to the wrong side of zero.
         if self.signed {
             x
         } else {
@@ -129,17 +132,17 @@ impl Packed {
         }
     }
 
-    /// Drops pixels that are at zero, as in `target`, and would stay there, if that saves a block.
+    /// Removes pixels that are zero, also in `target`, and would stay so, if that saves a block.
     pub fn shrink(&mut self, model: &Model, target: &[f64]) {
-        let stays = (0..self.set.len()).filter(|&i| self.counts(i, target));
-        let size = stays.count().next_multiple_of(PAIR);
+        let moving = (0..self.set.len()).filter(|&i| self.may_move(i, target));
+        let size = moving.count().next_multiple_of(PAIR);
         if size == self.room.len() {
             return;
         }
         let mut kept = 0;
         for i in 0..self.set.len() {
             let j = self.set[i];
-            if self.counts(i, target) {
+            if self.may_move(i, target) {
                 self.set[kept] = j;
                 self.inverse[kept] = self.inverse[i];
                 for values in self.values() {
@@ -160,7 +163,7 @@ impl Packed {
         self.gather(model);
     }
 
-    /// One number for each pixel, padded.
+    /// The vectors with one number for each pixel, padded.
     fn values(&mut self) -> [&mut Vec<f32>; 5] {
         [
             &mut self.diagonal,
@@ -171,7 +174,7 @@ impl Packed {
         ]
     }
 
-    fn counts(&self, i: usize, target: &[f64]) -> bool {
+    fn may_move(&self, i: usize, target: &[f64]) -> bool {
         self.room[i] != 0.0
             || target[self.set[i] as usize] != 0.0
             || self.pull[i] > 0.0
@@ -180,7 +183,7 @@ impl Packed {
 
     fn gather(&mut self, model: &Model) {
         let size = self.room.len();
-        // Room for one octet behind the last row.
+        // Whole octets are written, also behind the last row.
         if self.matrix.len() < size * size + WIDTH {
             self.matrix.resize(size * size + WIDTH, 0.0);
         }
@@ -190,8 +193,8 @@ impl Packed {
                 let row = model.row(j as usize);
                 let out = &mut self.matrix[out * size..][..size + WIDTH];
                 assert!(row.len() == WIDTH * self.chosen.len() && self.relaxed.len() == row.len());
-                // SAFETY: the level proves the instructions; a row has eight values a group, and
-                // the groups have `set.len()` <= size bits.
+                // SAFETY: the level proves the instructions; a row has eight values per group, and
+                // `set.len()` <= size bits are set.
                 unsafe { avx512::compress(row, &self.relaxed, &self.chosen, size, out) };
             }
             return;
@@ -208,8 +211,8 @@ impl Packed {
         );
     }
 
-    /// Sweeps until no slope changes by more than `settled`, at most `most` times; returns the last
-    /// change.
+    /// Sweeps until no slope changes by more than `settled`, at most `most` times; returns the largest
+    /// change of the last sweep.
     pub fn sweep(&mut self, level: Level, settled: f64, most: usize) -> f64 {
         let size = self.room.len();
         assert!(size.is_multiple_of(PAIR) && self.matrix.len() >= size * size);
@@ -251,15 +254,15 @@ impl Packed {
     }
 }
 
-/// The values of the pixels of `set`, whose bits `chosen` has, then zeros up to a whole block.
+/// Writes the values of the pixels of `set`, whose bits are `chosen`, then zeros up to a whole block.
 fn pick(level: Level, values: &[f64], chosen: &[u8], set: &[u32], out: &mut Vec<f64>) {
     let size = set.len().next_multiple_of(PAIR);
     #[cfg(target_arch = "x86_64")]
     if level.kind() == Kind::Avx512 {
         assert!(values.len() == WIDTH * chosen.len());
         out.resize(size + WIDTH, 0.0);
-        // SAFETY: the level proves the instructions; there are eight values a group, and the groups
-        // have `set.len()` <= size bits.
+        // SAFETY: the level proves the instructions; there are eight values per group, and
+        // `set.len()` <= size bits are set.
         unsafe { avx512::pick(values, chosen, size, out) };
         out.truncate(size);
         return;
@@ -286,7 +289,7 @@ multiversion! {
 }
 
 multiversion! {
-    /// Slopes become pulls.
+    /// Computes the pulls from the slopes.
     fn pulls(slope: &[f64], lambda: f64, inverse: &[f64], out: &mut [f32]) {
         let per_lambda = 1.0 / lambda;
         for ((out, slope), inverse) in out.iter_mut().zip(slope).zip(inverse) {
@@ -296,7 +299,7 @@ multiversion! {
 }
 
 multiversion! {
-    // A row's parts, which a struct would only name again.
+    // The arguments are parts of the model; a struct would only name them again.
     #[allow(clippy::too_many_arguments)]
     fn gather_plain(
         matrix: &mut [f32],
@@ -307,7 +310,7 @@ multiversion! {
         relaxed: &[f64],
         size: usize,
     ) {
-        // No pixel may take part.
+        // There may be no pixel at all.
         for (&j, out) in set.iter().zip(matrix.chunks_exact_mut(size.max(1))) {
             let row = &rows[slot[j as usize] as usize * stride..][..stride];
             let (out, rest) = out.split_at_mut(set.len());

@@ -1,4 +1,4 @@
-//! Sweeps against the definition of coordinate descent, on every instruction set.
+//! Compares sweeps with the definition of coordinate descent, on every instruction set.
 
 use super::*;
 use crate::bits::Bits;
@@ -23,7 +23,7 @@ fn dictionary(level: Level, packed: &[u8]) -> Dictionary {
     }
 }
 
-/// One sweep by the book over `set`; returns the largest change of a slope.
+/// One sweep over `set`, straight from the definition; returns the largest change of a slope.
 fn sweep(model: &Model, set: &[u32], signed: bool, x: &mut [f64], slope: &mut [f64]) -> f64 {
     let relaxation = if set.len() <= FEW { 1.0 } else { RELAXATION };
     let mut most: f64 = 0.0;
@@ -61,7 +61,7 @@ fn sweeps_as_defined() {
     for level in Level::available() {
         let dictionary = dictionary(level, &packed);
         let pixels: Vec<u32> = (0..PIXELS as u32).collect();
-        // What one set leaves behind must not reach the next.
+        // One set must leave nothing behind that changes the next.
         let mut packed = Packed::default();
         let mut model = Model::new(level);
         model.load_row(&data);
@@ -99,9 +99,9 @@ fn sweeps_as_defined() {
                     let expected = sweep(&model, &set, signed, &mut x, &mut slope);
                     assert!((change - expected).abs() < 1e-4);
                     for (place, &j) in set.iter().enumerate() {
-                        let found = packed.moved(place, before[j as usize]);
-                        assert!((found - x[j as usize]).abs() < 1e-6);
-                        assert_eq!(found == 0.0, x[j as usize] == 0.0);
+                        let moved = packed.moved(place, before[j as usize]);
+                        assert!((moved - x[j as usize]).abs() < 1e-6);
+                        assert_eq!(moved == 0.0, x[j as usize] == 0.0);
                     }
                 }
             }

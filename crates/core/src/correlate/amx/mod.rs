@@ -1,11 +1,11 @@
-//! The pass with AMX: products of matrices of bytes, rows' integers with 0/1 patterns.
+//! The pass with AMX: products of matrices of bytes, the rows' integers times 0/1 patterns.
 //!
-//! A tile of the processor holds 16 lines of 64 bytes. The integers of 16 rows under 64 patterns
-//! are one such; a tile of patterns holds 16 pixels under 64 patterns, four to a line, and is
-//! expanded from bits shortly before it is read. Two of either kind make four products, whose sums
-//! are of 32 bits, so that all patterns pass before they are written. All that is written stays in
-//! the first-level cache and is read a while later: stores that miss it, and reads of what is still
-//! being stored, cost as much as the products.
+//! A tile of the processor holds 16 lines of 64 bytes. A tile of integers holds 16 rows under 64 patterns.
+//! A tile of patterns holds 16 pixels under 64 patterns, and is expanded from bits shortly before it is
+//! used. Two tiles of integers and two of patterns have four products. Their sums have 32 bits, so they
+//! stay in tiles until all patterns are done. Stores that miss the first-level cache, and loads of data
+//! that is still being stored, would cost as much as the products: so everything that is stored stays in
+//! that cache, and is loaded only some steps later.
 
 mod tiles;
 
@@ -17,10 +17,11 @@ use std::arch::x86_64::*;
 pub use tiles::LANES;
 use tiles::{expand, Ring, Sums, Tiles, AHEAD, BLOCK, COLUMNS, LINE, ROWS, STEP, TILE, TILES};
 
-/// Blocks between which scores are handed on: so many rows' scores stay in the second-level cache.
+/// Number of blocks whose scores are collected before they go to their rows: they stay in the
+/// second-level cache.
 const BLOCKS: usize = 128;
 
-/// Patterns a bit each, in the order in which steps read them; then steps that mean nothing.
+/// The patterns, one bit each, in the order in which steps read them, then `AHEAD` steps of padding.
 pub fn codes(bits: Bits, length: usize) -> Vec<u8> {
     let bytes = column_codes(bits);
     let chunks = chunks_of(bits.patterns());
@@ -44,18 +45,18 @@ pub fn codes(bits: Bits, length: usize) -> Vec<u8> {
     codes
 }
 
-/// Products that so many patterns take, one at least.
+/// Number of products that `patterns` take, at least one.
 fn chunks_of(patterns: usize) -> usize {
     patterns.div_ceil(LINE).max(1)
 }
 
-/// The pixel of a block whose sum is in a column of a tile: packing two registers into one takes
-/// four from each in turn.
+/// The pixel of a block whose sum is in this column of this tile: packing two registers into one takes
+/// four values of each in turn.
 fn pixel_of(tile: usize, column: usize) -> usize {
     column / 4 * 8 + tile * 4 + column % 4
 }
 
-/// Bits 0, 4, ... 28 side by side.
+/// Bits 0, 4, ..., 28 of a word, side by side.
 fn every_fourth(word: u32) -> u8 {
     let pairs = word & 0x1111_1111;
     let pairs = (pairs | pairs >> 3) & 0x0303_0303;
@@ -63,14 +64,14 @@ fn every_fourth(word: u32) -> u8 {
     (fours | fours >> 12) as u8
 }
 
-/// Buffers of one thread.
+/// The buffers of one thread.
 #[derive(Default)]
 pub struct Buffers {
     integers: Vec<[u8; LINE]>,
     work: Option<Box<Work>>,
 }
 
-/// What steps and blocks leave to the next; and the scores that are kept.
+/// The data that one step or block leaves to the next, and the scores that are kept.
 #[repr(C, align(4096))]
 struct Work {
     ring: Ring,
@@ -79,8 +80,8 @@ struct Work {
     kept: Kept,
 }
 
-/// Rows' scores over blocks of which some are wanted. All rows' are in one list: stores to one list a
-/// row would be to more pages than the processor has at hand.
+/// The scores of blocks in which some pass the filter. The scores of all rows are in one list: with a list
+/// for each row, stores would go to more pages than the processor's address cache holds.
 struct Kept {
     scores: [[i16; BLOCK]; LANES * BLOCKS],
     marks: [Mark; LANES * BLOCKS],
@@ -91,7 +92,7 @@ struct Kept {
 struct Mark {
     row: u16,
     block: u16,
-    /// Bits of the scores that are wanted.
+    /// Bits of the scores that pass the filter.
     mask: u32,
 }
 
@@ -161,13 +162,14 @@ pub fn run(
         let Kept { scores, marks } = &work.kept;
         for (scores, mark) in scores.iter().zip(&marks[..count]) {
             let place = (first + usize::from(mark.block)) * BLOCK;
-            out[usize::from(mark.row)].take_marked(level, place, scores, mark.mask);
+            out[usize::from(mark.row)].keep_marked(level, place, scores, mark.mask);
         }
     }
 }
 
-/// Scores of the first `lanes` of `LANES` rows, of half of them without `ALL`, over blocks of pixels:
-/// keeps those of which some are wanted; returns how many times `BLOCK`.
+/// Computes the scores of the first `lanes` rows over blocks of pixels, with `ALL` in up to `LANES` rows,
+/// else in up to `ROWS`. Keeps each row's blocks in which some scores pass the filter; returns their
+/// number.
 ///
 /// # Safety
 /// `integers` holds `chunks` times `LANES` lines; `codes` steps of at most `BLOCKS` blocks, `chunks`
@@ -194,7 +196,7 @@ unsafe fn blocks_of<const ALL: bool>(
     let both = outside.iter().any(|(below, _)| *below > i16::MIN);
     let keep = if both { keep::<true> } else { keep::<false> };
     let mut count = 0;
-    // SAFETY: codes of as many steps as are read, those ahead included; blocks are kept once.
+    // SAFETY: there are codes for all steps, those ahead included, and each block is kept once.
     unsafe {
         let mut tiles = Tiles::configured();
         for (step, planes) in ring.iter_mut().enumerate().take(AHEAD) {
@@ -204,7 +206,7 @@ unsafe fn blocks_of<const ALL: bool>(
         for block in 0..blocks {
             let codes = codes.as_ptr().add((block * chunks + AHEAD) * STEP);
             at = tiles.multiply::<ALL>(codes, integers.as_ptr(), chunks, ring, at);
-            // The sums of the block before can be read meanwhile: they have been stored.
+            // Read the sums of the previous block, which are stored by now, while tiles multiply.
             if block > 0 {
                 count = keep(block - 1, sums, outside, kept, count);
             }
@@ -214,12 +216,12 @@ unsafe fn blocks_of<const ALL: bool>(
     }
 }
 
-/// Keeps a block's scores of rows that want some, behind the `count` there are; returns how many there
-/// are then. It asks for none whether it is: a branch that is guessed wrongly holds up the tiles for
-/// longer than all else here takes.
+/// Appends a block's scores of each row in which some pass the filter to the `count` that are kept;
+/// returns the new count. It always writes and has no branch: a mispredicted branch would stall the tiles
+/// for longer than everything else here takes.
 ///
 /// # Safety
-/// What is kept already are scores of blocks before this one, of `BLOCKS`.
+/// The scores kept so far are of earlier blocks, and there are at most `BLOCKS` blocks.
 #[target_feature(enable = "avx512f,avx512bw")]
 unsafe fn keep<const BOTH: bool>(
     block: usize,

@@ -1,33 +1,35 @@
-//! The processor's tiles: what they hold, and the instructions that expand patterns and multiply them.
+//! The processor's tiles: their layout, and the instructions that expand patterns and multiply.
 
 use std::arch::asm;
 
-/// Rows of a tile of integers.
+/// Number of rows of a tile of integers.
 pub const ROWS: usize = 16;
-/// Bytes of a line of a tile, and patterns that one product takes.
+/// Bytes of a line of a tile, and number of patterns of one product.
 pub const LINE: usize = 64;
 /// Bytes of a tile.
 pub const TILE: usize = 16 * LINE;
-/// Pixels of a tile of patterns.
+/// Number of pixels of a tile of patterns.
 pub const COLUMNS: usize = 16;
-/// Tiles of either kind that are worked on at a time: each is in two products. Their rows and pixels.
+/// Number of tiles of each kind that are used at a time: each one is in two products.
 pub const TILES: usize = 2;
+/// Number of rows of a run.
 pub const LANES: usize = TILES * ROWS;
+/// Number of pixels of a block.
 pub const BLOCK: usize = TILES * COLUMNS;
-/// Bytes of the codes that a step takes: of 64 patterns and a block of pixels.
+/// Bytes of the codes of a step, one bit for each of 64 patterns and each pixel of a block.
 pub const STEP: usize = BLOCK * LINE / 8;
-/// Patterns are expanded so many steps before they are read: what was stored just before cannot be
-/// read until all that comes before it is done, products included.
+/// Patterns are expanded this many steps before they are used. A load of data that was stored just before
+/// would wait until all earlier instructions are done, products included.
 pub const AHEAD: usize = 3;
 
-/// The patterns of a step, a byte each.
+/// The expanded patterns of a step, one byte each.
 pub type Planes = [[u8; TILE]; TILES];
-/// The patterns of this step and of those ahead.
+/// The expanded patterns of this step and of those ahead.
 pub type Ring = [Planes; AHEAD + 1];
-/// Of the rows and pixels of a block.
+/// Sums of the rows and pixels of a block.
 pub type Sums = [[i32; BLOCK]; LANES];
 
-/// What the tiles are: 16 lines of 64 bytes, all eight.
+/// The configuration of the eight tiles: each has 16 lines of 64 bytes.
 #[repr(C, align(64))]
 struct Configuration {
     palette: [u8; 16],
@@ -51,7 +53,7 @@ const CONFIGURATION: Configuration = {
     all
 };
 
-/// Matrices of 8 x 8 bits: each takes one bit of a byte for the lowest and zeros for the others.
+/// Matrices of 8 x 8 bits: each moves one bit of a byte to the lowest place and clears the others.
 static BITS: [u64; 8] = [
     1 << 56,
     2 << 56,
@@ -88,7 +90,7 @@ macro_rules! load_bits {
     };
 }
 
-/// Instructions that expand the codes of half a tile (`$half`): each bit of the bytes to a line.
+/// Instructions that expand the codes of half a tile (`$half`): each bit of the bytes fills a line.
 macro_rules! expand {
     ($half:literal) => {
         concat!(
@@ -158,11 +160,11 @@ impl Tiles {
         Tiles
     }
 
-    /// Sums of `LANES` rows, or, without `ALL`, of half of them, over a block of pixels, which stay in
-    /// the tiles until they are stored.
+    /// Computes the sums of `LANES` rows (without `ALL`, of half of them) over a block of pixels. They stay
+    /// in the tiles until `store`.
     ///
-    /// `at` is where in `ring` the patterns of its first step lie; returns where those of the step
-    /// behind its last do.
+    /// `at` is the place in `ring` of the patterns of the block's first step. Returns the place of the
+    /// patterns after its last step.
     ///
     /// # Safety
     /// There are `chunks` times `LANES` lines of integers, and codes of as many steps, the first of
@@ -176,11 +178,11 @@ impl Tiles {
         ring: &mut Ring,
         mut at: usize,
     ) -> usize {
-        // SAFETY: reads what the caller says there is, writes patterns.
+        // SAFETY: reads what the caller guarantees, writes expanded patterns to the ring.
         unsafe {
             asm!(
                 load_bits!(),
-                "2:", // multiplies the patterns of a step, and expands those ahead meanwhile
+                "2:", // one step: multiplies its patterns and expands those of a later step
                 "lea {next}, [{at} + {behind}]",
                 "and {next}, {last}",
                 "add {next}, {ring}",
@@ -232,9 +234,9 @@ impl Tiles {
         at
     }
 
-    /// Stores the sums, and makes them zero.
+    /// Stores the sums and sets the tiles to zero.
     pub fn store(&mut self, sums: &mut Sums) {
-        // SAFETY: that there are tiles, the contract of `configured`; a line of sums has 128 bytes.
+        // SAFETY: `configured` guarantees that there are tiles; a line of sums has 128 bytes.
         unsafe {
             asm!(
                 "tilestored [{sums} + {line} * 1], tmm0",
