@@ -57,3 +57,17 @@ def check_seed(seed: int) -> None:
         # "0" in quotes, lest it looks like the number.
         shown = seed if hasattr(seed, "__index__") else repr(seed)
         raise InputError(f"a seed of {shown}", hint=f"use a whole number from 0 to {LARGEST_SEED}")
+
+
+def check_positive(**values: float | None) -> None:
+    """Refuse parameters that are not positive and finite; None means automatic."""
+    for name, value in values.items():
+        if value is not None and not (math.isfinite(value) and value > 0):
+            raise InputError(f"{name} is {value}", hint="use a positive number")
+
+
+def check_at_least_one(**values: int | None) -> None:
+    """Refuse counts below 1; None means automatic."""
+    for name, value in values.items():
+        if value is not None and value < 1:
+            raise InputError(f"{name} is {value}", hint="use at least 1")

@@ -46,14 +46,14 @@ from tests.helpers.hostile_core import (
     weighted,
 )
 
-TESTS = Path(__file__).parent
+ROOT = Path(__file__).parents[2]
 
 
 def run(*arguments: str) -> subprocess.CompletedProcess[str]:
     """What a Python of its own says."""
     command = [sys.executable, "-W", "ignore", *arguments]
     return subprocess.run(
-        command, capture_output=True, text=True, check=False, cwd=TESTS, timeout=300
+        command, capture_output=True, text=True, check=False, cwd=ROOT, timeout=300
     )
 
 
@@ -74,7 +74,7 @@ def test_what_is_not_hostile_is_taken() -> None:
 
 def test_hostile_arguments_do_not_end_the_process() -> None:
     # A crash in here would end all other tests too, and say nothing: first see from outside.
-    done = run("hostile_core.py")
+    done = run("-m", "tests.helpers.hostile_core")
     assert done.returncode == 0, done.stdout + done.stderr
 
 
@@ -312,7 +312,7 @@ def test_threads_that_cannot_start_are_an_error() -> None:
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="there is no fork")
 def test_a_forked_process_has_threads_of_its_own() -> None:
     script = (
-        "import os\nfrom hostile_core import chosen, solve\n"
+        "import os\nfrom tests.helpers.hostile_core import chosen, solve\n"
         "solve(chosen_=chosen(threads=None))\nchild = os.fork()\n"
         "solve(chosen_=chosen(threads=None))\n"
         "os._exit(0) if child == 0 else print(os.waitpid(child, 0)[1])"

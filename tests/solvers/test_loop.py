@@ -117,6 +117,8 @@ def test_a_solver_with_its_own_loop_is_left_to_it() -> None:
     assert seen == [(1, 2)]
 
 
+ROOT = Path(__file__).parents[2]
+
 PEAK = """
 import sys
 import numpy as np
@@ -131,17 +133,17 @@ print(next(line.split()[1] for line in open("/proc/self/status") if line.startsw
 
 @pytest.mark.skipif(sys.platform != "linux", reason="reads a process's peak memory from /proc")
 def test_rows_of_the_compiled_solver_take_no_more_memory_than_it_says() -> None:
-    """Of a process each, since Python does not see what the core allocates."""
+    """Measured in separate processes, since Python does not see what the core allocates."""
     peaks = []
     for rows in (500, 4500):
         command = [sys.executable, "-c", PEAK, str(rows)]
-        peak = subprocess.run(command, cwd=Path(__file__).parent, capture_output=True, check=True)
+        peak = subprocess.run(command, cwd=ROOT, capture_output=True, check=True)
         peaks.append(1024 * int(peak.stdout))
     measured = (peaks[1] - peaks[0]) / 4000
-    said = ActiveSet().row_bytes(96, 64 * 64)
-    assert measured <= said
-    # Samples alone are an eighth of it: the support that it allows for is generous.
-    assert measured > said / 16
+    promised = ActiveSet().row_bytes(96, 64 * 64)
+    assert measured <= promised
+    # The samples alone are an eighth of it; the space for entries is generous.
+    assert measured > promised / 16
 
 
 @pytest.mark.parametrize("solver", [ADMM(), SaturationADMM(), ROMP()])
@@ -156,6 +158,6 @@ def test_rows_take_no_more_memory_than_the_solver_says(solver: Any) -> None:
         peaks[rows] = tracemalloc.get_traced_memory()[1]
         tracemalloc.stop()
     measured = (peaks[400] - peaks[40]) / 360
-    said = solver.row_bytes(96, 64 * 64)
-    assert measured <= said
-    assert measured > said / 3
+    promised = solver.row_bytes(96, 64 * 64)
+    assert measured <= promised
+    assert measured > promised / 3

@@ -24,7 +24,7 @@ from lightmatrix.cli.terminal import progress, say, show_json, show_table, warn
 from lightmatrix.diagnosis.finding import refuse_disorder
 from lightmatrix.diagnosis.usable import refuse_unusable
 from lightmatrix.outputs.kinds import REPORT, STORE
-from lightmatrix.transport.labels import named
+from lightmatrix.transport.labels import labelled
 
 if TYPE_CHECKING:
     from lightmatrix import AutoEstimator, Capture, Finding, LightTransport, Needs
@@ -201,7 +201,7 @@ def estimate(
         took = {"seconds": seconds, "needs": needs.as_dict()}
         show_json({"output": str(output), **took, **summary, **more})
         return
-    show_table(str(output), named(summary))
+    show_table(str(output), labelled(summary))
     unfinished = 1 - summary["converged_rows"]
     if unfinished > 0.01:
         say(

@@ -11,7 +11,7 @@ import lightmatrix as lm
 from lightmatrix.cli.options import Blue, Green, Json, Store, primaries
 from lightmatrix.cli.terminal import progress, show_json, show_table
 from lightmatrix.files.colours import COLOURS
-from lightmatrix.transport.labels import named
+from lightmatrix.transport.labels import labelled
 
 
 def evaluate(
@@ -46,7 +46,7 @@ def evaluate(
         if as_json:
             show_json(joint.as_dict())
         else:
-            show_table(title, named(joint.table()))
+            show_table(title, labelled(joint.table()))
         return
     with progress("rendering", "paths") as report:
         errors = lm.evaluate(scene, truth, exposure, progress=report).as_dict()
@@ -54,4 +54,4 @@ def evaluate(
         show_json(errors)
         return
     del errors["exposure"]
-    show_table(title, named(errors))
+    show_table(title, labelled(errors))

@@ -12,7 +12,7 @@ import lightmatrix as lm
 from lightmatrix.cli.options import Json, Overwrite
 from lightmatrix.cli.terminal import say, show_json, show_table
 from lightmatrix.errors import InputError
-from lightmatrix.transport.labels import named
+from lightmatrix.transport.labels import labelled
 
 
 def info(
@@ -62,7 +62,7 @@ def info(
         show_json(told)
         return
     say(str(judged))
-    show_table(str(scene), named(transport.summary()))
+    show_table(str(scene), labelled(transport.summary()))
     versions = transport.provenance.get("versions")
     if isinstance(versions, Mapping) and versions:
         made = ", ".join(f"{name} {number}" for name, number in versions.items())

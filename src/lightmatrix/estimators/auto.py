@@ -16,10 +16,9 @@ from lightmatrix.estimators.plain import PlainEstimator
 from lightmatrix.estimators.regularization import held_out_path
 from lightmatrix.estimators.steps import Progress
 from lightmatrix.estimators.workers.opening import opened
-from lightmatrix.ranges import check_number
+from lightmatrix.ranges import check_at_least_one, check_number
 from lightmatrix.resources.memory import memory_bytes
 from lightmatrix.solvers import ADMM, ROMP, ActiveSet, Fidelity, SaturationADMM, Solver
-from lightmatrix.solvers.parameters import check_count
 from lightmatrix.transport.matrix import LightTransport
 
 # Solvers by name, each with the fidelity that it has unless another is asked for.
@@ -94,7 +93,7 @@ class AutoEstimator:
             raise InputError(f"a bound of {most} bytes of memory", hint="give one such as 4GiB")
         if self.workers is not None and self.cluster is not None:
             raise InputError("workers here and a cluster", hint="leave out one of the two")
-        check_count(workers=self.workers)
+        check_at_least_one(workers=self.workers)
         self._check_regularization()
         fitting = self._why_not_coherent()
         if self.coherent and fitting is not None:

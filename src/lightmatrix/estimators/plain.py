@@ -19,8 +19,8 @@ from lightmatrix.estimators.join import (
 )
 from lightmatrix.estimators.regularization import automatic_regularization
 from lightmatrix.estimators.steps import OneStep, Progress, cut
+from lightmatrix.ranges import check_at_least_one
 from lightmatrix.solvers import Solver, solve
-from lightmatrix.solvers.parameters import check_count
 from lightmatrix.solvers.problem import Problem
 from lightmatrix.store import ROWS
 from lightmatrix.store.tiles import Span
@@ -61,7 +61,7 @@ class PlainEstimator:
     tile_rows: int | None = None
 
     def __post_init__(self) -> None:
-        check_count(tile_rows=self.tile_rows)
+        check_at_least_one(tile_rows=self.tile_rows)
 
     def estimate(
         self,

@@ -10,12 +10,9 @@ from numpy.typing import NDArray
 from lightmatrix.camera.noise import USUAL_NOISE
 from lightmatrix.camera.samples import Samples
 from lightmatrix.capture.capture import Capture
+from lightmatrix.solvers.default_regularization import default_regularization
 from lightmatrix.solvers.problem import Problem
-from lightmatrix.solvers.regularization import (
-    Path,
-    default_regularization,
-    regularization_path,
-)
+from lightmatrix.solvers.regularization_path import RegularizationPath, regularization_path
 
 # Rows that are looked at, in stretches spread evenly over the capture.
 _STRETCHES, _STRETCH = 32, 64
@@ -59,7 +56,7 @@ def automatic_regularization(capture: Capture) -> float:
     return default_regularization(capture.patterns, level, noise)
 
 
-def held_out_path(capture: Capture) -> Path:
+def held_out_path(capture: Capture) -> RegularizationPath:
     """Regularization chosen by hold-out on rows spread over the capture.
 
     Values from twice to a quarter of the automatic one; see `regularization_path`.

@@ -21,7 +21,7 @@ from lightmatrix.evaluation.metrics import (
 from lightmatrix.files.colours import COLOURS
 from lightmatrix.ranges import check_number
 from lightmatrix.reprs import html_table, text_table
-from lightmatrix.transport.labels import named
+from lightmatrix.transport.labels import labelled
 from lightmatrix.transport.matrix import LightTransport
 
 
@@ -71,10 +71,10 @@ class Errors:
         return {name: value for name, value in asdict(self).items() if not math.isnan(value)}
 
     def __repr__(self) -> str:
-        return text_table("Errors", named(self.as_dict()))
+        return text_table("Errors", labelled(self.as_dict()))
 
     def _repr_html_(self) -> str:
-        return html_table("Errors", named(self.as_dict()))
+        return html_table("Errors", labelled(self.as_dict()))
 
 
 @dataclass(frozen=True)
@@ -111,10 +111,10 @@ class ColourErrors:
         return joint | {name: getattr(self, name).as_dict() for name in COLOURS}
 
     def __repr__(self) -> str:
-        return text_table("Errors in colour", named(self.table()))
+        return text_table("Errors in colour", labelled(self.table()))
 
     def _repr_html_(self) -> str:
-        return html_table("Errors in colour", named(self.table()))
+        return html_table("Errors in colour", labelled(self.table()))
 
     def table(self) -> dict[str, float]:
         """The errors that matter most in one list: of the three together, and of each."""

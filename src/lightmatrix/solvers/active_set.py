@@ -10,9 +10,9 @@ from scipy.sparse import csr_array
 
 from lightmatrix import _core
 from lightmatrix.errors import InputError, SolverError
+from lightmatrix.ranges import check_at_least_one
 from lightmatrix.solvers.fidelity import Fidelity
 from lightmatrix.solvers.loop import Progress
-from lightmatrix.solvers.parameters import check_count
 from lightmatrix.solvers.problem import Problem, Result, Status, solved_rows
 from lightmatrix.transport.sparse_rows import SparseRows
 
@@ -83,7 +83,7 @@ class ActiveSet:
             raise InputError(
                 f"a tolerance of {self.tolerance}", hint="use a relative gap such as 1e-4"
             )
-        check_count(max_passes=self.max_passes, threads=self.threads)
+        check_at_least_one(max_passes=self.max_passes, threads=self.threads)
 
     def solve(
         self, problem: Problem, progress: Progress | None = None, *, start: SparseRows | None = None

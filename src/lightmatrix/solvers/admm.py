@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.errors import SolverError
+from lightmatrix.ranges import check_at_least_one, check_positive
 from lightmatrix.solvers.fidelity import Fidelity
-from lightmatrix.solvers.parameters import check_count, check_positive
 from lightmatrix.solvers.problem import Problem
 from lightmatrix.solvers.prox import capped_soft_threshold, soft_threshold
 from lightmatrix.solvers.system import System, centred_energy, system_of
@@ -66,7 +66,7 @@ class ADMM:
 
     def __post_init__(self) -> None:
         check_positive(penalty_x=self.penalty_x, tolerance=self.tolerance)
-        check_count(max_iterations=self.max_iterations)
+        check_at_least_one(max_iterations=self.max_iterations)
 
     def init(self, problem: Problem) -> ADMMState:
         mu = self.penalty_x or automatic_penalty_x(problem)

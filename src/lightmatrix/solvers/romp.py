@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from lightmatrix.errors import SolverError
+from lightmatrix.ranges import check_at_least_one
 from lightmatrix.solvers.fidelity import Fidelity
 from lightmatrix.solvers.objective import CHUNK_BYTES, relative_gap
-from lightmatrix.solvers.parameters import check_count
 from lightmatrix.solvers.problem import Problem, Result, Status, no_rows, solved_rows
 from lightmatrix.transport.sparse_rows import SparseRows
 
@@ -64,7 +64,7 @@ class ROMP:
                 f"ROMP cannot use the fidelity {self.fidelity}: it solves least squares",
                 hint="use linear or rejection, or the solver saturation-admm",
             )
-        check_count(sparsity=self.sparsity, max_iterations=self.max_iterations)
+        check_at_least_one(sparsity=self.sparsity, max_iterations=self.max_iterations)
 
     def solve(self, problem: Problem, progress: Callable[[int, int], None] | None = None) -> Result:
         """Solve all rows, a chunk at a time."""

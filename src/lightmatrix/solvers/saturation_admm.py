@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lightmatrix.ranges import check_at_least_one, check_positive
 from lightmatrix.solvers.admm import automatic_penalty_x, relative, shrink
 from lightmatrix.solvers.fidelity import Fidelity
-from lightmatrix.solvers.parameters import check_count, check_positive
 from lightmatrix.solvers.problem import Problem
 from lightmatrix.solvers.system import System, system_of
 
@@ -79,7 +79,7 @@ class SaturationADMM:
     def __post_init__(self) -> None:
         object.__setattr__(self, "fidelity", Fidelity(self.fidelity))
         check_positive(penalty_x=self.penalty_x, penalty_u=self.penalty_u, tolerance=self.tolerance)
-        check_count(max_iterations=self.max_iterations)
+        check_at_least_one(max_iterations=self.max_iterations)
 
     def init(self, problem: Problem) -> SaturationADMMState:
         mu = self.penalty_x or automatic_penalty_x(problem)

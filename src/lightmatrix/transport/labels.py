@@ -50,7 +50,7 @@ _SHARES = {
 }
 
 
-def named(values: Mapping[str, Any]) -> dict[str, Any]:
+def labelled(values: Mapping[str, Any]) -> dict[str, Any]:
     """The same by names to read instead of JSON keys, shares in per cent."""
     return {
         _MEANING.get(key, key.replace("_", " ")): f"{100 * value:.1f} %"

@@ -15,7 +15,7 @@ from lightmatrix.errors import InputError
 from lightmatrix.patterns.grids import check_grid, grid_cells
 from lightmatrix.regions import Region
 from lightmatrix.reprs import html_table
-from lightmatrix.transport.labels import named
+from lightmatrix.transport.labels import labelled
 
 # Of the provenance, what a summary repeats.
 _TOLD = ("estimator", "solver", "regularization", "certificate", "pattern_digest", "scene")
@@ -81,7 +81,7 @@ class LightTransport:
         )
 
     def _repr_html_(self) -> str:
-        return html_table("Light transport matrix", named(self.summary()))
+        return html_table("Light transport matrix", labelled(self.summary()))
 
     def __post_init__(self) -> None:
         expected = (int(np.prod(self.camera_shape)), int(np.prod(self.projector_shape)))

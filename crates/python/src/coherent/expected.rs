@@ -1,6 +1,6 @@
 //! Predicts the samples of rows.
 
-use super::{check_pixels, LARGEST};
+use super::checks::{self, check_pixels, LARGEST};
 use crate::arrays::{attribute, check_memory, check_shape, grid, positive, whole, Values};
 use crate::input::{Samples, SparseRows};
 use crate::solver::PreparedPatterns;
@@ -47,7 +47,7 @@ pub(super) fn expected_samples<'py>(
     let start = whole(start, "start", 0..=total - count)?;
     let selected: Vec<usize> = match index {
         None => (start..start + count).collect(),
-        Some(_) => super::selected(index, start..total)?,
+        Some(_) => checks::selected(index, start..total)?,
     };
     if selected.len() != count {
         return Err(PyValueError::new_err(format!(
@@ -60,7 +60,7 @@ pub(super) fn expected_samples<'py>(
     let largest = camera[0].max(camera[1]);
     let reach = whole(reach, "reach", 0..=LARGEST)?.min(largest);
 
-    let jacobian = super::jacobian(&part("movement")?, "neighbourhood.movement", total)?;
+    let jacobian = checks::jacobian(&part("movement")?, "neighbourhood.movement", total)?;
 
     // The rows of the windows around the first and the last selected row.
     let halo = reach

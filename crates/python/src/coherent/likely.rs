@@ -1,6 +1,6 @@
 //! Predicts which atoms rows hold.
 
-use super::LARGEST;
+use super::checks::{self, LARGEST};
 use crate::arrays::{check_memory, check_shape, grid, positive, whole, Values};
 use crate::input::SparseRows;
 use crate::threads::{on_all_cores, thread_count};
@@ -41,7 +41,7 @@ pub(super) fn likely_pixels<'py>(
 ) -> PyResult<Csr<'py>> {
     let (camera, count) = grid(camera, "camera")?;
     let (projector, pixels) = grid(projector, "projector")?;
-    let jacobian = super::jacobian(movement, "movement", count)?;
+    let jacobian = checks::jacobian(movement, "movement", count)?;
     let spots = spots
         .iter()
         .map(|spot| Values::<f32>::reals(spot, "a spot"))
@@ -87,7 +87,7 @@ pub(super) fn likely_pixels<'py>(
         projector_reach: whole(&reach.1, "the reach in the projector", 0..=LARGEST)?,
         most: whole(most, "most", 1..=LARGEST)?,
     };
-    let rows_selected = super::selected(index, super::range(range, count)?)?;
+    let rows_selected = checks::selected(index, checks::range(range, count)?)?;
     let doubts = Values::<f64>::reals(doubts, "doubts")?;
     let why = "one for each row of the range or the index";
     check_shape("doubts", doubts.shape(), &[Some(rows_selected.len())], why)?;

@@ -1,6 +1,6 @@
 //! Solves rows on their candidates.
 
-use super::check_pixels;
+use super::checks::check_pixels;
 use crate::arrays::{attribute, check_memory, check_shape, Values};
 use crate::input::{Samples, Settings, SparseRows, Start};
 use crate::solved::Solved;

@@ -29,9 +29,9 @@ from lightmatrix.estimators.join import (
     solver_provenance,
 )
 from lightmatrix.estimators.steps import Progress
+from lightmatrix.ranges import check_at_least_one
 from lightmatrix.solvers.active_set import ActiveSet
 from lightmatrix.solvers.fidelity import Fidelity
-from lightmatrix.solvers.parameters import check_count
 from lightmatrix.transport.matrix import LightTransport
 
 # Half widths of the windows of each round, in camera and in projector pixels. The first rounds
@@ -123,7 +123,7 @@ class CoherentEstimator:
             raise InputError(
                 f"windows of {self.windows}", hint="give half widths of one round or more"
             )
-        check_count(candidates=self.candidates, tile_rows=self.tile_rows)
+        check_at_least_one(candidates=self.candidates, tile_rows=self.tile_rows)
         if min(self.background_grid) < 1:
             raise InputError(
                 f"a background grid of {self.background_grid}", hint="use (1, 1) or more"

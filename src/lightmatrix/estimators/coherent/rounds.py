@@ -38,8 +38,7 @@ from lightmatrix.estimators.steps import Found, Progress, SolveTile, cut
 from lightmatrix.solvers.problem import Result
 from lightmatrix.store import ROWS
 from lightmatrix.store.tiles import Span
-from lightmatrix.transport.footprints import footprint_sizes
-from lightmatrix.transport.sparse_rows import SparseRows
+from lightmatrix.transport.sparse_rows import SparseRows, footprint_sizes
 
 # Of each row of a large frame: whether it looked at every projector pixel; and, of some rows,
 # whether none beside its likeliest would enter it, NaN of the others.

@@ -10,7 +10,7 @@ from scipy.ndimage import binary_dilation
 from scipy.sparse import csr_array
 
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
-from lightmatrix.solvers.regularization import column_length
+from lightmatrix.solvers.default_regularization import column_length
 
 # Blocks that are always kept, if they have any light: a spot may touch four, and its halo more.
 _LEAST_KEPT = 8

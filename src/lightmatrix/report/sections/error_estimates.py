@@ -9,7 +9,7 @@ from lightmatrix.report.facts import Facts
 from lightmatrix.report.image_data import difference_image, image_of_map, pattern_image, photograph
 from lightmatrix.report.validation import HeldOut
 from lightmatrix.reprs import shown_value
-from lightmatrix.transport.labels import named
+from lightmatrix.transport.labels import labelled
 
 # Of the photographs held out, so many are shown.
 _COMPARED = 2
@@ -21,7 +21,7 @@ def solved(facts: Facts) -> Section:
     table = Table(
         "The estimate",
         ("what", "value"),
-        tuple((name, shown_value(value)) for name, value in named(summary).items()),
+        tuple((name, shown_value(value)) for name, value in labelled(summary).items()),
     )
     maps = tuple(image_of_map(shown, caption) for shown, caption in _maps(facts))
     blocks: list[Block] = [Columns((table,), (Gallery(maps),) if maps else ())]

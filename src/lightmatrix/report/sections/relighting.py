@@ -12,7 +12,7 @@ from lightmatrix.report.facts import Facts
 from lightmatrix.report.image_data import difference_image, image_of_map, pattern_image, photograph
 from lightmatrix.report.validation import HeldOut
 from lightmatrix.reprs import shown_value
-from lightmatrix.transport.labels import named
+from lightmatrix.transport.labels import labelled
 
 _SHOWN = ("disc", "stripes")
 
@@ -43,7 +43,7 @@ def _against_truth(facts: Facts) -> Columns:
     shown = Gallery((image_of_map(error_map(facts.row_errors), caption),))
     values = {"relative error of T": facts.relative_error}
     if facts.errors is not None:
-        values = named(facts.errors.as_dict())
+        values = labelled(facts.errors.as_dict())
     rows = tuple((name, shown_value(value)) for name, value in values.items())
     return Columns((Table("Errors against the truth", ("what", "value"), rows),), (shown,))
 
