@@ -137,7 +137,7 @@ def test_three_matrices_are_evaluated_together(
     wanted = 0.1 * np.sqrt(energy[1] / sum(energy))
     assert errors.relative_error == pytest.approx(wanted, rel=1e-4)
     assert 0.02 < errors.relighting_error < 0.1
-    assert "green: relative error of T" in repr(errors)
+    assert "green: error of T" in repr(errors)
     for k, colour in enumerate(COLOURS):
         taken[k].save(tmp_path / colour)
         lm.save(tmp_path / f"{colour}.zarr", wrong[k])

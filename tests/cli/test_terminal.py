@@ -15,7 +15,9 @@ import lightmatrix as lm
 from lightmatrix import cli
 from lightmatrix.cli import main
 from lightmatrix.errors import InputError
+from lightmatrix.evaluation.estimate_errors import Errors
 from lightmatrix.solvers import solve
+from lightmatrix.transport.labels import labelled
 from tests.helpers.systems import SHELL, SIGNALS
 
 COMMAND = str(Path(sys.executable).with_name("lightmatrix"))
@@ -41,7 +43,7 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_names_are_shown_as_they_are(store: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["info", str(store)]) == 0
+    assert main(["info", str(store), "--verbose"]) == 0
     shown = capsys.readouterr().out
     assert str(store) in shown
     assert "[/bold] :heart: [blink]" in shown
@@ -51,6 +53,28 @@ def test_names_are_shown_as_they_are(store: Path, capsys: pytest.CaptureFixture[
     assert "x[/y]:x:.png" in capsys.readouterr().out
     assert main(["info", "nothing [/here] :x:"]) == 2
     assert "nothing [/here] :x:" in capsys.readouterr().err
+
+
+def test_a_terminal_of_80_columns_has_room_for_the_values(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    lm.simulate("metal", lm.BernoulliPatterns((64, 64), 8)).save("capture")
+    line = "estimate capture -o s.zarr --no-check --no-coherent --iterations 1"
+    assert main(line.split()) == 0
+    shown = capsys.readouterr().out
+    verdict, _, *rows = shown.splitlines()
+    assert verdict.startswith("not tested: ")
+    assert 8 <= len(rows) <= 12
+    assert main(["info", "s.zarr"]) == 0
+    assert shown.startswith(capsys.readouterr().out)
+    assert main(["info", "s.zarr", "--verbose"]) == 0
+    rows = [row for row in capsys.readouterr().out.splitlines() if row.startswith("  ")]
+    assert len(rows) > 13
+    # A wrapped value would go on below a blank label.
+    assert all(row[2] != " " and len(row) <= 80 for row in rows)
+    labels = labelled(dict.fromkeys(Errors.__dataclass_fields__, 0.5))
+    assert max(map(len, labels)) <= 26
 
 
 def test_a_name_cannot_move_the_cursor(capsys: pytest.CaptureFixture[str]) -> None:

@@ -17,6 +17,7 @@ from lightmatrix.cli.options import (
     PASSES,
     Json,
     Overwrite,
+    Verbose,
     size,
 )
 from lightmatrix.cli.source import Source, with_source
@@ -33,6 +34,8 @@ SolverName = Literal["active-set", "saturation-admm", "admm", "romp"]
 FidelityName = Literal["linear", "one-sided", "clipped", "rejection", "likelihood"]
 # What an estimate takes is said from so many seconds on, or this share of the free memory.
 _LONG, _MUCH = 60, 0.25
+# The advice to raise --iterations is given where a smaller share of the rows converged.
+_FEW_CONVERGED = 0.99
 SOLVERS_HELP = (
     "active-set (one-sided, rejection, linear; certifies a duality gap), "
     "saturation-admm (clipped, one-sided, likelihood, rejection, linear), admm (linear), "
@@ -144,6 +147,7 @@ def estimate(
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Say what memory and time it will take, and stop.")
     ] = False,
+    verbose: Verbose = False,
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
@@ -201,21 +205,12 @@ def estimate(
         took = {"seconds": seconds, "needs": needs.as_dict()}
         show_json({"output": str(output), **took, **summary, **more})
         return
-    show_table(str(output), labelled(summary))
-    unfinished = 1 - summary["converged_rows"]
-    if unfinished > 0.01:
-        say(
-            f"{100 * unfinished:.0f} % of the rows reached the iteration limit; "
-            "raise it with --iterations",
-            style="yellow",
-        )
-    if report is not None and told is not None:
-        say(f"{told['verdict']}: {told['sentence']}")
+    say(str(lm.verdict(transport)) if told is None else f"{told['verdict']}: {told['sentence']}")
+    show_table(str(output), labelled(summary, main_only=not verbose))
+    if summary["converged_rows"] < _FEW_CONVERGED:
+        say("some rows reached the iteration limit: raise it with --iterations", style="yellow")
+    if report is not None:
         say(f"report: {(report / 'report.html').absolute()}")
-        return
-    judged = lm.verdict(transport)
-    if judged.level != "not tested":
-        say(str(judged))
 
 
 def _show_needs(needs: Needs, as_json: bool) -> None:

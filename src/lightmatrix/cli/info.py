@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 import lightmatrix as lm
-from lightmatrix.cli.options import Json, Overwrite
+from lightmatrix.cli.options import Json, Overwrite, Verbose
 from lightmatrix.cli.terminal import say, show_json, show_table
 from lightmatrix.errors import InputError
 from lightmatrix.transport.labels import labelled
@@ -31,6 +31,7 @@ def info(
             help="Write maps of correspondence, clipping, gaps and footprints as well.",
         ),
     ] = None,
+    verbose: Verbose = False,
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
@@ -62,9 +63,9 @@ def info(
         show_json(told)
         return
     say(str(judged))
-    show_table(str(scene), labelled(transport.summary()))
+    show_table(str(scene), labelled(transport.summary(), main_only=not verbose))
     versions = transport.provenance.get("versions")
-    if isinstance(versions, Mapping) and versions:
+    if verbose and isinstance(versions, Mapping) and versions:
         made = ", ".join(f"{name} {number}" for name, number in versions.items())
         say(f"made with {made}")
     if written is not None:

@@ -12,6 +12,9 @@ from lightmatrix.errors import InputError
 
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace an output that exists.")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")]
+Verbose = Annotated[
+    bool, typer.Option("--verbose", help="Show every number instead of the main ones.")
+]
 Clip = Annotated[
     float | None,
     typer.Option(

@@ -1,4 +1,4 @@
-"""What is told about a light transport matrix and its errors, in words instead of keys."""
+"""Labels for the numbers of a light transport matrix and of its errors, in place of JSON keys."""
 
 from __future__ import annotations
 
@@ -7,37 +7,36 @@ from typing import Any
 
 from lightmatrix.files.colours import COLOURS
 
-# What the keys of the JSON mean, where their words do not say it.
-_MEANING = {
-    "entries": "entries of T",
-    "entries_per_row": "entries a row",
-    "background_grid": "cells of the background",
+# Keys that need more than spaces for their underscores. A label has at most 26 characters, which
+# leaves room for its value on a terminal of 80 columns.
+_LABELS = {
+    "entries_per_row": "entries per row",
+    "background_grid": "background cells",
     "background_share": "light in the background",
-    "clipped_samples": "samples that clipped",
-    "rows_half_clipped": "rows with half of their samples clipped",
-    "iterations_median": "iterations, median of rows",
-    "converged_rows": "rows that converged",
-    "gap_median": "relative duality gap, median of rows",
-    "gap_max": "largest relative duality gap",
-    "rows_looked_everywhere": "rows that looked at every projector pixel",
-    "rows_that_hold_everywhere": "rows, of a sample, certified against every projector pixel",
-    "relative_error": "relative error of T",
-    "relighting_error": "relative error of relit images",
-    "response_rmse": "RMSE of single responses, of the clip level",
-    "share_of_rows_unclipped_responses": "rows that do not clip under one pixel",
-    "relative_error_unclipped_responses": "relative error of T in these rows",
-    "relighting_error_unclipped_responses": "relative error of relit images in these rows",
+    "rows_half_clipped": "rows half clipped or more",
+    "iterations_median": "iterations (median)",
+    "gap_median": "duality gap (median)",
+    "gap_max": "duality gap (largest)",
+    "rows_looked_everywhere": "rows searched everywhere",
+    "rows_that_hold_everywhere": "rows certified everywhere",
+    "relative_error": "error of T",
+    "relighting_error": "error of relit images",
+    "response_rmse": "RMSE of single responses",
+    "share_of_rows_unclipped_responses": "rows no single pixel clips",
+    "relative_error_unclipped_responses": "error of T, these rows",
+    "relighting_error_unclipped_responses": "relit images, these rows",
     "share_of_rows_diffuse": "diffuse rows",
-    "relative_error_diffuse": "relative error of T in diffuse rows",
-    "relighting_error_diffuse": "relative error of relit images in diffuse rows",
+    "relative_error_diffuse": "error of T, diffuse rows",
+    "relighting_error_diffuse": "relit images, diffuse rows",
 } | {
-    f"{error}_{colour}": f"{colour}: {words}"
-    for error, words in (
-        ("relative_error", "relative error of T"),
-        ("relighting_error", "relative error of relit images"),
+    f"{error}_{colour}": f"{colour}: {label}"
+    for error, label in (
+        ("relative_error", "error of T"),
+        ("relighting_error", "relit images"),
     )
     for colour in COLOURS
 }
+# Values between 0 and 1 that are shown in per cent.
 _SHARES = {
     "background_share",
     "clipped_samples",
@@ -48,13 +47,30 @@ _SHARES = {
     "share_of_rows_unclipped_responses",
     "share_of_rows_diffuse",
 }
+# What a user wants to know of an estimate at first sight, besides the verdict.
+_MAIN = (
+    "camera",
+    "crop",
+    "projector",
+    "entries_per_row",
+    "background_share",
+    "clipped_samples",
+    "converged_rows",
+    "gap_max",
+    "estimator",
+    "regularization",
+)
 
 
-def labelled(values: Mapping[str, Any]) -> dict[str, Any]:
-    """The same by names to read instead of JSON keys, shares in per cent."""
+def labelled(values: Mapping[str, Any], *, main_only: bool = False) -> dict[str, Any]:
+    """The same values with labels in place of JSON keys, and shares in per cent.
+
+    `main_only` keeps about ten lines of the summary of a matrix, those that matter most.
+    """
+    keys = [key for key in _MAIN if key in values] if main_only else list(values)
     return {
-        _MEANING.get(key, key.replace("_", " ")): f"{100 * value:.1f} %"
+        _LABELS.get(key, key.replace("_", " ")): f"{100 * values[key]:.1f} %"
         if key in _SHARES
-        else value
-        for key, value in values.items()
+        else values[key]
+        for key in keys
     }

@@ -146,7 +146,7 @@ def _attributes() -> list[Case]:
     cases.append(
         Case(
             "provenance of markup",
-            READERS["info"],
+            f"{READERS['info']} --verbose",
             (),
             both(BAD, attribute("bad.zarr", "provenance", markup)),
             code=0,
