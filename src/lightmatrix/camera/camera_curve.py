@@ -1,4 +1,7 @@
-"""The camera's response: which share of the full level belongs to which share of light."""
+"""The model of a camera's response: the share of light that belongs to each share of raw levels.
+
+`patterns/projector_curve.py` models the projector's; `calibration/responses/` measures both.
+"""
 
 from __future__ import annotations
 
@@ -15,12 +18,15 @@ from lightmatrix.files.curves import CurveFile
 from lightmatrix.files.npy import read_npy
 from lightmatrix.files.reading import read_text
 
-# 65,536 levels of two numbers come to less than a tenth of it.
-_MOST_CURVE = 16 << 20
-# In whatever unit a curve counts its light; beyond it, numbers are slips of the pen.
-_MOST_LIGHT = 1e30
-_CURVES = (".json", ".txt", ".csv", ".npy")
 RESPONSES = "linear, gamma:2.2, srgb, or a curve's file"
+_CURVES = (".json", ".txt", ".csv", ".npy")
+# Bytes of a text file that are read. 65,536 lines of two numbers take less than a tenth of it.
+_MOST_CURVE = 16 << 20
+# The largest number of light that is accepted, in any unit; a larger one is a typing error.
+_MOST_LIGHT = 1e30
+# Points of a curve that a formula gives. Straight lines between them are exact to 16 bits
+# everywhere but near zero.
+_POINTS = 65536
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,9 +39,10 @@ class Response:
         Matching points of the curve, from 0 to 1, levels increasing, light not decreasing;
         straight in between. None for the linear response.
     name : str
-        As given to `parse`.
+        The text that `parse` read.
     full_scale : float, optional
-        Raw level of level 1, where the response was measured of raw levels. None: of any camera.
+        Raw level of level 1, if the response was measured from raw levels. None: it fits any
+        camera.
 
     Examples
     --------
@@ -55,20 +62,19 @@ class Response:
 
         A curve is what `lightmatrix response` measured (.json); or a text file (or npy) of two
         columns, level and light, each from 0 to its own maximum; or of one column, the light at
-        equally spaced levels. A relative FILE is looked for in `folder`. Where it ends in .json,
-        .txt, .csv or .npy, ``curve:`` may be left out.
+        equally spaced levels. A relative FILE is looked for in `folder`. ``curve:`` may be left
+        out before a name that ends in .json, .txt, .csv or .npy.
 
         Raises
         ------
         InputError
             On an unknown name, a gamma out of [0.1, 10], or a curve that does not increase or whose
-            numbers are negative or beyond all sense.
+            numbers are negative or too large.
         """
         kind, _, argument = text.partition(":")
         if text == "linear":
             return cls()
-        # Fine enough that the straight pieces are exact to 16 bits everywhere but near zero.
-        levels = np.linspace(0, 1, 65536)
+        levels = np.linspace(0, 1, _POINTS)
         if text == "srgb":
             light = np.where(levels <= 0.04045, levels / 12.92, ((levels + 0.055) / 1.055) ** 2.4)
             return cls(levels, light, text)
@@ -84,12 +90,11 @@ class Response:
             file = folder / named
             try:
                 if file.suffix.lower() == ".json":
-                    told = CurveFile.load(file, "camera")
-                    top = float(told.levels[-1])
-                    return cls(told.levels / top, told.light, text, top)
+                    curve = CurveFile.load(file, "camera")
+                    top = float(curve.levels[-1])
+                    return cls(curve.levels / top, curve.light, text, top)
                 return cls(*_read_curve(file), text)
             except InputError as error:
-                # Which file is meant is clear from what it was asked for.
                 message = f"the response curve {error.message}"
                 raise InputError(message, hint=error.hint) from error
         raise InputError(f"a response of {text!r}", hint=f"use {RESPONSES}")
@@ -102,7 +107,7 @@ class Response:
         return np.interp(share, self.levels, self.light)
 
     def of_full_scale(self, full_scale: float) -> Response:
-        """The same response where level 1 is to be another raw level, if it knows its own."""
+        """The same response with level 1 at `full_scale`, if it was measured from raw levels."""
         if self.full_scale is None or self.full_scale == full_scale:
             return self
         if self.levels is None or self.light is None:
@@ -117,52 +122,21 @@ class Response:
 
 
 def curve_file(text: str) -> str | None:
-    """The file that a response is read from, as it is written; None if from none."""
+    """The file that a response is read from, as it is written; None if it needs no file."""
     if text.startswith("curve:"):
         return text.removeprefix("curve:") or None
     return text if Path(text).suffix.lower() in _CURVES else None
 
 
-def _as_columns(values: Any) -> NDArray[np.float64]:
-    """A table of points, (n, columns).
-
-    Raises
-    ------
-    ValueError
-        If it is empty, no numbers, or no table.
-    """
-    table = np.asarray(values)
-    if table.dtype.kind not in "fiu" or table.ndim not in (1, 2) or table.size == 0:
-        raise ValueError("no table of numbers")
-    return table.astype(np.float64).reshape(len(table), -1)
-
-
 def _read_curve(file: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    # The message must not quote the file, which may be any of the system.
-    unreadable = InputError(
-        f"{file}: cannot be read: no table of numbers",
-        hint="write two columns of numbers, level and light",
-    )
-    try:
-        if file.suffix.lower() == ".npy":
-            table = _as_columns(read_npy(file))
-        else:
-            text = read_text(file, _MOST_CURVE).replace(",", " ").replace(";", " ")
-            rows = [line.split() for line in text.splitlines() if line.strip()]
-            table = _as_columns([[float(v) for v in row] for row in rows if row[0][0] != "#"])
-    except (OSError, EOFError, ValueError, TypeError) as error:
-        raise unreadable from error
+    """Levels and light of a text or npy file, each as a share of its last value."""
+    table = _read_table(file)
     if table.shape[1] == 1:
         table = np.column_stack([np.arange(len(table)), table[:, 0]])
     levels, light = table[:, 0], table[:, -1]
     increasing = len(table) > 1 and (np.diff(levels) > 0).all() and (np.diff(light) >= 0).all()
-    if (
-        table.shape[1] != 2
-        or not np.isfinite(table).all()
-        or not increasing
-        or levels[-1] <= 0
-        or light[-1] <= 0
-    ):
+    positive = levels[-1] > 0 and light[-1] > 0
+    if table.shape[1] != 2 or not np.isfinite(table).all() or not (increasing and positive):
         raise InputError(
             f"{file}: {table.shape[0]} x {table.shape[1]} numbers that do not increase",
             hint="write two columns, level and light, from dark to bright",
@@ -174,3 +148,23 @@ def _read_curve(file: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
             hint=f"give levels from 0 to {MOST_LEVEL:g} and light from 0 to {_MOST_LIGHT:g}",
         )
     return levels / levels[-1], light / light[-1]
+
+
+def _read_table(file: Path) -> NDArray[np.float64]:
+    """The numbers of a text or npy file, (n, columns)."""
+    try:
+        if file.suffix.lower() == ".npy":
+            table = np.asarray(read_npy(file))
+        else:
+            text = read_text(file, _MOST_CURVE).replace(",", " ").replace(";", " ")
+            rows = [line.split() for line in text.splitlines() if line.strip()]
+            table = np.asarray([[float(v) for v in row] for row in rows if row[0][0] != "#"])
+        if table.dtype.kind not in "fiu" or table.ndim not in (1, 2) or table.size == 0:
+            raise ValueError("no table of numbers")
+    except (OSError, EOFError, ValueError, TypeError) as error:
+        # The message does not quote the file, which may be any file of the system.
+        raise InputError(
+            f"{file}: cannot be read: no table of numbers",
+            hint="write two columns of numbers, level and light",
+        ) from error
+    return table.astype(np.float64).reshape(len(table), -1)

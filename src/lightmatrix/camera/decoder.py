@@ -1,4 +1,4 @@
-"""From raw levels to linear samples."""
+"""The decoder: from raw levels of a camera to linear samples."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Decoder:
         Exposure of the black frame; its light above `black_level` grows with the exposure. None
         means that of the frames, which must then be one.
     clip_assumed : bool
-        Whether nobody stated the clip level, so that it is the end of the range of the files.
+        Whether the clip level was not stated and is the end of the range of the files.
 
     Raises
     ------
@@ -95,7 +95,7 @@ class Decoder:
 
     @property
     def hot(self) -> NDArray[np.bool_] | None:
-        """Samples that clip without light and so tell nothing, (M,); None without black frame."""
+        """Samples that clip even without light, (M,); None without a black frame."""
         if self.black_frame is None:
             return None
         return np.asarray(np.asarray(self.black_frame) >= np.min(self.clip))
@@ -125,27 +125,18 @@ class Decoder:
         )
 
     def decode(self, raw: NDArray[Any], *, first_row: int = 0, first_frame: int = 0) -> Samples:
-        """Decode a tile.
+        """Samples of the raw levels (m, n) of m camera samples in n frames.
 
-        Parameters
-        ----------
-        raw : (m, n) uint8, uint16 or float32
-            Raw levels of m camera samples in n frames.
-        first_row, first_frame : int
-            Where this tile begins in the whole capture.
-
-        Returns
-        -------
-        Samples
-            Samples in units of the clip level above `black_level`, at exposure 1.
+        They are in units of the clip level above `black_level`, at exposure 1. `first_row` and
+        `first_frame` say where this tile begins in the whole capture.
         """
         rows, frames = raw.shape
         stop = first_frame + frames
         clip = per_frame(self.clip, first_frame, stop, "clip levels")
         pedestal = self._light(per_frame(self.black_level, first_frame, stop, "black levels"))
         exposure = per_frame(self.exposure, first_frame, stop, "exposures")
-        # The first level of the raw type that is not below the clip level.
         if raw.dtype.kind == "u":
+            # Whole levels are compared with the first that is not below the clip level.
             clipped = raw >= np.ceil(clip).astype(raw.dtype)
             light = self._table[np.minimum(raw, int(self.full_scale))]
         else:
@@ -160,6 +151,6 @@ class Decoder:
         scale = 1 / ((ceiling - pedestal) * exposure)
         values = (light - black.astype(np.float32)) * scale.astype(np.float32)
         level = ((ceiling - black) * scale).astype(np.float32)
-        # Exactly the clip level, not one rounding away from it.
+        # Clipped values are exactly the clip level, without rounding.
         np.copyto(values, np.broadcast_to(level, values.shape), where=clipped)
         return Samples(values, clipped, level)

@@ -1,4 +1,4 @@
-"""Several exposures in one capture: which frame gets which."""
+"""Several exposures in one capture: which frame has which."""
 
 from __future__ import annotations
 
@@ -13,24 +13,21 @@ from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.patterns.shares import interleave, parse_shares
 
 EXAMPLE = "1:0.75,0.25:0.25"
-# In any unit that a camera is set in; float32 samples keep their digits.
+# Exposures that are accepted, in any unit. Within this range float32 samples keep their digits.
 _SHORTEST, _LONGEST = 1e-12, 1e12
 
 
 def parse_exposures(text: str) -> list[tuple[float, float]]:
-    """Read ``0.8``, or exposures and their shares of the frames: ``1:0.75,0.25:0.25``.
+    """Read ``0.8``, or exposures with their shares of the frames, ``1:0.75,0.25:0.25``.
 
-    Returns
-    -------
-    list of (exposure, share)
-        Both > 0; the shares sum to 1.
+    The pairs of (exposure, share) are positive, and the shares sum to 1.
 
     Raises
     ------
     InputError
         On exposures that are no positive numbers or beyond 1e12, and shares that do not sum to 1.
     """
-    result = []
+    pairs = []
     for name, share in parse_shares(text, "an exposure", EXAMPLE):
         try:
             exposure = float(name)
@@ -41,36 +38,26 @@ def parse_exposures(text: str) -> list[tuple[float, float]]:
                 f"an exposure of {name!r}",
                 hint=f"use positive numbers, such as 1, or several: {EXAMPLE}",
             )
-        result.append((exposure, share))
-    return result
+        pairs.append((exposure, share))
+    return pairs
 
 
 def exposure_sequence(
     exposures: Sequence[tuple[float, float]], patterns: PatternSet
 ) -> float | NDArray[np.float64]:
-    """The exposure of each frame; one number where all have one.
+    """The exposure of each frame, (K,), or one number if all frames have the same.
 
-    Exposures follow each other evenly in their shares (see `interleave`), apart for each kind of
-    pattern of a mix: every exposure sees fine and coarse patterns alike, in every prefix. With
+    `exposures` are pairs of (exposure, share), as from `parse_exposures`. Exposures alternate
+    evenly in their shares (see `interleave`), separately for each kind of pattern in a mix. So
+    every exposure sees fine and coarse patterns alike, in every prefix of the capture. With
     ``1:0.75,0.25:0.25`` every fourth pattern of a kind is short, from the third on.
-
-    Parameters
-    ----------
-    exposures : sequence of (exposure, share)
-        As from `parse_exposures`.
-    patterns : PatternSet
-        K patterns, in the order of the frames.
-
-    Returns
-    -------
-    float or (K,) float64
     """
     if len(exposures) == 1:
         return exposures[0][0]
     values = np.array([exposure for exposure, _ in exposures])
     shares = [share for _, share in exposures]
-    result = np.empty(patterns.count)
+    sequence = np.empty(patterns.count)
     for kind in np.unique(patterns.kinds):
         frames = np.flatnonzero(patterns.kinds == kind)
-        result[frames] = values[interleave(shares, len(frames))]
-    return result
+        sequence[frames] = values[interleave(shares, len(frames))]
+    return sequence

@@ -1,34 +1,25 @@
-"""What is taken for granted about a camera's noise, and what follows for mixed exposures."""
+"""The noise that a camera is assumed to have, and the weights of frames of different exposures."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-# Standard deviation of a sample, of the clip level, where it is not known: a decent machine vision
-# camera, and what simulations use.
+# Standard deviation of a sample's noise where it is not known, as a share of the clip level: that
+# of a decent machine vision camera, about one level of 8 bits. Simulations add as much.
 USUAL_NOISE = 0.003
-# Of the clip level of the longest exposure: what no sparse row explains. Weights by noise alone,
-# e^2, would nearly throw short exposures away, although for most samples the misfit is the larger
-# part (docs/planning.md has the measurement).
+# Standard deviation of what a sparse row cannot explain, as a share of the clip level of the
+# longest exposure. For most samples this misfit exceeds the noise; weights by the noise alone,
+# e^2, would nearly discard short exposures. docs/planning.md compares it with 0 and 1000:
+# `python -m benchmarks.exposures --misfit 0`.
 MISFIT = 0.03
 
 
 def frame_weights(exposures: NDArray[np.float64]) -> NDArray[np.float32] | None:
-    """Weights of frames of different exposures in the data term.
+    """Weights in the data term of K frames of different exposures e, (K,); None if all are equal.
 
-    The noise of a sample divided by its exposure e grows by 1/e. Weights are relative to the
+    Dividing a sample by its exposure multiplies its noise by 1/e. Weights are relative to the
     longest exposure, so that equal exposures weigh 1, however long they are.
-
-    Parameters
-    ----------
-    exposures : (K,) float64
-        > 0.
-
-    Returns
-    -------
-    (K,) float32 or None
-        None where all are equal.
     """
     relative = exposures / exposures.max()
     if (relative == 1).all():

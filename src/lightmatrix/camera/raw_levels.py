@@ -1,4 +1,4 @@
-"""Raw levels and values that may differ from frame to frame."""
+"""Raw levels of a camera: their range, their checks, and values that differ from frame to frame."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from lightmatrix.errors import InputError
 
-# No camera counts further; beyond it, numbers are slips of the pen.
+# The highest raw level that is accepted. No camera counts further; a larger number is a typing
+# error.
 MOST_LEVEL = 2.0**32
 
 
@@ -19,7 +20,7 @@ def range_end(dtype: np.dtype[Any]) -> float:
 
 
 def per_frame(value: float | NDArray[Any], start: int, stop: int, name: str) -> NDArray[np.float64]:
-    """The values of the frames start..stop: one for all, or a list of one each."""
+    """The values of the frames start..stop, where `value` is one for all or one for each."""
     array = np.asarray(value, np.float64)
     if array.ndim == 0:
         return np.full(stop - start, array)
@@ -54,13 +55,13 @@ def check_levels(
             f"a clip level of {clips.min():g}", hint=f"use a raw level above 0 and at most {top:g}"
         )
     blacks = np.asarray(0.0 if black_level is None else black_level, np.float64)
-    if np.shape(blacks) and np.shape(clips) and blacks.shape != clips.shape:
+    if blacks.ndim and clips.ndim and blacks.shape != clips.shape:
         raise InputError(
             f"{blacks.size} black levels, but {clips.size} clip levels",
             hint="give one number, or one for each frame",
         )
     if not ((blacks >= 0) & (blacks < clips)).all():
-        highest = f" with a clip level of {clips.flat[0]:g}" if clip is not None else ""
+        highest = "" if clip is None else f" with a clip level of {clips.flat[0]:g}"
         raise InputError(
             f"a black level of {blacks.flat[0]:g}{highest}",
             hint="use a raw level of at least 0 and below the clip level",
@@ -68,12 +69,12 @@ def check_levels(
 
 
 def check_exposures(exposure: float | NDArray[Any]) -> None:
-    """Refuse exposures that are no positive numbers.
+    """Refuse exposures that are not positive, finite numbers, one or one for each frame.
 
     Raises
     ------
     InputError
-        On zero, negative or infinite ones, and arrays of more than one dimension.
+        Naming the smallest.
     """
     values = np.asarray(exposure, np.float64)
     if values.ndim > 1 or not ((values > 0) & (values < np.inf)).all():

@@ -1,4 +1,4 @@
-"""Linear samples, every one with its own clip state, and means over blocks of camera pixels."""
+"""Linear samples, each with its own clip state, and their means over blocks of camera pixels."""
 
 from __future__ import annotations
 
@@ -50,12 +50,7 @@ class Samples:
         return len(self.values)
 
     def check(self, patterns: int) -> None:
-        """Refuse samples that no problem can be made of.
-
-        Parameters
-        ----------
-        patterns : int
-            Number of patterns K that they belong to.
+        """Refuse samples that cannot belong to so many patterns.
 
         Raises
         ------
@@ -94,7 +89,7 @@ class Samples:
             raise InputError("a weight is negative or not finite", hint="use 0 to mask a sample")
 
     def rows(self, index: slice | NDArray[np.integer] | NDArray[np.bool_]) -> Samples:
-        """The samples of some rows; arrays of one value a pattern are shared."""
+        """The samples of some rows; arrays with one value for each pattern are shared."""
         return Samples(
             self.values[index],
             self.clipped[index],
@@ -107,19 +102,19 @@ class Samples:
     def frames(self, index: NDArray[np.integer]) -> Samples:
         """The samples under some patterns, in contiguous arrays."""
 
-        def chosen(values: NDArray[Any]) -> NDArray[Any]:
+        def select(values: NDArray[Any]) -> NDArray[Any]:
             return np.ascontiguousarray(values[..., index])
 
         return Samples(
-            chosen(self.values),
-            chosen(self.clipped),
-            chosen(self.clip_level),
-            None if self.weights is None else chosen(self.weights),
+            select(self.values),
+            select(self.clipped),
+            select(self.clip_level),
+            None if self.weights is None else select(self.weights),
         )
 
     @classmethod
     def joined(cls, parts: Sequence[Samples]) -> Samples:
-        """The rows of one or more parts below each other, with a clip level and weight each."""
+        """The rows of one or more parts below each other, each sample with its clip level."""
         weighted = any(part.weights is not None for part in parts)
         return cls(
             np.concatenate([part.values for part in parts]),
@@ -136,7 +131,7 @@ class Samples:
 
     @property
     def counted(self) -> NDArray[np.bool_]:
-        """Samples that count, those of a weight above 0, (m, K)."""
+        """Which samples have a weight above 0, (m, K)."""
         return self.weights_of_all() > 0
 
     def clip_levels_of_all(self) -> NDArray[Any]:
@@ -150,28 +145,18 @@ def bin_samples(
     shape: tuple[int, ...],
     block: tuple[int, int],
 ) -> tuple[Samples, NDArray[np.bool_]]:
-    """Means over blocks of camera pixels that keep the truth about clipping.
+    """Means over blocks of camera pixels, and which of them hold a valid pixel, (M',).
 
     A binned sample is clipped if any of its pixels is, and is then a lower bound like theirs.
-    Pixels that are not valid are left out; blocks at the border may be smaller.
+    Pixels that are not `valid`, (M,), are left out; a block without any is 0 and not clipped.
+    Blocks at the border may be smaller.
 
     Parameters
     ----------
     decoded : Samples
-        Samples (M, n) of whole frames.
-    valid : (M,) bool, optional
-        Which samples count; None means all.
-    shape : (rows, cols) or (rows, cols, channels)
-        Of the camera, M = product.
+        Samples (M, n) of whole frames of `shape`, (rows, cols[, channels]).
     block : (int, int)
         Rows and columns of a block.
-
-    Returns
-    -------
-    binned : Samples
-        Samples (M', n); 0 and not clipped where no pixel of the block is valid.
-    valid : (M',) bool
-        Whether any pixel of the block is.
     """
     grid = (*shape[:2], shape[2] if len(shape) == 3 else 1)
     weight = np.ones(grid) if valid is None else valid.reshape(grid).astype(np.float64)

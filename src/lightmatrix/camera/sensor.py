@@ -9,7 +9,7 @@ and back, where f undoes the response (the identity for a linear camera):
 
     sample = (f(level) - f(black)) / (f(clip) - f(black)),    clipped where level >= clip
 
-so 1.0 is always the clip level. Samples are handed on divided by their exposure.
+so 1.0 is always the clip level. The decoder then divides samples by their exposure.
 """
 
 from __future__ import annotations
@@ -99,7 +99,7 @@ class Sensor:
 
     @property
     def dtype(self) -> np.dtype[Any]:
-        """Of the frames: uint8, uint16 or float32."""
+        """Type of the frames: uint8, uint16 or float32."""
         if self.bits is None:
             return np.dtype(np.float32)
         return np.dtype(np.uint8 if self.bits == 8 else np.uint16)
@@ -112,9 +112,9 @@ class Sensor:
         first_row: int = 0,
         first_frame: int = 0,
     ) -> NDArray[Any]:
-        """Photograph: T p to raw levels.
+        """Photograph: from T p to raw levels.
 
-        The noise of a sample depends on `seed`, its frame and its row alone, so any division into
+        The noise of a sample depends only on `seed`, its frame and its row, so any division into
         tiles gives the same frames.
 
         Parameters
@@ -158,8 +158,8 @@ class Sensor:
 
 def _normals(seed: int, frame: int, first: int, count: int) -> NDArray[np.float64]:
     """Standard normal numbers first..first + count of the endless sequence of (seed, frame)."""
-    # One Philox counter yields four numbers. Inverting the distribution uses exactly one number a
-    # sample (the ziggurat does not), which is what lets a tile begin anywhere.
+    # One Philox counter yields four numbers. A tile can begin anywhere, because inverting the
+    # distribution uses exactly one number for each sample; NumPy's ziggurat does not.
     skip = first % 4
     generator = np.random.Philox(counter=first // 4, key=np.array([seed, frame], np.uint64))
     raw = generator.random_raw(skip + count)[skip:]

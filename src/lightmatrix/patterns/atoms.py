@@ -1,8 +1,8 @@
 """Atoms: spots of light of several sizes as further columns of a pattern set.
 
 A projector out of focus, or a camera pixel that sees many projector pixels, makes footprints of
-dozens of pixels, each too faint to be found. As one spot it is found at once. What a spot gives
-under a pattern is the blurred pattern at its place.
+dozens of pixels, each too faint to be estimated by itself. As one spot it is strong. The sample
+of a spot under a pattern is the blurred pattern at its place.
 """
 
 from __future__ import annotations
@@ -21,11 +21,12 @@ from lightmatrix import _core
 from lightmatrix.errors import InputError
 from lightmatrix.patterns.pattern_set import PatternSet
 
-# Kernels reach so many standard deviations to each side.
+# Standard deviations that a kernel reaches to each side; beyond lies 0.3 % of a Gaussian.
 _REACH = 3.0
-# Of a spot's middle: fainter pixels of it are left out where spots become pixels.
+# Pixels of a spot are left out if they are fainter than this share of its middle. Chosen by hand:
+# smaller values store more non-zeros, larger ones change the shape of the spot.
 _FAINTEST = 1e-3
-# Rows whose spots become pixels at a time: a wide spot is half a thousand of them.
+# Rows whose spots become pixels at a time, which bounds memory: the widest spot has 500 pixels.
 _EXPANDED_ROWS = 4096
 
 
@@ -33,9 +34,9 @@ _EXPANDED_ROWS = 4096
 class AtomPatterns(PatternSet):
     """K patterns over S N atoms: a spot of each of S sizes at each of N projector pixels.
 
-    Column s N + j is what a spot around pixel j gives: the pattern blurred by the kernel of size s,
-    times a gain that gives the columns of all sizes the same contrast. A penalty on them is thus
-    one in proportion to what they can explain. Light beyond the projector is lost.
+    Column s N + j is the sample of a spot around pixel j: the pattern blurred by the kernel of size
+    s, times a gain that gives the columns of all sizes the same contrast. The penalty on a spot is
+    then in proportion to the samples that it can explain. Light beyond the projector is lost.
 
     Parameters
     ----------
@@ -44,21 +45,9 @@ class AtomPatterns(PatternSet):
     sizes : tuple of float
         Standard deviations of the spots in projector pixels, ascending; the first is 0, a pixel.
     gains : tuple of float
-        In (0, 1], one a size. None given: those of the patterns' own contrast.
+        In (0, 1], one for each size. Empty: from the contrast of the patterns.
     narrow : bool
         Whether the compiled solver keeps columns in half the memory, to within 1e-5.
-
-    Raises
-    ------
-    InputError
-        On sizes that do not ascend from 0, or gains out of range.
-
-    Examples
-    --------
-    >>> import lightmatrix as lm
-    >>> atoms = AtomPatterns(lm.BernoulliPatterns((16, 16), 8), (0.0, 1.0))
-    >>> atoms.pixels, atoms.columns(np.array([0, 256])).shape
-    (512, (8, 2))
     """
 
     single: PatternSet
@@ -113,7 +102,7 @@ class AtomPatterns(PatternSet):
 
     @property
     def means(self) -> NDArray[np.float64]:
-        """Means of the patterns, not of the atoms: what light from everywhere gives, (K,)."""
+        """Means of the patterns, not of the atoms: the samples of light from everywhere, (K,)."""
         return self.single.means
 
     def forward(self, x: NDArray[Any]) -> NDArray[Any]:
@@ -149,22 +138,22 @@ class AtomPatterns(PatternSet):
         light = (rows.data * self._gain[plane]).astype(np.float32)
         shape = (rows.shape[0], self.single.pixels)
         # Adding duplicates changes the parts in place.
-        found = csr_array((light, pixel, rows.indptr.copy()), shape=shape)
-        found.sum_duplicates()
-        return found
+        middles = csr_array((light, pixel, rows.indptr.copy()), shape=shape)
+        middles.sum_duplicates()
+        return middles
 
     def expand(self, rows: csr_array) -> csr_array:
         """Coefficients (M, S N) as light of pixels, (M, N) float32.
 
-        Pixels of a spot fainter than a thousandth of its middle are left out, and the spot keeps
-        its light; what lies beyond the projector is lost.
+        The faintest pixels of a spot are left out, and the spot keeps its light. Light beyond the
+        projector is lost.
         """
         starts = range(0, rows.shape[0], _EXPANDED_ROWS)
         parts = [self._expanded(rows[start : start + _EXPANDED_ROWS]) for start in starts]
         return csr_array(vstack(parts, format="csr"))
 
     def _expanded(self, rows: csr_array) -> csr_array:
-        """Some of the rows of `expand`: spots are drawn only where these have them."""
+        """Some of the rows of `expand`, for which only their own spots are drawn."""
         n = self.single.pixels
         whole = csr_array(rows[:, :n] * self._gain[0])
         for s in range(1, self.planes):
@@ -189,7 +178,7 @@ class AtomPatterns(PatternSet):
         both = np.concatenate([spot[:0:-1], spot])
         whole = np.outer(both, both)
         down, right = np.nonzero(whole >= _FAINTEST)
-        # As bright as in the middle of the projector, so that what lies beyond is lost.
+        # A spot at the border is as bright as one in the middle, and loses what lies beyond.
         light = whole[down, right] / np.float32(whole[down, right].sum())
         row = pixels[:, None] // self.shape[1] + (down - len(spot) + 1)
         col = pixels[:, None] % self.shape[1] + (right - len(spot) + 1)

@@ -1,4 +1,4 @@
-"""Patterns of zeros and ones as bits: given ones, and random draws (Bernoulli)."""
+"""Black and white patterns, kept as bits: any such patterns, and random ones (Bernoulli)."""
 
 from __future__ import annotations
 
@@ -15,21 +15,15 @@ from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet, check_ge
 from lightmatrix.ranges import check_seed
 from lightmatrix.reprs import short_repr
 
-# Bernoulli patterns up to this size are also kept as floats once many rows are multiplied.
+# The iterative solvers multiply the same patterns many times. A product of float matrices is then
+# faster than sums of bits if the matrix has at most so many bytes, and if it is multiplied by so
+# many rows at least. Both are chosen by hand.
 _DENSE_BYTES = 128 << 20
-
-
 _DENSE_ROWS = 8
 
 
 class BinaryPatterns(PatternSet):
-    """Patterns of zeros and ones, kept as bits: what the compiled core multiplies fastest.
-
-    Parameters
-    ----------
-    bits : (K, ceil(N / 8)) uint8
-        Lit pixels, least significant bit first.
-    """
+    """Black and white patterns as bits, (K, ceil(N / 8)) uint8, least significant bit first."""
 
     bits: NDArray[np.uint8]
 
@@ -44,7 +38,6 @@ class BinaryPatterns(PatternSet):
         return _core.bits_adjoint(self.bits, self.pixels, np.ascontiguousarray(e))
 
     def _multiply_dense(self, rows: NDArray[Any]) -> bool:
-        # A matrix product of floats outruns sums of bits where its matrix fits, for many rows.
         small = 4 * self.count * self.pixels <= _DENSE_BYTES
         return small and rows.dtype == np.float32 and len(rows) >= _DENSE_ROWS
 
@@ -68,7 +61,7 @@ class BinaryPatterns(PatternSet):
 
 @dataclass(frozen=True, eq=False)
 class BitPatterns(BinaryPatterns):
-    """Patterns of zeros and ones given as bits, such as some of the patterns of another set.
+    """Black and white patterns given as bits, such as some patterns of another set.
 
     Parameters
     ----------
@@ -138,18 +131,13 @@ class BernoulliPatterns(BinaryPatterns):
     seed: int = 0
 
     def __post_init__(self) -> None:
-        check_geometry(self.shape, self.count)
-        check_seed(self.seed)
-        if not 0 < self.density < 1:
-            raise InputError(
-                f"a density of {self.density}", hint="use a share between 0 and 1, such as 0.5"
-            )
+        check_random(self.shape, self.count, self.density, self.seed)
 
     @cached_property
     def bits(self) -> NDArray[np.uint8]:  # type: ignore[override]
         """Lit pixels, (K, ceil(N / 8)) uint8, least significant bit first."""
         bits = np.empty((self.count, (self.pixels + 7) // 8), np.uint8)
-        # One generator a pattern: the first k patterns do not depend on how many follow.
+        # Each pattern has its own generator, so the first k do not depend on how many follow.
         for k, child in enumerate(np.random.SeedSequence(self.seed).spawn(self.count)):
             lit = np.random.Generator(np.random.PCG64(child)).random(self.pixels) < self.density
             bits[k] = np.packbits(lit, bitorder="little")
@@ -166,8 +154,16 @@ class BernoulliPatterns(BinaryPatterns):
         }
 
 
+def check_random(shape: tuple[int, int], count: int, density: float, seed: int) -> None:
+    """Refuse projectors, counts, densities and seeds of which no random patterns can be drawn."""
+    check_geometry(shape, count)
+    check_seed(seed)
+    if not 0 < density < 1:
+        raise InputError(f"a density of {density}", hint="use a share between 0 and 1, such as 0.5")
+
+
 def with_white(patterns: PatternSet) -> PatternSet:
-    """The patterns and a white one behind them, as bits if they are black and white."""
+    """The patterns and a white one after them, as bits if they are black and white."""
     bits = patterns.as_bits()
     if bits is None:
         white = np.ones((1, *patterns.shape), np.float32)

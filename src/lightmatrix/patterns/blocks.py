@@ -1,4 +1,4 @@
-"""One block of projector pixels lit at a time; single pixels among them."""
+"""Patterns that light one block of projector pixels at a time, or one pixel."""
 
 from __future__ import annotations
 
@@ -115,14 +115,14 @@ def one_pixel_patterns(
     Parameters
     ----------
     shape : (rows, cols)
-        Of the projector.
+        Projector rows and columns.
     selected : (K,) int, optional
-        Pixels to light, in the order (row, col); None: all.
+        Indices of the pixels to light, in the order (row, col); None: all.
 
     Raises
     ------
     InputError
-        On a shape that is none, or pixels outside of it.
+        On an empty projector, or pixels outside of it.
 
     Examples
     --------
@@ -135,12 +135,9 @@ def one_pixel_patterns(
 
 
 def sampled_pixels(shape: tuple[int, int], step: int = 8, offset: int = 4) -> NDArray[np.int64]:
-    """Projector pixels on a regular grid: 256 of a 128 x 128 projector, as in the paper's Fig. 6.
+    """Flat indices of the projector pixels (offset + step i, offset + step j).
 
-    Returns
-    -------
-    (count,) int64
-        Flat indices of the pixels (offset + step i, offset + step j).
+    They are 256 of a 128 x 128 projector, as in the paper's Fig. 6.
     """
     rows = np.arange(offset, shape[0], step)
     cols = np.arange(offset, shape[1], step)

@@ -1,7 +1,7 @@
 """Pattern sets as folders of PNG files, with patterns.json to remake the operator.
 
-A Bernoulli or Hadamard set read back is the fast operator it was written from, but only if the
-images show the same patterns: the images are what was projected, so they have the last word.
+A Bernoulli or Hadamard set is read back as the fast operator that it was written from if the images
+show the same patterns. If they differ, the images are used: they are what was projected.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def write_patterns(
     folder : str or Path
         The folder to make, whole or not at all.
     patterns : PatternSet
-        K patterns, written as pattern_0000.png and on.
+        K patterns, written as pattern_0000.png, pattern_0001.png, ...
     colour : {"red", "green", "blue"}, optional
         The primary of a colour projector to show them in; None: white.
     overwrite : bool
@@ -58,7 +58,7 @@ def write_patterns(
     InputError
         On another colour.
     OutputError
-        If the folder exists, is not one of ours, or cannot be written.
+        If the folder exists, was not written by lightmatrix, or cannot be written.
 
     Examples
     --------
@@ -95,15 +95,15 @@ def read_patterns(source: str | Path) -> PatternSet:
     Returns
     -------
     PatternSet
-        The operator that patterns.json describes if the images agree with it; else (with a
-        warning) or without patterns.json the images themselves: as bits, as fast as a set that was
-        generated, if all of them are black and white.
+        The operator that patterns.json describes, if the images agree with it. Else, with a
+        warning, or without patterns.json, the images themselves: as bits if all of them are black
+        and white, which is as fast.
 
     Raises
     ------
     InputError
-        On images that cannot be read, differ in size or in the primary that they are shown in,
-        integers that hardly leave 0, or a damaged patterns.json.
+        On images that cannot be read, or that differ in size or colour, on integers of 0 and 1
+        only, and on a damaged patterns.json.
 
     Examples
     --------
@@ -114,21 +114,21 @@ def read_patterns(source: str | Path) -> PatternSet:
     """
     place = Path(source)
     entries = list_entries(place)
-    # Only images of their own have been written from an operator.
+    # A stack in one file was not written from an operator.
     paths = [entry for entry in entries if isinstance(entry, Path)]
     description = _read_description(place / DESCRIPTION) if paths else None
-    odd = None
+    difference = None
     if description is not None:
-        odd = _misfit(description, paths)
+        difference = _differing_size(description, paths)
         with said_in(place / DESCRIPTION):
-            operator = None if odd else remake_patterns(description)
+            operator = None if difference else remake_patterns(description)
         if operator is not None:
-            odd = _first_difference(operator, paths)
-            if odd is None:
+            difference = _first_difference(operator, paths)
+            if difference is None:
                 return operator
-    if odd is not None:
+    if difference is not None:
         warnings.warn(
-            f"{place}: {odd} the patterns that {DESCRIPTION} describes; the images are used",
+            f"{place}: {difference} the patterns that {DESCRIPTION} describes; the images are used",
             LightMatrixWarning,
             stacklevel=2,
         )
@@ -136,14 +136,13 @@ def read_patterns(source: str | Path) -> PatternSet:
 
 
 def _from_images(place: Path, entries: list[Path | Page]) -> PatternSet:
-    """The patterns as their images show them: bits, unless one of them has a grey pixel."""
+    """The patterns that the images show, as bits unless one of them has a grey pixel."""
     stack = ImageStack.open(entries)
     shape, count = (stack.shape[0], stack.shape[1]), len(entries)
     pixels = shape[0] * shape[1]
     bits = np.empty((count, (pixels + 7) // 8), np.uint8)
     images: NDArray[np.float32] | None = None
     colours, brightest = _Colours(), 0.0
-    # The stack names the file whose size or type differs.
     for k, image in enumerate(read_ahead(stack.read, range(count))):
         grey = colours.grey(entries[k], image)
         brightest = max(brightest, float(grey.max()))
@@ -165,13 +164,13 @@ def _from_images(place: Path, entries: list[Path | Page]) -> PatternSet:
 
 
 class _Colours:
-    """Sees to it that all patterns of a set are shown in one colour."""
+    """Refuses patterns of a set that are shown in different colours."""
 
     def __init__(self) -> None:
         self._first: tuple[Path | Page, str] | None = None
 
     def grey(self, entry: Path | Page, image: NDArray[Any]) -> NDArray[np.float32]:
-        """The grey values of the next one."""
+        """The grey values of the next pattern."""
         grey, colour = as_grey(str(entry), image), colour_of(image)
         if colour and self._first is None:
             self._first = entry, colour
@@ -185,7 +184,7 @@ class _Colours:
 
 
 def _read_description(file: Path) -> dict[str, Any] | None:
-    # A link that leads nowhere is a description that is missing, not none.
+    # A dangling link is an error, not a folder without a description.
     if not os.path.lexists(file):
         return None
     content = read_json(file, FORMAT, VERSION)
@@ -197,10 +196,10 @@ def _read_description(file: Path) -> dict[str, Any] | None:
     return dict(content["description"])
 
 
-def _misfit(description: dict[str, Any], paths: list[Path]) -> str | None:
-    """How a description differs in numbers from the images; None if it does not.
+def _differing_size(description: dict[str, Any], paths: list[Path]) -> str | None:
+    """How a description differs from the images in count or size, in words; None if it does not.
 
-    Asked before anything is made of it: it may announce more pixels than there is memory.
+    This is checked before patterns are made, since they may be too large for the memory.
     """
     if description.get("kind") == "images":
         return None
@@ -222,7 +221,7 @@ def _first_difference(operator: PatternSet, paths: list[Path]) -> str | None:
         expected = to_grey(block.reshape(-1, *operator.shape))
         some = paths[start : start + len(block)]
         shown = read_ahead(read_image, some)
-        for path, found, grey in zip(some, shown, expected, strict=True):
-            if not np.array_equal(to_grey(colours.grey(path, found)), grey):
+        for path, image, grey in zip(some, shown, expected, strict=True):
+            if not np.array_equal(to_grey(colours.grey(path, image)), grey):
                 return f"{path.name} is not among"
     return None

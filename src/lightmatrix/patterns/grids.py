@@ -9,24 +9,19 @@ from numpy.typing import NDArray
 
 from lightmatrix.errors import InputError
 
-# Pixels per side of a bin: more than any camera or projector has.
+# The longest side of a bin in pixels, more than any camera or projector has.
 _LARGEST_BLOCK = 1 << 20
 
 
 def block_size(block: int | tuple[int, int], what: str) -> tuple[int, int]:
     """Rows and columns of a block of pixels, given as such or as one number for both.
 
-    Parameters
-    ----------
-    block : int or (int, int)
-        At least 1, and at most 2^20.
-    what : str
-        Whose pixels, for the message: "camera".
+    The message names the pixels as `what`, such as "camera".
 
     Raises
     ------
     InputError
-        If the block is empty or absurdly large.
+        If the block is empty or larger than 2^20 pixels.
     """
     rows, cols = (block, block) if isinstance(block, (int, np.integer)) else block
     if not 1 <= min(rows, cols) <= max(rows, cols) <= _LARGEST_BLOCK:
@@ -38,19 +33,7 @@ def block_size(block: int | tuple[int, int], what: str) -> tuple[int, int]:
 
 
 def block_mean(images: NDArray[Any], block: tuple[int, int]) -> NDArray[np.float64]:
-    """Means over blocks of the last two axes; blocks at the border may be smaller.
-
-    Parameters
-    ----------
-    images : (..., rows, cols)
-        Any real dtype.
-    block : (int, int)
-        Rows and columns of a block.
-
-    Returns
-    -------
-    (..., ceil(rows / block rows), ceil(cols / block cols)) float64
-    """
+    """Means over blocks of the last two axes; blocks at the border may be smaller."""
     result: NDArray[np.float64] = np.asarray(images, np.float64)
     for axis, size in ((-2, block[0]), (-1, block[1])):
         starts = np.arange(0, result.shape[axis], size)
@@ -61,19 +44,10 @@ def block_mean(images: NDArray[Any], block: tuple[int, int]) -> NDArray[np.float
 
 
 def grid_cells(shape: tuple[int, int], grid: tuple[int, int]) -> NDArray[np.int64]:
-    """The cell of a coarse grid over the projector that each pixel lies in.
+    """The cell of a coarse grid over the projector that each pixel lies in, (N,).
 
-    Parameters
-    ----------
-    shape : (int, int)
-        Projector rows and columns.
-    grid : (int, int)
-        Rows and columns of cells; cells are as equal as whole pixels allow, and none is empty.
-
-    Returns
-    -------
-    (N,) int64
-        Cells in the order (row, col).
+    Cells are numbered in the order (row, col). They are as equal as whole pixels allow, and none is
+    empty.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Walsh-Hadamard patterns, applied by a fast transform."""
+"""Walsh-Hadamard patterns, multiplied by a fast transform."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ class HadamardPatterns(PatternSet):
 
     @cached_property
     def selected(self) -> NDArray[np.int64]:
-        """Which rows of the Sylvester matrix of order n the patterns are, (K,) int64."""
+        """The rows of the Sylvester matrix of order n that are the patterns, (K,) int64."""
         rows, cols = self.grid
         if self.order == "natural":
             return np.arange(self.count, dtype=np.int64)
@@ -93,7 +93,7 @@ class HadamardPatterns(PatternSet):
 
     @cached_property
     def position(self) -> NDArray[np.int64]:
-        """Where in the transform each projector pixel sits, (N,) int64."""
+        """The place of each projector pixel in the transform, (N,) int64."""
         rows, cols = self.shape
         place = (np.arange(rows)[:, None] * self.grid[1] + np.arange(cols)[None, :]).ravel()
         if self.permute:
@@ -111,7 +111,7 @@ class HadamardPatterns(PatternSet):
         padded = np.zeros((len(x), self.transform_size), x.dtype)
         padded[:, self.position] = x
         signed = _core.hadamard(padded)[:, self.selected]
-        # (H + 1) / 2 on the projector's pixels: the ones give each row's sum.
+        # The patterns are (H + 1) / 2, and the ones give each row's sum.
         return np.asarray((signed + x.sum(axis=1, keepdims=True, dtype=x.dtype)) / 2, x.dtype)
 
     def adjoint(self, e: NDArray[Any]) -> NDArray[Any]:
@@ -129,7 +129,7 @@ class HadamardPatterns(PatternSet):
 
     @staticmethod
     def _lit(row: NDArray[np.int64], col: NDArray[np.int64]) -> NDArray[np.float32]:
-        # Sylvester's matrix holds (-1) to the number of bits that row and column share.
+        # An entry of Sylvester's matrix is -1 to the number of bits that row and column share.
         return 1 - _odd_parity(row[:, None] & col[None, :]).astype(np.float32)
 
     @property

@@ -65,7 +65,7 @@ def make_patterns(
     block : (rows, cols)
         blocks: projector pixels of one block.
     seed : int
-        Of everything random.
+        Seed of everything random.
 
     Returns
     -------
@@ -74,7 +74,7 @@ def make_patterns(
     Raises
     ------
     InputError
-        On an unknown kind, or values that its patterns do not take.
+        On an unknown kind, or values that are out of range for it.
 
     Examples
     --------
@@ -104,7 +104,7 @@ def make_patterns(
 
 
 def remake_patterns(description: Mapping[str, Any]) -> PatternSet | None:
-    """Remake a pattern set from its description; None for a set that only its images hold.
+    """Remake a pattern set from its description; None for a set that only its images describe.
 
     Raises
     ------
@@ -133,7 +133,7 @@ def remake_patterns(description: Mapping[str, Any]) -> PatternSet | None:
 
 
 def _some(whole: BlockPatterns, count: int | None, kind: str, seed: int) -> BlockPatterns:
-    """All patterns, or as many of them as asked for, drawn at random and in their order."""
+    """All patterns, or `count` of them, drawn at random and kept in their order."""
     if count is None or count == whole.count:
         return whole
     if not 1 <= count <= whole.count:

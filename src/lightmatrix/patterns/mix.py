@@ -1,8 +1,8 @@
-"""Mixes of fine and coarse random patterns: sharp light and broad light from the same frames.
+"""Mixes of fine and coarse random patterns.
 
 Fine patterns tell projector pixels apart. A patch of weak light that covers hundreds of pixels
-hardly shows in them, since about half of it is lit under each; a pattern that is coarse where the
-patch is large turns it on and off.
+hardly changes between them, since each lights about half of it. A pattern of cells as large as the
+patch turns it on and off.
 """
 
 from __future__ import annotations
@@ -15,16 +15,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.errors import InputError
-from lightmatrix.patterns.bits import BinaryPatterns
+from lightmatrix.patterns.bits import BinaryPatterns, check_random
 from lightmatrix.patterns.grids import grid_cells
-from lightmatrix.patterns.pattern_set import check_geometry
 from lightmatrix.patterns.shares import interleave, parse_shares
-from lightmatrix.ranges import check_seed
 
-# Below so many patterns every one is needed to tell pixels apart.
+# The fewest patterns of which a quarter is coarse. Chosen by hand: with fewer, every pattern is
+# needed to tell pixels apart.
 FEWEST_MIXED = 64
-# Grids of cells and their shares of the patterns; the rest is fine.
-COARSE = (((32, 32), 0.125), ((8, 8), 0.125))
+# The coarse grids of the usual mix, and their shares of the patterns; the other patterns are fine.
+# docs/planning.md compares the mix with fine patterns.
+_COARSE = (((32, 32), 0.125), ((8, 8), 0.125))
 EXAMPLE = "fine:0.75,32x32:0.125,8x8:0.125"
 
 Mix = tuple[tuple[tuple[int, int], float], ...]
@@ -74,12 +74,7 @@ class MixedPatterns(BinaryPatterns):
     def __post_init__(self) -> None:
         mix = tuple(((int(grid[0]), int(grid[1])), float(share)) for grid, share in self.mix)
         object.__setattr__(self, "mix", mix)
-        check_geometry(self.shape, self.count)
-        check_seed(self.seed)
-        if not 0 < self.density < 1:
-            raise InputError(
-                f"a density of {self.density}", hint="use a share between 0 and 1, such as 0.5"
-            )
+        check_random(self.shape, self.count, self.density, self.seed)
         shares = [share for _, share in mix]
         if not mix or min(shares) <= 0 or abs(sum(shares) - 1) > 1e-3:
             raise InputError(
@@ -92,7 +87,7 @@ class MixedPatterns(BinaryPatterns):
 
     @cached_property
     def kinds(self) -> NDArray[np.int64]:
-        """Which entry of `mix` each pattern is made by, (K,) int64."""
+        """The index of each pattern's entry in `mix`, (K,) int64."""
         return interleave([share for _, share in self.mix], self.count)
 
     @cached_property
@@ -120,16 +115,16 @@ class MixedPatterns(BinaryPatterns):
 
 
 def default_mix(shape: tuple[int, int], count: int) -> Mix:
-    """The mix to use for so many patterns: all fine below 64, then a quarter of them coarse.
+    """The usual mix for so many patterns: all fine below 64, then a quarter coarse.
 
-    Of 3/4 fine, 1/8 on a grid of 32 x 32 and 1/8 on 8 x 8 cells; grids that are not at least
-    twice as coarse as the projector leave their share to the fine patterns.
+    3/4 are fine, 1/8 have a grid of 32 x 32 and 1/8 of 8 x 8 cells. A grid that is not at least
+    twice as coarse as the projector leaves its share to the fine patterns.
     """
     if count < FEWEST_MIXED:
         return ((shape, 1.0),)
     coarse = tuple(
         (grid, share)
-        for grid, share in COARSE
+        for grid, share in _COARSE
         if 2 * grid[0] <= shape[0] and 2 * grid[1] <= shape[1]
     )
     return ((shape, 1 - sum(share for _, share in coarse)), *coarse)
@@ -141,7 +136,7 @@ def parse_mix(text: str, shape: tuple[int, int]) -> Mix:
     Raises
     ------
     InputError
-        On text that is none.
+        On anything else.
     """
     mix = []
     for name, share in parse_shares(text, "a mix", EXAMPLE):

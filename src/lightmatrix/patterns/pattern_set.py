@@ -1,4 +1,4 @@
-"""Pattern sets as linear operators: what the projector shows, never a dense matrix if avoidable.
+"""`PatternSet`: the patterns that the projector shows, as a linear operator.
 
 A set of K patterns over N projector pixels is the matrix P (K, N) with entries in [0, 1]. Rows of
 the light transport matrix are estimated in batches, so the operators act on rows:
@@ -6,8 +6,8 @@ the light transport matrix are estimated in batches, so the operators act on row
     forward:  (M, N) -> (M, K)   samples = X P'
     adjoint:  (M, K) -> (M, N)   correlations = E P
 
-Every set knows how it was made (`description`, which `patterns.making` reads back) and a digest
-of its content, which ties a capture and an estimate to the patterns they belong to.
+Every set has a `description`, from which `patterns/making.py` remakes it, and a `digest` of its
+content, which ties captures and estimates to their patterns.
 """
 
 from __future__ import annotations
@@ -26,10 +26,13 @@ from lightmatrix.errors import InputError
 from lightmatrix.patterns.grids import block_mean
 from lightmatrix.reprs import short_repr
 
-# Patterns are unpacked in chunks of this many bytes, so that memory stays bounded.
+# Bytes of patterns that are unpacked at a time, as float32. Chosen by hand: small beside the memory
+# of an estimate, and a hundred patterns of a megapixel still take few chunks.
 _CHUNK_BYTES = 64 << 20
-# Pixels are numbered in 32 bits. Nobody takes so many photographs.
-_MOST_PIXELS, _MOST_PATTERNS = 2**31 - 1, 1_000_000
+# The most pixels of a projector: sparse matrices number them in 32 bits.
+_MOST_PIXELS = 2**31 - 1
+# The most patterns of a set. Nobody takes so many photographs; a larger number is a typing error.
+_MOST_PATTERNS = 1_000_000
 
 
 class PatternSet(ABC):
@@ -77,7 +80,7 @@ class PatternSet(ABC):
     @property
     @abstractmethod
     def description(self) -> dict[str, Any]:
-        """What remakes the set: a JSON-ready dictionary with the key ``kind``."""
+        """The parameters that remake the set, JSON-ready, with its ``kind``."""
 
     @cached_property
     def sums(self) -> NDArray[np.float64]:
@@ -91,7 +94,7 @@ class PatternSet(ABC):
 
     @cached_property
     def kinds(self) -> NDArray[np.int64]:
-        """Which kind each pattern is of, (K,) int64: all of one, but in a mix."""
+        """The kind of each pattern, (K,): all are of one kind, except in a mix."""
         return np.zeros(self.count, np.int64)
 
     @cached_property
@@ -127,17 +130,9 @@ class PatternSet(ABC):
         return dense
 
     def coarse(self, block: tuple[int, int]) -> ImagePatterns:
-        """The patterns averaged over blocks of projector pixels.
+        """The patterns averaged over blocks of so many rows and columns of projector pixels.
 
-        Parameters
-        ----------
-        block : (int, int)
-            Rows and columns of a block; blocks at the border may be smaller.
-
-        Returns
-        -------
-        ImagePatterns
-            Patterns of ceil(rows / block rows) x ceil(cols / block cols) pixels.
+        Blocks at the border may be smaller.
         """
         if min(block) < 1:
             raise InputError(
@@ -153,14 +148,15 @@ class PatternSet(ABC):
     def transform(self) -> tuple[int, NDArray[np.int64], NDArray[np.int64]] | None:
         """The fast transform that multiplies by P, if there is one.
 
-        Its length, which of its rows the patterns are, (K,), and where in it each pixel sits, (N,).
+        It has a length, the rows of it that are the patterns, (K,), and the place of each pixel in
+        it, (N,).
         """
         return None
 
     def as_bits(self) -> NDArray[np.uint8] | None:
-        """Patterns of zeros and ones only as bits, (K, ceil(N / 8)) uint8; None for others.
+        """The patterns as bits, (K, ceil(N / 8)) uint8, if all are black and white; else None.
 
-        Least significant bit first.
+        The least significant bit comes first.
         """
         packed = []
         for _, chunk in self.chunks():
@@ -172,20 +168,17 @@ class PatternSet(ABC):
 
     @cached_property
     def prepared(self) -> _core.PreparedPatterns:
-        """The set as the compiled solver works on it, made once for all tiles of a capture."""
+        """The set as the compiled solver uses it, made once for all tiles of a capture."""
         return self.prepare()
 
     def prepare(
         self, column: NDArray[Any] | None = None, instructions: str | None = None
     ) -> _core.PreparedPatterns:
-        """The set as the compiled solver works on it.
+        """The set as the compiled solver uses it.
 
-        Parameters
-        ----------
-        column : (K,), optional
-            What the background gives under each pattern. None: its mean.
-        instructions : {"portable", "avx2", "avx512", "amx"}, optional
-            None takes the best this CPU has; all give the same scores.
+        `column`, (K,), is the background's sample under each pattern; None: the pattern's mean.
+        `instructions` are "portable", "avx2", "avx512" or "amx"; None: the best of this CPU. All
+        give the same scores.
         """
         means = np.ascontiguousarray(self.means if column is None else column, np.float64)
         bits = self.as_bits()

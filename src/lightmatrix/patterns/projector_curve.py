@@ -1,4 +1,7 @@
-"""The projector's response: the light it gives for each grey value, and the way back."""
+"""The model of a projector's response: the light of each grey value, and the way back.
+
+`camera/camera_curve.py` models the camera's; `calibration/responses/` measures both.
+"""
 
 from __future__ import annotations
 
@@ -12,14 +15,16 @@ from numpy.typing import NDArray
 from lightmatrix.files.curves import CurveFile
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
 
-# Of white: darker steps say little of the exponent.
+# Grey values darker than this share of white do not count for the exponent, since noise is a large
+# part of their light. Chosen by hand.
 _FAINT = 0.02
+# The grey value of white.
 _WHITE = 255
 
 
 @dataclass(frozen=True)
 class ProjectorResponse:
-    """Light of grey values.
+    """The projector's response: the light of each grey value.
 
     Parameters
     ----------
@@ -48,54 +53,57 @@ class ProjectorResponse:
         levels: Sequence[int] | NDArray[np.integer],
         light: Sequence[float] | NDArray[np.float64],
     ) -> ProjectorResponse:
-        """The response of which so much light was measured at each grey value.
+        """The response from the light that was measured at each grey value.
 
         Parameters
         ----------
         levels : sequence of int
             Grey values, increasing from 0 (black) to 255 (white).
         light : sequence of float
-            In any unit, with any constant light besides.
+            Light in any unit, constant ambient light included.
         """
-        grey, seen = np.asarray(levels), np.asarray(light, np.float64)
-        seen = (seen - seen[0]) / (seen[-1] - seen[0])
-        seen = np.maximum.accumulate(np.clip(seen, 0, 1))
-        clear = (seen > _FAINT) & (seen < 1)
-        bent, value = np.log(seen[clear]), np.log(grey[clear] / _WHITE)
-        gamma = float(np.clip((bent @ value) / (value @ value), 0.1, 10)) if clear.any() else 1.0
-        return cls(tuple(map(int, grey)), tuple(map(float, seen)), gamma)
+        grey, share = np.asarray(levels), np.asarray(light, np.float64)
+        share = (share - share[0]) / (share[-1] - share[0])
+        share = np.maximum.accumulate(np.clip(share, 0, 1))
+        used = (share > _FAINT) & (share < 1)
+        log_light, log_grey = np.log(share[used]), np.log(grey[used] / _WHITE)
+        gamma = 1.0
+        if used.any():
+            slope = (log_light @ log_grey) / (log_grey @ log_grey)
+            gamma = float(np.clip(slope, 0.1, 10))
+        return cls(tuple(map(int, grey)), tuple(map(float, share)), gamma)
 
     def grey_for(self, light: NDArray[np.floating]) -> NDArray[np.uint8]:
         """Grey values (uint8) that give the wanted light, in [0, 1]."""
         wanted = np.asarray(light, np.float64) ** (1 / self.gamma)
-        return np.rint(np.interp(wanted, self._bent, self.levels)).astype(np.uint8)
+        return np.rint(np.interp(wanted, self._root, self.levels)).astype(np.uint8)
 
     def light_of(self, grey: NDArray[np.floating]) -> NDArray[np.float32]:
         """Light, in [0, 1], of grey values given as a share of white."""
         levels = np.asarray(self.levels, np.float64) / _WHITE
-        bent = np.interp(np.asarray(grey, np.float64), levels, self._bent)
-        return (bent**self.gamma).astype(np.float32)
+        root = np.interp(np.asarray(grey, np.float64), levels, self._root)
+        return (root**self.gamma).astype(np.float32)
 
     def shown(self, patterns: PatternSet) -> PatternSet:
-        """The patterns as light, where the projector was given them as grey values.
+        """The light of patterns that the projector was sent as grey values.
 
-        Those of black and white alone are what they are.
+        Black and white patterns do not change.
         """
         if patterns.as_bits() is not None:
             return patterns
         return ImagePatterns(self.light_of(patterns.images()))
 
     def save(self, path: str | Path, *, overwrite: bool = False) -> None:
-        """Write it as JSON.
+        """Write the response as JSON.
 
         Raises
         ------
         OutputError
-            If there is a file that is no response or must not be replaced, or the disk fails.
+            If the file exists, unless it is a response and `overwrite` is set; or the disk fails.
         """
         levels, light = np.asarray(self.levels, np.float64), np.asarray(self.light)
-        told = CurveFile("projector", levels, light, {"gamma": self.gamma})
-        told.save(path, overwrite=overwrite)
+        curve = CurveFile("projector", levels, light, {"gamma": self.gamma})
+        curve.save(path, overwrite=overwrite)
 
     @classmethod
     def load(cls, path: str | Path) -> ProjectorResponse:
@@ -106,10 +114,10 @@ class ProjectorResponse:
         InputError
             On a file that is missing, damaged, or something else.
         """
-        told = CurveFile.load(path, "projector")
-        return cls.of_light(np.rint(told.levels).astype(int), told.light)
+        curve = CurveFile.load(path, "projector")
+        return cls.of_light(np.rint(curve.levels).astype(int), curve.light)
 
     @property
-    def _bent(self) -> NDArray[np.float64]:
-        """The light of `levels` in a measure in which the curve is nearly straight between them."""
+    def _root(self) -> NDArray[np.float64]:
+        """The light of `levels` to the power 1 / gamma, which is nearly straight between them."""
         return np.asarray(self.light) ** (1 / self.gamma)

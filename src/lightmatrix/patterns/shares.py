@@ -1,4 +1,4 @@
-"""Sequences that mix several kinds of frames in given shares, evenly from the first frame on."""
+"""Sequences of frames of several kinds, each with its share of them."""
 
 from __future__ import annotations
 
@@ -11,49 +11,27 @@ from lightmatrix.errors import InputError
 
 
 def interleave(shares: Sequence[float], count: int) -> NDArray[np.int64]:
-    """Which kind each of a sequence of frames is, such that every prefix has about the shares.
+    """The index of the kind of each of K frames, (K,), so that every prefix has about the shares.
 
-    Webster's rule, frame by frame: the next frame is of the kind whose share is largest for one
-    more frame, share / (2 n + 1) after n frames of it; the earlier kind of two equal ones. The
-    first k frames do not depend on how many follow.
-
-    Parameters
-    ----------
-    shares : sequence of float
-        Share of each kind, > 0; only their ratios count.
-    count : int
-        Number of frames K.
-
-    Returns
-    -------
-    (K,) int64
-        Index of the kind of each frame.
+    Webster's method, frame by frame: the next frame is of the kind with the largest quotient
+    share / (2 n + 1), where n frames are of this kind already, and of the first of equal ones. The
+    first k frames do not depend on how many follow. Only the ratios of the shares matter.
     """
-    given = np.zeros(len(shares))
+    counts = np.zeros(len(shares))
     share = np.asarray(shares, np.float64)
     kinds = np.empty(count, np.int64)
     for k in range(count):
-        # Shares such as 0.1 and 0.3 are not exact: ties must not hang on the last bit.
-        claim = share / (2 * given + 1)
-        kinds[k] = int(np.flatnonzero(claim >= claim.max() * (1 - 1e-12))[0])
-        given[kinds[k]] += 1
+        quotients = share / (2 * counts + 1)
+        # Shares such as 0.1 are rounded, and the last bit must not decide between equal quotients.
+        kinds[k] = int(np.flatnonzero(quotients >= quotients.max() * (1 - 1e-12))[0])
+        counts[kinds[k]] += 1
     return kinds
 
 
 def parse_shares(text: str, what: str, example: str) -> list[tuple[str, float]]:
-    """Read ``NAME:SHARE,NAME:SHARE``; a single NAME has the share 1.
+    """Read ``NAME:SHARE,NAME:SHARE`` as pairs whose shares sum to 1; a single NAME has the share 1.
 
-    Parameters
-    ----------
-    text : str
-        As given on the command line.
-    what, example : str
-        For the message: what is listed, and one that works.
-
-    Returns
-    -------
-    list of (name, share)
-        Shares > 0 that sum to 1.
+    Messages say what is listed, and give an example that works.
 
     Raises
     ------
