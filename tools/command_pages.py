@@ -1,7 +1,7 @@
-"""A page for each command, like a manual's: what it does, its arguments, options and exit codes.
+"""A manual page for each command: what it does, its arguments, options, examples and exit codes.
 
-Made from the command line itself and from the documentation: examples are the lines of the README
-and the how-to pages that call the command.
+The pages are made from the command line itself; the examples are the lines of the README and of the
+how-to pages that call the command.
 """
 
 from __future__ import annotations
@@ -14,21 +14,22 @@ from typing import Any
 
 import typer
 
-from lightmatrix.cli.app import GROUPS, STAGES, app
+from lightmatrix.cli.app import GROUPS, STAGES, app, help_sections
 
 ROOT = Path(__file__).parent.parent
 PROGRAM = "lightmatrix"
 FOLDER = "commands"
+# A page shows at most this many examples.
 _MOST_EXAMPLES = 4
-# Of all commands; what 1 means only `check` knows.
+# The exit codes of every command. Only `check` also has 1.
 _EXIT_CODES = {
     "0": "done",
     "2": "bad input or output, with one message that says what would work",
     "3": "out of memory",
-    "70": "a bug of ours (`LIGHTMATRIX_DEBUG=1` shows where)",
-    "130": "stopped by Ctrl-C; what can go on says so",
+    "70": "a bug of lightmatrix (`LIGHTMATRIX_DEBUG=1` shows where)",
+    "130": "stopped by Ctrl-C; the message says whether the command can go on",
 }
-_FOUND = {"0": "nothing was found", "1": "something was found"}
+_FOUND = {"0": "nothing is wrong", "1": "something is wrong"}
 
 
 def command_pages() -> dict[str, str]:
@@ -67,7 +68,7 @@ def _page(name: str) -> str:
 
 
 def _overview() -> str:
-    lines = ["# Commands", "", f"`{PROGRAM} COMMAND --help` tells the same.", ""]
+    lines = ["# Commands", "", f"`{PROGRAM} COMMAND --help` shows the same.", ""]
     every = dict(_all())
     for stage in STAGES:
         lines += [f"## {stage}", "", "| command | what it does |", "|---|---|"]
@@ -81,9 +82,9 @@ def _overview() -> str:
         "## All of them",
         "",
         f"`{PROGRAM} --install-completion` teaches the shell their names, options and values; "
-        f"`{PROGRAM} --version` tells the version.",
+        f"`{PROGRAM} --version` prints the version.",
         "",
-        *_table(("exit code", "meaning"), _EXIT_CODES | {"1": "`check` found something"}),
+        *_table(("exit code", "meaning"), _EXIT_CODES | {"1": "`check` found a fault"}),
     ]
     return "\n".join(lines)
 
@@ -92,15 +93,10 @@ def _manual(name: str, command: Any) -> str:
     context = command.make_context(f"{PROGRAM} {name}", [], resilient_parsing=True)
     usage = " ".join(command.get_usage(context).split()).removeprefix("Usage: ")
     lines = [f"# {name}", "", _paragraphs(command.help or ""), "", "```text", usage, "```", ""]
-    for kind, heading in (("argument", "Arguments"), ("option", "Options")):
-        records = [
-            parameter.get_help_record(context)
-            for parameter in command.params
-            if parameter.param_type_name == kind
-        ]
-        told = {f"`{words}`": meaning for words, meaning in filter(None, records)}
-        if told:
-            lines += [f"## {heading}", "", *_table((kind, "meaning"), told)]
+    for heading, records in help_sections(command, context).items():
+        meanings = {f"`{words}`": meaning for words, meaning in records}
+        kind = "argument" if heading == "Arguments" else "option"
+        lines += [f"## {heading}", "", *_table((kind, "meaning"), meanings)]
     examples = _examples(name)
     if examples:
         lines += ["## Examples", "", "```sh", *examples, "```", ""]
@@ -110,8 +106,8 @@ def _manual(name: str, command: Any) -> str:
 
 
 def _examples(name: str) -> list[str]:
-    """Lines of the documentation that call a command, each other option once."""
-    found: dict[str, str] = {}
+    """Lines of the documentation that call a command, each with other options."""
+    lines: dict[str, str] = {}
     for page in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))):
         text = page.read_text(encoding="utf-8").replace("\\\n", " ")
         for block in re.findall(r"^```sh\n(.*?)^```", text, flags=re.MULTILINE | re.DOTALL):
@@ -119,8 +115,8 @@ def _examples(name: str) -> list[str]:
                 words = line.split("  #")[0].split()
                 if words[: 1 + len(name.split())] == [PROGRAM, *name.split()]:
                     options = sorted(word for word in words if word.startswith("-"))
-                    found.setdefault(" ".join(options), " ".join(words))
-    return list(found.values())[:_MOST_EXAMPLES]
+                    lines.setdefault(" ".join(options), " ".join(words))
+    return list(lines.values())[:_MOST_EXAMPLES]
 
 
 def _table(heads: tuple[str, str], rows: dict[str, str]) -> list[str]:
@@ -129,7 +125,7 @@ def _table(heads: tuple[str, str], rows: dict[str, str]) -> list[str]:
 
 
 def _in_order(rows: dict[str, str]) -> list[str]:
-    """Exit codes in the order of their numbers, options as they come."""
+    """Exit codes by number, options in their own order."""
     return sorted(rows, key=int) if all(name.isdecimal() for name in rows) else list(rows)
 
 
@@ -138,6 +134,6 @@ def _paragraphs(text: str) -> str:
 
 
 def _cell(text: str) -> str:
-    # Defaults that are words come in brackets of their own.
+    # Typer puts defaults that are words into another pair of brackets.
     plain = re.sub(r"\[default: \((.*)\)\]", r"[default: \1]", " ".join(text.split()))
     return html.escape(plain, quote=False).replace("|", "\\|")

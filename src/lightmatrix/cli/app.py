@@ -1,4 +1,4 @@
-"""All commands, in the order and under the headings that `lightmatrix --help` has."""
+"""All commands, in the order and under the headings of `lightmatrix --help`; and how they run."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from collections.abc import Callable
 from typing import Annotated, Any
 
 import typer
-from typer.core import TyperGroup
+from typer.core import TyperCommand, TyperGroup
 
 import lightmatrix as lm
 from lightmatrix.cli.capture import capture
@@ -37,9 +37,9 @@ from lightmatrix.cli.simulate import simulate
 from lightmatrix.cli.terminal import say, warn
 from lightmatrix.errors import LightMatrixWarning
 
-# What a shell sets when it asks how a command may go on.
+# A shell sets this variable to ask for the words that can come next.
 COMPLETION = "_LIGHTMATRIX_COMPLETE"
-# By stage of the work.
+# Commands by stage of the work.
 STAGES: dict[str, tuple[Callable[..., None], ...]] = {
     "Prepare": (plan, patterns),
     "Photograph": (capture, response),
@@ -47,28 +47,54 @@ STAGES: dict[str, tuple[Callable[..., None], ...]] = {
     "Simulate": (scenes, render, simulate),
     "Show": (demo, experiment),
 }
-# Commands that have commands of their own, under the heading of each.
+# Commands with commands of their own, by stage of the work.
 GROUPS: dict[str, dict[str, typer.Typer]] = {"Photograph": {"rig": rig}}
 
 
-class _ByStage(TyperGroup):
+class _Group(TyperGroup):
     """Lists the commands under the headings of `STAGES`."""
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         width = max(map(len, self.commands))
-        for heading, members in STAGES.items():
-            with formatter.section(heading):
+        for stage, members in STAGES.items():
+            with formatter.section(stage):
                 lines = []
-                for name in (*(member.__name__ for member in members), *GROUPS.get(heading, {})):
+                for name in (*(member.__name__ for member in members), *GROUPS.get(stage, {})):
                     short = self.commands[name].get_short_help_str(formatter.width - width - 6)
-                    # As wide as the widest of all, so that the stages stand in line.
+                    # Padded, so that all stages share one column.
                     lines.append((f"{name:<{width}}", short))
                 formatter.write_dl(lines)
 
 
+class _Command(TyperCommand):
+    """Lists the options under their headings."""
+
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        for heading, records in help_sections(self, ctx).items():
+            with formatter.section(heading):
+                formatter.write_dl(records)
+
+
+def help_sections(command: TyperCommand, context: Any) -> dict[str, list[tuple[str, str]]]:
+    """The headings of a command's help, each with its arguments or options and their meanings.
+
+    An option names its heading as `rich_help_panel`.
+    """
+    sections: dict[str, list[tuple[str, str]]] = {}
+    for parameter in command.get_params(context):
+        record = parameter.get_help_record(context)
+        if record is not None:
+            usual = "Arguments" if parameter.param_type_name == "argument" else "Options"
+            heading = getattr(parameter, "rich_help_panel", None) or usual
+            sections.setdefault(heading, []).append(record)
+    # Options without a heading are those that most commands have: they come last.
+    rest = sections.pop("Options", None)
+    return sections | ({"Options": rest} if rest else {})
+
+
 app = typer.Typer(
     name="lightmatrix",
-    cls=_ByStage,
+    cls=_Group,
     help="Measure the light transport matrix of a projector-camera system, c = T p.",
     epilog="Start with `lightmatrix demo`. Exit codes: 0 done, 1 `check` found something, 2 bad "
     "input or output, 3 out of memory, 70 a bug of ours, 130 stopped.",
@@ -76,7 +102,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 for command in (member for members in STAGES.values() for member in members):
-    app.command(command.__name__)(command)
+    app.command(command.__name__, cls=_Command)(command)
 for groups in GROUPS.values():
     for name, group in groups.items():
         app.add_typer(group, name=name)
@@ -94,7 +120,7 @@ def _root(
 def run(arguments: list[str]) -> int:
     """Run the command line with these words; see `lightmatrix.cli.main`."""
     for stream in (sys.stdout, sys.stderr):
-        # A terminal that knows no umlauts, and names that are no text, are no reason to fail.
+        # A terminal without umlauts, or a file name that is not text, must not make a command fail.
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
     with warnings.catch_warnings():
@@ -102,12 +128,12 @@ def run(arguments: list[str]) -> int:
         warnings.showwarning = _show_warning
         try:
             return _invoke(arguments or ["--help"])
-        # Everything, the stop of a Ctrl-C and a panic of the compiled core too.
+        # BaseException, since Ctrl-C and a panic of the compiled core are no Exception.
         except BaseException as error:
             return report(error)
 
 
-# All signatures are looked through for it, which costs half of a short command's time.
+# Typer reads every signature to build it, which takes half of a short command's time.
 @functools.cache
 def _command() -> Any:
     return typer.main.get_command(app)
@@ -117,14 +143,14 @@ def _invoke(arguments: list[str]) -> int:
     command = _command()
     try:
         if COMPLETION in os.environ:
-            # Asked by a shell, which wants what can follow and nothing else.
+            # The shell wants the words that can come next, and nothing else.
             command.main(arguments, prog_name="lightmatrix", complete_var=COMPLETION)
         with outputs, command.make_context("lightmatrix", list(arguments)) as context:
             command.invoke(context)
     except typer.Exit as leaving:
         return leaving.exit_code
     except SystemExit as leaving:
-        # How Typer leaves once it has answered a shell, or installed what asks.
+        # Typer leaves like this after it has answered a shell or installed the completion.
         return leaving.code if isinstance(leaving.code, int) else 0
     finally:
         sys.stdout.flush()

@@ -23,6 +23,12 @@ if TYPE_CHECKING:
 
 _EACH = "one number, numbers a,b,c or a text file of one for each frame"
 
+
+def _reading(*names: str, **settings: Any) -> Any:
+    """An option under the heading of how to read photographs."""
+    return typer.Option(*names, rich_help_panel="How to read the photographs", **settings)
+
+
 Folder = Annotated[
     Path | None,
     typer.Argument(
@@ -36,34 +42,34 @@ Photographs = Annotated[
 ]
 Patterns = Annotated[
     Path | None,
-    typer.Option("--patterns", help="Pattern images: a folder, or a stack (TIFF, npy, npz)."),
+    _reading("--patterns", help="Pattern images: a folder, or a stack (TIFF, npy, npz)."),
 ]
 Images = Annotated[
     Path | None,
-    typer.Option("--images", help="Photographs in the same order: a folder, or a stack."),
+    _reading("--images", help="Photographs in the same order: a folder, or a stack."),
 ]
 Black = Annotated[
     str | None,
-    typer.Option(
+    _reading(
         "--black", help="Photograph under a black pattern, or of ambient light; or a black level."
     ),
 ]
 BlackExposure = Annotated[
     float | None,
-    typer.Option(help="Exposure of the black frame.", show_default="that of the frames"),
+    _reading(help="Exposure of the black frame.", show_default="that of the frames"),
 ]
 White = Annotated[
     Path | None,
-    typer.Option("--white", help="Photograph under a white pattern; one more sample."),
+    _reading("--white", help="Photograph under a white pattern; one more sample."),
 ]
-Mask = Annotated[Path | None, typer.Option("--mask", help="Image; pixels at 0 are left out.")]
+Mask = Annotated[Path | None, _reading("--mask", help="Image; pixels at 0 are left out.")]
 BlackLevel = Annotated[
     str | None,
-    typer.Option(help=f"Raw level without any light: {_EACH}.", show_default="0"),
+    _reading(help=f"Raw level without any light: {_EACH}.", show_default="0"),
 ]
 ClipLevel = Annotated[
     str | None,
-    typer.Option(
+    _reading(
         "--clip",
         help=f"Raw level at which samples clip: {_EACH}.",
         show_default="255, 65535, or 1 for float",
@@ -71,11 +77,11 @@ ClipLevel = Annotated[
 ]
 FullScale = Annotated[
     float | None,
-    typer.Option(help="Raw level that the response calls 1.", show_default="end of the range"),
+    _reading(help="Raw level that the response calls 1.", show_default="end of the range"),
 ]
 Exposure = Annotated[
     str | None,
-    typer.Option(
+    _reading(
         "--exposure",
         help=f"Exposure, in any unit: {_EACH}. T is for exposure 1.",
         show_default="1",
@@ -84,7 +90,7 @@ Exposure = Annotated[
 
 Crop = Annotated[
     str | None,
-    typer.Option(
+    _reading(
         "--crop",
         metavar="ROW,COL:ROWSxCOLS",
         help="Rectangle of the photographs to use, from its first pixel, such as 400,600:768x1024.",
@@ -95,7 +101,7 @@ Crop = Annotated[
 
 ProjectorCurve = Annotated[
     Path | None,
-    typer.Option(
+    _reading(
         "--projector-response",
         help="Light of the patterns' grey values, from `response --projector`.",
         show_default="linear",
@@ -105,7 +111,7 @@ ProjectorCurve = Annotated[
 
 Mosaic = Annotated[
     bool,
-    typer.Option(
+    _reading(
         "--mosaic", help="Raw camera files: each pixel a sample, not interpolated to colours."
     ),
 ]
