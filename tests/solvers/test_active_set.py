@@ -360,7 +360,7 @@ def test_a_start_saves_passes_and_changes_nothing_else() -> None:
 def test_a_start_of_another_shape_or_with_invalid_values() -> None:
     problem = draw(BernoulliPatterns((6, 6), 20), 3)
     result = solve(problem, ActiveSet())
-    with pytest.raises(InputError, match="start of shape"):
+    with pytest.raises(InputError, match="the start has shape"):
         ActiveSet().solve(problem.take(np.arange(2)), start=result.rows)
     negative = csr_array(np.full((3, 36), -1.0))
     restarted = ActiveSet().solve(problem, start=replace(result.rows, coefficients=negative))

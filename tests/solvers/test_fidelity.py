@@ -1,4 +1,4 @@
-"""Each fidelity against its definition: value, slope, u-update and conjugate, by brute force."""
+"""Every fidelity against its definition: value, slope, u-update and conjugate, by brute force."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ values = st.floats(-3, 6, allow_nan=False, width=32)
 positive = st.floats(0.01, 30)
 weights = st.sampled_from([0.0, 0.25, 1.0, 4.0])
 EVERY = pytest.mark.parametrize("fidelity", list(Fidelity))
-# Of the clip level.
+# Width of the edge, as a share of the clip level.
 EDGE = 0.02
 
 
@@ -63,8 +63,8 @@ def term(u: np.ndarray, y: float, clipped: bool, level: float, fidelity: Fidelit
 def test_values_are_those_of_the_table(
     fidelity: Fidelity, u: float, sample: tuple[float, bool, float]
 ) -> None:
-    found = fidelity.term.value(np.array([[u]]), one(*sample))
-    np.testing.assert_allclose(found[0], term(np.array([u]), *sample, fidelity), rtol=1e-9)
+    cost = fidelity.term.value(np.array([[u]]), one(*sample))
+    np.testing.assert_allclose(cost[0], term(np.array([u]), *sample, fidelity), rtol=1e-9)
 
 
 @EVERY
@@ -75,12 +75,12 @@ def test_residuals_are_minus_the_slopes(
 ) -> None:
     y, clipped, level = sample
     step = 1e-6 * (1 + abs(u))
-    # Not at the kink of `clipped`, where there is no slope.
+    # `clipped` has no slope at its kink.
     assume(fidelity is not Fidelity.CLIPPED or abs(u - (y if clipped else level)) > step)
     around = term(np.array([u - step, u + step]), *sample, fidelity)
     slope = (around[1] - around[0]) / (2 * step)
-    found = fidelity.term.residual(np.array([[u]]), one(*sample))
-    assert -found[0, 0] == pytest.approx(slope, rel=1e-4, abs=1e-5 * (1 + level))
+    residual = fidelity.term.residual(np.array([[u]]), one(*sample))
+    assert -residual[0, 0] == pytest.approx(slope, rel=1e-4, abs=1e-5 * (1 + level))
 
 
 @EVERY
@@ -89,14 +89,14 @@ def test_residuals_are_minus_the_slopes(
 def test_prediction_update_minimises_its_own_problem(
     fidelity: Fidelity, v: float, sample: tuple[float, bool, float], weight: float, coupling: float
 ) -> None:
-    found = updated(v, *sample, weight, coupling, fidelity)
+    update = updated(v, *sample, weight, coupling, fidelity)
     grid = np.linspace(-10, 40, 200_001)
 
     def cost(u: np.ndarray) -> np.ndarray:
         return weight * term(u, *sample, fidelity) + coupling / 2 * (v - u) ** 2
 
     best = cost(grid).min()
-    assert cost(np.array([found]))[0] <= best + 1e-6 * (1 + best)
+    assert cost(np.array([update]))[0] <= best + 1e-6 * (1 + best)
 
 
 @pytest.mark.parametrize("fidelity", [one for one in Fidelity if one.convex])
@@ -106,20 +106,20 @@ def test_conjugates_are_the_maximum_over_predictions(
     fidelity: Fidelity, t: float, sample: tuple[float, bool, float]
 ) -> None:
     y, _, level = sample
-    found = float(fidelity.term.conjugate(np.array([[t]]), one(*sample))[0, 0])
-    # Coarse where the maximum may be far, fine where it must be for a narrow edge.
+    conjugate = float(fidelity.term.conjugate(np.array([[t]]), one(*sample))[0, 0])
+    # A coarse grid for a maximum far away, and a fine one for the narrow edge.
     fine = np.linspace(-60 * EDGE, 60 * EDGE, 40_001) * level
     grid = y + np.concatenate([np.linspace(-6, 6, 120_001), fine])
 
     def gain(u: np.ndarray) -> np.ndarray:
         return t * (y - u) - term(u, *sample, fidelity)
 
-    if np.isinf(found):
-        # It has no maximum: further out there is always more.
+    if np.isinf(conjugate):
+        # There is no maximum: further out the value is always larger.
         far = gain(y + np.array([-1e2, 1e2, -1e4, 1e4]))
         assert far[2:].max() > 10 * max(far[:2].max(), 1e-12)
     else:
-        assert gain(grid).max() == pytest.approx(found, rel=1e-4, abs=1e-8)
+        assert gain(grid).max() == pytest.approx(conjugate, rel=1e-4, abs=1e-8)
 
 
 def test_the_dual_of_the_fidelity_that_is_not_convex_is_refused() -> None:
@@ -130,8 +130,8 @@ def test_the_dual_of_the_fidelity_that_is_not_convex_is_refused() -> None:
 def updated(
     v: float, y: float, clipped: bool, level: float, weight: float, c: float, fidelity: Fidelity
 ) -> float:
-    seen = one(y, clipped, level, weight)
-    return float(fidelity.term.update(np.array([[v]]), seen, c)[0, 0])
+    observed = one(y, clipped, level, weight)
+    return float(fidelity.term.update(np.array([[v]]), observed, c)[0, 0])
 
 
 @given(v=st.floats(-50, 50), y=st.floats(0, 3), ratio=st.floats(1e-3, 1e3),
@@ -140,14 +140,14 @@ def updated(
 def test_likelihood_update_is_stationary_in_both_tails(
     v: float, y: float, ratio: float, width: float
 ) -> None:
-    """The slope of the cost changes its sign within rounding of the answer."""
-    given = np.array([v]), np.array([y]), np.array([ratio])
-    u = float(edge_update(*given, 1.0, np.array([width]))[0])
+    """The slope of the cost changes its sign within rounding of the result."""
+    arguments = np.array([v]), np.array([y]), np.array([ratio])
+    u = float(edge_update(*arguments, 1.0, np.array([width]))[0])
     assert u >= v - 1e-9 * (1 + abs(v))
 
     def slope(u: float) -> float:
         z = (u - y) / width
-        # Another way to the Mills ratio: the quotient of its definition, by logarithms.
+        # The Mills ratio by its definition, in logarithms.
         ratio_of = np.exp(-(z**2) / 2 - np.log(2 * np.pi) / 2 - log_ndtr(z))
         return float(u - v - ratio * width * ratio_of)
 
@@ -159,9 +159,9 @@ def test_a_narrow_edge_is_the_one_sided_term() -> None:
     random = np.random.default_rng(0)
     v, y = random.uniform(-3, 6, (2, 1, 500))
     level = np.abs(y)
-    seen = Observed(y, np.ones(y.shape, bool), level, np.ones(y.shape), np.full(y.shape, 1e-4))
-    soft = Fidelity.LIKELIHOOD.term.update(v, seen, 0.7)
-    hard = Fidelity.ONE_SIDED.term.update(v, seen, 0.7)
+    observed = Observed(y, np.ones(y.shape, bool), level, np.ones(y.shape), np.full(y.shape, 1e-4))
+    soft = Fidelity.LIKELIHOOD.term.update(v, observed, 0.7)
+    hard = Fidelity.ONE_SIDED.term.update(v, observed, 0.7)
     np.testing.assert_allclose(soft, hard, atol=2e-4)
     assert (soft >= hard - 1e-12).all()
 
@@ -175,27 +175,27 @@ def test_mills_ratio_in_both_tails() -> None:
 @given(v=values, y=st.floats(0, 3), lam=positive, nu=positive)
 @settings(max_examples=200, deadline=None)
 def test_equation_19_as_it_is_printed(v: float, y: float, lam: float, nu: float) -> None:
-    """For weight 1 the update is Eq. 19 to the letter, at y = Y too."""
+    """With weight 1 the update is Eq. 19, also at y = Y."""
     for level in (3.0, y):
         threshold = y + np.sqrt(1 + 1 / (lam * nu)) * (level - y)
         expected = (y + lam * nu * v) / (1 + lam * nu) if v <= threshold else v
-        found = updated(v, y, False, level, 1.0, lam * nu, Fidelity.CLIPPED)
-        assert found == pytest.approx(expected, abs=1e-9) or v == pytest.approx(threshold)
+        update = updated(v, y, False, level, 1.0, lam * nu, Fidelity.CLIPPED)
+        assert update == pytest.approx(expected, abs=1e-9) or v == pytest.approx(threshold)
 
 
 @EVERY
-def test_which_samples_count_and_which_duals_are_free(fidelity: Fidelity) -> None:
+def test_used_and_two_sided_samples(fidelity: Fidelity) -> None:
     problem, _ = clipping_problem()
-    seen, of = problem.observed, fidelity.term
+    observed, f = problem.observed, fidelity.term
     u = np.random.default_rng(0).random(problem.samples.values.shape) * 3
-    # What does not count changes nothing, whatever its value.
-    silent = ~of.counted(seen)
-    assert not of.residual(u, seen)[silent].any()
-    assert silent.any() == (fidelity is Fidelity.REJECTION)
-    # Free is what takes either sign.
-    low, high = (of.residual(np.full_like(u, value), seen) for value in (-50.0, 50.0))
+    # Unused samples have no influence, whatever their values.
+    unused = ~f.used(observed)
+    assert not f.residual(u, observed)[unused].any()
+    assert unused.any() == (fidelity is Fidelity.REJECTION)
+    # The residual of a two-sided sample takes either sign.
+    low, high = (f.residual(np.full_like(u, value), observed) for value in (-50.0, 50.0))
     if fidelity.convex:
-        np.testing.assert_array_equal(of.free(seen), (low > 0) & (high < 0))
+        np.testing.assert_array_equal(f.two_sided(observed), (low > 0) & (high < 0))
 
 
 MAKERS: dict[str, Callable[[str], Any]] = {

@@ -1,4 +1,4 @@
-"""ROMP: the batched version against the algorithm written out for one row."""
+"""ROMP against the same algorithm written out for one row."""
 
 from __future__ import annotations
 
@@ -61,16 +61,16 @@ def test_batched_romp_is_the_literal_algorithm(seed: int, n: int, count: int) ->
     matrix = patterns.dense().astype(np.float64)
     for index in range(4):
         expected = _literal(matrix, y[index], n, n)
-        found = result.coefficients[[index]].toarray()[0]
-        # A nearly singular least squares has many answers; its fit is what both must share.
-        np.testing.assert_allclose(matrix @ found, matrix @ expected, atol=1e-4 * abs(y).max())
+        row = result.coefficients[[index]].toarray()[0]
+        # Nearly singular least squares have many solutions, but the same fit.
+        np.testing.assert_allclose(matrix @ row, matrix @ expected, atol=1e-4 * abs(y).max())
 
 
-def test_rejection_never_looks_at_clipped_samples() -> None:
+def test_rejection_ignores_clipped_samples() -> None:
     problem, _ = clipping_problem(count=60)
-    spoiled = np.where(problem.samples.clipped, 50.0, problem.samples.values)
+    changed = np.where(problem.samples.clipped, 50.0, problem.samples.values)
     one = solve(problem, ROMP())
-    two = solve(with_samples(problem, values=spoiled), ROMP())
+    two = solve(with_samples(problem, values=changed), ROMP())
     np.testing.assert_array_equal(one.coefficients.toarray(), two.coefficients.toarray())
     np.testing.assert_array_equal(one.background, two.background)
 
@@ -92,7 +92,7 @@ def test_objective_is_recomputed_from_the_definition() -> None:
     assert np.isnan(result.gap).all()
 
 
-def test_every_sample_clipped_and_dark_rows_give_nothing() -> None:
+def test_clipped_and_dark_rows_are_empty() -> None:
     problem, _ = clipping_problem()
     blind = solve(with_samples(problem, clipped=np.ones_like(problem.samples.clipped)), ROMP())
     assert blind.coefficients.nnz == 0
@@ -104,7 +104,7 @@ def test_every_sample_clipped_and_dark_rows_give_nothing() -> None:
     assert empty.coefficients.shape == (0, problem.patterns.pixels)
 
 
-def test_the_status_says_whether_all_rows_are_explained() -> None:
+def test_the_status_says_whether_all_rows_converged() -> None:
     problem, _ = clipping_problem(rows=3)
     enough = solve(problem, ROMP(sparsity=20, fidelity=Fidelity.LINEAR, tolerance=0.5))
     assert enough.converged.all()
@@ -121,10 +121,25 @@ def test_the_default_sparsity_is_an_eighth_of_the_patterns_and_32_at_most() -> N
         values = random.random((2, count))
         samples = Samples(values, np.zeros(values.shape, bool), np.ones(count))
         problem = Problem(patterns, samples, 0.1)
-        found, same = solve(problem, ROMP()), solve(problem, ROMP(sparsity=sparsity))
-        np.testing.assert_array_equal(found.coefficients.toarray(), same.coefficients.toarray())
+        default, same = solve(problem, ROMP()), solve(problem, ROMP(sparsity=sparsity))
+        np.testing.assert_array_equal(default.coefficients.toarray(), same.coefficients.toarray())
         other = solve(problem, ROMP(sparsity=sparsity + 1))
-        assert (found.coefficients != other.coefficients).nnz > 0
+        assert (default.coefficients != other.coefficients).nnz > 0
+
+
+def test_chunks_change_nothing_and_report_progress(monkeypatch: pytest.MonkeyPatch) -> None:
+    problem, _ = clipping_problem(rows=5)
+    whole = solve(problem, ROMP(sparsity=3))
+    calls: list[tuple[int, int]] = []
+    # Chunks of two rows: 8 bytes for each of 3 n columns under K patterns.
+    size = 2 * 8 * 3 * 3 * problem.patterns.count
+    monkeypatch.setattr("lightmatrix.solvers.romp.CHUNK_BYTES", size)
+    result = solve(
+        problem, ROMP(sparsity=3), progress=lambda done, rows: calls.append((done, rows))
+    )
+    assert calls == [(2, 5), (4, 5), (5, 5)]
+    np.testing.assert_allclose(result.coefficients.toarray(), whole.coefficients.toarray())
+    np.testing.assert_array_equal(result.iterations, whole.iterations)
 
 
 def test_bad_parameters() -> None:

@@ -207,5 +207,5 @@ def test_signed_light_and_foreign_candidates_are_refused() -> None:
     none = Cells.none(problem.patterns)
     with pytest.raises(InputError, match="not negative"):
         solve_weighted(replace(problem, nonnegative=False), every_pixel(problem), none, SOLVER)
-    with pytest.raises(InputError, match="candidates of 6 rows for a problem of 2"):
+    with pytest.raises(InputError, match="candidates for 6 rows, not 2"):
         solve_weighted(problem.take(np.arange(2)), every_pixel(problem), none, SOLVER)

@@ -1,4 +1,4 @@
-"""Estimators of rows of the light transport matrix, one problem and one result for all."""
+"""Solvers of rows of the light transport matrix. All take a `Problem` and return a `Result`."""
 
 from __future__ import annotations
 

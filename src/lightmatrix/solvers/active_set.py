@@ -1,4 +1,4 @@
-"""The fast solver: every row to a certified duality gap, by an active set in the compiled core."""
+"""The active-set solver in the compiled core, which solves every row to a certified duality gap."""
 
 from __future__ import annotations
 
@@ -19,37 +19,37 @@ from lightmatrix.transport.sparse_rows import SparseRows
 
 @dataclass(frozen=True)
 class ActiveSet:
-    """Active-set solver of the convex fidelities; each row carries its duality gap.
+    """Active-set solver for the convex fidelities. Every row comes with its duality gap.
 
     ::
 
         min over x >= 0, b >= 0 of  lambda sum x + sum_k w_k f_k(a_k . x + b m_k)
 
-    A row alternates between a restricted solve on few pixels and a pass over all pixels, which
-    finds the strongest violators and the dual value (for the method, see `docs/fast-solver.md`).
-    It stops when its relative gap (P - D) / max(P, 1e-6 ||y||^2 / 2), in float64, is at most
-    `tolerance`. A clipped sample's own value is its lower bound, so clip levels and exposures may
-    differ from sample to sample. A row's solution depends on no other row: results depend neither
-    on threads nor on tiles.
+    A row alternates between a solve on few pixels and a pass over all pixels, which finds the
+    pixels that violate their optimality condition most, and a dual value (see
+    `docs/fast-solver.md`). It stops when the relative gap (P - D) / max(P, 1e-6 ||y||^2 / 2), in
+    float64, is at most `tolerance`. A clipped sample's value is a lower bound, so clip levels and
+    exposures may differ from sample to sample. Rows do not depend on each other, so results depend
+    neither on the number of threads nor on tiles.
 
     Parameters
     ----------
     fidelity : Fidelity
-        one-sided, rejection or linear; not `clipped`, which is not convex and has no gap, and not
-        `likelihood`.
+        one-sided, rejection or linear. `clipped` is not convex and has no gap; `likelihood` is not
+        quadratic.
     tolerance : float
         Relative duality gap, in (0, 1).
     max_passes : int
-        Passes over all pixels after which a row is given up as it is; at least 1.
+        Limit of passes over all pixels, at least 1. A row that reaches it is returned as it is.
     threads : int or None
-        None takes one per core.
+        None: one per core.
 
     Raises
     ------
     SolverError
         For the fidelities `clipped` and `likelihood`.
     InputError
-        On parameters out of range.
+        If a parameter is out of range.
 
     Examples
     --------
@@ -90,19 +90,8 @@ class ActiveSet:
     ) -> Result:
         """Solve all rows.
 
-        Parameters
-        ----------
-        problem : Problem
-            M rows.
-        progress : callable, optional
-            Called with (finished, all) rows.
-        start : SparseRows, optional
-            Where to start, such as the solution at another regularization. None: from nothing.
-
-        Returns
-        -------
-        Result
-            `iterations` are passes over all pixels; the coefficients are float64, as certified.
+        `start` may hold the solution at another regularization; None starts from zero. `progress`
+        is called with (finished, all) rows. The coefficients are float64.
         """
         check_start(problem, start)
         solved = prepared(problem).solve(
@@ -111,7 +100,7 @@ class ActiveSet:
         return as_result(solved, problem)
 
     def settings(self, problem: Problem) -> _core.Settings:
-        """The settings as the core takes them."""
+        """The settings for the core."""
         return _core.Settings(
             regularization=float(problem.regularization),
             fidelity=Fidelity(self.fidelity).term.name,
@@ -123,31 +112,30 @@ class ActiveSet:
         )
 
     def row_bytes(self, patterns: int, pixels: int) -> int:
-        """Samples as they come and as solved, and a generous support; and a share of the scores.
-
-        Only rows in work have scores, but tiles of many rows waste less at their ends.
-        """
+        """Bytes of one row: samples twice, 512 entries, a share of the scores of active rows."""
         return 24 * patterns + pixels // 8 + 16 * 512
 
 
 def prepared(problem: Problem) -> _core.PreparedPatterns:
-    """The patterns of a problem, and the column of its background, as the core works on them."""
+    """The problem's patterns and background column, prepared for the core."""
     if problem.background_column is None:
         return problem.patterns.prepared
     return problem.patterns.prepare(problem.background_column)
 
 
 def check_start(problem: Problem, start: SparseRows | None) -> None:
-    """Refuse a start of other rows or pixels than the problem's; None is none."""
+    """Refuse a start whose shape differs from the problem's."""
     shape = (problem.rows, problem.patterns.pixels)
     if start is not None and start.coefficients.shape != shape:
-        raise InputError(f"a start of shape {start.coefficients.shape} for a problem of {shape}")
+        raise InputError(
+            f"the start has shape {start.coefficients.shape}, but the problem has {shape}"
+        )
 
 
 def as_result(
     solved: _core.Solved, problem: Problem, cells: NDArray[np.float32] | None = None
 ) -> Result:
-    """What the core has solved, with the coefficients of a weighted problem's cells."""
+    """The core's solution as a `Result`, with the coefficients of a weighted problem's cells."""
     shape = (problem.rows, problem.patterns.pixels)
     narrow = solved.indptr[-1] <= np.iinfo(np.int32).max
     indptr = solved.indptr.astype(np.int32) if narrow else solved.indptr

@@ -1,4 +1,4 @@
-"""l1 minimisation by ADMM: the paper's Section 3.1, Eq. 7-13."""
+"""ADMM, the clip-blind l1 minimisation of the paper (Section 3.1, Eq. 7-13)."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from lightmatrix.solvers.system import System, centred_energy, system_of
 
 @dataclass(frozen=True)
 class ADMMState:
-    """x, z and the multiplier h, each (M, unknowns); y (M, K) and what all rows share."""
+    """x, z and the multiplier h, each (M, unknowns); y, (M, K); the data that all rows share."""
 
     x: NDArray[Any]
     z: NDArray[Any]
@@ -39,10 +39,10 @@ class ADMM:
     Parameters
     ----------
     penalty_x : float or None
-        The paper's mu, > 0, in 1 / (units of T). None: from the patterns and lambda, see
-        `automatic_penalty_x`; for 0/1 patterns of density 0.5, sqrt(K N) / (24 lambda).
+        The paper's mu, > 0, in 1 / (units of T). None: computed by `automatic_penalty_x`; for 0/1
+        patterns of density 0.5 it is sqrt(K N) / (24 lambda).
     max_iterations : int
-        Iterations after which a row is given up as it is, at least 1.
+        Limit of iterations, at least 1. A row that reaches it is returned as it is.
     tolerance : float
         A row stops when its relative primal and dual residuals are at most this, > 0.
 
@@ -103,12 +103,12 @@ class ADMM:
         return state.system.split(state.z)
 
     def row_bytes(self, patterns: int, pixels: int) -> int:
-        """Two states and what a step and the certificate need: 13 vectors of pixels, float32."""
+        """Bytes of one row: 13 float32 vectors of pixels, for two states, a step and the gap."""
         return 4 * (13 * pixels + 6 * patterns)
 
 
 def shrink(q: NDArray[Any], penalty_x: float, problem: Problem, system: System) -> NDArray[Any]:
-    """Eq. 13; with a background also b = c - sum z >= 0 where light may not be negative."""
+    """The z-update, Eq. 13. With a background and nonnegative light also b = c - sum z >= 0."""
     if not problem.background:
         return soft_threshold(q, 1 / penalty_x, nonnegative=problem.nonnegative)
     z = q.copy()
@@ -122,21 +122,21 @@ def shrink(q: NDArray[Any], penalty_x: float, problem: Problem, system: System) 
 
 
 def relative(difference: NDArray[Any], floor: float, *sizes: NDArray[Any]) -> NDArray[Any]:
-    """Row norms of a difference over the largest row norm of what it is compared with.
+    """Row norms of a difference, divided by the largest row norm of `sizes`.
 
-    Nothing is compared with less than `floor`, or rows that are dark altogether would never stop.
+    The divisor is at least `floor`, so that rows without light can stop.
     """
     scale = np.max([np.linalg.norm(size, axis=1) for size in sizes], axis=0)
     return np.linalg.norm(difference, axis=1) / np.maximum(scale, floor)
 
 
 def automatic_penalty_x(problem: Problem) -> float:
-    """mu: lambda mu is a sixth of the geometric mean of two squared lengths.
+    """The penalty mu with lambda mu = a sixth of sqrt(r c).
 
-    They are those of an average row and an average column of the centred patterns; for 0/1 patterns
-    of density 0.5, lambda mu = sqrt(K N) / 24. Found on rendered scenes with K from 64 to 1,024 and
-    lambda from 0.08 to 0.32: with half of it dense rows are slow, with twice of it rows with large
-    entries, which grow by at most 1 / mu a step.
+    r and c are the mean squared lengths of the rows and of the columns of the centred patterns; for
+    0/1 patterns of density 0.5, lambda mu = sqrt(K N) / 24. The sixth was chosen on rendered scenes
+    with K from 64 to 1,024 and lambda from 0.08 to 0.32. With half of it, dense rows converge
+    slowly; with twice of it, rows with large entries do, which grow by at most 1 / mu a step.
     """
     patterns = problem.patterns
     total = float(centred_energy(patterns, problem.column).sum())
@@ -145,7 +145,7 @@ def automatic_penalty_x(problem: Problem) -> float:
 
 
 def _shared_weights(problem: Problem) -> NDArray[np.float64] | None:
-    """Square roots of the patterns' weights, if all rows share them."""
+    """The square roots of the weights, (K,), which all rows must share; None without weights."""
     weights = problem.samples.weights
     if weights is None:
         return None
@@ -153,7 +153,7 @@ def _shared_weights(problem: Problem) -> NDArray[np.float64] | None:
         if len(weights) and (weights != weights[:1]).any():
             raise SolverError(
                 "ADMM factors one matrix for all rows, but the weights differ between rows",
-                hint="use Saturation ADMM with the linear fidelity: it takes any weights",
+                hint="use Saturation ADMM with the linear fidelity, which allows any weights",
             )
         weights = weights[0] if len(weights) else np.ones(problem.patterns.count)
     return np.sqrt(weights.astype(np.float64))

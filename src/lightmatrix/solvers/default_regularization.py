@@ -1,4 +1,4 @@
-"""A default for the regularization, from the patterns and the noise of the camera."""
+"""The default regularization, from the patterns and the camera's noise."""
 
 from __future__ import annotations
 
@@ -8,56 +8,39 @@ from lightmatrix.camera.noise import USUAL_NOISE
 from lightmatrix.errors import InputError
 from lightmatrix.patterns.pattern_set import PatternSet
 
-# Of the clip level: what the weak tail of rendered rows asks for, whatever the number of patterns.
+# The regularization is at least this share of the clip level, for the weak tail of real rows. On
+# rendered scenes (128 x 128, 64 to 1,024 patterns) errors rise slowly above it and hardly fall
+# below.
 TAIL_SHARE = 0.16
-# Of the universal threshold of the noise.
+# It is also at least this share of the noise's universal threshold. Below it rows fill with noise,
+# solving takes ten to a hundred times as long, and the estimate gets no better.
 NOISE_SHARE = 0.75
 
 
 def default_regularization(
     patterns: PatternSet, clip_level: float, noise: float | None = None
 ) -> float:
-    """The regularization to use when nothing is known but the patterns and the sensor.
+    """The paper's lambda in units of camera sample, from what is known of patterns and sensor.
 
-    The larger of two amounts. Noise of standard deviation sigma makes the correlation of some
-    dark pixel's column exceed sigma * |column| * sqrt(2 ln N), the universal threshold (Donoho &
-    Johnstone 1994; for l1 minimisation Chen, Donoho & Saunders 1998): below about three quarters
-    of it rows fill with noise, solving becomes ten to a hundred times as dear, and the estimate no
-    better. Above it, what cannot be explained by few pixels, the weak tail of real rows, decides:
-    on rendered scenes (128 x 128, 64 to 1,024 patterns) errors rise from 0.16 clip levels on,
-    slowly, and hardly fall below. |column| is the column's length once the background has taken
-    its mean: sqrt(K) / 2 for fair coins.
+    It is the larger of `TAIL_SHARE` times the clip level and `NOISE_SHARE` times the universal
+    threshold sigma * |column| * sqrt(2 ln N) (Donoho & Johnstone 1994; for l1 minimisation Chen,
+    Donoho & Saunders 1998), which noise of standard deviation sigma makes the correlation of some
+    dark pixel reach. |column| is the length of a centred column, sqrt(K) / 2 for fair coins.
 
-    Parameters
-    ----------
-    patterns : PatternSet
-        K patterns over N projector pixels.
-    clip_level : float
-        Y, in the units of the samples; > 0. If samples stay below it, the level that they reach.
-    noise : float, optional
-        Standard deviation of a sample, in the units of the samples; >= 0. None: 0.003 Y.
-
-    Returns
-    -------
-    float
-        The paper's lambda, in units of camera sample.
-
-    Raises
-    ------
-    InputError
-        On a clip level or a noise out of range.
+    `clip_level` is in the units of the samples, > 0; where samples stay below it, the level that
+    they reach. `noise` is the standard deviation of a sample, >= 0; None means 0.003 clip levels.
     """
     if not (np.isfinite(clip_level) and clip_level > 0):
-        raise InputError(f"a clip level of {clip_level}", hint="it is a positive camera sample")
+        raise InputError(f"the clip level is {clip_level}", hint="use a positive camera sample")
     if noise is not None and not (np.isfinite(noise) and noise >= 0):
-        raise InputError(f"a noise of {noise}", hint="it is a standard deviation, 0 or more")
+        raise InputError(f"the noise is {noise}", hint="use a standard deviation of 0 or more")
     sigma = USUAL_NOISE * clip_level if noise is None else noise
     threshold = sigma * column_length(patterns) * np.sqrt(2 * np.log(max(patterns.pixels, 2)))
     return float(max(TAIL_SHARE * clip_level, NOISE_SHARE * threshold))
 
 
 def column_length(patterns: PatternSet) -> float:
-    """Root mean square length of the columns of P less the patterns' means."""
+    """The root mean square length of the columns of P, with the patterns' means subtracted."""
     squares = sum(
         float(np.square(chunk, dtype=np.float64).sum()) / patterns.pixels
         for _, chunk in patterns.chunks()

@@ -1,4 +1,4 @@
-"""The one loop around all iterative solvers: limits, stopping row by row, finiteness, history."""
+"""The loop of all iterative solvers: iteration limits, stopping row by row, finiteness, history."""
 
 from __future__ import annotations
 
@@ -18,24 +18,25 @@ from lightmatrix.transport.sparse_rows import SparseRows
 Progress = Callable[[int, int], None]
 S = TypeVar("S")
 
-# Rows that have stopped are set aside once they make up this share of the batch.
+# Stopped rows stay in the batch until they make up this share of it: removing them copies the
+# state. Chosen by hand.
 _COMPACT_SHARE = 0.2
 
 
 class IterativeSolver(Protocol):
-    """What the loop needs of a solver; states are frozen dataclasses of arrays with M rows."""
+    """A solver that the loop can run. Its states are frozen dataclasses of arrays with M rows."""
 
     @property
     def fidelity(self) -> Fidelity | str:
-        """The data term that it minimises."""
+        """The data term that the solver minimises."""
 
     @property
     def max_iterations(self) -> int:
-        """Iterations after which a row is given up as it is."""
+        """Limit of iterations. A row that reaches it is returned as it is."""
 
     @property
     def tolerance(self) -> float:
-        """A row stops when both its residuals are below this."""
+        """A row stops when both its residuals are at most this."""
 
     def init(self, problem: Problem) -> Any:
         """The state before the first step."""
@@ -49,10 +50,10 @@ class IterativeSolver(Protocol):
         """Relative primal and dual residual of each row, (M,) each."""
 
     def solution(self, problem: Problem, state: Any) -> tuple[NDArray[Any], NDArray[Any]]:
-        """Coefficients (M, N), sparse by exact zeros, and background (M,)."""
+        """Coefficients (M, N), mostly exact zeros, and background (M,)."""
 
     def row_bytes(self, patterns: int, pixels: int) -> int:
-        """Working memory of one row."""
+        """Working memory of one row in bytes."""
 
 
 @runtime_checkable
@@ -60,10 +61,10 @@ class DirectSolver(Protocol):
     """A solver with a loop of its own."""
 
     def solve(self, problem: Problem, progress: Progress | None = None) -> Result:
-        """The whole job."""
+        """Solve all rows."""
 
     def row_bytes(self, patterns: int, pixels: int) -> int:
-        """Working memory of one row."""
+        """Working memory of one row in bytes."""
 
 
 Solver = IterativeSolver | DirectSolver
@@ -88,7 +89,7 @@ def solve(problem: Problem, solver: Solver, *, progress: Progress | None = None)
     Raises
     ------
     SolverError
-        If the solver cannot treat the problem.
+        If the solver cannot solve this kind of problem.
 
     Examples
     --------
@@ -108,21 +109,21 @@ def solve(problem: Problem, solver: Solver, *, progress: Progress | None = None)
     running = np.ones(problem.rows, bool)
     history: dict[str, list[float]] = {"primal": [], "dual": [], "rows": []}
     for iteration in range(1, solver.max_iterations + 1):
-        # One after the other, so that no third state is kept alive meanwhile.
+        # In this order no third state stays in memory.
         before = state
         state = solver.step(part, before)
         primal, dual = solver.residuals(part, before, state)
         history["primal"].append(float(np.max(primal[running], initial=0)))
         history["dual"].append(float(np.max(dual[running], initial=0)))
         history["rows"].append(float(running.sum()))
-        met = running & (primal <= solver.tolerance) & (dual <= solver.tolerance)
+        converged = running & (primal <= solver.tolerance) & (dual <= solver.tolerance)
         broken = running & ~(np.isfinite(primal) & np.isfinite(dual))
         last = iteration == solver.max_iterations
-        stopping = running if last else met | broken
+        stopping = running if last else converged | broken
         if stopping.any():
-            chosen = np.flatnonzero(stopping)
-            rows = take(state, chosen)
-            finished.add(active[chosen], part.take(chosen), rows, iteration, met[chosen])
+            index = np.flatnonzero(stopping)
+            stopped = state_of_rows(state, index)
+            finished.add(active[index], part.take(index), stopped, iteration, converged[index])
             running = running & ~stopping
             if progress is not None:
                 progress(finished.count, problem.rows)
@@ -130,13 +131,13 @@ def solve(problem: Problem, solver: Solver, *, progress: Progress | None = None)
             break
         if (~running).mean() > _COMPACT_SHARE:
             keep = np.flatnonzero(running)
-            active, part, state = active[keep], part.take(keep), take(state, keep)
+            active, part, state = active[keep], part.take(keep), state_of_rows(state, keep)
             running = np.ones(len(keep), bool)
     return finished.result(history)
 
 
-def take(state: S, rows: NDArray[np.integer]) -> S:
-    """The state of some of the rows: every array field is indexed, others are shared."""
+def state_of_rows(state: S, rows: NDArray[np.integer]) -> S:
+    """The state of some rows: arrays are indexed, all other fields are shared."""
     arrays = {
         field.name: getattr(state, field.name)[rows]
         for field in fields(state)  # type: ignore[arg-type]
@@ -147,7 +148,7 @@ def take(state: S, rows: NDArray[np.integer]) -> S:
 
 @dataclass
 class _Finished:
-    """Rows that have stopped, in the order in which they did."""
+    """The rows that have stopped, in the order in which they stopped."""
 
     problem: Problem
     solver: IterativeSolver
@@ -166,7 +167,7 @@ class _Finished:
         problem: Problem,
         state: Any,
         iteration: int,
-        met: NDArray[np.bool_],
+        converged: NDArray[np.bool_],
     ) -> None:
         coefficients, background = self.solver.solution(problem, state)
         x = csr_array(np.where(np.isfinite(coefficients), coefficients, 0))
@@ -176,7 +177,7 @@ class _Finished:
             x,
             background,
             iterations=np.full(len(rows), iteration, np.int32),
-            converged=met,
+            converged=converged,
             gap=gap,
             objective=objective,
         )

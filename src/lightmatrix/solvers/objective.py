@@ -1,4 +1,4 @@
-"""Objectives and duality gaps, recomputed in float64 from their definitions."""
+"""Objectives and duality gaps, computed in float64 from their definitions."""
 
 from __future__ import annotations
 
@@ -12,8 +12,14 @@ from scipy.sparse import csr_array
 from lightmatrix.solvers.fidelity import DataTerm, Fidelity, Observed
 from lightmatrix.solvers.problem import Problem
 
-# Rows are treated in chunks of so many bytes.
+# Bytes of the dense rows that are handled at a time: little beside a tile, and few Python calls.
 CHUNK_BYTES = 128 << 20
+# The gap is relative to the objective, but at least to this share of ||y||^2 / 2, so that rows
+# without light can converge. The compiled solver uses the same share.
+_FLOOR_SHARE = 1e-6
+# Limit of the factor that scales the dual point. Near the optimum the best factor is 1; a much
+# larger one would only magnify the rounding errors in m' theta = 0.
+_LARGEST_SCALING = 2
 
 
 def predictions(
@@ -50,24 +56,24 @@ def relative_gap(
     """Objective P and relative duality gap (P - D) / max(P, 1e-6 ||y||^2 / 2), each (M,) float64.
 
     The dual of min lambda ||x||_1 + sum w f(A x + b m) is: maximise sum y theta - w g(theta / w),
-    with g the fidelity's `conjugate` (theta^2 / (2 w) in all but one of them), A' theta <= lambda
-    (in absolute value if x may be negative), theta >= 0 where one-sided and m' theta <= 0 (= 0 if b
-    may be negative). The weighted residual, made feasible by a shift along m and the best scaling,
-    is the dual point. NaN where the fidelity is not convex.
+    with g the fidelity's `conjugate` (w g = theta^2 / (2 w) for all but one fidelity), subject to
+    A' theta <= lambda (in absolute value if x may be negative), theta >= 0 where one-sided, and
+    m' theta <= 0 (= 0 if b may be negative). The dual point is the weighted residual, made feasible
+    by a shift along m and the best scaling. The gap is NaN where the fidelity is not convex.
     """
-    term, seen = Fidelity(fidelity).term, problem.observed.astype(np.float64)
+    term, observed = Fidelity(fidelity).term, problem.observed.astype(np.float64)
     u = predictions(problem, coefficients, background)
-    primal = _norm(problem, coefficients) + _data_term(seen, u, term)
+    primal = _norm(problem, coefficients) + _data_term(observed, u, term)
     if not term.convex:
         return primal, np.full(problem.rows, np.nan)
-    dual = _dual_value(problem, seen, u, term)
-    floor = 1e-6 * (seen.values**2).sum(axis=1) / 2
+    dual = _dual_value(problem, observed, u, term)
+    floor = _FLOOR_SHARE * (observed.values**2).sum(axis=1) / 2
     scale = np.maximum(np.maximum(primal, floor), np.finfo(np.float64).tiny)
     return primal, (primal - dual) / scale
 
 
 def _chunks(problem: Problem) -> Iterator[slice]:
-    """The rows of a problem, so many at a time as are made dense."""
+    """Slices of the rows whose dense coefficients take up to `CHUNK_BYTES`."""
     size = max(1, CHUNK_BYTES // (8 * problem.patterns.pixels))
     for start in range(0, problem.rows, size):
         yield slice(start, start + size)
@@ -78,16 +84,18 @@ def _norm(problem: Problem, coefficients: csr_array) -> NDArray[np.float64]:
     return problem.regularization * np.asarray(sums).ravel()
 
 
-def _data_term(seen: Observed, u: NDArray[np.float64], term: DataTerm) -> NDArray[np.float64]:
-    return np.asarray((seen.weights * term.value(u, seen)).sum(axis=1))
+def _data_term(observed: Observed, u: NDArray[np.float64], term: DataTerm) -> NDArray[np.float64]:
+    return np.asarray((observed.weights * term.value(u, observed)).sum(axis=1))
 
 
 def _dual_value(
-    problem: Problem, seen: Observed, u: NDArray[np.float64], term: DataTerm
+    problem: Problem, observed: Observed, u: NDArray[np.float64], term: DataTerm
 ) -> NDArray[np.float64]:
-    theta = seen.weights * term.residual(u, seen)
+    theta = observed.weights * term.residual(u, observed)
     if problem.background:
-        theta = _orthogonal_to_column(problem, theta, (seen.weights > 0) & term.free(seen))
+        theta = _orthogonal_to_column(
+            problem, theta, (observed.weights > 0) & term.two_sided(observed)
+        )
     highest = np.empty(problem.rows)
     for chunk in _chunks(problem):
         correlations = problem.patterns.adjoint(theta[chunk])
@@ -96,41 +104,40 @@ def _dual_value(
     with np.errstate(divide="ignore", invalid="ignore"):
         limit = np.where(highest > 0, problem.regularization / highest, np.inf)
     if not term.quadratic:
-        return _scaled_down(seen, theta, limit, term)
-    linear = (seen.values * theta).sum(axis=1)
-    quadratic = _over(theta**2, seen.weights).sum(axis=1)
-    # D(s theta) is a parabola in s: take its top, or the largest feasible scaling before it.
+        return _scaled_down(observed, theta, limit, term)
+    linear = (observed.values * theta).sum(axis=1)
+    quadratic = _over(theta**2, observed.weights).sum(axis=1)
+    # D(s theta) is a parabola in s. Take its top, or the largest feasible scaling below it.
     with np.errstate(divide="ignore", invalid="ignore"):
         top = np.where(quadratic > 0, linear / quadratic, 0)
-    # Far beyond 1 it would only magnify the rounding errors in m' theta = 0.
-    scaling = np.clip(top, 0, np.minimum(limit, 2))
+    scaling = np.clip(top, 0, np.minimum(limit, _LARGEST_SCALING))
     return np.asarray(scaling * linear - scaling**2 * quadratic / 2)
 
 
 def _scaled_down(
-    seen: Observed, theta: NDArray[np.float64], limit: NDArray[np.float64], term: DataTerm
+    observed: Observed, theta: NDArray[np.float64], limit: NDArray[np.float64], term: DataTerm
 ) -> NDArray[np.float64]:
     """The dual value of theta, scaled down until it is feasible."""
     theta = theta * np.minimum(limit, 1)[:, None]
-    cost = term.conjugate(_over(theta, seen.weights), seen)
-    return np.asarray((seen.values * theta - seen.weights * cost).sum(axis=1))
+    cost = term.conjugate(_over(theta, observed.weights), observed)
+    return np.asarray((observed.values * theta - observed.weights * cost).sum(axis=1))
 
 
 def _over(numbers: NDArray[np.float64], weights: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Numbers over weights; 0 where the weight is."""
+    """Numbers divided by weights; 0 where the weight is 0."""
     return np.divide(numbers, weights, out=np.zeros_like(numbers), where=weights > 0)
 
 
 def _orthogonal_to_column(
-    problem: Problem, theta: NDArray[np.float64], free: NDArray[np.bool_]
+    problem: Problem, theta: NDArray[np.float64], two_sided: NDArray[np.bool_]
 ) -> NDArray[np.float64]:
-    """Shift theta on its free samples until m' theta <= 0, or = 0 if b may be negative."""
+    """Shift theta on the two-sided samples until m' theta <= 0, or = 0 if b may be negative."""
     column = problem.column
     excess = theta @ column
     if problem.nonnegative:
         excess = np.maximum(excess, 0)
-    energy = free @ column**2
+    energy = two_sided @ column**2
     step = np.divide(excess, energy, out=np.zeros_like(excess), where=energy > 0)
-    shifted = theta - step[:, None] * column * free
-    # Without free samples only theta = 0 is feasible.
+    shifted = theta - step[:, None] * column * two_sided
+    # Without two-sided samples only theta = 0 is feasible.
     return np.where((energy <= 0)[:, None] & (excess > 0)[:, None], 0, shifted)

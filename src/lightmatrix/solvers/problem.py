@@ -1,4 +1,4 @@
-"""What a solver is given and what it returns, batched over camera samples."""
+"""The input and the output of all solvers: `Problem` and `Result`, for many rows at once."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from lightmatrix.transport.sparse_rows import SparseRows
 
 
 class Status(StrEnum):
-    """Why a row stopped; each is its own remedy."""
+    """Why a row stopped, and the remedy."""
 
     CONVERGED = "converged"
     ITERATION_LIMIT = "iteration limit reached: raise the limit or the tolerance"
@@ -33,34 +33,33 @@ class Problem:
 
     For each row: min_{x, b} regularization * ||x||_1 + sum_k w_k f_k(a_k . x + b m_k), with a_k
     pattern k, m the column of the background and f_k the solver's fidelity. This is the paper's
-    Eq. 2 and 6 times lambda. With ``nonnegative``, x >= 0 and b >= 0; without ``background``,
-    b = 0.
+    Eq. 2 and 6, multiplied by lambda. With ``nonnegative``, x >= 0 and b >= 0; without
+    ``background``, b = 0.
 
     Parameters
     ----------
     patterns : PatternSet
         K patterns over N projector pixels.
     samples : Samples
-        Of M camera samples under K patterns: linear, black subtracted; where clipped, a lower
-        bound. The `clipped` fidelity uses the clip level of unclipped samples too.
+        M camera samples under K patterns: linear, black subtracted; where clipped, a lower bound.
+        The `clipped` fidelity also uses the clip level of unclipped samples.
     regularization : float
         The paper's lambda, in units of camera sample; > 0.
     nonnegative : bool
-        Light is not negative; off only where the paper is reproduced.
+        Whether light is not negative. Off only to reproduce the paper.
     background : bool
         Whether the row has an unpenalised coefficient b of the background (diffuse light).
     background_column : (K,) float, optional
-        m: what light from the whole projector gives under each pattern. None: the means of the
-        patterns. Patterns of some of the projector's pixels need it, since diffuse light comes
-        from the others too.
+        m: the light of the whole projector under each pattern. None: the means of the patterns.
+        Patterns over a part of the projector need it, since diffuse light comes from all of it.
     edge_noise : float
         The s of the ``likelihood`` fidelity as a share of each sample's clip level, from 1e-4 to 1:
-        how far below it the prediction of a clipped sample is likely. Noise and misfit together.
+        how far below the level the prediction of a clipped sample may lie, by noise and misfit.
 
     Raises
     ------
     InputError
-        On mismatched shapes, samples that are not finite, or values out of range.
+        If shapes do not match, samples are not finite, or values are out of range.
 
     Examples
     --------
@@ -91,8 +90,8 @@ class Problem:
             column.shape != (self.patterns.count,) or not np.isfinite(column).all()
         ):
             raise InputError(
-                f"a background column of {column.shape} for {self.patterns.count} patterns",
-                hint="give one finite number a pattern, such as its mean",
+                f"the background column has shape {column.shape}, not ({self.patterns.count},)",
+                hint="give one finite number for each pattern, such as its mean",
             )
         if not 1e-4 <= self.edge_noise <= 1:
             raise InputError(
@@ -107,7 +106,7 @@ class Problem:
 
     @property
     def column(self) -> NDArray[np.float64]:
-        """m, (K,) float64: what the background gives under each pattern."""
+        """m, (K,) float64: the column of the background."""
         if self.background_column is None:
             return self.patterns.means
         return np.asarray(self.background_column, np.float64)
@@ -128,7 +127,7 @@ class Problem:
 
     @cached_property
     def observed(self) -> Observed:
-        """The samples as a fidelity sees them, in their own precision."""
+        """The samples for the fidelities, in their own precision."""
         samples = self.samples
         return Observed(
             samples.values,
@@ -140,7 +139,8 @@ class Problem:
 
     def edge_widths(self) -> NDArray[Any]:
         """The s of the ``likelihood`` fidelity, (M, K), in the dtype of the samples."""
-        # A level of 0 (room light all over the range) leaves nothing to be wide.
+        # The clip level may be 0, where room light fills the whole range, but widths must be above
+        # 0.
         tiny = np.finfo(self.samples.values.dtype).tiny
         return np.maximum(
             self.edge_noise * np.abs(self.samples.clip_levels_of_all()), np.sqrt(tiny)
@@ -148,13 +148,7 @@ class Problem:
 
 
 def check_regularization(value: float) -> None:
-    """Whether a regularization is one.
-
-    Raises
-    ------
-    InputError
-        If it is not a positive number.
-    """
+    """Refuse a regularization that is not a positive number."""
     if not (np.isfinite(value) and value > 0):
         raise InputError(
             f"regularization is {value}",
@@ -164,16 +158,16 @@ def check_regularization(value: float) -> None:
 
 @dataclass(frozen=True)
 class Result:
-    """What a solver found, row by row.
+    """The solution of a problem.
 
     Parameters
     ----------
     rows : SparseRows
-        With the diagnostics of `solved_rows`.
+        The rows, with iterations, convergence, gap and objective as diagnostics.
     status : Status
-        The worst over the rows.
+        The worst status of all rows.
     history : dict of str to list of float
-        Per-iteration residuals or counts, for plots; empty if the solver keeps none.
+        Residuals or counts per iteration, for plots; empty if the solver keeps none.
 
     Examples
     --------
@@ -200,35 +194,32 @@ class Result:
 
     @property
     def background(self) -> NDArray[Any]:
-        """The coefficient b of the background's column, (M,); 0 where the problem has none."""
+        """The coefficient b of the background, (M,); 0 if the problem has none."""
         return self.rows.background[:, 0]
 
     @property
     def cells(self) -> NDArray[Any]:
-        """Coefficients of the coarse cells of a weighted problem, (M, C); others have none."""
+        """Coefficients of a weighted problem's coarse cells, (M, C); other problems have none."""
         return self.rows.background[:, 1:]
 
     @property
     def iterations(self) -> NDArray[np.int32]:
-        """Iterations (ADMM), rounds (ROMP) or passes (active set) spent on each row, (M,)."""
+        """Iterations (ADMM), rounds (ROMP) or passes (active set) of each row, (M,)."""
         return self.rows.diagnostics["iterations"]
 
     @property
     def converged(self) -> NDArray[np.bool_]:
-        """Whether each row met its stopping rule, (M,)."""
+        """Whether each row converged, (M,)."""
         return self.rows.diagnostics["converged"]
 
     @property
     def gap(self) -> NDArray[np.float64]:
-        """Relative duality gap (P - D) / max(P, 1e-6 ||y||^2 / 2), (M,).
-
-        NaN where none is computed or the fidelity is not convex.
-        """
+        """Relative duality gap (P - D) / max(P, 1e-6 ||y||^2 / 2), (M,); NaN if not convex."""
         return self.rows.diagnostics["gap"]
 
     @property
     def objective(self) -> NDArray[np.float64]:
-        """The problem's objective in the solver's fidelity, recomputed by definition, (M,)."""
+        """The objective with the solver's fidelity, (M,)."""
         return self.rows.diagnostics["objective"]
 
 
@@ -241,22 +232,15 @@ def solved_rows(
     gap: NDArray[np.float64],
     objective: NDArray[np.float64],
 ) -> SparseRows:
-    """Rows as every solver returns them; what the parts are, `Result` says.
-
-    Parameters
-    ----------
-    coefficients : (m, N) csr_array
-    background : (m,) or (m, 1 + C)
-    iterations, converged, gap, objective : (m,)
-    """
-    facts = {
+    """The rows of a `Result`; the background is (m,) or (m, 1 + C), diagnostics are (m,)."""
+    diagnostics = {
         "iterations": iterations,
         "converged": converged,
         "gap": gap,
         "objective": objective,
     }
     columns = background if background.ndim == 2 else background[:, None]
-    return SparseRows(coefficients, columns, facts)
+    return SparseRows(coefficients, columns, diagnostics)
 
 
 def no_rows(problem: Problem) -> SparseRows:

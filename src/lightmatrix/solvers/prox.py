@@ -1,7 +1,4 @@
-"""Soft thresholds: the z-updates (Eq. 12 and 13). The u-updates are those of `fidelity`.
-
-All are pure functions of arrays; each is held against a grid search in the tests.
-"""
+"""Soft thresholds: the z-updates of the ADMM solvers (Eq. 12 and 13)."""
 
 from __future__ import annotations
 
@@ -10,9 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-# Far more than are ever needed: each step passes at least one kink, and most pass many.
+# Limit of Newton steps. Each step passes at least one kink of the function, and most pass many.
 _NEWTON_STEPS = 100
-# Rows treated at a time, in double precision.
+# Number of rows that are handled at a time in double precision, to save memory.
 _CAPPED_ROWS = 64
 
 
@@ -27,25 +24,12 @@ def soft_threshold(
 def capped_soft_threshold(
     q: NDArray[Any], total: NDArray[Any], threshold: float, scale: float
 ) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Soft threshold under a cap: what the bound b >= 0 makes of Eq. 13.
+    """Soft threshold under a cap: Eq. 13 with the bound b >= 0.
 
+    q and z are (M, N), total and c (M,).
     Minimises threshold sum z + ||q - z||^2 / 2 + (total - c)^2 / 2 over z >= 0, sum z <= scale c.
-    Where the cap binds, all thresholds rise by one tau per row and c by scale tau; tau is the root
-    of a convex, piecewise linear function, to which Newton's steps from 0 rise without overshoot.
-
-    Parameters
-    ----------
-    q : (M, N)
-    total : (M,)
-    threshold : float
-        > 0.
-    scale : float
-        > 0.
-
-    Returns
-    -------
-    z : (M, N)
-    c : (M,)
+    Where the cap binds, the thresholds of a row rise by tau and c by scale tau. tau is the root of
+    a convex, piecewise linear function; Newton's steps from 0 rise to it without overshoot.
     """
     z, c = soft_threshold(q, threshold, nonnegative=True), total.copy()
     over = np.flatnonzero(z.sum(axis=1) > scale * total)

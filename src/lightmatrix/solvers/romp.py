@@ -1,4 +1,4 @@
-"""Regularized orthogonal matching pursuit (Needell & Vershynin 2010), batched over rows."""
+"""Regularized orthogonal matching pursuit (Needell & Vershynin 2010), for many rows at once."""
 
 from __future__ import annotations
 
@@ -16,27 +16,31 @@ from lightmatrix.solvers.objective import CHUNK_BYTES, relative_gap
 from lightmatrix.solvers.problem import Problem, Result, Status, no_rows, solved_rows
 from lightmatrix.transport.sparse_rows import SparseRows
 
+# Ridge of the least squares, relative to the largest diagonal element. It makes the system regular
+# if columns are equal, and is far below any noise.
+_RIDGE = 1e-10
+
 
 @dataclass(frozen=True)
 class ROMP:
-    """Greedy sparse estimation: the regularization of the problem is not used.
+    """Greedy sparse estimation. It does not use the problem's regularization.
 
-    Per row: I = {}, r = y. Repeat: u = A'r; J the n largest |u|; among the subsets of J whose
-    members differ by at most a factor of two, take the one of greatest energy into I; x = least
-    squares on I; r = y - A x. Stop at r ~ 0, |I| >= 2 n or after `max_iterations` rounds.
+    For each row: I = {}, r = y. Repeat: u = A'r; J = the n largest |u|; among the subsets of J
+    whose members differ by at most a factor of two, add the one of greatest energy to I; x = least
+    squares on I; r = y - A x. Stop at r ~ 0, at |I| >= 2 n or after `max_iterations` rounds.
 
-    With a background, its column is always part of the least squares. Where light may
-    not be negative, only positive correlations are taken, and members whose coefficient ends below
-    zero are dropped and the rest solved again.
+    With a background, its column is always part of the least squares. If light is not negative,
+    only positive correlations count, and at the end pixels with negative coefficients are removed
+    and the others solved again.
 
     Parameters
     ----------
     sparsity : int or None
         n, the expected number of non-zeros. None: an eighth of the samples, at most 32.
     fidelity : Fidelity
-        linear (clipped samples count as they are) or rejection (they are left out).
+        linear (clipped samples count like others) or rejection (they do not count).
     max_iterations : int or None
-        Rounds. None: n, as in the paper by Needell and Vershynin.
+        Limit of rounds. None: n, as in the paper by Needell and Vershynin.
     tolerance : float
         A row stops when its residual falls below this share of its samples.
 
@@ -61,16 +65,15 @@ class ROMP:
         object.__setattr__(self, "fidelity", Fidelity(self.fidelity))
         if not Fidelity(self.fidelity).term.least_squares:
             raise SolverError(
-                f"ROMP cannot use the fidelity {self.fidelity}: it solves least squares",
+                f"ROMP cannot use the fidelity {self.fidelity}, as it solves least squares",
                 hint="use linear or rejection, or the solver saturation-admm",
             )
         check_at_least_one(sparsity=self.sparsity, max_iterations=self.max_iterations)
 
     def solve(self, problem: Problem, progress: Callable[[int, int], None] | None = None) -> Result:
-        """Solve all rows, a chunk at a time."""
+        """Solve all rows, in chunks whose columns take up to `CHUNK_BYTES`."""
         n = self.sparsity or max(1, min(32, problem.patterns.count // 8))
         n = min(n, problem.patterns.pixels)
-        # By what the gathered columns take.
         size = max(1, CHUNK_BYTES // (8 * 3 * n * problem.patterns.count))
         parts = []
         for start in range(0, problem.rows, size):
@@ -81,35 +84,34 @@ class ROMP:
         return self._joined(problem, parts)
 
     def row_bytes(self, patterns: int, pixels: int) -> int:
-        """Correlations, samples and the support's Gram matrix."""
+        """Bytes of one row: correlations, samples and the Gram matrix of up to 96 pixels."""
         return 8 * (3 * pixels + 8 * patterns + 96 * 96)
 
     def _joined(self, problem: Problem, parts: list[SparseRows]) -> Result:
         if not parts:
             return Result(no_rows(problem), Status.CONVERGED)
         dtype = problem.samples.values.dtype
-        found = SparseRows.joined(parts)
-        coefficients = csr_array(found.coefficients, dtype=dtype)
-        background = found.background[:, 0].astype(dtype)
+        solved = SparseRows.joined(parts)
+        coefficients = csr_array(solved.coefficients, dtype=dtype)
+        background = solved.background[:, 0].astype(dtype)
         objective, _ = relative_gap(problem, coefficients, background, self.fidelity)
-        met = found.diagnostics["converged"]
+        converged = solved.diagnostics["converged"]
         rows = solved_rows(
             coefficients,
             background,
-            iterations=found.diagnostics["iterations"],
-            converged=met,
+            iterations=solved.diagnostics["iterations"],
+            converged=converged,
             gap=np.full(problem.rows, np.nan),
             objective=objective,
         )
-        return Result(rows, Status.CONVERGED if met.all() else Status.ITERATION_LIMIT)
+        return Result(rows, Status.CONVERGED if converged.all() else Status.ITERATION_LIMIT)
 
     def _solve_chunk(self, problem: Problem, n: int) -> SparseRows:
-        """Rows, rounds and whether they have met their aim, of a chunk."""
+        """The rows of a chunk, with the number of rounds and convergence as diagnostics."""
         rows = problem.rows
-        seen = problem.observed.astype(np.float64)
-        # Samples that say nothing weigh nothing.
-        weights = np.where(Fidelity(self.fidelity).term.counted(seen), seen.weights, 0)
-        y = seen.values
+        observed = problem.observed.astype(np.float64)
+        weights = np.where(Fidelity(self.fidelity).term.used(observed), observed.weights, 0)
+        y = observed.values
         support = _Support.empty(rows)
         x, b = np.zeros((rows, 0)), np.zeros(rows)
         least = _LeastSquares(problem, y, weights)
@@ -128,7 +130,7 @@ class ROMP:
             chosen = _select(correlations, n, problem.nonnegative)
             before = support.count
             support = support.joined(chosen, active)
-            # A round that finds nothing new would repeat itself for ever.
+            # A round that adds no pixel would repeat itself.
             active &= support.count > before
             rounds += active
             x, b = least.solve(support)
@@ -136,14 +138,14 @@ class ROMP:
         if problem.nonnegative:
             support, x, b = _without_negative(least, support, x, b)
         residual = least.residual(support, x, b)
-        met = np.sqrt((weights * residual**2).sum(axis=1)) <= self.tolerance * norm
-        facts = {"iterations": rounds, "converged": met | ~active}
-        return SparseRows(support.matrix(x, problem.patterns.pixels), b[:, None], facts)
+        explained = np.sqrt((weights * residual**2).sum(axis=1)) <= self.tolerance * norm
+        diagnostics = {"iterations": rounds, "converged": explained | ~active}
+        return SparseRows(support.matrix(x, problem.patterns.pixels), b[:, None], diagnostics)
 
 
 @dataclass(frozen=True)
 class _Support:
-    """Chosen pixels of each row, (rows, width), padded with -1 at the end."""
+    """The chosen pixels of each row, (rows, width), padded with -1 at the end."""
 
     index: NDArray[np.int64]
 
@@ -160,7 +162,7 @@ class _Support:
         return self.used.sum(axis=1)
 
     def joined(self, chosen: NDArray[np.int64], rows: NDArray[np.bool_]) -> _Support:
-        """With the chosen pixels (-1 for none) added to the given rows, each once."""
+        """The support with the chosen pixels (-1 for none) added to some rows, each pixel once."""
         both = np.concatenate([self.index, np.where(rows[:, None], chosen, -1)], axis=1)
         both = -np.sort(-both, axis=1)
         both[:, 1:][both[:, 1:] == both[:, :-1]] = -1
@@ -184,14 +186,14 @@ def _trimmed(index: NDArray[np.int64]) -> NDArray[np.int64]:
 
 @dataclass(frozen=True)
 class _LeastSquares:
-    """Weighted least squares of each row on its support, the background always included."""
+    """Weighted least squares of each row on its support and the background."""
 
     problem: Problem
     y: NDArray[np.float64]
     weights: NDArray[np.float64]
 
     def columns(self, support: _Support) -> NDArray[np.float64]:
-        """(rows, K, width): each row's columns, 0 where padded."""
+        """The columns of each row's support, (rows, K, width), 0 where padded."""
         unique, place = np.unique(support.index, return_inverse=True)
         columns = self.problem.patterns.columns(np.maximum(unique, 0)).astype(np.float64)
         columns[:, unique < 0] = 0
@@ -208,9 +210,8 @@ class _LeastSquares:
         gram = np.matmul(weighted.transpose(0, 2, 1), columns)
         right = np.matmul(weighted.transpose(0, 2, 1), self.y[:, :, None])
         diagonal = np.einsum("rii->ri", gram)
-        # Padding and columns without light get a one: their coefficient is 0. The tiny ridge keeps
-        # columns that are alike from making the system singular.
-        diagonal += np.where(diagonal > 0, 1e-10 * diagonal.max(axis=1, keepdims=True), 1)
+        # Padding and columns without light get a 1, so that their coefficient is 0.
+        diagonal += np.where(diagonal > 0, _RIDGE * diagonal.max(axis=1, keepdims=True), 1)
         x = np.linalg.solve(gram, right)[..., 0]
         return (x[:, :-1], x[:, -1]) if background else (x, np.zeros(len(x)))
 
@@ -224,25 +225,25 @@ class _LeastSquares:
 
 
 def _select(correlations: NDArray[np.float64], n: int, nonnegative: bool) -> NDArray[np.int64]:
-    """The comparable subset of greatest energy among the n largest, (rows, n), padded with -1."""
+    """The subset of comparable pixels with the greatest energy, of the n largest; -1 elsewhere."""
     size = np.maximum(correlations, 0) if nonnegative else np.abs(correlations)
     largest = np.argpartition(-size, n - 1, axis=1)[:, :n]
     values = np.take_along_axis(size, largest, axis=1)
     order = np.argsort(-values, axis=1, kind="stable")
     largest = np.take_along_axis(largest, order, axis=1)
     values = np.take_along_axis(values, order, axis=1)
-    # A maximal run starts at some i and ends before the first value below half of values[i].
+    # A subset starts at some i and ends before the first value below half of values[i].
     inside = (2 * values[:, None, :] >= values[:, :, None]) & (values[:, None, :] > 0)
     inside &= np.arange(n)[None, None, :] >= np.arange(n)[None, :, None]
     energy = (inside * values[:, None, :] ** 2).sum(axis=2)
     best = energy.argmax(axis=1)
-    taken = inside[np.arange(len(best)), best]
-    return np.where(taken, largest, -1)
+    return np.where(inside[np.arange(len(best)), best], largest, -1)
 
 
 def _without_negative(
     least: _LeastSquares, support: _Support, x: NDArray[np.float64], b: NDArray[np.float64]
 ) -> tuple[_Support, NDArray[np.float64], NDArray[np.float64]]:
+    """Remove pixels with negative coefficients and solve again, until none is left."""
     for _ in range(int(support.count.max(initial=0))):
         negative = support.used & (x < 0)
         if not negative.any():

@@ -1,4 +1,4 @@
-"""Saturation ADMM: the paper's Section 3.2, Eq. 14-21."""
+"""Saturation ADMM, the l1 minimisation through a clipping camera (Section 3.2, Eq. 14-21)."""
 
 from __future__ import annotations
 
@@ -14,13 +14,14 @@ from lightmatrix.solvers.fidelity import Fidelity
 from lightmatrix.solvers.problem import Problem
 from lightmatrix.solvers.system import System, system_of
 
-# Samples whose norm is below this share of lambda are as good as dark.
+# Residuals of samples are relative to their norm, but at least to this share of lambda, so that
+# rows without light can stop. Chosen by hand, far below any lit row.
 _DARK = 1e-3
 
 
 @dataclass(frozen=True)
 class SaturationADMMState:
-    """x, z, h (M, unknowns), u, g and the prediction A x (M, K), and what all rows share."""
+    """x, z, h, (M, unknowns); u, g and the prediction A x, (M, K); the data that all rows share."""
 
     x: NDArray[Any]
     z: NDArray[Any]
@@ -41,20 +42,20 @@ class SaturationADMM:
 
         min ||z||_1 + 1/(2 lambda) ||y - C_Y(u)||^2   with x = z, A x = u            (14)
 
-    The updates are the paper's, in the paper's order (h, g, u, x, z). The other fidelities change
-    the u-update only. With `clipped` the problem is not convex: the start is u = y, x = z = 0.
+    The updates and their order (h, g, u, x, z) are the paper's. Other fidelities change only the
+    u-update. With `clipped` the problem is not convex; iterations start at u = y, x = z = 0.
 
     Parameters
     ----------
     fidelity : Fidelity
         clipped (the paper), one-sided, likelihood, rejection or linear.
     penalty_x : float or None
-        The paper's mu, > 0, in 1 / (units of T). None: from the patterns and lambda, see
-        `automatic_penalty_x`; for 0/1 patterns of density 0.5, sqrt(K N) / (24 lambda).
+        The paper's mu, > 0, in 1 / (units of T). None: computed by `automatic_penalty_x`; for 0/1
+        patterns of density 0.5 it is sqrt(K N) / (24 lambda).
     penalty_u : float or None
         The paper's nu, > 0, in 1 / (units of camera sample). None: 1 / (8 lambda).
     max_iterations : int
-        Iterations after which a row is given up as it is, at least 1.
+        Limit of iterations, at least 1. A row that reaches it is returned as it is.
     tolerance : float
         A row stops when its relative primal and dual residuals are at most this, > 0.
 
@@ -124,10 +125,10 @@ class SaturationADMM:
         return state.system.split(state.z)
 
     def row_bytes(self, patterns: int, pixels: int) -> int:
-        """Two states and what a step and the certificate need: 13 vectors of pixels, float32."""
+        """Bytes of one row: 13 float32 vectors of pixels, for two states, a step and the gap."""
         return 4 * (13 * pixels + 14 * patterns)
 
 
 def automatic_penalty_u(problem: Problem) -> float:
-    """nu: lambda nu, which Eq. 18 weighs against the 1 of the data term, is an eighth."""
+    """The penalty nu with lambda nu = 1/8, which Eq. 18 adds to the data term's 1."""
     return 1 / (8 * problem.regularization)

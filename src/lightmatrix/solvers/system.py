@@ -1,12 +1,12 @@
-"""The x-update's linear system, factored once for all camera samples (Eq. 10 and 17).
+"""The linear system of the x-update, factored once for all camera samples (Eq. 10 and 17).
 
-Unknowns of a row are its N pixels and, if the problem has a background, one more: the response c
-to a projector whose pixels are all lit, which is sum x + b. In x and c the prediction is
+The unknowns of a row are its N pixels and, with a background, one more: c = sum x + b, the response
+to an all-white pattern. In x and c the prediction is
 
     P x + b m = (P - m 1') x + c m,
 
-so that pixels act through centred patterns only. This removes the direction in which 0/1 patterns
-are all alike, whose eigenvalue is about N times the others: c alone moves along it.
+so pixels act through the centred patterns only. That removes the direction in which all columns of
+0/1 patterns are alike, whose eigenvalue is about N times as large as the others.
 """
 
 from __future__ import annotations
@@ -26,16 +26,8 @@ from lightmatrix.solvers.problem import Problem
 class System:
     """Regularized least squares with A = P or, with a background, A = [P - m 1', scale m].
 
-    Parameters
-    ----------
-    patterns : PatternSet
-        P, (K, N).
-    ridge : float
-        > 0.
-    column : (K,) float64 or None
-        m, the column of the background, the last unknown being c / scale; None: no background.
-    row_scale : (K,) float64, optional
-        Square roots of the patterns' weights, which multiply the rows of A; None means 1.
+    `ridge` is > 0. `column` is m, (K,); the last unknown is c / scale. `row_scale` (K,) multiplies
+    the rows of A: the square roots of the patterns' weights; None means 1.
     """
 
     patterns: PatternSet
@@ -50,7 +42,7 @@ class System:
 
     @cached_property
     def scale(self) -> float:
-        """Unit of c: makes its column as long as a typical row of the centred patterns."""
+        """The unit of c: its column is then as long as a typical row of the centred patterns."""
         if self.column is None:
             return 1.0
         energy = float(np.median(centred_energy(self.patterns, self.column)))
@@ -65,8 +57,8 @@ class System:
     def _inverse(self) -> NDArray[np.float64]:
         """(A A' + ridge I)^-1, or (A' A + ridge I)^-1 where that is smaller, in double precision.
 
-        Being explicit it turns every solve into one matrix product; its error is far below that of
-        the single-precision products around it.
+        With an explicit inverse each solve is one matrix product. Its error is far below that of
+        the products in single precision.
         """
         column = self.column
         rows = np.ones(self.patterns.count) if self.row_scale is None else self.row_scale
@@ -113,16 +105,11 @@ class System:
     def solve(self, target: NDArray[Any], point: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
         """argmin_x ||A x - target||^2 + ridge ||x - point||^2, and its prediction A x.
 
-        This is (A' A + ridge I)^-1 (A' target + ridge point). By the matrix inversion lemma it is
-        point + A' t with t = (A A' + ridge I)^-1 (target - A point), whose prediction is
-        target - ridge t: one product with A and one with A', and no difference of large numbers,
-        so that single precision suffices.
-
-        Parameters
-        ----------
-        target : (M, K)
-        point : (M, unknowns)
-            The results have its dtype.
+        `target` is (M, K), `point` (M, unknowns); the results have the dtype of `point`. x is
+        (A' A + ridge I)^-1 (A' target + ridge point). By the matrix inversion lemma it equals
+        point + A' t with t = (A A' + ridge I)^-1 (target - A point), and A x = target - ridge t.
+        That takes one product with A and one with A'. It subtracts no large numbers, so single
+        precision is enough.
         """
         dtype = point.dtype
         distance = target - self.forward(point)
@@ -135,7 +122,7 @@ class System:
         return x, self.forward(x)
 
     def split(self, z: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
-        """Unknowns as coefficients (M, N) and background b = c - sum x, (M,)."""
+        """Split unknowns into coefficients (M, N) and background b = c - sum x, (M,)."""
         if self.column is None:
             return z, np.zeros(len(z), z.dtype)
         coefficients = z[:, :-1]
@@ -152,20 +139,20 @@ def system_of(
 
 
 def centred_energy(patterns: PatternSet, column: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Squared lengths of the centred patterns P - m 1', (K,): N / 4 for 0/1 at density 0.5."""
+    """Squared lengths of the centred patterns P - m 1', (K,); N / 4 for fair coins."""
     energy = np.diagonal(patterns.gram) - 2 * _sums(patterns, column) * column
     return np.maximum(energy + patterns.pixels * column**2, 0)
 
 
 def _sums(patterns: PatternSet, column: NDArray[np.float64]) -> NDArray[np.float64]:
     """Sum of each pattern over its pixels, (K,)."""
-    # Where the column is the patterns' own means, all terms of the centred Gram matrix are made of
-    # it, and rounded alike.
+    # If the column is the means, compute the sums from it, so that all terms of the centred Gram
+    # matrix have the same rounding.
     return patterns.pixels * column if column is patterns.means else patterns.sums
 
 
 def _each_by(rows: NDArray[np.float64], matrix: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Rows times one matrix, or equal groups of rows times a matrix each."""
+    """Rows times one matrix, or equal groups of rows times one matrix each."""
     if matrix.ndim == 2:
         return rows @ matrix
     return (rows.reshape(len(matrix), -1, rows.shape[1]) @ matrix).reshape(rows.shape)

@@ -1,4 +1,4 @@
-"""Rows solved on given pixels only, each with a penalty of its own, to a certified gap."""
+"""The weighted problem: rows on candidate pixels, each with a penalty of its own."""
 
 from __future__ import annotations
 
@@ -23,16 +23,10 @@ from lightmatrix.transport.sparse_rows import SparseRows
 
 @dataclass(frozen=True)
 class Candidates:
-    """Pixels that each of M rows may use, as the parts of a CSR matrix.
+    """The pixels that each of M rows may use, and their penalties: the parts of a CSR matrix.
 
-    Parameters
-    ----------
-    indptr : (M + 1,) int64
-        Where each row's entries begin.
-    indices : (E,) int32
-        Projector pixels, ascending within a row.
-    data : (E,) float32
-        Penalties relative to the problem's regularization, > 0.
+    Pixels (`indices`) ascend within a row. Penalties (`data`) are relative to the problem's
+    regularization, > 0.
     """
 
     indptr: NDArray[np.int64]
@@ -44,13 +38,8 @@ class Candidates:
 class Cells:
     """Coarse columns that all rows share: the means of the patterns over the cells of a grid.
 
-    Parameters
-    ----------
-    means : (C, K) float32
-        Mean of each pattern over each cell, in [0, 1]; with an expectation (C, K + E), those of
-        its unseen patterns last.
-    penalties : (C,) float32
-        Penalties relative to the problem's regularization, > 0.
+    `means` are (C, K) in [0, 1], or (C, K + E) with the E unseen patterns of pseudo-samples.
+    `penalties` (C,) are relative to the problem's regularization, > 0.
     """
 
     means: NDArray[np.float32]
@@ -58,24 +47,17 @@ class Cells:
 
     @classmethod
     def none(cls, patterns: PatternSet, unseen: PatternSet | None = None) -> Cells:
-        """No cells."""
+        """A grid without cells."""
         count = patterns.count + (0 if unseen is None else unseen.count)
         return cls(np.zeros((0, count), np.float32), np.zeros(0, np.float32))
 
 
 @dataclass(frozen=True)
 class Expectation:
-    """What the samples of M rows are expected to be: further samples, of little weight.
+    """Expected samples of M rows, which count as additional samples of little weight.
 
-    Parameters
-    ----------
-    unseen : PatternSet
-        E patterns that were not shown, of as many pixels as the K that were.
-    values : (M, K + E) float32
-        Expected samples under the patterns shown (beside those that were taken, which may clip),
-        then under the unseen ones.
-    weights : (M, K + E) float32
-        Their weights in the data term; 0 where nothing is expected.
+    `unseen` are E patterns that were not shown. `values` and `weights`, (M, K + E), are under the K
+    patterns shown, whose own samples may clip, then under the unseen ones. A weight of 0 omits one.
     """
 
     unseen: PatternSet
@@ -94,54 +76,27 @@ def solve_weighted(
     start: SparseRows | None = None,
     progress: Progress | None = None,
 ) -> Result:
-    """Solve each row on its candidates and the cells.
+    """Solve each row on its candidates (penalties v) and the cells (penalties w).
 
     ::
 
         min over x, g, b >= 0 of  lambda (sum_j v_j x_j + sum_l w_l g_l)
                                   + sum_k w_k f_k(a_k . x + m_k . g + b mean_k)
 
-    The weighted l1 norm of Candes, Wakin & Boyd 2008, whose weights come from elsewhere (see
-    `lightmatrix.estimators.coherent`).
-
-    Parameters
-    ----------
-    problem : Problem
-        M rows; light is not negative.
-    candidates : Candidates
-        Pixels of each row and their weights v.
-    cells : Cells
-        Coarse columns and their weights w.
-    solver : ActiveSet
-        Fidelity, tolerance, limit of passes, threads.
-    expected : Expectation, optional
-        Further samples that were not taken.
-    background : (M, K) or, with an expectation, (M, K + E) float32, optional
-        What each row's background gives under the patterns, in [0, 1], in place of their means.
-    start : SparseRows, optional
-        Such as the rows of an earlier result. Pixels that are no candidates are left out, and
-        cells unless there are as many.
-    progress : callable, optional
-        Called with (finished, all) rows.
-
-    Returns
-    -------
-    Result
-        Its gap is that of the weighted problem on the candidates and cells.
-
-    Raises
-    ------
-    InputError
-        If the parts do not fit the problem.
+    This is the weighted l1 norm of Candes, Wakin & Boyd 2008 with weights from neighbouring rows
+    (see `lightmatrix.estimators.coherent`). `background`, (M, K) or (M, K + E) in [0, 1], replaces
+    the patterns' means by a column for each row. `start` may hold the rows of an earlier result:
+    pixels that are no candidates are ignored, and so are its cells if their number differs. The gap
+    of the result is that of the weighted problem on candidates and cells.
     """
     if not problem.nonnegative:
         raise InputError(
-            "weights from neighbouring rows need light that is not negative",
-            hint="leave out --signed, or estimate row by row (--no-coherent)",
+            "penalties from neighbouring rows need light that is not negative",
+            hint="omit --signed, or estimate row by row (--no-coherent)",
         )
     if len(candidates.indptr) != problem.rows + 1:
         raise InputError(
-            f"candidates of {len(candidates.indptr) - 1} rows for a problem of {problem.rows}"
+            f"there are candidates for {len(candidates.indptr) - 1} rows, not {problem.rows}"
         )
     check_start(problem, start)
     solved, coefficients = _core.solve_weighted(

@@ -1,4 +1,4 @@
-"""How samples are compared with predictions: a small class for each way, and their names."""
+"""Fidelities: how samples are compared with predictions. Each is a `DataTerm` with a name."""
 
 from __future__ import annotations
 

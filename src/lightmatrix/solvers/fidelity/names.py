@@ -1,4 +1,4 @@
-"""The fidelities by name."""
+"""The names of the fidelities."""
 
 from __future__ import annotations
 
@@ -9,9 +9,7 @@ from lightmatrix.errors import InputError
 from lightmatrix.solvers.fidelity.clipped import Clipped
 from lightmatrix.solvers.fidelity.data_term import DataTerm
 from lightmatrix.solvers.fidelity.likelihood import Likelihood
-from lightmatrix.solvers.fidelity.linear import Linear
-from lightmatrix.solvers.fidelity.one_sided import OneSided
-from lightmatrix.solvers.fidelity.rejection import Rejection
+from lightmatrix.solvers.fidelity.quadratic import Linear, OneSided, Rejection
 
 
 class Fidelity(StrEnum):
@@ -27,12 +25,12 @@ class Fidelity(StrEnum):
     likelihood (y - u)^2 / 2                         -s^2 log Phi((u - y) / s)    yes
     ========== ===================================== ============================ =======
 
-    ``clipped`` is the paper's Eq. 6, ``one-sided`` is Rencker et al. 2018 (declipping),
-    ``rejection`` is Laska et al. 2009, ``likelihood`` is the probability that a sample with noise
-    of standard deviation s clips (Banerjee et al. 2021), Phi the normal distribution function, in
-    the unit in which (y - u)^2 / 2 is that of the others. For s to 0 it becomes ``one-sided``.
+    ``clipped`` is the paper's Eq. 6, ``one-sided`` comes from Rencker et al. 2018 (declipping) and
+    ``rejection`` from Laska et al. 2009. ``likelihood`` is the probability that a sample with noise
+    of standard deviation s clips (Banerjee et al. 2021): its negative logarithm, in the unit of (y
+    - u)^2 / 2, with Phi the normal distribution function. As s goes to 0 it becomes ``one-sided``.
 
-    Wherever a fidelity is asked for its name will do: ``ActiveSet(fidelity="linear")``.
+    Every fidelity may be given by its name: ``ActiveSet(fidelity="linear")``.
 
     Examples
     --------
@@ -55,7 +53,7 @@ class Fidelity(StrEnum):
 
     @property
     def term(self) -> DataTerm:
-        """What the name stands for."""
+        """The data term of this name."""
         return _TERMS[self]
 
     @property
