@@ -25,9 +25,9 @@ from numpy.typing import NDArray
 
 from lightmatrix.camera.sensor import Sensor
 from lightmatrix.capture.capture import Capture
+from lightmatrix.diagnosis.all_checks import check_capture
+from lightmatrix.diagnosis.counts import missing_places
 from lightmatrix.diagnosis.finding import Finding
-from lightmatrix.diagnosis.folders import check_capture
-from lightmatrix.diagnosis.missing import missing_places
 from lightmatrix.diagnosis.survey import Survey
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.pattern_set import PatternSet

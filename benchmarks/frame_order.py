@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from lightmatrix.camera.exposure_sequence import exposure_sequence, parse_exposures
 from lightmatrix.camera.sensor import Sensor
 from lightmatrix.capture.capture import Capture
-from lightmatrix.diagnosis.usable import refuse_unordered
+from lightmatrix.diagnosis.refusals import refuse_unordered
 from lightmatrix.errors import InputError
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.hadamard import HadamardPatterns

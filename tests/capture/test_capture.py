@@ -19,7 +19,7 @@ from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.description import KEYS
 from lightmatrix.capture.folder import write_capture
 from lightmatrix.capture.settings import ReadSettings
-from lightmatrix.diagnosis.usable import refuse_unusable
+from lightmatrix.diagnosis.refusals import refuse_unusable
 from lightmatrix.errors import InputError, LightMatrixWarning, OutputError
 from lightmatrix.files.images import write_image
 from lightmatrix.patterns.bits import BernoulliPatterns

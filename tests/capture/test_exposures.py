@@ -15,7 +15,7 @@ from lightmatrix.camera.exposure_sequence import exposure_sequence, parse_exposu
 from lightmatrix.camera.sensor import Sensor
 from lightmatrix.capture.capture import Capture
 from lightmatrix.cli import main
-from lightmatrix.diagnosis.usable import refuse_unordered
+from lightmatrix.diagnosis.refusals import refuse_unordered
 from lightmatrix.errors import InputError
 from lightmatrix.estimators.plain import PlainEstimator
 from lightmatrix.evaluation.metrics import benchmark_exposure, relative_error, unclipped_rows

@@ -19,8 +19,8 @@ from benchmarks.gray_decoding import BLACK, CLIP, COLUMN_BITS, ROW_BITS, WHITE, 
 from lightmatrix.camera.samples import Samples
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.settings import ReadSettings
-from lightmatrix.diagnosis.order import find_disorder
-from lightmatrix.diagnosis.usable import refuse_unordered, refuse_unusable
+from lightmatrix.diagnosis.frame_order import find_disorder
+from lightmatrix.diagnosis.refusals import refuse_unordered, refuse_unusable
 from lightmatrix.errors import InputError
 from lightmatrix.estimators.coherent.estimator import CoherentEstimator
 from lightmatrix.estimators.regularization import automatic_regularization
@@ -185,7 +185,7 @@ def test_white_is_not_taken_for_stripes_that_became_grey() -> None:
         bin_projector=BIN,
         bin_camera=2,
     )
-    assert find_disorder(binned.patterns, binned.tiles(), binned.rows) is None
+    assert find_disorder(binned.patterns, binned.tiles(), binned.rows) == []
 
 
 def test_swapped_stripes_are_refused() -> None:

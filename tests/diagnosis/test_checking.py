@@ -21,9 +21,9 @@ import lightmatrix as lm
 from benchmarks import frame_checks
 from lightmatrix.cli import main
 from lightmatrix.diagnosis import jpeg
+from lightmatrix.diagnosis.counts import missing_places
 from lightmatrix.diagnosis.finding import KINDS
-from lightmatrix.diagnosis.missing import missing_places
-from lightmatrix.diagnosis.pairs import Pairs
+from lightmatrix.diagnosis.inverse_pairs import Pairs
 from lightmatrix.diagnosis.single_frame import check_frame
 from lightmatrix.diagnosis.survey import Survey
 from lightmatrix.files.stack import ImageStack
@@ -123,7 +123,7 @@ def test_the_frame_that_the_board_lacks_is_named(
 def test_pairs_are_patterns_and_their_inverses(board: tuple[lm.PatternSet, Images]) -> None:
     pairs = Pairs.find(board[0])
     assert pairs is not None
-    assert pairs.of == tuple((k, k + 1) for k in range(0, 40, 2))
+    assert pairs.pairs == tuple((k, k + 1) for k in range(0, 40, 2))
     assert set(pairs.others) == {40, 41}
     assert Pairs.find(lm.BernoulliPatterns((16, 16), 32)) is None
 

@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 import lightmatrix as lm
 from lightmatrix.camera.sensor import Sensor
 from lightmatrix.capture.capture import Capture
-from lightmatrix.diagnosis import check as checking
-from lightmatrix.diagnosis.order import Disorder, find_disorder
-from lightmatrix.diagnosis.prediction import Assumption, Rows, column_scale, prediction_misses
-from lightmatrix.diagnosis.usable import refuse_unordered, refuse_unusable
+from lightmatrix.diagnosis import all_checks
+from lightmatrix.diagnosis.frame_order import find_disorder, order_findings
+from lightmatrix.diagnosis.order_hypotheses import Hypothesis, RawRows, find_misses
+from lightmatrix.diagnosis.pursuit import column_scale
+from lightmatrix.diagnosis.refusals import refuse_unordered, refuse_unusable
 from lightmatrix.errors import InputError
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.blocks import one_pixel_patterns
@@ -41,9 +42,8 @@ def capture(
 
 def follow(taken: Capture) -> None:
     """Refuse a capture as `Capture.check` does, by the order of its frames alone."""
-    found = find_disorder(taken.patterns, taken.tiles(), taken.rows, taken.frames.name)
-    if found is not None:
-        raise InputError(found.message)
+    for finding in find_disorder(taken.patterns, taken.tiles(), taken.rows, taken.frames.name):
+        raise InputError(finding.message)
 
 
 def swapped(count: int, a: int, b: int) -> NDArray[np.int64]:
@@ -195,15 +195,14 @@ def test_displaced_frames_of_several_exposures_are_noticed(renamed: bool) -> Non
 def test_predictions_never_use_the_frame_they_predict() -> None:
     patterns = BernoulliPatterns(PROJECTOR, 32)
     values = np.asarray(patterns.forward(surface())[::5] / 10, np.float32)
-    frames = np.arange(32)
-    as_named, scale = Assumption(frames, frames), column_scale(patterns)
+    in_order, scale = Hypothesis.in_order(32), column_scale(patterns)
     levels = np.full(values.shape, 10, np.float32)
-    before = prediction_misses(patterns, Rows(values, levels), as_named, scale)
+    before = find_misses(patterns, RawRows(values, levels), in_order, scale)
     assert before.own.max() < np.log(0.3)
     # Noise in place of one frame: its own miss is that of noise, not fitted away.
     noisy = values.copy()
     noisy[:, 7] = np.random.default_rng(0).permutation(values[:, 7])
-    after = prediction_misses(patterns, Rows(noisy, levels), as_named, scale)
+    after = find_misses(patterns, RawRows(noisy, levels), in_order, scale)
     assert after.own[7] > 0
 
 
@@ -215,8 +214,8 @@ def test_a_capture_is_judged_as_check_does(monkeypatch: pytest.MonkeyPatch) -> N
         refuse_unordered(mixed)
     assert refused.value.message == told[0].message
     # What the first look suspects, and the second does not confirm, is held against nobody.
-    suspected = Disorder((4, 9), "frame 4 and frame 9 look swapped")
-    monkeypatch.setattr(checking, "find_disorder", lambda *_: suspected)
+    suspected = order_findings({4: 9, 9: 4}, "frame {}".format)
+    monkeypatch.setattr(all_checks, "find_disorder", lambda *_: suspected)
     taken = capture(patterns)
     assert lm.check(taken) == []
     refuse_unordered(taken)

@@ -22,8 +22,7 @@ from lightmatrix.cli.options import (
 )
 from lightmatrix.cli.source import Source, with_source
 from lightmatrix.cli.terminal import progress, say, show_json, show_table, warn
-from lightmatrix.diagnosis.finding import refuse_disorder
-from lightmatrix.diagnosis.usable import refuse_unusable
+from lightmatrix.diagnosis.refusals import refuse_disorder, refuse_unusable
 from lightmatrix.outputs.kinds import REPORT, STORE
 from lightmatrix.transport.labels import labelled
 

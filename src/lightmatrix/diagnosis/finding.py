@@ -1,4 +1,4 @@
-"""What a check found."""
+"""One thing that is wrong with a capture, and every kind of it."""
 
 from __future__ import annotations
 
@@ -6,9 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from lightmatrix.errors import InputError
-
-# Every kind of finding, and what it says in a few words.
+# Every kind of finding, and what it means.
 KINDS = {
     "files": "files that cannot be read, or do not fit together",
     "counts": "a photograph too few or too many",
@@ -36,9 +34,9 @@ class Finding:
     kind : str
         One of `KINDS`.
     frames : tuple of int
-        The frames that it is about, from 0; empty where it is about all of them.
+        The frames that are concerned, from 0; empty if all are.
     message : str
-        What was found, and how it shows.
+        What is wrong, and how it shows.
     advice : str
         What to do.
 
@@ -64,25 +62,10 @@ class Finding:
         }
 
 
-def listed(names: Sequence[str], most: int = 5) -> str:
+def join_names(names: Sequence[str], most: int = 5) -> str:
     """Some names in words: "a, b and c", "a, b, c, d, e and 7 more"."""
     if len(names) > most:
         return f"{', '.join(names[:most])} and {len(names) - most} more"
     if len(names) < 2:
         return "".join(names)
     return f"{', '.join(names[:-1])} and {names[-1]}"
-
-
-def refuse_disorder(findings: Sequence[Finding]) -> None:
-    """Refuse frames that are out of order, which spoil all of an estimate.
-
-    Raises
-    ------
-    InputError
-        If one of the findings says so.
-    """
-    for finding in findings:
-        if finding.kind == "order":
-            raise InputError(
-                finding.message, hint=f"{finding.advice}; --no-check takes them as they are"
-            )

@@ -1,4 +1,4 @@
-"""Checks of captures on disk, also of those that no estimate could open."""
+"""Checks of captures in memory and on disk, also of those that no estimate could open."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from lightmatrix.capture.capture import Capture, Crop
 from lightmatrix.capture.decoding import CaptureParts
 from lightmatrix.capture.folder import read_capture, read_folders
 from lightmatrix.capture.settings import ReadSettings
-from lightmatrix.diagnosis.check import check_survey
+from lightmatrix.diagnosis.all_checks import check_capture
+from lightmatrix.diagnosis.counts import check_counts
 from lightmatrix.diagnosis.finding import Finding
-from lightmatrix.diagnosis.identity import check_patterns
-from lightmatrix.diagnosis.missing import check_counts
+from lightmatrix.diagnosis.pattern_faults import check_distinguishable
 from lightmatrix.diagnosis.survey import Survey
 from lightmatrix.errors import InputError
 from lightmatrix.files.pages import Page
@@ -29,10 +29,11 @@ def check(
     settings: ReadSettings | None = None,
     crop: Crop | None = None,
 ) -> list[Finding]:
-    """What is wrong with a capture, as `lightmatrix check` says it.
+    """Find what is wrong with a capture, as `lightmatrix check` does.
 
-    Number and sizes of the files, frames swapped, lost, late, black or odd, the response, lossy
-    compression, motion, flicker, too much or too little light, and what the patterns cannot tell.
+    It looks at number and sizes of the files, frames that are swapped, lost, late, black or odd,
+    the response, lossy compression, motion, flicker, too much or too little light, and patterns
+    that cannot reveal all of T.
 
     Parameters
     ----------
@@ -50,8 +51,8 @@ def check(
     Returns
     -------
     list of Finding
-        Empty if nothing seems wrong. Fewer than 12 frames, and scenes without direct light, tell
-        little of order, motion and flicker.
+        Empty if nothing seems wrong. Fewer than 12 frames, and scenes without direct light, reveal
+        little about order, motion and flicker.
 
     Raises
     ------
@@ -96,60 +97,36 @@ def _check_parts(parts: CaptureParts, crop: Crop | None) -> list[Finding]:
 
 
 def _check_uncounted(parts: CaptureParts) -> list[Finding]:
-    # A page's name numbers nothing that a file may be missing from.
+    """What can be found although the numbers of patterns and frames differ."""
     decoder, images = parts.decoder, [Path(entry.name) for entry in _paths(parts)]
     survey = None
-    # Of levels that differ from frame to frame, it is not known either which belong to which.
+    # Nobody knows which of the levels that differ from frame to frame belong to which frame.
     if not any(np.ndim(getattr(decoder, key)) for key in ("clip", "black_level", "exposure")):
         survey = Survey.take(parts.patterns, parts.frames, decoder, parts.mask)
     return [
         check_counts(survey, parts.patterns.count, images),
-        *check_patterns(parts.patterns),
+        *check_distinguishable(parts.patterns),
     ]
 
 
 def _paths(parts: CaptureParts) -> tuple[Path | Page, ...]:
-    """The files of the frames; none of those that lie packed."""
+    """The files of the frames; none if they lie packed."""
     return parts.frames.paths if isinstance(parts.frames, ImageStack) else ()
 
 
 def _unread(parts: CaptureParts) -> list[Finding]:
-    """Frames that cannot be read or are unlike the first; a finding for each way of being so."""
+    """A finding for each reason why some frames cannot be read or do not fit the first."""
     problems: dict[str, tuple[list[int], InputError]] = {}
     for k, path in enumerate(_paths(parts)):
         try:
             parts.frames.read(k)
         except InputError as error:
-            # The same problem of another file is one more frame.
-            what = error.message.replace(str(path), "")
-            problems.setdefault(what, ([], error))[0].append(k)
-    found = []
+            # Files with the same problem are one finding.
+            reason = error.message.replace(str(path), "")
+            problems.setdefault(reason, ([], error))[0].append(k)
+    findings = []
     for frames, first in problems.values():
         more = f", and {len(frames) - 1} more like it" if len(frames) > 1 else ""
         advice = first.hint or "take the photograph again, or save it again"
-        found.append(Finding("files", tuple(frames), first.message + more, advice))
-    return found
-
-
-def check_capture(capture: Capture) -> list[Finding]:
-    """Everything that seems wrong with a capture.
-
-    Parameters
-    ----------
-    capture : Capture
-        Its frames are looked at as they were taken, whatever is binned.
-
-    Returns
-    -------
-    list of Finding
-        Empty if nothing seems wrong. What too few frames or a diffuse scene cannot tell is not
-        found.
-
-    Raises
-    ------
-    InputError
-        On a frame that cannot be read, or differs from the others in size or type.
-    """
-    survey = Survey.take(capture.patterns, capture.frames, capture.decoder, capture.mask)
-    names = [capture.frames.name(k) for k in range(capture.count)]
-    return check_survey(survey, names)
+        findings.append(Finding("files", tuple(frames), first.message + more, advice))
+    return findings

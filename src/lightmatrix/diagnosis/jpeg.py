@@ -1,10 +1,10 @@
-"""Whether photographs went through lossy compression, told from their pixels.
+"""Whether the pixels of photographs show lossy compression.
 
 JPEG rounds the cosine transform of each block of 8 x 8 pixels to multiples of a step, one for each
-of the 64 frequencies. What is rounded once more by the same steps hardly changes, even where it was
-cut off at the ends of the range: compressed again at the same quality, photographs come out nearly
-as they went in, and at no other quality. Steps of a camera's own show as combs on which the
-coefficients lie.
+of the 64 frequencies. Rounding again by the same steps changes hardly anything, even where levels
+were cut off at the ends of the range: photographs that are compressed again at the same quality
+come out nearly as they went in, and at no other quality. A camera with its own table of steps
+shows as coefficients that lie on combs.
 """
 
 from __future__ import annotations
@@ -19,16 +19,17 @@ from scipy.fft import dctn, idctn
 from lightmatrix.diagnosis.finding import Finding
 from lightmatrix.diagnosis.survey import BLOCK, Survey
 
-# Steps that are looked for. Rounding to whole levels hides finer ones.
+# Combs are searched with steps of 3 to 127 levels; rounding to whole levels hides finer ones.
 _STEPS = np.arange(3, 128)
-# Coefficients that a comb is told from, at least, and how closely they must follow it (the mean
-# cosine of their distance to the next tooth, 0 by chance).
-_FEWEST, _FOLLOWED = 40, 0.5
-# In so many of the frequencies that have enough coefficients.
-_SHARE, _FREQUENCIES = 0.5, 6
+# A comb needs 40 coefficients, which follow it with a mean cosine of their distance to the next
+# tooth of at least 0.5; by chance it is 0. Half of the frequencies with enough coefficients must
+# lie on combs, and at least 6.
+_FEWEST_COEFFICIENTS, _FOLLOWED = 40, 0.5
+_COMB_SHARE, _FEWEST_COMBS = 0.5, 6
+# Up to 3000 blocks of up to 8 frames are looked at; more take longer.
 _BLOCKS = 3000
 _FRAMES = 8
-# Steps for luminance at quality 50 (ITU T.81, Annex K), as libjpeg scales them.
+# The steps for luminance at quality 50 (ITU T.81, Annex K), which libjpeg scales by the quality.
 _TABLE = np.array(
     [
         [16, 11, 10, 16, 24, 40, 51, 61],
@@ -41,29 +42,22 @@ _TABLE = np.array(
         [72, 92, 95, 98, 112, 100, 103, 99],
     ]
 )
-# From 96 on steps are 1 and photographs as good as lossless.
+# From quality 96 on steps are 1 and photographs as good as lossless.
 _QUALITIES = range(20, 96)
-# The change at a quality must lie this much below that at the qualities so far around it.
+# Compressing again at the quality of the first time must change less than 60 % of what it changes
+# at qualities 5 lower and higher.
 _DIP, _REACH = 0.6, 5
 
 
 def check_jpeg(survey: Survey, names: Sequence[str]) -> list[Finding]:
-    """Whether the raw levels were rounded as JPEG does.
-
-    Parameters
-    ----------
-    survey : Survey
-        Only frames of 8 bits, and of 8 x 8 pixels or more, are looked at.
-    names : sequence of str
-        What the frames are called.
-    """
+    """Whether the raw levels were rounded as JPEG does, in frames of 8 bits and a block or more."""
     if survey.raw.dtype != np.uint8 or min(survey.grid[1:3]) < BLOCK:
         return []
     frames = np.unique(np.linspace(0, survey.count - 1, _FRAMES).astype(int))
     images = np.moveaxis(survey.raw[:, frames].reshape(*survey.grid, len(frames)), -1, 0)
     blocks = _blocks(_luminance(images))
     quality = likely_quality(blocks)
-    step = None if quality else quantisation(blocks)
+    step = None if quality else comb_step(blocks)
     if not quality and step is None:
         return []
     how = f"of quality {quality}" if quality else f"with steps of about {step:.0f} levels"
@@ -75,20 +69,14 @@ def check_jpeg(survey: Survey, names: Sequence[str]) -> list[Finding]:
             f"the photographs went through JPEG {how}"
             + (", whatever their files are now" if hidden else ""),
             "save raw or lossless files (PNG, TIFF) in the camera's own software; if there is only "
-            "JPEG, take its best quality, and say --response srgb if it is not linear",
+            "JPEG, take its best quality, and give --response srgb if it is not linear",
         )
     ]
 
 
 def likely_quality(blocks: NDArray[np.float64]) -> int | None:
-    """The quality at which blocks were compressed with the usual steps; None if at none.
-
-    Parameters
-    ----------
-    blocks : (n, 8, 8) float64
-        Blocks of levels, from 0 to 255.
-    """
-    if len(blocks) < _FEWEST:
+    """The quality at which libjpeg's table compressed blocks (n, 8, 8) of levels, if any."""
+    if len(blocks) < _FEWEST_COEFFICIENTS:
         return None
     coefficients = dctn(blocks - 128, axes=(1, 2), norm="ortho")
     change = []
@@ -106,49 +94,40 @@ def likely_quality(blocks: NDArray[np.float64]) -> int | None:
     return None
 
 
-def quantisation(blocks: NDArray[np.float64]) -> float | None:
-    """The usual step of the combs that blocks lie on; None if they lie on none.
-
-    Parameters
-    ----------
-    blocks : (n, 8, 8) float64
-        Blocks of levels, from 0 to 255; those that reach an end of the range are passed over.
-    """
+def comb_step(blocks: NDArray[np.float64]) -> float | None:
+    """The median step of the combs that blocks (n, 8, 8) of levels lie on; None if on none."""
+    # Levels that were cut off lie on no comb.
     blocks = blocks[(blocks.min(axis=(1, 2)) > 0) & (blocks.max(axis=(1, 2)) < 255)]
     if not len(blocks):
         return None
     coefficients = dctn(blocks, axes=(1, 2), norm="ortho").reshape(-1, BLOCK * BLOCK)
-    looked, combs = 0, []
+    frequencies, combs = 0, []
     # The mean of a block, the first, is left out: flat areas put it on a comb by chance.
     for values in coefficients.T[1:]:
-        best = 0.0
-        enough = False
+        followed = []
         for step in _STEPS:
             # A comb of only one tooth, at zero, is a smooth image.
             beyond = values[np.abs(values) > step / 2]
-            if len(beyond) < _FEWEST:
+            if len(beyond) < _FEWEST_COEFFICIENTS:
                 break
-            enough = True
-            followed = float(np.cos(2 * np.pi / step * beyond).mean())
-            if followed > _FOLLOWED:
-                best = float(step)
-        looked += enough
-        if best:
-            combs.append(best)
-    if len(combs) >= max(_FREQUENCIES, _SHARE * looked):
+            followed.append(float(np.cos(2 * np.pi / step * beyond).mean()) > _FOLLOWED)
+        frequencies += bool(followed)
+        if any(followed):
+            combs.append(float(_STEPS[: len(followed)][followed][-1]))
+    if len(combs) >= max(_FEWEST_COMBS, _COMB_SHARE * frequencies):
         return float(np.median(combs))
     return None
 
 
 def _luminance(images: NDArray[Any]) -> NDArray[np.float64]:
-    """(frames, tiles, rows, cols): what JPEG codes of colour images first."""
+    """The luminance (frames, tiles, rows, cols), which JPEG codes first."""
     if images.shape[-1] == 1:
         return images[..., 0].astype(np.float64)
     return np.asarray(images @ np.array([0.299, 0.587, 0.114]))
 
 
 def _blocks(images: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Some of the blocks of 8 x 8 that are not all alike, (n, 8, 8)."""
+    """Some of the blocks that are not uniform, (n, 8, 8)."""
     frames, tiles, rows, cols = images.shape
     rows, cols = rows // BLOCK * BLOCK, cols // BLOCK * BLOCK
     cut = images[:, :, :rows, :cols].reshape(frames, tiles, -1, BLOCK, cols // BLOCK, BLOCK)

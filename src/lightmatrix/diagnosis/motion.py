@@ -1,35 +1,41 @@
 """Whether the scene, the camera or the projector moved between frames.
 
-The brightest that each camera pixel was in some of the frames hardly depends on which patterns they
-showed. If that image lies elsewhere in the last third of the frames than in the first, something
-has moved. How far is the shift at which the two agree best; when, the frame from which on the
-camera pixels, followed by that shift, are predicted best.
+The brightest that each camera pixel was in a third of the frames hardly depends on their patterns.
+If that image lies elsewhere in the last third than in the first, something has moved: by the shift
+at which the two images agree best, and from the frame on from which camera pixels that are followed
+by that shift are predicted best.
 """
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.camera.samples import Samples
 from lightmatrix.diagnosis.finding import Finding
-from lightmatrix.diagnosis.local import predict
-from lightmatrix.diagnosis.outlines import agreed_shift, describe_shift
+from lightmatrix.diagnosis.image_shift import describe_shift, find_shift
+from lightmatrix.diagnosis.prediction import predict
 from lightmatrix.diagnosis.survey import MARGIN, Survey
 
-_FEWEST_FRAMES = 9
-# Rows that are followed, and while the shift is looked for.
-_ROWS, _FEW_ROWS = 80, 30
-# Rows that miss less than this share of their variance have not moved.
+# Fewer than 9 frames have no thirds to compare, and fewer than 20 rows no reliable mean.
+_FEWEST_FRAMES, _FEWEST_ROWS = 9, 20
+# About 80 rows are followed, about 30 while the shift is searched; more take longer.
+_ROWS, _SEARCH_ROWS = 80, 30
+# If the predictions of half the rows miss less than 3 % of their variance, nothing has moved.
 _STILL = 0.03
+# The frame of the motion is searched at about 24 places, then frame by frame around the best.
 _PLACES = 24
-# By how much followed rows must be predicted better (logarithm of the miss); in standard errors.
+# Followed rows must be predicted better by 0.15 (mean logarithm of the miss) and by 4 standard
+# errors. Chosen on simulated captures: `python -m benchmarks.frame_checks`.
 _BETTER, _CERTAIN = 0.15, 4.0
-# Multiplications that looking for a shift without outlines may take; about ten seconds.
-_WORK = 1e11
+# A search for the shift without outlines may take 1e11 multiplications, about ten seconds.
+_MOST_WORK = 1e11
+
+Shift = tuple[int, int]
 
 
 def check_motion(
@@ -37,36 +43,30 @@ def check_motion(
 ) -> list[Finding]:
     """Whether frames are shifted against each other, from which one on and by how much.
 
-    Parameters
-    ----------
-    survey : Survey
-    rows : (m,) int
-        Lively rows.
-    doubted : (K,) bool
-        Frames that are odd by themselves; nothing is learned from them.
-    names : sequence of str
-        What the frames are called.
+    `rows` are high-variance rows; nothing is learned from `doubted` frames (K,).
     """
-    if survey.count < _FEWEST_FRAMES or len(rows) < 20:
+    if survey.count < _FEWEST_FRAMES or len(rows) < _FEWEST_ROWS:
         return []
-    rows = rows[:: max(1, len(rows) // _ROWS)]
-    follow = _Follower(survey, rows, doubted)
-    if float(np.median(follow.miss((0, 0), 0))) < np.log(_STILL):
+    follower = _Follower(survey, rows[:: max(1, len(rows) // _ROWS)], doubted)
+    if float(np.median(follower.miss((0, 0), 0))) < np.log(_STILL):
         return []
     known = survey.statistics
-    shift = agreed_shift(survey, known.first, known.last) or follow.likeliest_shift()
-    start = None if shift is None else follow.moment(shift)
+    shift = find_shift(survey, known.first, known.last) or follower.likeliest_shift()
+    start = None if shift is None else follower.first_shifted(shift)
     if shift is None or start is None:
         return []
-    return [
-        Finding(
-            "motion",
-            tuple(range(start, survey.count)),
-            f"from {names[start]} on, the image lies {describe_shift(shift)}",
-            "fix camera, projector and scene, and take the capture again; or use the frames before "
-            "or after it alone",
-        )
-    ]
+    return [motion_finding(f"from {names[start]} on", start, shift, survey.count)]
+
+
+def motion_finding(when: str, start: int, shift: Shift, count: int) -> Finding:
+    """The finding that frames from `start` on are shifted."""
+    return Finding(
+        "motion",
+        tuple(range(start, count)),
+        f"{when}, the image lies {describe_shift(shift)}",
+        "fix camera, projector and scene, and take the capture again; or use the frames before or "
+        "after it alone",
+    )
 
 
 class _Follower:
@@ -76,57 +76,57 @@ class _Follower:
         self.survey, self.rows, self.doubted = survey, rows, doubted
         self.here = survey.samples(rows)
 
-    def miss(self, shift: tuple[int, int], start: int) -> NDArray[np.float64]:
-        """What the predictions of each row miss, as logarithms, (m,)."""
-        if shift == (0, 0):
-            return np.log(predict(self.survey.patterns, self.here, doubted=self.doubted).miss)
-        here, there = self.here, self.survey.samples(self.survey.neighbour(self.rows, shift))
-        late = np.arange(self.survey.count) >= start
-        level = [np.broadcast_to(each.clip_level, each.values.shape) for each in (here, there)]
-        followed = Samples(
-            np.where(late, there.values, here.values),
-            np.where(late, there.clipped, here.clipped),
-            np.where(late, level[1], level[0]),
-        )
-        return np.asarray(
-            np.log(predict(self.survey.patterns, followed, doubted=self.doubted).miss)
-        )
+    def miss(self, shift: Shift, start: int) -> NDArray[np.float64]:
+        """The logarithm of what the prediction of each followed row misses, (m,)."""
+        samples = self.here
+        if shift != (0, 0):
+            there = self.survey.samples(self.survey.neighbour(self.rows, shift))
+            late = np.arange(self.survey.count) >= start
+            pairs = zip(_arrays(there), _arrays(self.here), strict=True)
+            samples = Samples(*(np.where(late, moved, stayed) for moved, stayed in pairs))
+        return np.log(predict(self.survey.patterns, samples, doubted=self.doubted).miss)
 
-    def likeliest_shift(self) -> tuple[int, int] | None:
-        """The shift that predicts best if it happened after a quarter, half or three of the frames.
+    def likeliest_shift(self) -> Shift | None:
+        """The shift that predicts best if it happened after one, two or three quarters.
 
-        For scenes without outlines, such as a white wall; None where that would take too long.
+        It serves scenes without outlines, such as a white wall; None where it would take too long.
         """
         reach = range(-MARGIN, MARGIN + 1)
         shifts = [shift for shift in itertools.product(reach, reach) if shift != (0, 0)]
         starts = [self.survey.count * part // 4 for part in (2, 1, 3)]
-        once = 4 * min(_FEW_ROWS, len(self.rows)) * self.survey.count * self.survey.patterns.pixels
-        if once * len(shifts) * len(starts) > _WORK:
+        rows = self.rows[:: max(1, len(self.rows) // _SEARCH_ROWS)]
+        work = 4 * min(_SEARCH_ROWS, len(self.rows)) * self.survey.count
+        if work * self.survey.patterns.pixels * len(shifts) * len(starts) > _MOST_WORK:
             return None
-        few = _Follower(
-            self.survey, self.rows[:: max(1, len(self.rows) // _FEW_ROWS)], self.doubted
-        )
-        tried = {
+        few = _Follower(self.survey, rows, self.doubted)
+        misses = {
             (shift, start): float(np.mean(few.miss(shift, start)))
             for start in starts
             for shift in shifts
         }
-        return min(tried, key=tried.__getitem__)[0]
+        return min(misses, key=misses.__getitem__)[0]
 
-    def moment(self, shift: tuple[int, int]) -> int | None:
+    def first_shifted(self, shift: Shift) -> int | None:
         """The first shifted frame; None if rows followed by the shift are predicted no better."""
-        # Both sides must be more than the odd frame.
+        # Either side must be more than an odd frame.
         first = max(3, self.survey.count // 10)
         last = self.survey.count - first
         step = max(1, (last - first) // _PLACES)
-        tried = {k: float(np.mean(self.miss(shift, k))) for k in range(first, last + 1, step)}
-        best = min(tried, key=tried.__getitem__)
+        misses = {k: float(np.mean(self.miss(shift, k))) for k in range(first, last + 1, step)}
+        best = min(misses, key=misses.__getitem__)
         near = range(max(first, best - step), min(last, best + step) + 1)
-        tried |= {k: float(np.mean(self.miss(shift, k))) for k in near if k not in tried}
-        best = min(tried, key=tried.__getitem__)
-        # Rows that stay where they are, on either end of the shift: one may just be better.
+        misses |= {k: float(np.mean(self.miss(shift, k))) for k in near if k not in misses}
+        best = min(misses, key=misses.__getitem__)
+        # Compared with rows that stay where they are, at either end of the shift: one of the two
+        # may just be easier to predict.
         still = np.minimum(self.miss((0, 0), 0), self.miss(shift, 0))
         gain = still - self.miss(shift, best)
         error = float(gain.std() / np.sqrt(len(gain)))
         certain = gain.mean() > _BETTER and gain.mean() > _CERTAIN * error
         return best if certain else None
+
+
+def _arrays(samples: Samples) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
+    """Values, clipping and clip level, (m, K) each."""
+    level = np.broadcast_to(samples.clip_level, samples.values.shape)
+    return samples.values, samples.clipped, level

@@ -1,4 +1,4 @@
-"""What can be told of one photograph by itself, as a live rig asks after each."""
+"""What one photograph reveals by itself; a live rig asks after each."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from lightmatrix.camera.decoder import Decoder
 from lightmatrix.diagnosis.finding import Finding
 
-# Of the samples of one frame.
+# A frame is too bright if two thirds of its samples clip, as a whole capture is; it is dark if its
+# brightest thousandth does not reach 8 raw levels above black. Both were chosen by hand.
 _MOST_CLIPPED = 2 / 3
-# Raw levels above black that the brightest thousandth reaches at least.
 _FEWEST_LEVELS = 8
 
 
@@ -24,40 +24,22 @@ def check_frame(
     lit: bool = True,
     previous: NDArray[Any] | None = None,
 ) -> list[Finding]:
-    """What is wrong with one photograph: too bright, too dark, or the one before once more.
+    """What is wrong with one photograph: too bright, too dark, or a copy of the one before.
 
-    Parameters
-    ----------
-    image : (rows, cols[, channels]) uint8, uint16 or float32
-        Raw levels.
-    decoder : Decoder
-        From raw levels to linear samples.
-    index : int
-        Number of the frame.
-    lit : bool
-        Whether its pattern is not black.
-    previous : like image, optional
-        The photograph before it, under another pattern.
-
-    Returns
-    -------
-    list of Finding
+    `image` holds raw levels, `index` is the number of the frame, `lit` tells whether its pattern is
+    not black, and `previous` is the photograph before it, under another pattern.
     """
-    found = []
+    findings = []
     decoded = decoder.decode(image.reshape(-1, 1), first_frame=index)
     clipped = float(decoded.clipped.mean())
-    # As one raw level is worth in this frame.
-    unit = (
-        1.0
-        if image.dtype.kind == "f"
-        else float(np.max(decoder.clip) - np.min(decoder.black_level))
-    )
-    exposure = float(
-        np.asarray(decoder.exposure).reshape(-1)[index if np.ndim(decoder.exposure) else 0]
-    )
+    # Back to raw levels of this frame.
+    floats = image.dtype.kind == "f"
+    unit = 1.0 if floats else float(np.max(decoder.clip) - np.min(decoder.black_level))
+    exposures = np.asarray(decoder.exposure)
+    exposure = float(exposures[index] if exposures.ndim else exposures)
     bright = float(np.quantile(decoded.values, 0.999)) * unit * exposure
     if clipped > _MOST_CLIPPED:
-        found.append(
+        findings.append(
             Finding(
                 "light",
                 (index,),
@@ -65,8 +47,8 @@ def check_frame(
                 "expose shorter, or close the aperture",
             )
         )
-    elif lit and image.dtype.kind == "u" and bright < _FEWEST_LEVELS:
-        found.append(
+    elif lit and not floats and bright < _FEWEST_LEVELS:
+        findings.append(
             Finding(
                 "frame",
                 (index,),
@@ -75,7 +57,7 @@ def check_frame(
             )
         )
     if previous is not None and np.array_equal(image, previous):
-        found.append(
+        findings.append(
             Finding(
                 "order",
                 (index,),
@@ -83,4 +65,4 @@ def check_frame(
                 "the camera delivered an old frame: wait longer, or flush its buffers",
             )
         )
-    return found
+    return findings

@@ -1,4 +1,4 @@
-"""What is looked at of a capture: all of small frames, tiles of large ones, every frame of both."""
+"""The samples of a capture that the checks look at: all of small frames, tiles of large ones."""
 
 from __future__ import annotations
 
@@ -16,31 +16,30 @@ from lightmatrix.camera.samples import Samples
 from lightmatrix.capture.frames import CutFrames, Frames, levels_at
 from lightmatrix.patterns.pattern_set import PatternSet
 
-# Raw levels kept at once.
-_MOST_LEVELS = 48 << 20
-# JPEG's blocks; tiles of frames that are larger hold whole ones.
+# A survey keeps at most 48 Mi raw levels (96 MiB of 16 bits), and decodes 4 Mi at a time.
+_MOST_LEVELS, _CHUNK_SAMPLES = 48 << 20, 1 << 22
+# JPEG codes blocks of 8 x 8 pixels; the tiles of large frames hold 4 x 4 whole blocks.
 BLOCK = 8
 _TILE = 4 * BLOCK
-# How far from a camera pixel its neighbours are looked at.
+# Neighbours are looked at up to 4 pixels away; larger shifts between frames are not found.
 MARGIN = 4
-_CHUNK_SAMPLES = 1 << 22
+# Rows of high variance: their standard deviation exceeds 15 % of that of the most varied tenth, and
+# they clip in few frames. Rows that clip in more frames are used only as long as there are too
+# few others. 40 to 600 rows are wanted, as many as correlate with all projector pixels within 6e9
+# multiplications (about half a second).
+_VARIED = 0.15
+_CLIPPED = (0.02, 0.1, 0.2, 0.3, 0.5)
+_FEWEST_ROWS, _MOST_ROWS, _WORK = 40, 600, 6e9
 
 
 @dataclass(frozen=True)
 class Statistics:
-    """Of each surveyed sample over the frames.
+    """Statistics of each surveyed linear sample over the frames, (S,) each.
 
-    Parameters
-    ----------
-    mean, spread, lowest, highest : (S,) float32
-        Of the linear samples; spread is the standard deviation.
-    clipped : (S,) float32
-        Share of the frames in which the sample is clipped.
-    first, last : (S,) float32
-        Brightest sample of the first and of the last third of the frames.
+    `spread` is the standard deviation, `clipped` the share of the frames in which the sample clips,
+    `first` and `last` its maximum in the first and in the last third of the frames.
     """
 
-    mean: NDArray[np.float32]
     spread: NDArray[np.float32]
     lowest: NDArray[np.float32]
     highest: NDArray[np.float32]
@@ -51,30 +50,25 @@ class Statistics:
 
 @dataclass(frozen=True, eq=False)
 class Survey:
-    """Raw levels of S camera samples in all K frames.
-
-    Made by `take`.
+    """Raw levels of S camera samples in all K frames; `take` makes one.
 
     Parameters
     ----------
     patterns : PatternSet
         K patterns.
     decoder : Decoder
-        Of the surveyed samples.
+        Decoder of the surveyed samples.
     raw : (S, K) uint8, uint16 or float32
         Raw levels.
-    places : (S,) int64
-        Which samples of a frame they are.
     grid : (tiles, rows, cols, channels)
-        How they lie; S is the product.
+        How the samples lie; S is the product.
     valid : (S,) bool
-        Which of them count: not masked, and not clipped without light.
+        Which samples count: not masked, and not clipped without light.
     """
 
     patterns: PatternSet
     decoder: Decoder
     raw: NDArray[Any]
-    places: NDArray[np.int64]
     grid: tuple[int, int, int, int]
     valid: NDArray[np.bool_]
 
@@ -86,18 +80,7 @@ class Survey:
         decoder: Decoder,
         mask: NDArray[np.bool_] | None = None,
     ) -> Survey:
-        """Read every frame once.
-
-        Parameters
-        ----------
-        patterns : PatternSet
-            K patterns.
-        frames : Frames
-            K frames.
-        decoder : Decoder
-            From raw levels to linear samples.
-        mask : shape of a frame, bool, optional
-            Which camera samples count.
+        """Read every frame once; K patterns and frames, and which camera samples count.
 
         Raises
         ------
@@ -113,39 +96,23 @@ class Survey:
             valid &= mask.reshape(-1)[places]
         if decoder.black_frame is not None:
             decoder = replace(decoder, black_frame=np.asarray(decoder.black_frame)[places])
-        return cls(patterns, decoder, raw, places, grid, valid)
+        return cls(patterns, decoder, raw, grid, valid)
 
     @property
     def count(self) -> int:
         """Number of frames K."""
         return self.raw.shape[1]
 
-    def select(self, frames: NDArray[np.integer], patterns: NDArray[np.integer]) -> Survey:
-        """The survey of some frames, each with the pattern of the same place in the other list."""
-        return replace(
-            self,
-            patterns=self.patterns.subset(patterns),
-            decoder=self.decoder.select(frames),
-            raw=self.raw[:, frames],
-        )
+    def select_frames(self, frames: NDArray[np.integer]) -> Survey:
+        """The survey of some frames, in this order; the patterns stay."""
+        return replace(self, decoder=self.decoder.select(frames), raw=self.raw[:, frames])
 
     def samples(self, rows: NDArray[np.integer], response: Response | None = None) -> Samples:
-        """Linear samples of the given rows of the survey, (m, K).
-
-        Parameters
-        ----------
-        rows : (m,) int
-            Rows of the survey.
-        response : Response, optional
-            Taken for the camera's; None means as the capture says.
-        """
-        return self._decoder(rows, response).decode(self.raw[rows])
-
-    def _decoder(self, rows: NDArray[np.integer], response: Response | None) -> Decoder:
+        """Linear samples of some rows of the survey, (m, K), by another response if need be."""
         decoder = self.decoder if response is None else replace(self.decoder, response=response)
-        if decoder.black_frame is None:
-            return decoder
-        return replace(decoder, black_frame=np.asarray(decoder.black_frame)[rows])
+        if decoder.black_frame is not None:
+            decoder = replace(decoder, black_frame=np.asarray(decoder.black_frame)[rows])
+        return decoder.decode(self.raw[rows])
 
     def chunks(self) -> Iterator[tuple[slice, Samples]]:
         """All samples, some rows at a time."""
@@ -154,40 +121,26 @@ class Survey:
             part = slice(start, min(start + step, len(self.raw)))
             yield part, self.samples(np.arange(part.start, part.stop))
 
-    def some_frames(self, frames: NDArray[np.integer]) -> Iterator[tuple[slice, Samples]]:
-        """All samples of some frames, some rows at a time."""
-        part = replace(self, raw=self.raw[:, frames], decoder=self.decoder.select(frames))
-        return part.chunks()
-
     def tiles(self) -> Iterator[tuple[int, Samples]]:
-        """All samples as `capture.order` takes them: first row, and samples that count."""
+        """All samples with those that do not count set to 0, and the first row of each tile."""
         for part, tile in self.chunks():
             valid = self.valid[part, None]
-            yield (
-                part.start,
-                replace(tile, values=tile.values * valid, clipped=tile.clipped & valid),
-            )
+            values, clipped = tile.values * valid, tile.clipped & valid
+            yield part.start, replace(tile, values=values, clipped=clipped)
 
     @cached_property
     def statistics(self) -> Statistics:
-        """Means, extremes and clipping of every sample."""
-        size = len(self.raw)
-        found = [np.zeros(size, np.float32) for _ in range(7)]
+        """Extremes, spread and clipping of every sample."""
+        whole = Statistics(*(np.zeros(len(self.raw), np.float32) for _ in range(6)))
         third = max(1, self.count // 3)
         for part, tile in self.chunks():
-            values = tile.values
-            some = (
-                values.mean(axis=1),
-                values.std(axis=1),
-                values.min(axis=1),
-                values.max(axis=1),
-                tile.clipped.mean(axis=1),
-                values[:, :third].max(axis=1),
-                values[:, -third:].max(axis=1),
-            )
-            for whole, piece in zip(found, some, strict=True):
-                whole[part] = piece
-        return Statistics(*found)
+            whole.spread[part] = tile.values.std(axis=1)
+            whole.lowest[part] = tile.values.min(axis=1)
+            whole.highest[part] = tile.values.max(axis=1)
+            whole.clipped[part] = tile.clipped.mean(axis=1)
+            whole.first[part] = tile.values[:, :third].max(axis=1)
+            whole.last[part] = tile.values[:, -third:].max(axis=1)
+        return whole
 
     @cached_property
     def inner(self) -> NDArray[np.bool_]:
@@ -200,6 +153,25 @@ class Survey:
         """The rows of the survey that lie (down, right) of the given inner ones."""
         _, _, cols, channels = self.grid
         return np.asarray(rows + (shift[0] * cols + shift[1]) * channels)
+
+
+def high_variance_rows(survey: Survey) -> NDArray[np.int64]:
+    """Rows that vary much and clip little, at random among equals; sorted, perhaps none."""
+    known = survey.statistics
+    usable = survey.valid & survey.inner & (known.highest > known.lowest)
+    if not usable.any():
+        return np.empty(0, np.int64)
+    work = survey.count * survey.patterns.pixels
+    left = int(np.clip(_WORK / work, _FEWEST_ROWS, _MOST_ROWS))
+    varied = usable & (known.spread > _VARIED * np.quantile(known.spread[usable], 0.9))
+    generator = np.random.default_rng(0)
+    chosen: list[NDArray[np.int64]] = []
+    least = -1.0
+    for most in _CLIPPED:
+        rows = np.flatnonzero(varied & (known.clipped > least) & (known.clipped <= most))
+        chosen.append(generator.permutation(rows)[:left])
+        left, least = left - len(chosen[-1]), most
+    return np.sort(np.concatenate(chosen))
 
 
 def _first_block(frames: Frames) -> tuple[int, int]:

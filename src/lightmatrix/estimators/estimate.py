@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from lightmatrix.capture.capture import Capture, open_capture
-from lightmatrix.diagnosis.usable import refuse_unordered, refuse_unusable
+from lightmatrix.diagnosis.refusals import refuse_unordered, refuse_unusable
 from lightmatrix.estimators.auto import AutoEstimator
 from lightmatrix.estimators.needs import Needs
 from lightmatrix.estimators.steps import Progress

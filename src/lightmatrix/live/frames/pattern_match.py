@@ -1,6 +1,6 @@
 """Whether a frame shows its pattern, told while frames come in.
 
-As in the check of finished captures (`lightmatrix.diagnosis.order`), some camera samples are
+As in the check of finished captures (`lightmatrix.diagnosis.frame_order`), some camera samples are
 explained by a few projector pixels each, from the frames there are, and what they should show under
 every other pattern is predicted. A frame shows its pattern if it meets the prediction; if it does
 not, or meets a mixture with the pattern shown before, all over or from some row on, it is late or
@@ -17,11 +17,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.diagnosis.prediction import (
+from lightmatrix.diagnosis.pursuit import (
+    SEARCHED_WHOLE,
     column_scale,
-    folds,
+    fold_count,
+    predict_by_pursuit,
 )
-from lightmatrix.diagnosis.shortlists import FEW, cross_predicted
 from lightmatrix.live.frames.previous_pattern import Mixture, find_mixture
 from lightmatrix.patterns.pattern_set import PatternSet
 
@@ -118,12 +119,13 @@ class Watch:
         if self._scale is None:
             self._scale = column_scale(self.patterns)
         # What all samples do together is the brightness of the frame: flicker, mean of the pattern.
-        light = np.zeros_like(self._values)
+        light = np.full_like(self._values, np.nan)
         light[:, taken] = self._values[:, taken]
         light[:, taken] -= light[:, taken].mean(axis=0)
-        parts = _LARGE_FOLDS if self.patterns.pixels > _LARGE else folds(len(taken))
-        part = np.random.default_rng(0).permutation(len(taken)) % parts
-        predicted = cross_predicted(self.patterns, self._scale, light, taken, part, self.beside)
+        parts = _LARGE_FOLDS if self.patterns.pixels > _LARGE else fold_count(len(taken))
+        fold = np.full(self.patterns.count, -1)
+        fold[taken] = np.random.default_rng(0).permutation(len(taken)) % parts
+        predicted = predict_by_pursuit(self.patterns, self._scale, light, fold, self.beside)
         observed = light[:, taken]
         spread = observed - observed.mean(axis=1, keepdims=True)
         missed = observed - predicted[:, taken]
@@ -245,7 +247,7 @@ def watched_samples(
     rows, cols = light.shape[:2]
     by_row = np.asarray(light).reshape(rows, -1)
     wanted, places = _MOST, np.zeros(1, np.int64)
-    if patterns.pixels > FEW and min(rows, cols) > 8 * _STEP:
+    if patterns.pixels > SEARCHED_WHOLE and min(rows, cols) > 8 * _STEP:
         # About as far apart as to see other projector pixels, and these near to each other.
         step = int(np.clip(_STEP * rows / patterns.shape[0], 1, _STEP))
         wanted, places = _FEWEST, step * np.arange(-2, 3)

@@ -1,4 +1,4 @@
-"""Whether there is light enough, and not too much, and whether black and white are so."""
+"""Whether there is enough light, not too much, and the right amount in black and white frames."""
 
 from __future__ import annotations
 
@@ -7,37 +7,37 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.diagnosis.finding import Finding, listed
+from lightmatrix.diagnosis.finding import Finding, join_names
 from lightmatrix.diagnosis.survey import Survey
 
-# Of all samples that count.
+# The capture has too much light if two thirds of its samples clip, and too little if its brightest
+# thousandth does not reach 24 raw levels above black: noise of one level would be 4 %.
 _MOST_CLIPPED = 2 / 3
-# Raw levels above black that the brightest samples reach at least.
 _FEWEST_LEVELS = 24
-# A pixel that varies by less than this share of what lively ones do, or by so many raw levels, has
-# not seen the projector.
+# A camera pixel has not seen the projector if it varies by less than 5 % of what the most varied
+# 5 % of the pixels do, or by less than 3 raw levels. Nearly no pixel may see it: 90 % unseen.
 _STILL, _STILL_LEVELS = 0.05, 3
 _MOST_UNSEEN = 0.9
-# Patterns are black and white within this. Where in their range, from 0 to 1, pixels are under them
-# at most and at least.
+# A pattern is black or white if all of it is within 2 % of that. Under it the median pixel must lie
+# in the lowest or highest 15 % of its own range.
 _PLAIN = 0.02
-_BLACK_AT, _WHITE_AT = 0.15, 0.85
-# Of their range that pixels lie below the black frame.
+_DARKEST, _BRIGHTEST = 0.15, 0.85
+# The black frame is too bright if pixels fall below it by 8 % of their range.
 _BELOW_BLACK = 0.08
 
 
 def unseen_pixels(survey: Survey) -> NDArray[np.bool_]:
-    """Which of the samples that count never see the projector, (S,)."""
+    """Which samples count but never see the projector, (S,)."""
     known = survey.statistics
     span = known.highest - known.lowest
     usual = float(np.quantile(span[survey.valid], 0.95)) if survey.valid.any() else 0.0
     level = _STILL_LEVELS * _one_level(survey)
-    # Clipped in every frame is not unseen.
-    dark = (span < max(_STILL * usual, level)) & (known.clipped < 0.5)
-    return np.asarray(survey.valid & dark)
+    # A pixel that always clips does not vary either, but sees too much.
+    still = (span < max(_STILL * usual, level)) & (known.clipped < 0.5)
+    return np.asarray(survey.valid & still)
 
 
-def check_light(survey: Survey) -> list[Finding]:
+def check_light_level(survey: Survey) -> list[Finding]:
     """Too much light, too little, or nearly everywhere none from the projector."""
     known, valid = survey.statistics, survey.valid
     if not valid.any():
@@ -88,15 +88,9 @@ def check_light(survey: Survey) -> list[Finding]:
 def check_plain_frames(
     survey: Survey, rows: NDArray[np.int64], names: Sequence[str]
 ) -> list[Finding]:
-    """Whether frames under black patterns are dark, those under white ones bright.
+    """Whether frames under black patterns are dark, and those under white ones bright.
 
-    Parameters
-    ----------
-    survey : Survey
-    rows : (m,) int
-        Lively rows.
-    names : sequence of str
-        What the frames are called.
+    `rows` are high-variance rows.
     """
     lowest, highest = np.empty(survey.count), np.empty(survey.count)
     for start, block in survey.patterns.chunks():
@@ -106,28 +100,28 @@ def check_plain_frames(
     bottom = samples.values.min(axis=1, keepdims=True)
     span = np.maximum(samples.values.max(axis=1, keepdims=True) - bottom, 1e-9)
     level = np.median((samples.values - bottom) / span, axis=0)
-    found = []
+    findings = []
     black, white = highest <= _PLAIN, lowest >= 1 - _PLAIN
     if not (black | white).all():
-        bright = np.flatnonzero(black & (level > _BLACK_AT))
-        dark = np.flatnonzero(white & (level < _WHITE_AT) & (~samples.clipped).all(axis=0))
+        bright = np.flatnonzero(black & (level > _DARKEST))
+        dark = np.flatnonzero(white & (level < _BRIGHTEST) & (~samples.clipped).all(axis=0))
         for kind, odd, what in (
             ("black", bright, "black, but the photograph is not the darkest"),
             ("white", dark, "white, but the photograph is not the brightest"),
         ):
             if len(odd):
-                found.append(
+                findings.append(
                     Finding(
                         kind,
                         tuple(int(k) for k in odd),
-                        f"the pattern of {listed([names[int(k)] for k in odd])} is {what}",
+                        f"the pattern of {join_names([names[int(k)] for k in odd])} is {what}",
                         "put the photographs in the order of the patterns, or take it again",
                     )
                 )
-    # Noise and a single odd frame reach below black too.
+    # The lowest tenth, since noise and a single odd frame reach below black too.
     below = float(np.median(-np.quantile(samples.values, 0.1, axis=1) / span[:, 0]))
     if survey.decoder.black_frame is not None and below > _BELOW_BLACK:
-        found.append(
+        findings.append(
             Finding(
                 "black",
                 (),
@@ -137,11 +131,11 @@ def check_plain_frames(
                 "others and in the same room light",
             )
         )
-    return found
+    return findings
 
 
 def _one_level(survey: Survey) -> float:
-    """One raw level in units of the clip level, at the longest exposure."""
+    """One raw level in units of the clip level at the longest exposure; a millionth of floats."""
     decoder = survey.decoder
     span = float(np.max(np.asarray(decoder.clip) - np.asarray(decoder.black_level)))
     longest = float(np.max(decoder.exposure))

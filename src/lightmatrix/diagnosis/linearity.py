@@ -3,7 +3,7 @@
 Light adds up, so what a camera pixel shows under several projector pixels is the sum of what it
 shows under each, and can be predicted from its other frames. Photographs that were coded for a
 display (sRGB, a gamma of 2.2) do not add up; decoded by the gamma that they were coded with, they
-are predicted better. Linear ones are predicted worse by any gamma.
+are predicted better. Any gamma makes the predictions of linear photographs worse.
 """
 
 from __future__ import annotations
@@ -13,64 +13,49 @@ from numpy.typing import NDArray
 
 from lightmatrix.camera.camera_curve import Response
 from lightmatrix.diagnosis.finding import Finding
-from lightmatrix.diagnosis.local import Prediction, predict
+from lightmatrix.diagnosis.prediction import FramePrediction, predict
 from lightmatrix.diagnosis.survey import Survey
 
-# Tried first; then, in the direction that helps, the others.
+# Three gammas are tried first; then, in the direction that helps, the others.
 _FIRST = (1.5, 2.2, 0.65)
 _ABOVE, _BELOW = (1.2, 1.5, 1.8, 2.2, 2.6, 3.0), (0.8, 0.65, 0.5, 0.4)
-# By how much rows must be predicted better (mean logarithm of the miss), and in standard errors.
-# Noise that grows with the light looks a little like a power, so more is asked for below 1.
+# Rows must be predicted better by 0.04 (mean logarithm of the miss) and by 5 standard errors; below
+# a gamma of 1 by 0.15, because noise that grows with the light looks a little like a power.
+# Chosen on simulated captures: `python -m benchmarks.frame_checks`.
 _BETTER, _BETTER_BELOW, _CERTAIN = 0.04, 0.15, 5.0
-# Cameras called linear are so within a few per cent.
-_NEAR = 1.15
+# Cameras called linear are so within a few per cent: gammas from 1 / 1.15 to 1.15 are no finding.
+_NEARLY_LINEAR = 1.15
+# 20 to 400 rows decide, none of which clips in more than 30 % of the frames.
 _ROWS, _FEWEST_ROWS = 400, 20
-# Frames are told apart well enough by so many; more only take longer.
 _MOST_CLIPPED = 0.3
 
 
-def response_rows(survey: Survey, rows: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Rows of medium levels: among those that never clip only dim ones may be left.
-
-    Parameters
-    ----------
-    survey : Survey
-    rows : (m,) int
-        Lively rows, whose spread is asked for.
-    """
+def _medium_rows(survey: Survey, rows: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Rows of medium levels that vary as much as `rows`; those that never clip may all be dim."""
     known = survey.statistics
     usable = survey.valid & survey.inner & (known.clipped <= _MOST_CLIPPED)
     usable &= known.spread >= float(np.min(known.spread[rows]))
-    found = np.random.default_rng(1).permutation(np.flatnonzero(usable))[:_ROWS]
-    return np.sort(found)
+    return np.sort(np.random.default_rng(1).permutation(np.flatnonzero(usable))[:_ROWS])
 
 
-def check_response(
+def check_linearity(
     survey: Survey, rows: NDArray[np.int64], doubted: NDArray[np.bool_], *, steady: bool
 ) -> list[Finding]:
-    """Whether the samples, as the capture says they are decoded, are linear in light.
+    """Whether the samples, decoded as the capture says, are linear in light.
 
-    Parameters
-    ----------
-    survey : Survey
-    rows : (m,) int
-        Lively rows.
-    doubted : (K,) bool
-        Frames that are odd by themselves; nothing is learned from them.
-    steady : bool
-        Whether the light is the same in all frames; its changes look like a power below 1.
+    `rows` are high-variance rows, and nothing is learned from `doubted` frames (K,). Gammas below
+    1 are not tried if the light is not `steady`: its changes look like one.
     """
-    rows = response_rows(survey, rows)[: max(len(rows), _FEWEST_ROWS)]
-    straight = _predicted(survey, rows, doubted, 1.0, None)
-    told = straight.predicted
-    if told.sum() < _FEWEST_ROWS:
+    rows = _medium_rows(survey, rows)[: max(len(rows), _FEWEST_ROWS)]
+    linear = _predict(survey, rows, doubted, 1.0, None)
+    if linear.predicted.sum() < _FEWEST_ROWS:
         return []
-    rows, straight = rows[told], straight.rows(told)
+    rows, linear = rows[linear.predicted], linear.rows(linear.predicted)
 
     def gain(gamma: float) -> tuple[float, bool]:
         """By how much rows are predicted better, and whether that is certain."""
-        bent = _predicted(survey, rows, doubted, gamma, straight.places)
-        better = np.log(straight.miss / np.maximum(bent.miss, 1e-12))
+        other = _predict(survey, rows, doubted, gamma, linear.places)
+        better = np.log(linear.miss / np.maximum(other.miss, 1e-12))
         error = float(better.std() / np.sqrt(len(better)))
         least = _BETTER if gamma > 1 else _BETTER_BELOW
         size = float(better.mean())
@@ -83,20 +68,20 @@ def check_response(
     best = max(helping, key=lambda gamma: tried[gamma])
     side = _ABOVE if best > 1 else _BELOW
     gains = {gamma: (tried.get(gamma) or gain(gamma))[0] for gamma in side}
-    found = _top({1.0: 0.0, **gains})
-    if 1 / _NEAR < found < _NEAR:
+    likeliest = _likeliest({1.0: 0.0, **gains})
+    if 1 / _NEARLY_LINEAR < likeliest < _NEARLY_LINEAR:
         return []
-    return [_say(found, survey.decoder.response.name)]
+    return [_finding(likeliest, survey.decoder.response.name)]
 
 
-def _say(gamma: float, stated: str) -> Finding:
+def _finding(gamma: float, stated: str) -> Finding:
     if gamma < 1:
         return Finding(
             "response",
             (),
             f"the photographs are not linear in light, decoded as {stated}: they look as if raised "
             f"to a power of {1 / gamma:.1f}",
-            "say --response linear if they are linear as they are, or measure the camera's curve",
+            "give --response linear if they are linear as they are, or measure the camera's curve",
         )
     likely = "srgb or gamma:2.2" if 1.8 < gamma < 2.6 else f"gamma:{gamma:.1f}"
     return Finding(
@@ -104,17 +89,18 @@ def _say(gamma: float, stated: str) -> Finding:
         (),
         f"the photographs are not linear in light, decoded as {stated}: light adds up in them as "
         f"if they were coded with a gamma of about {gamma:.1f}",
-        "turn gamma, sRGB, contrast and tone curves off in the camera, or say --response " + likely,
+        "turn gamma, sRGB, contrast and tone curves off in the camera, or give --response "
+        + likely,
     )
 
 
-def _predicted(
+def _predict(
     survey: Survey,
     rows: NDArray[np.int64],
     doubted: NDArray[np.bool_],
     gamma: float,
     places: tuple[NDArray[np.int64], ...] | None,
-) -> Prediction:
+) -> FramePrediction:
     response = survey.decoder.response
     if gamma != 1:
         levels = np.linspace(0, 1, 1024)
@@ -122,8 +108,8 @@ def _predicted(
     return predict(survey.patterns, survey.samples(rows, response), places, doubted)
 
 
-def _top(gains: dict[float, float]) -> float:
-    """The gamma of the largest gain, between the ones that were tried by a parabola."""
+def _likeliest(gains: dict[float, float]) -> float:
+    """The gamma of the largest gain, by a parabola through the three around it."""
     gammas = np.log(sorted(gains))
     heights = np.array([gains[gamma] for gamma in sorted(gains)])
     k = int(heights.argmax())

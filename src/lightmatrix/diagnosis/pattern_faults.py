@@ -1,4 +1,4 @@
-"""What patterns can tell of T at all, and patterns that are photographs."""
+"""What the patterns can reveal of T at all, and whether they are photographs by mistake."""
 
 from __future__ import annotations
 
@@ -8,16 +8,18 @@ from lightmatrix.diagnosis.finding import Finding
 from lightmatrix.diagnosis.survey import Survey
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
 
-# Rows or columns of a pattern that differ by less are the same.
+# Pixels of a pattern are the same if they differ by less than 2 %.
 _SAME = 0.02
-# Of the projector pixels; a few patterns leave some alike by chance.
-_ALIKE = 0.2
-# Projected images have few grey values, photographs have noise.
-_FEW, _MANY = 4, 24
+# At most 20 % of the projector pixels may be shown like another one; a few patterns leave some so
+# by chance.
+_MOST_ALIKE = 0.2
+# The first 4 frames are looked at: projected images have up to 4 grey values, photographs have
+# noise and thus 24 or more.
+_LOOKED_AT, _FEW_GREYS, _MANY_GREYS = 4, 4, 24
 
 
-def check_patterns(patterns: PatternSet) -> list[Finding]:
-    """Whether the patterns can tell rows of T with several footprints, and single pixels."""
+def check_distinguishable(patterns: PatternSet) -> list[Finding]:
+    """Whether the patterns can tell several footprints in a row, and single pixels, apart."""
     if _separable(patterns):
         return [
             Finding(
@@ -30,8 +32,8 @@ def check_patterns(patterns: PatternSet) -> list[Finding]:
                 "T project random patterns too: lightmatrix patterns bernoulli",
             )
         ]
-    alike = _alike(patterns)
-    if alike > _ALIKE:
+    alike = _share_alike(patterns)
+    if alike > _MOST_ALIKE:
         return [
             Finding(
                 "patterns",
@@ -49,10 +51,10 @@ def check_interchanged(survey: Survey) -> list[Finding]:
     patterns = survey.patterns
     if not isinstance(patterns, ImagePatterns):
         return []
-    looked = range(min(4, survey.count))
-    drawn = all(len(np.unique(survey.raw[:, k])) <= _FEW for k in looked)
-    taken = all(len(np.unique(patterns.rows(k, k + 1))) >= _MANY for k in looked)
-    if not (drawn and taken):
+    frames = range(min(_LOOKED_AT, survey.count))
+    drawn = all(len(np.unique(survey.raw[:, k])) <= _FEW_GREYS for k in frames)
+    noisy = all(len(np.unique(patterns.rows(k, k + 1))) >= _MANY_GREYS for k in frames)
+    if not (drawn and noisy):
         return []
     return [
         Finding(
@@ -78,8 +80,9 @@ def _separable(patterns: PatternSet) -> bool:
     return varies
 
 
-def _alike(patterns: PatternSet) -> float:
+def _share_alike(patterns: PatternSet) -> float:
     """Share of the projector pixels that all patterns show like another one."""
+    # Pixels that all patterns show alike have the same random mixture of them.
     mix = np.random.default_rng(0).standard_normal(patterns.count)
     seen = np.zeros(patterns.pixels)
     for start, block in patterns.chunks():

@@ -9,8 +9,8 @@ import pytest
 from numpy.typing import NDArray
 
 import lightmatrix as lm
-from lightmatrix.diagnosis import shortlists
-from lightmatrix.diagnosis.prediction import column_scale
+from lightmatrix.diagnosis import pursuit
+from lightmatrix.diagnosis.pursuit import column_scale, predict_by_pursuit
 
 SHAPE, COUNT, ROWS = (48, 64), 64, 40
 
@@ -26,8 +26,9 @@ def _values(patterns: lm.PatternSet) -> NDArray[np.float32]:
 
 
 def _predicted(patterns: lm.PatternSet, values: Any, count: int = 60) -> NDArray[np.float32]:
-    taken = np.arange(count)
-    return shortlists.cross_predicted(patterns, column_scale(patterns), values, taken, taken % 3)
+    fold = np.where(np.arange(COUNT) < count, np.arange(COUNT) % 3, -1)
+    seen = np.where(fold < 0, np.nan, values)
+    return predict_by_pursuit(patterns, column_scale(patterns), seen, fold)
 
 
 @pytest.fixture(params=["bits", "grey"])
@@ -42,11 +43,11 @@ def test_they_predict_what_all_pixels_do(
 ) -> None:
     values = _values(patterns)
     all_pixels = _predicted(patterns, values)
-    monkeypatch.setattr(shortlists, "FEW", 0)
+    monkeypatch.setattr(pursuit, "SEARCHED_WHOLE", 0)
     # Not all in one block, nor all on the list.
-    monkeypatch.setattr(shortlists, "_MOST_ROWS", 16)
-    monkeypatch.setattr(shortlists, "_LISTED", 128)
-    monkeypatch.setattr(shortlists, "_GROUPS", 1000)
+    monkeypatch.setattr(pursuit, "_MOST_ROWS", 16)
+    monkeypatch.setattr(pursuit, "_LISTED", 128)
+    monkeypatch.setattr(pursuit, "_GROUPS", 1000)
     listed = _predicted(patterns, values)
     spread = values.var(axis=1).sum()
     missed = [((found - values) ** 2).mean(axis=1).sum() / spread for found in (all_pixels, listed)]
@@ -59,12 +60,10 @@ def test_they_predict_what_all_pixels_do(
 def test_what_a_part_holds_does_not_predict_it(
     patterns: lm.PatternSet, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(shortlists, "FEW", 0)
+    monkeypatch.setattr(pursuit, "SEARCHED_WHOLE", 0)
     values = _values(patterns)
     before = _predicted(patterns, values)
     values[:, 0:60:3] = np.random.default_rng(1).random((ROWS, 20))
-    # Nor do frames that are not there.
-    values[:, 60:] = np.nan
     after = _predicted(patterns, values)
     np.testing.assert_allclose(before[:, 0:60:3], after[:, 0:60:3], atol=1e-4)
     assert np.isfinite(after).all()
@@ -74,13 +73,12 @@ def test_what_a_part_holds_does_not_predict_it(
 def test_rows_beside_each_other_are_found_beside_each_other() -> None:
     shape = (96, 128)
     patterns = lm.make_patterns("bernoulli", shape, COUNT)
-    assert patterns.pixels > shortlists.FEW
+    assert patterns.pixels > pursuit.SEARCHED_WHOLE
     random = np.random.default_rng(0)
     place = random.integers(8, (88, 120), (10, 1, 2)) + random.integers(-6, 7, (10, 4, 2))
     seen = np.ravel_multi_index(place.reshape(-1, 2).T, shape)
     values = patterns.columns(seen).T + 0.1 * random.standard_normal((40, COUNT), np.float32)
-    taken = np.arange(COUNT)
-    scale = column_scale(patterns)
-    predicted = shortlists.cross_predicted(patterns, scale, values, taken, taken % 3, 4)
+    fold = np.arange(COUNT) % 3
+    predicted = predict_by_pursuit(patterns, column_scale(patterns), values, fold, group=4)
     missed = ((predicted - values) ** 2).mean(axis=1) / values.var(axis=1)
     assert missed.max() < 0.2

@@ -1,0 +1,129 @@
+"""All checks of a capture, one after the other; each knows what those before it found."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightmatrix.capture.capture import Capture
+from lightmatrix.diagnosis.finding import Finding
+from lightmatrix.diagnosis.flicker import brightness_changes, check_flicker
+from lightmatrix.diagnosis.frame_order import find_disorder
+from lightmatrix.diagnosis.inverse_pairs import Pairs, check_pairs, pair_gains
+from lightmatrix.diagnosis.jpeg import check_jpeg
+from lightmatrix.diagnosis.light_levels import check_light_level, check_plain_frames
+from lightmatrix.diagnosis.linearity import check_linearity
+from lightmatrix.diagnosis.motion import check_motion
+from lightmatrix.diagnosis.pattern_faults import check_distinguishable, check_interchanged
+from lightmatrix.diagnosis.prediction import FramePrediction, predict
+from lightmatrix.diagnosis.survey import Survey, high_variance_rows
+from lightmatrix.diagnosis.wrong_frames import SUSPECT, check_frames, wrong_frames
+
+# Nothing is inferred from fewer frames, or from fewer camera pixels that can be predicted.
+_FEWEST_FRAMES, _FEWEST_ROWS = 12, 20
+# If more than a quarter of the frames are odd, the cause is not in single frames.
+_MOST_ODD = 0.25
+# Gains from inverse pairs are medians over many pixels; they are as exact as cameras are linear.
+_PAIR_ERROR = 0.004
+
+
+def check_capture(capture: Capture, *, order_only: bool = False) -> list[Finding]:
+    """Everything that seems wrong with a capture, or only what bears on the order of its frames.
+
+    Frames are looked at as they were taken, whatever is binned.
+
+    Raises
+    ------
+    InputError
+        On a frame that cannot be read, or differs from the others in size or type.
+    """
+    survey = Survey.take(capture.patterns, capture.frames, capture.decoder, capture.mask)
+    names = [capture.frames.name(k) for k in range(capture.count)]
+    findings = check_interchanged(survey)
+    if findings:
+        return findings
+    if not order_only:
+        findings = check_distinguishable(survey.patterns) + check_light_level(survey)
+        findings += check_jpeg(survey, names)
+    rows = high_variance_rows(survey)
+    if survey.count < _FEWEST_FRAMES or len(rows) < _FEWEST_ROWS:
+        return findings
+    pairs = Pairs.find(survey.patterns)
+    judge = _check_by_prediction if pairs is None else partial(_check_by_pairs, pairs)
+    light = None if order_only else not any(each.kind == "jpeg" for each in findings)
+    return findings + judge(survey, rows, names, light)
+
+
+# In the two functions below, `light` is None if the light is not judged, and False if its linearity
+# is not: JPEG rounds dark and bright samples by different steps, which looks like a gamma.
+
+
+def _check_by_pairs(
+    pairs: Pairs,
+    survey: Survey,
+    rows: NDArray[np.int64],
+    names: Sequence[str],
+    light: bool | None,
+) -> list[Finding]:
+    """Checks of patterns that come with their inverses."""
+    findings = check_plain_frames(survey, rows, names)
+    of_pairs, corrected, doubted = check_pairs(survey, rows, pairs, names)
+    findings += of_pairs
+    if light is None or any(each.kind == "motion" for each in of_pairs):
+        return findings
+    # Sums of pairs that are not linear in light look like changes of the light.
+    bent = check_linearity(corrected, rows, doubted, steady=False) if light else []
+    if bent:
+        return findings + bent
+    gains, frames = pair_gains(corrected, rows, pairs, doubted)
+    return findings + check_flicker(gains, np.full(len(gains), _PAIR_ERROR), frames, names)
+
+
+def _check_by_prediction(
+    survey: Survey, rows: NDArray[np.int64], names: Sequence[str], light: bool | None
+) -> list[Finding]:
+    """Checks of patterns that have nothing to do with each other."""
+    disorder = find_disorder(survey.patterns, survey.tiles(), len(survey.raw), names.__getitem__)
+    displaced = np.zeros(survey.count, bool)
+    for each in disorder:
+        displaced[list(each.frames)] = True
+    if displaced.mean() > _MOST_ODD:
+        return disorder
+    findings = check_plain_frames(survey, rows, names)
+    prediction = predict(survey.patterns, survey.samples(rows), doubted=displaced)
+    suspects = _suspects(prediction, displaced)
+    moved = check_motion(survey, rows, suspects, names)
+    if moved:
+        return findings + moved
+    if (suspects & ~displaced).any():
+        # Judged by the frames that are not suspected.
+        prediction = predict(survey.patterns, survey.samples(rows), doubted=suspects)
+    if prediction.predicted.sum() < _FEWEST_ROWS:
+        return findings + disorder
+    prediction = prediction.rows(prediction.predicted)
+    wrong = wrong_frames(prediction)
+    if wrong[displaced].any():
+        findings += disorder
+    else:
+        # The patterns differ only where the camera does not look.
+        displaced[:] = False
+    findings += check_frames(prediction, wrong & ~displaced, names)
+    if light is None:
+        return findings
+    right = np.flatnonzero(~wrong & ~displaced)
+    findings += check_flicker(*brightness_changes(prediction.frames(right)), right, names)
+    if light:
+        steady = not any(each.kind == "flicker" for each in findings)
+        findings += check_linearity(survey, rows, suspects | wrong, steady=steady)
+    return findings
+
+
+def _suspects(prediction: FramePrediction, displaced: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Frames (K,) that are displaced or may show something else, if only a few do."""
+    if prediction.predicted.sum() < _FEWEST_ROWS:
+        return displaced
+    suspects = displaced | wrong_frames(prediction.rows(prediction.predicted), SUSPECT)
+    return suspects if suspects.mean() < _MOST_ODD else displaced

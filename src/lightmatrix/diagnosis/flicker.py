@@ -1,0 +1,87 @@
+"""Whether the light was the same in every frame.
+
+Light that differs in a frame makes all of its samples brighter or darker by one share.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightmatrix.diagnosis.finding import Finding, join_names
+from lightmatrix.diagnosis.prediction import FramePrediction
+
+# A standard deviation of the light of up to 1.2 % does no harm; a single frame is named from 4 %
+# on, and only if it deviates by 6 times what frames usually do. A deviation counts if it exceeds 5
+# standard errors. Chosen on simulated captures: `python -m benchmarks.frame_checks`.
+_HARMLESS, _NAMED, _OUTLYING = 0.012, 0.04, 6
+_CERTAIN = 5.0
+# Samples measure the light where they reach 30 % of the row's brightest one, which they must do in
+# 20 rows; a share of a dark sample says nothing. No sample counts for more than 6 standard
+# deviations, so that one odd pixel decides nothing.
+_LIT, _FEWEST_ROWS, _MOST_DEVIATIONS = 0.3, 20, 6
+
+
+def brightness_changes(
+    prediction: FramePrediction,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """How much brighter each frame is than predicted, and the standard error; shares, (K,) each.
+
+    They are 0 and infinity for frames with hardly a lit sample.
+    """
+    noise, expected = prediction.noise, prediction.expected
+    weight = prediction.trusted / noise**2
+    deviations = (prediction.observed - expected) / noise
+    left = np.clip(deviations, -_MOST_DEVIATIONS, _MOST_DEVIATIONS) * noise
+    weight = np.where(expected > _LIT * expected.max(axis=1, keepdims=True), weight, 0)
+    power = np.maximum((weight * expected**2).sum(axis=0), 1e-12)
+    change = (weight * left * expected).sum(axis=0) / power
+    rest = weight * expected * (left - change * expected)
+    error = np.sqrt((rest**2).sum(axis=0)) / power
+    enough = (weight > 0).sum(axis=0) >= _FEWEST_ROWS
+    return np.where(enough, change, 0), np.where(enough, error, np.inf)
+
+
+def check_flicker(
+    change: NDArray[np.float64],
+    error: NDArray[np.float64],
+    frames: NDArray[np.int64],
+    names: Sequence[str],
+) -> list[Finding]:
+    """Whether some of the `frames` (k,), or all in turn, are brighter or darker than the others.
+
+    `change` and `error` (k,) are those of `brightness_changes`.
+    """
+    if len(change) < 4:
+        return []
+    certain = np.abs(change) > _CERTAIN * error
+    usual = 1.4826 * float(np.median(np.abs(change - np.median(change))))
+    if usual > _HARMLESS and certain.mean() > 0.3:
+        worst = int(np.argmax(np.abs(change)))
+        spread = float(np.sqrt(np.mean(np.clip(change, -4 * usual, 4 * usual) ** 2)))
+        return [
+            Finding(
+                "flicker",
+                (),
+                f"the light varies from frame to frame by {100 * spread:.1f} % (standard "
+                f"deviation; most in {names[frames[worst]]}, {100 * change[worst]:+.0f} %)",
+                "expose for whole periods of the mains and of the projector (1/50 or 1/60 s and "
+                "multiples), turn automatic exposure and dynamic contrast off, and let lamps warm "
+                "up; if the exposures differed, state them",
+            )
+        ]
+    odd = np.flatnonzero(certain & (np.abs(change) > max(_NAMED, _OUTLYING * usual)))
+    if not len(odd):
+        return []
+    words = [f"{names[frames[k]]} ({100 * change[k]:+.0f} %)" for k in odd]
+    return [
+        Finding(
+            "flicker",
+            tuple(int(frames[k]) for k in odd),
+            f"the light is not that of the other frames in {join_names(words)}",
+            "take these frames again, with automatic exposure off; if their exposure differed, "
+            "state it in capture.json",
+        )
+    ]

@@ -1,0 +1,282 @@
+"""Captures in which most patterns come with their inverse, as Gray codes do.
+
+A pattern and its inverse add up to white, so the photographs of every pair add up to one and the
+same image, whatever the pattern. That reveals more, and more exactly, than any prediction: an odd
+frame, light that changed and motion show as differences between the sums of pairs. Sums cannot tell
+which of two pairs is which; for that, neighbouring camera pixels must see neighbouring projector
+pixels.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightmatrix.camera.samples import Samples
+from lightmatrix.diagnosis.finding import Finding
+from lightmatrix.diagnosis.frame_order import order_findings
+from lightmatrix.diagnosis.image_shift import find_shift
+from lightmatrix.diagnosis.motion import motion_finding
+from lightmatrix.diagnosis.prediction import find_places
+from lightmatrix.diagnosis.survey import MARGIN, Survey
+from lightmatrix.diagnosis.wrong_frames import black_frames
+from lightmatrix.patterns.pattern_set import PatternSet
+
+# A set is one of inverse pairs if 60 % of its patterns are in pairs, and it has 4 pairs.
+_PAIRED, _FEWEST_PAIRS = 0.6, 4
+# A pair is odd if its sum differs by 15 % from the usual one, and by 4 times what that of the
+# median pair does.
+_ODD, _UNUSUAL = 0.15, 4.0
+# A frame is black if it has less than 10 % of the light that its partner lets expect (and 5 % of
+# the partner's), and less than 30 % of its partner's.
+_BLACK, _STRAY, _BLACK_OF_PARTNER = 0.1, 0.05, 0.3
+# Brightness is compared in rows that are lit by 60 % of white, in 20 of them at least.
+_LIT, _FEWEST_LIT = 0.6, 20
+# About 100 rows are compared with their neighbours. Two orders are equally likely if the mean
+# logarithms of how far apart neighbours see differ by less than 0.2.
+_NEIGHBOUR_ROWS, _JUMBLED = 100, 0.2
+# A missing frame is looked for at up to 4 places, at which pairs are at most 1.5 times as odd as at
+# the best one.
+_MOST_PLACES, _NEARLY_BEST = 4, 1.5
+
+Pair = tuple[int, int]
+
+
+@dataclass(frozen=True)
+class Pairs:
+    """The two frames of each pattern and its inverse, and the frames that are in no pair."""
+
+    pairs: tuple[Pair, ...]
+    others: tuple[int, ...]
+
+    @classmethod
+    def find(cls, patterns: PatternSet) -> Pairs | None:
+        """The pairs of a set; None if most patterns have no inverse."""
+        # Two patterns add up to white if their random mixtures of pixels do.
+        mix = np.random.default_rng(0).standard_normal((1, patterns.pixels))
+        mixture = patterns.forward(mix)[0]
+        white = float(mix.sum())
+        near = 1e-4 * np.sqrt(patterns.pixels)
+        left = list(range(patterns.count))
+        pairs: list[Pair] = []
+        while left:
+            k = left.pop(0)
+            inverse = next((j for j in left if abs(mixture[k] + mixture[j] - white) < near), None)
+            if inverse is not None:
+                left.remove(inverse)
+                pairs.append((k, inverse))
+        if 2 * len(pairs) < _PAIRED * patterns.count or len(pairs) < _FEWEST_PAIRS:
+            return None
+        # Black and white are a pair that tells nothing more.
+        uniform = [pair for pair in pairs if np.ptp(patterns.rows(pair[0], pair[0] + 1)) < 0.02]
+        paired = {k for pair in pairs for k in pair}
+        others = [k for k in range(patterns.count) if k not in paired]
+        others += [k for pair in uniform for k in pair]
+        return cls(tuple(pair for pair in pairs if pair not in uniform), tuple(others))
+
+
+@dataclass(frozen=True, eq=False)
+class PairSums:
+    """Sums of the two samples of each pair, of m high-variance rows."""
+
+    pairs: tuple[Pair, ...]
+    samples: Samples
+
+    def sum_of(self, j: int, k: int) -> NDArray[np.float64]:
+        """The sum of two frames, (m,); NaN where one is clipped."""
+        clipped = self.samples.clipped[:, j] | self.samples.clipped[:, k]
+        both = self.samples.values[:, j].astype(np.float64) + self.samples.values[:, k]
+        return np.where(clipped, np.nan, both)
+
+    @cached_property
+    def usual(self) -> NDArray[np.float64]:
+        """The median of what pairs add up to, (m,)."""
+        return np.asarray(np.nanmedian(np.stack([self.sum_of(j, k) for j, k in self.pairs]), 0))
+
+    def oddness(self, j: int, k: int) -> float:
+        """How far two frames are from adding up to white, as a share of it."""
+        relative = (self.sum_of(j, k) - self.usual) / np.maximum(self.usual, 1e-6)
+        return float(np.sqrt(np.nanmean(np.clip(relative, -1, 1) ** 2)))
+
+    @cached_property
+    def limit(self) -> float:
+        """The oddness from which on a pair is odd."""
+        return max(_ODD, _UNUSUAL * float(np.median([self.oddness(j, k) for j, k in self.pairs])))
+
+    @property
+    def odd(self) -> list[Pair]:
+        """The pairs that do not add up to white."""
+        return [pair for pair in self.pairs if self.oddness(*pair) > self.limit]
+
+    def gain(self, frame: int, partner: int) -> float:
+        """How much brighter a frame is than its partner lets expect, as a share; 0 if unknown."""
+        expected = self.usual - self.samples.values[:, partner]
+        lit = (expected > _LIT * self.usual) & ~self.samples.clipped[:, frame]
+        if lit.sum() < _FEWEST_LIT:
+            return 0.0
+        return float(np.median(self.samples.values[lit, frame] / expected[lit])) - 1
+
+    def black_frame(self, pair: Pair) -> int | None:
+        """The frame of a pair that is dark where its partner is dark too."""
+        for frame, partner in (pair, pair[::-1]):
+            expected = np.nansum(np.maximum(self.usual - self.samples.values[:, partner], 0))
+            light = float(np.nansum(self.samples.values[:, frame]))
+            other = float(np.nansum(self.samples.values[:, partner]))
+            dark = light < _BLACK * float(expected) + _STRAY * other
+            if dark and light < _BLACK_OF_PARTNER * other:
+                return frame
+        return None
+
+
+def check_pairs(
+    survey: Survey, rows: NDArray[np.int64], pairs: Pairs, names: Sequence[str]
+) -> tuple[list[Finding], Survey, NDArray[np.bool_]]:
+    """Order, single frames and motion, by the sums of pairs in high-variance rows.
+
+    Returns
+    -------
+    findings : list of Finding
+    survey : Survey
+        With swapped frames put right.
+    doubted : (K,) bool
+        Frames that are wrong in themselves.
+    """
+    doubted = np.zeros(survey.count, bool)
+    findings = _check_motion(survey, pairs, names)
+    if findings:
+        return findings, survey, doubted
+    sums = PairSums(pairs.pairs, survey.samples(rows))
+    odd = list(sums.odd)
+    if len(odd) > len(pairs.pairs) // 2:
+        return [], survey, doubted
+    for pair in list(odd):
+        frame = sums.black_frame(pair)
+        if frame is not None:
+            odd.remove(pair)
+            doubted[list(pair)] = True
+            findings.append(black_frames([frame], names))
+    swap = _find_swap(survey, rows, sums, odd, pairs.others)
+    if swap is not None:
+        survey = _swapped(survey, swap)
+        odd = PairSums(pairs.pairs, survey.samples(rows)).odd
+        findings += order_findings({swap[0]: swap[1], swap[1]: swap[0]}, names.__getitem__)
+    for pair in odd:
+        if doubted[list(pair)].all():
+            continue
+        doubted[list(pair)] = True
+        findings.append(
+            Finding(
+                "frame",
+                pair,
+                f"{names[pair[0]]} and {names[pair[1]]}, of a pattern and its inverse, do not add "
+                "up to white: one shows something else",
+                "look at them: taken during the change of pattern, moved, covered, in another's "
+                "place? Take them again",
+            )
+        )
+    return findings, survey, doubted
+
+
+def pair_gains(
+    survey: Survey, rows: NDArray[np.int64], pairs: Pairs, doubted: NDArray[np.bool_]
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """How much brighter each frame is than its partner lets expect, and which frames these are."""
+    sums = PairSums(pairs.pairs, survey.samples(rows))
+    frames = [(j, k) for pair in pairs.pairs for j, k in (pair, pair[::-1]) if not doubted[j]]
+    gains = np.array([sums.gain(j, k) for j, k in frames])
+    return gains, np.array([j for j, _ in frames], np.int64)
+
+
+def _find_swap(
+    survey: Survey,
+    rows: NDArray[np.int64],
+    sums: PairSums,
+    odd: list[Pair],
+    others: tuple[int, ...],
+) -> Pair | None:
+    """The two frames that, exchanged, make all pairs add up to white."""
+
+    def adds_up(order: dict[int, int]) -> bool:
+        return all(sums.oddness(order.get(j, j), order.get(k, k)) < sums.limit for j, k in odd)
+
+    fitting = [(a, b) for a, b in _swaps(odd, others) if adds_up({a: b, b: a})]
+    if len(fitting) < 2:
+        return fitting[0] if fitting else None
+    return min(fitting, key=lambda swap: distance_of_neighbours(_swapped(survey, swap), rows))
+
+
+def _swaps(odd: list[Pair], others: tuple[int, ...]) -> Iterator[Pair]:
+    if len(odd) == 2:
+        yield from itertools.product(*odd)
+    if len(odd) == 1:
+        yield from itertools.product(odd[0], others)
+
+
+def _swapped(survey: Survey, swap: Pair) -> Survey:
+    order = np.arange(survey.count)
+    order[list(swap)] = swap[::-1]
+    return survey.select_frames(order)
+
+
+def distance_of_neighbours(survey: Survey, rows: NDArray[np.int64]) -> float:
+    """Mean logarithm of how many projector pixels apart neighbouring rows see."""
+    some = rows[:: max(1, len(rows) // _NEIGHBOUR_ROWS)]
+    asked = [some, survey.neighbour(some, (0, MARGIN)), survey.neighbour(some, (MARGIN, 0))]
+    samples = survey.samples(np.concatenate(asked))
+    places = find_places(survey.patterns, samples, count=1)[0]
+    here, *there = np.split(np.stack(np.divmod(places, survey.patterns.shape[1])), 3, axis=1)
+    apart = [np.abs(here - other).max(axis=0) for other in there]
+    return float(np.log1p(np.concatenate(apart)).mean())
+
+
+def _check_motion(survey: Survey, pairs: Pairs, names: Sequence[str]) -> list[Finding]:
+    """Whether the sums of pairs lie elsewhere from some pair on."""
+    ordered = sorted(pairs.pairs, key=min)
+    images = []
+    for pair in ordered:
+        image = np.empty(len(survey.raw), np.float32)
+        for part, tile in survey.select_frames(np.array(pair)).chunks():
+            image[part] = tile.values.sum(axis=1)
+        images.append(image)
+    shift = find_shift(survey, np.median(images[:3], axis=0), np.median(images[-3:], axis=0))
+    if shift is None:
+        return []
+    moved = [find_shift(survey, images[0], image) is not None for image in images]
+    if not moved[-1]:
+        return []
+    start = min(ordered[moved.index(True)])
+    when = f"from {names[start]} on, or the frame before or after"
+    return [motion_finding(when, start, shift, survey.count)]
+
+
+def missing_of_pairs(survey: Survey, pairs: Pairs, rows: NDArray[np.int64]) -> tuple[int, ...]:
+    """Which of K patterns has no frame among K - 1, where most patterns have inverses.
+
+    Where nothing tells a pattern and its inverse apart, both are named.
+    """
+    count = survey.patterns.count
+    samples = survey.samples(rows)
+    oddness = []
+    for place in range(count):
+        frame = np.arange(count) - (np.arange(count) > place)
+        pairs_left = tuple(
+            (int(frame[j]), int(frame[k])) for j, k in pairs.pairs if place not in (j, k)
+        )
+        sums = PairSums(pairs_left, samples)
+        oddness.append(float(np.mean([sums.oddness(j, k) for j, k in pairs_left])))
+    best = min(oddness)
+    likely = [place for place, size in enumerate(oddness) if size < _NEARLY_BEST * best]
+    if best > _ODD or len(likely) > _MOST_PLACES:
+        return ()
+    apart = []
+    for place in likely:
+        shown = survey.patterns.subset(np.delete(np.arange(count), place))
+        apart.append(distance_of_neighbours(replace(survey, patterns=shown), rows))
+    return tuple(
+        place for place, size in zip(likely, apart, strict=True) if size < min(apart) + _JUMBLED
+    )

@@ -1,0 +1,260 @@
+"""Hypotheses of which pattern each frame shows: the likeliest one, and what it leaves unexplained.
+
+Where exposures differ, a displaced frame may have been taken with the exposure of its place, as
+when the projector was late, or with that of the frame it really is, as when a file is missing. So
+a sample can be read at either exposure. All are cut off at the lowest clip level, that of the
+longest exposure: up to there, every frame measures the light.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightmatrix.diagnosis.pursuit import fold_count, predict_by_pursuit
+from lightmatrix.patterns.pattern_set import PatternSet
+
+# The scan looks at 24 to 96 rows, as many as 2.5e9 multiplications allow (about a second). A
+# displacement may begin or end at 16 places; the runs of `frame_order.py` find the exact frame.
+_FEWEST_ROWS, _MOST_ROWS, _SCAN_WORK = 24, 96, 2.5e9
+_PLACES = 16
+# Projector pixels at a time, so that sums stay in the processor's cache.
+_PIXELS_AT_ONCE = 512
+
+
+@dataclass(frozen=True, eq=False)
+class RawRows:
+    """Samples of some camera pixels, readable at another exposure.
+
+    Parameters
+    ----------
+    shares : (m, K) float32
+        Samples as shares of the level at which they clip.
+    levels : (m, K) float32
+        That level, which falls as the exposure grows.
+    """
+
+    shares: NDArray[np.float32]
+    levels: NDArray[np.float32]
+
+    @property
+    def lowest(self) -> NDArray[np.float32]:
+        """The level (m, 1) up to which all frames measure the light."""
+        return np.asarray(self.levels.min(axis=1, keepdims=True))
+
+    def light(self, exposed_as: NDArray[np.integer]) -> NDArray[np.float32]:
+        """Samples (m, K), frame k read as exposed like frame exposed_as[k]; cut off at `lowest`."""
+        return np.asarray(np.minimum(self.shares * self.levels[:, exposed_as], self.lowest))
+
+    def alike(self) -> list[NDArray[np.int64]]:
+        """Frames of the same clip level, group by group."""
+        typical = np.median(self.levels, axis=0)
+        _, kind = np.unique(np.round(np.log(typical), 2), return_inverse=True)
+        return [np.flatnonzero(kind == each) for each in range(kind.max() + 1)]
+
+
+@dataclass(frozen=True, eq=False)
+class Hypothesis:
+    """What the frames may show.
+
+    Parameters
+    ----------
+    order : (K,) int
+        The pattern shown in each frame; -1 for none that is known.
+    exposed_as : (K,) int
+        The frame whose exposure each frame was taken with.
+    """
+
+    order: NDArray[np.int64]
+    exposed_as: NDArray[np.int64]
+
+    @classmethod
+    def in_order(cls, count: int) -> Hypothesis:
+        """Each of K frames shows its own pattern."""
+        return cls(np.arange(count), np.arange(count))
+
+    @property
+    def reversed(self) -> bool:
+        """Whether the frames are backwards."""
+        return bool((self.order == np.arange(len(self.order))[::-1]).all())
+
+
+@dataclass(frozen=True, eq=False)
+class Misses:
+    """How far each frame is from what the rows should show under each pattern.
+
+    Parameters
+    ----------
+    logarithms : (K, K) float64
+        Logarithm of the mean square difference of frame (row) and prediction (column), relative to
+        the frame's own mean square. The prediction of a pattern never used the frames that show it
+        by the hypothesis.
+    elsewhere : (K, K) bool
+        Whether the frame fits better as taken with the other frame's exposure.
+    telling : (K,) bool
+        Whether its own pattern differs between pixels; white and very fine stripes do not.
+    """
+
+    logarithms: NDArray[np.float64]
+    elsewhere: NDArray[np.bool_]
+    telling: NDArray[np.bool_]
+
+    @property
+    def own(self) -> NDArray[np.float64]:
+        """How far each frame is from its own pattern, (K,)."""
+        return np.diag(self.logarithms)
+
+
+def find_misses(
+    patterns: PatternSet, rows: RawRows, hypothesis: Hypothesis, scale: NDArray[np.float32]
+) -> Misses:
+    """Compare each frame with what is predicted for each pattern; of `scale` see `column_scale`."""
+    count = patterns.count
+    light = rows.light(hypothesis.exposed_as)
+    # What all rows do together is the brightness of the frame (flicker, the mean of the pattern):
+    # no evidence of which pixels were lit, and a prediction of it would err in all rows alike.
+    common = light.mean(axis=0, keepdims=True)
+    known = np.flatnonzero(hypothesis.order >= 0)
+    shown = hypothesis.order[known]
+    values = np.full(light.shape, np.nan, np.float32)
+    values[:, shown] = (light - common)[:, known]
+    fold = np.random.default_rng(0).permutation(count) % fold_count(count)
+    predicted = predict_by_pursuit(patterns, scale, values, fold)
+    brightness = np.full(count, common.mean(), np.float32)
+    brightness[shown] = common[0, known]
+    predicted = np.minimum(predicted + brightness, rows.lowest)
+    mean = light.mean(axis=1, keepdims=True)
+    spread = np.maximum(light.std(axis=1, keepdims=True), 1e-12)
+
+    def variation(samples: NDArray[np.float32]) -> NDArray[np.float64]:
+        relative = ((samples - mean) / spread).astype(np.float64)
+        return np.asarray(relative - relative.mean(axis=0, keepdims=True))
+
+    observed, expected = variation(rows.light(np.arange(count))), variation(predicted)
+    here = _log_misses(observed, expected)
+    there = here.copy()
+    for columns in rows.alike():
+        if len(columns) < count:
+            moved = variation(rows.light(np.full(count, columns[0])))
+            there[:, columns] = _log_misses(moved, expected[:, columns])
+    np.fill_diagonal(there, np.diag(here))
+    # The prediction decides, since a frame read at the wrong exposure may seem uniform.
+    power = (expected**2).mean(axis=0)
+    return Misses(np.minimum(here, there), there < here, power > 0.25 * np.median(power))
+
+
+def _log_misses(
+    observed: NDArray[np.float64], expected: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Log of the square difference of each observed and expected column, relative, (K, k)."""
+    power = (observed**2).sum(axis=0)[:, None]
+    squares = power + (expected**2).sum(axis=0)[None, :]
+    miss = squares - 2 * observed.T @ expected
+    return np.asarray(np.log(np.maximum(miss, 1e-9) / np.maximum(power, 1e-9)))
+
+
+def likeliest_hypothesis(patterns: PatternSet, rows: RawRows) -> Hypothesis | None:
+    """The hypothesis under which single projector pixels follow the samples best; None: in order.
+
+    It tries frames in order, in reverse, and displaced by one up to or from some place on. All
+    frames count for all hypotheses, so that nothing needs to be predicted: the correlation of the
+    best pixel is larger by chance alike.
+    """
+    count = patterns.count
+    frames = np.arange(count)
+    some = int(np.clip(_SCAN_WORK / (count * patterns.pixels), _FEWEST_ROWS, _MOST_ROWS))
+    rows = RawRows(rows.shares[:some], rows.levels[:some])
+    cuts = np.unique(np.linspace(0, count, _PLACES + 1).astype(int))
+    hypotheses = _hypotheses(count, len(rows.alike()) > 1)
+    centre = rows.light(frames).mean(axis=1, keepdims=True)
+    values = []
+    for each in hypotheses:
+        light = rows.light(each.exposed_as) - centre
+        values.append(np.where(each.order >= 0, light - light.mean(axis=0), 0))
+    scores = _scan(patterns, hypotheses, values, list(itertools.pairwise(cuts)))
+    winner = int(np.argmax([score.max() for score in scores]))
+    place = int(scores[winner].argmax())
+    if winner == 0 or scores[winner][place] <= scores[0][0]:
+        return None
+    changed = np.ones(count, bool)
+    if 0 < place < len(cuts):
+        changed[: cuts[place]] = False
+    elif place >= len(cuts):
+        changed[cuts[place - len(cuts) + 1] :] = False
+    if not changed.any():
+        return None
+    best = hypotheses[winner]
+    return Hypothesis(
+        np.where(changed, best.order, frames), np.where(changed, best.exposed_as, frames)
+    )
+
+
+def _hypotheses(count: int, several_exposures: bool) -> list[Hypothesis]:
+    frames = np.arange(count)
+    hypotheses = [Hypothesis.in_order(count)]
+    for order in (np.append(frames[1:], -1), np.append(-1, frames[:-1]), frames[::-1].copy()):
+        hypotheses.append(Hypothesis(order, frames))
+        if several_exposures:
+            hypotheses.append(Hypothesis(order, np.where(order >= 0, order, frames)))
+    return hypotheses
+
+
+def _scan(
+    patterns: PatternSet,
+    hypotheses: list[Hypothesis],
+    values: list[NDArray[np.float32]],
+    parts: list[tuple[int, int]],
+) -> list[NDArray[np.float64]]:
+    """How well single pixels follow the rows, by hypothesis and place; see `_mixtures`."""
+    best = [np.zeros((2 * len(parts) + 1, len(values[0])), np.float32) for _ in hypotheses]
+    for start in range(0, patterns.pixels, _PIXELS_AT_ONCE):
+        pixels = np.arange(start, min(start + _PIXELS_AT_ONCE, patterns.pixels))
+        lit = normalized_columns(patterns, pixels)
+        products = [
+            [light[:, a:b] @ shown[a:b] for a, b in parts]
+            for light, shown in zip(values, (lit[each.order] for each in hypotheses), strict=True)
+        ]
+        for product, highest in zip(products, best, strict=True):
+            for k, sums in enumerate(_mixtures(products[0], product)):
+                np.maximum(highest[k], sums.max(axis=1), out=highest[k])
+    scores = []
+    squares = [[(light[:, a:b] ** 2).sum(axis=1) for a, b in parts] for light in values]
+    for each, square, highest in zip(hypotheses, squares, best, strict=True):
+        power = np.stack([total.copy() for total in _mixtures(squares[0], square)])
+        scores.append(explained(highest**2 / np.maximum(power, 1e-12)))
+        if each.reversed:
+            # Frames are backwards as a whole or not at all.
+            scores[-1][1:] = -np.inf
+    return scores
+
+
+def normalized_columns(patterns: PatternSet, pixels: NDArray[np.integer]) -> NDArray[np.float32]:
+    """Some projector pixels (K, n) with mean 0 and norm 1 over the patterns; 0 if constant."""
+    columns = patterns.columns(pixels)
+    columns = columns - columns.mean(axis=0)
+    norm = np.sqrt((columns**2).sum(axis=0))
+    return columns / np.where(norm < 1e-3 * np.sqrt(patterns.count), np.inf, norm)
+
+
+def explained(share: NDArray[np.floating]) -> NDArray[np.float64]:
+    """How well rows are explained, by the share of their variance: its mean -log(1 - share)."""
+    return np.asarray(-np.log1p(-np.minimum(share, 0.999)).mean(axis=-1))
+
+
+def _mixtures(
+    plain: list[NDArray[np.float32]], displaced: list[NDArray[np.float32]]
+) -> Iterator[NDArray[np.float32]]:
+    """Sums over parts: displaced from each part on, or none, then up to each part."""
+    total = np.sum(displaced, axis=0)
+    yield total
+    changes = [own - other for own, other in zip(plain, displaced, strict=True)]
+    for change in changes:
+        total += change
+        yield total
+    for change in changes:
+        total -= change
+        yield total
