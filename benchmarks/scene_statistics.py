@@ -19,7 +19,7 @@ from lightmatrix.pictures.style import display, figure, panel, save
 from lightmatrix.simulation import library
 from lightmatrix.simulation.irradiance import irradiance
 from lightmatrix.simulation.scenes import names
-from lightmatrix.simulation.thumbnails import photograph, white_level
+from lightmatrix.simulation.thumbnails import white_image, white_level
 
 
 def table(rows: list[dict[str, Any]]) -> str:
@@ -42,7 +42,7 @@ def table(rows: list[dict[str, Any]]) -> str:
 def draw(path: Path) -> None:
     with figure(6.6, 4.8) as drawing:
         for axes, name in zip(drawing.subplots(2, 3).flat, names(), strict=True):
-            image = photograph(name, (320, 320), samples=256)
+            image = white_image(name, (320, 320), samples=256)
             panel(axes, display(image, white_level(image)))
             axes.set_xlabel(name)
         save(drawing, path.parent, path.stem)

@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 
 from lightmatrix.simulation import library
-from lightmatrix.simulation.bundled_file import unpack
-from lightmatrix.simulation.coarse import coarse
+from lightmatrix.simulation.binning import coarse
+from lightmatrix.simulation.bundled_file import read_bundled
 from lightmatrix.simulation.truth import Truth
 
 
@@ -21,7 +21,7 @@ def _scenes_are_unpacked_once() -> Iterator[None]:
 
     @cache
     def once(path: Path) -> Truth:
-        truth = unpack(path)
+        truth = read_bundled(path)
         # No test may change what the next ones get.
         for values in (truth.matrix.data, truth.matrix.indices, truth.matrix.indptr):
             values.flags.writeable = False
@@ -29,7 +29,7 @@ def _scenes_are_unpacked_once() -> Iterator[None]:
         return truth
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("lightmatrix.simulation.library.unpack", once)
+        patch.setattr("lightmatrix.simulation.library.read_bundled", once)
         yield
 
 

@@ -148,7 +148,7 @@ def test_three_matrices_are_evaluated_together(
     assert json.loads(capsys.readouterr().out) == lm.evaluate_colour(wrong, known).as_dict()
     with pytest.raises(InputError, match="2 truths"):
         lm.evaluate_colour(wrong, known[:2])
-    with pytest.raises(InputError, match="a primary 'pink'"):
+    with pytest.raises(InputError, match="no primary 'pink'"):
         lm.simulate(scene, patterns, primary="pink")
 
 

@@ -25,7 +25,7 @@ from lightmatrix.capture.settings import ReadSettings
 from lightmatrix.cli import main
 from lightmatrix.errors import InputError, OutputError
 from lightmatrix.patterns.pattern_set import PatternSet
-from lightmatrix.simulation.coarse import coarse
+from lightmatrix.simulation.binning import coarse
 
 SHAPE, COUNT = (6, 9), 5
 

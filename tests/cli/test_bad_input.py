@@ -252,7 +252,7 @@ FAULTS: dict[str, tuple[Fault, str, str]] = {
     "a truth without its background": (
         nothing,
         "evaluate T.zarr --truth T.npz",
-        "T.npz keeps its background apart",
+        "T.npz holds its background separately",
     ),
     "a truth of another rig": (nothing, "evaluate T.zarr --truth wall", "18 x 22"),
     "a truth that is no scene": (

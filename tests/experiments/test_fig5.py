@@ -15,7 +15,7 @@ from lightmatrix.experiments import fig5
 from lightmatrix.files.images import read_image
 from lightmatrix.simulation import library
 from lightmatrix.simulation.procedural_scene import ProceduralScene
-from lightmatrix.simulation.statistics import clipped_share, direct_share, entries_for_energy
+from lightmatrix.simulation.scene_statistics import clipped_share, direct_share, entries_for_energy
 from lightmatrix.simulation.truth import Truth
 
 

@@ -17,8 +17,8 @@ from lightmatrix.evaluation.metrics import relative_error
 from lightmatrix.experiments import rigs
 from lightmatrix.experiments.rigs import Case, measure, photographed, rig_truth
 from lightmatrix.experiments.run import EXPERIMENTS
+from lightmatrix.simulation.other_cameras import mapped, seen
 from lightmatrix.simulation.truth import Truth
-from lightmatrix.simulation.views import mapped, seen
 
 pytestmark = pytest.mark.usefixtures("small_scenes")
 # Errors are those of 64 x 64, in a quarter of the time: .027 and .025 for l_objects blurred, .0102

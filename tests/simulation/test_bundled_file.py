@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from lightmatrix.errors import InputError
 from lightmatrix.simulation import library
-from lightmatrix.simulation.bundled_file import pack, unpack
+from lightmatrix.simulation.bundled_file import read_bundled, write_bundled
 from lightmatrix.simulation.procedural_scene import ProceduralScene
 from lightmatrix.simulation.truth import Truth
 
@@ -32,8 +32,8 @@ def test_packing_loses_little(
 ) -> None:
     truth = ProceduralScene(camera, projector, seed).truth()
     path = tmp_path_factory.mktemp("packed") / "scene.npz"
-    pack(path, truth)
-    again = unpack(path)
+    write_bundled(path, truth)
+    again = read_bundled(path)
     assert again.camera_shape == camera
     assert again.projector_shape == projector
     assert again.metadata == truth.metadata
@@ -53,15 +53,15 @@ def test_a_row_without_light_stays_dark(tmp_path: Path) -> None:
     rows = truth.matrix.toarray()
     rows[4] = 0
     matrix = type(truth.matrix)(rows)
-    pack(tmp_path / "scene.npz", replace(truth, matrix=matrix, direct_data=matrix.data))
-    assert unpack(tmp_path / "scene.npz").matrix[[4]].nnz == 0
+    write_bundled(tmp_path / "scene.npz", replace(truth, matrix=matrix, direct_data=matrix.data))
+    assert read_bundled(tmp_path / "scene.npz").matrix[[4]].nnz == 0
 
 
 def test_a_large_matrix_is_refused(tmp_path: Path) -> None:
     truth = ProceduralScene((1, 1), (2, 2)).truth()
     huge = type(truth.matrix)((1 << 16, 1 << 16), dtype=np.float32)
-    with pytest.raises(InputError, match="cannot be packed"):
-        pack(tmp_path / "scene.npz", replace(truth, matrix=huge))
+    with pytest.raises(InputError, match="too large for a bundled file"):
+        write_bundled(tmp_path / "scene.npz", replace(truth, matrix=huge))
 
 
 def test_a_damaged_file_is_named(tmp_path: Path) -> None:
@@ -69,10 +69,10 @@ def test_a_damaged_file_is_named(tmp_path: Path) -> None:
     for content in (b"", b"something else"):
         path.write_bytes(content)
         with pytest.raises(InputError, match=r"scene\.npz"):
-            unpack(path)
+            read_bundled(path)
     np.savez(path, lightmatrix_packed=np.array(99))
-    with pytest.raises(InputError, match="format 99"):
-        unpack(path)
+    with pytest.raises(InputError, match="format version 99"):
+        read_bundled(path)
 
 
 @pytest.fixture(scope="module", params=library.BUNDLED)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from lightmatrix.simulation import library
-from lightmatrix.simulation.statistics import clipped_share
+from lightmatrix.simulation.scene_statistics import clipped_share
 
 
 def test_global_light_clips_where_no_single_response_does() -> None:

@@ -22,7 +22,7 @@ needs_renderer = pytest.mark.skipif(
 @pytest.fixture(autouse=True)
 def fresh(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     monkeypatch.delenv("DRJIT_LIBLLVM_PATH", raising=False)
-    cached = llvm.usable_llvm, llvm._warn_of_slowness
+    cached = llvm.usable_llvm, llvm._warn_once_of_slowness
     for function in cached:
         function.cache_clear()
     yield

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
+import lightmatrix as lm
 from lightmatrix.errors import InputError
-from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.simulation import realism
 from lightmatrix.simulation.procedural_scene import ProceduralScene
 from lightmatrix.simulation.truth import Truth
@@ -69,13 +69,15 @@ def test_zero_changes_nothing(truth: Truth) -> None:
     same = realism.vignetting(realism.defocus(truth, 0), 0)
     np.testing.assert_array_equal(same.matrix.toarray(), truth.matrix.toarray())
     assert (realism.ambient(truth, 0) == 0).all()
-    patterns = BernoulliPatterns((12, 10), 3).dense()
-    np.testing.assert_array_equal(realism.leak(patterns, 0), patterns)
 
 
-def test_leak_lifts_black_and_leaves_white() -> None:
-    shown = realism.leak(np.array([0.0, 0.5, 1.0]), 0.01)
-    np.testing.assert_allclose(shown, [0.01, 0.505, 1.0], rtol=1e-6)
+def test_leak_lifts_black_and_leaves_white(truth: Truth) -> None:
+    levels = np.array([0.0, 0.5, 1.0])
+    patterns = lm.ImagePatterns(np.broadcast_to(levels[:, None, None], (3, 12, 10)))
+    capture = lm.simulate(truth, patterns, exposure=0.1, bits=None, noise=0, leak=0.01)
+    white = 0.1 * truth.matrix.sum(axis=1).reshape(truth.camera_shape)
+    for number, level in enumerate([0.01, 0.505, 1.0]):
+        np.testing.assert_allclose(capture.frame(number), level * white, rtol=1e-5)
 
 
 def test_ambient_light_has_the_stated_mean(truth: Truth) -> None:
@@ -91,4 +93,4 @@ def test_impossible_strengths_are_refused(truth: Truth, value: float) -> None:
         with pytest.raises(InputError):
             operation(truth, value)
     with pytest.raises(InputError):
-        realism.leak(np.zeros(3), value)
+        realism.check_realism((12, 10), leak=value)

@@ -12,10 +12,10 @@ import pytest
 from lightmatrix.errors import InputError, LightMatrixWarning, MissingExtraError
 from lightmatrix.files.images import read_image
 from lightmatrix.simulation import library, render_memory, renderer, thumbnails
-from lightmatrix.simulation.render_memory import foreseen_bytes
+from lightmatrix.simulation.render_memory import needed_bytes
 from lightmatrix.simulation.renderer import render
 from lightmatrix.simulation.scenes import names
-from lightmatrix.simulation.thumbnails import photograph, write_thumbnails
+from lightmatrix.simulation.thumbnails import white_image, write_thumbnails
 from lightmatrix.simulation.truth import Truth
 from tests.helpers.renderer import needs_llvm, needs_renderer
 
@@ -140,12 +140,12 @@ def test_impossible_renderings_are_refused(options: dict[str, object], message: 
 
 @needs_llvm
 def test_memory_is_foreseen_from_a_few_rows(monkeypatch: pytest.MonkeyPatch) -> None:
-    room = foreseen_bytes((16, 16), entries=2000)
+    room = needed_bytes((16, 16), entries=2000)
     for module in (render_memory, renderer):
         monkeypatch.setattr(module, "available_bytes", lambda: room)
     sparse = render("wall", (16, 16), projector_size=(64, 64), samples=4096)
     assert sparse.matrix.nnz < 256 * 2000
-    room = foreseen_bytes((16, 16), entries=300)
+    room = needed_bytes((16, 16), entries=300)
     with pytest.raises(InputError, match="needs about") as refused:
         render("corner", (16, 16), projector_size=(64, 64), samples=4096)
     advised = re.search(r"--keep ([0-9.]+)", refused.value.hint or "")
@@ -156,10 +156,10 @@ def test_memory_is_foreseen_from_a_few_rows(monkeypatch: pytest.MonkeyPatch) -> 
 
 
 def test_foreseen_memory_is_bounded_but_for_the_result() -> None:
-    assert foreseen_bytes((64, 64)) < 1.3 * 2**30
-    assert foreseen_bytes((512, 512)) < 1.3 * 2**30
-    more = foreseen_bytes((512, 512), entries=1001)
-    assert more - foreseen_bytes((512, 512)) == 512 * 512 * 1000 * 16
+    assert needed_bytes((64, 64)) < 1.3 * 2**30
+    assert needed_bytes((512, 512)) < 1.3 * 2**30
+    more = needed_bytes((512, 512), entries=1001)
+    assert more - needed_bytes((512, 512)) == 512 * 512 * 1000 * 16
 
 
 def made(name: str, size: tuple[int, int], **options: object) -> Truth:
@@ -214,7 +214,7 @@ def test_a_cache_that_cannot_be_written_costs_no_rendering(
     (tmp_path / "cache").write_text("a file where a folder should be")
     monkeypatch.setattr(library, "render", made)
     monkeypatch.setattr(library, "cache_folder", lambda: tmp_path / "cache")
-    with pytest.warns(LightMatrixWarning, match="not cached"):
+    with pytest.warns(LightMatrixWarning, match="could not be cached"):
         truth = library.truth("wall", (8, 8))
     assert truth.camera_shape == (8, 8)
 
@@ -236,7 +236,7 @@ def test_the_bundled_truth_needs_no_renderer(monkeypatch: pytest.MonkeyPatch) ->
 
 @needs_llvm
 def test_thumbnails_show_every_scene(tmp_path: Path) -> None:
-    image = photograph("l_objects", (24, 24), samples=64)
+    image = white_image("l_objects", (24, 24), samples=64)
     assert image.shape == (24, 24)
     assert image.std() > 0.2 * image.mean()
     paths = write_thumbnails(tmp_path / "pictures", size=(24, 24))
@@ -255,7 +255,7 @@ def test_thumbnails_without_the_renderer_show_the_bundled_scenes(
     def missing(*_: object, **__: object) -> None:
         raise MissingExtraError("no renderer")
 
-    monkeypatch.setattr(thumbnails, "photograph", missing)
+    monkeypatch.setattr(thumbnails, "white_image", missing)
     paths = write_thumbnails(tmp_path / "pictures")
     assert [path.stem for path in paths] == list(library.BUNDLED)
     assert all(read_image(path).shape == (64, 64) for path in paths)

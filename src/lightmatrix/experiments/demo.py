@@ -38,7 +38,7 @@ from lightmatrix.report.image_data import image_of_file
 from lightmatrix.report.make import write_page
 from lightmatrix.report.validation import Estimator
 from lightmatrix.simulation import library
-from lightmatrix.simulation.coarse import coarse
+from lightmatrix.simulation.binning import coarse
 from lightmatrix.simulation.irradiance import irradiance
 from lightmatrix.solvers import ADMM, ROMP, Fidelity, SaturationADMM
 from lightmatrix.transport.matrix import LightTransport

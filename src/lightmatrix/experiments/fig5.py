@@ -19,8 +19,8 @@ from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.pictures.style import display, figure, mark_clipped, panel, save
 from lightmatrix.simulation import library
 from lightmatrix.simulation.irradiance import irradiance
-from lightmatrix.simulation.statistics import clipped_share, direct_share, entries_for_energy
-from lightmatrix.simulation.thumbnails import photograph, white_level
+from lightmatrix.simulation.scene_statistics import clipped_share, direct_share, entries_for_energy
+from lightmatrix.simulation.thumbnails import white_image, white_level
 from lightmatrix.simulation.truth import Truth
 
 EXPOSURES = (0.1, 0.2, 0.4, 0.8, 1.0)
@@ -61,7 +61,7 @@ def measure(case: Case) -> Measured:
 
 def _photograph(case: Case, truth: Truth) -> NDArray[np.float32]:
     try:
-        return photograph(case.scene, (case.size, case.size), samples=256)
+        return white_image(case.scene, (case.size, case.size), samples=256)
     except MissingExtraError:
         return _white(truth)
 

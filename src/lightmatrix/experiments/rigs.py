@@ -24,11 +24,11 @@ from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.pictures.style import COLOURS, figure, fix_ticks, save
 from lightmatrix.planning.plan import plan
 from lightmatrix.simulation import library
-from lightmatrix.simulation.coarse import binned
+from lightmatrix.simulation.binning import binned
+from lightmatrix.simulation.other_cameras import depth_blur, mapped, seen
 from lightmatrix.simulation.realism import defocus, varying_defocus
 from lightmatrix.simulation.simulate import simulate
 from lightmatrix.simulation.truth import Truth
-from lightmatrix.simulation.views import depth_blur, mapped, seen
 
 SIDE = 128
 COUNTS = (16, 32, 64)

@@ -1,1 +1,1 @@
-"""The simulated rig: rendered scenes whose light transport matrix is known exactly."""
+"""The simulator: rendered and procedural scenes whose light transport matrix is known exactly."""

@@ -1,8 +1,8 @@
-"""Small files for bundled truths: where the entries are as bits, how large as square roots.
+"""Small files for the bundled truths: places of entries as bits, values as rounded square roots.
 
-The noise of a path tracer's entry grows with the square root of its value, so square roots, rounded
-to 1/511 of the root of each row's maximum, lose equally little everywhere: about a fifth of the
-renderer's own noise at 65,536 paths a pixel. Rows keep their sums exactly, to single precision.
+The noise of a path tracer's entry grows with the square root of its value. Square roots, rounded to
+1/511 of the root of each row's maximum, therefore lose equally little everywhere: about a fifth of
+the renderer's own noise at 65,536 paths a pixel. Rows keep their sums to single precision.
 """
 
 from __future__ import annotations
@@ -21,25 +21,21 @@ from lightmatrix.outputs.writing import atomic_file
 from lightmatrix.simulation.truth import Truth
 
 FORMAT_VERSION = 1
+# Square roots are rounded to this many steps of the root of the row's maximum (9 bits), and direct
+# shares to this many steps of 1 (8 bits).
 _LEVELS = 511
 _DIRECT_LEVELS = 255
-# Entries of the dense matrix whose places fit the bit mask held in memory (128 MiB).
+# The bit mask of a matrix of M x N places is held in memory as bools, 1 GiB at this size.
 _MOST_PLACES = 1 << 30
 
 
-def pack(path: Path, truth: Truth, *, overwrite: bool = False) -> None:
-    """Write a truth as a small file, without entries below 1e-6 of their row's maximum.
-
-    Raises
-    ------
-    InputError
-        If the matrix has more than 2^30 places (128 x 128 by 256 x 256 pixels).
-    """
+def write_bundled(path: Path, truth: Truth, *, overwrite: bool = False) -> None:
+    """Write a truth as a small file, without entries below 1e-6 of their row's maximum."""
     matrix = truth.matrix
     if matrix.shape[0] * matrix.shape[1] > _MOST_PLACES:
         raise InputError(
-            f"a matrix of {matrix.shape[0]} x {matrix.shape[1]} cannot be packed",
-            hint="save it as T.npz instead: packed files are for small scenes",
+            f"a matrix of {matrix.shape[0]} x {matrix.shape[1]} is too large for a bundled file",
+            hint="save it as T.npz instead",
         )
     row = np.repeat(np.arange(matrix.shape[0]), np.diff(matrix.indptr))
     largest = np.maximum(matrix.max(axis=1).toarray().ravel(), np.finfo(np.float32).tiny)
@@ -60,7 +56,7 @@ def pack(path: Path, truth: Truth, *, overwrite: bool = False) -> None:
             level_low=level.astype(np.uint8),
             level_high=np.packbits(level > 255),
             sums=matrix.sum(axis=1).astype(np.float32),
-            # Most entries are global light only.
+            # Most entries hold no direct light.
             direct_at=np.flatnonzero(share).astype(np.uint32),
             direct_share=share[share > 0],
             camera_shape=np.array(truth.camera_shape),
@@ -69,22 +65,18 @@ def pack(path: Path, truth: Truth, *, overwrite: bool = False) -> None:
         )
 
 
-def unpack(path: Path) -> Truth:
-    """Read a packed truth.
-
-    Raises
-    ------
-    InputError
-        If the file is missing, damaged or of a newer format.
-    """
+def read_bundled(path: Path) -> Truth:
+    """Read a file of `write_bundled`."""
     content = read_npz(path)
     try:
         version = int(content["lightmatrix_packed"])
     except (KeyError, TypeError, ValueError) as error:
-        raise InputError(f"{path} is no packed scene", hint="install lightmatrix again") from error
+        raise InputError(
+            f"{path} is not a bundled scene", hint="install lightmatrix again"
+        ) from error
     if version != FORMAT_VERSION:
         raise InputError(
-            f"{path}: has packed format {version}, this lightmatrix reads {FORMAT_VERSION}",
+            f"{path} has format version {version}, but this lightmatrix reads {FORMAT_VERSION}",
             hint="update lightmatrix, or install it again",
         )
     sums = content["sums"].astype(np.float64)
@@ -110,6 +102,6 @@ def unpack(path: Path) -> Truth:
 def _unit(
     squares: NDArray[np.float64], row: NDArray[np.int64], sums: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """What one squared level stands for in each row, so that rows keep their sums."""
-    levels = np.bincount(row, squares, len(sums))
-    return np.divide(sums, levels, out=np.zeros_like(sums), where=levels > 0)
+    """The value of one squared level in each row, such that rows keep their sums."""
+    totals = np.bincount(row, squares, len(sums))
+    return np.divide(sums, totals, out=np.zeros_like(sums), where=totals > 0)

@@ -1,4 +1,4 @@
-"""A camera of three channels before one primary of a colour projector."""
+"""A truth as a colour camera sees it under one primary of a colour projector."""
 
 from __future__ import annotations
 
@@ -11,8 +11,9 @@ from lightmatrix.errors import InputError
 from lightmatrix.files.colours import COLOURS
 from lightmatrix.simulation.truth import Truth
 
-# How much of each primary's light passes the filters of the camera's channels: (channel, primary),
-# red, green, blue. Filters of cameras overlap; about as much as these.
+# The share of each primary's light that passes the filter of each camera channel, as (channel,
+# primary) in the order red, green, blue. Chosen by hand to overlap about as much as the filters of
+# real cameras.
 FILTERS: NDArray[np.float32] = np.array(
     [[1.0, 0.2, 0.03], [0.12, 1.0, 0.15], [0.03, 0.2, 1.0]], np.float32
 )
@@ -20,27 +21,15 @@ FILTERS.setflags(write=False)
 
 
 def in_primary(truth: Truth, primary: str) -> Truth:
-    """What a colour camera sees of a scene that one primary of a projector lights.
+    """T of a scene that one primary of a projector lights, with three rows per camera pixel.
 
-    Parameters
-    ----------
-    truth : Truth
-        T of a grey scene, or of one that was rendered in colour: then the primary is reflected as
-        the channel of its name is.
-    primary : {"red", "green", "blue"}
-
-    Returns
-    -------
-    Truth
-        With three rows a camera pixel, each by what its filter lets pass (`FILTERS`).
-
-    Raises
-    ------
-    InputError
-        On another primary.
+    Each row is scaled by what the filter of its channel lets pass (`FILTERS`). A scene that was
+    rendered in colour reflects the primary as it reflects the channel of that name.
     """
     if primary not in COLOURS:
-        raise InputError(f"a primary {primary!r}", hint=f"use {', '.join(COLOURS)}")
+        raise InputError(
+            f"there is no primary {primary!r}", hint=f"use one of {', '.join(COLOURS)}"
+        )
     number = COLOURS.index(primary)
     band = slice(number, None, 3) if len(truth.camera_shape) == 3 else slice(None)
     rows = np.repeat(np.arange(truth.matrix.shape[0])[band], 3)

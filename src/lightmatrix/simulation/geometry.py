@@ -1,4 +1,4 @@
-"""Meshes from rings of points: everything in the scenes is lofted, so edges can be bevelled."""
+"""Meshes of the scenes, lofted through rings of points so that edges can be bevelled."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Mesh:
 
 
 def merge(meshes: Sequence[Mesh]) -> Mesh:
-    """Several meshes as one."""
+    """Join several meshes."""
     offsets = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes[:-1])])
     return Mesh(
         np.concatenate([mesh.vertices for mesh in meshes]),
@@ -34,15 +34,11 @@ def merge(meshes: Sequence[Mesh]) -> Mesh:
 
 
 def loft(rings: Sequence[NDArray[np.float64]], centre: tuple[float, float] | None) -> Mesh:
-    """A surface through closed rings of equally many points, counter-clockwise seen from above.
+    """A surface through closed rings (n, 3) of equally many points, counter-clockwise from above.
 
-    Parameters
-    ----------
-    rings : sequence of (n, 3)
-        From bottom to top on the outside (and down again on the inside of a hollow part).
-    centre : (x, y) or None
-        A point that sees the whole first and last ring: both are closed by fans around it.
-        None joins the last ring to the first instead, which makes a hollow part.
+    The rings go from bottom to top on the outside (and down again on the inside of a hollow part).
+    The first and last ring are closed by fans around `centre`, which must see all of them; None
+    joins the last ring to the first instead, which makes a hollow part.
     """
     count = len(rings[0])
     vertices = np.concatenate(rings)

@@ -1,4 +1,4 @@
-"""Exact forward simulation: every camera sample under every pattern, before the sensor."""
+"""The exact light of every camera sample under every pattern, before the sensor."""
 
 from __future__ import annotations
 
@@ -14,9 +14,11 @@ from lightmatrix.errors import InputError
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.transport.sparse_rows import row_blocks
 
+# One task of a thread multiplies rows with about this many stored entries. Chosen by hand: enough
+# work per task that starting it costs nothing, and enough tasks to keep all threads busy.
 _BLOCK_ENTRIES = 1 << 22
-# Values of a block of patterns: 4 MiB, measured best at 128 x 128 (two to three times faster than
-# all 1,024 patterns at once).
+# A block of patterns holds this many float32 values (4 MiB), so that it stays in the cache.
+# Measured at 128 x 128 pixels: two to three times faster than all 1,024 patterns at once.
 _CACHED_VALUES = 1 << 20
 
 
@@ -27,51 +29,34 @@ def irradiance(
     threads: int | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> NDArray[np.float32]:
-    """T P' for a sparse T: one product, in row blocks over threads.
+    """T P' for an (M, N) sparse T and K patterns: (M, K), linear, 1 = clip level at exposure 1.
 
-    Parameters
-    ----------
-    matrix : (M, N) csr_array float32
-        The light transport matrix.
-    patterns : PatternSet
-        K patterns over N projector pixels.
-    threads : int, optional
-        None takes one per core. The result does not depend on it.
-    progress : callable, optional
-        Called with (done, total) rows.
-
-    Returns
-    -------
-    (M, K) float32
-        Linear, not clipped, in camera full scale at exposure 1.
-
-    Raises
-    ------
-    InputError
-        If the patterns do not fit the matrix.
+    The result does not depend on `threads`; `progress` receives (done, total) rows.
     """
     rows, pixels = matrix.shape
     if pixels != patterns.pixels:
         raise InputError(
-            f"patterns of {patterns.shape[0]} x {patterns.shape[1]} pixels for a matrix of "
-            f"{pixels} columns",
+            f"the patterns have {patterns.shape[0]} x {patterns.shape[1]} pixels, but the matrix "
+            f"has {pixels} columns",
             hint="make the patterns for the projector of this scene",
         )
-    result = np.empty((rows, patterns.count), np.float32)
-    # N x some patterns, so that a row's product adds short vectors of a block that stays in cache.
+    light = np.empty((rows, patterns.count), np.float32)
+    # Patterns as columns, so that the product of one row adds short vectors of a cached block.
     size = max(16, _CACHED_VALUES // pixels)
     firsts = range(0, patterns.count, size)
-    lit = [np.ascontiguousarray(patterns.rows(k, min(k + size, patterns.count)).T) for k in firsts]
+    blocks = [
+        np.ascontiguousarray(patterns.rows(k, min(k + size, patterns.count)).T) for k in firsts
+    ]
     cuts = row_blocks(matrix.indptr, _BLOCK_ENTRIES)
 
-    def multiply(block: int) -> None:
-        start, stop = cuts[block], cuts[block + 1]
-        rows = matrix[start:stop]
-        for k, some in zip(firsts, lit, strict=True):
-            result[start:stop, k : k + size] = rows @ some
+    def multiply(task: int) -> None:
+        start, stop = cuts[task], cuts[task + 1]
+        some_rows = matrix[start:stop]
+        for k, block in zip(firsts, blocks, strict=True):
+            light[start:stop, k : k + size] = some_rows @ block
 
     with ThreadPoolExecutor(threads or os.cpu_count() or 1) as pool:
-        for block, _ in enumerate(pool.map(multiply, range(len(cuts) - 1))):
+        for task, _ in enumerate(pool.map(multiply, range(len(cuts) - 1))):
             if progress is not None:
-                progress(int(cuts[block + 1]), rows)
-    return result
+                progress(int(cuts[task + 1]), rows)
+    return light

@@ -1,4 +1,4 @@
-"""Where truths come from: bundled with the package, cached, or rendered on demand."""
+"""`lm.truth` and `lm.scenes`: truths that are bundled, cached, or rendered on demand."""
 
 from __future__ import annotations
 
@@ -12,16 +12,19 @@ import platformdirs
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.description import TRUTH
 from lightmatrix.errors import InputError, LightMatrixWarning, OutputError
-from lightmatrix.simulation.bundled_file import pack, unpack
+from lightmatrix.simulation.bundled_file import read_bundled, write_bundled
 from lightmatrix.simulation.procedural_capture import PROCEDURAL, truth_of
 from lightmatrix.simulation.renderer import Progress, render
 from lightmatrix.simulation.scenes import names, scene
 from lightmatrix.simulation.truth import Truth
 
+# The package holds the truths of these scenes, at this camera and projector size and with this many
+# paths per camera pixel.
 BUNDLED = ("l_objects", "gripper", "metal", "corner")
 BUNDLED_SIZE = (64, 64)
 BUNDLED_SAMPLES = 65_536
-# Enough that the noise of the entries is a few per cent, in minutes rather than hours.
+# Other truths are rendered with this many paths per camera pixel: the noise of their entries is a
+# few per cent, and rendering takes minutes rather than hours.
 DEFAULT_SAMPLES = 16_384
 
 
@@ -33,34 +36,34 @@ def truth(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Truth:
-    """The light transport matrix of a scene: bundled, from the cache, or rendered and cached.
-
-    Or that of a truth file, or of a capture that was simulated, wherever one is asked for.
+    """The known light transport matrix of a scene, a truth file or a simulated capture.
 
     Parameters
     ----------
     name : str, Path or Truth
-        A scene, which `scenes` lists; a truth file, T.npz; a capture with a truth.npz, packed or
-        not, or of a procedural scene, whose truth is made again; or a truth, given back as it is.
+        A scene that `scenes` lists: bundled, cached, or rendered now and then cached. Or a truth
+        file, T.npz; or a simulated capture, packed or not, with a truth.npz or of a procedural
+        scene, whose truth is computed again. A truth is returned unchanged.
     size : (rows, cols)
-        Of a scene, camera and projector size. The bundled scenes come at 64 x 64.
+        Camera and projector size of a scene. Bundled scenes have 64 x 64.
     samples : int, optional
         Paths per camera pixel; None takes the bundled file, or 16,384 where there is none.
     seed : int
         Seed of the paths.
     progress : callable, optional
-        Called with (done, total) paths where the scene is rendered.
+        Called with (done, total) paths while the scene is rendered.
 
     Returns
     -------
     Truth
+        The matrix, its direct part, and how it was made.
 
     Raises
     ------
     InputError
         On an unknown scene, an impossible size, or a file that is no truth.
     MissingExtraError
-        If it has to be rendered and Mitsuba is not installed.
+        If the scene must be rendered and Mitsuba is not installed.
 
     Examples
     --------
@@ -74,44 +77,45 @@ def truth(
     if str(name).lower().endswith(".npz"):
         return Truth.load(Path(name))
     if Path(name).is_dir() and not (isinstance(name, str) and name in names()):
-        return _beside(Path(name))
+        return _truth_of_capture(Path(name))
     name = str(name)
-    described = scene(name)
+    version = scene(name).version
     if name in BUNDLED and size == BUNDLED_SIZE and samples is None and seed == 0:
         with as_file(files("lightmatrix.simulation") / "data" / f"{name}.npz") as path:
-            return unpack(path)
+            return read_bundled(path)
     samples = samples or DEFAULT_SAMPLES
     rows, cols = size
-    key = f"{name}-v{described.version}-{rows}x{cols}-{samples}spp-seed{seed}.npz"
+    key = f"{name}-v{version}-{rows}x{cols}-{samples}spp-seed{seed}.npz"
     path = cache_folder() / key
     if path.exists():
         try:
             return Truth.load(path)
         except InputError:
-            pass  # damaged: rendered again below
+            pass  # The file is damaged, so the scene is rendered again.
     rendered = render(name, size, samples=samples, seed=seed, progress=progress)
     try:
         rendered.save(path, overwrite=True)
     except OutputError as error:
-        warnings.warn(f"not cached: {error.message}", LightMatrixWarning, stacklevel=2)
+        message = f"the rendered matrix could not be cached: {error.message}"
+        warnings.warn(message, LightMatrixWarning, stacklevel=2)
     return rendered
 
 
-def _beside(folder: Path) -> Truth:
-    """The truth of a simulated capture: the file in it, or made again."""
+def _truth_of_capture(folder: Path) -> Truth:
+    """The truth of a simulated capture: from its file, or computed again."""
     if (folder / TRUTH).is_file():
         return Truth.load(folder / TRUTH)
-    found = truth_of(Capture.open(folder), folder)
-    if found is None:
+    known = truth_of(Capture.open(folder), folder)
+    if known is None:
         raise InputError(
-            f"{folder}: holds no {TRUTH}, and is of no {PROCEDURAL} scene",
+            f"{folder} holds no {TRUTH} and is not of a {PROCEDURAL} scene",
             hint="give a T.npz file, a capture made by `lightmatrix simulate`, or a scene",
         )
-    return found
+    return known
 
 
 class SceneSummary(NamedTuple):
-    """A scene of the simulated rig: its name, what it shows, and whether it comes at 64 x 64."""
+    """A scene of the simulator: its name, a description, and whether it is bundled at 64 x 64."""
 
     name: str
     description: str
@@ -119,13 +123,13 @@ class SceneSummary(NamedTuple):
 
 
 def scenes() -> tuple[SceneSummary, ...]:
-    """The scenes of the simulated rig.
+    """The scenes of the simulator.
 
     Returns
     -------
     tuple of SceneSummary
-        Name, description, and whether the scene is bundled at 64 x 64; others are rendered on
-        first use and kept, which needs the extra `render`.
+        Name, description, and whether the scene is bundled at 64 x 64. Other scenes are rendered
+        on first use and cached, which needs the extra `render`.
 
     Examples
     --------
@@ -137,7 +141,7 @@ def scenes() -> tuple[SceneSummary, ...]:
 
 
 def cache_folder() -> Path:
-    """Where rendered truths are kept: the user's cache directory, made on first use."""
+    """The folder of rendered truths, in the user's cache directory; made on first use."""
     return Path(platformdirs.user_cache_dir("lightmatrix", appauthor=False)) / "truth"
 
 
@@ -147,12 +151,12 @@ def remake_bundled(folder: Path, *, progress: Progress | None = None) -> list[Pa
     for name in BUNDLED:
         rendered = render(name, BUNDLED_SIZE, samples=BUNDLED_SAMPLES, progress=progress)
         paths.append(folder / f"{name}.npz")
-        pack(paths[-1], rendered, overwrite=True)
+        write_bundled(paths[-1], rendered, overwrite=True)
     return paths
 
 
 if __name__ == "__main__":
     import sys
 
-    for made in remake_bundled(Path(sys.argv[1])):
-        print(made, f"{made.stat().st_size / 2**20:.1f} MiB")
+    for file in remake_bundled(Path(sys.argv[1])):
+        print(file, f"{file.stat().st_size / 2**20:.1f} MiB")

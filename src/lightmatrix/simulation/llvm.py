@@ -1,7 +1,7 @@
-"""Finding a usable LLVM for the renderer, safely.
+"""A libLLVM that the renderer can use, found without risk to this process.
 
-Mitsuba's fast variants compile through libLLVM. Version 14 is refused, 15 and 16 abort the whole
-process, so every candidate is tried in a child process first.
+Mitsuba's fast variants compile through libLLVM. Version 14 is refused, and 15 and 16 abort the
+whole process, so every candidate is first tried in a child process.
 """
 
 from __future__ import annotations
@@ -23,18 +23,20 @@ _PROBE = (
     "import mitsuba as mi; mi.set_variant('llvm_ad_rgb'); import drjit as dr;"
     "assert dr.sum(mi.Float([1, 2]))[0] == 3"
 )
+# Folders in which Linux distributions and Homebrew install libLLVM.
 _FOLDERS = (
     "/usr/lib/*-linux-gnu",
     "/usr/lib/llvm-*/lib",
     "/usr/lib64",
     "/opt/homebrew/opt/llvm/lib",
 )
-_TOO_OLD = 17
+# Older versions do not work, see above.
+_OLDEST = 17
 
 
 @cache
 def usable_llvm() -> str | None:
-    """Path of a libLLVM that renders, "" where the renderer finds one by itself, None if none."""
+    """Path of a libLLVM that works; "" if the renderer has its own; None if there is none."""
     own = os.environ.get("DRJIT_LIBLLVM_PATH")
     for path in [own] if own else [*_candidates(), ""]:
         environment = {**os.environ, "DRJIT_LIBLLVM_PATH": path} if path else dict(os.environ)
@@ -56,27 +58,19 @@ def _renders(environment: dict[str, str]) -> bool:
 
 def _candidates() -> list[str]:
     """LibLLVM files of version 17 and later, newest first."""
-    found: dict[str, int] = {}
+    versions: dict[str, int] = {}
     for folder in _FOLDERS:
         for path in glob.glob(f"{folder}/libLLVM*"):
             match = re.search(r"libLLVM[-.](?:so\.|dylib\.)?(\d+)", os.path.basename(path))
-            if match and int(match[1]) >= _TOO_OLD:
-                found[os.path.realpath(path)] = int(match[1])
-    return sorted(found, key=lambda path: -found[path])
+            if match and int(match[1]) >= _OLDEST:
+                versions[os.path.realpath(path)] = int(match[1])
+    return sorted(versions, key=lambda path: -versions[path])
 
 
 def load_mitsuba(*, scalar: bool = False) -> tuple[ModuleType, bool]:
-    """Mitsuba with its variant set, and whether it is a fast (LLVM) one.
+    """Mitsuba with its variant set, and whether that is the fast (LLVM) variant.
 
-    Warns
-    -----
-    LightMatrixWarning
-        Where no usable LLVM is found and the slower scalar variant is taken.
-
-    Raises
-    ------
-    MissingExtraError
-        If Mitsuba is not installed.
+    Warns where no usable LLVM is found and the slow scalar variant is used instead.
     """
     if importlib.util.find_spec("mitsuba") is None:
         raise MissingExtraError(
@@ -91,13 +85,12 @@ def load_mitsuba(*, scalar: bool = False) -> tuple[ModuleType, bool]:
     mi: Any = mitsuba
     mi.set_variant("scalar_rgb" if llvm is None else "llvm_ad_rgb")
     if llvm is None and not scalar:
-        _warn_of_slowness()
+        _warn_once_of_slowness()
     return mi, llvm is not None
 
 
 @cache
-def _warn_of_slowness() -> None:
-    """Once in a process."""
+def _warn_once_of_slowness() -> None:
     warnings.warn(
         "no usable LLVM was found, so the scalar renderer is used, about a hundred times slower; "
         "on Debian and Ubuntu: apt-get install libllvm19 (or `make system-deps`)",

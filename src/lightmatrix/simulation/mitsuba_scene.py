@@ -1,4 +1,4 @@
-"""A scene of ours as a Mitsuba scene: meshes, materials, camera and projector."""
+"""A scene as Mitsuba loads it: meshes, materials, camera and projector."""
 
 from __future__ import annotations
 
@@ -21,12 +21,13 @@ def mitsuba_scene(
     integrator: dict[str, Any] | None = None,
 ) -> Any:
     """Load a scene; the projector shows `pattern`, (rows, cols) in [0, 1], or white if None."""
-    show = np.ones(projector_shape, np.float32) if pattern is None else pattern
+    if pattern is None:
+        pattern = np.ones(projector_shape, np.float32)
     content: dict[str, Any] = {
         "type": "scene",
         "integrator": integrator or {"type": "path", "max_depth": scene.max_depth + 1},
         "camera": _camera(mi, scene.camera, camera_shape),
-        "projector": _projector(mi, scene.projector, show),
+        "projector": _projector(mi, scene.projector, pattern),
     }
     for number, part in enumerate(scene.parts):
         content[f"part{number}"] = _shape(mi, part.mesh, dict(part.material), f"part{number}")
@@ -36,8 +37,8 @@ def mitsuba_scene(
 def _camera(mi: ModuleType, place: tuple[float, float, float], shape: tuple[int, int]) -> Any:
     x, y, z = place
     rows, cols = shape
-    # The camera looks straight down and its film is shifted, so that it sees the same rectangle of
-    # the plane z = 0 as the projector: the homography alignment, done by a lens.
+    # The camera looks straight down, and its shifted film sees the same rectangle of the plane
+    # z = 0 as the projector. The paper aligns the two by a homography instead.
     return {
         "type": "perspective",
         "fov": float(2 * np.degrees(np.arctan(1 / z))),
@@ -69,7 +70,7 @@ def _projector(
         "type": "projector",
         "fov": float(2 * np.degrees(np.arctan(1 / z))),
         "fov_axis": "x",
-        # Its irradiance is defined at distance 1; this makes it 1 on the plane z = 0.
+        # Mitsuba defines the irradiance at distance 1; this makes it 1 on the plane z = 0.
         "scale": z * z,
         "irradiance": {
             "type": "bitmap",

@@ -1,7 +1,7 @@
-"""Captures of a made-up scene of any size, row block by row block, straight to disk.
+"""`lm.simulate_procedural`: captures of a procedural scene of any size, written block by block.
 
-The matrix is never there as a whole, nor need the frames be: of a megapixel, T would take more than
-a gigabyte, and at 1,024 patterns the frames as much.
+Neither the matrix nor the frames are ever in memory as a whole: for a megapixel camera T would take
+more than a gigabyte, and 1,024 frames as much again.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -37,13 +37,17 @@ from lightmatrix.simulation.truth import Truth
 from lightmatrix.transport.sparse_rows import stacked
 
 Progress = Callable[[int, int], None]
-# What a scene is called that is made up rather than rendered.
+# The scene name that the command line and the provenance of a capture use for procedural scenes.
 PROCEDURAL = "procedural"
-# Rows of T made at once, and samples of them photographed at once.
-_ROWS, _SAMPLES = 1 << 13, 1 << 22
-# Of patterns unpacked at once.
+_SHAPES = ("camera_shape", "projector_shape")
+# The block sizes below bound the memory of a simulation to some hundred MiB. They were chosen by
+# hand and do not change the frames: rows of T that are made at once, samples (all frames together)
+# that are exposed at once, and bytes of unpacked float32 patterns.
+_ROWS = 1 << 13
+_SAMPLES = 1 << 22
 _PATTERN_BYTES = 256 << 20
-# Of an entry of T while its blocks are joined: column, value and direct part, twice.
+# An entry of T takes this many bytes while its blocks are joined: column, value and direct part,
+# 4 bytes each, exist twice.
 _ENTRY_BYTES = 24
 
 
@@ -62,25 +66,24 @@ def simulate_procedural(
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> Capture:
-    """Photograph a made-up scene of any size, in bounded memory.
+    """Simulate photographs of a procedural scene of any size, in bounded memory.
 
     The frames are those of `simulate` for the same matrix and seed.
 
     Parameters
     ----------
     output : str or Path
-        A packed capture if it ends in .zarr, which is written as it comes; otherwise a capture
-        folder, whose frames are turned over in memory or, above 2 GiB, in a temporary file.
+        A packed capture, written strip by strip, if it ends in .zarr. Otherwise a capture folder,
+        whose frames are collected in memory or, above 2 GiB, in a temporary file.
     scene : ProceduralScene
-        What is photographed.
+        The scene.
     patterns : PatternSet, str or Path
         K patterns of the scene's projector, or a folder of them.
     exposure, bits, noise, shot_noise, black_level, seed : optional
         See `simulate`.
     truth : bool
-        Whether the whole of T is kept beside the frames, as truth.npz: about 1.2 kB a camera
-        pixel in memory while it is written. Without it `truth_of` makes it again when it is asked
-        for.
+        Whether to write the whole of T beside the frames, as truth.npz. That takes about 1.2 kB
+        of memory per camera pixel. Without the file, `truth` computes T again from the scene.
     overwrite : bool
         Whether an existing capture may be replaced.
     progress : callable, optional
@@ -89,14 +92,14 @@ def simulate_procedural(
     Returns
     -------
     Capture
-        As `Capture.open` reads it, not checked.
+        As `Capture.open` reads it.
 
     Raises
     ------
     InputError
         On patterns of another projector, values out of range, or a truth larger than the memory.
     OutputError
-        If the capture exists, the disk has not enough room, or it cannot be written.
+        If the capture exists, the disk is too full, or it cannot be written.
 
     Examples
     --------
@@ -111,126 +114,109 @@ def simulate_procedural(
     packed = Path(output).suffix.lower() == ".zarr"
     check_output(output, PACKED_CAPTURE if packed else CAPTURE, overwrite=overwrite)
     exposures = parse_exposures(exposure if isinstance(exposure, str) else repr(float(exposure)))
-    shown = patterns if isinstance(patterns, PatternSet) else read_patterns(patterns)
-    if shown.shape != scene.projector_shape:
+    if not isinstance(patterns, PatternSet):
+        patterns = read_patterns(patterns)
+    if patterns.shape != scene.projector_shape:
         raise InputError(
-            f"patterns of {shown.shape[0]} x {shown.shape[1]} pixels for a projector of "
+            f"patterns of {patterns.shape[0]} x {patterns.shape[1]} pixels for a projector of "
             f"{scene.projector_shape[0]} x {scene.projector_shape[1]}",
             hint="make the patterns for the projector of this scene",
         )
     sensor = Sensor(
-        exposure_sequence(exposures, shown), float(black_level), noise, shot_noise, bits
+        exposure_sequence(exposures, patterns), float(black_level), noise, shot_noise, bits
     )
     if truth:
-        check_truth(scene, output)
-    rig = _Photographer(scene, shown, sensor, seed, progress)
-    provenance = {"scene": PROCEDURAL, "seed": seed, PROCEDURAL: _described(scene)}
+        check_truth_fits(scene, output)
+    shutter = _Shutter(scene, patterns, sensor, seed, progress)
+    provenance = {"scene": PROCEDURAL, "seed": seed, PROCEDURAL: _description(scene)}
 
-    def beside(part: Path) -> None:
+    def save_truth(part: Path) -> None:
         if truth:
             scene.truth().save(part / TRUTH)
 
     if packed:
-        digits = max(4, len(str(shown.count - 1)))
+        digits = max(4, len(str(patterns.count - 1)))
         write_packed(
             output,
-            shown,
-            rig.strips,
+            patterns,
+            shutter.strips,
             decoder=sensor.decoder(),
             shape=scene.camera_shape,
             dtype=sensor.dtype,
-            names=[f"image_{k:0{digits}d}" for k in range(shown.count)],
+            names=[f"image_{k:0{digits}d}" for k in range(patterns.count)],
             provenance=provenance,
-            beside=beside,
+            beside=save_truth,
             overwrite=overwrite,
         )
     else:
         write_capture(
             output,
-            shown,
-            rig.frames(),
+            patterns,
+            shutter.frames(),
             sensor=sensor,
             camera_shape=scene.camera_shape,
             provenance=provenance,
-            beside=beside,
+            beside=save_truth,
             overwrite=overwrite,
         )
     return Capture.open(output)
 
 
-def scene_of(provenance: Mapping[str, Any]) -> ProceduralScene | None:
-    """The made-up scene that a capture says it is of; None if it is of another.
+def _description(scene: ProceduralScene) -> dict[str, Any]:
+    """The parameters of a scene, JSON-ready; `scene_of` reads them."""
+    parameters = asdict(scene)
+    return {**parameters, **{name: list(parameters[name]) for name in _SHAPES}}
 
-    Raises
-    ------
-    InputError
-        On parameters that no such scene has.
+
+def scene_of(provenance: Mapping[str, Any]) -> ProceduralScene | None:
+    """The procedural scene that a capture's provenance describes; None if it names another scene.
+
+    Raises InputError if the description cannot be read.
     """
-    told = provenance.get(PROCEDURAL)
-    if not isinstance(told, Mapping):
+    description = provenance.get(PROCEDURAL)
+    if not isinstance(description, Mapping):
         return None
-    values = dict(told)
+    parameters = dict(description)
     try:
-        shapes = [tuple(int(n) for n in values.pop(name)) for name in _SHAPES]
+        shapes = [tuple(int(n) for n in parameters.pop(name)) for name in _SHAPES]
         (rows, cols), (high, wide) = shapes
-        return ProceduralScene((rows, cols), (high, wide), **values)
+        return ProceduralScene((rows, cols), (high, wide), **parameters)
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(
-            f"a description of a {PROCEDURAL} scene that cannot be read: {error}",
+            f"the description of a {PROCEDURAL} scene cannot be read: {error}",
             hint="simulate it again",
         ) from error
 
 
-def check_truth(scene: ProceduralScene, name: str | Path) -> None:
-    """Refuse to make a whole T that would not fit into memory.
-
-    Raises
-    ------
-    InputError
-        Saying what it needs.
-    """
+def check_truth_fits(scene: ProceduralScene, name: str | Path) -> None:
+    """Raise InputError if the whole T of a scene would not fit into memory."""
     check_room(Path(name), math.prod(scene.camera_shape) * scene.row_entries * _ENTRY_BYTES)
 
 
 def truth_of(capture: Capture, name: str | Path) -> Truth | None:
-    """The whole T of a capture of a made-up scene, made again; None for captures of others.
+    """T of a capture of a procedural scene, computed again; None for captures of other scenes.
 
-    Raises
-    ------
-    InputError
-        If it would not fit into memory.
+    Raises InputError if T would not fit into memory.
     """
     scene = scene_of(capture.provenance)
     if scene is None:
         return None
-    check_truth(scene, name)
+    check_truth_fits(scene, name)
     return scene.truth()
 
 
-_SHAPES = ("camera_shape", "projector_shape")
+@dataclass(frozen=True)
+class _Shutter:
+    """Exposes a scene under all patterns, some camera rows at a time."""
 
-
-def _described(scene: ProceduralScene) -> dict[str, Any]:
-    told = asdict(scene)
-    return {**told, **{name: list(told[name]) for name in _SHAPES}}
-
-
-class _Photographer:
-    """Photographs the rows of a scene, some at a time."""
-
-    def __init__(
-        self,
-        scene: ProceduralScene,
-        patterns: PatternSet,
-        sensor: Sensor,
-        seed: int,
-        progress: Progress | None,
-    ) -> None:
-        self.scene, self.patterns, self.sensor = scene, patterns, sensor
-        self.seed, self.progress = seed, progress
+    scene: ProceduralScene
+    patterns: PatternSet
+    sensor: Sensor
+    seed: int
+    progress: Progress | None
 
     def strips(self, rows: int) -> Iterator[NDArray[Any]]:
-        """Levels (K, r, cols), r a multiple of `rows` but for the last."""
+        """Raw levels (K, r, cols) from top to bottom; r is a multiple of `rows` but at the end."""
         height, width = self.scene.camera_shape
         step = rows * max(1, _SAMPLES // (rows * width * max(64, self.patterns.count)))
         for top in range(0, height, step):
@@ -250,12 +236,13 @@ class _Photographer:
         yield from stack
 
     def _expose(self, start: int, stop: int) -> NDArray[Any]:
+        """Raw levels (stop - start, K) of some camera samples."""
         cuts = [*range(start, stop, _ROWS), stop]
         matrix = stacked([self.scene.rows(*pair)[0] for pair in itertools.pairwise(cuts)])
         count = self.patterns.count
         light = np.empty((stop - start, count), np.float32)
         step = max(16, _PATTERN_BYTES // (4 * self.patterns.pixels))
         for k in range(0, count, step):
-            some = np.arange(k, min(k + step, count))
-            light[:, k : k + step] = irradiance(matrix, self.patterns.subset(some))
+            block = np.arange(k, min(k + step, count))
+            light[:, k : k + step] = irradiance(matrix, self.patterns.subset(block))
         return self.sensor.expose(light, seed=self.seed, first_row=start)

@@ -1,7 +1,8 @@
-"""A light transport matrix of any size without a renderer, for scale tests and fuzzing.
+"""A scene whose light transport matrix is computed at any size without a renderer.
 
 Each camera pixel sees, through a depth map with edges, a footprint of 2 x 2 projector pixels
-(direct light), a few dozen interreflections around it, and a faint low-rank background.
+(direct light), a few dozen interreflections around it, and a faint low-rank background. Benchmarks
+of scale and tests use it.
 """
 
 from __future__ import annotations
@@ -18,22 +19,28 @@ from lightmatrix.errors import InputError
 from lightmatrix.simulation.truth import Truth
 from lightmatrix.transport.sparse_rows import stacked
 
+# The faint background of a row has this many entries. Chosen by hand: more entries make it smoother
+# and T larger.
+_GLOW_ENTRIES = 64
+
 
 @dataclass(frozen=True)
 class ProceduralScene:
-    """Parameters of a made-up scene; rows depend on the seed and their place only.
+    """A procedural scene; its rows of T depend on their place and the seed only.
 
     Parameters
     ----------
     camera_shape, projector_shape : (rows, cols)
+        Pixels of each.
     seed : int
+        Seed of the depth map and the interreflections.
     bounces : int
-        Entries of sparse interreflection per row.
+        Entries of interreflection per row.
     indirect : float
-        Energy of the interreflection as a share of the direct light.
+        Light of the interreflection as a share of the direct light.
     background : float
-        Energy of the low-rank background as a share of the direct light; 0 leaves T sparse. It
-        is held by 64 entries a row, a sample of the smooth whole.
+        Light of the low-rank background as a share of the direct light; 0 leaves T sparse. Each
+        row samples the smooth background at 64 pixels.
     relief : float
         Largest disparity of the depth map, as a share of the projector's width.
 
@@ -55,9 +62,11 @@ class ProceduralScene:
     relief: float = 0.08
 
     def __post_init__(self) -> None:
-        for what, shape in (("camera", self.camera_shape), ("projector", self.projector_shape)):
+        for device, shape in (("camera", self.camera_shape), ("projector", self.projector_shape)):
             if min(shape) < 1:
-                raise InputError(f"a {what} of {shape[0]} x {shape[1]}", hint="use at least 1 x 1")
+                raise InputError(
+                    f"a {device} of {shape[0]} x {shape[1]}", hint="use at least 1 x 1"
+                )
         for name in ("bounces", "indirect", "background"):
             if not 0 <= getattr(self, name) < float("inf"):
                 raise InputError(f"{name} is {getattr(self, name)}", hint="use 0 or more")
@@ -66,64 +75,48 @@ class ProceduralScene:
 
     @property
     def row_entries(self) -> int:
-        """Entries that a row of T has at most."""
-        return 4 + self.bounces * bool(self.indirect) + 64 * bool(self.background)
+        """The most entries that a row of T has."""
+        return 4 + self.bounces * bool(self.indirect) + _GLOW_ENTRIES * bool(self.background)
 
     def rows(self, start: int, stop: int) -> tuple[csr_array, NDArray[np.float32]]:
         """Rows start..stop of T, and the direct part of each stored entry."""
         index = np.arange(start, stop)
         rows, cols = self.projector_shape
-        v, u, level = self._geometry(index)
-        row, col, value, direct = [], [], [], []
-
-        def add(dv: NDArray[np.float64], du: NDArray[np.float64], weight: NDArray[np.float64],
-                straight: bool) -> None:  # fmt: skip
-            inside = (dv >= 0) & (dv < rows) & (du >= 0) & (du < cols) & (weight > 0)
-            which = np.broadcast_to(np.arange(len(index))[:, None], dv.shape)[inside]
-            row.append(which)
-            col.append(dv[inside].astype(np.int64) * cols + du[inside].astype(np.int64))
-            value.append(weight[inside])
-            direct.append(weight[inside] if straight else np.zeros(int(inside.sum())))
-
-        # Direct light: bilinear weights of a point between projector pixels.
-        corner_v, corner_u = np.floor(v), np.floor(u)
-        part_v, part_u = v - corner_v, u - corner_u
-        weights = np.stack(
-            [
-                (1 - part_v) * (1 - part_u), (1 - part_v) * part_u,
-                part_v * (1 - part_u), part_v * part_u,
-            ], 1,
-        )  # fmt: skip
-        at_v = corner_v[:, None] + [0, 0, 1, 1]
-        at_u = corner_u[:, None] + [0, 1, 0, 1]
-        add(at_v, at_u, level[:, None] * weights, straight=True)
-
-        random = _hash_uniform(self.seed, index, 2 * self.bounces + 2 * 64)
-        if self.bounces and self.indirect:
-            # Interreflection falls off with distance: a heavy-tailed cloud around the footprint.
-            angle = 2 * np.pi * random[:, : self.bounces]
-            distance = 1.5 / np.maximum(random[:, self.bounces : 2 * self.bounces], 1e-3)
-            share = self.indirect / self.bounces * level[:, None]
-            add(
-                np.floor(v[:, None] + distance * np.sin(angle)),
-                np.floor(u[:, None] + distance * np.cos(angle)),
-                np.broadcast_to(share, angle.shape),
-                straight=False,
-            )
+        v, u, albedo = self._geometry(index)
+        bounces = self.bounces
+        random = _hash_uniform(self.seed, index, 2 * bounces + 2 * _GLOW_ENTRIES)
+        # Each part: projector rows, projector columns and values, (rows of T, entries) each.
+        parts = [_bilinear(v, u, albedo)]
+        if bounces and self.indirect:
+            # The interreflection is a heavy-tailed cloud around the footprint.
+            angle = 2 * np.pi * random[:, :bounces]
+            distance = 1.5 / np.maximum(random[:, bounces : 2 * bounces], 1e-3)
+            at_v = np.floor(v[:, None] + distance * np.sin(angle))
+            at_u = np.floor(u[:, None] + distance * np.cos(angle))
+            share = self.indirect / bounces * albedo[:, None]
+            parts.append((at_v, at_u, np.broadcast_to(share, angle.shape)))
         if self.background:
-            places = random[:, 2 * self.bounces :]
-            at_v, at_u = np.floor(places[:, :64] * rows), np.floor(places[:, 64:] * cols)
+            places = random[:, 2 * bounces :]
+            at_v = np.floor(places[:, :_GLOW_ENTRIES] * rows)
+            at_u = np.floor(places[:, _GLOW_ENTRIES:] * cols)
             glow = 1 + np.cos(np.pi * at_v / rows) * np.cos(np.pi * at_u / cols)
-            add(at_v, at_u, self.background / 64 * level[:, None] * glow, straight=False)
+            parts.append((at_v, at_u, self.background / _GLOW_ENTRIES * albedo[:, None] * glow))
 
-        entries = np.concatenate(row), np.concatenate(col)
+        row, col, value, direct = [], [], [], []
+        for number, (at_v, at_u, values) in enumerate(parts):
+            inside = (at_v >= 0) & (at_v < rows) & (at_u >= 0) & (at_u < cols) & (values > 0)
+            row.append(np.broadcast_to(np.arange(len(index))[:, None], at_v.shape)[inside])
+            col.append(at_v[inside].astype(np.int64) * cols + at_u[inside].astype(np.int64))
+            value.append(values[inside])
+            direct.append(values[inside] if number == 0 else np.zeros(int(inside.sum())))
+        where = np.concatenate(row), np.concatenate(col)
         shape = (len(index), rows * cols)
-        whole = csr_array((np.concatenate(value).astype(np.float32), entries), shape=shape)
-        straight = csr_array((np.concatenate(direct).astype(np.float32), entries), shape=shape)
+        whole = csr_array((np.concatenate(value).astype(np.float32), where), shape=shape)
+        straight = csr_array((np.concatenate(direct).astype(np.float32), where), shape=shape)
         return whole, straight.data
 
     def blocks(self, size: int = 65_536) -> Iterator[tuple[int, csr_array, NDArray[np.float32]]]:
-        """All rows in blocks: (first row, rows, direct part)."""
+        """All of T in blocks: first row, rows, direct part."""
         total = self.camera_shape[0] * self.camera_shape[1]
         for start in range(0, total, size):
             yield start, *self.rows(start, min(start + size, total))
@@ -139,7 +132,7 @@ class ProceduralScene:
     def _geometry(
         self, index: NDArray[np.int64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Projector coordinates (row, col) that each camera pixel sees, and its brightness."""
+        """Projector row and column (fractional) that each camera pixel sees, and its albedo."""
         rows, cols = self.camera_shape
         y, x = (index // cols + 0.5) / rows, (index % cols + 0.5) / cols
         random = np.random.default_rng(self.seed).random((12, 5))
@@ -155,8 +148,25 @@ class ProceduralScene:
         return v, u, albedo
 
 
+def _bilinear(
+    v: NDArray[np.float64], u: NDArray[np.float64], level: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Direct light of points between projector pixels: rows, columns, values, (rows of T, 4)."""
+    corner_v, corner_u = np.floor(v), np.floor(u)
+    part_v, part_u = v - corner_v, u - corner_u
+    weights = [
+        (1 - part_v) * (1 - part_u),
+        (1 - part_v) * part_u,
+        part_v * (1 - part_u),
+        part_v * part_u,
+    ]
+    at_v = corner_v[:, None] + [0, 0, 1, 1]
+    at_u = corner_u[:, None] + [0, 1, 0, 1]
+    return at_v, at_u, level[:, None] * np.stack(weights, 1)
+
+
 def _hash_uniform(seed: int, index: NDArray[np.int64], count: int) -> NDArray[np.float64]:
-    """Uniform numbers that depend on (seed, row, position) only: any block size gives the same."""
+    """Uniform numbers (rows, count) that depend on seed, row and position but not on the block."""
     with np.errstate(over="ignore"):
         state: NDArray[Any] = index.astype(np.uint64)[:, None] * np.uint64(count)
         state = state + np.arange(count, dtype=np.uint64)

@@ -1,4 +1,4 @@
-"""The memory that a rendering needs, foreseen, and what to do where there is less."""
+"""The memory that a rendering needs."""
 
 from __future__ import annotations
 
@@ -7,22 +7,24 @@ from collections.abc import Callable
 from lightmatrix.errors import InputError
 from lightmatrix.resources.memory import available_bytes
 
-# Paths in flight. Each holds its ray, throughput and random state, and at each of its points, in
-# the renderer and in NumPy, a place, a value and the key they are sorted by.
+# This many paths are traced at once. Chosen by hand: they fill all cores and take about 1 GiB.
 WAVEFRONT = 1 << 20
+# A path in flight holds its ray, throughput and random state (200 bytes) and, at each of at most
+# 20 points, a place, a value and the key by which they are sorted (40 bytes in all).
 _PATH_BYTES = 200
 _POINT_BYTES = 40
 _MAX_POINTS = 20
-# The renderer itself and the scene.
+# The renderer and the scene take about this much.
 _BASE_BYTES = 256 << 20
-# An entry of the result: value, column and direct part, and one of them again while blocks join.
+# An entry of the result holds a value, a column and the direct part, 4 bytes each; one of the
+# three exists twice while blocks are joined.
 _ENTRY_BYTES = 16
-# Shares of the energy that are tried where the wanted one needs more memory than there is.
-_KEEPS = (0.99, 0.98, 0.95, 0.9, 0.8, 0.5)
+# If the wanted share of the light needs too much memory, the message suggests one of these.
+_SMALLER_KEEPS = (0.99, 0.98, 0.95, 0.9, 0.8, 0.5)
 
 
-def foreseen_bytes(size: tuple[int, int], channels: int = 1, entries: int = 1) -> int:
-    """Memory a rendering needs: the paths in flight, and `entries` for each sparse row."""
+def needed_bytes(size: tuple[int, int], channels: int = 1, entries: int = 1) -> int:
+    """Memory that a rendering needs: the paths in flight, and `entries` for each sparse row."""
     paths = WAVEFRONT * (_PATH_BYTES + _POINT_BYTES * _MAX_POINTS)
     return _BASE_BYTES + paths + size[0] * size[1] * channels * entries * _ENTRY_BYTES
 
@@ -35,31 +37,26 @@ def check_memory(
     entries_at: Callable[[float], int] | None = None,
     keep: float = 1.0,
 ) -> None:
-    """Refuse a rendering that would not fit.
+    """Raise InputError if a rendering would not fit; the hint names a setting that would.
 
     Parameters
     ----------
     entries : int
-        Entries of a sparse row at the share `keep` of its energy.
+        Entries of a sparse row that keeps the share `keep` of its light.
     entries_at : callable, optional
-        Those at any other share, to say which one would fit.
-
-    Raises
-    ------
-    InputError
-        With a share, a number of samples or a size that would do.
+        The same for any other share.
     """
     available = available_bytes()
-    needed = foreseen_bytes(size, channels, entries)
+    needed = needed_bytes(size, channels, entries)
     if needed <= available:
         return
     hint = "use a smaller --size"
     if entries_at is not None:
         hint = "use fewer --spp or a smaller --size"
-        for share in _KEEPS:
-            then = foreseen_bytes(size, channels, entries_at(share))
-            if share < keep and then <= available:
-                hint = f"use --keep {share:g} (about {then / 2**30:.1f} GiB), or fewer --spp"
+        for share in _SMALLER_KEEPS:
+            smaller = needed_bytes(size, channels, entries_at(share))
+            if share < keep and smaller <= available:
+                hint = f"use --keep {share:g} (about {smaller / 2**30:.1f} GiB), or fewer --spp"
                 break
     raise InputError(
         f"rendering {size[0]}x{size[1]} camera by {projector[0]}x{projector[1]} projector "

@@ -1,10 +1,10 @@
-"""Rendering the whole light transport matrix of a scene in one path-tracing pass."""
+"""`lm.render`: the whole light transport matrix of a scene by one pass of path tracing."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from typing import Any
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,19 +15,23 @@ from lightmatrix.ranges import check_seed
 from lightmatrix.resources.memory import available_bytes
 from lightmatrix.simulation.llvm import load_mitsuba
 from lightmatrix.simulation.mitsuba_scene import mitsuba_scene
-from lightmatrix.simulation.render_memory import WAVEFRONT, check_memory, foreseen_bytes
+from lightmatrix.simulation.render_memory import WAVEFRONT, check_memory, needed_bytes
 from lightmatrix.simulation.scenes import scene as find_scene
-from lightmatrix.simulation.thinning import stacked, thinned_in_steps
-from lightmatrix.simulation.tracing import trace_block
+from lightmatrix.simulation.thinning import joined, thinned_in_steps
+from lightmatrix.simulation.tracing import LoadedScene, trace_block
 from lightmatrix.simulation.truth import Truth
 
 Progress = Callable[[int, int], None]
 
-# Places of one block of camera pixels are numbered in 32 bits.
-_MAX_PLACES = 1 << 32
-# Rows rendered ahead to foresee the size of the result, and what it may come out larger by.
-_PILOT_ROWS = 24
+# The places of one block, camera samples times projector pixels, are numbered in 32 bits.
+_MOST_PLACES = 1 << 32
+# Where the result might not fit into memory, its size is estimated from this many camera pixels
+# that are rendered first, and from their mean number of entries times this margin. Chosen by hand:
+# the pilot pixels cost little beside a rendering of that size.
+_PILOT_PIXELS = 24
 _PILOT_MARGIN = 1.3
+# The scale of T makes a fifth of the rows clip under their strongest single pixel at exposure 1.
+_SCALE_QUANTILE = 0.8
 
 
 def render(
@@ -44,27 +48,30 @@ def render(
 ) -> Truth:
     """Render the light transport matrix of a scene, direct and global light kept apart.
 
-    Camera pixels are rendered in blocks that share a million paths; each block is summed to sparse
-    rows and thinned before the next begins, which takes about 1.2 GiB, whatever the size. The
-    result adds 16 bytes an entry, foreseen from a few rows rendered ahead where it might not fit.
+    Camera pixels are rendered in blocks that share a million paths. Each block is summed to sparse
+    rows and thinned before the next begins, which takes about 1.2 GiB at any size. The result adds
+    16 bytes per entry. Where that might not fit, a few camera pixels are rendered first to
+    estimate it.
 
     Parameters
     ----------
     name : str
-        A scene of `lightmatrix.simulation.scenes`.
+        A scene that `scenes` lists.
     size : (rows, cols)
         Camera size, and the projector's unless `projector_size` is given.
+    projector_size : (rows, cols), optional
+        Projector size.
     samples : int
         Paths per camera pixel. Too few make rows look sparser than they are.
     seed : int
         Seed of the paths.
     keep : float
-        Share of each row's energy to keep, in (0, 1]; the smallest entries are dropped and the
-        remaining global ones scaled so that every row keeps its sum.
+        Share of each row's light that its largest entries must hold, in (0, 1]. The light of the
+        smaller entries is gathered into fewer ones, so every row keeps its sum.
     colour : bool
-        Three camera samples a pixel (red, green, blue) instead of one.
+        Whether a camera pixel has three samples (red, green, blue) instead of one.
     scalar : bool
-        Use the scalar renderer even where LLVM is found.
+        Whether to use the scalar renderer even where LLVM is installed.
     progress : callable, optional
         Called with (done, total) paths.
 
@@ -72,12 +79,12 @@ def render(
     -------
     Truth
         Scaled so that at exposure 1 a fifth of the camera samples clip under their strongest
-        single projector pixel. `metadata` holds the noise estimates from two independent halves.
+        single projector pixel. `metadata` holds the noise, estimated from two independent halves.
 
     Raises
     ------
     InputError
-        On unknown scenes, sizes below 1 or more memory than there is.
+        On unknown scenes, sizes below 1, or more memory than there is.
     MissingExtraError
         If Mitsuba is not installed.
 
@@ -89,72 +96,25 @@ def render(
     scene = find_scene(name)
     projector = projector_size or size
     _check(size, projector, samples, keep, colour, seed)
-    mi, fast = load_mitsuba(scalar=scalar)
-    loaded = mitsuba_scene(mi, scene, size, projector)
-    channels = 3 if colour else 1
-    pixels = projector[0] * projector[1]
-    total = size[0] * size[1]
     started = time.perf_counter()
-    noise = _Noise()
-    done = 0
-
-    def trace(first: int, count: int, half: int) -> csr_array:
-        """Sums over one half of the samples, (count * channels, N): all light + i direct light."""
-        nonlocal done
-        part = samples // 2 if half else samples - samples // 2
-        chunk = max(1, WAVEFRONT // count)
-        sums = csr_array((count * channels, pixels), dtype=np.complex64)
-        for number, start in enumerate(range(0, part, chunk)):
-            paths = min(chunk, part - start)
-            stream = np.random.SeedSequence((seed, first, half, number)).generate_state(1)[0]
-            traced = trace_block(
-                mi,
-                loaded,
-                first,
-                count,
-                paths,
-                int(stream),
-                camera_shape=size,
-                projector_shape=projector,
-                max_depth=scene.max_depth,
-                colour=colour,
-                fast=fast,
-            )
-            sums = traced if start == 0 else csr_array(sums + traced)
-            done += count * paths
-            if progress is not None:
-                progress(done, total * samples)
-        return sums
-
-    def rows(first: int, count: int) -> tuple[csr_array, NDArray[np.float32]]:
-        halves = trace(first, count, 0), trace(first, count, 1)
-        noise.add(*halves, samples)
-        both = csr_array((halves[0] + halves[1]) / np.float32(samples))
-        whole = csr_array((both.data.real.copy(), both.indices, both.indptr), shape=both.shape)
-        return whole, both.data.imag.copy()
-
-    block = min(total, _block_rows(samples, pixels, channels))
-    most = min(pixels, samples * scene.max_depth)
-    if foreseen_bytes(size, channels, most) > available_bytes():
-        ahead = np.unique(np.linspace(0, total - 1, _PILOT_ROWS).astype(int))
-        seen = [rows(int(first), 1) for first in ahead]
-
-        def entries(share: float) -> int:
-            mean = np.mean([thinned_in_steps(*part, share)[0].nnz / channels for part in seen])
-            return int(min(most, _PILOT_MARGIN * mean))
-
-        check_memory(size, projector, channels, entries(keep), entries, keep)
-        noise, done = _Noise(), 0
-    matrix, direct = stacked(
-        [
-            thinned_in_steps(*rows(first, min(block, total - first)), keep)
-            for first in range(0, total, block)
-        ]
+    mi, fast = load_mitsuba(scalar=scalar)
+    loaded = LoadedScene(
+        mi,
+        mitsuba_scene(mi, scene, size, projector),
+        size,
+        projector,
+        scene.max_depth,
+        colour,
+        fast,
     )
+    if needed_bytes(size, loaded.channels, _most_entries(loaded, samples)) > available_bytes():
+        _check_by_pilot(loaded, samples, seed, keep)
+    rendering = _Rendering(loaded, samples, seed, progress)
+    matrix, direct = rendering.matrix(keep)
     scale = _exposure_scale(matrix)
     matrix.data *= scale
-    camera_shape = (*size, 3) if colour else size
-    metadata: dict[str, Any] = {
+    direct *= np.float32(scale)
+    metadata = {
         "scene": name,
         "scene_version": scene.version,
         "samples": samples,
@@ -162,13 +122,12 @@ def render(
         "keep": keep,
         "max_depth": scene.max_depth,
         "scale": float(scale),
-        "noise_entries": noise.entries,
-        "noise_white": noise.white,
+        "noise_entries": rendering.noise.entries,
+        "noise_white": rendering.noise.white,
         "renderer": f"mitsuba {mi.__version__} {mi.variant()}",
         "seconds": round(time.perf_counter() - started, 1),
     }
-    direct *= np.float32(scale)
-    return Truth(matrix, direct, camera_shape, projector, metadata)
+    return Truth(matrix, direct, (*size, 3) if colour else size, projector, metadata)
 
 
 def _check(
@@ -179,9 +138,11 @@ def _check(
     colour: bool,
     seed: int,
 ) -> None:
-    for what, shape in (("camera", size), ("projector", projector)):
+    for device, shape in (("camera", size), ("projector", projector)):
         if min(shape) < 1:
-            raise InputError(f"a {what} of {shape[0]} x {shape[1]} pixels", hint="use at least 1x1")
+            raise InputError(
+                f"a {device} of {shape[0]} x {shape[1]} pixels", hint="use at least 1x1"
+            )
     check_seed(seed)
     if samples < 2:
         raise InputError(f"{samples} samples a pixel", hint="use at least 2, better 1024 or more")
@@ -190,37 +151,104 @@ def _check(
     check_memory(size, projector, 3 if colour else 1)
 
 
-def _block_rows(samples: int, pixels: int, channels: int) -> int:
-    """Camera pixels that are rendered together: half their samples are one wavefront."""
-    half = samples - samples // 2
-    return max(1, min(WAVEFRONT // half, _MAX_PLACES // (channels * pixels)))
+def _check_by_pilot(loaded: LoadedScene, samples: int, seed: int, keep: float) -> None:
+    """Raise InputError if the matrix will not fit, judging by a few camera pixels."""
+    rows, cols = loaded.camera_shape
+    pixels = np.unique(np.linspace(0, rows * cols - 1, _PILOT_PIXELS).astype(int))
+    pilot = _Rendering(loaded, samples, seed, None)
+    rendered = [pilot.rows(int(pixel), 1) for pixel in pixels]
+
+    def entries(share: float) -> int:
+        """Entries of a row if it keeps this share of its light."""
+        counts = [thinned_in_steps(*part, share)[0].nnz / loaded.channels for part in rendered]
+        return int(min(_most_entries(loaded, samples), _PILOT_MARGIN * np.mean(counts)))
+
+    check_memory(
+        loaded.camera_shape, loaded.projector_shape, loaded.channels, entries(keep), entries, keep
+    )
+
+
+def _most_entries(loaded: LoadedScene, samples: int) -> int:
+    """The most entries that a row can have."""
+    return min(loaded.pixels, samples * loaded.max_depth)
+
+
+@dataclass
+class _Rendering:
+    """One rendering: traces blocks of camera pixels, and keeps count of paths and noise."""
+
+    loaded: LoadedScene
+    samples: int
+    seed: int
+    progress: Progress | None
+    noise: _Noise = field(default_factory=lambda: _Noise())
+    paths_done: int = 0
+
+    def matrix(self, keep: float) -> tuple[csr_array, NDArray[np.float32]]:
+        """All rows, thinned, and the direct part of each entry."""
+        rows, cols = self.loaded.camera_shape
+        total, half = rows * cols, self.samples - self.samples // 2
+        # Half the samples of a block of camera pixels make up one wavefront.
+        most = _MOST_PLACES // (self.loaded.channels * self.loaded.pixels)
+        block = min(total, max(1, min(WAVEFRONT // half, most)))
+        return joined(
+            [
+                thinned_in_steps(*self.rows(first, min(block, total - first)), keep)
+                for first in range(0, total, block)
+            ]
+        )
+
+    def rows(self, first: int, count: int) -> tuple[csr_array, NDArray[np.float32]]:
+        """The rows of some camera pixels, and the direct part of each entry."""
+        halves = self._sums(first, count, 0), self._sums(first, count, 1)
+        self.noise.add(*halves, self.samples)
+        both = csr_array((halves[0] + halves[1]) / np.float32(self.samples))
+        whole = csr_array((both.data.real.copy(), both.indices, both.indptr), shape=both.shape)
+        return whole, both.data.imag.copy()
+
+    def _sums(self, first: int, count: int, half: int) -> csr_array:
+        """Sums over one half of the samples, (count * channels, N): all light + i direct light."""
+        samples = self.samples // 2 if half else self.samples - self.samples // 2
+        rows, cols = self.loaded.camera_shape
+        step = max(1, WAVEFRONT // count)
+        shape = (count * self.loaded.channels, self.loaded.pixels)
+        sums = csr_array(shape, dtype=np.complex64)
+        for number, start in enumerate(range(0, samples, step)):
+            paths = min(step, samples - start)
+            key = (self.seed, first, half, number)
+            stream = int(np.random.SeedSequence(key).generate_state(1)[0])
+            traced = trace_block(self.loaded, first, count, paths, stream)
+            sums = traced if start == 0 else csr_array(sums + traced)
+            self.paths_done += count * paths
+            if self.progress is not None:
+                self.progress(self.paths_done, rows * cols * self.samples)
+        return sums
 
 
 def _exposure_scale(matrix: csr_array) -> float:
-    """The scale at which the 0.8 quantile over rows of the row maximum is the clip level, 1."""
-    level = float(np.quantile(matrix.max(axis=1).toarray(), 0.8))
+    """The factor that puts the 0.8 quantile over rows of the row maximum at the clip level, 1."""
+    level = float(np.quantile(matrix.max(axis=1).toarray(), _SCALE_QUANTILE))
     return 1 / level if level > 0 else 1.0
 
 
 class _Noise:
-    """Relative noise of the mean of two halves, of the entries and of the white image."""
+    """Relative noise of the mean of two halves: of the entries, and of the white image."""
 
     def __init__(self) -> None:
+        # Energies of half the difference and of half the sum.
         self._entries = np.zeros(2)
         self._white = np.zeros(2)
 
     def add(self, first: csr_array, second: csr_array, samples: int) -> None:
-        """Count the sums (rows, N) over the two halves of the samples."""
+        """Add the sums (rows, N) over the two halves of the samples."""
         a = first.real / np.float32(samples - samples // 2)
         b = second.real / np.float32(samples // 2)
-        for half_sum, half_difference, energy in (
+        white_a, white_b = a.sum(axis=1), b.sum(axis=1)
+        for total, difference, energies in (
             ((a + b).data, (a - b).data, self._entries),
-            (a.sum(axis=1) + b.sum(axis=1), a.sum(axis=1) - b.sum(axis=1), self._white),
+            (white_a + white_b, white_a - white_b, self._white),
         ):
-            energy += [
-                np.square(half_difference, dtype=np.float64).sum() / 4,
-                np.square(half_sum, dtype=np.float64).sum() / 4,
-            ]
+            energies += [np.square(v, dtype=np.float64).sum() / 4 for v in (difference, total)]
 
     @property
     def entries(self) -> float:

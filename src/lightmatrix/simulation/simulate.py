@@ -1,4 +1,4 @@
-"""A simulated rig: a known scene photographed under patterns."""
+"""`lm.simulate`: photographs of a scene whose light transport matrix is known."""
 
 from __future__ import annotations
 
@@ -36,8 +36,8 @@ class SimulatedCapture(Capture):
     Parameters
     ----------
     truth : Truth
-        The T that was photographed: blurred, vignetted and of less contrast as the frames were,
-        neither binned nor under the room's light.
+        The T that the frames show, with blur, vignetting and leaking black; never binned, and
+        without the room's light.
     sensor : Sensor
         The camera that took the frames.
 
@@ -46,8 +46,8 @@ class SimulatedCapture(Capture):
     >>> import lightmatrix as lm
     >>> capture = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 8), leak=0.1)
     >>> white = np.ones((64, 64))
-    >>> shown = capture.truth.transport().relight(white).sum()
-    >>> round(float(shown / lm.truth("metal").transport().relight(white).sum()), 3)
+    >>> light = capture.truth.transport().relight(white).sum()
+    >>> round(float(light / lm.truth("metal").transport().relight(white).sum()), 3)
     0.9
     """
 
@@ -56,37 +56,36 @@ class SimulatedCapture(Capture):
 
     @property
     def raw_clipped_share(self) -> float:
-        """Share of the samples of all frames that are at the clip level."""
+        """Share of the raw samples of all frames that are at the clip level."""
         level = self.sensor.clip_level
         shares = [float((self.frames.read(k) >= level).mean()) for k in range(self.count)]
         return float(np.mean(shares))
 
     def save(self, folder: str | Path, *, overwrite: bool = False) -> None:
-        """Write a capture that `Capture.open` reads, with the T photographed as truth.npz.
+        """Write a capture that `Capture.open` reads, with its T as truth.npz.
 
         Parameters
         ----------
         folder : str or Path
-            The folder to make, whole or not at all; packed (see `pack`) if it ends in .zarr.
+            The folder to make. A packed capture (see `pack`) is written if it ends in .zarr.
         overwrite : bool
             Whether an existing capture may be replaced.
 
         Raises
         ------
         InputError
-            If the capture is binned, since a folder holds frames as they were taken.
+            If the capture is binned, because a folder holds the frames of the camera.
         OutputError
             If the folder exists or cannot be written.
         """
         if self.bin_projector != (1, 1) or self.bin_camera != (1, 1):
             raise InputError("a binned capture cannot be saved", hint="save it first, then bin it")
+
+        def save_truth(part: Path) -> None:
+            self.truth.save(part / TRUTH)
+
         if Path(folder).suffix.lower() == ".zarr":
-            pack_capture(
-                self,
-                folder,
-                beside=lambda part: self.truth.save(part / TRUTH),
-                overwrite=overwrite,
-            )
+            pack_capture(self, folder, beside=save_truth, overwrite=overwrite)
             return
         decoder = self.decoder
         black = decoder.black_frame
@@ -99,27 +98,25 @@ class SimulatedCapture(Capture):
             black=None if black is None else black.reshape(self.frames.shape),
             black_exposure=decoder.black_exposure,
             provenance=self.provenance,
-            beside=lambda part: self.truth.save(part / TRUTH),
+            beside=save_truth,
             overwrite=overwrite,
         )
 
     def crop(self, corner: tuple[int, int], shape: tuple[int, int]) -> SimulatedCapture:
-        """A rectangle of the photographs, with the rows of the truth that belong to it."""
-        part = super().crop(corner, shape)
-        assert isinstance(part, SimulatedCapture)
+        """A rectangle of the photographs, and the rows of the truth that belong to it."""
+        cropped = super().crop(corner, shape)
+        assert isinstance(cropped, SimulatedCapture)
         rows, cols = self.frames.shape[:2]
-        region = Region(corner, shape, (rows, cols))
-        return replace(part, truth=self.truth.crop(region))
+        return replace(cropped, truth=self.truth.crop(Region(corner, shape, (rows, cols))))
 
     def select(self, frames: Sequence[int] | np.ndarray) -> SimulatedCapture:
-        """The capture of the frames of the given indices, such as all but one."""
-        chosen = super().select(frames)
-        assert isinstance(chosen, SimulatedCapture)
-        exposure = self.sensor.exposure
-        if np.ndim(exposure):
-            picked = np.asarray(exposure)[np.asarray(frames, np.int64)]
-            chosen = replace(chosen, sensor=replace(self.sensor, exposure=picked))
-        return chosen
+        """The capture that holds the frames of the stated indices only."""
+        selected = super().select(frames)
+        assert isinstance(selected, SimulatedCapture)
+        if np.ndim(self.sensor.exposure):
+            exposures = np.asarray(self.sensor.exposure)[np.asarray(frames, np.int64)]
+            selected = replace(selected, sensor=replace(self.sensor, exposure=exposures))
+        return selected
 
 
 def simulate(
@@ -139,7 +136,7 @@ def simulate(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> SimulatedCapture:
-    """Photograph a scene whose light transport matrix is known under patterns.
+    """Simulate photographs of a scene, whose light transport matrix is known, under patterns.
 
     Parameters
     ----------
@@ -149,8 +146,8 @@ def simulate(
     patterns : PatternSet, str or Path
         K patterns, or a folder of them.
     exposure : float or str
-        Exposure e: sample = min(1, e T p). Or several and their shares of the frames, such as
-        ``1:0.75,0.25:0.25``.
+        Exposure e in sample = min(1, e T p), or several exposures with their shares of the frames,
+        such as ``1:0.75,0.25:0.25``.
     bits : {8, 10, 12, 16} or None
         Bit depth; None gives float32 levels.
     noise : float
@@ -164,22 +161,22 @@ def simulate(
     leak : float
         Light of a black projector pixel as a share of a white one, in [0, 1).
     ambient : float
-        Room light as a share of the mean white image, >= 0. With it or with `leak` a black frame
-        is taken too.
+        Room light as a share of the mean white image, >= 0. With room light or a `leak`, the
+        capture has a black frame.
     vignetting : float
         Share of the light lost in the camera's corners, in [0, 1).
     primary : {"red", "green", "blue"}, optional
-        The primary of a colour projector that shows the patterns; the camera then has three
-        channels, whose filters overlap. None: a grey projector, and the camera of the scene.
+        The primary of a colour projector that shows the patterns. The camera then has three
+        channels, whose filters overlap. None: a grey projector and the camera of the scene.
     seed : int
         Seed of the noise.
     progress : callable, optional
-        Called with (done, total): paths where the scene is rendered, then rows.
+        Called with (done, total): paths while the scene is rendered, then rows.
 
     Returns
     -------
     SimulatedCapture
-        A `Capture` that also holds the truth that was photographed; `save` writes it as a folder.
+        A `Capture` that also holds the truth; `save` writes it as a folder.
 
     Raises
     ------
@@ -198,43 +195,47 @@ def simulate(
     """
     check_seed(seed)
     exposures = parse_exposures(exposure if isinstance(exposure, str) else repr(float(exposure)))
-    shown = patterns if isinstance(patterns, PatternSet) else read_patterns(patterns)
+    if not isinstance(patterns, PatternSet):
+        patterns = read_patterns(patterns)
     sensor = Sensor(
-        exposure_sequence(exposures, shown), float(black_level), noise, shot_noise, bits
+        exposure_sequence(exposures, patterns), float(black_level), noise, shot_noise, bits
     )
-    realism.check_realism(shown.shape, blur=blur, vignetting=vignetting, leak=leak, ambient=ambient)
-    truth = library.truth(scene, shown.shape, progress=progress)
+    realism.check_realism(
+        patterns.shape, blur=blur, vignetting=vignetting, leak=leak, ambient=ambient
+    )
+    truth = library.truth(scene, patterns.shape, progress=progress)
     if primary is not None:
         truth = in_primary(truth, primary)
     truth = realism.vignetting(realism.defocus(truth, blur), vignetting)
     room = realism.ambient(truth, ambient)
-    light = irradiance(truth.matrix, shown, progress=progress)
-    # Leaking black is affine in the pattern, so it acts on the light as it does on the patterns.
+    light = irradiance(truth.matrix, patterns, progress=progress)
+    # A leak is affine in the pattern, so it can be applied to the light instead of the patterns.
     white = np.asarray(truth.matrix.sum(axis=1), np.float32).ravel()
     dark = (leak * white + room)[:, None]
     light = (1 - leak) * light + dark
     raw = sensor.expose(light, seed=seed)
-    frames = np.ascontiguousarray(raw.T).reshape(shown.count, *truth.camera_shape)
+    frames = np.ascontiguousarray(raw.T).reshape(patterns.count, *truth.camera_shape)
     decoder = sensor.decoder()
     if leak or ambient:
         longest = max(e for e, _ in exposures)
-        # A frame of its own number, so that its noise is its own.
-        exposed = replace(sensor, exposure=longest).expose(dark, seed=seed, first_frame=shown.count)
-        decoder = replace(decoder, black_frame=exposed.ravel(), black_exposure=longest)
-    # As JSON keeps it, so that a capture read back is the same.
+        # The black frame counts as one more frame, so that its noise repeats no other's.
+        black = replace(sensor, exposure=longest).expose(
+            dark, seed=seed, first_frame=patterns.count
+        )
+        decoder = replace(decoder, black_frame=black.ravel(), black_exposure=longest)
     name = "a truth in memory" if isinstance(scene, Truth) else str(scene)
     return SimulatedCapture(
-        shown,
+        patterns,
         ArrayStack(frames),
         decoder,
         provenance={"scene": name, "seed": seed, **truth.metadata},
-        truth=_less_contrast(truth, leak),
+        truth=_without_leak(truth, leak),
         sensor=sensor,
     )
 
 
-def _less_contrast(truth: Truth, leak: float) -> Truth:
-    """T as it is seen once the light of black pixels has been subtracted."""
+def _without_leak(truth: Truth, leak: float) -> Truth:
+    """The T that remains once the black frame, which holds the leak, has been subtracted."""
     if leak == 0:
         return truth
     share = np.float32(1 - leak)

@@ -1,8 +1,8 @@
-"""Dropping the smallest entries of a matrix without changing the light it carries.
+"""Fewer entries for the same light: small entries of a row are gathered into fewer ones.
 
-Dropping alone would darken images under patterns that are not white, and giving a row's lost light
-back to its large entries would move light towards them: by 0.3 % of the sum under one block of the
-corner scene. So every run of dropped neighbours leaves one entry that stands for them all.
+Dropping small entries would darken images. Scaling up the large entries instead would move light
+towards them: by 0.3 % of the sum under one block of the corner scene. So every run of dropped
+neighbours leaves one entry that stands for them all.
 """
 
 from __future__ import annotations
@@ -14,14 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-# Entries that are thinned at once; sorting them takes about 100 bytes each.
+# This many entries are thinned at once. Sorting them takes about 100 bytes each, 200 MiB in all.
 _ENTRIES = 1 << 21
 
 
-def stacked(
+def joined(
     parts: list[tuple[csr_array, NDArray[np.float32]]],
 ) -> tuple[csr_array, NDArray[np.float32]]:
-    """Blocks of rows and their direct parts as one matrix and its direct part.
+    """Join blocks of rows and their direct parts into one matrix and its direct part.
 
     The list is emptied on the way, so that only a third of the result exists twice.
     """
@@ -33,24 +33,24 @@ def stacked(
     arrays = [[part.data for part, _ in parts], [part.indices for part, _ in parts]]
     arrays.append([direct for _, direct in parts])
     parts.clear()
-    values, columns, direct = (np.concatenate(_emptied(some)) for some in arrays)
+    values, columns, direct = (np.concatenate(_emptied(blocks)) for blocks in arrays)
     return csr_array((values, columns, indptr), shape=shape), direct
 
 
-def _emptied(some: list[NDArray[Any]]) -> list[NDArray[Any]]:
-    """The list's content, which it gives up."""
-    content = some.copy()
-    some.clear()
+def _emptied(blocks: list[NDArray[Any]]) -> list[NDArray[Any]]:
+    """A copy of a list that is emptied, so that its arrays are freed as soon as they are used."""
+    content = blocks.copy()
+    blocks.clear()
     return content
 
 
 def thinned_in_steps(
     matrix: csr_array, direct: NDArray[np.float32], keep: float
 ) -> tuple[csr_array, NDArray[np.float32]]:
-    """`thinned` with bounded memory: some rows at a time."""
+    """`thinned` in bounded memory, some rows at a time."""
     targets = np.arange(_ENTRIES, matrix.nnz, _ENTRIES)
     cuts = np.unique([0, *np.searchsorted(matrix.indptr, targets), matrix.shape[0]])
-    return stacked(
+    return joined(
         [
             thinned(matrix[a:b], direct[matrix.indptr[a] : matrix.indptr[b]], keep)
             for a, b in itertools.pairwise(cuts)
@@ -61,7 +61,7 @@ def thinned_in_steps(
 def sparse_rows(
     whole: NDArray[np.float32], direct: NDArray[np.float32], keep: float
 ) -> tuple[csr_array, NDArray[np.float32]]:
-    """Dense rows (m, N) and their direct parts as thinned sparse rows and their direct parts."""
+    """Thinned sparse rows of dense ones (m, N), and the direct part of each entry."""
     row, col = np.nonzero(whole)
     indptr = np.concatenate([[0], np.cumsum(np.bincount(row, minlength=len(whole)))])
     matrix = csr_array((whole[row, col], col.astype(np.int32), indptr), shape=whole.shape)
@@ -71,24 +71,11 @@ def sparse_rows(
 def thinned(
     matrix: csr_array, direct: NDArray[np.float32], keep: float
 ) -> tuple[csr_array, NDArray[np.float32]]:
-    """Keep the largest entries of each row that hold the share `keep` of its sum.
+    """Keep the largest entries of each row that hold the share `keep` of its sum, in (0, 1].
 
     The light of the others is gathered, in the order of projector pixels, into entries as large as
-    the smallest that is kept; it counts as global. Rows keep their sums.
-
-    Parameters
-    ----------
-    matrix : (M, N) csr_array float32
-        Entries >= 0, columns sorted.
-    direct : (matrix.nnz,) float32
-        Direct part of each entry.
-    keep : float
-        In (0, 1]; 1 changes nothing.
-
-    Returns
-    -------
-    csr_array, (nnz,) float32
-        The thinned matrix and the direct part of its entries.
+    the smallest that is kept, and counts as global. Rows keep their sums. The (M, N) matrix has
+    entries >= 0 and sorted columns; the result is the thinned matrix and its entries' direct parts.
     """
     if keep >= 1:
         return matrix, direct
@@ -98,7 +85,7 @@ def thinned(
     values = matrix.data.astype(np.float64)
     energy = np.bincount(row, values, count).astype(np.float64)
     ascending = ascending_in_rows(matrix)
-    # From the smallest entry of each row on, drop while all that is dropped is small enough.
+    # Drop a row's entries in ascending order while their sum is at most 1 - keep of the row's.
     upto = np.cumsum(ascending, dtype=np.float64) - (np.cumsum(energy) - energy)[row]
     dropped = np.bincount(row[upto <= (1 - keep) * energy[row]], minlength=count)
     smallest = np.full(count, np.inf)
@@ -106,23 +93,23 @@ def thinned(
     smallest[lit] = ascending[matrix.indptr[:-1][lit] + np.minimum(dropped, lengths - 1)[lit]]
     large = values >= smallest[row]
 
-    # Small entries fill a measure of the size `smallest` one after the other; the one that makes
-    # it run over stays, for all that are in it. The measure starts half full, to be fair.
+    # Small entries fill a cup of size `smallest` one after the other. The entry that makes it
+    # overflow stays and stands for all that are in it. The cup starts half full, so that the
+    # rounding is unbiased.
     small = np.flatnonzero(~large)
     filled = np.cumsum(values[small] / smallest[row[small]])
     before = np.concatenate([[0.0], filled])[np.searchsorted(row[small], np.arange(count))]
     filled += 0.5 - before[row[small]]
-    runs_over = np.floor(filled) > np.floor(filled - values[small] / smallest[row[small]])
-    gathered = small[runs_over]
+    overflows = np.floor(filled) > np.floor(filled - values[small] / smallest[row[small]])
     kept = large.copy()
-    kept[gathered] = True
+    kept[small[overflows]] = True
     result = np.where(large, values, smallest[row])[kept]
     direct = np.where(large, direct, np.float32(0))[kept]
     row = row[kept]
 
-    # Up to half a measure a row is left over or too much: a matter of rounding.
-    gathered_energy = np.bincount(row, result, count)
-    result *= np.divide(energy, gathered_energy, where=energy > 0, out=np.ones(count))[row]
+    # The last cup of a row is up to half a cup too full or too empty: rescale the row.
+    sums = np.bincount(row, result, count)
+    result *= np.divide(energy, sums, where=energy > 0, out=np.ones(count))[row]
     values32 = result.astype(np.float32)
     indptr = np.concatenate([[0], np.cumsum(np.bincount(row, minlength=count))])
     indptr = indptr.astype(matrix.indptr.dtype)
@@ -131,9 +118,9 @@ def thinned(
 
 
 def ascending_in_rows(matrix: csr_array) -> NDArray[np.float32]:
-    """Each row's values in ascending order, (nnz,); values >= 0."""
+    """The values of each row in ascending order, (nnz,); values must be >= 0."""
     row = np.repeat(np.arange(matrix.shape[0], dtype=np.uint64), np.diff(matrix.indptr))
-    # Floats above 0 are ordered as their bits are, and one sort of integers is the fastest.
+    # Positive floats sort like their bits, and one sort of integers is the fastest.
     key = (row << np.uint64(32)) | matrix.data.view(np.uint32)
     key.sort()
     return key.astype(np.uint32).view(np.float32)

@@ -1,4 +1,4 @@
-"""A small picture of every scene under white projector light."""
+"""`lm.write_thumbnails`: a small picture of every scene under white projector light."""
 
 from __future__ import annotations
 
@@ -18,25 +18,23 @@ from lightmatrix.simulation.llvm import load_mitsuba
 from lightmatrix.simulation.mitsuba_scene import mitsuba_scene
 from lightmatrix.simulation.scenes import names, scene
 
+# The picture of a scene shows this multiple of this quantile of its image as white, so that a few
+# highlights do not make everything else dark. Chosen by eye on the bundled scenes.
+_WHITE_FACTOR, _WHITE_QUANTILE = 1.1, 0.97
 
-def photograph(
+
+def white_image(
     name: str, shape: tuple[int, int], *, samples: int = 128, seed: int = 0
 ) -> NDArray[np.float32]:
-    """The linear camera image (rows, cols) of a scene under a white pattern, path traced.
-
-    Raises
-    ------
-    MissingExtraError
-        If Mitsuba is not installed.
-    """
+    """The linear camera image (rows, cols) of a scene under a white pattern, path traced."""
     mi, _ = load_mitsuba()
     image = mi.render(mitsuba_scene(mi, scene(name), shape, shape), spp=samples, seed=seed)
     return np.asarray(image, np.float32).mean(axis=2)
 
 
 def white_level(image: NDArray[np.float32]) -> float:
-    """The level to show as white, so that a few highlights do not make all else dark."""
-    return float(1.1 * np.quantile(image, 0.97))
+    """The value of a linear image that a picture shows as white."""
+    return float(_WHITE_FACTOR * np.quantile(image, _WHITE_QUANTILE))
 
 
 def write_thumbnails(
@@ -48,16 +46,16 @@ def write_thumbnails(
 ) -> list[Path]:
     """Write NAME.png for every scene and a list, scenes.json.
 
-    Without the renderer the bundled scenes are drawn from their matrices, at 64 x 64.
+    Without the renderer, only the bundled scenes are drawn, from their matrices at 64 x 64.
 
     Parameters
     ----------
     folder : str or Path
-        The folder to make, whole or not at all.
+        The folder to make.
     size : (rows, cols)
-        Of the pictures.
+        Size of the pictures.
     overwrite : bool
-        Whether an existing folder of them may be replaced.
+        Whether an existing folder of thumbnails may be replaced.
     progress : callable, optional
         Called with (done, total) scenes.
 
@@ -69,7 +67,7 @@ def write_thumbnails(
     Raises
     ------
     OutputError
-        If the folder exists, is not one of ours, or cannot be written.
+        If the folder exists, holds something else, or cannot be written.
 
     Examples
     --------
@@ -80,7 +78,7 @@ def write_thumbnails(
     with atomic_folder(folder, THUMBNAILS, overwrite=overwrite) as temporary:
         for done, name in enumerate(names(), start=1):
             try:
-                image = photograph(name, size)
+                image = white_image(name, size)
             except MissingExtraError:
                 if name not in library.BUNDLED:
                     continue
@@ -91,6 +89,6 @@ def write_thumbnails(
             written.append(Path(folder) / f"{name}.png")
             if progress is not None:
                 progress(done, len(names()))
-        described = {path.stem: scene(path.stem).description for path in written}
-        (temporary / "scenes.json").write_text(json.dumps(described, indent=2) + "\n")
+        descriptions = {path.stem: scene(path.stem).description for path in written}
+        (temporary / "scenes.json").write_text(json.dumps(descriptions, indent=2) + "\n")
     return written

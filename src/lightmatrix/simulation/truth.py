@@ -1,4 +1,4 @@
-"""Truth files: a light transport matrix that is known, with its direct part, as T.npz."""
+"""`Truth`: a known light transport matrix with its direct part, and its file T.npz."""
 
 from __future__ import annotations
 
@@ -28,13 +28,15 @@ class Truth:
     Parameters
     ----------
     matrix : (M, N) csr_array float32
-        The whole of T: camera full scale at exposure 1 per unit of projector pixel, >= 0.
+        The whole of T, >= 0, in camera full scale at exposure 1 per unit of projector pixel.
     direct_data : (matrix.nnz,) float32
         The direct part of each stored entry, in [0, matrix.data].
     camera_shape : (rows, cols) or (rows, cols, channels)
+        Shape of a camera image.
     projector_shape : (rows, cols)
+        Shape of a pattern.
     metadata : mapping
-        JSON-ready: scene, samples per pixel, seed, noise estimate, versions.
+        Scene, samples per pixel, seed, noise estimate and versions, JSON-ready.
 
     Examples
     --------
@@ -62,15 +64,15 @@ class Truth:
 
     @property
     def indirect(self) -> csr_array:
-        """The global part: light that met two surfaces or more."""
+        """The global part: light that met at least two surfaces."""
         return self.with_data(self.matrix.data - self.direct_data)
 
     def with_data(self, data: NDArray[Any]) -> csr_array:
-        """A matrix with other values at the places of this one's entries."""
+        """A matrix with the same places of entries but other values, (nnz,)."""
         return csr_array((data, self.matrix.indices, self.matrix.indptr), shape=self.matrix.shape)
 
     def crop(self, region: Region) -> Truth:
-        """The rows of a rectangle of the camera's pixels."""
+        """The truth of a rectangle of the camera's pixels."""
         rows = region.samples(self.camera_shape)
         shape = (*region.shape, *self.camera_shape[2:])
         direct = self.direct[rows].data
@@ -83,7 +85,7 @@ class Truth:
         )
 
     def save(self, path: Path, *, overwrite: bool = False) -> None:
-        """Write T.npz, which `scipy.sparse.load_npz` reads too; whole or not at all."""
+        """Write a truth file, T.npz, which `scipy.sparse.load_npz` reads too."""
         matrix = self.matrix
         with (
             atomic_file(path, TRUTH, overwrite=overwrite) as temporary,
@@ -91,10 +93,10 @@ class Truth:
         ):
             np.savez_compressed(
                 stream,
-                # First, so that even a file that was cut off is known as ours.
+                # This key comes first, so that even a truncated file is recognised as a truth.
                 lightmatrix_truth=np.array(VERSION),
                 format=np.array("csr").astype("S"),
-                # scipy writes this key for arrays, as against matrices.
+                # SciPy writes this key to tell arrays from matrices.
                 _is_array=np.array(True),
                 shape=np.array(matrix.shape),
                 data=matrix.data,
@@ -113,25 +115,25 @@ class Truth:
         Raises
         ------
         InputError
-            If the file is missing, is no npz, contradicts itself, lacks the shapes that
-            lightmatrix adds, or is of a later format version.
+            If the file is missing, damaged, no npz file, of a later format version, or lacks the
+            shapes that lightmatrix adds.
         """
-        found = read_sparse_npz(path)
-        if found.camera_shape is None or found.projector_shape is None:
+        content = read_sparse_npz(path)
+        if content.camera_shape is None or content.projector_shape is None:
             raise InputError(
-                f"{path}: does not say the shapes of camera and projector",
+                f"{path} does not hold the shapes of camera and projector",
                 hint="give a T.npz file from `lightmatrix render` or `lightmatrix export`",
             )
-        if found.background is not None and found.background.any():
+        if content.background is not None and content.background.any():
             raise InputError(
-                f"{path} keeps its background apart, so its matrix is not the whole of T",
+                f"{path} holds its background separately, so its matrix is not the whole of T",
                 hint="export it with --dense-background",
             )
-        direct = found.direct_data
+        direct = content.direct_data
         return cls(
-            found.matrix,
-            np.zeros_like(found.matrix.data) if direct is None else direct,
-            found.camera_shape,
-            found.projector_shape,
-            dict(found.metadata),
+            content.matrix,
+            np.zeros_like(content.matrix.data) if direct is None else direct,
+            content.camera_shape,
+            content.projector_shape,
+            dict(content.metadata),
         )

@@ -1,4 +1,4 @@
-"""The scenes, one file each; `scene(name)` finds them."""
+"""The scenes, one file each; `scene(name)` builds one."""
 
 from __future__ import annotations
 
@@ -20,13 +20,7 @@ BUILDERS: dict[str, Callable[[], Scene]] = {
 
 
 def scene(name: str) -> Scene:
-    """The scene of that name.
-
-    Raises
-    ------
-    InputError
-        If there is none; the hint suggests the nearest names.
-    """
+    """Build a scene; the error for an unknown name suggests similar ones."""
     if name not in BUILDERS:
         near = get_close_matches(name, BUILDERS, n=3, cutoff=0.4)
         advice = f"did you mean {' or '.join(near)}?" if near else "see `lightmatrix scenes`"

@@ -10,9 +10,10 @@ from lightmatrix.simulation.geometry import Mesh, turn
 from lightmatrix.simulation.scenes.scene import Part, Scene, matt
 from lightmatrix.simulation.scenes.shapes import ball, box
 
-# The plane of the field of view cuts the walls, so that their lit parts lie half below it and half
-# above.
+# Height of the edge where the walls meet: the plane z = 0 cuts the walls, so that half of their lit
+# parts lies below it and half above.
 EDGE = -0.6
+# Objects keep this distance from the walls, so that surfaces do not coincide.
 GAP = 0.001
 
 

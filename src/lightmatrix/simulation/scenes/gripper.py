@@ -8,7 +8,7 @@ from lightmatrix.simulation.scenes.shapes import ball, box, rod, sheet
 
 BODY = plastic((0.18, 0.19, 0.21), 0.2)
 STEEL = metal("Cr", 0.3)
-# Bead-blasted, so that faces turned to the camera are not blinding.
+# The aluminium is bead-blasted, so that faces turned to the camera are not blinding.
 ALUMINIUM = metal("Al", 0.42)
 RUBBER = matt(0.06)
 BOLT = metal("Cr", 0.25)

@@ -1,7 +1,7 @@
-"""What a scene is: meshes and materials above the plane z = 0, seen and lit from above.
+"""`Scene`: meshes and materials above the plane z = 0, seen and lit from above.
 
-The field of view is the square |x|, |y| <= 1 of the plane z = 0 for camera and projector alike, as
-after the paper's homography alignment; points above the plane are seen with parallax.
+Camera and projector both see the square |x|, |y| <= 1 of the plane z = 0, as after the paper's
+alignment by a homography. Points above the plane are seen with parallax.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ def plastic(reflectance: float | tuple[float, float, float], roughness: float) -
 
 
 def metal(kind: str, roughness: float) -> Material:
-    """A rough conductor; roughness at least 0.12, since a pinhole light never meets a mirror."""
+    """A rough conductor; a mirror (roughness below 0.12) would never reflect a pinhole light."""
     base = {"type": "roughconductor", "material": kind, "alpha": roughness}
     return {"type": "twosided", "bsdf": base}
 
 
 def translucent(reflectance: float, through: float) -> Material:
-    """A thin sheet that scatters light to both sides; `through` in [0, 2], 1 is half and half."""
+    """A thin sheet that scatters light to both sides; `through` in [0, 2], 1 sends half through."""
     return {
         "type": "principledthin",
         "base_color": _rgb(reflectance),
@@ -50,7 +50,7 @@ def _rgb(value: float | tuple[float, float, float]) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Part:
-    """A mesh and what it is made of."""
+    """A mesh and its material."""
 
     mesh: Mesh
     material: Material
@@ -58,26 +58,15 @@ class Part:
 
 @dataclass(frozen=True)
 class Scene:
-    """A scene of the simulated rig.
-
-    Parameters
-    ----------
-    name, description : str
-        As listed by ``lightmatrix scenes``.
-    parts : tuple of Part
-        Everything that reflects light.
-    max_depth : int
-        Longest light path, in surface interactions.
-    version : int
-        Raised whenever the scene changes, so that cached matrices are rendered anew.
-    camera, projector : (x, y, z)
-        Where they stand; the projector looks straight down.
-    """
+    """A scene of the simulator: everything that reflects light, the camera and the projector."""
 
     name: str
     description: str
     parts: tuple[Part, ...]
+    # The longest light path, in surface interactions.
     max_depth: int = 10
+    # Raised whenever the scene changes, so that cached matrices are rendered again.
     version: int = 1
+    # Positions (x, y, z); the projector looks straight down.
     camera: tuple[float, float, float] = (-0.8, -0.5, 4.0)
     projector: tuple[float, float, float] = (0.0, 0.0, 4.0)

@@ -7,7 +7,7 @@ import pytest
 
 from lightmatrix.errors import InputError
 from lightmatrix.patterns.grids import block_mean
-from lightmatrix.simulation.coarse import binned, coarse
+from lightmatrix.simulation.binning import binned, coarse
 from lightmatrix.simulation.procedural_scene import ProceduralScene
 from lightmatrix.simulation.truth import Truth
 

@@ -1,4 +1,4 @@
-"""A truth at a lower resolution, as a coarser camera or projector would measure it."""
+"""A truth as a camera or projector of lower resolution would measure it."""
 
 from __future__ import annotations
 
@@ -10,23 +10,14 @@ from lightmatrix.simulation.truth import Truth
 
 
 def coarse(truth: Truth, factor: int) -> Truth:
-    """Bin camera and projector pixels: means over camera blocks, sums over projector blocks.
-
-    Parameters
-    ----------
-    factor : int
-        Pixels per side of a block; must divide both sizes.
-    """
+    """A truth with camera and projector pixels binned by the same factor; see `binned`."""
     return binned(truth, factor, factor)
 
 
 def binned(truth: Truth, camera_factor: int, projector_factor: int) -> Truth:
-    """Bin camera pixels, projector pixels, or both: means over camera, sums over projector blocks.
+    """Average T over square blocks of camera pixels and sum it over blocks of projector pixels.
 
-    Parameters
-    ----------
-    camera_factor, projector_factor : int
-        Pixels per side of a block; each must divide both sizes of its own.
+    The factors are block sides in pixels; each must divide both sides of its device.
     """
     camera, projector = truth.camera_shape, truth.projector_shape
     for factor, sizes in ((camera_factor, camera[:2]), (projector_factor, projector)):
@@ -46,7 +37,7 @@ def binned(truth: Truth, camera_factor: int, projector_factor: int) -> Truth:
     col = (v // projector_factor) * small_projector[1] + u // projector_factor
     shape = (int(np.prod(small_camera)), int(np.prod(small_projector)))
 
-    # Direct light is summed as a second value at the same places, so both stay aligned.
+    # Direct light is the imaginary part of the same entries, so that both are summed alike.
     mean = camera_factor**2
     both = truth.matrix.data / mean + 1j * (truth.direct_data / mean)
     summed = csr_array((both, (row, col)), shape=shape)

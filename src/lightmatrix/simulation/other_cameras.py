@@ -1,4 +1,4 @@
-"""A truth as other cameras see it: parts of the frame, turned, mirrored, out of square."""
+"""A truth as other cameras see it: cropped, turned, mirrored, keystoned; and blur by depth."""
 
 from __future__ import annotations
 
@@ -12,33 +12,25 @@ from scipy.sparse import csr_array, vstack
 from lightmatrix.errors import InputError
 from lightmatrix.simulation.truth import Truth
 
-# Depth is told from where footprints lie; single wrong ones are smoothed away.
+# The disparity map is smoothed by a median filter of this many camera pixels a side, which removes
+# single footprints whose strongest entry is global light. Chosen by hand.
 _SMOOTHING = 5
-# Of the camera pixels to both sides, what is nearest and farthest leaves out.
+# The nearest and the farthest depth are these quantiles of the disparity (and of its mirror image),
+# so that single outliers do not set the range. Chosen by hand.
 _EXTREME = 0.02
-# Blur is rounded to this many levels, so that rows of the same blur are treated together.
+# Blur is rounded to this many levels, so that rows of the same blur are blurred together.
 _LEVELS = 8
 
 
 def seen(truth: Truth, place: NDArray[np.integer]) -> Truth:
-    """The truth of a camera whose pixels are chosen from those of another.
+    """The truth of a camera whose pixels are those of a grey camera, rearranged.
 
-    Parameters
-    ----------
-    truth : Truth
-        Of a grey camera.
-    place : (rows, cols) int
-        Which camera pixel of the truth each pixel is; -1 sees nothing.
-
-    Raises
-    ------
-    InputError
-        On a colour camera.
+    `place`, (rows, cols) int, holds the camera pixel of the truth that each pixel is; -1 is dark.
     """
     if len(truth.camera_shape) != 2:
         raise InputError("a view of a colour camera", hint="choose one of its channels")
     dark = csr_array((1, truth.matrix.shape[1]), dtype=np.float32)
-    # What -1 chooses comes last.
+    # The dark row comes last, where the index -1 selects it.
     matrix, direct = (
         csr_array(vstack([part, dark], format="csr")[place.ravel()])
         for part in (truth.matrix, truth.direct)
@@ -47,14 +39,9 @@ def seen(truth: Truth, place: NDArray[np.integer]) -> Truth:
 
 
 def mapped(shape: tuple[int, int], homography: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Which pixel of a frame each pixel sees through a homography about its middle, -1 beyond it.
+    """The pixel that each pixel of a frame sees through a homography, (rows, cols); -1 outside.
 
-    Parameters
-    ----------
-    shape : (rows, cols)
-        Of both frames.
-    homography : (3, 3)
-        From (row, col, 1), from the middle in half sides, to the same.
+    The homography (3, 3) maps (row, col, 1) to the same, in half sides from the frame's middle.
     """
     sides = np.array(shape).reshape(2, 1)
     middle, half = (sides - 1) / 2, sides / 2
@@ -66,17 +53,10 @@ def mapped(shape: tuple[int, int], homography: NDArray[np.float64]) -> NDArray[n
 
 
 def depth_blur(truth: Truth, widest: float) -> NDArray[np.float64]:
-    """Blur of each camera sample that grows with depth, as far as disparity tells it, (M,).
+    """Blur that grows with depth, (M,) in projector pixels (std), for a grey camera.
 
-    The projector is in focus where its pixels lie furthest to one side of the camera's, and
-    blurred by `widest` where they lie furthest to the other.
-
-    Parameters
-    ----------
-    truth : Truth
-        Of a grey camera, beside a projector.
-    widest : float
-        Standard deviation in projector pixels.
+    Depth follows from disparity. The projector is in focus where its pixels lie furthest to one
+    side of the camera's, and blurred by `widest` where they lie furthest to the other side.
     """
     rows, cols = truth.camera_shape[:2]
     col = np.asarray(truth.matrix.argmax(axis=1)).reshape(rows, cols) % truth.projector_shape[1]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lightmatrix.simulation.summing import summed
+from lightmatrix.simulation.tracing import Contributions, sum_contributions
 
 
 @pytest.mark.parametrize(
@@ -18,19 +18,21 @@ def test_sums_are_those_of_plain_addition(shape: tuple[int, int], count: int) ->
     direct = random.random(count) < 0.4
     expected = np.zeros(shape[0] * shape[1], np.complex128)
     np.add.at(expected, place, value + 1j * value * direct)
-    found = summed(place, value, direct, shape)
-    assert found.has_canonical_format
-    assert (found.data.real > 0).all()
-    np.testing.assert_allclose(found.toarray(), expected.reshape(shape), rtol=1e-6)
+    sums = sum_contributions(Contributions(place, value, direct), shape)
+    assert sums.has_canonical_format
+    assert (sums.data.real > 0).all()
+    np.testing.assert_allclose(sums.toarray(), expected.reshape(shape), rtol=1e-6)
     order = random.permutation(count)
-    again = summed(place[order], value[order], direct[order], shape)
-    np.testing.assert_array_equal(again.toarray(), found.toarray())
+    shuffled = Contributions(place[order], value[order], direct[order])
+    again = sum_contributions(shuffled, shape)
+    np.testing.assert_array_equal(again.toarray(), sums.toarray())
 
 
-def test_the_last_place_that_fits_32_bits_counts() -> None:
+def test_the_last_place_of_32_bits_is_summed() -> None:
     place = np.array([2**32 - 1, 0, 2**32 - 1], np.uint32)
     light = np.array([1, 2, 3], np.float32)
-    found = summed(place, light, np.array([True, False, False]), (2**14, 2**18))
-    assert found.nnz == 2
-    assert found[2**14 - 1, 2**18 - 1] == 4 + 1j
-    assert found[0, 0] == 2
+    direct = np.array([True, False, False])
+    sums = sum_contributions(Contributions(place, light, direct), (2**14, 2**18))
+    assert sums.nnz == 2
+    assert sums[2**14 - 1, 2**18 - 1] == 4 + 1j
+    assert sums[0, 0] == 2

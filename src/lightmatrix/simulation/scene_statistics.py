@@ -1,4 +1,4 @@
-"""What kind of matrix a scene has: direct share, sparsity, diffuse rows, clipping."""
+"""Statistics of a scene's matrix: direct share, sparsity, clipping."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def entries_for_energy(truth: Truth, share: float) -> NDArray[np.int64]:
     row = np.repeat(np.arange(len(lengths)), lengths)
     sums = np.cumsum(ascending_in_rows(matrix), dtype=np.float64)
     ends = np.concatenate([[0.0], sums])[matrix.indptr]
-    # Counted from the smallest entry on: those that may go.
+    # Count the smallest entries that together hold less than the rest of the share.
     total = np.diff(ends)
     spare = sums - ends[row] <= (total - share * total)[row]
     return np.where(total > 0, lengths - np.bincount(row[spare], minlength=len(lengths)), 0)
