@@ -279,13 +279,13 @@ def test_a_black_frame_or_mask_is_never_passed_over_in_silence(tmp_path: Path) -
     describe(place, black={"file": "Black.PNG"}, black_level=0)
     expected = Capture.open(place)
     (place / "capture.json").unlink()
-    with pytest.warns(LightMatrixWarning, match=r"Black\.PNG: is taken for the black frame"):
+    with pytest.warns(LightMatrixWarning, match=r"Black\.PNG: is used as the black frame"):
         found = Capture.open(place)
     assert found.digest == expected.digest
     write_image(place / "mask.tif", mask)
     with (
-        pytest.warns(LightMatrixWarning, match="is taken for the mask"),
-        pytest.warns(LightMatrixWarning, match="is taken for the black frame"),
+        pytest.warns(LightMatrixWarning, match="is used as the mask"),
+        pytest.warns(LightMatrixWarning, match="is used as the black frame"),
     ):
         assert np.flatnonzero(~Capture.open(place).valid).tolist() == [0]
     write_image(place / "black.npy", DARK)
@@ -333,7 +333,7 @@ def test_room_light_does_not_change_the_unit(tmp_path: Path, room: float, pedest
     captures = [plain, Capture.open(place)]
     if not pedestal:
         (place / "capture.json").unlink()
-        with pytest.warns(LightMatrixWarning, match="is taken for the black frame"):
+        with pytest.warns(LightMatrixWarning, match="is used as the black frame"):
             captures.append(Capture.open(place))
     for capture in captures:
         samples = capture.samples()

@@ -1,7 +1,7 @@
-"""Captures: patterns, the photographs of the scene under them, and how to read these.
+"""`Capture`: patterns, the photographs of the scene under them, and how to read these.
 
-Frames stay as they were stored; they become linear samples tile by tile, in the order (row, col,
-channel).
+Frames stay as they were stored. They are decoded into linear samples tile by tile, in the order
+(row, col, channel).
 """
 
 from __future__ import annotations
@@ -29,15 +29,13 @@ from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.regions import Region
 from lightmatrix.reprs import html_table
 
-# Corner and shape of a rectangle of photographs.
+# Corner and shape of a rectangle of photographs, in pixels.
 Crop = tuple[tuple[int, int], tuple[int, int]]
 
 
 @dataclass(frozen=True, eq=False)
 class Capture:
-    """A pattern set and the frames taken under it.
-
-    Made by `open`, `from_folders` or `from_arrays`.
+    """A pattern set and the frames taken under it; see `open`, `from_folders` and `from_arrays`.
 
     Parameters
     ----------
@@ -52,7 +50,7 @@ class Capture:
     bin_projector, bin_camera : (int, int)
         Rows and columns of the blocks that are averaged.
     provenance : mapping
-        What made it, JSON-ready.
+        What made the capture, JSON-ready.
 
     Raises
     ------
@@ -77,11 +75,11 @@ class Capture:
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
     def __repr__(self) -> str:
-        facts = summary.summarize(self.patterns, self.reader)
-        return f"Capture({', '.join(f'{name}={value}' for name, value in facts.items())})"
+        facts = (f"{name}={value}" for name, value in self.summary().items())
+        return f"Capture({', '.join(facts)})"
 
     def _repr_html_(self) -> str:
-        return html_table("Capture", summary.summarize(self.patterns, self.reader))
+        return html_table("Capture", self.summary())
 
     def __post_init__(self) -> None:
         if self.patterns.count != self.frames.count:
@@ -95,8 +93,6 @@ class Capture:
                 hint="make the mask as large as the images",
             )
 
-    # ---- making one
-
     @classmethod
     def open(
         cls,
@@ -107,14 +103,14 @@ class Capture:
         bin_camera: int | tuple[int, int] = 1,
         allow_outside: bool = False,
     ) -> Capture:
-        """Read a capture folder, or a packed capture.
+        """Read a capture folder or a packed capture, without judging it (see `check`).
 
         Parameters
         ----------
         folder : str or Path
-            Holds patterns/, images/ (or a stack of each, such as images.tif) and, for anything but
-            a linear camera of exposure 1 without black level, capture.json. Or a .zarr that `pack`
-            made of one, of which as much is read as is asked for.
+            Holds patterns/ and images/, or a stack of each such as images.tif; and capture.json,
+            unless the camera is linear with exposure 1 and without black level. Or a .zarr that
+            `pack` wrote, which is read as far as needed.
         crop : ((int, int), (int, int)), optional
             Corner and shape of a rectangle of the photographs, see `crop`. None: all of them.
         bin_projector, bin_camera : int or (int, int)
@@ -125,7 +121,7 @@ class Capture:
         Raises
         ------
         InputError
-            On anything that makes the capture unusable, naming the file.
+            On files that cannot be read or do not fit together, naming the file.
         """
         parts = read_capture(folder, allow_outside=allow_outside)
         capture = cls(
@@ -135,10 +131,7 @@ class Capture:
 
     @staticmethod
     def lies_at(path: str | Path) -> bool:
-        """Whether a path leads to a capture, packed or not, rather than to something else.
-
-        It may be damaged, which `open` finds out.
-        """
+        """Whether a path leads to a capture, packed or not, which may still be damaged."""
         return holds_capture(Path(path))
 
     @classmethod
@@ -160,9 +153,9 @@ class Capture:
             Folder of the patterns as projected; a TIFF of several pages, npy or npz file of
             (K, rows, cols); or the set itself.
         images : str or Path
-            Folder of the camera's frames, or such a file, in colour of (K, rows, cols, 3).
+            Folder of the camera's frames, or such a file, (K, rows, cols, 3) in colour.
         settings : ReadSettings, optional
-            How the frames are read: levels, exposures, black frame, response, mask. None: as
+            How the frames are read: levels, exposures, black frame, response, mask. None: like
             those of a linear camera.
         crop : ((int, int), (int, int)), optional
             Corner and shape of a rectangle of the photographs, see `crop`. None: all of them.
@@ -172,7 +165,7 @@ class Capture:
         Raises
         ------
         InputError
-            On anything that makes the capture unusable, naming the file.
+            On files that cannot be read or do not fit together, naming the file.
         """
         parts = read_folders(patterns, images, settings or ReadSettings())
         capture = cls(parts.patterns, parts.frames, parts.decoder, parts.mask)
@@ -197,11 +190,11 @@ class Capture:
         frames : (K, rows, cols[, channels]) uint8, uint16 or float32
             Raw levels.
         sensor : Sensor or Decoder
-            The camera that took them, or the way back from its levels.
+            The camera that took them, or its decoder.
         mask : (rows, cols[, channels]) bool, optional
             Which camera samples count.
         provenance : mapping, optional
-            What made it, JSON-ready.
+            What made the capture, JSON-ready.
 
         Raises
         ------
@@ -222,8 +215,6 @@ class Capture:
         self.decoder.check_count(self.count)
         whole = self if crop is None else self.crop(*crop)
         return whole.bin(bin_projector, bin_camera)
-
-    # ---- shape
 
     @property
     def count(self) -> int:
@@ -252,14 +243,14 @@ class Capture:
 
     @property
     def reference_level(self) -> float:
-        """Clip level of the longest exposed frames at exposure 1: the natural unit of a row."""
+        """Clip level of the longest exposure, as a sample at exposure 1: the unit of a row of T."""
         return float(1 / self.exposures.max())
 
     def crop(self, corner: tuple[int, int], shape: tuple[int, int]) -> Capture:
         """A rectangle of the photographs, cut out of each as it is read.
 
-        What was cut away takes neither memory nor time, but that of reading a photograph. An
-        estimate keeps in its provenance where the rectangle lay.
+        Pixels outside of it take no memory, and no time beyond that of reading a photograph. The
+        provenance of an estimate says where the rectangle lay.
 
         Parameters
         ----------
@@ -271,7 +262,7 @@ class Capture:
         Raises
         ------
         InputError
-            If it does not lie within the photographs, or they are binned already.
+            If the rectangle leaves the photographs, or the capture is binned already.
 
         Examples
         --------
@@ -334,7 +325,7 @@ class Capture:
         return result
 
     def select(self, frames: Sequence[int] | NDArray[np.integer]) -> Capture:
-        """The capture of the frames of the given indices, such as all but one."""
+        """The capture of some frames, given by their indices."""
         index = np.asarray(frames, np.int64)
         return replace(
             self,
@@ -343,8 +334,6 @@ class Capture:
             decoder=self.decoder.select(index),
         )
 
-    # ---- samples
-
     def frame(self, index: int) -> NDArray[Any]:
         """Raw levels of one frame as stored, not binned."""
         return self.frames.read(index)
@@ -352,21 +341,18 @@ class Capture:
     def samples(self, start: int = 0, stop: int | None = None) -> Samples:
         """Linear samples of the camera rows start..stop, decoded from the raw frames.
 
-        Returns
-        -------
-        Samples
-            Fits `Problem`; at exposure 1, in units of the clip level.
+        They are for exposure 1, in units of the clip level, as `Problem` takes them.
         """
         return self.reader.samples(start, self.rows if stop is None else stop)
 
     @cached_property
     def reader(self) -> Reader:
-        """What decodes the frames, and keeps what it has read of them."""
+        """The reader, which decodes the frames and keeps the levels that it has read."""
         return Reader(self.frames, self.decoder, self.mask, self.bin_camera)
 
     @property
     def valid(self) -> NDArray[np.bool_]:
-        """Which camera samples count: not masked, and not clipped without light; (M,)."""
+        """Camera samples that are not masked and do not clip without light, (M,)."""
         return self.reader.valid
 
     def tiles(self, rows: int = 4096) -> Iterable[tuple[int, Samples]]:
@@ -375,7 +361,7 @@ class Capture:
 
     @cached_property
     def clipped_share(self) -> float:
-        """Share of the samples that count that are clipped."""
+        """Share of the valid samples that are clipped."""
         clipped = sum(int(tile.clipped.sum()) for _, tile in self.tiles())
         return clipped / max(1, int(self.valid.sum()) * self.count)
 
@@ -385,12 +371,12 @@ class Capture:
         return summary.digest(self.patterns, self.reader)
 
     def summary(self) -> dict[str, Any]:
-        """Number of frames, shapes, kind of patterns, levels, exposures: as names and values."""
+        """Number of frames, shapes, kind of patterns, levels and exposures, by name."""
         return summary.summarize(self.patterns, self.reader)
 
     @property
     def description(self) -> dict[str, Any]:
-        """What the capture is and how it is read, JSON-ready."""
+        """Shapes and settings of the capture, JSON-ready, with its provenance."""
         facts = summary.description(self.patterns, self.reader, self.bin_projector)
         return {**facts, **dict(self.provenance)}
 

@@ -1,4 +1,4 @@
-"""From the settings of a capture to its decoder and mask, with the files that they name."""
+"""Makes the decoder and the mask of a capture from its settings and the files that they name."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _HIGHEST_LEVELS = (255, 1023, 4095, 16383)
 
 @dataclass(frozen=True, eq=False)
 class CaptureParts:
-    """What a capture is made of as it is read from disk; the counts may still differ."""
+    """The parts of a capture as read from disk; patterns and frames may still differ in number."""
 
     patterns: PatternSet
     frames: Frames
@@ -37,10 +37,10 @@ class CaptureParts:
 
 
 def make_decoder(stack: ImageStack, settings: ReadSettings) -> Decoder:
-    """The decoder of a stack, with its black frame read and its range filled in.
+    """The decoder of a stack, with its black frame and its range of levels.
 
-    The black level, the camera's electronic pedestal, is 0 unless it is stated: a black frame holds
-    room light too, and must not change the unit of the samples.
+    The black level, the camera's electronic pedestal, is 0 unless it is stated. It is not taken
+    from the black frame, whose room light must not change the unit of the samples.
 
     Raises
     ------
@@ -72,7 +72,7 @@ def make_decoder(stack: ImageStack, settings: ReadSettings) -> Decoder:
         settings.exposure,
         _read_black(stack, settings, clip),
         settings.black_exposure,
-        # A measured response knows where its camera clips.
+        # A measured response ends at the clip level of its camera.
         settings.clip is None and measured is None,
     )
 
@@ -93,7 +93,7 @@ def _read_black(
             f"{file}: the black frame has shape {image.shape}, the images {stack.shape}",
             hint="take the black frame with the same camera settings",
         )
-    # The mean of several black frames may be kept as float, in levels of the frames.
+    # The mean of several black frames is kept as float, in levels of the frames.
     if image.dtype != stack.dtype and image.dtype.kind != "f":
         raise InputError(
             f"{file}: the black frame is {image.dtype}, the images {stack.dtype}",
@@ -107,18 +107,18 @@ def _read_black(
     differs = exposure is not None and bool((np.asarray(settings.exposure) != exposure).any())
     if settings.black_level is None and differs:
         raise InputError(
-            f"{file}: its light is to be scaled to other exposures, but not its pedestal, and no "
-            "black level is given",
+            f"{file}: its exposure differs from that of the frames, but no black level is given, "
+            "which does not scale with the exposure",
             hint='give "black_level" in capture.json, 0 for a camera without pedestal',
         )
     return image.ravel()
 
 
 def check_depth(frames: Frames, decoder: Decoder) -> None:
-    """Refuse 16-bit files that hold fewer bits, while their full range was assumed.
+    """Refuse 16-bit files that hold fewer bits if no clip level is stated.
 
-    A camera of 12 bits clips at 4095: with 65535 in its place all samples are below 1/16, none is
-    clipped, and an estimate finds nothing without a sign that it is wrong.
+    A camera of 12 bits clips at 4095. With 65535 in its place all samples are below 1/16 and none
+    is clipped: the estimate would be wrong without any sign of it.
 
     Raises
     ------
@@ -135,12 +135,12 @@ def check_depth(frames: Frames, decoder: Decoder) -> None:
     likely = next(level for level in _HIGHEST_LEVELS if level >= top)
     raise InputError(
         f"the images have 16 bits, but no level above {top}: a camera that clips at {likely}?",
-        hint=f'say --clip {likely}, or "clip" in capture.json; --clip 65535 if they are just dark',
+        hint=f'give --clip {likely}, or "clip" in capture.json; --clip 65535 if they are just dark',
     )
 
 
 def read_mask(mask: str | Path | None, shape: tuple[int, ...]) -> NDArray[np.bool_] | None:
-    """Which camera samples count: those where a mask image is not 0; None without a mask.
+    """The camera samples where a mask image is not 0, like a frame; None without a mask.
 
     Raises
     ------
@@ -161,7 +161,7 @@ def read_mask(mask: str | Path | None, shape: tuple[int, ...]) -> NDArray[np.boo
 
 
 def _stated_response(response: Response | str | None, stack: ImageStack) -> Response:
-    """The response that is stated, or the linear one, with a warning where files say otherwise."""
+    """The stated response, or the linear one, with a warning if the files are tagged otherwise."""
     if isinstance(response, Response):
         return response
     if response is not None:

@@ -1,4 +1,4 @@
-"""capture.json: what is true of a capture, each key of its own kind and range."""
+"""capture.json: the file that describes a capture; each key has its own kind and range."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from lightmatrix.files.headers import read_json, said_in
 from lightmatrix.files.reading import within
 
 NAME = "capture.json"
-# What a simulated capture holds beside a photographed one, packed or not.
+# The T that was photographed, beside a simulated capture, packed or not.
 TRUTH = "truth.npz"
 FORMAT, VERSION = "lightmatrix-capture", 1
 
@@ -63,7 +63,7 @@ def read_description(file: Path, *, allow_outside: bool = False) -> Description:
 def parse_description(
     file: Path, content: Mapping[str, Any], *, allow_outside: bool = False
 ) -> Description:
-    """The description that keys and values of a file make; errors as of `read_description`."""
+    """The description in the content of a file; raises as `read_description`."""
     table = _Table(file, "", content, KEYS)
     black = table.get("black", _object, "an object with the black frame's file")
     frame = _Table(file, "black.", black or {}, _BLACK_KEYS)
@@ -122,7 +122,7 @@ _NULL_IS_NONE = frozenset({"black", "mask", "provenance"})
 
 @dataclass(frozen=True)
 class _Table:
-    """The values of an object in the file, each asked for as what it has to be."""
+    """An object of the file, with messages that name its keys."""
 
     file: Path
     prefix: str
@@ -139,27 +139,27 @@ class _Table:
             )
 
     def get(self, key: str, read: Callable[[Any], Any], wanted: str) -> Any:
-        """The value of a key; None if there is none, or null where that says that there is none."""
+        """The value of a key as `read` returns it; None if it is absent, or null and may be."""
         if key not in self.content:
             return None
         value = self.content[key]
         if value is None and self.prefix + key in _NULL_IS_NONE:
             return None
-        # Elsewhere a null is more likely a value that was lost than one left to its default.
-        found = None if value is None else read(value)
-        if found is None:
+        # For other keys a null is more likely a lost value than a wish for the default.
+        result = None if value is None else read(value)
+        if result is None:
             raise InputError(
                 f'{self.file}: "{self.prefix}{key}" cannot be {_short(value)}',
                 hint=f"give {wanted}" + (", or leave it out" if value is None else ""),
             )
-        return found
+        return result
 
 
-# What follows gives back None for a value of another kind or out of range.
+# The functions below return None for a value of another kind or out of range.
 
 
 def _number(value: Any) -> float | None:
-    # True is a number to Python, and whole numbers have no largest one.
+    # In Python True is a number, and whole numbers may exceed every float.
     if type(value) not in (int, float) or abs(value) > MOST_LEVEL:
         return None
     return float(value)

@@ -1,12 +1,12 @@
-"""Captures on disk: one folder, or two plain folders of images.
+"""Capture folders, and two plain folders of images: reading and writing.
 
-The folder holds::
+A capture folder holds::
 
-    patterns/      one image a pattern, and patterns.json if they can be remade
-    images/        one image a frame, in the same natural order
+    patterns/      one image for each pattern, and patterns.json if they can be remade
+    images/        one image for each frame, in the same natural order
     capture.json   exposure, clip and black level, response, ... (all optional)
 
-In place of either folder there may be one file of all its images, such as images.tif.
+Either folder may be replaced by one file of all its images, such as images.tif.
 """
 
 from __future__ import annotations
@@ -52,21 +52,15 @@ def holds_capture(place: Path) -> bool:
 def read_capture(
     folder: str | Path, *, allow_outside: bool = False, counted: bool = True
 ) -> CaptureParts:
-    """Read a folder with patterns/, images/ and, perhaps, capture.json; or a packed capture.
+    """Read a capture folder or a packed capture.
 
-    Parameters
-    ----------
-    folder : str or Path
-        The folder, or what `pack` made.
-    allow_outside : bool
-        Whether the files that capture.json names may lie outside the folder.
-    counted : bool
-        Whether patterns and frames must be of one number.
+    Files that capture.json names may lie outside the folder only with `allow_outside`. Patterns and
+    frames must be equal in number if `counted`.
 
     Raises
     ------
     InputError
-        On a folder that is none, or a capture.json that contradicts it.
+        On a folder that is no capture, or a capture.json that contradicts it.
     """
     place = Path(folder)
     if not place.is_dir():
@@ -76,7 +70,7 @@ def read_capture(
         return read_packed(place)
     pattern_images, photographs = _find_images(place, "patterns"), _find_images(place, "images")
     file = place / NAME
-    # A link that leads nowhere is a description that is missing, not none.
+    # A dangling link is an error, not a folder without a description.
     described = os.path.lexists(file)
     if not described:
         _check_name(place)
@@ -114,7 +108,7 @@ def read_folders(
 ) -> CaptureParts:
     """Read two plain folders of images, or stacks; see `Capture.from_folders`.
 
-    `counted` says whether patterns and frames must be of one number.
+    Patterns and frames must be equal in number if `counted`.
 
     Raises
     ------
@@ -151,30 +145,15 @@ def write_capture(
 
     Parameters
     ----------
-    folder : str or Path
-        The folder to make.
-    patterns : PatternSet
-        K patterns.
     frames : (K, rows, cols[, channels]) array or iterable of K images or files
-        Raw levels, written as PNG (uint8, uint16) or npy (float32). Files hold such images of
-        `camera_shape` already; they keep their format, and share their place on the disk where
-        it can do that.
-    sensor : Sensor
-        The camera that took them.
-    camera_shape : tuple of int, optional
-        Shape that each frame must have.
+        Raw levels, written as PNG (uint8, uint16) or npy (float32). Files must hold images of
+        `camera_shape`; they are linked, or copied where the file system has no links.
     black : (rows, cols[, channels]), optional
-        Raw levels under a black pattern; the mean of several as float32.
-    black_exposure : float, optional
-        Its exposure; None means that of the frames, which must then be one.
+        Raw levels under a black pattern at `black_exposure`; the mean of several as float32.
     response : str
-        See `Response.parse`; a curve's file is written by `beside`.
-    provenance : mapping, optional
-        What made the capture, JSON-ready.
+        See `Response.parse`; `beside` writes a curve's file.
     beside : callable, optional
-        Given the folder before it is whole, writes what else belongs into it.
-    overwrite : bool
-        Whether an existing capture may be replaced.
+        Called with the folder before it is whole, writes further files into it.
 
     Raises
     ------
@@ -231,7 +210,7 @@ def write_capture(
 
 
 def _link(file: Path, image: Path) -> None:
-    """A second name for a file; a copy where the file system knows none."""
+    """Link a file to a second name, or copy it if the file system has no links."""
     try:
         os.link(file, image)
     except OSError:
@@ -239,55 +218,39 @@ def _link(file: Path, image: Path) -> None:
 
 
 def _find_images(place: Path, name: str) -> Path:
-    """The folder `name` of a capture, or the one file of all its images, such as images.tif.
-
-    Raises
-    ------
-    InputError
-        If there is neither, or more than one.
-    """
+    """The folder `name` of a capture, or the one file of all its images, such as images.tif."""
     folder = place / name
-    found = [folder] if folder.is_dir() else []
-    found += [
+    sources = [folder] if folder.is_dir() else []
+    sources += [
         entry
         for entry in sorted(place.iterdir())
         if entry.stem == name and is_stack(entry) and not entry.is_dir()
     ]
-    if not found:
+    if not sources:
         raise InputError(
             f"{place}: has no folder {name}/",
             hint="give a folder with patterns/ and images/ (or a stack of each, such as "
             "images.tif), or --patterns and --images",
         )
-    if len(found) > 1:
+    if len(sources) > 1:
         raise InputError(
-            f"{place}: holds {found[0].name} and {found[1].name}", hint="keep the one that is meant"
+            f"{place}: holds {sources[0].name} and {sources[1].name}",
+            hint="keep the one that is meant",
         )
-    return found[0]
+    return sources[0]
 
 
 def _check_name(place: Path) -> None:
-    """Refuse a folder without a capture.json that has one in other letters, such as Capture.json.
-
-    Raises
-    ------
-    InputError
-        Naming it.
-    """
+    """Refuse a folder whose capture.json is spelled otherwise, such as Capture.json."""
     for entry in sorted(place.iterdir()):
         if entry.name != NAME and entry.name.casefold() == NAME:
-            raise InputError(f"{entry}: is not read under this name", hint=f"call it {NAME}")
+            raise InputError(f"{entry}: is not read under this name", hint=f"rename it to {NAME}")
 
 
 def _with_files_beside(place: Path, description: Description, described: bool) -> ReadSettings:
-    """The settings with a black frame or mask that lies in the folder without being named.
+    """The settings with a black frame and a mask that the folder holds, but no capture.json names.
 
-    Without capture.json it is used, and with one it is not; a warning says either.
-
-    Raises
-    ------
-    InputError
-        On two files of which either may be meant.
+    Without capture.json they are used, and beside one they are not. A warning says which.
     """
     settings = description.settings
     for key, what in (("black", "the black frame"), ("mask", "the mask")):
@@ -309,7 +272,7 @@ def _with_files_beside(place: Path, description: Description, described: bool) -
                 hint=f"keep the one that is {what}",
             )
         else:
-            message = f"{files[0]}: is taken for {what}, for want of a {NAME} that says so"
+            message = f"{files[0]}: is used as {what}, since there is no {NAME}"
             if key == "black":
                 settings = replace(settings, black=files[0])
             else:
@@ -327,7 +290,7 @@ def _check_counts(patterns: PatternSet, stack: ImageStack, images: Path) -> None
 
 
 def _as_light(patterns: PatternSet, settings: ReadSettings) -> PatternSet:
-    """What the projector showed, where patterns are the grey values that it was given."""
+    """The light of patterns that the projector was sent as grey values."""
     response = settings.projector_response
     if response is None:
         return patterns

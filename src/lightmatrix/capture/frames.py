@@ -1,4 +1,4 @@
-"""Stacks of frames: what a capture needs of its images, on disk, in memory or cut out of others."""
+"""Stacks of frames: what a capture needs of its images, whether on disk or in memory."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ from lightmatrix.files.ahead import read_ahead
 from lightmatrix.regions import Region
 from lightmatrix.reprs import short_repr
 
-# Levels that are looked at together.
+# Raw levels that are read together where all frames of some pixels are. Chosen by hand: 16 to 64 MB
+# of levels, by their type, are little memory.
 BLOCK_LEVELS = 1 << 24
 
 
@@ -38,7 +39,7 @@ class Frames(Protocol):
         """One frame as it is stored."""
 
     def name(self, index: int) -> str:
-        """What a message calls a frame."""
+        """The name of a frame in messages."""
 
     def select(self, index: Sequence[int]) -> Frames:
         """The frames of the given indices."""
@@ -46,7 +47,7 @@ class Frames(Protocol):
 
 @runtime_checkable
 class PixelFrames(Frames, Protocol):
-    """Frames that lie by camera pixel: a few pixels are read at once, a whole frame slowly."""
+    """Frames stored by camera pixel: some pixels in all frames are read fast, a frame slowly."""
 
     def levels(self, start: int, stop: int) -> NDArray[Any]:
         """Raw levels of the camera samples start..stop in all frames, (stop - start, K)."""
@@ -59,14 +60,14 @@ class PixelFrames(Frames, Protocol):
 
 
 def in_order(frames: Frames, start: int = 0, stop: int | None = None) -> Iterator[NDArray[Any]]:
-    """The frames start..stop one after the other, read ahead where they are files."""
+    """The frames start..stop one after the other; files are read ahead."""
     stop = frames.count if stop is None else stop
     threads = 1 if isinstance(frames, ArrayStack | PixelFrames) else None
     return read_ahead(frames.read, range(start, stop), threads)
 
 
 def level_blocks(frames: Frames) -> Iterator[NDArray[Any]]:
-    """All raw levels once, in blocks of bounded size, in the order that is read fastest."""
+    """All raw levels once, in blocks of bounded size, in the fastest order."""
     if not isinstance(frames, PixelFrames):
         yield from in_order(frames)
         return
@@ -76,14 +77,9 @@ def level_blocks(frames: Frames) -> Iterator[NDArray[Any]]:
 
 
 def levels_at(frames: Frames, places: NDArray[np.int64]) -> NDArray[Any]:
-    """Raw levels of some camera samples in all frames, (S, K); every frame is read once.
+    """Raw levels of the camera samples `places`, (S,), in all frames, (S, K).
 
-    Parameters
-    ----------
-    frames : Frames
-        K frames.
-    places : (S,) int64
-        Which samples of a frame.
+    Every frame is read once.
     """
     levels = np.empty((len(places), frames.count), frames.dtype)
     if not isinstance(frames, PixelFrames):
@@ -100,12 +96,7 @@ def levels_at(frames: Frames, places: NDArray[np.int64]) -> NDArray[Any]:
 
 @dataclass(frozen=True, eq=False)
 class ArrayStack:
-    """Frames that are in memory already, such as simulated ones.
-
-    Parameters
-    ----------
-    array : (K, rows, cols) or (K, rows, cols, channels) uint8, uint16 or float32
-    """
+    """Frames in memory, (K, rows, cols[, channels]) uint8, uint16 or float32."""
 
     array: NDArray[Any]
 
@@ -142,15 +133,7 @@ class ArrayStack:
 
 @dataclass(frozen=True)
 class CutFrames:
-    """A rectangle of frames, cut out of each as it is read.
-
-    Parameters
-    ----------
-    frames : Frames
-        The whole frames.
-    region : Region
-        Of these.
-    """
+    """A rectangle of frames, cut out of each frame as it is read."""
 
     frames: Frames
     region: Region
@@ -171,7 +154,7 @@ class CutFrames:
         return self.frames.dtype
 
     def read(self, index: int) -> NDArray[Any]:
-        """The rectangle of one frame; a copy, so that the whole is not kept."""
+        """The rectangle of one frame, as a copy, so that the whole frame is freed."""
         return self.frames.read(index)[self.region.slices].copy()
 
     def name(self, index: int) -> str:
@@ -185,7 +168,7 @@ class CutFrames:
 
 @dataclass(frozen=True)
 class CutPixels(CutFrames):
-    """A rectangle of frames that lie by camera pixel, as these do in turn."""
+    """A rectangle of frames that are stored by camera pixel, read as fast as these."""
 
     frames: PixelFrames
 
@@ -211,13 +194,7 @@ class CutPixels(CutFrames):
 
 
 def cut(frames: Frames, corner: tuple[int, int], shape: tuple[int, int]) -> CutFrames:
-    """A rectangle of frames, which may be cut already.
-
-    Parameters
-    ----------
-    frames : Frames
-    corner, shape : (int, int)
-        Row and column of its first pixel, its rows and columns.
+    """A rectangle of frames, which may themselves be cut, from a corner of (row, col).
 
     Raises
     ------

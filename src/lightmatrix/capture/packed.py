@@ -1,6 +1,6 @@
 """Packed captures: all frames in one array of Zarr v3, chunked by tiles of camera pixels.
 
-A tile of camera pixels is read without the rest of the frames. docs/scale.md has the format;
+A tile of camera pixels is read without the rest of the frames. docs/scale.md documents the format;
 `packing.py` writes it.
 """
 
@@ -18,6 +18,7 @@ from lightmatrix.camera.camera_curve import Response
 from lightmatrix.camera.decoder import Decoder
 from lightmatrix.capture.decoding import CaptureParts
 from lightmatrix.capture.description import KEYS, Description, parse_description
+from lightmatrix.capture.settings import ReadSettings
 from lightmatrix.errors import InputError
 from lightmatrix.files.image_size import check_size
 from lightmatrix.files.zarr_arrays import (
@@ -35,7 +36,7 @@ from lightmatrix.reprs import short_repr
 from lightmatrix.resources.memory import check_room
 
 FORMAT, VERSION = "lightmatrix-packed-capture", 1
-# The arrays of the group.
+# The names of the arrays in the group.
 FRAMES, BITS, LEVELS, BLACK, MASK, CURVE = (
     "frames",
     "pattern_bits",
@@ -44,29 +45,24 @@ FRAMES, BITS, LEVELS, BLACK, MASK, CURVE = (
     "mask",
     "response_curve",
 )
-_AGAIN = "restore it, or pack the capture again"
-# What capture.json says too, each key held to the same kind and range.
-_UNTOLD = {"format", "version", "black", "mask", "response", "projector_response", "mosaic"}
-_TOLD = KEYS - _UNTOLD
-_KEYS = _TOLD | {"format", "version", "output", "response", "names", "patterns"}
-_KEYS |= {"black_exposure", "clip_assumed"}
+_REMEDY = "restore it, or pack the capture again"
+# The keys of the group's attributes that capture.json has too, with the same kinds and ranges.
+_SHARED_KEYS = KEYS - {
+    "format", "version", "black", "mask", "response", "projector_response", "mosaic",
+}  # fmt: skip
+_KEYS = _SHARED_KEYS | {
+    "format", "version", "output", "response", "names", "patterns", "black_exposure",
+    "clip_assumed",
+}  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
 class PackedFrames:
-    """The frames of a packed capture, of which a tile of camera pixels is read at a time.
+    """Frames of a packed capture, read a tile of camera pixels at a time.
 
-    Parameters
-    ----------
-    array : StoredArray
-        Raw levels (K, rows, cols[, channels]); a chunk holds all frames of some camera rows, or of
-        a part of one.
-    names : tuple of str
-        What the frames were called.
-    index : (K',) int64
-        Which of the frames these are.
-    rows, cols : slice
-        Which rectangle of their pixels.
+    Of the raw levels in `array`, (K, rows, cols[, channels]), these are the frames `index`, (K',),
+    and the pixels in `rows` and `cols`. A chunk holds all frames of some camera rows, or of a part
+    of one.
     """
 
     array: StoredArray
@@ -74,7 +70,7 @@ class PackedFrames:
     index: NDArray[np.int64]
     rows: slice
     cols: slice
-    # The strip of chunks that was read last: tiles of rows are smaller, and follow each other.
+    # The strip of chunks that was read last. Tiles are smaller than it, and follow each other.
     _last: dict[int, NDArray[Any]] = field(default_factory=dict, repr=False)
 
     __repr__ = short_repr
@@ -96,7 +92,7 @@ class PackedFrames:
         return self.array.dtype
 
     def read(self, index: int) -> NDArray[Any]:
-        """One frame, for which all of them are decompressed.
+        """One frame, for which the chunks of all frames are decompressed.
 
         Raises
         ------
@@ -104,11 +100,11 @@ class PackedFrames:
             Naming a chunk that is damaged.
         """
         k = int(self.index[index])
-        with damage_explained(self.array.place.parent, _AGAIN):
+        with damage_explained(self.array.place.parent, _REMEDY):
             return self.array.read(slice(k, k + 1), self.rows, self.cols)[0]
 
     def name(self, index: int) -> str:
-        """What the frame was called before it was packed."""
+        """The name of the frame before it was packed."""
         return self.names[self.index[index]]
 
     def select(self, index: Sequence[int]) -> PackedFrames:
@@ -128,26 +124,26 @@ class PackedFrames:
             Naming a chunk that is damaged.
         """
         width = int(np.prod(self.shape[1:]))
-        found = np.empty((stop - start, self.count), self.dtype)
+        levels = np.empty((stop - start, self.count), self.dtype)
         top, end = self.rows.start + start // width, self.rows.start - (-stop // width)
         height = self.array.chunks[1]
         for number in range(top // height, -(-end // height)):
             strip = self._strip(number)
-            # Its samples by their numbers within the rectangle.
+            # The strip's first sample, counted within the rectangle.
             first = (max(number * height, self.rows.start) - self.rows.start) * width
             low, high = max(start, first), min(stop, first + strip.shape[1])
-            found[low - start : high - start] = strip[:, low - first : high - first].T
-        return found
+            levels[low - start : high - start] = strip[:, low - first : high - first].T
+        return levels
 
     def _strip(self, number: int) -> NDArray[Any]:
-        """All frames' levels in a row of chunks, as far as they lie in the rectangle, (K', n)."""
+        """Levels of all frames in a row of chunks, as far as it lies in the rectangle, (K', n)."""
         strip = self._last.get(number)
         if strip is None:
             height = self.array.chunks[1]
             rows = slice(
                 max(number * height, self.rows.start), min((number + 1) * height, self.rows.stop)
             )
-            with damage_explained(self.array.place.parent, _AGAIN):
+            with damage_explained(self.array.place.parent, _REMEDY):
                 read = self.array.read(slice(None), rows, self.cols)
             strip = read.reshape(len(read), -1)
             if not np.array_equal(self.index, np.arange(len(strip))):
@@ -158,17 +154,12 @@ class PackedFrames:
 
 
 def is_packed(place: Path) -> bool:
-    """Whether a folder is a group of Zarr rather than a plain capture folder."""
+    """Whether a folder is a Zarr group rather than a plain capture folder."""
     return (place / HEADER).is_file()
 
 
 def read_packed(place: Path) -> CaptureParts:
-    """Open a packed capture: everything but the frames is read, and checked whole.
-
-    Parameters
-    ----------
-    place : Path
-        A folder with a zarr.json.
+    """Open a packed capture: reads and checks everything but the frames.
 
     Raises
     ------
@@ -194,61 +185,61 @@ def read_packed(place: Path) -> CaptureParts:
             f"reads {VERSION}",
             hint="update lightmatrix, or pack the capture again",
         )
-    with damage_explained(place, _AGAIN):
+    with damage_explained(place, _REMEDY):
         unknown = sorted(set(attributes) - _KEYS)
         if unknown:
             raise ValueError(f"does not know {str(unknown[0])[:60]!r}")
-        told = parse_description(
-            place / HEADER, {k: v for k, v in attributes.items() if k in _TOLD}
+        description = parse_description(
+            place / HEADER, {k: v for k, v in attributes.items() if k in _SHARED_KEYS}
         )
-        frames = _frames(place, attributes, told)
-        decoder = _decoder(place, attributes, told, frames)
+        frames = _frames(place, attributes, description)
+        decoder = _decoder(place, attributes, description.settings, frames)
         decoder.check_count(frames.count)
         patterns = _patterns(place, attributes, frames.count)
-        if told.projector_shape != patterns.shape:
+        if description.projector_shape != patterns.shape:
             raise ValueError(f"its patterns are {patterns.shape}")
         mask = _array(place, MASK, frames.shape, "b")
-    return CaptureParts(patterns, frames, decoder, mask, dict(told.provenance))
+    return CaptureParts(patterns, frames, decoder, mask, dict(description.provenance))
 
 
-def _frames(place: Path, attributes: Mapping[str, Any], told: Description) -> PackedFrames:
+def _frames(place: Path, attributes: Mapping[str, Any], description: Description) -> PackedFrames:
     names = attributes.get("names")
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
         raise ValueError("its frames have no names")
-    if told.camera_shape is None or not names:
+    shape = description.camera_shape
+    if shape is None or not names:
         raise ValueError("it has no frames")
-    check_size(place, told.camera_shape)
-    channels = told.camera_shape[2] if len(told.camera_shape) == 3 else 1
-    # All frames of a pixel lie in one chunk, however many they are.
+    check_size(place, shape)
+    channels = shape[2] if len(shape) == 3 else 1
+    # All frames of a pixel lie in one chunk, however many there are.
     array = StoredArray.open(place / FRAMES, max(CHUNK, len(names) * channels))
-    if array.shape != (len(names), *told.camera_shape):
+    if array.shape != (len(names), *shape):
         raise ValueError(f"its frames have shape {array.shape}")
     if array.dtype not in (np.uint8, np.uint16, np.float32):
         raise ValueError(f"its frames are {array.dtype}")
     if array.chunks[0] != len(names):
         raise ValueError("its chunks do not hold all frames")
-    rows, cols = told.camera_shape[:2]
     every = np.arange(len(names))
-    return PackedFrames(array, tuple(names), every, slice(0, rows), slice(0, cols))
+    return PackedFrames(array, tuple(names), every, slice(0, shape[0]), slice(0, shape[1]))
 
 
 def _decoder(
-    place: Path, attributes: Mapping[str, Any], told: Description, frames: PackedFrames
+    place: Path, attributes: Mapping[str, Any], settings: ReadSettings, frames: PackedFrames
 ) -> Decoder:
+    clip, full_scale = settings.clip, settings.full_scale
     top = float(np.iinfo(frames.dtype).max) if frames.dtype.kind == "u" else np.inf
-    levels = told.settings
-    if levels.clip is None or levels.full_scale is None or not levels.full_scale <= top:
+    if clip is None or full_scale is None or not full_scale <= top:
         raise ValueError("it does not say its clip level, or a full scale that no image has")
     black_exposure = attributes.get("black_exposure")
     if black_exposure is not None and type(black_exposure) not in (int, float):
         raise ValueError("the exposure of its black frame is no number")
     black = _array(place, BLACK, frames.shape, "uf")
     return Decoder(
-        levels.clip,
-        levels.full_scale,
-        0.0 if levels.black_level is None else levels.black_level,
+        clip,
+        full_scale,
+        0.0 if settings.black_level is None else settings.black_level,
         _response(place, attributes),
-        levels.exposure,
+        settings.exposure,
         None if black is None else black.ravel(),
         black_exposure,
         attributes.get("clip_assumed") is True,
@@ -270,15 +261,15 @@ def _response(place: Path, attributes: Mapping[str, Any]) -> Response:
     levels, light = curve.read().astype(np.float64)
     rising = (np.diff(levels) > 0).all() and (np.diff(light) >= 0).all()
     ends = (levels[0] >= 0, levels[-1] <= 1, light[0] >= 0, light[-1] <= 1)
-    # Written so that NaN is refused too.
+    # The comparisons are false for NaN.
     if not (rising and all(ends)):
         raise ValueError("the curve of its response does not rise from 0 to 1")
     return Response(levels, light, name)
 
 
 def _patterns(place: Path, attributes: Mapping[str, Any], count: int) -> PatternSet:
-    said = attributes.get("patterns")
-    description = said.get("description") if isinstance(said, dict) else None
+    entry = attributes.get("patterns")
+    description = entry.get("description") if isinstance(entry, dict) else None
     if not isinstance(description, dict):
         raise ValueError("its patterns are not described")
     shape = attributes["projector_shape"]
@@ -295,19 +286,19 @@ def _patterns(place: Path, attributes: Mapping[str, Any], count: int) -> Pattern
         raise ValueError("its patterns are missing")
     if rows * cols % 8 and (bits[:, -1] >> (rows * cols % 8)).any():
         raise ValueError("its patterns have bits beyond their last pixel")
-    shown = BitPatterns((rows, cols), bits)
+    stored = BitPatterns((rows, cols), bits)
     if description.get("count", count) != count or description.get("shape") != shape:
         raise ValueError("the description of its patterns is of others")
-    # The fast operator they were made by, if it still makes the very same.
+    # The fast operator that made them is used if it still makes the same bits.
     made = remake_patterns(description)
     if made is None or made.count != count or made.shape != (rows, cols):
-        return shown
-    again = made.as_bits()
-    return made if again is not None and np.array_equal(again, bits) else shown
+        return stored
+    remade = made.as_bits()
+    return made if remade is not None and np.array_equal(remade, bits) else stored
 
 
 def _array(place: Path, name: str, shape: tuple[int, ...], kinds: str) -> NDArray[Any] | None:
-    """A small array, read whole; None if there is none."""
+    """One of the small arrays, read whole; None if there is none."""
     if not (place / name).exists():
         return None
     array = StoredArray.open(place / name)

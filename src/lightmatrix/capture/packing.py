@@ -1,4 +1,4 @@
-"""Packing: the frames of a capture into one array, chunked by tiles of camera pixels."""
+"""Packing: writes the frames of a capture into one array, chunked by tiles of camera pixels."""
 
 from __future__ import annotations
 
@@ -37,13 +37,15 @@ from lightmatrix.reprs import jsonable
 from lightmatrix.resources.disk import check_disk
 
 Progress = Callable[[int, int], None]
-# Gives all frames' levels of some camera rows at a time, (K, rows, cols[, channels]), of as many
-# rows as it is asked for, the last fewer.
+# Called with a number of camera rows, iterates over the levels of all frames in so many rows at a
+# time, (K, rows, cols[, channels]); the last strip may have fewer rows.
 Strips = Callable[[int], Iterator[NDArray[Any]]]
 
-# Of one chunk: small enough that a tile of camera pixels reads little more than its own samples.
+# Bytes of one chunk. Chosen by hand: small enough that a tile of camera pixels reads little more
+# than its own samples, and large enough to compress well.
 _CHUNK_BYTES = 1 << 20
-# Frames up to half of this are turned over in memory, more of them through a file.
+# Bytes of memory to work in. Frames of up to half of it are transposed in memory, larger ones
+# through a file.
 MEMORY = 1 << 30
 
 
@@ -55,21 +57,21 @@ def pack(
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> None:
-    """Put the frames of a capture into one array, so that a tile of camera pixels is read alone.
+    """Write the frames of a capture into one array, from which tiles of pixels are read fast.
 
-    `Capture.open` gives back the same capture: frames, patterns, levels, exposures, black frame,
-    response, mask. Every frame is read once, in bounded memory. An interrupted packing leaves
-    nothing and starts anew.
+    `Capture.open` reads the same capture back: frames, patterns, levels, exposures, black frame,
+    response, mask. Every frame is read once, in bounded memory. An interrupted run leaves nothing
+    behind.
 
     Parameters
     ----------
     capture : Capture, str or Path
-        A capture, not binned; or a capture folder, whose truth.npz goes with it.
+        A capture, not binned; or a capture folder, whose truth.npz is copied.
     output : str or Path
-        Ends in .zarr; whole or not at all.
+        Packed capture to write, ending in .zarr.
     memory : int
-        Bytes to work in. Captures of more than half of it are turned over through a temporary
-        file beside the output, as large as their levels.
+        Bytes to work in. Captures larger than half of it are transposed through a temporary file
+        beside the output, as large as their levels.
     overwrite : bool
         Whether an existing packed capture may be replaced.
     progress : callable, optional
@@ -80,8 +82,8 @@ def pack(
     InputError
         On a capture that is binned, or frames that cannot be read.
     OutputError
-        If the output exists, the disk has not enough room for it (said before anything is read),
-        or it cannot be written.
+        If the output exists, the disk is too small, which is checked before a frame is read, or
+        the output cannot be written.
 
     Examples
     --------
@@ -113,27 +115,28 @@ def pack_capture(
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> None:
-    """Pack a capture as `pack` does; `beside` writes what else belongs into the folder."""
+    """Pack a capture as `pack` does; `beside` writes further files into the folder."""
     if capture.bin_projector != (1, 1) or capture.bin_camera != (1, 1):
         raise InputError("a binned capture cannot be packed", hint="pack it first, then bin it")
     frames = capture.frames
-    turned = isinstance(frames, PixelFrames) or _bytes(frames) <= memory // 2
+    spooled = not isinstance(frames, PixelFrames) and _bytes(frames) > memory // 2
     folder = Path(output).absolute().parent
-    # Where cropped photographs lay is part of what describes them.
+    # The place of cropped photographs is part of their description.
     crop = capture.description.get("crop")
-    told = capture.provenance if crop is None else {**capture.provenance, "crop": crop}
+    report = progress or (lambda done, total: None)
+    provenance = capture.provenance if crop is None else {**capture.provenance, "crop": crop}
     write_packed(
         output,
         capture.patterns,
-        _strips(frames, None if turned else folder, memory, progress),
+        _strips(frames, folder if spooled else None, memory, report),
         decoder=capture.decoder,
         shape=frames.shape,
         dtype=frames.dtype,
         names=[frames.name(k) for k in range(frames.count)],
         mask=capture.mask,
-        provenance=told,
+        provenance=provenance,
         beside=beside,
-        temporary=0 if turned else _bytes(frames),
+        temporary=_bytes(frames) if spooled else 0,
         overwrite=overwrite,
     )
 
@@ -153,43 +156,22 @@ def write_packed(
     temporary: int = 0,
     overwrite: bool = False,
 ) -> None:
-    """Write a packed capture strip by strip, whole or not at all.
+    """Write a packed capture of K frames strip by strip, whole or not at all.
 
-    Parameters
-    ----------
-    output : str or Path
-        Ends in .zarr.
-    patterns : PatternSet
-        K patterns.
-    strips : callable
-        Given how many camera rows a strip has, iterates over (K, rows, cols[, channels]) levels.
-    decoder : Decoder
-        From raw levels to linear samples.
-    shape, dtype : tuple of int, numpy.dtype
-        Of a frame.
-    names : sequence of str
-        What the K frames are called.
-    mask : shape of a frame, bool, optional
-        Which camera samples count.
-    provenance : mapping, optional
-        What made the capture, JSON-ready.
-    beside : callable, optional
-        Given the folder before it is whole, writes what else belongs into it.
-    temporary : int
-        Bytes that are needed beside the output meanwhile.
-    overwrite : bool
-        Whether an existing packed capture may be replaced.
+    `shape` and `dtype` are those of a frame, `mask` has its shape. `beside` is called with the
+    folder before it is whole, and writes further files into it. `temporary` is the number of bytes
+    that are needed beside the output meanwhile.
 
     Raises
     ------
     OutputError
-        If it exists, the disk has not enough room, or it cannot be written.
+        If the output exists, the disk is too small, or the output cannot be written.
     """
     count, dtype = len(names), np.dtype(dtype)
     rows, cols = _tile(count, shape, dtype)
     levels = count * math.prod(shape) * dtype.itemsize
     with atomic_folder(output, PACKED_CAPTURE, overwrite=overwrite) as part:
-        # Noise hardly compresses, so that the levels themselves are the bound to count on.
+        # Noise hardly compresses, so the output may be as large as the levels.
         check_disk(part, levels + temporary, output)
         group = zarr.open_group(part, mode="w", zarr_format=3)
         frames = create_array(
@@ -218,14 +200,14 @@ def write_packed(
         }
         if decoder.black_exposure is not None:
             content["black_exposure"] = decoder.black_exposure
-        # Last, so that a group without attributes is never taken for a whole one.
+        # The attributes come last: a group without them is not whole.
         group.attrs.update(json.loads(json.dumps(content, default=jsonable)))
         if beside is not None:
             beside(part)
 
 
 def _tile(count: int, shape: tuple[int, ...], dtype: np.dtype[Any]) -> tuple[int, int]:
-    """Camera rows and columns of a chunk: whole rows in the order of T's, or a part of one."""
+    """Camera rows and columns of a chunk: whole camera rows, or a part of one."""
     pixel = count * math.prod(shape[2:]) * dtype.itemsize
     fitting = max(1, _CHUNK_BYTES // pixel)
     return min(shape[0], max(1, fitting // shape[1])), min(shape[1], fitting)
@@ -237,25 +219,28 @@ def _small_arrays(
     shape: tuple[int, ...],
     mask: NDArray[np.bool_] | None,
 ) -> dict[str, NDArray[Any]]:
+    arrays: dict[str, NDArray[Any]] = {}
     bits = patterns.as_bits()
-    shown = {LEVELS: patterns.images()} if bits is None else {BITS: bits}
-    found: dict[str, NDArray[Any]] = dict(shown)
+    if bits is None:
+        arrays[LEVELS] = patterns.images()
+    else:
+        arrays[BITS] = bits
     if decoder.black_frame is not None:
-        found[BLACK] = np.asarray(decoder.black_frame).reshape(shape)
+        arrays[BLACK] = np.asarray(decoder.black_frame).reshape(shape)
     if mask is not None:
-        found[MASK] = mask
+        arrays[MASK] = mask
     response = decoder.response
     if response.levels is not None and response.light is not None:
-        found[CURVE] = np.stack([response.levels, response.light])
-    return found
+        arrays[CURVE] = np.stack([response.levels, response.light])
+    return arrays
 
 
 def _bytes(frames: Frames) -> int:
     return frames.count * math.prod(frames.shape) * frames.dtype.itemsize
 
 
-def _strips(frames: Frames, spool: Path | None, memory: int, progress: Progress | None) -> Strips:
-    """Strips of frames: as they lie, turned over in memory, or through a file in a folder."""
+def _strips(frames: Frames, spool: Path | None, memory: int, progress: Progress) -> Strips:
+    """Strips of frames: read as stored, or transposed in memory or through a file in `spool`."""
 
     def by_pixel(rows: int) -> Iterator[NDArray[Any]]:
         assert isinstance(frames, PixelFrames)
@@ -264,13 +249,13 @@ def _strips(frames: Frames, spool: Path | None, memory: int, progress: Progress 
             end = min(top + rows, frames.shape[0])
             levels = frames.levels(top * wide, end * wide)
             yield levels.T.reshape(frames.count, end - top, *frames.shape[1:])
-            _tell(progress, frames.count * end // frames.shape[0], frames.count)
+            progress(frames.count * end // frames.shape[0], frames.count)
 
     def in_memory(rows: int) -> Iterator[NDArray[Any]]:
         stack = np.empty((frames.count, *frames.shape), frames.dtype)
         for k, frame in enumerate(in_order(frames)):
             stack[k] = frame
-            _tell(progress, k + 1, frames.count)
+            progress(k + 1, frames.count)
         for top in range(0, frames.shape[0], rows):
             yield stack[:, top : top + rows]
 
@@ -278,7 +263,7 @@ def _strips(frames: Frames, spool: Path | None, memory: int, progress: Progress 
         with tempfile.TemporaryFile(dir=spool) as file:
             for k, frame in enumerate(in_order(frames)):
                 file.write(np.ascontiguousarray(frame).data)
-                _tell(progress, k + 1, frames.count)
+                progress(k + 1, frames.count)
             yield from _from_file(file, frames, rows, memory)
 
     if isinstance(frames, PixelFrames):
@@ -287,7 +272,7 @@ def _strips(frames: Frames, spool: Path | None, memory: int, progress: Progress 
 
 
 def _from_file(file: IO[bytes], frames: Frames, rows: int, memory: int) -> Iterator[NDArray[Any]]:
-    """Strips of frames that lie one after the other in a file; many strips at a time."""
+    """Strips of frames that lie one after the other in a file, read many strips at a time."""
     line = math.prod(frames.shape[1:]) * frames.dtype.itemsize
     group = rows * max(1, memory // 4 // (rows * line * frames.count))
     for top in range(0, frames.shape[0], group):
@@ -298,8 +283,3 @@ def _from_file(file: IO[bytes], frames: Frames, rows: int, memory: int) -> Itera
             file.readinto(block[k].data)  # type: ignore[attr-defined]
         for inner in range(0, height, rows):
             yield block[:, inner : inner + rows]
-
-
-def _tell(progress: Progress | None, done: int, total: int) -> None:
-    if progress is not None:
-        progress(done, total)

@@ -1,4 +1,4 @@
-"""From frames to linear samples: decoded tile by tile, binned where asked, and kept."""
+"""The reader: decodes frames into linear samples, tile by tile, and bins them."""
 
 from __future__ import annotations
 
@@ -17,24 +17,21 @@ from lightmatrix.camera.samples import Samples, bin_samples
 from lightmatrix.capture.frames import BLOCK_LEVELS, Frames, PixelFrames, in_order
 from lightmatrix.resources.scratch import scratch_array
 
-# Samples of one frame that are binned at a time.
+# Samples of one frame that are binned at a time. Chosen by hand: a whole frame of 24 megapixels
+# would take gigabytes for a moment.
 _STRIP = 1 << 20
+# Rows of samples in a tile, where the caller does not say how many.
+_TILE_ROWS = 4096
+# Frames are transposed in groups of at most so many frames and bytes. Column by column, every page
+# of the array would be touched once for each frame.
+_GROUP_FRAMES, _GROUP_BYTES = 64, 256 << 20
 
 
 @dataclass(frozen=True, eq=False)
 class Reader:
-    """Linear samples of frames.
+    """Linear samples of K frames, of which those in the mask, bool like a frame, count.
 
-    Parameters
-    ----------
-    frames : Frames
-        K frames.
-    decoder : Decoder
-        From raw levels to linear samples.
-    mask : shape of a frame, bool, optional
-        Which camera samples count.
-    block : (int, int)
-        Rows and columns of the blocks of camera pixels that are averaged.
+    `block` has the rows and columns of the blocks of camera pixels that are averaged.
     """
 
     frames: Frames
@@ -58,13 +55,13 @@ class Reader:
         """Exposure of each frame, (K,)."""
         return np.broadcast_to(np.asarray(self.decoder.exposure, np.float64), (self.frames.count,))
 
-    def tiles(self, rows: int = 4096) -> Iterator[tuple[int, Samples]]:
+    def tiles(self, rows: int = _TILE_ROWS) -> Iterator[tuple[int, Samples]]:
         """Iterate over (first row, samples) of the whole camera."""
         for start in range(0, self.rows, rows):
             yield start, self.samples(start, start + rows)
 
     def samples(self, start: int, stop: int) -> Samples:
-        """Samples of the camera rows start..stop; those that do not count are 0 and weigh 0."""
+        """Samples of the camera rows start..stop; masked ones are 0 and have weight 0."""
         stop = min(stop, self.rows)
         if self.block == (1, 1):
             decoded = self.decoder.decode(self.levels(start, stop), first_row=start)
@@ -97,10 +94,7 @@ class Reader:
         return np.concatenate(parts)
 
     def _strips(self) -> Iterator[tuple[slice, slice]]:
-        """Rows of a frame that are binned at a time, and their samples in the whole of it.
-
-        Of a frame as a whole, a camera of 24 megapixels would take gigabytes.
-        """
+        """Rows of a frame that are binned at a time, and the slice of their samples."""
         height, *others = self.frames.shape
         width = int(np.prod(others))
         step = self.block[0] * max(1, _STRIP // (self.block[0] * width))
@@ -129,11 +123,10 @@ class Reader:
 
     @cached_property
     def raw(self) -> NDArray[Any]:
-        """Raw levels (M, K), a camera sample's frames side by side as tiles need them."""
+        """Raw levels (M, K): the frames of a camera sample lie side by side, as tiles need them."""
         pixels = int(np.prod(self.frames.shape))
         raw = scratch_array((pixels, self.frames.count), self.frames.dtype)
-        # Some frames at a time: column by column would touch every page of the array K times.
-        group = max(1, min(64, (256 << 20) // max(1, pixels * raw.itemsize)))
+        group = max(1, min(_GROUP_FRAMES, _GROUP_BYTES // max(1, pixels * raw.itemsize)))
         for start in range(0, self.frames.count, group):
             stop = min(start + group, self.frames.count)
             images = [frame.reshape(-1) for frame in in_order(self.frames, start, stop)]
@@ -142,13 +135,14 @@ class Reader:
 
     @cached_property
     def _binned(self) -> Samples:
-        """Binned samples (M, K); smaller than the raw levels for blocks of 2 x 2 and more."""
+        """Binned samples (M, K), which take less memory than the raw levels from 2 x 2 on."""
         values = scratch_array((self.rows, self.frames.count), np.dtype(np.float32))
         clipped = scratch_array((self.rows, self.frames.count), np.dtype(np.bool_))
-        of_frames = np.empty(self.frames.count, np.float32)
-        of_one = (self.decoder.clip, self.decoder.black_level)
-        alike = np.ptp(self.exposures) == 0 and not any(map(np.ndim, of_one))
-        of_samples = None
+        # Clip levels differ from frame to frame, from sample to sample, or both.
+        frame_levels = np.empty(self.frames.count, np.float32)
+        settings = (self.decoder.clip, self.decoder.black_level)
+        alike = np.ptp(self.exposures) == 0 and not any(map(np.ndim, settings))
+        sample_levels = None
         for where, first, k, raw in self._columns():
             decoded = self.decoder.decode(raw, first_row=first, first_frame=k)
             shape = (len(raw) // math.prod(self.frames.shape[1:]), *self.frames.shape[1:])
@@ -156,21 +150,22 @@ class Reader:
             binned, _ = bin_samples(decoded, valid, shape, self.block)
             values[where, k], clipped[where, k] = binned.values[:, 0], binned.clipped[:, 0]
             if binned.clip_level.ndim == 1:
-                of_frames[k] = binned.clip_level[0]
+                frame_levels[k] = binned.clip_level[0]
                 continue
-            if of_samples is None:
+            if sample_levels is None:
                 columns = 1 if alike else self.frames.count
-                of_samples = scratch_array((self.rows, columns), np.dtype(np.float32))
+                sample_levels = scratch_array((self.rows, columns), np.dtype(np.float32))
             if k == 0 or not alike:
-                of_samples[where, k] = binned.clip_level[:, 0]
-        level = of_frames if of_samples is None else np.broadcast_to(of_samples, values.shape)
-        return Samples(values, clipped, level)
+                sample_levels[where, k] = binned.clip_level[:, 0]
+        if sample_levels is None:
+            return Samples(values, clipped, frame_levels)
+        return Samples(values, clipped, np.broadcast_to(sample_levels, values.shape))
 
     def _columns(self) -> Iterator[tuple[slice, int, int, NDArray[Any]]]:
-        """Strips of one frame after the other, or of all frames where that is faster, one by one.
+        """Strips of the frames: of one frame after the other, or of all frames if that is faster.
 
-        The rows that they are of the binned samples, their first camera sample, the number of the
-        frame, and its levels, (n, 1).
+        Each has its rows of the binned samples, its first camera sample, the number of the frame,
+        and its raw levels, (n, 1).
         """
         frames, down = self.frames, self.block[0]
         wide, narrow = (math.prod(shape[1:]) for shape in (frames.shape, self.camera_shape))

@@ -1,4 +1,4 @@
-"""What a capture is: in one line, JSON-ready, and as a hash."""
+"""Descriptions of a capture: a short summary, a full one for provenance, and a hash."""
 
 from __future__ import annotations
 
@@ -12,30 +12,30 @@ from lightmatrix.capture.reader import Reader
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.reprs import jsonable
 
-# Of so many exposures each is told; of more, how many there are.
-_TOLD_EXPOSURES = 4
+# A summary lists so many exposures, and counts the others.
+_LISTED_EXPOSURES = 4
 
 
 def summarize(patterns: PatternSet, reader: Reader) -> dict[str, Any]:
-    """What is said of a capture in one line; decodes nothing."""
+    """Number of frames, shapes, kind of patterns, levels and exposures, without decoding any."""
     exposures = np.unique(reader.exposures)
-    shown = ", ".join(f"{exposure:g}" for exposure in exposures[:_TOLD_EXPOSURES])
-    if len(exposures) > _TOLD_EXPOSURES:
-        shown += f" and {len(exposures) - _TOLD_EXPOSURES} more"
+    listed = ", ".join(f"{exposure:g}" for exposure in exposures[:_LISTED_EXPOSURES])
+    if len(exposures) > _LISTED_EXPOSURES:
+        listed += f" and {len(exposures) - _LISTED_EXPOSURES} more"
     return {
         "frames": reader.frames.count,
         "camera": " x ".join(map(str, reader.camera_shape)),
         "projector": " x ".join(map(str, patterns.shape)),
         "patterns": type(patterns).__name__,
         "levels": str(reader.frames.dtype),
-        "exposure": shown,
+        "exposure": listed,
     }
 
 
 def description(
     patterns: PatternSet, reader: Reader, bin_projector: tuple[int, int]
 ) -> dict[str, Any]:
-    """What a capture is and how it is read, JSON-ready."""
+    """Shapes of a capture and how it is read, JSON-ready; part of an estimate's provenance."""
     decoder = reader.decoder
     frames = reader.frames
     cropped = {"crop": frames.region.as_dict()} if isinstance(frames, CutFrames) else {}

@@ -1,4 +1,4 @@
-"""Reading the photograph of a white pattern as linear samples, with its clip states."""
+"""The white frame: a photograph under a white pattern, as linear samples."""
 
 from __future__ import annotations
 
@@ -14,19 +14,18 @@ from lightmatrix.capture.settings import ReadSettings
 from lightmatrix.errors import InputError
 from lightmatrix.files.stack import ImageStack
 
-# Of the clip level: bright pixels below it are black level and noise rather than light.
+# A white frame is refused if its bright pixels are below this share of the clip level. Chosen by
+# hand: so little is black level and noise rather than light.
 _DARK = 0.02
+# The bright pixels are those at this quantile of all.
+_BRIGHT_QUANTILE = 0.99
 
 
 def read_white_frame(path: str | Path, settings: ReadSettings) -> Samples:
-    """One photograph as samples in units of the clip level, at exposure 1.
+    """One photograph as samples (M, 1) in units of the clip level, at exposure 1.
 
-    The response is linear where none is stated.
-
-    Returns
-    -------
-    Samples
-        (M, 1) each; M camera samples that do not clip without light.
+    M counts the camera samples that do not clip without light. The response is linear if none is
+    stated.
 
     Raises
     ------
@@ -47,12 +46,12 @@ def read_white_frame(path: str | Path, settings: ReadSettings) -> Samples:
     keep = slice(None) if decoder.hot is None else ~decoder.hot
     level = decoded.clip_level if decoded.clip_level.ndim == 1 else decoded.clip_level[keep]
     values = np.asarray(decoded.values[keep])
-    bright = float(np.quantile(values, 0.99)) if values.size else 0.0
+    bright = float(np.quantile(values, _BRIGHT_QUANTILE)) if values.size else 0.0
     if bright < _DARK:
         raise InputError(
             "the white frame is dark: its bright pixels are at "
             f"{100 * max(bright, 0):.1f} % of the clip level",
-            hint="photograph the white pattern with a longer exposure; if the black level is what "
-            "is seen, say --black",
+            hint="photograph the white pattern with a longer exposure; if the pixels show the "
+            "black level, give --black",
         )
     return Samples(values, np.asarray(decoded.clipped[keep]), level)
