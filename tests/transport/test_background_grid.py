@@ -1,4 +1,4 @@
-"""A background of 16 x 16 blocks, on a projector of no round size, everywhere T is used."""
+"""A background of 16 x 16 cells on a projector of odd size, in every use of T."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def fine() -> LightTransport:
 
 @pytest.fixture(scope="module")
 def dense(fine: LightTransport) -> np.ndarray:
-    """T from its definition: a block's value over its number of pixels, at each of them."""
+    """T by its definition: each cell's value, divided by its number of pixels, at each of them."""
     result = fine.sparse.toarray().astype(float).reshape(ROWS, *PROJECTOR)
     rows, cols = (np.array([i * 16 // n for i in range(n)]) for n in PROJECTOR)
     for i, j in np.ndindex(16, 16):
@@ -61,7 +61,7 @@ def test_every_view(fine: LightTransport, dense: np.ndarray) -> None:
     assert fine.to_matrix() is fine.sparse
 
 
-def test_store_and_running_results(fine: LightTransport, tmp_path: Path) -> None:
+def test_store_and_checkpoint(fine: LightTransport, tmp_path: Path) -> None:
     store.save(tmp_path / "one.zarr", fine)
     with Checkpoint.open(tmp_path / "two.zarr", {"a": 1}) as running:
         for start, stop in ((0, 20), (20, 42)):
@@ -69,10 +69,10 @@ def test_store_and_running_results(fine: LightTransport, tmp_path: Path) -> None
             running.write(start, stop, part)
         running.finish(camera_shape=CAMERA, projector_shape=PROJECTOR, background_grid=GRID)
     for name in ("one", "two"):
-        found = store.open(tmp_path / f"{name}.zarr")
-        assert found.background_grid == GRID
-        np.testing.assert_array_equal(found.background, fine.background)
-        np.testing.assert_array_equal(found.sparse.toarray(), fine.sparse.toarray())
+        saved = store.open(tmp_path / f"{name}.zarr")
+        assert saved.background_grid == GRID
+        np.testing.assert_array_equal(saved.background, fine.background)
+        np.testing.assert_array_equal(saved.sparse.toarray(), fine.sparse.toarray())
 
 
 def test_exchange(fine: LightTransport, dense: np.ndarray, tmp_path: Path) -> None:
@@ -101,7 +101,7 @@ def test_commands(
     assert main(["info", str(tmp_path / "s.zarr"), "--json"]) == 0
     info = json.loads(capsys.readouterr().out)
     assert info["background_grid"] == "16 x 16"
-    # Its share of the white image, from the dense matrix.
+    # The share of the white image, computed from the dense matrix.
     share = 1 - fine.sparse.sum() / dense.sum()
     assert info["background_share"] == pytest.approx(share, rel=1e-4)
     write_image(tmp_path / "p.png", np.full(PROJECTOR, 255, np.uint8))
@@ -131,15 +131,15 @@ def test_errors_of_rows_are_those_of_the_dense_matrix(
 
 
 def test_errors_need_no_dense_matrix() -> None:
-    """A full frame at 64 x 64 in far less than the 67 MB of its dense rows."""
+    """The errors of 64 x 64 rows need far less memory than the 67 MB of the dense rows."""
     random = np.random.default_rng(2)
     sparse = scipy.sparse.random_array((4096, 4096), density=0.002, rng=random, dtype="f4")
     background = random.random((4096, 256)).astype("f4")
-    found = LightTransport(csr_array(sparse), background, (64, 64), (64, 64), GRID)
+    estimate = LightTransport(csr_array(sparse), background, (64, 64), (64, 64), GRID)
     truth = LightTransport.from_matrix(csr_array(sparse), (64, 64), (64, 64))
-    assert found.pooling.shape == (256, 4096)
+    assert estimate.pooling.shape == (256, 4096)
     tracemalloc.start()
-    relative_error(found, truth)
+    relative_error(estimate, truth)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 45e6

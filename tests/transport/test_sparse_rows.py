@@ -1,4 +1,4 @@
-"""Rows as they are found: parted, joined, kept and read back; damaged ones are refused."""
+"""`SparseRows`: split, joined, saved and read back; damaged ones are refused."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def same(one: SparseRows, other: SparseRows) -> None:
         assert values.dtype == other.diagnostics[name].dtype
 
 
-def test_joining_undoes_parting_in_any_order() -> None:
+def test_joining_undoes_splitting_in_any_order() -> None:
     whole = rows()
     same(SparseRows.joined([whole.rows(slice(0, 3)), whole.rows(slice(3, 7))]), whole)
     order = np.random.default_rng(0).permutation(7)

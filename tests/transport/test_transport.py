@@ -1,4 +1,4 @@
-"""LightTransport: every view of T agrees with the dense matrix."""
+"""`LightTransport`: every view of T agrees with the dense matrix."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def transports(draw: st.DrawFn) -> LightTransport:
 
 
 def _dense(transport: LightTransport) -> np.ndarray:
-    """T from its definition: what each projector pixel alone does."""
+    """T by its definition, one projector pixel at a time."""
     rows, cols = transport.projector_shape
     grid_rows, grid_cols = transport.background_grid
     result = transport.sparse.toarray().astype(float)
@@ -98,7 +98,7 @@ def test_bad_shapes_are_refused() -> None:
             lambda: LightTransport.from_matrix(
                 matrix, (2, 3), (2, 2), diagnostics={"gap": np.zeros(3)}
             ),
-            "one value a row",
+            "one value for each row",
         ),
     ):
         with pytest.raises(InputError, match=message):
@@ -117,9 +117,9 @@ def test_bad_shapes_are_refused() -> None:
         np.full((6, 7), 1j),
     ],
 )
-def test_raw_levels_are_no_pattern(pattern: NDArray[Any]) -> None:
+def test_values_outside_0_to_1_are_refused(pattern: NDArray[Any]) -> None:
     matrix = LightTransport.from_matrix(csr_array(np.ones((4, 42))), (2, 2), (6, 7))
-    with pytest.raises(InputError, match=r"a pattern (with values|of complex)"):
+    with pytest.raises(InputError, match=r"the pattern has (values|complex)"):
         matrix.relight(pattern)
     lit = np.ones((6, 7))
     for kind in (np.uint8, np.bool_, np.int64, np.float64):

@@ -276,7 +276,7 @@ def _truth(folder: Path | None, transport: LightTransport) -> LightTransport | N
     file = None if folder is None else folder / "truth.npz"
     if file is None or not file.is_file():
         return None
-    known = lm.truth(str(file)).transport().cut_alike(transport)
+    known = lm.truth(str(file)).transport().cropped_like(transport)
     shapes = (known.camera_shape, known.projector_shape)
     return known if shapes == (transport.camera_shape, transport.projector_shape) else None
 

@@ -116,7 +116,7 @@ def _pair(
     """An estimate, and the truth of its rows."""
     found = estimate if isinstance(estimate, LightTransport) else store.open(estimate)
     known = truth if isinstance(truth, LightTransport) else _known(found, truth, progress)
-    known = known.cut_alike(found)
+    known = known.cropped_like(found)
     if found.shape != known.shape:
         names = [
             str(given) if isinstance(given, str | Path) else word

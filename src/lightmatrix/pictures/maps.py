@@ -166,8 +166,8 @@ def error_map(values: NDArray[np.floating]) -> Map:
 def correspondence_maps(found: Correspondence) -> tuple[Map, Map, Map]:
     """Row and column of the projector that each camera pixel sees most, and how sure that is."""
     row, col = np.moveaxis(found.place.astype(np.float64), -1, 0)
-    confidence = np.where(found.found, found.confidence.astype(np.float64), np.nan)
-    middle = 100 * float(np.median(confidence[found.found])) if found.found.any() else 0.0
+    confidence = np.where(found.valid, found.confidence.astype(np.float64), np.nan)
+    middle = 100 * float(np.median(confidence[found.valid])) if found.valid.any() else 0.0
     of_window = "share of the light from 5 x 5 projector pixels"
     return (
         Map("row", "Projector row", "projector row", row, *_ends(row)),

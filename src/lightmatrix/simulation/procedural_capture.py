@@ -34,7 +34,7 @@ from lightmatrix.resources.scratch import scratch_array
 from lightmatrix.simulation.irradiance import irradiance
 from lightmatrix.simulation.procedural_scene import ProceduralScene
 from lightmatrix.simulation.truth import Truth
-from lightmatrix.transport.sparse_rows import stacked
+from lightmatrix.transport.sparse_rows import stack_rows
 
 Progress = Callable[[int, int], None]
 # The scene name that the command line and the provenance of a capture use for procedural scenes.
@@ -238,7 +238,7 @@ class _Shutter:
     def _expose(self, start: int, stop: int) -> NDArray[Any]:
         """Raw levels (stop - start, K) of some camera samples."""
         cuts = [*range(start, stop, _ROWS), stop]
-        matrix = stacked([self.scene.rows(*pair)[0] for pair in itertools.pairwise(cuts)])
+        matrix = stack_rows([self.scene.rows(*pair)[0] for pair in itertools.pairwise(cuts)])
         count = self.patterns.count
         light = np.empty((stop - start, count), np.float32)
         step = max(16, _PATTERN_BYTES // (4 * self.patterns.pixels))

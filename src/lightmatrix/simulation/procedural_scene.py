@@ -17,7 +17,7 @@ from scipy.sparse import csr_array
 
 from lightmatrix.errors import InputError
 from lightmatrix.simulation.truth import Truth
-from lightmatrix.transport.sparse_rows import stacked
+from lightmatrix.transport.sparse_rows import stack_rows
 
 # The faint background of a row has this many entries. Chosen by hand: more entries make it smoother
 # and T larger.
@@ -124,7 +124,7 @@ class ProceduralScene:
     def truth(self) -> Truth:
         """The whole matrix."""
         parts = list(self.blocks())
-        matrix = stacked([part for _, part, _ in parts])
+        matrix = stack_rows([part for _, part, _ in parts])
         direct = np.concatenate([straight for _, _, straight in parts])
         metadata = {"scene": "procedural", "seed": self.seed}
         return Truth(matrix, direct, self.camera_shape, self.projector_shape, metadata)

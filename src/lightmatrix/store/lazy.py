@@ -23,7 +23,7 @@ from lightmatrix.store.checked import (
     finite,
 )
 from lightmatrix.store.zarr_file import RESTORE, Stored, diagnostics_of, look, read_whole
-from lightmatrix.transport.matrix import LightTransport, as_light, cell_means
+from lightmatrix.transport.matrix import LightTransport, cell_means, checked_patterns
 from lightmatrix.transport.sparse_rows import SparseRows, row_blocks
 
 # Entries of T that are worked on together: eight chunks, which keeps those small that are read
@@ -231,7 +231,7 @@ class StoredTransport:
 
     def relight(self, patterns: NDArray[Any]) -> NDArray[np.float32]:
         """Camera images under patterns; see `LightTransport.relight`."""
-        stack = as_light(patterns, self.projector_shape)
+        stack = checked_patterns(patterns, self.projector_shape)
         lit = stack.reshape(-1, self.shape[1]).T
         pooled = self.pooling @ lit
         images = np.empty((lit.shape[1], self.shape[0]), np.float32)

@@ -1,1 +1,1 @@
-"""The light transport matrix in memory, and how far an estimate is from the truth."""
+"""The light transport matrix in memory, and the correspondence that it holds."""

@@ -1,4 +1,4 @@
-"""Which projector pixel each camera pixel sees most: what users of structured light look for."""
+"""The correspondence: the projector pixel that each camera pixel sees most."""
 
 from __future__ import annotations
 
@@ -10,10 +10,11 @@ from scipy.sparse import csr_array
 
 from lightmatrix.transport.matrix import LightTransport
 
-# Half width of the window around the strongest projector pixel: wide enough for a lens that is a
-# little out of focus, narrow enough to leave out what arrives by other paths.
+# Half width, in projector pixels, of the window around the strongest pixel. It is wide enough for a
+# slightly defocused lens and narrow enough to exclude light that arrives by other paths. Chosen by
+# hand.
 REACH = 2
-# Entries looked at together, so that memory stays bounded.
+# Number of matrix entries that are handled at a time, so that temporary arrays stay below 1 GB.
 _ENTRIES = 1 << 23
 
 
@@ -27,18 +28,17 @@ class Correspondence:
         Row and column of the strongest projector pixel, counted from 0; -1 where a camera pixel
         sees none.
     place : (rows, cols, 2) float32
-        The same to fractions of a pixel: the centre of the light within a window of 5 x 5 around
-        it; NaN where there is none.
+        The same to fractions of a pixel: the centre of the light within 5 x 5 pixels around it;
+        NaN where a camera pixel sees none.
     confidence : (rows, cols) float32
-        Share of the row's light, background included, that comes from this window, in [0, 1]:
-        near 1 where all light comes from one place, small where it comes from many or from
-        everywhere, 0 where there is none.
+        Share of the row's light, background included, that comes from this window, in [0, 1]: near
+        1 if all light comes from one place, small if it comes from many, 0 if there is none.
 
     Examples
     --------
     >>> import lightmatrix as lm
-    >>> found = lm.correspondence(lm.truth("metal").transport())
-    >>> found.pixel[20, 30].tolist(), found.confidence.shape
+    >>> matches = lm.correspondence(lm.truth("metal").transport())
+    >>> matches.pixel[20, 30].tolist(), matches.confidence.shape
     ([20, 30], (64, 64))
     """
 
@@ -47,35 +47,32 @@ class Correspondence:
     confidence: NDArray[np.float32]
 
     @property
-    def found(self) -> NDArray[np.bool_]:
-        """Camera pixels that see the projector at all, (rows, cols)."""
+    def valid(self) -> NDArray[np.bool_]:
+        """The camera pixels that see the projector, (rows, cols)."""
         return self.pixel[..., 0] >= 0
 
     def levels(self) -> NDArray[np.uint16]:
-        """As a picture of three channels for a 16-bit PNG.
+        """The correspondence as a 16-bit picture, (rows, cols, 3).
 
-        Returns
-        -------
-        (rows, cols, 3) uint16
-            Column and row of the strongest projector pixel, counted from 0, and the confidence
-            from 0 to 65535, which is 0 only where a camera pixel sees no projector pixel.
+        The channels hold column and row of the strongest projector pixel, counted from 0, and the
+        confidence from 0 to 65535, which is 0 only where a camera pixel sees no projector pixel.
         """
-        shown = np.zeros((*self.confidence.shape, 3), np.uint16)
-        shown[..., 0] = np.maximum(self.pixel[..., 1], 0)
-        shown[..., 1] = np.maximum(self.pixel[..., 0], 0)
-        shown[..., 2] = np.rint(self.confidence.clip(0, 1) * 65535)
-        # However little was found, it is told from nothing.
-        shown[..., 2] = np.maximum(shown[..., 2], self.found)
-        return shown
+        picture = np.zeros((*self.confidence.shape, 3), np.uint16)
+        picture[..., 0] = np.maximum(self.pixel[..., 1], 0)
+        picture[..., 1] = np.maximum(self.pixel[..., 0], 0)
+        picture[..., 2] = np.rint(self.confidence.clip(0, 1) * 65535)
+        # The smallest confidence rounds to 1, since 0 means that there is no light.
+        picture[..., 2] = np.maximum(picture[..., 2], self.valid)
+        return picture
 
 
 def correspondence(transport: LightTransport) -> Correspondence:
-    """Find the projector pixel that each camera pixel sees most, and how far to trust it.
+    """Find the projector pixel that each camera pixel sees most, with a confidence.
 
     Parameters
     ----------
     transport : LightTransport
-        T; the channels of a colour camera are added up.
+        T; the channels of a colour camera are added.
 
     Returns
     -------
@@ -85,8 +82,8 @@ def correspondence(transport: LightTransport) -> Correspondence:
     Examples
     --------
     >>> import lightmatrix as lm
-    >>> found = lm.correspondence(lm.truth("metal").transport())
-    >>> [round(float(place), 1) for place in found.place[20, 30]]
+    >>> matches = lm.correspondence(lm.truth("metal").transport())
+    >>> [round(float(place), 1) for place in matches.place[20, 30]]
     [20.1, 29.8]
     """
     matrix, background = _pixels(transport)
@@ -107,7 +104,7 @@ def correspondence(transport: LightTransport) -> Correspondence:
 
 
 def _pixels(transport: LightTransport) -> tuple[csr_array, NDArray[np.float64]]:
-    """Sparse part of each camera pixel, and the light of its background; channels added up."""
+    """The sparse part of each camera pixel and the light of its background; channels are added."""
     background = transport.background.sum(axis=1, dtype=np.float64)
     if len(transport.camera_shape) == 2:
         return transport.sparse, background
@@ -124,25 +121,25 @@ def _pixels(transport: LightTransport) -> tuple[csr_array, NDArray[np.float64]]:
 def _strongest(
     matrix: csr_array, background: NDArray[np.float64], width: int
 ) -> tuple[NDArray[np.int32], NDArray[np.float32], NDArray[np.float32]]:
-    """Strongest pixel, place and confidence of some rows."""
+    """The strongest pixel, its place and its confidence, for some rows."""
     count = int(matrix.shape[0])
     owner = np.repeat(np.arange(count), np.diff(matrix.indptr))
-    # Negative light, which some estimates allow, is none.
+    # Some estimates allow negative light, which does not count.
     light = np.maximum(matrix.data, 0).astype(np.float64)
     peak = np.zeros(count)
     np.maximum.at(peak, owner, light)
     strongest = np.full(count, -1, np.int64)
     at_peak = (light == peak[owner]) & (light > 0)
-    # From the last to the first, so that the first of several that are alike is kept.
+    # In reverse order, so that the first of several equal pixels stays.
     strongest[owner[at_peak][::-1]] = matrix.indices[at_peak][::-1]
-    found = strongest >= 0
-    pixel = np.where(found[:, None], np.stack(np.divmod(strongest, width), axis=1), -1)
-    away = np.stack(np.divmod(matrix.indices.astype(np.int64), width), axis=1) - pixel[owner]
-    near = light * (np.abs(away) <= REACH).all(axis=1)
+    valid = strongest >= 0
+    pixel = np.where(valid[:, None], np.stack(np.divmod(strongest, width), axis=1), -1)
+    distance = np.stack(np.divmod(matrix.indices.astype(np.int64), width), axis=1) - pixel[owner]
+    near = light * (np.abs(distance) <= REACH).all(axis=1)
     window = np.bincount(owner, near, count)
     total = np.bincount(owner, light, count) + np.maximum(background, 0)
     with np.errstate(invalid="ignore", divide="ignore"):
-        offset = [np.bincount(owner, near * away[:, axis], count) / window for axis in (0, 1)]
-        confidence = np.where(found, window / total, 0)
-    place = np.where(found[:, None], pixel + np.stack(offset, axis=1), np.nan)
+        offset = [np.bincount(owner, near * distance[:, axis], count) / window for axis in (0, 1)]
+        confidence = np.where(valid, window / total, 0)
+    place = np.where(valid[:, None], pixel + np.stack(offset, axis=1), np.nan)
     return pixel.astype(np.int32), place.astype(np.float32), confidence.astype(np.float32)

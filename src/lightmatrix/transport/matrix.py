@@ -1,4 +1,4 @@
-"""The light transport matrix: rows, columns, relighting, dual image."""
+"""`LightTransport`, the light transport matrix in memory."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ from lightmatrix.regions import Region
 from lightmatrix.reprs import html_table
 from lightmatrix.transport.labels import labelled
 
-# Of the provenance, what a summary repeats.
-_TOLD = ("estimator", "solver", "regularization", "certificate", "pattern_digest", "scene")
+# The entries of the provenance that a summary repeats.
+_SUMMARY_KEYS = ("estimator", "solver", "regularization", "certificate", "pattern_digest", "scene")
 
 
 @dataclass(frozen=True, eq=False)
 class LightTransport:
     """T = S + B m: a sparse part and a low-resolution background, in camera full scale.
 
-    ``T p = S p + B m(p)`` where m(p) are the means of the pattern p over the cells of a coarse
-    grid; 1 x 1 is one value per camera sample times the mean of the pattern.
+    ``T p = S p + B m(p)``, where m(p) are the means of the pattern p over the cells of a coarse
+    grid. With a grid of 1 x 1 that is one value per camera sample times the mean of the pattern.
 
     Parameters
     ----------
     sparse : (M, N) csr_array float32
         Sparse part S: camera full scale at exposure 1 per unit of projector pixel.
     background : (M, B) float32
-        Background B per camera sample, for the B cells of ``background_grid``.
+        Background of each camera sample, for the B cells of ``background_grid``.
     camera_shape : (rows, cols) or (rows, cols, channels)
         M = product; camera samples in the order (row, col, channel).
     projector_shape : (rows, cols)
@@ -41,14 +41,14 @@ class LightTransport:
     background_grid : (int, int)
         Rows and columns of the coarse grid; B = product.
     diagnostics : mapping of str to (M,) array
-        Per-row facts: share of clipped samples, gap, iterations, regularization.
+        Facts about each row: share of clipped samples, gap, iterations, regularization.
     provenance : mapping
-        What made it: versions, parameters, pattern digest, seed. JSON-ready.
+        How T was made: versions, parameters, pattern digest, seed. JSON-ready.
 
     Raises
     ------
     InputError
-        On shapes that do not match.
+        If shapes do not match.
 
     Examples
     --------
@@ -87,7 +87,7 @@ class LightTransport:
         expected = (int(np.prod(self.camera_shape)), int(np.prod(self.projector_shape)))
         if self.sparse.shape != expected:
             raise InputError(
-                f"a matrix of {self.sparse.shape} for camera {self.camera_shape} and "
+                f"the matrix has shape {self.sparse.shape}, for camera {self.camera_shape} and "
                 f"projector {self.projector_shape}",
                 hint=f"its shape must be {expected}",
             )
@@ -95,13 +95,14 @@ class LightTransport:
         cells = self.background_grid[0] * self.background_grid[1]
         if self.background.shape != (expected[0], cells):
             raise InputError(
-                f"a background of {self.background.shape}",
+                f"the background has shape {self.background.shape}",
                 hint=f"its shape must be ({expected[0]}, {cells})",
             )
         for name, values in self.diagnostics.items():
             if values.shape != (expected[0],):
                 raise InputError(
-                    f"diagnostic {name!r} has shape {values.shape}", hint="give one value a row"
+                    f"diagnostic {name!r} has shape {values.shape}",
+                    hint="give one value for each row",
                 )
 
     @classmethod
@@ -112,7 +113,7 @@ class LightTransport:
         projector_shape: tuple[int, int],
         **more: Any,
     ) -> LightTransport:
-        """A transport without background, such as a rendered truth."""
+        """A light transport without background, such as a rendered truth."""
         background = np.zeros((matrix.shape[0], 1), np.float32)
         return cls(
             csr_array(matrix, dtype=np.float32),
@@ -129,29 +130,16 @@ class LightTransport:
 
     @cached_property
     def pooling(self) -> csr_array:
-        """The operator m: mean over each cell of the background grid, (B, N)."""
+        """The operator m: means over the cells of the background grid, (B, N)."""
         return cell_means(self.projector_shape, self.background_grid)
 
     def relight(self, patterns: NDArray[Any]) -> NDArray[np.float32]:
         """Camera images under patterns: c = T p, linear, not clipped.
 
-        Parameters
-        ----------
-        patterns : (rows, cols) or (K, rows, cols)
-            Projector patterns in [0, 1]; whole numbers can only be 0 and 1.
-
-        Returns
-        -------
-        camera_shape or (K, *camera_shape) float32
-            In units of camera full scale at exposure 1.
-
-        Raises
-        ------
-        InputError
-            If the patterns do not have the projector's shape, or values outside [0, 1], such as
-            the raw levels of an image.
+        `patterns` are (rows, cols) or (K, rows, cols) in [0, 1]; integers can only be 0 and 1. The
+        images have the shape of the camera and are in units of camera full scale at exposure 1.
         """
-        stack = as_light(patterns, self.projector_shape)
+        stack = checked_patterns(patterns, self.projector_shape)
         p = stack.reshape(-1, self.shape[1]).T
         camera = self.sparse @ p + self.background @ (self.pooling @ p)
         images = np.asarray(camera.T, np.float32).reshape(-1, *self.camera_shape)
@@ -160,25 +148,14 @@ class LightTransport:
     def dual(self, lights: NDArray[Any]) -> NDArray[np.float32]:
         """The scene seen from the projector, lit from the camera: p = T' c (Sen et al. 2005).
 
-        Parameters
-        ----------
-        lights : camera_shape
-            How strongly each camera sample acts as a light.
-
-        Returns
-        -------
-        (rows, cols) float32
-            The dual image, as the projector would see it.
-
-        Raises
-        ------
-        InputError
-            If the lights do not have the camera's shape.
+        `lights` has the camera's shape and says how strongly each camera sample acts as a light.
+        The result is the image that the projector would see, (rows, cols).
         """
         light = np.asarray(lights, np.float32)
         if light.shape != self.camera_shape:
             raise InputError(
-                f"camera lights of shape {light.shape}", hint=f"give shape {self.camera_shape}"
+                f"camera lights of shape {light.shape}",
+                hint=f"give shape {self.camera_shape}",
             )
         flat = light.ravel()
         image = self.sparse.T @ flat + self.pooling.T @ (self.background.T @ flat)
@@ -187,10 +164,7 @@ class LightTransport:
     def dual_image(self) -> NDArray[np.float32]:
         """The scene seen from the projector, lit evenly from the camera.
 
-        Returns
-        -------
-        (rows, cols) or (rows, cols, channels) float32
-            Of a colour camera in its colours: what each of its channels sees.
+        (rows, cols), or (rows, cols, channels) with a colour camera.
         """
         if len(self.camera_shape) == 2:
             return self.dual(np.ones(self.camera_shape, np.float32))
@@ -201,34 +175,31 @@ class LightTransport:
         return np.stack([self.dual(light) for light in lights], axis=-1)
 
     def row(self, *camera_index: int) -> NDArray[np.float32]:
-        """How each projector pixel reaches one camera sample, as a projector image.
+        """One row of T as a projector image: how much each pixel lights one camera sample.
 
-        Parameters
-        ----------
-        camera_index : int
-            Row, column and, for a colour camera, channel.
+        `camera_index` is the row, the column and, for a colour camera, the channel.
         """
         index = int(np.ravel_multi_index(camera_index, self.camera_shape))
         values = self.dense_rows(np.array([index]))[0]
         return values.reshape(self.projector_shape)
 
     def column(self, row: int, col: int) -> NDArray[np.float32]:
-        """The camera image when one projector pixel is lit (its impulse response)."""
+        """One column of T as a camera image: the response to one lit projector pixel."""
         index = int(np.ravel_multi_index((row, col), self.projector_shape))
         return self.dense_columns(np.array([index]))[:, 0].reshape(self.camera_shape)
 
     def dense_rows(self, index: NDArray[np.integer]) -> NDArray[np.float32]:
-        """Chosen rows of T, background included: (len(index), N) float32."""
+        """Some rows of T, with background: (len(index), N) float32."""
         values = self.sparse[index].toarray() + self.background[index] @ self.pooling
         return np.asarray(values, np.float32)
 
     def dense_columns(self, index: NDArray[np.integer]) -> NDArray[np.float32]:
-        """Chosen columns of T, background included: (M, len(index)) float32."""
+        """Some columns of T, with background: (M, len(index)) float32."""
         pooled = self.pooling[:, index].toarray()
         return np.asarray(self.sparse[:, index].toarray() + self.background @ pooled, np.float32)
 
     def crop(self, region: Region) -> LightTransport:
-        """The rows of a rectangle of the camera's pixels."""
+        """The light transport of a rectangle of camera pixels."""
         rows = region.samples(self.camera_shape)
         return replace(
             self,
@@ -238,8 +209,8 @@ class LightTransport:
             diagnostics={name: values[rows] for name, values in self.diagnostics.items()},
         )
 
-    def cut_alike(self, estimate: LightTransport) -> LightTransport:
-        """The rows that an estimate from cropped photographs has too; all for any other."""
+    def cropped_like(self, estimate: LightTransport) -> LightTransport:
+        """The part that `estimate` covers, if it comes from cropped photographs; else all of it."""
         region = estimate.region
         if region is None or estimate.camera_shape[:2] != region.shape:
             return self
@@ -247,17 +218,11 @@ class LightTransport:
 
     @property
     def region(self) -> Region | None:
-        """The rectangle of the photographs that was estimated from; None for all of them."""
+        """The rectangle of the photographs that the estimate used; None if all of them."""
         return Region.from_provenance(self.provenance)
 
     def summary(self) -> dict[str, Any]:
-        """Shapes, sparsity, clipping, convergence and gaps, as names and values; JSON-ready.
-
-        Returns
-        -------
-        dict
-            What `lightmatrix info --json` prints, provenance apart.
-        """
+        """Shapes, sparsity, clipping, convergence and gaps by name; JSON-ready."""
         entries = np.diff(self.sparse.indptr)
         result: dict[str, Any] = {
             "camera": " x ".join(map(str, self.camera_shape)),
@@ -285,7 +250,7 @@ class LightTransport:
         if "holds_everywhere" in diagnostics and np.isfinite(diagnostics["holds_everywhere"]).any():
             held = float(np.nanmean(diagnostics["holds_everywhere"]))
             result["rows_that_hold_everywhere"] = held
-        result |= {name: self.provenance[name] for name in _TOLD if name in self.provenance}
+        result |= {name: self.provenance[name] for name in _SUMMARY_KEYS if name in self.provenance}
         parameters = self.provenance.get("solver_parameters")
         if isinstance(parameters, Mapping) and "fidelity" in parameters:
             result["fidelity"] = parameters["fidelity"]
@@ -293,69 +258,52 @@ class LightTransport:
 
     @property
     def background_share(self) -> float:
-        """Share of the white image's light that the background holds."""
-        # Under white the mean of every cell is 1.
+        """The share of the light of the white image that the background holds."""
+        # Under a white pattern the mean of every cell is 1.
         diffuse = float(self.background.sum(dtype=np.float64))
-        # The sum of the matrix itself would copy all of it in double precision.
+        # `sparse.sum()` would copy the whole matrix in double precision.
         total = diffuse + float(self.sparse.data.sum(dtype=np.float64))
         return diffuse / total if total else 0.0
 
     def to_matrix(self, *, dense_background: bool = False) -> csr_array:
         """T as one sparse matrix.
 
-        Parameters
-        ----------
-        dense_background : bool
-            Spread the background over all pixels: exact, but M x N entries where it is not 0.
-            Otherwise the background is left out.
+        `dense_background` spreads the background over all pixels, which is exact but has M x N
+        entries. Otherwise the background is omitted.
         """
         if not dense_background:
             return self.sparse
         return csr_array(self.sparse + csr_array(self.background) @ self.pooling)
 
 
-def as_light(patterns: NDArray[Any], projector_shape: tuple[int, int]) -> NDArray[np.float32]:
-    """Patterns as light, (rows, cols) or (K, rows, cols) float32 in [0, 1].
-
-    Raises
-    ------
-    InputError
-        If they do not have the projector's shape, or values outside [0, 1].
-    """
-    given = np.asarray(patterns)
-    if given.dtype.kind not in "bfiu":
-        raise InputError(f"a pattern of {given.dtype} values", hint="give values in [0, 1]")
-    # Written so that NaN is refused too.
-    if given.size and not (given.min() >= 0 and given.max() <= 1):
-        raw = given.dtype.kind in "iu"
+def checked_patterns(
+    patterns: NDArray[Any], projector_shape: tuple[int, int]
+) -> NDArray[np.float32]:
+    """Patterns as float32; refuses other shapes than the projector's and values outside [0, 1]."""
+    values = np.asarray(patterns)
+    if values.dtype.kind not in "bfiu":
+        raise InputError(f"the pattern has {values.dtype} values", hint="give values in [0, 1]")
+    # Written so that it refuses NaN, too.
+    if values.size and not (values.min() >= 0 and values.max() <= 1):
+        raw = values.dtype.kind in "iu"
         raise InputError(
-            f"a pattern with values from {given.min():g} to {given.max():g}",
-            hint="light is in [0, 1]"
+            f"the pattern has values from {values.min():g} to {values.max():g}",
+            hint="use values in [0, 1]"
             + (": divide raw levels by their largest one, such as 255" if raw else ""),
         )
-    if given.shape[-2:] != projector_shape or given.ndim not in (2, 3):
+    if values.shape[-2:] != projector_shape or values.ndim not in (2, 3):
         raise InputError(
-            f"a pattern of shape {given.shape} for a projector of "
+            f"the pattern has shape {values.shape}, but the projector has "
             f"{projector_shape[0]} x {projector_shape[1]}",
             hint="resize the pattern to the projector",
         )
-    return np.asarray(given, np.float32)
+    return np.asarray(values, np.float32)
 
 
 def cell_means(projector_shape: tuple[int, int], grid: tuple[int, int]) -> csr_array:
     """The operator m: means of a pattern over the cells of a coarse grid, (B, N) float32.
 
-    Parameters
-    ----------
-    projector_shape : (rows, cols)
-        N = rows * cols.
-    grid : (rows, cols)
-        B = rows * cols cells, as equal as whole pixels allow.
-
-    Raises
-    ------
-    InputError
-        If the grid has more rows or columns than the projector, or none.
+    The B = rows * cols cells are as equal as whole pixels allow.
     """
     cell = grid_cells(projector_shape, grid)
     sizes = np.bincount(cell, minlength=grid[0] * grid[1])

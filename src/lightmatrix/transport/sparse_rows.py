@@ -1,4 +1,4 @@
-"""Rows of a light transport matrix as they are found: a part of it, joined to the whole later."""
+"""`SparseRows`, some rows of a light transport matrix, and helpers for sparse rows."""
 
 from __future__ import annotations
 
@@ -17,16 +17,10 @@ _DIAGNOSTIC = "diagnostic_"
 
 @dataclass(frozen=True, eq=False)
 class SparseRows:
-    """What was found of m rows: few coefficients each, their background, and facts about them.
+    """m rows of a light transport matrix: sparse coefficients, background and diagnostics.
 
-    Parameters
-    ----------
-    coefficients : (m, N) csr_array
-        The sparse part, in units of camera sample per unit of projector pixel.
-    background : (m, B)
-        Coefficients of the B columns of the background.
-    diagnostics : mapping of str to (m,) array
-        Facts about each row, such as its gap.
+    `coefficients` (m, N) are in units of camera sample per unit of projector pixel, `background` is
+    (m, B). Diagnostics are facts about each row, such as its gap, (m,) each.
     """
 
     coefficients: csr_array
@@ -39,25 +33,21 @@ class SparseRows:
         return int(self.coefficients.shape[0])
 
     def check(self) -> None:
-        """Refuse rows that do not fit together, or are not finite: those of a damaged file.
-
-        Raises
-        ------
-        InputError
-            With what is wrong.
-        """
+        """Refuse parts that do not fit together or are not finite, as in a damaged file."""
         try:
             self.coefficients.check_format(full_check=True)
         except ValueError as error:
-            raise _damaged(f"sparse rows that are none: {error}") from error
+            raise _damaged(f"invalid sparse rows: {error}") from error
         if self.background.ndim != 2 or len(self.background) != self.count:
-            raise _damaged(f"a background of {self.background.shape} for {self.count} rows")
+            raise _damaged(f"a background of shape {self.background.shape} for {self.count} rows")
         for name, values in self.diagnostics.items():
             if values.shape != (self.count,):
-                raise _damaged(f"a diagnostic {name!r} of {values.shape} for {self.count} rows")
+                raise _damaged(
+                    f"a diagnostic {name!r} of shape {values.shape} for {self.count} rows"
+                )
         for part in (self.coefficients.data, self.background):
             if part.dtype not in (np.float32, np.float64) or not np.isfinite(part).all():
-                raise _damaged("coefficients that are no finite numbers")
+                raise _damaged("coefficients that are not finite numbers")
 
     def rows(self, index: slice | NDArray[np.integer]) -> SparseRows:
         """Some of the rows, in the order of the index."""
@@ -68,15 +58,15 @@ class SparseRows:
         )
 
     def single(self) -> SparseRows:
-        """The same with coefficients in single precision."""
+        """The same rows in single precision."""
         coefficients = csr_array(self.coefficients, dtype=np.float32)
         return SparseRows(coefficients, self.background.astype(np.float32), self.diagnostics)
 
     @classmethod
     def joined(cls, parts: Sequence[SparseRows]) -> SparseRows:
-        """The rows of one or more parts below each other; all with the same diagnostics."""
+        """The rows of one or more parts, which have the same diagnostics, below each other."""
         return cls(
-            stacked([part.coefficients for part in parts]),
+            stack_rows([part.coefficients for part in parts]),
             np.concatenate([part.background for part in parts]),
             {
                 name: np.concatenate([part.diagnostics[name] for part in parts])
@@ -85,7 +75,7 @@ class SparseRows:
         )
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """The rows as named arrays, from which `from_arrays` makes them again."""
+        """The rows as named arrays, for `from_arrays`."""
         return {
             "data": self.coefficients.data,
             "indices": self.coefficients.indices,
@@ -97,18 +87,12 @@ class SparseRows:
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self:
-        """The rows of `arrays`, checked.
-
-        Raises
-        ------
-        InputError
-            On arrays that are missing or do not fit.
-        """
+        """Rows from the arrays of `arrays()`; refuses arrays that are missing or do not fit."""
         try:
             parts = arrays["data"], arrays["indices"], arrays["indptr"]
-            rows, pixels = (int(size) for size in arrays["shape"])
-            found = cls(
-                csr_array(parts, shape=(rows, pixels)),
+            count, pixels = (int(size) for size in arrays["shape"])
+            rows = cls(
+                csr_array(parts, shape=(count, pixels)),
                 arrays["background"],
                 {
                     name.removeprefix(_DIAGNOSTIC): values
@@ -117,26 +101,21 @@ class SparseRows:
                 },
             )
         except (KeyError, TypeError, ValueError) as error:
-            raise _damaged(f"arrays that are no sparse rows: {error}") from error
-        found.check()
-        return found
+            raise _damaged(f"arrays that do not hold sparse rows: {error}") from error
+        rows.check()
+        return rows
 
 
-def stacked(parts: Sequence[csr_array]) -> csr_array:
-    """Sparse matrices of equal width below each other."""
+def stack_rows(parts: Sequence[csr_array]) -> csr_array:
+    """Sparse matrices of equal width, stacked below each other."""
     return csr_array(vstack(parts, format="csr"))
 
 
 def footprint_sizes(rows: csr_array) -> NDArray[np.float64]:
     """The effective number of projector pixels in each row, (M,): (sum t)^2 / sum t^2.
 
-    n equal entries count n; a Gaussian spot of standard deviation s about 4 pi s^2. Rows without
-    light have 0. A row with several footprints counts them together.
-
-    Parameters
-    ----------
-    rows : (M, N) csr_array
-        Rows of the light transport matrix, without background.
+    n equal entries count n; a Gaussian spot of standard deviation s counts about 4 pi s^2. Rows
+    without light have 0. Several footprints in a row count together.
     """
     light = np.asarray(rows.sum(axis=1), np.float64).ravel()
     squares = np.asarray(rows.multiply(rows).sum(axis=1), np.float64).ravel()
@@ -146,17 +125,9 @@ def footprint_sizes(rows: csr_array) -> NDArray[np.float64]:
 def row_blocks(ends: NDArray[np.integer], most: int) -> NDArray[np.int64]:
     """Row numbers that cut a matrix into blocks of about equally many entries.
 
-    Parameters
-    ----------
-    ends : (M + 1,) int
-        Rising: what comes before each row, and in all; of entries, the indptr of a CSR matrix.
-    most : int
-        In a block, give or take one row.
-
-    Returns
-    -------
-    (blocks + 1,) int64
-        From 0 to M, ascending.
+    `ends`, (M + 1,), is the number of entries before each row and in all: the indptr of a CSR
+    matrix. A block has up to `most` entries, give or take one row. The row numbers ascend from 0 to
+    M.
     """
     parts = max(1, -(-int(ends[-1]) // most))
     inner = np.linspace(0, ends[-1], parts + 1)[1:-1]
@@ -164,4 +135,4 @@ def row_blocks(ends: NDArray[np.integer], most: int) -> NDArray[np.int64]:
 
 
 def _damaged(what: str) -> InputError:
-    return InputError(what, hint="the file they come from is damaged: make it again")
+    return InputError(what, hint="the file is damaged: create it again")

@@ -107,9 +107,9 @@ def _telling_pixels(facts: Facts) -> dict[str, tuple[int, int]]:
     """A few camera pixels that are unlike each other, by what they are."""
     found = facts.correspondence
     white = facts.white if facts.white.ndim == 2 else facts.white.sum(axis=2)
-    lit = found.found & (white > np.quantile(white, 0.5))
+    lit = found.valid & (white > np.quantile(white, 0.5))
     if not lit.any():
-        lit = found.found
+        lit = found.valid
     if not lit.any():
         return {}
     confidence = np.where(lit, found.confidence, np.nan)
@@ -121,7 +121,7 @@ def _telling_pixels(facts: Facts) -> dict[str, tuple[int, int]]:
     shares = facts.transport.diagnostics.get("clipped_share")
     if shares is not None and np.any(shares > 0):
         often = np.asarray(shares).reshape(*white.shape, -1).max(axis=2)
-        chosen["The camera pixel that clipped most"] = np.argmax(np.where(found.found, often, -1))
+        chosen["The camera pixel that clipped most"] = np.argmax(np.where(found.valid, often, -1))
     places = {}
     for why, flat in chosen.items():
         row, col = np.unravel_index(int(flat), white.shape)

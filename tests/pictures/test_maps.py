@@ -1,0 +1,58 @@
+"""The maps of diagnostics over the camera."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.sparse import csr_array, random_array
+
+import lightmatrix as lm
+from lightmatrix.pictures import maps
+
+ROWS, COLS = 9, 7
+
+
+@pytest.fixture
+def transport() -> lm.LightTransport:
+    """Random rows over a projector of 9 x 7, one of them dark, with a background."""
+    generator = np.random.default_rng(3)
+    sparse = random_array((30, ROWS * COLS), density=0.2, rng=generator, format="csr")
+    dense = sparse.toarray().astype(np.float32)
+    dense[4] = 0
+    background = generator.random((30, 2)).astype(np.float32)
+    return lm.LightTransport(csr_array(dense), background, (5, 6), (ROWS, COLS), (2, 1))
+
+
+def test_maps_are_read_without_colour(transport: lm.LightTransport) -> None:
+    """Lightness always rises or always falls, for black-and-white prints and the colour-blind."""
+    matches = lm.correspondence(transport)
+    rows = np.arange(30, dtype=np.float32)
+    knowing = replace(
+        transport,
+        diagnostics={
+            "clipped_share": rows / 30, "gap": 1e-5 * rows, "footprint": rows,
+            "estimated_error": rows / 30,
+        },
+    )  # fmt: skip
+    shown = [
+        maps.clipping_map(knowing), maps.gap_map(knowing), maps.footprint_map(knowing),
+        maps.stated_error_map(knowing), maps.error_map(rows.reshape(5, 6)),
+        *maps.correspondence_maps(matches),
+    ]  # fmt: skip
+    for one in shown:
+        colours = one.colour_map(np.linspace(0, 1, 64))[:, :3] ** 2.2
+        steps = np.diff(colours @ (0.2126, 0.7152, 0.0722))
+        assert (steps > 0).all() or (steps < 0).all(), one.name
+        pixels = one.pixels()
+        assert pixels.shape == (5, 6, 3)
+        assert pixels.dtype == np.uint8
+    # Unknown values do not look like the smallest value.
+    assert (shown[5].pixels()[np.isnan(shown[5].values)] == 178).all()
+
+
+def test_maps_of_unknown_facts_are_refused(transport: lm.LightTransport) -> None:
+    for show in (lm.show_clipping, lm.show_gaps, lm.show_footprints, lm.show_stated_errors):
+        with pytest.raises(lm.InputError, match="does not know"):
+            show(transport)
