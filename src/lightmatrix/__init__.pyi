@@ -59,16 +59,21 @@ from .live.measurements.rig_measurements import (
     measure_rig as measure_rig,
 )
 from .live.measurements.linearity import measure_linearity as measure_linearity
-from .live.measurements.response import measure_response as measure_response
+from .live.measurements.grey_ramp import measure_response as measure_response
 from .live.measurements.settle import measure_settle as measure_settle
-from .live.capturing import take_capture as take_capture
+from .live.capturing import (
+    CaptureSettings as CaptureSettings,
+    take_capture as take_capture,
+)
 from .live.devices.registry import (
     list_devices as list_devices,
     open_camera as open_camera,
     open_projector as open_projector,
 )
-from .live.opening import open_rig as open_rig
-from .live.rig import Rig as Rig
+from .live.rig import (
+    Rig as Rig,
+    open_rig as open_rig,
+)
 
 # What is wrong with a capture.
 from .diagnosis.finding import Finding as Finding

@@ -22,9 +22,9 @@ from lightmatrix.cli.app import STAGES
 from lightmatrix.estimators import auto
 from lightmatrix.estimators.coherent.estimator import WORTH_IT_UP_TO
 from lightmatrix.experiments import run
-from lightmatrix.live import capturing, opening
+from lightmatrix.live import capturing
 from lightmatrix.live.measurements.rig_measurements import PARTS
-from lightmatrix.live.rig import Rig
+from lightmatrix.live.rig import USUAL_PATIENCE
 from lightmatrix.patterns import making, mix
 from lightmatrix.planning.plan import USUAL_SIZE
 from lightmatrix.simulation.library import DEFAULT_SAMPLES
@@ -346,21 +346,24 @@ def test_what_runs_long_is_passed_on_as_it_was_said(
 
 
 @pytest.mark.parametrize(
-    ("words", "settings"),
+    ("words", "arguments"),
     [
         ("-k 20 --seed 4", {"count": 20, "seed": 4}),
         (
             "-k 18 --density 0.3 --exposure 0.01 --settle 0.06 --cell 2 --no-check "
             "--reference-every 5 --response gamma:1.1",
             {
-                "count": 18, "density": 0.3, "exposure": 0.01, "settle": 0.06, "cell": 2,
-                "check": False, "reference_every": 5, "response": "gamma:1.1",
+                "count": 18, "density": 0.3,
+                "settings": lm.CaptureSettings(
+                    cell=2, exposure=0.01, settle=0.06, response="gamma:1.1", check=False,
+                    reference_every=5,
+                ),
             },
         ),
     ],
 )  # fmt: skip
 def test_capture(
-    words: str, settings: dict[str, Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    words: str, arguments: dict[str, Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     rig = "virtual:procedural,size=16,real=0,late=0.1"
     told = _run(
@@ -368,10 +371,10 @@ def test_capture(
     )
     with lm.open_rig(rig) as opened:
         capture = lm.take_capture(
-            tmp_path / "made", opened, keep=tmp_path / "made.json", **settings
+            tmp_path / "made", opened, keep=tmp_path / "made.json", **arguments
         )
     _same_files(tmp_path / "shown", tmp_path / "made")
-    assert told["frames"] == settings["count"] == capture.count
+    assert told["frames"] == arguments["count"] == capture.count
 
 
 @pytest.mark.parametrize("part", PARTS)
@@ -424,7 +427,7 @@ def test_help_texts_say_what_the_code_does() -> None:
     assert options.USUAL_FRAMES == capturing.USUAL_COUNT
     assert options.USUAL_REFERENCE == capturing.USUAL_REFERENCE
     assert options.RIG_FILE == capturing.RIG_FILE
-    assert options.USUAL_PATIENCE == opening.USUAL_PATIENCE == Rig.patience
+    assert options.USUAL_PATIENCE == USUAL_PATIENCE
     assert options.USUAL_SAMPLES == DEFAULT_SAMPLES
     assert options.EXPOSURES_EXAMPLE == EXPOSURES_EXAMPLE
     assert mix.EXAMPLE == options.MIX_EXAMPLE

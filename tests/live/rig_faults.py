@@ -26,7 +26,7 @@ from lightmatrix.capture.capture import Capture
 from lightmatrix.errors import LightMatrixError, OutputError
 from lightmatrix.live.capturing import take_capture
 from lightmatrix.live.devices.virtual.settings import VirtualSettings
-from lightmatrix.live.opening import open_rig
+from lightmatrix.live.rig import open_rig
 from lightmatrix.patterns.making import make_patterns
 from lightmatrix.patterns.pattern_set import to_grey
 
@@ -124,7 +124,7 @@ def _run(folder: Path, disk: SmallDisk | None, seed: int, count: int, kills: int
     outcome = Outcome(seed, real_disk=disk is not None)
     draw = np.random.default_rng([seed, 15])
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["lightmatrix.live.capturing", "lightmatrix.live.opening"])
+    context.set_forkserver_preload(["lightmatrix.live.capturing", "lightmatrix.live.rig"])
     robbed = False
     deadline = time.monotonic() + _PATIENCE
     while time.monotonic() < deadline:

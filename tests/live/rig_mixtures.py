@@ -20,10 +20,10 @@ from unittest import mock
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.live.capturing import take_capture
+from lightmatrix.live.capturing import CaptureSettings, take_capture
 from lightmatrix.live.devices.virtual.camera import VirtualCamera
 from lightmatrix.live.devices.virtual.projector import VirtualProjector
-from lightmatrix.live.opening import open_rig
+from lightmatrix.live.rig import open_rig
 from lightmatrix.patterns.making import make_patterns
 
 SETTLE, EXPOSURE = 0.05, 0.02
@@ -96,8 +96,9 @@ def run(seed: int) -> tuple[list[Mixed], list[Mixed], int]:
         tempfile.TemporaryDirectory() as folder,
         come_within(seed) as mixed,
     ):
+        settings = CaptureSettings(exposure=EXPOSURE, settle=SETTLE)
         capture = take_capture(
-            Path(folder) / "capture", rig, patterns, exposure=EXPOSURE, settle=SETTLE, keep=None
+            Path(folder) / "capture", rig, patterns, settings=settings, keep=None
         )
         frames = [capture.frame(k).tobytes() for k in range(capture.count)]
     kept = [mixed[frame] for frame in frames if frame in mixed]

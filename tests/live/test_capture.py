@@ -9,7 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,9 +19,9 @@ import pytest
 import lightmatrix as lm
 from lightmatrix.cli import main
 from lightmatrix.live.devices.virtual.camera import VirtualCamera
-from lightmatrix.live.frames.same_light import Drift
+from lightmatrix.live.frames.drift import Drift
+from lightmatrix.live.projected_patterns import ProjectedPatterns
 from lightmatrix.live.session import Step
-from lightmatrix.live.showing import Shown
 from tests.helpers.systems import SIGNALS
 
 from .rig_faults import run
@@ -42,9 +42,12 @@ def _here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, _known: lm.RigMeasure
     _known.save("rig.json")
 
 
-def _capture(words: str = "", **settings: Any) -> lm.Capture:
+def _capture(words: str = "", **arguments: Any) -> lm.Capture:
+    """A capture by the quiet rig with other words; settings stand among the arguments."""
+    names = [field.name for field in fields(lm.CaptureSettings) if field.name in arguments]
+    settings = lm.CaptureSettings(**{name: arguments.pop(name) for name in names})
     with lm.open_rig(QUIET + words) as rig:
-        return lm.take_capture("capture", rig, **{"count": 32, **settings})
+        return lm.take_capture("capture", rig, **{"count": 32, "settings": settings, **arguments})
 
 
 class _StopError(Exception):
@@ -80,7 +83,8 @@ def test_a_measured_curve_goes_with_the_capture(tmp_path: Path) -> None:
     curve = tmp_path / "curve.txt"
     curve.write_text("0 0\n1 1\n")
     with lm.open_rig("virtual:procedural,size=16,real=0") as rig:
-        lm.take_capture(tmp_path / "taken", rig, count=20, response=f"curve:{curve}")
+        settings = lm.CaptureSettings(response=f"curve:{curve}")
+        lm.take_capture(tmp_path / "taken", rig, count=20, settings=settings)
     curve.unlink()
     assert lm.Capture.open(tmp_path / "taken").decoder.response.name == "curve:curve.txt"
 
@@ -207,16 +211,16 @@ def test_patterns_of_single_pixels_are_confirmed_one_by_one() -> None:
 
 
 def test_what_cannot_be_mended_is_named_and_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    image = Shown.image
+    image = ProjectedPatterns.image
 
-    def stubborn(self: Shown, index: int) -> Any:
+    def stubborn(self: ProjectedPatterns, index: int) -> Any:
         # Two patterns never come out right: something else is shown each time.
         if index in (7, 20):
             return np.random.default_rng().integers(0, 2, self.screen, np.uint8) * np.uint8(255)
         return image(self, index)
 
     with monkeypatch.context() as patched:
-        patched.setattr(Shown, "image", stubborn)
+        patched.setattr(ProjectedPatterns, "image", stubborn)
         with pytest.warns(lm.LightMatrixWarning, match=r"2 patterns are left out.*pattern 7"):
             capture = _capture(",fps=0")
     assert sorted(capture.provenance["left_out"]) == ["20", "7"]
@@ -252,9 +256,10 @@ def test_light_that_changes_meanwhile_is_named(what: str, words: str) -> None:
                 matrix = light.truth.with_data(np.float32(0.9) * light.truth.matrix.data)
                 light.truth = replace(light.truth, matrix=matrix)
 
+        settings = lm.CaptureSettings(reference_every=8)
         with pytest.warns(lm.LightMatrixWarning, match=f"after 15 frames, {words}"):
-            capture = lm.take_capture("capture", rig, count=32, reference_every=8, progress=change)
-    looks = capture.provenance["drift"]
+            lm.take_capture("capture", rig, count=32, settings=settings, progress=change)
+    looks = lm.Capture.open("capture").provenance["drift"]
     assert [look["frames"] for look in looks] == [7, 15, 23, 31]
 
 
@@ -268,10 +273,10 @@ def test_a_room_whose_light_varies_is_named() -> None:
 
 
 def test_drift_is_named() -> None:
-    assert Drift(1.0, 0.01, 0.0).said() is None
-    assert "did something move" in str(Drift(1.0, 0.2, 0.0).said())
-    assert "90 % of what it was" in str(Drift(0.9, 0.0, 0.0).said())
-    assert "room" in str(Drift(1.0, 0.0, 0.05).said())
+    assert Drift(1.0, 0.01, 0.0).warning() is None
+    assert "did something move" in str(Drift(1.0, 0.2, 0.0).warning())
+    assert "90 % of what it was" in str(Drift(0.9, 0.0, 0.0).warning())
+    assert "room" in str(Drift(1.0, 0.0, 0.05).warning())
 
 
 @pytest.fixture(scope="module")
@@ -433,5 +438,6 @@ def test_ctrl_c_keeps_the_frames() -> None:
     assert process.returncode == 130
     assert told == "stopped; finished frames are kept, run again to go on\n"
     with lm.open_rig(QUIET) as rig:
-        capture = lm.take_capture("capture", rig, count=40, exposure=0.01, settle=0.5)
+        settings = lm.CaptureSettings(exposure=0.01, settle=0.5)
+        capture = lm.take_capture("capture", rig, count=40, settings=settings)
     assert capture.count == 40

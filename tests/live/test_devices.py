@@ -18,7 +18,7 @@ from lightmatrix.live.devices.registry import (
     open_camera,
     open_projector,
 )
-from lightmatrix.live.opening import open_rig
+from lightmatrix.live.rig import open_rig
 
 
 @pytest.mark.parametrize(

@@ -45,7 +45,7 @@ def test_a_capture_over_gige_vision_is_as_good_as_a_simulated_one(
                 "capture",
                 rig,
                 lm.make_patterns("mix", _SHAPE, 64),
-                cell=cell,
+                settings=lm.CaptureSettings(cell=cell),
                 progress=lambda step: times.append(time.monotonic()),
             )
     finally:

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 import lightmatrix as lm
-from lightmatrix.live.measurements.rig_measurements import PARTS, outdated
+from lightmatrix.live.measurements.outdated import outdated_parts
+from lightmatrix.live.measurements.rig_measurements import PARTS
 from lightmatrix.live.rig import Rig
 from lightmatrix.patterns.projector_curve import ProjectorResponse
 
@@ -132,13 +133,13 @@ def test_what_is_known_is_kept_and_used(tmp_path: Path) -> None:
 
 def test_what_no_longer_holds_is_noticed() -> None:
     known = lm.measure_rig(_rig(",delay=2,fps=0"))
-    assert outdated(_rig(",delay=2,fps=0,noise=0.004"), known) == []
-    assert outdated(_rig(",delay=4,fps=0"), known) == ["settle"]
-    assert outdated(_rig(",delay=2,fps=0,gamma=2.5"), known) == ["response", "linearity"]
-    assert "linearity" in outdated(_rig(",delay=2,fps=0,curve=0.8"), known)
-    assert outdated(_rig(",delay=2,fps=0,unit=0.023"), known) == ["exposure"]
+    assert outdated_parts(_rig(",delay=2,fps=0,noise=0.004"), known) == []
+    assert outdated_parts(_rig(",delay=4,fps=0"), known) == ["settle"]
+    assert outdated_parts(_rig(",delay=2,fps=0,gamma=2.5"), known) == ["response", "linearity"]
+    assert "linearity" in outdated_parts(_rig(",delay=2,fps=0,curve=0.8"), known)
+    assert outdated_parts(_rig(",delay=2,fps=0,unit=0.023"), known) == ["exposure"]
     for words in (",flicker=0.1", ",room_flicker=0.8,room=0.1"):
-        assert outdated(_rig(",delay=2,fps=0" + words), known)[-2:] == ["flicker", "exposure"]
+        assert outdated_parts(_rig(",delay=2,fps=0" + words), known)[-2:] == ["flicker", "exposure"]
 
 
 @pytest.mark.parametrize(

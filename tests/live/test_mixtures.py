@@ -9,8 +9,8 @@ import pytest
 
 from lightmatrix.live.devices.protocols import Frame
 from lightmatrix.live.frames.photograph import Shot
-from lightmatrix.live.frames.previous_pattern import find_mixture
-from lightmatrix.live.frames.repeats import Steady
+from lightmatrix.live.frames.previous_pattern import fit_mixture
+from lightmatrix.live.frames.repeats import AveragedFrame
 from lightmatrix.live.frames.same_light import References
 
 from .rig_mixtures import run
@@ -35,7 +35,7 @@ def test_a_share_is_found_with_its_error(share: float) -> None:
         return 0.98 * light - 0.2
 
     rows = np.repeat(np.arange(40), 10)
-    found = [find_mixture(frame() - own, other, own, error, rows) for _ in range(300)]
+    found = [fit_mixture(frame() - own, other, own, error, rows) for _ in range(300)]
     shares = np.array([mix.share for mix in found])
     assert shares.mean() == pytest.approx(share, abs=0.003)
     assert shares.std() == pytest.approx(found[0].error, rel=0.15)
@@ -55,13 +55,13 @@ def test_two_photographs_that_share_a_little_of_white_or_a_pattern_do_not_agree(
     def photograph(light: Any) -> Any:
         return np.rint(64 + light + noise * random.standard_normal(shape)).astype(np.uint16)
 
-    def steady(light: Any) -> Steady:
+    def average(light: Any) -> AveragedFrame:
         frame = Frame(photograph(light), 1, 0.0, top)
         mean = np.asarray(64 + light, np.float32)
-        return Steady(mean, [Shot(frame, 0.01, 0.0)], noise, 0.0005)
+        return AveragedFrame(mean, [Shot(frame, 0.01, 0.0)], noise, 0.0005)
 
     black = np.zeros(shape)
-    references = References(steady(black), steady(white), np.float32(64) + np.zeros(shape, "f4"))
+    references = References(average(black), average(white), np.float32(64) + np.zeros(shape, "f4"))
     own, other = (white * random.integers(0, 2, shape) for _ in range(2))
     for _ in range(20):
         one = photograph(own)

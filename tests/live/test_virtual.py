@@ -12,8 +12,7 @@ from lightmatrix.errors import DeviceError, FrameTimeoutError, InputError
 from lightmatrix.live.devices.protocols import Camera, Projector
 from lightmatrix.live.devices.virtual.projector import VirtualProjector
 from lightmatrix.live.devices.virtual.settings import parse_settings
-from lightmatrix.live.opening import open_rig
-from lightmatrix.live.rig import Rig
+from lightmatrix.live.rig import Rig, open_rig
 
 from .contract import CameraContract, ProjectorContract
 

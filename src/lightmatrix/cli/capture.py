@@ -81,6 +81,14 @@ def capture(
     The rig is measured first (settle time, exposures, flicker, response, linearity) and looked
     over when it is known. Frames that are late, torn, lost or copied are taken again.
     """
+    settings = lm.CaptureSettings(
+        cell=cell,
+        exposure=exposure,
+        settle=settle,
+        response=response,
+        check=check,
+        reference_every=reference_every,
+    )
     claim(output, LIVE_CAPTURE, overwrite=overwrite)
     tell_what_is_left(output, "frames")
     if store is not None:
@@ -97,13 +105,8 @@ def capture(
             count=count,
             density=density,
             seed=seed,
-            cell=cell,
-            exposure=exposure,
-            settle=settle,
-            response=response,
+            settings=settings,
             keep=rig_file,
-            check=check,
-            reference_every=reference_every,
             overwrite=overwrite,
             progress=shown.photographed,
             measuring=shown.measured,

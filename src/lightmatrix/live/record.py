@@ -1,8 +1,8 @@
-"""A capture on its way to disk: each frame whole or absent, and what is known of it.
+"""The record of a capture while it is taken: its frames, and what is known of each.
 
-While a capture is taken, `<output>.partial` holds its frames as image files and `session.json`,
-which says what each is. A session that was ended, however that happened, goes on there. When all
-frames are there, they become a capture folder.
+`<output>.partial` holds the frames as image files, and `session.json`, which describes them. A
+session that was stopped, however that happened, goes on there. When all frames are taken, they
+become a capture folder.
 """
 
 from __future__ import annotations
@@ -31,26 +31,26 @@ FORMAT, VERSION = "lightmatrix-session", 1
 
 
 @dataclass
-class Taken:
+class FrameRecord:
     """What is known of a frame.
 
     Parameters
     ----------
     exposure : float
-        Seconds, as the camera said.
+        Seconds, as the camera reported them.
     id : int
-        The camera's number of it.
+        The camera's number of the frame.
     delay : float
         Seconds from the pattern being shown to the start of the exposure.
     before : int
         Number of the pattern shown before it; -1 for black, -2 for white.
     tries : int
-        Photographs that it took.
+        Photographs that were taken for it.
     check : {"matched", "confirmed", "unchecked"}
-        Whether it meets what the other frames predict for its pattern, agrees with a second
-        photograph, or neither has been asked yet.
+        Whether it meets what the other frames predict, agrees with a second photograph, or has not
+        been checked yet.
     still : bool
-        Whether a photograph straight after it shows the same: no picture came within its exposure.
+        Whether a photograph straight after it agrees: no image came within its exposure.
     """
 
     exposure: float
@@ -63,81 +63,95 @@ class Taken:
 
 
 @dataclass
-class State:
+class SessionState:
     """What is known of all frames, JSON-ready.
 
     Parameters
     ----------
     frames : dict
-        Number of a pattern -> what is known of its frame.
+        Number of a pattern -> its frame's record.
     faults : dict
-        What was wrong with photographs that were taken again -> how often.
+        Reason for repeating photographs -> how often.
     unmended : dict
-        Number of a pattern -> why there is no frame of it.
+        Number of a pattern that was given up -> why.
     drift : list of dict
-        Of each look at the reference: frames taken before, gain, change, room.
+        For each look at the references: frames taken before, gain, change, room.
     exposures : list of float
         Seconds that each frame is asked for.
     """
 
-    frames: dict[int, Taken] = field(default_factory=dict)
+    frames: dict[int, FrameRecord] = field(default_factory=dict)
     faults: dict[str, int] = field(default_factory=dict)
     unmended: dict[int, str] = field(default_factory=dict)
     drift: list[dict[str, float]] = field(default_factory=list)
     exposures: list[float] = field(default_factory=list)
 
 
-class Record:
+@dataclass(frozen=True, eq=False)
+class CaptureFacts:
+    """What the finished capture states besides its frames; see `write_capture`.
+
+    Parameters
+    ----------
+    exposures : (frames,) float64
+        Relative exposures of the frames that were taken, in their order.
+    black : (rows, cols[, channels]) float32
+        The black frame, and its relative exposure.
+    clip_level, black_level : float
+        Raw levels at which the camera clips, and without any light.
+    """
+
+    exposures: NDArray[np.float64]
+    black: NDArray[np.float32]
+    black_exposure: float
+    clip_level: float
+    black_level: float
+    response: str
+    provenance: Mapping[str, Any]
+
+
+class CaptureRecord:
     """The running results of a capture; made by `open`. The caller holds the output's lock.
 
     In a ``with`` statement, an exception leaves the frames for the next run, if there are any.
     """
 
     def __init__(
-        self, target: Path, kept: RunningResults, wanted: Mapping[str, Any], state: State
+        self, target: Path, results: RunningResults, wanted: Mapping[str, Any], state: SessionState
     ) -> None:
-        self._target, self._kept, self._wanted, self.state = target, kept, wanted, state
+        self._target, self._results, self._wanted, self.state = target, results, wanted, state
 
     @classmethod
-    def open(cls, target: Path, wanted: Mapping[str, Any], *, overwrite: bool = False) -> Record:
-        """Begin, or go on with, a capture.
+    def open(
+        cls, target: Path, wanted: Mapping[str, Any], *, overwrite: bool = False
+    ) -> CaptureRecord:
+        """Begin, or go on with, the capture of an output that `claimed` yielded.
 
-        Parameters
-        ----------
-        target : Path
-            The output, as `claimed` gives it.
-        wanted : mapping
-            Everything that frames depend on, JSON-ready.
-        overwrite : bool
-            Whether frames of other patterns or another rig may be thrown away.
-
-        Raises
-        ------
-        OutputError
-            If there are such frames, or the disk fails.
+        `wanted` is everything that frames depend on, JSON-ready. Frames under other settings are an
+        OutputError, or are discarded with `overwrite`.
         """
-        asked = json.loads(json.dumps(dict(wanted), default=jsonable))
-        kept = RunningResults.resume(
+        settings = json.loads(json.dumps(dict(wanted), default=jsonable))
+        results = RunningResults.resume(
             target,
             PARTIAL,
-            asked,
+            settings,
             file=_STATE,
             key="wanted",
             contents="frames of another capture",
             overwrite=overwrite,
         )
-        found = kept.read_object(_STATE)
-        if found is None:
-            return cls(target, kept, asked, State())
-        state = State(
-            {int(k): Taken(**frame) for k, frame in found["frames"].items()},
-            dict(found["faults"]),
+        content = results.read_object(_STATE)
+        if content is None:
+            return cls(target, results, settings, SessionState())
+        state = SessionState(
+            {int(k): FrameRecord(**frame) for k, frame in content["frames"].items()},
+            dict(content["faults"]),
             {},
-            list(found["drift"]),
-            [float(each) for each in found["exposures"]],
+            list(content["drift"]),
+            [float(each) for each in content["exposures"]],
         )
-        record = cls(target, kept, asked, state)
-        # Listed, but written only in part or lost since: taken again.
+        record = cls(target, results, settings, state)
+        # Frames that were lost or damaged since are taken again.
         for k in [k for k in state.frames if record.read(k) is None]:
             del state.frames[k]
         return record
@@ -152,123 +166,95 @@ class Record:
         trace: TracebackType | None,
     ) -> None:
         if kind is not None and not self.state.frames:
-            self._kept.discard()
+            self._results.discard()
 
-    # ---- frames
-
-    def keep(self, frame: int, data: NDArray[Any], taken: Taken) -> None:
-        """Write a frame, whole or not at all, and what is known of it.
-
-        Raises
-        ------
-        OutputError
-            If the disk fails; frames that were written remain.
-        """
+    def keep(self, frame: int, data: NDArray[Any], record: FrameRecord) -> None:
+        """Write a frame whole or not at all, and its record."""
         self.state.frames.pop(frame, None)
-        self.keep_image(self._name(frame), data)
-        self.state.frames[frame] = taken
+        self.keep_image(_name(frame), data)
+        self.state.frames[frame] = record
         self.state.unmended.pop(frame, None)
+        self.save()
+
+    def give_up(self, frame: int, reason: str) -> None:
+        """Note why there is no frame of a pattern."""
+        self.state.unmended[frame] = reason
+        self.state.frames.pop(frame, None)
         self.save()
 
     def read(self, frame: int) -> NDArray[Any] | None:
         """A frame that was kept; None if there is none that can be read."""
-        return self.read_image(self._name(frame))
+        return self.read_image(_name(frame))
 
     def keep_image(self, name: str, data: NDArray[Any]) -> None:
-        """Keep an image under a name of its own, such as the reference."""
-        with self._kept.keep(name) as part:
+        """Keep another image, such as a reference, under a name of its own."""
+        with self._results.keep(name) as part:
             fill_image(part, data)
 
     def read_image(self, name: str) -> NDArray[Any] | None:
-        """What was kept under a name; None if it is not there or damaged."""
-        if not self._kept.has(name):
+        """The image that was kept under a name; None if it is missing or damaged."""
+        if not self._results.has(name):
             return None
         try:
-            return read_image(self._kept.file(name))
+            return read_image(self._results.file(name))
         except InputError:
             return None
 
     def save(self) -> None:
-        """Write down what is known of the frames.
-
-        Raises
-        ------
-        OutputError
-            If the disk fails.
-        """
+        """Write what is known of the frames."""
         content = {"format": FORMAT, "version": VERSION, "wanted": self._wanted}
         text = json.dumps({**content, **asdict(self.state)})
-        with self._kept.keep(_STATE) as part:
+        with self._results.keep(_STATE) as part:
             part.write_text(text + "\n")
-
-    # ---- the end
 
     def finish(
         self,
         patterns: PatternSet,
+        facts: CaptureFacts,
         *,
-        exposures: NDArray[np.float64],
-        clip_level: float,
-        camera_shape: tuple[int, ...],
-        black: NDArray[np.float32],
-        black_exposure: float,
-        black_level: float,
-        response: str,
-        provenance: Mapping[str, Any],
         beside: Callable[[Path], None],
         overwrite: bool,
     ) -> None:
-        """Make a capture folder of the frames, and sweep what was kept.
+        """Make a capture folder of the frames and their patterns, and discard the record.
 
-        Parameters
-        ----------
-        patterns : PatternSet
-            All K patterns; those without a frame are left out.
-        exposures : (frames,) float64
-            Of the frames that there are, in their order.
-        clip_level, camera_shape, black, black_exposure, black_level, response, provenance, beside
-            See `write_capture`.
-        overwrite : bool
-            Whether an existing capture may be replaced.
-
-        Raises
-        ------
-        OutputError
-            If the folder cannot be written; the frames are still kept then.
+        `beside` writes further files into the folder. The frames remain if it cannot be written.
         """
-        there = sorted(self.state.frames)
-        shown = patterns if len(there) == patterns.count else patterns.subset(np.array(there))
-        one = float(exposures[0]) if np.ptp(exposures) == 0 else exposures
-        frame = self.read(there[0])
+        numbers = sorted(self.state.frames)
+        if len(numbers) < patterns.count:
+            patterns = patterns.subset(np.array(numbers))
+        same = np.ptp(facts.exposures) == 0
+        frame = self.read(numbers[0])
         assert frame is not None
-        if frame.ndim == 3 and all(map(self._is_grey, there)):
-            # As it is read: colour cameras that are set to grey give three channels alike.
-            camera_shape, black = camera_shape[:2], black.mean(axis=2)
+        black = facts.black
+        if frame.ndim == 3 and all(map(self._is_grey, numbers)):
+            # Readers take files with three equal channels for grey images.
+            black = black.mean(axis=2)
         sensor = Sensor(
-            one,
-            black_level=black_level,
+            float(facts.exposures[0]) if same else facts.exposures,
+            black_level=facts.black_level,
             bits=8 if frame.dtype == np.uint8 else 16,
-            clip=clip_level,
+            clip=facts.clip_level,
         )
         write_capture(
             self._target,
-            shown,
-            (self._kept.file(self._name(k)) for k in there),
+            patterns,
+            (self._results.file(_name(k)) for k in numbers),
             sensor=sensor,
-            camera_shape=camera_shape,
+            camera_shape=black.shape,
             black=black,
-            black_exposure=black_exposure,
-            response=response,
-            provenance=provenance,
+            black_exposure=facts.black_exposure,
+            response=facts.response,
+            provenance=facts.provenance,
             beside=beside,
             overwrite=overwrite,
         )
-        self._kept.discard()
+        self._results.discard()
 
     def _is_grey(self, frame: int) -> bool:
         image = self.read(frame)
         return image is not None and is_grey(image)
 
-    def _name(self, frame: int) -> str:
-        # Packing the noise of a large frame as PNG takes longer than photographing it.
-        return f"image_{frame:04d}.tif"
+
+def _name(frame: int) -> str:
+    # PNG is not used: compressing the noise of a large frame takes longer than photographing it.
+    return f"image_{frame:04d}.tif"

@@ -1,22 +1,34 @@
-"""A projector and a camera that look at one scene."""
+"""A rig: a projector and a camera that look at one scene, real or virtual."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import TracebackType
 from typing import Any, Self, TypeVar
 
-from lightmatrix.errors import DeviceError, FrameTimeoutError
-from lightmatrix.live.devices.clock import Clock, SystemClock
+import numpy as np
+
+from lightmatrix.errors import DeviceError, FrameTimeoutError, InputError
+from lightmatrix.live.devices.clock import Clock, SimulatedClock, SystemClock
 from lightmatrix.live.devices.protocols import Camera, Projector
+from lightmatrix.live.devices.registry import open_camera, open_projector
+from lightmatrix.live.devices.virtual.camera import VirtualCamera
+from lightmatrix.live.devices.virtual.light import Light
+from lightmatrix.live.devices.virtual.projector import VirtualProjector
+from lightmatrix.live.devices.virtual.settings import PROCEDURAL, VirtualSettings, parse_settings
+from lightmatrix.ranges import check_number
+from lightmatrix.simulation import library, realism
+from lightmatrix.simulation.procedural_scene import ProceduralScene
 from lightmatrix.simulation.truth import Truth
 
-# Seconds that a camera is waited for which was lost, and between two looks for it.
-_PATIENCE = 60.0
-_LOOK_EVERY = 1.0
-_LOSSES = 2
+# Seconds to wait for a frame beyond its exposure.
+USUAL_PATIENCE = 2.0
+# A lost camera is looked for every second, for a minute: long enough to plug it in again.
+_SEARCH, _SEARCH_EVERY = 60.0, 1.0
+# Work that is begun anew after a loss of the camera is given up at the third loss.
+_MOST_LOSSES = 2
 Result = TypeVar("Result")
 
 
@@ -35,7 +47,7 @@ class Rig:
     reopen : callable
         Opens the camera again after it was lost; raises a DeviceError while it is not there.
     clock : Clock
-        The time that both live by.
+        The time by which both live.
     truth : Truth, optional
         Of a virtual rig, the T that it shows, at an exposure of `unit` seconds.
     unit : float
@@ -58,7 +70,7 @@ class Rig:
     clock: Clock = field(default_factory=SystemClock)
     truth: Truth | None = None
     unit: float = 1.0
-    patience: float = 2.0
+    patience: float = USUAL_PATIENCE
 
     def __repr__(self) -> str:
         return f"Rig({self.projector.info().get('name')}, {self.camera.info().get('name')})"
@@ -75,7 +87,7 @@ class Rig:
         self.close()
 
     def info(self) -> dict[str, Any]:
-        """What both are, JSON-ready."""
+        """JSON-ready facts about both devices."""
         return {"projector": self.projector.info(), "camera": self.camera.info()}
 
     def close(self) -> None:
@@ -86,14 +98,14 @@ class Rig:
             self.projector.close()
 
     def persistently(self, work: Callable[[], Result]) -> Result:
-        """Do something, and again from its beginning where the camera was lost meanwhile.
+        """Do some work, and begin it anew if the camera was lost meanwhile.
 
         Raises
         ------
         DeviceError
-            If it is lost three times, or not back within a minute.
+            If the camera is lost three times, or not back within a minute.
         """
-        for _ in range(_LOSSES):
+        for _ in range(_MOST_LOSSES):
             try:
                 return work()
             except (UnfitRigError, FrameTimeoutError):
@@ -103,14 +115,14 @@ class Rig:
         return work()
 
     def recover(self) -> None:
-        """Open the camera again after it was lost, once it is back.
+        """Open a lost camera again, once it is back.
 
         Raises
         ------
         DeviceError
             If it is not back within a minute.
         """
-        deadline = self.clock.now() + _PATIENCE
+        deadline = self.clock.now() + _SEARCH
         with suppress(DeviceError):
             self.camera.close()
         while True:
@@ -120,4 +132,97 @@ class Rig:
             except DeviceError:
                 if self.clock.now() > deadline:
                     raise
-            self.clock.sleep(_LOOK_EVERY)
+            self.clock.sleep(_SEARCH_EVERY)
+
+
+def open_rig(
+    rig: str | VirtualSettings | None = None,
+    *,
+    projector: str | None = None,
+    camera: str | None = None,
+    patience: float = USUAL_PATIENCE,
+) -> Rig:
+    """Open a projector and a camera, or a virtual rig.
+
+    Parameters
+    ----------
+    rig : str or VirtualSettings, optional
+        ``virtual:SCENE``, or ``virtual:SCENE,name=value,...``; see `VirtualSettings`.
+    projector, camera : str, optional
+        Instead: addresses of devices, such as ``window:1`` and ``aravis:ID``.
+    patience : float
+        Seconds to wait for a frame, beyond its exposure; cameras that store or send frames slowly
+        need more.
+
+    Returns
+    -------
+    Rig
+        Close it in the end, best by a ``with`` statement.
+
+    Raises
+    ------
+    InputError
+        If an address makes no sense, or there is one device without the other.
+    DeviceError
+        If a device is missing or in use.
+    MissingExtraError
+        If the packages of a device's back end are not installed.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> lm.open_rig("virtual:metal,delay=3,late=0.05,real=0")
+    Rig(virtual:metal, virtual:metal)
+    """
+    check_number("a patience", patience, most=3600, above=True, hint="give seconds, such as 10")
+    if rig is None:
+        if projector is None or camera is None:
+            raise InputError(
+                "there is no rig to photograph with",
+                hint="give --rig virtual:l_objects, or --projector and --camera; "
+                "`lightmatrix rig list` names those that are there",
+            )
+        opened = _real(projector, camera)
+    elif projector is not None or camera is not None:
+        raise InputError(
+            "a rig and a projector or a camera",
+            hint="a virtual rig has both; give one or the other",
+        )
+    else:
+        opened = _virtual(rig if isinstance(rig, VirtualSettings) else parse_settings(rig))
+    opened.patience = patience
+    return opened
+
+
+def _real(projector: str, camera: str) -> Rig:
+    # The camera comes first: if another program has it, no window flashes up.
+    opened = open_camera(camera)
+    try:
+        return Rig(open_projector(projector), opened, lambda: open_camera(camera))
+    except BaseException:
+        opened.close()
+        raise
+
+
+def _virtual(settings: VirtualSettings) -> Rig:
+    truth = realism.defocus(_scene(settings), settings.blur)
+    room = realism.ambient(truth, settings.room)
+    clock = SystemClock() if settings.real else SimulatedClock()
+    light = Light(truth, room, settings, clock.now())
+    camera = VirtualCamera(light, settings, clock)
+    # The light of a black pixel is in the black frame, so the T that can be measured is smaller.
+    contrast = np.float32(1 - settings.leak)
+    measurable = replace(
+        truth,
+        matrix=truth.with_data(contrast * truth.matrix.data),
+        direct_data=contrast * truth.direct_data,
+    )
+    projector = VirtualProjector(light, settings, clock)
+    return Rig(projector, camera, camera.reopen, clock, measurable, settings.unit)
+
+
+def _scene(settings: VirtualSettings) -> Truth:
+    size = (settings.size, settings.size)
+    if settings.scene == PROCEDURAL:
+        return ProceduralScene(size, size, settings.seed).truth()
+    return library.truth(settings.scene, size)

@@ -1,1 +1,1 @@
-"""Whether a frame of a live rig can be trusted: one question a file."""
+"""Whether a frame of a live rig can be trusted: each file answers one question."""

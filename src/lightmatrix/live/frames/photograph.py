@@ -1,8 +1,8 @@
-"""One photograph of one image: shown, waited for, grabbed, and trusted only if it can be right.
+"""Whether a photograph can be right, judged by its number, its time and its rows alone.
 
-What can be told from the frame alone, its number and its time is told here: frames that are stale,
-lost, handed out twice or mixed with an earlier one, and exposures that another program changed.
-Whether a frame shows its pattern is told in `watching.py`.
+A `Photographer` shows an image, waits, and grabs a frame. It rejects frames that are stale, lost,
+handed out twice or partly copied from an earlier one, and exposures that another program changed.
+Whether a frame shows its pattern is a question for `pattern_match`.
 """
 
 from __future__ import annotations
@@ -19,31 +19,25 @@ from lightmatrix.live.devices.exposures import same_exposure, set_exposure
 from lightmatrix.live.devices.protocols import Frame
 from lightmatrix.live.rig import Rig
 
-# Frames of before the pattern that are passed over until one of it comes.
+# So many frames from before the pattern are passed over until one under it arrives. Chosen by hand:
+# more than any camera buffers.
 _MOST_STALE = 32
-# Of the settle time and of clocks: frames begun so much too early are taken.
+# A frame may begin this many seconds before the settle time is over: times are rounded.
 _TICK = 1e-6
-# Logarithm of the probability that rows are alike by chance, below which they were copied.
+# Rows are copies of an earlier frame's if the natural logarithm of the probability that noise left
+# them equal is below this, so that chance does it less than once in 10^8 frames.
 _COPIED = -20.0
+# Each frame is compared with this many earlier ones: drivers reuse their few newest buffers.
 _REMEMBERED = 3
 
 
 class UntrustedFrameError(DeviceError):
-    """A frame that cannot be right, or none at all; it is to be taken again."""
+    """A frame cannot be right, or none arrived; the photograph has to be taken again."""
 
 
 @dataclass(frozen=True, eq=False)
 class Shot:
-    """A frame with what it was taken with.
-
-    Parameters
-    ----------
-    frame : Frame
-    exposure : float
-        Seconds, as the camera says.
-    shown : float
-        When the projector showed the image.
-    """
+    """A frame, its exposure in seconds as the camera says, and when the image was shown."""
 
     frame: Frame
     exposure: float
@@ -61,8 +55,8 @@ class Shot:
 
 
 @dataclass(eq=False)
-class Taker:
-    """Takes single frames with a rig.
+class Photographer:
+    """Takes single photographs with a rig.
 
     Parameters
     ----------
@@ -70,14 +64,14 @@ class Taker:
     settle : float
         Seconds between an image being shown and the earliest start of an exposure.
     changing : (rows,) float, optional
-        Share of the samples of each row of a frame that noise changes from frame to frame; where
-        it is known, rows that did not change tell of copied frames.
+        Share of the samples of each row that noise changes from frame to frame. If it is known,
+        copied rows are recognized.
     """
 
     rig: Rig
     settle: float
     changing: NDArray[np.float64] | None = None
-    # What was last set, and what the camera made of it.
+    # The exposure that was last asked for, and what the camera made of it.
     _exposure: tuple[float, float] = (0.0, 0.0)
     _last: Frame | None = None
     _recent: deque[NDArray[Any]] = field(default_factory=lambda: deque(maxlen=_REMEMBERED))
@@ -88,22 +82,11 @@ class Taker:
         exposure: float | None = None,
         settle: float | None = None,
     ) -> Shot:
-        """Show an image and photograph it.
+        """Show an image (rows, cols) and photograph it.
 
-        Parameters
-        ----------
-        image : (rows, cols) uint8
-        exposure : float, optional
-            Seconds; None: as the camera is set.
-        settle : float, optional
-            Seconds, of an image that may be waited for less; None: as for all.
-
-        Raises
-        ------
-        UntrustedFrameError
-            Saying what is wrong with the frame, or that there is none.
-        DeviceError
-            If the camera was lost and is not back within a minute.
+        The exposure is in seconds; None leaves it as the camera is set. `settle` replaces the usual
+        settle time. An UntrustedFrameError says what is wrong with the frame; a DeviceError means
+        that the camera was lost and is not back within a minute.
         """
         try:
             return self._take(image, exposure, self.settle if settle is None else settle)
@@ -111,7 +94,7 @@ class Taker:
             raise UntrustedFrameError(error.message, hint=error.hint) from error
         except DeviceError as error:
             self.rig.recover()
-            # It counts anew, and may have forgotten how it was set.
+            # The camera counts from the beginning, and may have forgotten its exposure.
             self._last, self._exposure = None, (0.0, 0.0)
             raise UntrustedFrameError(f"{error.message}, and came back") from error
 
@@ -160,9 +143,9 @@ class Taker:
             return
         if frame.id <= last.id or frame.timestamp <= last.timestamp:
             raise UntrustedFrameError(f"frame {frame.id} was handed out twice")
-        # Between two patterns frames are thrown away, and numbers may be left out.
+        # Numbers may be missing between two patterns, where frames are discarded.
         if before is not None and frame.id != before.id + 1:
-            # Or else the one that came would be refused with the next pattern.
+            # Otherwise the next pattern would be refused for the same gap.
             self._last = frame
             raise UntrustedFrameError(f"frames {before.id + 1} to {frame.id - 1} were lost")
 
@@ -184,20 +167,13 @@ def copied_rows(
     changing: NDArray[np.float64],
     clip_level: float,
 ) -> int:
-    """How many rows at the top or the bottom of a frame come from an earlier one; 0 for none.
+    """How many rows at the top or bottom of a frame are copies of an earlier frame's; 0 for none.
 
-    Parameters
-    ----------
-    data, earlier : (rows, cols[, channels])
-    changing : (rows,) float
-        Share of samples that noise changes from frame to frame.
-    clip_level : float
-        Samples there do not change.
+    Noise changes a share `changing` (rows,) of the samples of each row, except clipped ones.
     """
     if data.shape != earlier.shape:
         return 0
-    alike = (data == earlier).reshape(len(data), -1)
-    same = alike.all(axis=1)
+    same = (data == earlier).reshape(len(data), -1).all(axis=1)
     if not (same[0] or same[-1]):
         return 0
     free = (data < clip_level).reshape(len(data), -1).sum(axis=1)

@@ -1,9 +1,9 @@
-"""How much of the pattern shown before is in a frame.
+"""How much of the pattern shown before a frame contains.
 
-A picture that comes late may come within the exposure. The frame is then (1 - a) times its own
-pattern's and a times that of the pattern before, and a is found by weighted least squares, with a
-standard error, from what is predicted for both. The frame's own contrast and level are fitted too:
-predictions err in these, by more than the shares that matter and in all samples alike.
+An image that comes late may come within the exposure. The frame is then (1 - a) times its own
+pattern's and a times that of the pattern before. Weighted least squares fits the share a and its
+standard error, from predictions for both patterns. The frame's own contrast and level are fitted
+too: predictions are off in these, in all samples alike, by more than the shares that matter.
 """
 
 from __future__ import annotations
@@ -13,16 +13,19 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-# Standard errors of a share beyond which it is doubted that there is none, and beyond which it is
-# certain that there is one.
+# In standard errors of a share: beyond the first it is doubtful whether there is none, beyond the
+# second it is certain that there is one. Chosen by hand; `python -m tests.live.rig_mixtures`
+# measures what passes.
 _DOUBTED, _CERTAIN = 1.5, 5.0
-# Shares that add less light than this, or less than the noise, do no harm. One that does is doubted
-# unless chance takes so many standard errors off it, which it does once in 40 times.
+# Shares below this are harmless, and so are those that add less light than the noise. A larger
+# share is doubted unless chance lowers it by this many standard errors, which happens once in 40
+# times.
 _HARMLESS, _MISSED = 0.01, 2.0
-# Rows at one end of the image: among so many looks, some go far by chance, and errors of the
-# prediction are alike where they are near to each other.
+# Rows at one end of the image are torn if their share is above the first and above so many standard
+# errors. The bound is high because many rows are tested, and because predictions of neighbouring
+# rows err alike. Chosen by hand.
 _TORN, _TORN_ERRORS = 0.015, 6.0
-# Samples at one end of the image that tell of a torn frame; one alone may be a glint.
+# A torn part is recognized by this many samples at least; a single one may be a glint.
 _FEWEST_TORN = 4
 
 
@@ -32,14 +35,12 @@ class Mixture:
 
     Parameters
     ----------
-    share : float
-        All over the frame.
-    error : float
-        Standard error of it.
+    share, error : float
+        The share over the whole frame, and its standard error.
     torn : bool
         Whether some rows at the top or bottom show the other pattern.
     contrast : float
-        How far apart the light of both patterns is (root mean square), in levels.
+        Difference between the light of both patterns (root mean square), in levels.
     """
 
     share: float
@@ -48,18 +49,12 @@ class Mixture:
     contrast: float
 
     def excluded(self, noise: float) -> bool:
-        """Whether no share that does harm is in the frame.
-
-        Parameters
-        ----------
-        noise : float
-            Standard deviation of a sample, in levels.
-        """
+        """Whether no harmful share is in the frame; `noise` is that of a sample, in levels."""
         harmful = max(_HARMLESS, noise / max(self.contrast, 1e-9))
-        seen = (_DOUBTED + _MISSED) * self.error <= harmful
-        return seen and self.share <= _DOUBTED * self.error
+        visible = (_DOUBTED + _MISSED) * self.error <= harmful
+        return visible and self.share <= _DOUBTED * self.error
 
-    def said(self) -> str | None:
+    def complaint(self) -> str | None:
         """What is wrong with the frame; None if nothing is certain."""
         if self.share > _CERTAIN * self.error:
             return f"shows {100 * min(self.share, 1):.0f} % of the pattern before"
@@ -68,39 +63,40 @@ class Mixture:
         return None
 
 
-def find_mixture(
+def fit_mixture(
     missed: NDArray[np.float64],
     other: NDArray[np.float64],
     own: NDArray[np.float64],
     error: NDArray[np.float64],
     rows: NDArray[np.int64],
 ) -> Mixture:
-    """How much of another pattern a frame shows, all over or from some row up or down.
+    """Fit the share of another pattern in a frame, as a whole and from each row up and down.
 
     Parameters
     ----------
     missed : (m,) float
-        What each sample is off the prediction of its own pattern.
+        Each sample less the prediction of its own pattern.
     other, own : (m,) float
         The predictions of the other pattern and of its own.
     error : (m,) float
-        Standard deviation of what is missed where all is right.
+        Standard deviation of `missed` where all is right.
     rows : (m,) int
         The image row of each sample.
     """
-    known, _ = np.linalg.qr(np.column_stack([own, np.ones_like(own)]) / error[:, None])
+    nuisance, _ = np.linalg.qr(np.column_stack([own, np.ones_like(own)]) / error[:, None])
 
-    def besides(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    def without_nuisance(values: NDArray[np.float64]) -> NDArray[np.float64]:
         weighted = values / error
-        return np.asarray(weighted - known @ (known.T @ weighted))
+        return np.asarray(weighted - nuisance @ (nuisance.T @ weighted))
 
-    left, towards = besides(missed), besides(other)
+    rest, towards = without_nuisance(missed), without_nuisance(other)
     order = np.argsort(rows, kind="stable")
-    scale = max(1.0, float(np.sqrt((left**2).mean())))
+    scale = max(1.0, float(np.sqrt((rest**2).mean())))
     torn = False
+    # The last cumulative sums of the second direction are those of the whole frame.
     for ordered in (order[::-1], order):
         weight = np.maximum(np.cumsum(towards[ordered] ** 2), 1e-9)
-        share = np.cumsum(left[ordered] * towards[ordered]) / weight
+        share = np.cumsum(rest[ordered] * towards[ordered]) / weight
         clear = (share > _TORN) & (share * np.sqrt(weight) > _TORN_ERRORS * scale)
         torn = torn or bool(clear[_FEWEST_TORN - 1 :].any())
     contrast = float(np.sqrt(((other - own) ** 2).mean()))

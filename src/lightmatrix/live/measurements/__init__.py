@@ -1,1 +1,1 @@
-"""What is measured of a rig before anything is photographed: each in one file, kept in rig.json."""
+"""What is measured of a rig before a capture: one file for each quantity; rig.json keeps them."""

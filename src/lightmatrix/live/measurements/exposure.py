@@ -1,4 +1,4 @@
-"""The exposures of a capture: by the planner, from a white picture of the rig."""
+"""The exposures of a capture, advised by the planner from a white frame of the rig."""
 
 from __future__ import annotations
 
@@ -8,9 +8,13 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from lightmatrix.live.devices.exposures import exposure_limits
-from lightmatrix.live.frames.photograph import Taker
-from lightmatrix.live.frames.repeats import take_steady
-from lightmatrix.live.measurements.white import Whites, find_white, images
+from lightmatrix.live.frames.photograph import Photographer
+from lightmatrix.live.frames.repeats import take_average
+from lightmatrix.live.measurements.white_and_black import (
+    WhiteAndBlack,
+    find_white_and_black,
+    plain_images,
+)
 from lightmatrix.live.rig import Rig
 from lightmatrix.planning.advice import (
     WhiteFrame,
@@ -19,13 +23,18 @@ from lightmatrix.planning.advice import (
     clipped_share,
 )
 
-# A camera that cannot expose as advised is told of beyond this factor.
-_BEYOND = 2.0
+# A warning says that the camera cannot expose as advised if its limit is off by this factor.
+_FAR_OFF = 2.0
+# A warning says that avoiding flicker makes more samples clip if the exposure grows by this factor.
+_LONGER = 1.2
+# The room's light is told from the pedestal by a black frame at this share of the white one's
+# exposure; a camera that exposes for more than the second share of it cannot tell them apart.
+_BRIEF, _NOT_BRIEF = 1 / 8, 0.6
 
 
 @dataclass(frozen=True)
 class ExposureAdvice:
-    """What to expose a rig's frames with.
+    """How to expose a rig's frames.
 
     Parameters
     ----------
@@ -42,7 +51,7 @@ class ExposureAdvice:
     period : float
         Seconds that each exposure is a multiple of, where something flickers; 0 for none.
     warnings : tuple of str
-        What could not be had.
+        What the camera cannot do.
     """
 
     seconds: tuple[float, ...]
@@ -55,7 +64,7 @@ class ExposureAdvice:
 
 
 def measure_exposure(
-    rig: Rig, *, settle: float, period: float = 0.0, whites: Whites | None = None
+    rig: Rig, *, settle: float, period: float = 0.0, whites: WhiteAndBlack | None = None
 ) -> ExposureAdvice:
     """Advise the exposures of a rig from a white picture, as `plan` does from a photograph.
 
@@ -66,7 +75,7 @@ def measure_exposure(
         Seconds; see `measure_settle`.
     period : float
         Seconds that exposures should be a multiple of; see `measure_flicker`.
-    whites : Whites, optional
+    whites : WhiteAndBlack, optional
         White and black frame, if they are known already.
 
     Returns
@@ -86,40 +95,26 @@ def measure_exposure(
     >>> len(advice.seconds), 60 < advice.pedestal < 68
     (1, True)
     """
-    taker = Taker(rig, settle)
-    whites = whites or find_white(taker)
-    shortest, longest = exposure_limits(rig.camera)
+    photographer = Photographer(rig, settle)
+    whites = whites or find_white_and_black(photographer)
+    limits = exposure_limits(rig.camera)
     top = whites.white.clip_level
-    pedestal = _pedestal(taker, whites, shortest)
+    pedestal = _pedestal(photographer, whites, limits[0])
     levels = whites.light.ravel().astype(np.float64) / (top - pedestal) / whites.exposure
     clipped = (whites.white.mean >= 0.995 * top).ravel()
     frame = WhiteFrame(levels, clipped)
     noise = max(whites.white.noise, whites.black.noise) / top
     advised = advise_exposures(frame, noise)
-    warnings = []
-    seconds = []
+    possible, warnings = [], []
     for exposure, _ in advised:
-        fitting = exposure
-        if period:
-            fitting = max(1, math.floor(exposure / period + 1e-6)) * period
-            if fitting > 1.2 * exposure:
-                warnings.append(
-                    f"an exposure of {exposure:.3g} s would flicker; {fitting:.3g} s clips more: "
-                    "close the aperture"
-                )
-        if fitting > _BEYOND * longest:
-            warnings.append(f"the camera exposes for {longest:g} s at most, not {fitting:.3g} s")
-        if _BEYOND * fitting < shortest:
-            warnings.append(
-                f"the camera exposes for {shortest:g} s at least, not {fitting:.3g} s: close the "
-                "aperture"
-            )
-        seconds.append(min(max(fitting, shortest), longest))
-    kept = tuple(sorted(set(seconds), reverse=True))
+        seconds, concerns = _possible(exposure, period, limits)
+        possible.append(seconds)
+        warnings += concerns
+    seconds_used = tuple(sorted(set(possible), reverse=True))
     return ExposureAdvice(
-        kept,
+        seconds_used,
         advise_density(frame, advised),
-        tuple(clipped_share(frame, exposure) for exposure in kept),
+        tuple(clipped_share(frame, exposure) for exposure in seconds_used),
         noise,
         pedestal,
         period,
@@ -127,13 +122,37 @@ def measure_exposure(
     )
 
 
-def _pedestal(taker: Taker, whites: Whites, shortest: float) -> float:
-    """The black level: what is left of a black frame once the room's light is taken off."""
-    from_room = whites.black
-    brief = max(shortest, whites.exposure / 8)
-    if brief > 0.6 * whites.exposure:
-        return float(np.median(from_room.without_noise))
-    dark = take_steady(taker, images(taker.rig)[0], brief, 3)
+def _possible(
+    exposure: float, period: float, limits: tuple[float, float]
+) -> tuple[float, list[str]]:
+    """The exposure nearest to an advised one that does not flicker and that the camera has."""
+    shortest, longest = limits
+    warnings = []
+    steady = exposure
+    if period:
+        steady = max(1, math.floor(exposure / period + 1e-6)) * period
+        if steady > _LONGER * exposure:
+            warnings.append(
+                f"an exposure of {exposure:.3g} s would flicker; {steady:.3g} s clips more: "
+                "close the aperture"
+            )
+    if steady > _FAR_OFF * longest:
+        warnings.append(f"the camera exposes for {longest:g} s at most, not {steady:.3g} s")
+    if _FAR_OFF * steady < shortest:
+        warnings.append(
+            f"the camera exposes for {shortest:g} s at least, not {steady:.3g} s: close the "
+            "aperture"
+        )
+    return min(max(steady, shortest), longest), warnings
+
+
+def _pedestal(photographer: Photographer, whites: WhiteAndBlack, shortest: float) -> float:
+    """The level without any light: that of black frames without the room's light."""
+    black = whites.black.without_noise
+    brief = max(shortest, _BRIEF * whites.exposure)
+    if brief > _NOT_BRIEF * whites.exposure:
+        return float(np.median(black))
+    dark = take_average(photographer, plain_images(photographer.rig)[0], brief, 3)
     share = dark.exposure / whites.exposure
-    level = (dark.without_noise - share * from_room.without_noise) / (1 - share)
+    level = (dark.without_noise - share * black) / (1 - share)
     return max(0.0, float(np.median(level)))

@@ -1,4 +1,4 @@
-"""Flicker: of the projector's lamp, or of the room's light, at a frequency that may be known."""
+"""Flicker of the projector's lamp or of the room's light."""
 
 from __future__ import annotations
 
@@ -10,33 +10,51 @@ from numpy.typing import NDArray
 
 from lightmatrix.errors import FrameTimeoutError
 from lightmatrix.live.devices.exposures import same_exposure, set_exposure
-from lightmatrix.live.frames.photograph import Taker
-from lightmatrix.live.measurements.white import Whites, find_white, images
+from lightmatrix.live.frames.photograph import Photographer
+from lightmatrix.live.measurements.white_and_black import (
+    WhiteAndBlack,
+    find_white_and_black,
+    plain_images,
+)
 from lightmatrix.live.rig import Rig
 
-# Frames of each of white and black: to measure it, and to see whether it is as it was.
-_FRAMES, _FEW = 48, 7
-# Twice the mains, which lamps follow.
+# Frames of white and of black: to measure flicker, and to see whether it is as it was.
+_FRAMES, _FEW_FRAMES = 48, 7
+# Frequencies in Hz at which lamps on mains of 50 and 60 Hz flicker.
 _MAINS = (100.0, 120.0)
-# Exposures far below a period, where the light allows it.
+# Exposure in seconds, far below a period of the mains, if there is enough light for it.
 _SHORT = 0.002
-# Of the brightness: below this nothing is called flicker, nor within so many standard errors.
+# An amplitude counts as flicker above this share of the brightness, and above so many standard
+# errors. Chosen by hand: five virtual rigs without flicker show none (tests/live).
 _NOTICED, _ERRORS = 0.004, 4.0
-# Of the brightness: a light that varies by twice what it did, and this, has changed.
+# A stronger wave replaces the strongest one so far only if it exceeds it by this factor, so that
+# frequencies that are tried earlier win if both fit.
+_STRONGER = 1.1
+# The light has changed if it varies by more than twice as much as it did, plus this share of the
+# brightness.
 _MORE = 0.01
+# Frames are taken at random moments of this many seconds, about a period of the mains. Otherwise a
+# triggered camera could keep step with the light.
+_RANDOM_WAIT = 0.012
+# Seconds to wait beyond the settle time, so that even a late image is shown.
+_LATE_IMAGE = 0.3
+# Frequencies that the camera's own rhythm hides are recognized by a basis of waves whose smallest
+# singular value is below this share of the square root of the number of frames. Chosen by hand.
+_HIDDEN = 0.15
+# Seconds of the frames and their mean levels.
 _Series = tuple[NDArray[np.float64], NDArray[np.float64]]
 
 
 @dataclass(frozen=True)
 class Flicker:
-    """Light that comes and goes under a picture that stays.
+    """Light that varies although the picture stays.
 
     Parameters
     ----------
     amplitude : float
-        Of the projector's light, as a share of it; 0 where none was noticed.
+        Amplitude of the projector's light, as a share of it; 0 if none was noticed.
     frequency : float
-        Hz, of those that were tried; 0 where none was noticed.
+        Hz, one of those that were tried; 0 if none was noticed.
     spread : float
         Standard deviation of the brightness of short frames, as a share of it.
     room : float
@@ -55,7 +73,7 @@ class Flicker:
 
     @property
     def period(self) -> float:
-        """Seconds that exposures should be a multiple of; 0 where nothing flickers."""
+        """Seconds that exposures should be a multiple of; 0 if nothing flickers."""
         return 1 / self.frequency if self.frequency else 0.0
 
 
@@ -63,20 +81,20 @@ def measure_flicker(
     rig: Rig,
     *,
     settle: float,
-    whites: Whites | None = None,
+    whites: WhiteAndBlack | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Flicker:
     """Photograph a white and a black picture many times, at a short exposure.
 
-    Tried are twice the mains (100 and 120 Hz), the projector's refresh and twice that. Those that
-    the camera's own rhythm hides from it do no harm in its frames.
+    The frequencies that are tried are those of lamps on the mains (100 and 120 Hz), the projector's
+    refresh, and twice that. One that the camera's own rhythm hides does no harm in its frames.
 
     Parameters
     ----------
     rig : Rig
     settle : float
         Seconds; see `measure_settle`.
-    whites : Whites, optional
+    whites : WhiteAndBlack, optional
         White and black frame, if they are known already.
     progress : callable, optional
         Called with (done, total) frames.
@@ -98,8 +116,7 @@ def measure_flicker(
     >>> round(flicker.amplitude, 1), flicker.frequency
     (0.1, 100.0)
     """
-    taker = Taker(rig, settle)
-    whites = whites or find_white(taker)
+    whites = whites or find_white_and_black(Photographer(rig, settle))
     exposure = set_exposure(rig.camera, min(_SHORT, whites.exposure))
     series = _white_and_black(rig, whites, exposure, settle, _FRAMES, progress)
     (times, bright), (_, dark) = series
@@ -108,37 +125,24 @@ def measure_flicker(
     tried = dict.fromkeys((*_MAINS, refresh, 2 * refresh))
     amplitude, frequency = 0.0, 0.0
     for candidate in tried:
-        seen, error = _wave(times - exposure / 2, bright / level, candidate)
-        # The exposure itself averages the wave.
-        seen /= max(abs(float(np.sinc(candidate * exposure))), 0.05)
-        if seen > max(_NOTICED, _ERRORS * error, 1.1 * amplitude):
-            amplitude, frequency = seen, candidate
+        wave, error = _wave(times - exposure / 2, bright / level, candidate)
+        # The exposure averages the wave.
+        wave /= max(abs(float(np.sinc(candidate * exposure))), 0.05)
+        if wave > max(_NOTICED, _ERRORS * error, _STRONGER * amplitude):
+            amplitude, frequency = wave, candidate
     return Flicker(amplitude, frequency, float(bright.std()) / level, float(dark.std()) / level)
 
 
-def flickers_anew(rig: Rig, known: Flicker, *, settle: float, whites: Whites) -> bool:
-    """Whether the lamp's light or the room's varies clearly more than it did, by a few frames.
+def flicker_has_grown(rig: Rig, known: Flicker, *, settle: float, whites: WhiteAndBlack) -> bool:
+    """Whether a few frames show that the lamp or the room varies clearly more than it did.
 
-    Parameters
-    ----------
-    rig : Rig
-    known : Flicker
-        What was measured at length before.
-    settle : float
-        Seconds.
-    whites : Whites
-        White and black frame of now.
-
-    Raises
-    ------
-    DeviceError
-        If the camera is lost, or gives no frames.
+    `known` was measured at length before; `whites` was photographed now.
     """
     exposure = set_exposure(rig.camera, min(_SHORT, whites.exposure))
-    series = _white_and_black(rig, whites, exposure, settle, _FEW)
+    series = _white_and_black(rig, whites, exposure, settle, _FEW_FRAMES)
     bright, dark = (levels for _, levels in series)
     level = float(np.median(bright) - np.median(dark))
-    # By medians: one of the frames may be a copy of an earlier one, or torn.
+    # Medians, since one of the frames may be torn or a copy of an earlier one.
     lamp, room = (
         1.48 * float(np.median(np.abs(levels - np.median(levels)))) / level
         for levels in (bright, dark)
@@ -148,53 +152,51 @@ def flickers_anew(rig: Rig, known: Flicker, *, settle: float, whites: Whites) ->
 
 def _white_and_black(
     rig: Rig,
-    whites: Whites,
+    whites: WhiteAndBlack,
     exposure: float,
     settle: float,
     count: int,
     progress: Callable[[int, int], None] | None = None,
 ) -> list[_Series]:
-    """Series of frames of a white and of a black picture, at an exposure that is set."""
+    """Series of frames of a white and of a black picture, at the exposure that is set."""
     camera = rig.camera
     series = []
-    for number, image in enumerate(reversed(images(rig))):
+    for number, image in enumerate(reversed(plain_images(rig))):
         shown = rig.projector.show(image)
-        # As long as the latest pattern may take.
-        rig.clock.sleep(shown + settle + 0.3 - rig.clock.now())
+        rig.clock.sleep(shown + settle + _LATE_IMAGE - rig.clock.now())
         camera.flush()
 
-        def tell(done: int, first: int = number * count) -> None:
+        def report(done: int, first: int = number * count) -> None:
             if progress is not None:
                 progress(first + done, 2 * count)
 
-        found = _series(rig, whites, count, tell)
+        frames = _series(rig, whites, count, report)
         if not same_exposure(camera.exposure, exposure):
-            # Another program has changed it.
+            # Another program has changed the exposure.
             set_exposure(camera, exposure)
-            found = _series(rig, whites, count, tell)
-        series.append(found)
+            frames = _series(rig, whites, count, report)
+        series.append(frames)
     return series
 
 
-def _series(rig: Rig, whites: Whites, count: int, tell: Callable[[int], None]) -> _Series:
+def _series(rig: Rig, whites: WhiteAndBlack, count: int, report: Callable[[int], None]) -> _Series:
     """Times of frames and their mean levels over the lit samples."""
     lit = whites.lit
     generator = np.random.default_rng(0)
     times, levels = [], []
-    seen = -np.inf
+    latest = -np.inf
     for tried in range(2 * count):
-        # A camera that is triggered could else keep step with the light.
-        rig.clock.sleep(float(generator.random()) * 0.012)
+        rig.clock.sleep(float(generator.random()) * _RANDOM_WAIT)
         rig.camera.trigger()
         try:
             frame = rig.camera.get_image(rig.patience)
         except FrameTimeoutError:
             continue
-        if frame.timestamp > seen:
-            seen = frame.timestamp
+        if frame.timestamp > latest:
+            latest = frame.timestamp
             times.append(frame.timestamp)
             levels.append(float(np.asarray(frame.data, np.float64)[lit].mean()))
-            tell(min(tried + 1, count))
+            report(min(tried + 1, count))
         if len(times) == count:
             break
     return np.array(times), np.array(levels)
@@ -204,11 +206,10 @@ def _wave(
     times: NDArray[np.float64], light: NDArray[np.float64], frequency: float
 ) -> tuple[float, float]:
     """Amplitude of a frequency in a series, and its standard error."""
-    turn = 2 * np.pi * frequency * (times - times[0])
-    basis = np.column_stack([np.cos(turn), np.sin(turn), np.ones_like(turn)])
-    # Where the camera keeps step with the light, there is no wave to see.
+    phase = 2 * np.pi * frequency * (times - times[0])
+    basis = np.column_stack([np.cos(phase), np.sin(phase), np.ones_like(phase)])
     spread = basis[:, :2] - basis[:, :2].mean(axis=0)
-    if np.linalg.svd(spread, compute_uv=False)[-1] < 0.15 * np.sqrt(len(times)):
+    if np.linalg.svd(spread, compute_uv=False)[-1] < _HIDDEN * np.sqrt(len(times)):
         return 0.0, 0.0
     waves, *_ = np.linalg.lstsq(basis, light, rcond=None)
     rest = light - basis @ waves

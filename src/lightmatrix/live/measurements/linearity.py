@@ -1,4 +1,4 @@
-"""The camera's linearity: twice the exposure, twice the level above black."""
+"""The camera's linearity: whether twice the exposure gives twice the level above black."""
 
 from __future__ import annotations
 
@@ -8,20 +8,31 @@ from dataclasses import dataclass
 import numpy as np
 
 from lightmatrix.live.devices.exposures import exposure_limits
-from lightmatrix.live.frames.photograph import Taker
-from lightmatrix.live.frames.repeats import take_steady
-from lightmatrix.live.measurements.white import Whites, find_white, images
+from lightmatrix.live.frames.photograph import Photographer
+from lightmatrix.live.frames.repeats import take_average
+from lightmatrix.live.measurements.white_and_black import (
+    WhiteAndBlack,
+    find_white_and_black,
+    plain_images,
+)
 from lightmatrix.live.rig import Rig
 
-_STEPS = 7
-_SHORTEST = 1 / 16
-# Deviations that make estimates wrong in the first digit that counts.
+# Exposures from this share of the longest one up to it, and their number: each is 1.6 times the one
+# before, from the noise up to the brightest level.
+_SHORTEST, _STEPS = 1 / 16, 7
+# Frames of each image at each exposure, without and with flicker. Twelve frames at random moments
+# of a flicker average it out.
+_FRAMES, _FLICKERING_FRAMES = 3, 12
+# A camera is linear if no level deviates by more than this share of the brightest one. Larger
+# deviations change the second digit of estimates.
 TOLERATED = 0.02
 
 
 @dataclass(frozen=True)
 class CameraLinearity:
-    """Levels of a white picture at several exposures; of a camera that has one, nothing is known.
+    """Levels of a white picture at several exposures.
+
+    A camera with a single exposure counts as linear, since nothing is known of it.
 
     Parameters
     ----------
@@ -32,7 +43,7 @@ class CameraLinearity:
     deviation : float
         The largest distance of a level from the straight line, as a share of the longest one's.
     exponent : float
-        Of the power of the exposure that comes nearest; 1 is linear.
+        Exponent of the power law that fits best; 1 is linear.
     """
 
     exposures: tuple[float, ...]
@@ -42,7 +53,7 @@ class CameraLinearity:
 
     @property
     def linear(self) -> bool:
-        """Whether it may be taken for linear: to 2 % of the brightest level."""
+        """Whether the deviation is at most 2 % of the brightest level."""
         return self.deviation <= TOLERATED
 
 
@@ -51,7 +62,7 @@ def measure_linearity(
     *,
     settle: float,
     period: float = 0.0,
-    whites: Whites | None = None,
+    whites: WhiteAndBlack | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> CameraLinearity:
     """Photograph white and black at several exposures.
@@ -62,8 +73,8 @@ def measure_linearity(
     settle : float
         Seconds; see `measure_settle`.
     period : float
-        Of a flicker, seconds; 0 for none. With one, more frames are taken of each.
-    whites : Whites, optional
+        Period of a flicker in seconds; 0 for none. With one, more frames are taken of each.
+    whites : WhiteAndBlack, optional
         White and black frame, if they are known already.
     progress : callable, optional
         Called with (done, total) exposures.
@@ -84,29 +95,28 @@ def measure_linearity(
     ...     lm.measure_linearity(rig, settle=0.05).linear
     True
     """
-    taker = Taker(rig, settle)
-    whites = whites or find_white(taker)
-    black, white = images(rig)
+    photographer = Photographer(rig, settle)
+    whites = whites or find_white_and_black(photographer)
+    black, white = plain_images(rig)
     asked = whites.exposure * np.geomspace(_SHORTEST, 1, _STEPS)
-    # Frames at all moments of a flicker see the same light together.
-    count = 12 if period else 3
+    count = _FLICKERING_FRAMES if period else _FRAMES
     shortest, longest = exposure_limits(rig.camera)
     asked = np.unique(asked.clip(shortest, longest))
     exposures, levels = [], []
     for k, exposure in enumerate(asked):
-        bright = take_steady(taker, white, float(exposure), count)
-        dark = take_steady(taker, black, float(exposure), count)
+        bright = take_average(photographer, white, float(exposure), count)
+        dark = take_average(photographer, black, float(exposure), count)
         exposures.append(bright.exposure)
         levels.append(float((bright.mean - dark.mean)[whites.lit].mean() / bright.clip_level))
         if progress is not None:
             progress(k + 1, len(asked))
     times, light = np.array(exposures), np.array(levels)
-    # Through zero and the brightest level: what is written down as twice the light has to be.
+    # The straight line goes through zero and the brightest level.
     straight = light[-1] * times / times[-1]
     deviation = float(np.abs(light - straight).max() / light[-1])
-    ratio = np.log(times / times[-1])
-    bent = np.log(np.maximum(light, 1e-6) / light[-1])
+    log_time = np.log(times / times[-1])
+    log_light = np.log(np.maximum(light, 1e-6) / light[-1])
     weight = light / light[-1]
-    power = float((weight * ratio * ratio).sum())
-    exponent = float((weight * ratio * bent).sum()) / power if power else 1.0
+    power = float((weight * log_time * log_time).sum())
+    exponent = float((weight * log_time * log_light).sum()) / power if power else 1.0
     return CameraLinearity(tuple(exposures), tuple(levels), deviation, exponent)

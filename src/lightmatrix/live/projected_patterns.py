@@ -1,4 +1,4 @@
-"""From patterns to what the projector is given: cells, the place on its screen, its response."""
+"""The images that a projector is given for patterns: cells, centring, and its response."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from lightmatrix.patterns.projector_curve import ProjectorResponse
 
 
 @dataclass(frozen=True, eq=False)
-class Shown:
-    """A pattern set on a projector.
+class ProjectedPatterns:
+    """A pattern set on a projector's screen; an InputError if it does not fit.
 
     Parameters
     ----------
@@ -24,15 +24,9 @@ class Shown:
     screen : (rows, cols)
         The projector's pixels.
     cell : int
-        Projector pixels of a side of each pattern pixel.
+        Projector pixels along a side of each pattern pixel.
     response : ProjectorResponse, optional
-        By which grey values are chosen that give the patterns' light; patterns of black and white
-        need none.
-
-    Raises
-    ------
-    InputError
-        If the patterns do not fit the projector.
+        Chooses grey values that give the patterns' light; black-and-white patterns need none.
     """
 
     patterns: PatternSet
@@ -51,19 +45,15 @@ class Shown:
                 f"{self.screen[1] // self.cell} at most",
             )
 
-    @property
-    def grey(self) -> bool:
-        """Whether the patterns have other values than black and white."""
-        return self._binary is None
-
     @cached_property
-    def _binary(self) -> NDArray[np.uint8] | None:
-        return self.patterns.as_bits()
+    def _grey(self) -> bool:
+        """Whether the patterns have other values than black and white."""
+        return self.patterns.as_bits() is None
 
     def image(self, index: int) -> NDArray[np.uint8]:
         """The image of a pattern, (rows, cols) uint8, in the middle of a black screen."""
         light = self.patterns.images(index, index + 1)[0]
-        if self.grey and self.response is not None:
+        if self._grey and self.response is not None:
             grey = self.response.grey_for(light)
         else:
             grey = to_grey(light)

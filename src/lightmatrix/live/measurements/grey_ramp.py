@@ -1,4 +1,4 @@
-"""Measuring the light that a projector gives for each grey value."""
+"""The projector's response: how much light it gives for each grey value."""
 
 from __future__ import annotations
 
@@ -6,12 +6,13 @@ from collections.abc import Callable
 
 import numpy as np
 
-from lightmatrix.live.frames.photograph import Taker
-from lightmatrix.live.frames.repeats import take_steady
-from lightmatrix.live.measurements.white import Whites, find_white
+from lightmatrix.live.frames.photograph import Photographer
+from lightmatrix.live.frames.repeats import take_average
+from lightmatrix.live.measurements.white_and_black import WhiteAndBlack, find_white_and_black
 from lightmatrix.live.rig import Rig
 from lightmatrix.patterns.projector_curve import ProjectorResponse
 
+# Grey values that are photographed, evenly from 0 to 255: a smooth curve is known between them.
 _STEPS = 17
 
 
@@ -19,7 +20,7 @@ def measure_response(
     rig: Rig,
     *,
     settle: float,
-    whites: Whites | None = None,
+    whites: WhiteAndBlack | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> ProjectorResponse:
     """Measure how much light the projector gives for each grey value.
@@ -29,7 +30,7 @@ def measure_response(
     rig : Rig
     settle : float
         Seconds; see `measure_settle`.
-    whites : Whites, optional
+    whites : WhiteAndBlack, optional
         White and black frame, if they are known already.
     progress : callable, optional
         Called with (done, total) grey values.
@@ -51,13 +52,13 @@ def measure_response(
     >>> round(response.gamma, 1), int(response.grey_for(np.array([0.5]))[0])
     (2.2, 186)
     """
-    taker = Taker(rig, settle)
-    whites = whites or find_white(taker)
+    photographer = Photographer(rig, settle)
+    whites = whites or find_white_and_black(photographer)
     levels = np.rint(np.linspace(0, 255, _STEPS)).astype(int)
     light = np.empty(_STEPS)
     for k, level in enumerate(levels):
         image = np.full(rig.projector.shape, level, np.uint8)
-        light[k] = whites.level(take_steady(taker, image, whites.exposure, 3).mean)
+        light[k] = whites.level(take_average(photographer, image, whites.exposure, 3).mean)
         if progress is not None:
             progress(k + 1, _STEPS)
     return ProjectorResponse.of_light(levels, light)
