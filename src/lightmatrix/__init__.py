@@ -1,7 +1,7 @@
-"""lightmatrix measures the light transport matrix of a projector-camera system, c = T p.
+"""lightmatrix measures the light transport matrix T of a projector-camera system, c = T p.
 
-From a folder of projected patterns and a folder of photographs to T, from far fewer patterns than
-projector pixels, and right although the camera clips::
+It estimates T from projected patterns and their photographs. It needs far fewer patterns than the
+projector has pixels, and is correct although the camera clips::
 
     import lightmatrix as lm
 
@@ -9,8 +9,7 @@ projector pixels, and right although the camera clips::
     transport = lm.estimate(capture, output="scene.zarr")
     photograph = transport.relight(pattern)
 
-All that there is to use stands in this one namespace, which `__init__.pyi` lists; each name is
-loaded when it is first used.
+`__init__.pyi` lists every public name. Each is loaded when it is first used.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-# The door: every name that `import lightmatrix as lm` offers, and the file that it lives in.
-# `__init__.py` loads them from this very list, each when it is first used.
+# The public names of `import lightmatrix as lm`, each with the file that defines it. `__init__.py`
+# reads this list and loads a name when it is first used. Each heading is a page of the reference.
 
 from ._version import __version__ as __version__
 

@@ -1,4 +1,4 @@
-"""`python -m lightmatrix`, for where the installed command is not on the path."""
+"""`python -m lightmatrix`: the command line where the command is not on the path."""
 
 from lightmatrix.cli import console
 

@@ -1,7 +1,7 @@
-"""The command line: parse, call one function of the door, show.
+"""The command line: each command parses its arguments, calls one public function, and prints.
 
-This file holds the entry point alone and loads nothing, so that Ctrl-C finds it from the first
-moment on; all else is loaded by `main`.
+This file holds only the entry point and imports nothing heavy, so that Ctrl-C works from the first
+moment. `main` imports the rest.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ def main(argv: list[str] | None = None) -> int:
     Returns
     -------
     int
-        0; 2 on bad input or output and 3 where memory ran out, both with one message on standard
-        error; 70 on a bug of ours; 130 on Ctrl-C.
+        0 done, 1 `check` found a fault, 2 bad input or output, 3 out of memory, 70 a bug of
+        lightmatrix, 130 Ctrl-C. All but 0 and 1 come with one message on standard error.
     """
     try:
-        # Inside, because this takes long enough for a Ctrl-C.
+        # Imported here, because the import takes long enough for a Ctrl-C.
         from lightmatrix.cli.stops import quiet_stops
 
         with quiet_stops():
@@ -48,12 +48,12 @@ def console() -> None:
 
 
 def _open_standard_streams() -> None:
-    """Put something in place of streams that were closed, lest a file of ours takes their number.
+    """Open the null device for closed standard streams.
 
-    Python has None for them, which cannot be written to.
+    Otherwise the next file that we open would get their number, and Python has None for them.
     """
     for number, name in enumerate(("stdin", "stdout", "stderr")):
         if getattr(sys, name) is None:
-            # Open as long as the program runs.
+            # It stays open as long as the program runs.
             stream = open(os.devnull, "r" if number == 0 else "w")  # noqa: SIM115
             setattr(sys, name, stream)

@@ -1,4 +1,4 @@
-"""From an exception to one message on standard error and an exit code."""
+"""Turns an exception into one message on standard error and an exit code."""
 
 from __future__ import annotations
 
@@ -17,22 +17,18 @@ from lightmatrix.cli.stops import is_stop
 from lightmatrix.cli.terminal import FinishedError, Stopped, warn
 from lightmatrix.errors import LightMatrixError
 
+# Exit codes. 70 is EX_SOFTWARE of sysexits.h, and 130 what shells give for Ctrl-C.
 BAD, NO_MEMORY, BUG, STOPPED = 2, 3, 70, 130
-# Set to anything, it shows where a bug happened.
+# If this variable is set, a bug prints its traceback.
 DEBUG = "LIGHTMATRIX_DEBUG"
+# Errors of a stream, such as a full disk behind standard output, that are no bug.
 _STREAM_ERRORS = {errno.ENOSPC, errno.EIO, errno.EBADF, errno.EDQUOT, errno.EFBIG}
 
 
 def report(error: BaseException) -> int:
-    """Say what went wrong, in one message.
-
-    Returns
-    -------
-    int
-        The exit code.
-    """
+    """Print what went wrong as one message, and return the exit code."""
     if isinstance(error, BrokenPipeError):
-        # Whoever read, as `head` does, has read enough.
+        # The reader, such as `head`, has read enough.
         _give_up(sys.stdout)
         return 0
     code, lines = _explain(error)
@@ -40,14 +36,14 @@ def report(error: BaseException) -> int:
         for number, line in enumerate(lines):
             warn(line if number == 0 else f"  {line}", "red" if number == 0 and code else None)
     except (OSError, ValueError):
-        # Where standard error is gone too, the code is all there is to tell; and what it still
-        # holds must not make Python, on leaving, tell another.
+        # Without standard error only the exit code is left. Python must not try to write the rest
+        # of its buffer when it exits.
         _give_up(sys.stderr)
     return code
 
 
 def lacks_memory(error: BaseException) -> bool:
-    """Whether it is for want of memory, of which a thread takes some too."""
+    """Whether memory ran out; a thread that cannot start lacks memory too."""
     return isinstance(error, MemoryError) or "can't start new thread" in str(error)
 
 
@@ -62,15 +58,18 @@ def _explain(error: BaseException) -> tuple[int, list[str]]:
         return BAD, [f"error: {message}", hint]
     if isinstance(error, FinishedError):
         code, what = (0, str(error)) if error.enough else (NO_MEMORY, f"error: {error}")
-        return code, [what, "look at it with `lightmatrix info`"]
+        return code, [what, "`lightmatrix info` shows it"]
     if lacks_memory(error):
-        return NO_MEMORY, ["error: not enough memory", "use a smaller size or --tile-rows"]
+        return NO_MEMORY, [
+            "error: not enough memory",
+            "use a smaller size, --memory or --tile-rows",
+        ]
     if isinstance(error, OSError) and str(error).startswith("cannot start"):
-        return NO_MEMORY, [f"error: {error}", "free some memory, or set RAYON_NUM_THREADS to fewer"]
+        return NO_MEMORY, [f"error: {error}", "free some memory, or lower RAYON_NUM_THREADS"]
     if isinstance(error, OSError) and error.filename is None and error.errno in _STREAM_ERRORS:
         _give_up(sys.stdout)
         why = error.strerror or str(error)
-        hint = "free some space, or send what is printed elsewhere"
+        hint = "free some space, or redirect the output elsewhere"
         return BAD, [f"error: standard output cannot be written ({why})", hint]
     if isinstance(error, OSError) and error.filename is not None:
         hint = "check the name, its permissions and the free space"
@@ -78,15 +77,15 @@ def _explain(error: BaseException) -> tuple[int, list[str]]:
     if os.environ.get(DEBUG):
         with suppress(OSError, ValueError):
             traceback.print_exception(error)
-    told = " ".join(str(error).split())
+    text = " ".join(str(error).split())
     return BUG, [
-        f"internal error: {type(error).__name__}: {told}",
-        f"this is a bug of lightmatrix: please report it with the command; {DEBUG}=1 shows where",
+        f"internal error: {type(error).__name__}: {text}",
+        f"this is a bug of lightmatrix; please report it with the command and with {DEBUG}=1 set",
     ]
 
 
 def _usage_error(error: typer.TyperException) -> tuple[str, str]:
-    """What was wrong with the words given, and where to look or what was probably meant."""
+    """What is wrong with the arguments; and what the user probably meant, or where to look."""
     message = error.format_message().replace("Value error, ", "")
     context = getattr(error, "ctx", None)
     hint = f"see `{context.command_path if context else 'lightmatrix'} --help`"
@@ -98,8 +97,8 @@ def _usage_error(error: typer.TyperException) -> tuple[str, str]:
 
 
 def _give_up(stream: TextIO) -> None:
-    """Let what is still to be written vanish, lest Python complains about it on leaving."""
+    """Drop what the stream still holds, so that Python does not complain when it exits."""
     with suppress(OSError, ValueError):
-        nowhere = os.open(os.devnull, os.O_WRONLY)
-        os.dup2(nowhere, stream.fileno())
-        os.close(nowhere)
+        null = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(null, stream.fileno())
+        os.close(null)

@@ -37,28 +37,28 @@ Green = Annotated[
     Path | None,
     typer.Option(
         metavar="GREEN.zarr",
-        help="Of a colour projector: T of its green. SCENE is that of its red then.",
+        help="T of a colour projector's green. SCENE is then T of its red.",
     ),
 ]
 Blue = Annotated[
     Path | None,
-    typer.Option(metavar="BLUE.zarr", help="Of a colour projector: T of its blue."),
+    typer.Option(metavar="BLUE.zarr", help="T of a colour projector's blue."),
 ]
 RigName = Annotated[
     str | None,
-    typer.Option("--rig", metavar="virtual:SCENE", help="A virtual rig, to try things with."),
+    typer.Option("--rig", metavar="virtual:SCENE", help="A virtual rig, which needs no hardware."),
 ]
 ProjectorName = Annotated[
     str | None, typer.Option("--projector", help="A projector, such as window:1.")
 ]
 CameraName = Annotated[str | None, typer.Option("--camera", help="A camera, such as aravis:ID.")]
-Patience = Annotated[float, typer.Option(help="Seconds to wait for a frame, beyond its exposure.")]
+Patience = Annotated[float, typer.Option(help="Seconds to wait for a frame after its exposure.")]
 RigFile = Annotated[
-    Path, typer.Option("--rig-file", help="Where what was measured of the rig is kept.")
+    Path, typer.Option("--rig-file", help="The file that keeps the measurements of the rig.")
 ]
 
-# Defaults that are written into help texts. They stand in the code that they belong to as well,
-# which would be slow to load for a help text; a test holds the two together.
+# Defaults and limits that help texts mention. The code that uses them defines them too, but is slow to
+# import for a help text; tests/cli/test_same_from_python.py holds the two together.
 USUAL_NOISE = 0.003
 USUAL_COUNT = 256
 USUAL_FRAMES, USUAL_REFERENCE = 64, 32
@@ -90,7 +90,7 @@ def size(text: str) -> tuple[int, int]:
 
 
 def primaries(red: Path, green: Path | None, blue: Path | None) -> tuple[Path, Path, Path] | None:
-    """The three matrices of a colour projector; None of a grey one, which has only the first."""
+    """The three matrices of a colour projector; None for a grey projector, which has only one."""
     if green is None and blue is None:
         return None
     if green is None or blue is None:

@@ -1,6 +1,6 @@
-"""What the commands print: text, tables, JSON and progress. Names are shown as they are.
+"""What the commands print: text, tables, JSON and progress bars.
 
-Nothing that a user wrote is taken for markup: a bracket or a colon in the name of a file is one.
+Text is never read as markup: brackets and colons in file names appear as they are.
 """
 
 from __future__ import annotations
@@ -27,39 +27,36 @@ from rich.text import Text
 
 from lightmatrix.reprs import shown_value
 
-# Rate and time left come from so many last seconds: stages of a few differ in pace.
+# A progress bar computes rate and time left from this many last seconds. Chosen by hand: the stages
+# of an estimate differ in pace, and within a few seconds the time left would jump with each of them.
 _STEADY_SECONDS = 300.0
-# What would move the cursor or change colours; tabs and ends of lines are fine.
+# Characters that would move the cursor or change colours. Tabs and line ends are fine.
 _CONTROLS = dict.fromkeys((*range(9), *range(11, 32), 127), "\N{REPLACEMENT CHARACTER}")
 
 
 class Stopped(KeyboardInterrupt):
-    """Ctrl-C, with what is left to say about it."""
+    """Ctrl-C; its text says what is kept."""
 
 
 class FinishedError(Exception):
-    """An output is whole, but what tells of it failed for want of memory.
+    """The output is complete, but memory ended before the command had described it.
 
-    Parameters
-    ----------
-    words : str
-    enough : bool
-        Whether the output is all that was asked for.
+    `enough` says whether the output is all that the user asked for.
     """
 
-    def __init__(self, words: str, enough: bool) -> None:
-        super().__init__(words)
+    def __init__(self, message: str, enough: bool) -> None:
+        super().__init__(message)
         self.enough = enough
 
 
 class _Plain(Console):
-    """A console that prints what it is given, and lets its caller know of a reader that left."""
+    """A console without markup that raises BrokenPipeError when the reader has left."""
 
     def __init__(self, *, stderr: bool = False) -> None:
         super().__init__(stderr=stderr, soft_wrap=True, markup=False, emoji=False, highlight=False)
 
     def on_broken_pipe(self) -> None:
-        raise  # Rich calls this while it handles the BrokenPipeError.
+        raise  # Rich calls this while it handles the error.
 
 
 _out, _err = _Plain(), _Plain(stderr=True)
@@ -88,7 +85,7 @@ def show_table(title: str, rows: Mapping[str, Any]) -> None:
 
 
 def show_columns(title: str, heads: tuple[str, ...], rows: list[tuple[str, ...]]) -> None:
-    """Print a table of numbers with a head for each column."""
+    """Print a table of numbers with a heading for each column."""
     table = Table(title=_visible(title), title_justify="left", box=None, padding=(0, 2))
     for head in heads:
         table.add_column(head, justify="right")
@@ -105,9 +102,9 @@ def show_json(result: Mapping[str, Any]) -> None:
 
 @contextmanager
 def progress(what: str, unit: str) -> Iterator[Any]:
-    """A progress bar with rate and time left on a terminal; silent elsewhere.
+    """Show a progress bar with rate and time left on a terminal, and nothing elsewhere.
 
-    Yields a callback that takes (done, total) and, perhaps, a note to show behind the bar.
+    Yields a callback that takes (done, total) and, optionally, a note to show behind the bar.
     """
     if not _err.is_terminal:
         yield lambda done, total, note="": None
@@ -150,7 +147,7 @@ def _visible(text: str) -> str:
 def _jsonable(value: Any) -> Any:
     if isinstance(value, Mapping):
         return {str(key): _jsonable(item) for key, item in value.items()}
-    if hasattr(value, "tolist"):  # Arrays and numbers of NumPy.
+    if hasattr(value, "tolist"):  # NumPy's arrays and numbers
         return _jsonable(value.tolist())
     if isinstance(value, (list, tuple)):
         return [_jsonable(item) for item in value]
