@@ -21,7 +21,7 @@ from scipy.sparse import csr_array
 
 import lightmatrix as lm
 from lightmatrix.estimators.coherent import movement
-from lightmatrix.files.stack import ImageStack
+from lightmatrix.files.image_stack import ImageStack
 
 # Frames 0 to 19: ten column bits, most significant first, each with its inverse; 20 to 39: ten row
 # bits.

@@ -25,7 +25,7 @@ from lightmatrix.files.images import write_image
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.folder import read_patterns, write_patterns
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
-from lightmatrix.resources import scratch as scratch_module
+from lightmatrix.resources import disk
 from lightmatrix.solvers.problem import Problem
 from tests.helpers.captures import (
     COUNT,
@@ -270,7 +270,7 @@ def test_large_captures_are_held_in_a_file(monkeypatch: pytest.MonkeyPatch) -> N
     sensor = Sensor()
     frames = photographs(SETS[0], sensor)
     expected = Capture.from_arrays(SETS[0], frames, sensor)
-    monkeypatch.setattr(scratch_module, "MEMORY_BYTES", 0)
+    monkeypatch.setattr(disk, "SCRATCH_MEMORY_BYTES", 0)
     mapped = Capture.from_arrays(SETS[0], frames, sensor)
     assert isinstance(mapped.reader.raw, np.memmap)
     assert mapped.digest == expected.digest

@@ -153,7 +153,9 @@ def test_ctrl_c_once_the_output_is_there_says_so(
         assert lm.open("s.zarr").camera_shape == (64, 64)
 
 
-@pytest.mark.parametrize("where", ["lightmatrix.verdict", "lightmatrix.store.zarr_file.open"])
+@pytest.mark.parametrize(
+    "where", ["lightmatrix.verdict", "lightmatrix.store.zarr_store.read_whole"]
+)
 @pytest.mark.parametrize(
     "error", [MemoryError(), RuntimeError("can't start new thread"), InputError("s.zarr: 9 GiB")]
 )
@@ -184,7 +186,7 @@ def test_memory_that_ends_before_all_was_told_is_a_failure(
 
     lm.simulate("metal", lm.BernoulliPatterns((64, 64), 8)).save("capture")
     line = "estimate capture -o s.zarr --solver romp --iterations 1 --json"
-    monkeypatch.setattr("lightmatrix.store.zarr_file.open", failing)
+    monkeypatch.setattr("lightmatrix.store.zarr_store.read_whole", failing)
     assert main(line.split()) == 3
     assert "error: s.zarr is finished; " in capsys.readouterr().err
     assert main(line.split()) == 2

@@ -26,7 +26,7 @@ from lightmatrix.diagnosis.finding import KINDS
 from lightmatrix.diagnosis.inverse_pairs import Pairs
 from lightmatrix.diagnosis.single_frame import check_frame
 from lightmatrix.diagnosis.survey import Survey
-from lightmatrix.files.stack import ImageStack
+from lightmatrix.files.image_stack import ImageStack
 
 WINDOW = Path(__file__).parents[1] / "data" / "graycode-board"
 BOARD = Path(os.environ.get("LIGHTMATRIX_BOARD", WINDOW))

@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 
 from lightmatrix.errors import InputError
 from lightmatrix.files import png
+from lightmatrix.files.image_stack import ImageStack, list_images
 from lightmatrix.files.images import read_image, write_image
-from lightmatrix.files.stack import ImageStack, list_images
 from tests.helpers.systems import PIPES
 
 SHAPES = {"grey": (24, 31), "colour": (24, 31, 3)}
@@ -202,7 +202,7 @@ def bombs(folder: Path) -> Iterable[tuple[Path, str]]:
     with (folder / "strip.tif").open("r+b") as file:
         file.seek(count)
         file.write(struct.pack("<I", len(zeros)))
-    yield folder / "strip.tif", "does not fit the image"
+    yield folder / "strip.tif", "its length does not fit"
     for at in tall:
         data[at : at + 4] = struct.pack("<I", 60000)
     (folder / "huge.tif").write_bytes(data)

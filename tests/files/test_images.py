@@ -17,9 +17,9 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from lightmatrix.errors import InputError, OutputError
-from lightmatrix.files import png, png16
+from lightmatrix.files import png
+from lightmatrix.files.image_stack import ImageStack, list_images, nonlinear_tag
 from lightmatrix.files.images import read_grey, read_image, write_image
-from lightmatrix.files.stack import ImageStack, list_images, nonlinear_tag
 from tests.helpers.limits import largest_file
 from tests.helpers.systems import LIMITS
 
@@ -83,12 +83,12 @@ def test_every_line_filter_of_16_bit_colour_png(rows: int, cols: int, kind: int,
     header = struct.pack(">IIBBBBB", cols, rows, 16, 2, 0, 0, 0)
     data = png.write_chunks((b"IHDR", header), (b"IDAT", zlib.compress(lines.tobytes())))
     chunks = png.read_chunks(data)
-    assert png16.is_deep_colour(png.read_header(chunks))
+    assert png.read_png_header(chunks).is_deep_colour
     # As a whole, and some lines at a time, each of which needs the line before it.
     for at_once in (1 << 25, 12 * cols + 2):
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(png16, "_BYTES_AT_ONCE", at_once)
-            np.testing.assert_array_equal(png16.decode(chunks), image)
+            patch.setattr(png, "_DECODED_AT_ONCE", at_once)
+            np.testing.assert_array_equal(png.decode_deep_colour(chunks), image)
 
 
 def test_black_and_white_and_opaque_alpha(tmp_path: Path) -> None:

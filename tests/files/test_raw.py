@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 import lightmatrix as lm
 from lightmatrix.cli import main
 from lightmatrix.errors import InputError, MissingExtraError
-from lightmatrix.files.raw import shutter_time
+from lightmatrix.files.exposure_time import exposure_time
 from tests.helpers.camera_files import SECONDS, black_image, write_arw, write_nef
 
 pytest.importorskip("rawpy")
@@ -109,7 +109,7 @@ def test_files_as_nikon_and_sony_lay_them_out(
     np.testing.assert_allclose(image, np.broadcast_to(6000 / spans, image.shape), atol=1e-6)
     clipped = lm.read_image(write(tmp_path / name, np.full((48, 64), clip), blacks))
     assert clipped.min() >= 1 - 1e-6
-    assert shutter_time(file) == pytest.approx(SECONDS[0] / SECONDS[1])
+    assert exposure_time(file) == pytest.approx(SECONDS[0] / SECONDS[1])
     file.write_bytes(file.read_bytes()[:4000])
     with pytest.raises(InputError, match=rf"{name}: cannot be read as an image"):
         lm.read_image(file)

@@ -14,8 +14,8 @@ from PIL import Image
 import lightmatrix as lm
 from lightmatrix.cli import main
 from lightmatrix.errors import InputError
+from lightmatrix.files.image_stack import ImageStack
 from lightmatrix.files.pages import pages
-from lightmatrix.files.stack import ImageStack
 
 PATTERNS = lm.BernoulliPatterns((8, 8), 12)
 

@@ -25,7 +25,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lightmatrix.cli import main
-from lightmatrix.errors import LightMatrixError, LightMatrixWarning, OutputError
+from lightmatrix.errors import LightMatrixWarning, OutputError
 from lightmatrix.experiments import run
 from lightmatrix.experiments.harness import Experiment, Measured
 from lightmatrix.files.images import read_image, write_image
@@ -35,7 +35,6 @@ from lightmatrix.outputs.kinds import IMAGE, MAT, NPZ
 from lightmatrix.outputs.markers import FileKind, FolderKind, OutputKind
 from lightmatrix.outputs.running import RunningResults
 from lightmatrix.outputs.writing import atomic_file, atomic_folder, check_output, claimed
-from lightmatrix.resources import scratch
 from tests.helpers.limits import largest_file
 from tests.helpers.systems import FLOCKS, FORKS, LIMITS, PIPES, SIGNALS
 
@@ -648,29 +647,6 @@ def test_overwrite_spares_photographs(tmp_path: Path, monkeypatch: pytest.Monkey
         main(["patterns", "bernoulli", "-k", "2", "--size", "8x8", "-o", "cap", "--overwrite"]) == 2
     )
     assert snapshot(tmp_path) == before
-
-
-# ---- temporary data
-
-
-@LIMITS
-def test_large_arrays_ask_for_their_space_first(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    kind = np.dtype(np.uint16)
-    monkeypatch.setattr(scratch, "MEMORY_BYTES", 100)
-    assert not isinstance(scratch.scratch_array((5, 10), kind), np.memmap)
-    mapped = scratch.scratch_array((5, 11), kind)
-    assert isinstance(mapped, np.memmap)
-    mapped[...] = 7
-    assert mapped.shape == (5, 11)
-    assert mapped.sum() == 7 * 55
-    with pytest.raises(OutputError, match=r"no space for .* GiB"):
-        scratch.scratch_array((1 << 30, 1 << 30), kind)
-    monkeypatch.setattr(shutil, "disk_usage", lambda _: shutil._ntuple_diskusage(1, 1, 1 << 62))
-    with largest_file(4096), pytest.raises(LightMatrixError, match="no space for") as error:
-        scratch.scratch_array((100, 100), kind)
-    assert "TMPDIR" in str(error.value)
 
 
 def test_the_temporary_folder_is_named_for_its_output(tmp_path: Path) -> None:

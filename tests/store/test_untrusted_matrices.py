@@ -25,7 +25,7 @@ from lightmatrix import store
 from lightmatrix.errors import InputError
 from lightmatrix.resources import memory
 from lightmatrix.simulation.truth import Truth
-from lightmatrix.store.checked import checked_matrix
+from lightmatrix.store.matrix_checks import checked_matrix
 from lightmatrix.transport.sparse_rows import SparseRows
 from tests.helpers.stores import FINGERPRINT, TILES, assert_same, run, transport
 from tests.helpers.systems import PIPES

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from lightmatrix.camera.raw_levels import MOST_LEVEL
 from lightmatrix.errors import InputError
-from lightmatrix.files.curves import CurveFile
-from lightmatrix.files.npy import read_npy
+from lightmatrix.files.curve_file import CurveFile
+from lightmatrix.files.numpy_files import read_npy
 from lightmatrix.files.reading import read_text
 
 RESPONSES = "linear, gamma:2.2, srgb, or a curve's file"

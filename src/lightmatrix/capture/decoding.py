@@ -17,8 +17,8 @@ from lightmatrix.camera.raw_levels import range_end
 from lightmatrix.capture.frames import Frames, level_blocks
 from lightmatrix.capture.settings import ReadSettings
 from lightmatrix.errors import InputError, LightMatrixWarning
+from lightmatrix.files.image_stack import ImageStack, nonlinear_tag
 from lightmatrix.files.images import is_grey, read_image
-from lightmatrix.files.stack import ImageStack, nonlinear_tag
 from lightmatrix.patterns.pattern_set import PatternSet
 
 # The highest levels of cameras of 8, 10, 12 and 14 bits, whose files may have 16.

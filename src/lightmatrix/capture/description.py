@@ -14,7 +14,7 @@ from lightmatrix.camera.camera_curve import RESPONSES, Response, curve_file
 from lightmatrix.camera.raw_levels import MOST_LEVEL
 from lightmatrix.capture.settings import ReadSettings
 from lightmatrix.errors import InputError
-from lightmatrix.files.headers import read_json, said_in
+from lightmatrix.files.json_files import errors_naming, read_json
 from lightmatrix.files.reading import within
 
 NAME = "capture.json"
@@ -84,7 +84,7 @@ def parse_description(
     if response is not None:
         path(curve_file(response))
     exposure = table.get("exposure", _several(_above_0), "a number above 0, or one for each frame")
-    with said_in(file):
+    with errors_naming(file):
         settings = ReadSettings(
             black=path(frame.get("file", _text, "the name of an image")),
             black_exposure=frame.get("exposure", _above_0, "a number above 0"),

@@ -29,10 +29,10 @@ from lightmatrix.capture.packed import FORMAT as PACKED_FORMAT
 from lightmatrix.capture.packed import is_packed, read_packed
 from lightmatrix.capture.settings import ReadSettings
 from lightmatrix.errors import InputError, LightMatrixWarning
-from lightmatrix.files.headers import said_in
+from lightmatrix.files.image_stack import ImageStack
 from lightmatrix.files.images import READABLE, fill_image
+from lightmatrix.files.json_files import errors_naming
 from lightmatrix.files.pages import is_stack
-from lightmatrix.files.stack import ImageStack
 from lightmatrix.files.zarr_arrays import read_attributes
 from lightmatrix.outputs.kinds import CAPTURE
 from lightmatrix.outputs.writing import atomic_folder
@@ -91,7 +91,7 @@ def read_capture(
                 f"{file}: {key} is {list(wanted)}, but the {what} have {list(shape)}",
                 hint="correct capture.json, or restore the folder",
             )
-    with said_in(file):
+    with errors_naming(file):
         decoder = make_decoder(stack, settings)
         if counted:
             decoder.check_count(stack.count)

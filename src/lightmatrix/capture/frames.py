@@ -11,7 +11,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.files.ahead import read_ahead
+from lightmatrix.files.read_ahead import read_ahead
 from lightmatrix.regions import Region
 from lightmatrix.reprs import short_repr
 

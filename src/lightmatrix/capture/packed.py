@@ -20,12 +20,12 @@ from lightmatrix.capture.decoding import CaptureParts
 from lightmatrix.capture.description import KEYS, Description, parse_description
 from lightmatrix.capture.settings import ReadSettings
 from lightmatrix.errors import InputError
-from lightmatrix.files.image_size import check_size
+from lightmatrix.files.reading import check_image_size
 from lightmatrix.files.zarr_arrays import (
     CHUNK,
     HEADER,
     StoredArray,
-    damage_explained,
+    as_damage_error,
     read_attributes,
 )
 from lightmatrix.outputs.kinds import PACKED_CAPTURE, STORE
@@ -33,7 +33,7 @@ from lightmatrix.patterns.bits import BitPatterns
 from lightmatrix.patterns.making import remake_patterns
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
 from lightmatrix.reprs import short_repr
-from lightmatrix.resources.memory import check_room
+from lightmatrix.resources.memory import check_memory
 
 FORMAT, VERSION = "lightmatrix-packed-capture", 1
 # The names of the arrays in the group.
@@ -100,7 +100,7 @@ class PackedFrames:
             Naming a chunk that is damaged.
         """
         k = int(self.index[index])
-        with damage_explained(self.array.place.parent, _REMEDY):
+        with as_damage_error(self.array.place.parent, _REMEDY):
             return self.array.read(slice(k, k + 1), self.rows, self.cols)[0]
 
     def name(self, index: int) -> str:
@@ -143,7 +143,7 @@ class PackedFrames:
             rows = slice(
                 max(number * height, self.rows.start), min((number + 1) * height, self.rows.stop)
             )
-            with damage_explained(self.array.place.parent, _REMEDY):
+            with as_damage_error(self.array.place.parent, _REMEDY):
                 read = self.array.read(slice(None), rows, self.cols)
             strip = read.reshape(len(read), -1)
             if not np.array_equal(self.index, np.arange(len(strip))):
@@ -185,7 +185,7 @@ def read_packed(place: Path) -> CaptureParts:
             f"reads {VERSION}",
             hint="update lightmatrix, or pack the capture again",
         )
-    with damage_explained(place, _REMEDY):
+    with as_damage_error(place, _REMEDY):
         unknown = sorted(set(attributes) - _KEYS)
         if unknown:
             raise ValueError(f"does not know {str(unknown[0])[:60]!r}")
@@ -209,7 +209,7 @@ def _frames(place: Path, attributes: Mapping[str, Any], description: Description
     shape = description.camera_shape
     if shape is None or not names:
         raise ValueError("it has no frames")
-    check_size(place, shape)
+    check_image_size(place, shape)
     channels = shape[2] if len(shape) == 3 else 1
     # All frames of a pixel lie in one chunk, however many there are.
     array = StoredArray.open(place / FRAMES, max(CHUNK, len(names) * channels))
@@ -257,7 +257,7 @@ def _response(place: Path, attributes: Mapping[str, Any]) -> Response:
     curve = StoredArray.open(place / CURVE)
     if len(curve.shape) != 2 or curve.shape[0] != 2 or curve.shape[1] < 2:
         raise ValueError("the curve of its response has no points")
-    check_room(place, curve.bytes)
+    check_memory(place, curve.bytes)
     levels, light = curve.read().astype(np.float64)
     rising = (np.diff(levels) > 0).all() and (np.diff(light) >= 0).all()
     ends = (levels[0] >= 0, levels[-1] <= 1, light[0] >= 0, light[-1] <= 1)
@@ -276,7 +276,7 @@ def _patterns(place: Path, attributes: Mapping[str, Any], count: int) -> Pattern
     if not (isinstance(shape, list) and len(shape) == 2):
         raise ValueError("its projector has no shape")
     rows, cols = (int(n) for n in shape)
-    check_size(place, (rows, cols))
+    check_image_size(place, (rows, cols))
     if (place / LEVELS).exists():
         levels = _array(place, LEVELS, (count, rows, cols), "f")
         assert levels is not None
@@ -304,7 +304,7 @@ def _array(place: Path, name: str, shape: tuple[int, ...], kinds: str) -> NDArra
     array = StoredArray.open(place / name)
     if array.shape != shape or array.dtype.kind not in kinds:
         raise ValueError(f"its {name} is {array.dtype} of shape {array.shape}")
-    check_room(place, array.bytes)
+    check_memory(place, array.bytes)
     values = array.read()
     if array.dtype.kind == "f" and not np.isfinite(values).all():
         raise ValueError(f"its {name} is not finite")

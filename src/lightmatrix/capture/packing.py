@@ -34,7 +34,7 @@ from lightmatrix.outputs.kinds import PACKED_CAPTURE
 from lightmatrix.outputs.writing import atomic_folder, check_output
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.reprs import jsonable
-from lightmatrix.resources.disk import check_disk
+from lightmatrix.resources.disk import check_disk_space
 
 Progress = Callable[[int, int], None]
 # Called with a number of camera rows, iterates over the levels of all frames in so many rows at a
@@ -172,7 +172,7 @@ def write_packed(
     levels = count * math.prod(shape) * dtype.itemsize
     with atomic_folder(output, PACKED_CAPTURE, overwrite=overwrite) as part:
         # Noise hardly compresses, so the output may be as large as the levels.
-        check_disk(part, levels + temporary, output)
+        check_disk_space(part, levels + temporary, output)
         group = zarr.open_group(part, mode="w", zarr_format=3)
         frames = create_array(
             group, FRAMES, (count, *shape), dtype, (count, rows, cols, *shape[2:])

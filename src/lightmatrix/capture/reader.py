@@ -15,7 +15,7 @@ from lightmatrix.camera.decoder import Decoder
 from lightmatrix.camera.noise import frame_weights
 from lightmatrix.camera.samples import Samples, bin_samples
 from lightmatrix.capture.frames import BLOCK_LEVELS, Frames, PixelFrames, in_order
-from lightmatrix.resources.scratch import scratch_array
+from lightmatrix.resources.disk import scratch_array
 
 # Samples of one frame that are binned at a time. Chosen by hand: a whole frame of 24 megapixels
 # would take gigabytes for a moment.

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from lightmatrix.estimators.coherent.neighbourhood import UNSEEN
 from lightmatrix.estimators.coherent.stages import SPACINGS, spacings
 from lightmatrix.estimators.join import TILE_BYTES
-from lightmatrix.resources.scratch import MEMORY_BYTES
+from lightmatrix.resources.disk import SCRATCH_MEMORY_BYTES
 from lightmatrix.solvers.active_set import ActiveSet
 
 # Of `memory_terms` in bytes and of `time_terms` in seconds of one core; growing is the coherent
@@ -145,7 +145,7 @@ class Size:
     def temporary(self) -> int:
         """Bytes of temporary files, where samples are too many for memory."""
         size = self.rows * self.count * self.sample_bytes
-        return size if size > MEMORY_BYTES else 0
+        return size if size > SCRATCH_MEMORY_BYTES else 0
 
     def seconds(self, cores: int) -> float | None:
         """Time on so many cores; None where it is not known."""

@@ -18,7 +18,7 @@ from lightmatrix.camera.samples import Samples
 from lightmatrix.capture.capture import Capture
 from lightmatrix.estimators.steps import InMemory, Work, complete
 from lightmatrix.outputs.targets import final_target
-from lightmatrix.resources.disk import check_disk
+from lightmatrix.resources.disk import check_disk_space
 from lightmatrix.solvers import Solver
 from lightmatrix.solvers.problem import Result, check_regularization
 from lightmatrix.store import ROWS, Checkpoint
@@ -115,7 +115,7 @@ def joined(
             rows.coefficients, rows.background, diagnostics=rows.diagnostics, **plan.shapes
         )
     target = final_target(checkpoint)
-    check_disk(target.parent, _least_bytes(plan), checkpoint, "at least about")
+    check_disk_space(target.parent, _least_bytes(plan), checkpoint, "at least about")
     with Checkpoint.open(checkpoint, plan.fingerprint, overwrite=overwrite) as running:
         complete_with(crew, plan.work, running)
         return running.finish(**plan.shapes)

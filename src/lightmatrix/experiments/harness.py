@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.errors import InputError
-from lightmatrix.files.headers import parse_json
-from lightmatrix.files.npz import read_npz
+from lightmatrix.files.json_files import parse_json
+from lightmatrix.files.numpy_files import read_npz
 from lightmatrix.outputs.running import RunningResults
 
 Row = dict[str, Any]

@@ -1,4 +1,4 @@
-"""The channels of a colour image, and of a colour projector, in their order."""
+"""The names of colour channels, in the order of an image's last axis."""
 
 from __future__ import annotations
 

@@ -9,26 +9,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.errors import InputError, MissingExtraError
-from lightmatrix.files.image_size import check_size
+from lightmatrix.files.reading import check_image_size
 
 _COLOURS = ("R", "G", "B")
 _ALPHA = "A"
 
 
 def read_exr(file: Path) -> NDArray[Any]:
-    """Read an EXR file of one part: grey or RGB, perhaps with alpha.
+    """Read a grey or RGB picture of one part: (rows, cols[, 2 to 4]) float16 or float32.
 
-    Returns
-    -------
-    (rows, cols) or (rows, cols, 2 to 4) float16 or float32
-
-    Raises
-    ------
-    InputError
-        On several parts, channels that are neither, integers, channels of several sizes, and
-        pictures of which only a part is stored.
-    MissingExtraError
-        Without the extra `exr`.
+    Integers, reduced channels, other channels, several parts, and pictures of which only a part
+    is stored are refused.
     """
     library = _library()
     with library.File(str(file), header_only=True) as opened:
@@ -37,7 +28,7 @@ def read_exr(file: Path) -> NDArray[Any]:
                 f"{file}: holds {len(opened.parts)} parts", hint="save one image a file"
             )
         header = opened.header()
-        names = _names(file, [str(channel.name) for channel in header["channels"]])
+        names = _channel_order(file, [str(channel.name) for channel in header["channels"]])
         first, last = header["dataWindow"]
         cols, rows = (int(n) for n in last - first + 1)
         if any((a != b).any() for a, b in zip((first, last), header["displayWindow"], strict=True)):
@@ -45,7 +36,7 @@ def read_exr(file: Path) -> NDArray[Any]:
                 f"{file}: stores only a part of its picture, or more than it",
                 hint="save it with a data window that is the display window",
             )
-        check_size(file, (rows, cols, len(names)))
+        check_image_size(file, (rows, cols, len(names)))
     with library.File(str(file), separate_channels=True) as opened:
         pixels = [np.array(opened.channels()[name].pixels) for name in names]
     for name, values in zip(names, pixels, strict=True):
@@ -58,14 +49,8 @@ def read_exr(file: Path) -> NDArray[Any]:
     return pixels[0] if len(pixels) == 1 else np.stack(pixels, axis=-1)
 
 
-def fill_exr(file: Path, pixels: NDArray[np.float32]) -> None:
-    """Write an image, (rows, cols) or (rows, cols, 3), as float of 32 bits without loss.
-
-    Raises
-    ------
-    MissingExtraError
-        Without the extra `exr`.
-    """
+def write_exr(file: Path, pixels: NDArray[np.float32]) -> None:
+    """Write an image, (rows, cols) or (rows, cols, 3), as 32-bit float without loss."""
     library = _library()
     header = {"compression": library.ZIP_COMPRESSION, "type": library.scanlineimage}
     names = ("Y",) if pixels.ndim == 2 else _COLOURS
@@ -77,16 +62,16 @@ def fill_exr(file: Path, pixels: NDArray[np.float32]) -> None:
         made.write(str(file))
 
 
-def _names(file: Path, found: list[str]) -> list[str]:
-    """The channels to read, in the order of an image."""
-    colours = [name for name in found if name != _ALPHA]
-    alpha = [_ALPHA] if _ALPHA in found else []
+def _channel_order(file: Path, names: list[str]) -> list[str]:
+    """The channels of a file in the order of an image."""
+    colours = [name for name in names if name != _ALPHA]
+    alpha = [_ALPHA] if _ALPHA in names else []
     if sorted(colours) == sorted(_COLOURS):
         return [*_COLOURS, *alpha]
     if len(colours) == 1:
         return [*colours, *alpha]
     raise InputError(
-        f"{file}: has the channels {', '.join(found[:8])}", hint="save it in grey or RGB"
+        f"{file}: has the channels {', '.join(names[:8])}", hint="save it in grey or RGB"
     )
 
 

@@ -22,14 +22,13 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from lightmatrix.errors import InputError, LightMatrixError
-from lightmatrix.files import png, png16
+from lightmatrix.files import png
 from lightmatrix.files.colours import COLOURS
-from lightmatrix.files.exr import fill_exr, read_exr
-from lightmatrix.files.image_size import check_size
-from lightmatrix.files.npy import as_float32, read_npy
+from lightmatrix.files.exr import read_exr, write_exr
+from lightmatrix.files.numpy_files import as_float32, read_npy
 from lightmatrix.files.pgm import read_pgm
 from lightmatrix.files.raw import RAW, read_raw
-from lightmatrix.files.reading import regular_file
+from lightmatrix.files.reading import check_image_size, regular_file
 from lightmatrix.files.tiff import read_tiff
 from lightmatrix.outputs.kinds import IMAGE
 from lightmatrix.outputs.writing import atomic_file
@@ -72,13 +71,13 @@ def read_image(path: str | Path, *, mosaic: bool = False) -> NDArray[Any]:
     file = Path(path)
     _check_file(file)
     suffix = file.suffix.lower()
-    with explained(str(file)):
+    with as_image_error(str(file)):
         image = read_raw(file, mosaic=mosaic) if suffix in RAW else _READERS[suffix](file)
     return as_stored(str(file), image)
 
 
 @contextmanager
-def explained(name: str) -> Iterator[None]:
+def as_image_error(name: str) -> Iterator[None]:
     """Say of which image it is that a library fails on it.
 
     Raises
@@ -242,13 +241,13 @@ def fill_image(path: Path, image: NDArray[Any], *, bits: int = 8) -> None:
         with path.open("wb") as stream:
             np.save(stream, pixels)
     elif suffix == ".exr":
-        fill_exr(path, np.asarray(pixels, np.float32))
+        write_exr(path, np.asarray(pixels, np.float32))
     elif suffix in (".tif", ".tiff"):
         tifffile.imwrite(path, pixels, photometric="rgb" if pixels.ndim == 3 else "minisblack")
     else:
         levels = _to_levels(pixels, bits)
         if levels.ndim == 3 and levels.dtype == np.uint16:
-            png16.write(path, levels)
+            png.write_deep_colour(path, levels)
         else:
             # Encoded first: given a file, Pillow's plugin trips over a full disk twice.
             encoded = imageio.imwrite("<bytes>", levels, extension=".png", plugin="pillow")
@@ -271,10 +270,10 @@ def _check_file(file: Path) -> None:
 def _read_png(file: Path) -> NDArray[Any]:
     data = file.read_bytes()
     chunks = png.read_chunks(data)
-    header = png.read_header(chunks)
-    check_size(file, (header.rows, header.cols, png.CHANNELS[header.colour]))
-    if png16.is_deep_colour(header):
-        return png16.decode(chunks)
+    header = png.read_png_header(chunks)
+    check_image_size(file, (header.rows, header.cols, png.CHANNELS[header.colour]))
+    if header.is_deep_colour:
+        return png.decode_deep_colour(chunks)
     # Pillow stops at the last pixel and never asks for the checksum behind it.
     png.verify_pixels(chunks.get(b"IDAT", b""), header.inflated_bytes)
     pixels = header.rows * header.cols
@@ -298,7 +297,7 @@ def _read_signed(file: Path, signature: bytes, kind: str) -> NDArray[Any]:
     if not data.startswith(signature):
         raise ValueError(f"not a {kind} file")
     shape = imageio.improps(data, plugin="pillow", index=0).shape
-    check_size(file, shape)
+    check_image_size(file, shape)
     return _read_by_pillow(data, math.prod(shape[:2]))
 
 

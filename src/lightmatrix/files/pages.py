@@ -16,11 +16,9 @@ import tifffile
 from numpy.typing import NDArray
 
 from lightmatrix.errors import InputError
-from lightmatrix.files.image_size import check_size
-from lightmatrix.files.images import as_stored, explained, read_image
-from lightmatrix.files.npy import read_header
-from lightmatrix.files.npz import read_npz
-from lightmatrix.files.reading import regular_file
+from lightmatrix.files.images import as_image_error, as_stored, read_image
+from lightmatrix.files.numpy_files import read_npy_header, read_npz
+from lightmatrix.files.reading import check_image_size, regular_file
 from lightmatrix.files.tiff import check_segments, read_page
 
 STACKS = (".tif", ".tiff", ".npy", ".npz")
@@ -72,7 +70,7 @@ class Page:
         InputError
             As `read_image`.
         """
-        with explained(str(self)):
+        with as_image_error(str(self)):
             image = self.source.read(self.index)
         return as_stored(str(self), image)
 
@@ -92,11 +90,11 @@ def holds_several(file: Path) -> bool:
     try:
         if file.suffix.lower() == ".npy":
             with regular_file(file).open("rb") as stream:
-                shape = read_header(stream).shape
+                shape = read_npy_header(stream).shape
             return len(shape) == 4 or (len(shape) == 3 and shape[-1] > 4)
         with tifffile.TiffFile(file) as tiff:
             return len(tiff.pages) > 1 or _contiguous(file) is not None
-    # As in `explained`.
+    # As in `as_image_error`.
     except Exception:
         return False
 
@@ -120,7 +118,7 @@ def pages(path: str | Path) -> list[Page]:
     suffix = file.suffix.lower()
     if suffix not in STACKS:
         raise InputError(f"{file}: is no stack of images", hint=f"give {STACK_FORMATS}")
-    with explained(str(file)):
+    with as_image_error(str(file)):
         source: _Source
         if suffix == ".npz":
             source = _Array(_only(file))
@@ -169,7 +167,7 @@ class _Npy(_Mapped):
     @classmethod
     def of(cls, file: Path) -> _Npy:
         with file.open("rb") as stream:
-            header = read_header(stream)
+            header = read_npy_header(stream)
             offset = stream.tell()
         if header.bytes != file.stat().st_size - offset:
             raise ValueError("its size does not fit its header")
@@ -237,4 +235,4 @@ def _check_shape(file: Path, shape: Sequence[int]) -> None:
             f"{file}: holds an array of shape {tuple(shape)}, no stack of images",
             hint="give (K, rows, cols), or (K, rows, cols, 3) in colour",
         )
-    check_size(file, shape[1:])
+    check_image_size(file, shape[1:])

@@ -1,7 +1,7 @@
-"""Grey images in the portable graymap format, binary (P5), as machine vision cameras write them.
+"""Grey images in the binary portable graymap format (P5), as machine vision cameras write them.
 
-Levels come back as they are stored: a file of 12 bits says so by its largest level, 4095, and other
-readers stretch it to 65535.
+Levels stay as they are stored. A file of 12 bits says so by its largest level, 4095; other readers
+stretch it to 65535.
 """
 
 from __future__ import annotations
@@ -13,39 +13,28 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.files.image_size import check_size
+from lightmatrix.files.reading import check_image_size
 
-# A word of the header, after white space and comments.
-_WORD = re.compile(rb"(?:\s+|#[^\n\r]*[\n\r])+(\d{1,9})")
+# A number of the header, after white space and comments.
+_NUMBER = re.compile(rb"(?:\s+|#[^\n\r]*[\n\r])+(\d{1,9})")
+# Bytes in which the next number of a header must end, comments included.
 _MOST_HEADER = 1 << 16
 
 
 def read_pgm(file: Path) -> NDArray[Any]:
-    """The image of a PGM file.
-
-    Returns
-    -------
-    (rows, cols) uint8 or uint16
-
-    Raises
-    ------
-    ValueError
-        If it is not one binary PGM image, whole and with nothing after it.
-    InputError
-        If it announces too many pixels.
-    """
+    """The image of a PGM file, (rows, cols) uint8 or uint16; a ValueError says what is damaged."""
     data = file.read_bytes()
     if not data.startswith(b"P5"):
         raise ValueError("not a binary PGM file")
-    words, place = [], 2
+    numbers, place = [], 2
     for _ in range(3):
-        found = _WORD.match(data, place, place + _MOST_HEADER)
-        if found is None:
+        match = _NUMBER.match(data, place, place + _MOST_HEADER)
+        if match is None:
             raise ValueError("a header without width, height and largest level")
-        words.append(int(found[1]))
-        place = found.end()
-    cols, rows, top = words
-    check_size(file, (rows, cols))
+        numbers.append(int(match[1]))
+        place = match.end()
+    cols, rows, top = numbers
+    check_image_size(file, (rows, cols))
     if not 1 <= top <= 65535:
         raise ValueError(f"a largest level of {top}")
     kind = np.dtype(np.uint8 if top < 256 else ">u2")

@@ -1,7 +1,7 @@
 """Raw camera files (DNG, CR2, NEF, ARW, ...) as light: black subtracted, 1 where the sensor clips.
 
-Read by LibRaw. No white balance, no colour matrix, no gamma, no brightening: levels stay
-proportional to light in each channel by itself.
+LibRaw reads them without white balance, colour matrix, gamma or brightening, so that the levels of
+each channel stay proportional to light.
 """
 
 from __future__ import annotations
@@ -13,38 +13,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.errors import InputError, MissingExtraError
-from lightmatrix.files.image_size import check_size
+from lightmatrix.files.reading import check_image_size
 
 RAW = (".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".orf", ".rw2")
 
 
 def read_raw(file: Path, *, mosaic: bool = False) -> NDArray[np.float32]:
-    """Read a raw camera file.
+    """Read a raw camera file: (rows, cols, 3), or (rows, cols) as a mosaic.
 
-    Parameters
-    ----------
-    file : Path
-        The file.
-    mosaic : bool
-        Whether each pixel stays what it is, a sample behind one colour of the filter. Otherwise the
-        colours in between are interpolated, linearly, so that light still adds up.
-
-    Returns
-    -------
-    (rows, cols, 3) or, as a mosaic, (rows, cols) float32
-        As the sensor lies, not turned. Noise may be below 0.
-
-    Raises
-    ------
-    InputError
-        On files of several shots or without a mosaic where one is asked for.
-    MissingExtraError
-        Without the extra `raw`.
+    The image lies as the sensor does, not turned. Noise may be below 0. A mosaic keeps each pixel
+    as a sample behind one colour of the filter. Otherwise the missing colours are interpolated
+    linearly, so that light still adds up.
     """
-    library = _library()
+    library = raw_library()
     with library.imread(str(file)) as opened:
         rows, cols = opened.sizes.height, opened.sizes.width
-        check_size(file, (rows, cols, 3))
+        check_image_size(file, (rows, cols, 3))
         flat = opened.raw_type == library.RawType.Flat
         if mosaic and not flat:
             raise InputError(
@@ -52,12 +36,12 @@ def read_raw(file: Path, *, mosaic: bool = False) -> NDArray[np.float32]:
             )
         black, clip = _levels(file, opened)
         if mosaic:
-            place = np.asarray(opened.raw_colors_visible)
+            colour = np.asarray(opened.raw_colors_visible)
             levels = np.asarray(opened.raw_image_visible, np.float32)
-            return ((levels - black[place]) / (clip - black)[place]).astype(np.float32)
+            return ((levels - black[colour]) / (clip - black)[colour]).astype(np.float32)
         span = clip - black
         if flat:
-            black, span = _as_three(opened, black, span)
+            black, span = _with_one_black(opened, black, span)
         levels = opened.postprocess(
             demosaic_algorithm=library.DemosaicAlgorithm.LINEAR,
             output_color=library.ColorSpace.raw,
@@ -67,7 +51,7 @@ def read_raw(file: Path, *, mosaic: bool = False) -> NDArray[np.float32]:
             output_bps=16,
             no_auto_bright=True,
             no_auto_scale=True,
-            # Subtracted here: LibRaw would cut off what noise makes darker than black.
+            # Black is subtracted below: LibRaw would cut off noise that is darker than black.
             user_black=0,
             user_cblack=[0, 0, 0, 0],
             user_flip=0,
@@ -75,55 +59,8 @@ def read_raw(file: Path, *, mosaic: bool = False) -> NDArray[np.float32]:
         return ((levels - black[:3]) / span[:3]).astype(np.float32)
 
 
-def _as_three(
-    opened: Any, black: NDArray[np.float32], span: NDArray[np.float32]
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Give all colours the least black level, in the opened file too: both greens become one.
-
-    Returns the black levels and, from them to where a colour clips, the spans.
-    """
-    place = np.asarray(opened.raw_colors_visible)
-    colours = np.unique(place)
-    least = black[colours].min()
-    above = np.maximum(black - least, 0).astype(np.uint16)
-    if above[colours].any():
-        levels = opened.raw_image_visible
-        levels -= np.minimum(levels, above[place])
-    if 3 in colours:
-        span = np.where([False, True, False, True], span[[1, 3]].min(), span)
-    return np.full(4, least, np.float32), span
-
-
-def shutter_time(file: Path) -> float | None:
-    """Exposure time of a raw file in seconds; None if it does not say."""
-    try:
-        with _library().imread(str(file)) as opened:
-            seconds = float(opened.other.shutter_speed)
-    except MissingExtraError:
-        raise
-    # A damaged file says so when it is read in its turn.
-    except Exception:
-        return None
-    return seconds if 0 < seconds < 1e5 else None
-
-
-def _levels(file: Path, opened: Any) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Black and clip level of the filter's four colours; the fourth is the second green."""
-    black = np.array(opened.black_level_per_channel, np.float32)
-    clip = np.full(4, opened.white_level, np.float32)
-    # Where a sensor clips before the file's range ends, some cameras say so.
-    told = opened.camera_white_level_per_channel
-    if told is not None and min(told) > 0:
-        clip = np.minimum(clip, np.array(told, np.float32))
-    if not (clip > black).all():
-        raise InputError(
-            f"{file}: says that it is black at {black.max():g} and white at {clip.min():g}",
-            hint="convert it to DNG or TIFF by the camera's own program",
-        )
-    return black, clip
-
-
-def _library() -> Any:
+def raw_library() -> Any:
+    """The module rawpy; without it, an error names the extra to install."""
     try:
         import rawpy
     except ImportError as error:
@@ -133,3 +70,38 @@ def _library() -> Any:
             "16-bit TIFF",
         ) from error
     return rawpy
+
+
+def _with_one_black(
+    opened: Any, black: NDArray[np.float32], span: NDArray[np.float32]
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Give all colours the least black level, in the opened file too, since both greens become one.
+
+    Returns the black levels and the spans from black to clipping.
+    """
+    colour = np.asarray(opened.raw_colors_visible)
+    colours = np.unique(colour)
+    least = black[colours].min()
+    above = np.maximum(black - least, 0).astype(np.uint16)
+    if above[colours].any():
+        levels = opened.raw_image_visible
+        levels -= np.minimum(levels, above[colour])
+    if 3 in colours:
+        span = np.where([False, True, False, True], span[[1, 3]].min(), span)
+    return np.full(4, least, np.float32), span
+
+
+def _levels(file: Path, opened: Any) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Black and clip level of the filter's four colours; the fourth is the second green."""
+    black = np.array(opened.black_level_per_channel, np.float32)
+    clip = np.full(4, opened.white_level, np.float32)
+    # Some cameras say where the sensor clips, if that is before the file's range ends.
+    camera_clip = opened.camera_white_level_per_channel
+    if camera_clip is not None and min(camera_clip) > 0:
+        clip = np.minimum(clip, np.array(camera_clip, np.float32))
+    if not (clip > black).all():
+        raise InputError(
+            f"{file}: says that it is black at {black.max():g} and white at {clip.min():g}",
+            hint="convert it to DNG or TIFF by the camera's own program",
+        )
+    return black, clip

@@ -1,27 +1,26 @@
-"""Files that are read: regular ones only, of a sane size, and none outside their folder.
+"""Checks before a file is read: it is a regular one, not too large, and not outside its folder.
 
 A pipe hangs, a device never ends, and a link in a folder from elsewhere may lead anywhere.
 """
 
 from __future__ import annotations
 
+import math
 import stat
+from collections.abc import Sequence
 from pathlib import Path
 
 from lightmatrix.errors import InputError
 
-# No description, curve or header that we read comes near it.
+# Bytes of the longest text that is read, far more than any description or curve of ours takes.
 MOST_TEXT = 16 << 20
+# Values of the largest image that is read: twice those of the largest cameras. A stack of such
+# frames fits into no memory.
+MOST_VALUES = 1 << 28
 
 
 def regular_file(path: str | Path) -> Path:
-    """The path, if it names a regular file or a link to one.
-
-    Raises
-    ------
-    InputError
-        If nothing is there, or a folder, a pipe, a device, a socket or a link that leads nowhere.
-    """
+    """The path, if it names a regular file or a link to one."""
     file = Path(path)
     try:
         mode = file.stat().st_mode
@@ -44,13 +43,7 @@ def regular_file(path: str | Path) -> Path:
 
 
 def read_bytes(path: str | Path, most: int = MOST_TEXT) -> bytes:
-    """The content of a regular file of at most `most` bytes.
-
-    Raises
-    ------
-    InputError
-        If it is none, is larger, or cannot be read.
-    """
+    """The content of a regular file of at most `most` bytes."""
     file = regular_file(path)
     try:
         with file.open("rb") as stream:
@@ -61,7 +54,7 @@ def read_bytes(path: str | Path, most: int = MOST_TEXT) -> bytes:
         ) from error
     if len(content) > most:
         raise InputError(
-            f"{file}: is larger than {most / 2**20:g} MiB", hint="is it the file that was meant?"
+            f"{file}: is larger than {most / 2**20:g} MiB", hint="check that it is the right file"
         )
     return content
 
@@ -69,11 +62,7 @@ def read_bytes(path: str | Path, most: int = MOST_TEXT) -> bytes:
 def read_text(path: str | Path, most: int = MOST_TEXT) -> str:
     """The text of a regular file, UTF-8 with or without byte order mark.
 
-    Raises
-    ------
-    InputError
-        As for `read_bytes`, and if it is no text. The message does not quote the content, which
-        may be none of the caller's business.
+    The message of an error does not quote the content, which the caller may have no right to see.
     """
     content = read_bytes(path, most)
     try:
@@ -86,26 +75,14 @@ def read_text(path: str | Path, most: int = MOST_TEXT) -> str:
 
 
 def within(folder: Path, name: str, source: Path) -> Path:
-    """A file that a description names, which must lie in the description's folder.
+    """A file that a description names, if it lies in the description's folder.
 
-    Parameters
-    ----------
-    folder : Path
-        Where it must lie, links followed to their ends.
-    name : str
-        As the description names it, relative to the folder.
-    source : Path
-        The description, for the message.
-
-    Raises
-    ------
-    InputError
-        If the name leads out of the folder.
+    Links are followed to their ends. `source` is the description, for the message.
     """
     try:
         target = (folder / name).resolve()
         inside = target.is_relative_to(folder.resolve())
-    # A loop of links, or a name with a zero in it.
+    # A loop of links, or a name that holds a zero byte.
     except (OSError, RuntimeError, ValueError):
         inside = False
     if not name or Path(name).is_absolute() or not inside:
@@ -114,3 +91,12 @@ def within(folder: Path, name: str, source: Path) -> Path:
             hint="copy the file into the folder; in Python, allow_outside=True permits it",
         )
     return folder / name
+
+
+def check_image_size(file: Path, shape: Sequence[int]) -> None:
+    """Refuse an image that is empty or too large, by the shape in its header."""
+    if not 1 <= math.prod(shape) <= MOST_VALUES:
+        raise InputError(
+            f"{file}: announces {' x '.join(map(str, shape))} values",
+            hint=f"an image has at most {MOST_VALUES} values; is the file damaged?",
+        )

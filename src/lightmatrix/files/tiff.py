@@ -1,9 +1,8 @@
-"""TIFF files: what tifffile would fill with zeros, or hand over undecoded, is refused."""
+"""TIFF files: whatever tifffile would fill with zeros, or return undecoded, is refused."""
 
 from __future__ import annotations
 
 import math
-import zlib
 from pathlib import Path
 from typing import Any
 
@@ -13,46 +12,43 @@ import tifffile
 from numpy.typing import NDArray
 
 from lightmatrix.errors import InputError
-from lightmatrix.files.image_size import check_size
+from lightmatrix.files.inflating import inflated_size
+from lightmatrix.files.reading import check_image_size
 
+# Numbers of the TIFF specification: compressions, and photometric interpretations.
 _UNCOMPRESSED, _DEFLATE = 1, (8, 32946)
 _INVERTED, _PALETTE, _YCBCR = 0, 3, 6
-# Grey either way, RGB, and the mosaics of raw files, whose every pixel is a sample of its own.
+# Grey either way, RGB, and the mosaics of raw files, in which every pixel is one sample.
 _PHOTOMETRIC = (_INVERTED, 1, 2, 32803, 34892)
 _BITS = (1, 8, 16, 32, 64)
-_ONE = "save one image a file, or give this file in place of the folder, as a stack"
+_ONE_IMAGE = "save one image a file, or give this file in place of the folder, as a stack"
 
 
 def read_tiff(file: Path) -> NDArray[Any]:
-    """Read a TIFF file of one page as it is stored, inverted grey put right.
+    """Read a TIFF file of one page as it is stored; inverted grey is turned back.
 
-    Raises
-    ------
-    InputError
-        On several pages, colours by palette or other than RGB, packed bits, a compression that
-        loses depth, or sizes that no image has.
-    ValueError
-        If strips or tiles are missing, empty, or shorter than the image needs.
+    A ValueError says if strips or tiles are missing, empty, or shorter than the image needs.
     """
     with tifffile.TiffFile(file) as tiff:
         if len(tiff.pages) != 1:
-            raise InputError(f"{file}: holds {len(tiff.pages)} pages", hint=_ONE)
+            raise InputError(f"{file}: holds {len(tiff.pages)} pages", hint=_ONE_IMAGE)
         page = tiff.pages.first
-        check_size(file, page.shape)
+        check_image_size(file, page.shape)
         # ImageJ and tifffile write many images behind the description of one.
         if (tiff.is_imagej or tiff.is_shaped) and tiff.series[0].size != page.size:
-            raise InputError(f"{file}: holds several images", hint=_ONE)
+            raise InputError(f"{file}: holds several images", hint=_ONE_IMAGE)
         return read_page(file, page, 0)
 
 
 def read_page(file: Path, page: tifffile.TiffPage, index: int) -> NDArray[Any]:
-    """Read one page, number `index`, of an open TIFF file; see `read_tiff`."""
+    """Read page number `index` of an open TIFF file; see `read_tiff`."""
     _check_page(file, page)
-    plain = page.compression == _UNCOMPRESSED or page.compression in _DEFLATE
-    if plain:
+    if _is_plain(page):
         image = np.asarray(page.asarray())
+        if page.axes == "SYX":
+            image = np.moveaxis(image, 0, -1)
     else:
-        # Other compressions are Pillow's, as far as it keeps the depth.
+        # Pillow reads other compressions, unless it would reduce their depth.
         image = np.asarray(imageio.imread(file, plugin="pillow", index=index))
         if image.dtype != page.dtype:
             kind = int(page.compression)
@@ -60,30 +56,13 @@ def read_page(file: Path, page: tifffile.TiffPage, index: int) -> NDArray[Any]:
                 f"{file}: {page.dtype} values with compression {kind} are not read",
                 hint="save it uncompressed or as PNG",
             )
-    if plain and page.axes == "SYX":
-        image = np.moveaxis(image, 0, -1)
     if page.photometric == _INVERTED and image.dtype.kind == "u":
         image = np.iinfo(image.dtype).max - image
     return image
 
 
-def _check_page(file: Path, page: tifffile.TiffPage) -> None:
-    check_size(file, page.shape)
-    colours = int(page.photometric)
-    decoded = page.compression not in (_UNCOMPRESSED, *_DEFLATE)
-    if colours not in _PHOTOMETRIC and not (colours == _YCBCR and decoded):
-        words = "a palette" if colours == _PALETTE else f"colours of kind {colours}"
-        raise InputError(f"{file}: has {words}", hint="save it in grey or RGB")
-    if page.axes not in ("YX", "YXS", "SYX"):
-        raise InputError(f"{file}: has axes {page.axes}", hint="save one image a file")
-    bits = page.bitspersample
-    if bits not in _BITS:
-        raise InputError(f"{file}: has {bits} bits a value", hint="save it with 8 or 16 bits")
-    check_segments(file, page)
-
-
 def check_segments(file: Path, page: tifffile.TiffPage) -> None:
-    """Whether all strips or tiles lie in the file and hold what they have to."""
+    """Check that all strips or tiles lie in the file and hold as much as the image needs."""
     counts, offsets = page.databytecounts, page.dataoffsets
     if not len(counts) == len(offsets) == math.prod(page.chunked):
         raise ValueError("strips are missing")
@@ -92,7 +71,7 @@ def check_segments(file: Path, page: tifffile.TiffPage) -> None:
     size = file.stat().st_size
     if min(offsets) < 8 or any(o + n > size for o, n in zip(offsets, counts, strict=True)):
         raise ValueError("the file ends early")
-    if page.compression != _UNCOMPRESSED and page.compression not in _DEFLATE:
+    if not _is_plain(page):
         return
     rows, cols, depth = (*page.chunks, 1)[:3]
     line = (cols * depth * page.bitspersample + 7) // 8
@@ -102,21 +81,27 @@ def check_segments(file: Path, page: tifffile.TiffPage) -> None:
             held = count
             if page.compression in _DEFLATE:
                 stream.seek(offset)
-                held = _inflated_bytes(stream.read(count), rows * line)
+                held = inflated_size(stream.read(count), rows * line)
             first = rows * (index % strips)
             # The last strip may be shorter, or filled up; tiles are always whole.
             if held < line * (rows if page.is_tiled else min(rows, page.imagelength - first)):
                 raise ValueError("a strip is shorter than the image needs")
 
 
-def _inflated_bytes(packed: bytes, most: int) -> int:
-    """Size of a strip, which inflates whole, with its checksum, to no more than it may hold."""
-    inflater = zlib.decompressobj()
-    try:
-        # With room for one byte more, so that the checksum behind the last one is read too.
-        inflated = inflater.decompress(packed, most + 1)
-    except zlib.error as error:
-        raise ValueError(f"damaged pixel data: {error}") from error
-    if len(inflated) > most or not inflater.eof:
-        raise ValueError("a strip that does not fit the image")
-    return len(inflated)
+def _is_plain(page: tifffile.TiffPage) -> bool:
+    return page.compression in (_UNCOMPRESSED, *_DEFLATE)
+
+
+def _check_page(file: Path, page: tifffile.TiffPage) -> None:
+    check_image_size(file, page.shape)
+    colours = int(page.photometric)
+    # Pillow decodes the colours of JPEG in TIFF.
+    if colours not in _PHOTOMETRIC and (colours != _YCBCR or _is_plain(page)):
+        words = "a palette" if colours == _PALETTE else f"colours of kind {colours}"
+        raise InputError(f"{file}: has {words}", hint="save it in grey or RGB")
+    if page.axes not in ("YX", "YXS", "SYX"):
+        raise InputError(f"{file}: has axes {page.axes}", hint="save one image a file")
+    bits = page.bitspersample
+    if bits not in _BITS:
+        raise InputError(f"{file}: has {bits} bits a value", hint="save it with 8 or 16 bits")
+    check_segments(file, page)

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from zarr.codecs import BloscCodec, Crc32cCodec
 
 from lightmatrix.errors import InputError
-from lightmatrix.files.headers import parse_json
+from lightmatrix.files.json_files import parse_json
 from lightmatrix.files.reading import read_text, regular_file
 
 HEADER = "zarr.json"
@@ -164,7 +164,7 @@ def read_attributes(place: Path) -> dict[str, Any]:
 
 
 @contextmanager
-def damage_explained(place: Path, hint: str) -> Iterator[None]:
+def as_damage_error(place: Path, hint: str) -> Iterator[None]:
     """Whatever goes wrong within is damage of a folder, said with what to do.
 
     Raises

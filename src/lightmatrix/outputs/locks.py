@@ -24,7 +24,7 @@ from filelock import FileLock, Timeout, lock_descriptor
 
 from lightmatrix.errors import LightMatrixWarning, OutputError
 from lightmatrix.outputs.markers import printable
-from lightmatrix.outputs.targets import explained
+from lightmatrix.outputs.targets import as_output_error
 
 FORMAT, VERSION = "lightmatrix-lock", 1
 # A lock counts as held by another process after 0.2 s, in which it is tried every 0.01 s. Both were
@@ -59,7 +59,7 @@ def locked(target: Path) -> Iterator[bool]:
         If another process or thread holds it (saying which), or the lock cannot be made.
     """
     lock = _lock(target)
-    with explained(target):
+    with as_output_error(target):
         if not lock.is_locked:
             _check_ours(lock_file(target))
         works = _acquire(lock, target)

@@ -21,7 +21,7 @@ from typing import Any, Self
 
 from lightmatrix.errors import LightMatrixWarning, OutputError
 from lightmatrix.outputs.markers import MARKER, printable, read_object
-from lightmatrix.outputs.targets import explained
+from lightmatrix.outputs.targets import as_output_error
 
 FORMAT, VERSION = "lightmatrix-running", 1
 # The name of a file that is being written: its final name around eight random digits.
@@ -57,7 +57,7 @@ class RunningResults:
             If the folder exists and is not ours, or the disk fails.
         """
         folder = check_running(target, ending)
-        with explained(folder):
+        with as_output_error(folder):
             folder.mkdir(exist_ok=True)
             if not (folder / MARKER).exists() or not (folder / MARKER).stat().st_size:
                 header = {"format": FORMAT, "version": VERSION, "output": target.name}
@@ -136,7 +136,7 @@ class RunningResults:
 
     def place(self, name: str) -> Path:
         """List a file and return where another process may write it with `write_whole`."""
-        with explained(self.file(name)):
+        with as_output_error(self.file(name)):
             self._list(name)
         return self.file(name)
 
@@ -211,7 +211,7 @@ def write_whole(file: Path) -> Iterator[Path]:
         If the disk fails.
     """
     part = file.with_name(f".{file.stem}.{secrets.token_hex(4)}.part{file.suffix}")
-    with explained(file):
+    with as_output_error(file):
         try:
             yield part
             with part.open("rb+") as written:
@@ -230,7 +230,7 @@ def check_running(target: Path, ending: str) -> Path:
         If something else has its name.
     """
     folder = target.with_name(target.name + ending)
-    with explained(folder):
+    with as_output_error(folder):
         if not os.path.lexists(folder) or _is_ours(folder):
             return folder
     raise OutputError(

@@ -40,7 +40,7 @@ def final_target(path: str | Path) -> Path:
         folder, the current folder, or a folder that holds one of these.
     """
     given = Path(path)
-    with explained(given):
+    with as_output_error(given):
         for part in (given, *given.parents):
             if part.is_symlink() and not part.exists():
                 raise OutputError(
@@ -61,7 +61,7 @@ def final_target(path: str | Path) -> Path:
 
 
 @contextmanager
-def explained(output: str | Path) -> Iterator[None]:
+def as_output_error(output: str | Path) -> Iterator[None]:
     """Turn the failures of the disk into an OutputError that names the output."""
     try:
         yield

@@ -22,7 +22,7 @@ from lightmatrix.outputs.locks import check_unlocked, locked
 from lightmatrix.outputs.markers import MARKER, FolderKind, OutputKind, read_object
 from lightmatrix.outputs.running import check_running
 from lightmatrix.outputs.swap import put_in_place
-from lightmatrix.outputs.targets import explained, failure, final_target
+from lightmatrix.outputs.targets import as_output_error, failure, final_target
 
 TEMPORARY = "lightmatrix-temporary"
 _OLD = "old"
@@ -58,7 +58,7 @@ def check_output(path: str | Path, kind: OutputKind, *, overwrite: bool = False)
             hint=f"end it in {' or '.join(kind.suffixes)}",
         )
     target = final_target(given)
-    with explained(given):
+    with as_output_error(given):
         check_unlocked(target)
         if os.path.lexists(target) and kind.check_replaceable(given, target) and not overwrite:
             raise OutputError(
@@ -86,11 +86,11 @@ def claimed(path: str | Path, kind: OutputKind, *, overwrite: bool = False) -> I
     target = check_output(path, kind, overwrite=overwrite)
     made: list[Path] = []
     try:
-        with explained(path):
+        with as_output_error(path):
             _make_parents(target.parent, made)
         with locked(target) as first:
             if first:
-                with explained(path):
+                with as_output_error(path):
                     _tidy(target)
                 # Another run may have come between the check and the lock.
                 check_output(path, kind, overwrite=overwrite)
@@ -148,7 +148,7 @@ def _workplace(shown: str | Path, target: Path) -> Iterator[Path]:
     # One that stands there belongs to a claim around this one: making it fails.
     ours = not os.path.lexists(place)
     try:
-        with explained(shown):
+        with as_output_error(shown):
             place.mkdir()
         content = {"format": TEMPORARY, "version": 1, "output": target.name}
         (place / MARKER).write_text(json.dumps(content) + "\n")

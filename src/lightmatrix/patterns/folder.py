@@ -16,18 +16,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.errors import InputError, LightMatrixWarning
-from lightmatrix.files.ahead import read_ahead
 from lightmatrix.files.colours import COLOURS
-from lightmatrix.files.headers import read_json, said_in
+from lightmatrix.files.image_stack import ImageStack, list_entries
 from lightmatrix.files.images import as_grey, colour_of, fill_image, read_image
+from lightmatrix.files.json_files import errors_naming, read_json
 from lightmatrix.files.pages import Page
-from lightmatrix.files.stack import ImageStack, list_entries
+from lightmatrix.files.read_ahead import read_ahead
 from lightmatrix.outputs.kinds import PATTERNS
 from lightmatrix.outputs.writing import atomic_folder
 from lightmatrix.patterns.bits import BitPatterns
 from lightmatrix.patterns.making import remake_patterns
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet, to_grey
-from lightmatrix.resources.memory import check_room
+from lightmatrix.resources.memory import check_memory
 
 DESCRIPTION = "patterns.json"
 FORMAT, VERSION = "lightmatrix-patterns", 1
@@ -120,7 +120,7 @@ def read_patterns(source: str | Path) -> PatternSet:
     difference = None
     if description is not None:
         difference = _differing_size(description, paths)
-        with said_in(place / DESCRIPTION):
+        with errors_naming(place / DESCRIPTION):
             operator = None if difference else remake_patterns(description)
         if operator is not None:
             difference = _first_difference(operator, paths)
@@ -151,7 +151,7 @@ def _from_images(place: Path, entries: list[Path | Page]) -> PatternSet:
             if (lit | (grey == 0)).all():
                 bits[k] = np.packbits(lit, bitorder="little")
                 continue
-            check_room(place, 4 * count * pixels)
+            check_memory(place, 4 * count * pixels)
             images = np.empty((count, *shape), np.float32)
             images[:k] = BitPatterns(shape, bits).images(0, k)
         images[k] = grey

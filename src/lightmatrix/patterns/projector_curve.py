@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.files.curves import CurveFile
+from lightmatrix.files.curve_file import CurveFile
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
 
 # Grey values darker than this share of white do not count for the exponent, since noise is a large

@@ -13,8 +13,8 @@ from PIL import Image
 
 from lightmatrix import store
 from lightmatrix.errors import InputError
-from lightmatrix.files.headers import said_in
 from lightmatrix.files.images import read_grey, read_light, write_image
+from lightmatrix.files.json_files import errors_naming
 from lightmatrix.outputs.kinds import IMAGE
 from lightmatrix.outputs.writing import check_output
 from lightmatrix.patterns.grids import block_mean
@@ -94,7 +94,7 @@ def relight(
     image = np.zeros(found[0].camera_shape, np.float32)
     for one, name, part in zip(found, given, _parts(pattern, len(found)), strict=True):
         # A store that was damaged may be what does not fit.
-        named = said_in(Path(name)) if isinstance(name, str | Path) else nullcontext()
+        named = errors_naming(Path(name)) if isinstance(name, str | Path) else nullcontext()
         with named:
             light = _fitted(part, one, resize)
         image += exposure * one.relight(light)

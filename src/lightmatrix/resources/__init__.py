@@ -1,1 +1,1 @@
-"""What this machine offers: memory, disk space, temporary arrays."""
+"""What this machine has left: memory, disk space, and room for temporary arrays."""

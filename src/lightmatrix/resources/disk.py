@@ -1,41 +1,77 @@
-"""The room on a disk, asked before anything is computed or written that would not fit."""
+"""Disk space: checked before outputs are computed, and reserved for large temporary arrays."""
 
 from __future__ import annotations
 
+import math
 import os
 import shutil
+import tempfile
 from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from lightmatrix.errors import OutputError
 
+# Arrays of up to 2 GiB are held in memory, larger ones in a temporary file. Chosen by hand: less
+# writes the samples of ordinary captures to disk, more leaves small machines no memory to solve in.
+SCRATCH_MEMORY_BYTES = 2 << 30
 
-def check_disk(folder: Path, needed: int, output: str | Path, words: str = "up to") -> None:
-    """Refuse an output that the disk cannot hold.
 
-    Parameters
-    ----------
-    folder : Path
-        Where it will lie; the nearest folder above it that exists is asked.
-    needed : int
-        Bytes.
-    output : str or Path
-        What messages call it.
-    words : str
-        How sure that is, such as "at least".
+def check_disk_space(folder: Path, needed: int, output: str | Path, words: str = "up to") -> None:
+    """Refuse an output that takes more bytes than the disk of its folder has free.
 
-    Raises
-    ------
-    OutputError
-        Saying how much is needed and how much is free.
+    The nearest folder above that exists is asked. `words` says how sure the size is, such as "at
+    least".
     """
     place = next(part for part in (folder, *folder.parents) if os.path.lexists(part))
     try:
         free = shutil.disk_usage(place).free
     except OSError:
-        # A file system that does not say; it will fail when it is full.
+        # A file system that does not say how much is free fails when it is full.
         return
     if needed > free:
         raise OutputError(
             f"{output}: takes {words} {needed / 2**30:.3g} GiB, {free / 2**30:.3g} GiB are free",
             hint="free some space, or choose a folder on another disk",
         )
+
+
+def scratch_array(shape: tuple[int, ...], dtype: np.dtype[Any]) -> NDArray[Any]:
+    """An array without values; above 2 GiB in a temporary file that vanishes with it.
+
+    Raises
+    ------
+    OutputError
+        If the folder of temporary files has not enough space.
+    """
+    size = math.prod(shape) * dtype.itemsize
+    if size <= SCRATCH_MEMORY_BYTES:
+        return np.empty(shape, dtype)
+    place = tempfile.gettempdir()
+    try:
+        free = shutil.disk_usage(place).free
+        if free < size:
+            raise _too_small(place, size, f"{_gigabytes(free)} free")
+        with tempfile.TemporaryFile() as file:
+            # A hole in the file would kill the process when the disk is full at its first use.
+            if hasattr(os, "posix_fallocate"):
+                os.posix_fallocate(file.fileno(), 0, size)
+            else:  # macOS and Windows cannot reserve space; the check above must do.
+                file.truncate(size)
+            # The mapping keeps the unnamed file alive.
+            return np.memmap(file, dtype, "r+", shape=shape)
+    except OSError as error:
+        raise _too_small(place, size, error.strerror or str(error)) from error
+
+
+def _too_small(place: str, size: int, problem: str) -> OutputError:
+    return OutputError(
+        f"{place}: no space for {_gigabytes(size)} of temporary data ({problem})",
+        hint="set TMPDIR to a folder with more space, or bin the camera's pixels",
+    )
+
+
+def _gigabytes(size: int) -> str:
+    return f"{size / 2**30:.1f} GiB"

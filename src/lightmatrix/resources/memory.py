@@ -1,4 +1,4 @@
-"""The memory that is free, asked before anything is made that a file only announces."""
+"""Free memory, on this machine and within the limits of a container."""
 
 from __future__ import annotations
 
@@ -8,55 +8,77 @@ from pathlib import Path
 import psutil
 
 from lightmatrix.errors import InputError
-from lightmatrix.resources.cgroups import memory_left
 
-# Bytes of what amounts of memory are written in.
+# Bytes of each unit, by its name in lower case.
 UNITS = {"mb": 10**6, "gb": 10**9, "tb": 10**12, "mib": 2**20, "gib": 2**30, "tib": 2**40}
+# Linux lists the control groups of this process in the first file. The second folder holds all
+# groups. A container often sees its own group as the root there, whatever the first file says.
+_OWN_GROUPS, _ALL_GROUPS = Path("/proc/self/cgroup"), Path("/sys/fs/cgroup")
 
 
 def available_bytes() -> int:
     """Memory that is free without swapping, on this machine and within limits of a container."""
     free = int(psutil.virtual_memory().available)
-    left = memory_left()
+    left = bytes_left_by_groups()
     return free if left is None else min(free, left)
 
 
 def memory_bytes(text: str) -> int:
-    """Read an amount of memory such as 4GiB, 800MB or 2.5 GiB.
-
-    Raises
-    ------
-    InputError
-        On anything else.
-    """
-    found = re.fullmatch(r"\s*(\d+(?:\.\d*)?)\s*([A-Za-z]+)\s*", text, flags=re.ASCII)
-    unit = UNITS.get(found[2].lower()) if found else None
-    if found is None or unit is None:
+    """Parse an amount of memory such as 4GiB, 800MB or 2.5 GiB."""
+    match = re.fullmatch(r"\s*(\d+(?:\.\d*)?)\s*([A-Za-z]+)\s*", text, flags=re.ASCII)
+    unit = UNITS.get(match[2].lower()) if match else None
+    if match is None or unit is None:
         raise InputError(f"an amount of memory of {text!r}", hint="write one such as 4GiB or 800MB")
-    return int(float(found[1]) * unit)
+    return int(float(match[1]) * unit)
 
 
-def check_room(file: Path, needed: int) -> None:
-    """Refuse to read what would not fit into memory.
+def check_memory(file: Path, needed: int) -> None:
+    """Refuse to read a file whose content takes more bytes of memory than are free.
 
     A compressed file of a few megabytes may announce, and even hold, terabytes.
-
-    Parameters
-    ----------
-    file : Path
-        What is read.
-    needed : int
-        Bytes that its content takes in memory.
-
-    Raises
-    ------
-    InputError
-        If they are not free.
     """
     available = available_bytes()
     if needed > available:
         raise InputError(
             f"{file}: announces {needed / 2**30:.3g} GiB of data, {available / 2**30:.3g} GiB of "
             "memory are free",
-            hint="if the file is what it should be, read it on a machine with more memory",
+            hint="if the file is intact, read it on a machine with more memory",
         )
+
+
+def bytes_left_by_groups() -> int | None:
+    """Bytes that the tightest Linux control group around this process leaves it.
+
+    Cached files count as free, because the kernel drops them first. None where nothing is limited
+    or there are no such groups.
+    """
+    try:
+        lines = _OWN_GROUPS.read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return None
+    left = []
+    for line in lines:
+        _, controllers, path = line.split(":", 2)
+        if not controllers:  # Version 2 of control groups, then version 1.
+            place, names = _ALL_GROUPS, ("memory.max", "memory.current", "")
+        elif "memory" in controllers.split(","):
+            names = ("memory.limit_in_bytes", "memory.usage_in_bytes", "total_")
+            place = _ALL_GROUPS / "memory"
+        else:
+            continue
+        own = Path(path.lstrip("/"))
+        groups = [_bytes_left(place / group, *names) for group in (own, *own.parents)]
+        left += [size for size in groups if size is not None]
+    return min(left, default=None)
+
+
+def _bytes_left(group: Path, limit: str, used: str, prefix: str) -> int | None:
+    """What one group leaves; None if it does not say, or has no limit."""
+    try:
+        # Version 2 writes "max" where there is no limit, which is no number either.
+        most, now = (int((group / name).read_text()) for name in (limit, used))
+        sizes = dict(line.split() for line in (group / "memory.stat").read_text().splitlines())
+        cached = sum(int(sizes[f"{prefix}{kind}_file"]) for kind in ("inactive", "active"))
+    except (OSError, ValueError, KeyError):
+        return None
+    return max(0, most - max(0, now - cached))

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from lightmatrix.errors import InputError
-from lightmatrix.files.npz import read_npz
+from lightmatrix.files.numpy_files import read_npz
 from lightmatrix.outputs.kinds import PACKED
 from lightmatrix.outputs.writing import atomic_file
 from lightmatrix.simulation.truth import Truth

@@ -29,8 +29,8 @@ from lightmatrix.outputs.writing import check_output
 from lightmatrix.patterns.folder import read_patterns
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.ranges import check_seed
-from lightmatrix.resources.memory import check_room
-from lightmatrix.resources.scratch import scratch_array
+from lightmatrix.resources.disk import scratch_array
+from lightmatrix.resources.memory import check_memory
 from lightmatrix.simulation.irradiance import irradiance
 from lightmatrix.simulation.procedural_scene import ProceduralScene
 from lightmatrix.simulation.truth import Truth
@@ -190,7 +190,7 @@ def scene_of(provenance: Mapping[str, Any]) -> ProceduralScene | None:
 
 def check_truth_fits(scene: ProceduralScene, name: str | Path) -> None:
     """Raise InputError if the whole T of a scene would not fit into memory."""
-    check_room(Path(name), math.prod(scene.camera_shape) * scene.row_entries * _ENTRY_BYTES)
+    check_memory(Path(name), math.prod(scene.camera_shape) * scene.row_entries * _ENTRY_BYTES)
 
 
 def truth_of(capture: Capture, name: str | Path) -> Truth | None:

@@ -24,9 +24,9 @@ from lightmatrix.outputs.kinds import PARTIAL, STORE
 from lightmatrix.outputs.markers import read_object
 from lightmatrix.outputs.running import RunningResults
 from lightmatrix.outputs.writing import claimed
-from lightmatrix.store import zarr_file
 from lightmatrix.store.tiles import Span, read_tile, tile_name, tile_of, without_overlap, write_tile
-from lightmatrix.store.zarr_file import save_rows
+from lightmatrix.store.zarr_store import open as open_store
+from lightmatrix.store.zarr_store import save_rows
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.transport.sparse_rows import SparseRows
 
@@ -194,7 +194,7 @@ class Checkpoint:
                 "permissions and the free space, and run the same estimate again",
             ) from error
         self.discard()
-        return replace(zarr_file.open(self._path), provenance=provenance)
+        return replace(open_store(self._path), provenance=provenance)
 
     def discard(self) -> None:
         """Throw away all that is kept."""

@@ -1,4 +1,4 @@
-"""Sparse matrices in npz files: ours, exported or rendered, and what SciPy saves."""
+"""Reads sparse matrices from npz files: ours, exported or rendered, and those that SciPy saves."""
 
 from __future__ import annotations
 
@@ -12,23 +12,24 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array, csr_array
 
 from lightmatrix.errors import InputError
-from lightmatrix.files.headers import parse_json
-from lightmatrix.files.npy import Header
-from lightmatrix.files.npz import read_npz
+from lightmatrix.files.json_files import parse_json
+from lightmatrix.files.numpy_files import NpyHeader, read_npz
 from lightmatrix.outputs.kinds import TRANSPORT_MARK, TRUTH_MARK
-from lightmatrix.store.checked import checked_matrix, finite, shape_of
+from lightmatrix.store.matrix_checks import checked_float32, checked_matrix, checked_shape
+from lightmatrix.transport.matrix import LightTransport
 
-# Of exports and truth files alike: a file of a later one is refused, not guessed at.
+# The version of exports and truth files. Files of a later one are refused.
 VERSION = 1
 _VERSIONS = (TRANSPORT_MARK, TRUTH_MARK)
-# Arrays of one value an entry; all others are small or of one value a row and cell.
+# Arrays of one value an entry. All others are small or have one value for each row and cell.
 _ENTRIES = ("data", "indices", "row", "col", "direct_data")
+# Bytes that any other array may take, such as the metadata. Chosen by hand, far above real files.
 _MOST_SMALL = 16 << 20
 
 
 @dataclass(frozen=True, eq=False)
 class SparseFile:
-    """What an npz file says of a matrix, checked whole.
+    """The checked content of an npz file.
 
     Parameters
     ----------
@@ -54,14 +55,38 @@ class SparseFile:
     metadata: Mapping[str, Any]
 
 
-def read_sparse_npz(path: str | Path) -> SparseFile:
-    """Read a sparse matrix in CSR, CSC or COO form.
+def import_npz(
+    path: str | Path,
+    camera_shape: tuple[int, ...] | None = None,
+    projector_shape: tuple[int, int] | None = None,
+) -> LightTransport:
+    """Read T from npz: an export, a truth file, or a CSR, CSC or COO matrix saved by SciPy.
 
-    Raises
-    ------
-    InputError
-        If it cannot be read, is of a later format version, or contradicts itself.
+    The shapes are needed for files that do not hold them.
     """
+    content = read_sparse_npz(path)
+    camera = camera_shape or content.camera_shape
+    projector = projector_shape or content.projector_shape
+    if camera is None or projector is None:
+        raise InputError(
+            f"{path}: does not say the shapes of camera and projector",
+            hint="give camera_shape and projector_shape",
+        )
+    background = content.background
+    if background is None:
+        background = np.zeros((content.matrix.shape[0], 1), np.float32)
+    return LightTransport(
+        content.matrix,
+        background,
+        camera,
+        projector,
+        content.background_grid,
+        provenance=dict(content.metadata),
+    )
+
+
+def read_sparse_npz(path: str | Path) -> SparseFile:
+    """Read a sparse matrix in CSR, CSC or COO form."""
     file = Path(path)
     content = read_npz(file, _check_headers)
     for name in _VERSIONS:
@@ -79,7 +104,7 @@ def read_sparse_npz(path: str | Path) -> SparseFile:
         ) from error
 
 
-def _check_headers(headers: Mapping[str, Header]) -> None:
+def _check_headers(headers: Mapping[str, NpyHeader]) -> None:
     """Refuse sizes that no matrix has, before any array is inflated."""
     lacking = [name for name in ("format", "shape", "data") if name not in headers]
     if lacking:
@@ -97,11 +122,11 @@ def _check_headers(headers: Mapping[str, Header]) -> None:
 
 
 def _checked(file: Path, content: Mapping[str, NDArray[Any]]) -> SparseFile:
-    rows, cols = shape_of(content["shape"], (2,), "the matrix")
+    rows, cols = checked_shape(content["shape"], (2,), "the matrix")
     matrix = _matrix(content, (rows, cols))
     camera, projector = None, None
     if "camera_shape" in content:
-        camera = shape_of(content["camera_shape"], (2, 3), "camera_shape")
+        camera = checked_shape(content["camera_shape"], (2, 3), "camera_shape")
     if "projector_shape" in content:
         projector = _pair(content["projector_shape"], "projector_shape")
     for name, shape, length in (("camera", camera, rows), ("projector", projector, cols)):
@@ -116,12 +141,12 @@ def _checked(file: Path, content: Mapping[str, NDArray[Any]]) -> SparseFile:
     if background is not None:
         if background.shape != (rows, grid[0] * grid[1]):
             raise ValueError(f"a background of {background.shape}")
-        background = finite(background, "the background")
+        background = checked_float32(background, "the background")
     direct = content.get("direct_data")
     if direct is not None:
-        if _form(content) != "csr":
+        if _text(content["format"]) != "csr":
             raise ValueError("direct parts without rows in order")
-        direct = finite(direct, "the direct part")
+        direct = checked_float32(direct, "the direct part")
     metadata: Any = {}
     if "metadata" in content:
         metadata = parse_json(_text(content["metadata"]), f"{file}: metadata", finite=False)
@@ -132,7 +157,7 @@ def _checked(file: Path, content: Mapping[str, NDArray[Any]]) -> SparseFile:
 
 def _matrix(content: Mapping[str, NDArray[Any]], shape: tuple[int, int]) -> csr_array:
     rows, cols = shape
-    form = _form(content)
+    form = _text(content["format"])
     needed = {"csr": ("indices", "indptr"), "csc": ("indices", "indptr"), "coo": ("row", "col")}
     if form not in needed:
         raise ValueError(f"a matrix in the form {form[:20]!r}; save it as csr")
@@ -150,20 +175,16 @@ def _matrix(content: Mapping[str, NDArray[Any]], shape: tuple[int, int]) -> csr_
         if index.dtype.kind not in "iu" or (index < 0).any() or (index >= most).any():
             raise ValueError(f"a place lies outside the matrix of {rows} x {cols}")
     places = (content["row"].astype(np.int32), content["col"].astype(np.int32))
-    return csr_array(coo_array((finite(data, "data"), places), shape=shape))
-
-
-def _form(content: Mapping[str, NDArray[Any]]) -> str:
-    return _text(content["format"])
+    return csr_array(coo_array((checked_float32(data, "data"), places), shape=shape))
 
 
 def _pair(value: NDArray[Any], name: str) -> tuple[int, int]:
-    rows, cols = shape_of(value, (2,), name)
+    rows, cols = checked_shape(value, (2,), name)
     return rows, cols
 
 
 def _text(value: NDArray[Any]) -> str:
-    """A single value, as words."""
+    """The text of an array that holds a single value."""
     if value.size != 1:
         return "nothing"
     item = value.reshape(-1)[0].item()

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.errors import InputError
-from lightmatrix.files.npz import read_npz
+from lightmatrix.files.numpy_files import read_npz
 from lightmatrix.outputs.running import write_whole
 from lightmatrix.transport.sparse_rows import SparseRows
 

@@ -25,7 +25,7 @@ from lightmatrix.calibration.responses.pictures import Residuals, draw_camera_re
 from lightmatrix.camera.camera_curve import Response
 from lightmatrix.camera.raw_levels import range_end
 from lightmatrix.errors import InputError, MissingExtraError
-from lightmatrix.files.curves import CurveFile
+from lightmatrix.files.curve_file import CurveFile
 from lightmatrix.outputs.kinds import PICTURE, RESPONSE
 from lightmatrix.outputs.writing import check_output
 from lightmatrix.reprs import short_repr

@@ -10,10 +10,9 @@ from numpy.typing import NDArray
 
 from lightmatrix.capture.frames import ArrayStack, Frames
 from lightmatrix.errors import InputError
-from lightmatrix.files.exif import exposure_time
+from lightmatrix.files.exposure_time import exposure_time
+from lightmatrix.files.image_stack import ImageStack
 from lightmatrix.files.images import read_image
-from lightmatrix.files.raw import RAW, shutter_time
-from lightmatrix.files.stack import ImageStack
 
 Photographs = str | Path | NDArray[Any]
 
@@ -70,11 +69,7 @@ def level_or_median(black: str | Path | float | None) -> float:
 
 def _written(frames: Frames) -> NDArray[np.float64]:
     paths = frames.paths if isinstance(frames, ImageStack) else ()
-    found = [
-        shutter_time(path) if path.suffix.lower() in RAW else exposure_time(path)
-        for path in paths
-        if isinstance(path, Path)
-    ]
+    found = [exposure_time(path) for path in paths if isinstance(path, Path)]
     if not found or None in found:
         which = f"{paths[found.index(None)]}: " if None in found else ""
         raise InputError(

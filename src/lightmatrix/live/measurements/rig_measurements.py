@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from lightmatrix.errors import InputError
-from lightmatrix.files.headers import read_json
+from lightmatrix.files.json_files import read_json
 from lightmatrix.live.devices.exposures import set_exposure
 from lightmatrix.live.frames.photograph import Photographer
 from lightmatrix.live.measurements.exposure import ExposureAdvice, measure_exposure

@@ -1,4 +1,4 @@
-"""Matrices that stay on disk: rows, columns, relighting and regions without loading the whole."""
+"""A matrix that stays on disk: rows, columns, regions and relighting without loading all of it."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from lightmatrix.errors import InputError
-from lightmatrix.files.zarr_arrays import StoredArray, damage_explained
-from lightmatrix.resources.memory import check_room
-from lightmatrix.store.checked import (
+from lightmatrix.files.zarr_arrays import as_damage_error
+from lightmatrix.resources.memory import check_memory
+from lightmatrix.store.matrix_checks import (
     check_indptr,
     checked_diagnostics,
+    checked_float32,
     checked_matrix,
-    finite,
 )
-from lightmatrix.store.zarr_file import RESTORE, Stored, diagnostics_of, look, read_whole
+from lightmatrix.store.zarr_store import RESTORE, StoreHeader, read_store_header, read_whole
 from lightmatrix.transport.matrix import LightTransport, cell_means, checked_patterns
 from lightmatrix.transport.sparse_rows import SparseRows, row_blocks
 
-# Entries of T that are worked on together: eight chunks, which keeps those small that are read
-# twice since a block ends within them.
+# Entries of T in a block of rows: eight chunks, so that few chunks are read twice because a block
+# ends within them.
 _BLOCK_ENTRIES = 1 << 23
-# Blocks are kept once they were read, up to so many bytes.
+# Bytes of blocks that are kept once they were read. Chosen by hand.
 KEPT = 1 << 30
 
 
@@ -42,7 +42,7 @@ class StoredTransport:
 
     Parameters
     ----------
-    stored : Stored
+    header : StoreHeader
         What the store announces.
     memory : int
         Bytes of blocks that are kept.
@@ -58,7 +58,7 @@ class StoredTransport:
     LightTransport(camera 8 x 64, projector 64 x 64, 214586 entries, metal)
     """
 
-    stored: Stored
+    header: StoreHeader
     memory: int = KEPT
     _kept: dict[int, SparseRows] = field(default_factory=dict, repr=False)
 
@@ -67,7 +67,7 @@ class StoredTransport:
             " x ".join(map(str, shape)) for shape in (self.camera_shape, self.projector_shape)
         )
         return (
-            f"StoredTransport({self.stored.place}, camera {camera}, projector {projector}, "
+            f"StoredTransport({self.header.place}, camera {camera}, projector {projector}, "
             f"{self.entries} entries)"
         )
 
@@ -85,41 +85,39 @@ class StoredTransport:
         Raises
         ------
         InputError
-            If there is none, it is incomplete, damaged, or of a later format version. What is read
-            later is checked when it is read, and damage named by its chunk.
+            If there is none, it is incomplete, damaged, or of a later format version. Rows are
+            checked when they are read, and a damaged chunk is named then.
         """
-        found = cls(look(path), memory)
-        # Damage of it is said at once.
-        check_room(found.stored.place, found.stored.arrays["indptr"].bytes)
-        assert len(found._indptr) > 0
-        return found
-
-    # ---- what it is
+        matrix = cls(read_store_header(path), memory)
+        check_memory(matrix.header.place, matrix.header.arrays["indptr"].bytes)
+        # Read now, so that damage of it is reported at once.
+        assert len(matrix._indptr) > 0
+        return matrix
 
     @property
     def camera_shape(self) -> tuple[int, ...]:
         """(rows, cols) or (rows, cols, channels)."""
-        return self.stored.camera_shape
+        return self.header.camera_shape
 
     @property
     def projector_shape(self) -> tuple[int, int]:
         """(rows, cols)."""
-        return self.stored.projector_shape
+        return self.header.projector_shape
 
     @property
     def background_grid(self) -> tuple[int, int]:
         """Rows and columns of the background's grid."""
-        return self.stored.background_grid
+        return self.header.background_grid
 
     @property
     def provenance(self) -> Mapping[str, Any]:
-        """What made it."""
-        return self.stored.provenance
+        """What the matrix was made from, and how."""
+        return self.header.provenance
 
     @property
     def shape(self) -> tuple[int, int]:
         """Camera samples and projector pixels (M, N)."""
-        return self.stored.shape
+        return self.header.shape
 
     @property
     def entries(self) -> int:
@@ -131,42 +129,35 @@ class StoredTransport:
         """The operator m: mean over each cell of the background grid, (B, N)."""
         return cell_means(self.projector_shape, self.background_grid)
 
-    # ---- parts of it
-
     def rows(self, start: int, stop: int) -> SparseRows:
-        """Some rows of T, read from their chunks alone.
+        """The camera samples start to stop, with diagnostics, read from their chunks alone.
 
         Parameters
         ----------
         start, stop : int
-            Camera samples, 0 <= start <= stop <= M.
-
-        Returns
-        -------
-        SparseRows
-            Their coefficients, background and diagnostics.
+            0 <= start <= stop <= M.
 
         Raises
         ------
         InputError
-            Naming a chunk that is damaged.
+            If there are no such rows, or naming a chunk that is damaged.
         """
         if not 0 <= start <= stop <= self.shape[0]:
             raise InputError(
                 f"rows {start} to {stop} of a matrix of {self.shape[0]}", hint="ask for its rows"
             )
-        told: dict[str, StoredArray] = diagnostics_of(self.stored.arrays)
-        with damage_explained(self.stored.place, RESTORE):
-            read = {name: array.read(slice(start, stop)) for name, array in told.items()}
+        arrays = self.header.diagnostics
+        with as_damage_error(self.header.place, RESTORE):
+            read = {name: array.read(slice(start, stop)) for name, array in arrays.items()}
             diagnostics = checked_diagnostics(read, stop - start)
         return replace(self._rows(start, stop), diagnostics=diagnostics)
 
     def _rows(self, start: int, stop: int) -> SparseRows:
-        """Rows without their diagnostics, which light needs not."""
-        arrays = self.stored.arrays
+        """Rows without their diagnostics, which images do not need."""
+        arrays = self.header.arrays
         ends = self._indptr[start : stop + 1]
         entries = slice(int(ends[0]), int(ends[-1]))
-        with damage_explained(self.stored.place, RESTORE):
+        with as_damage_error(self.header.place, RESTORE):
             matrix = checked_matrix(
                 arrays["data"].read(entries),
                 arrays["indices"].read(entries),
@@ -177,9 +168,9 @@ class StoredTransport:
 
     def background(self, start: int, stop: int) -> NDArray[np.float32]:
         """Some rows of the background, (stop - start, B) float32."""
-        with damage_explained(self.stored.place, RESTORE):
-            found = self.stored.arrays["background"].read(slice(start, stop))
-            return finite(found, "background")
+        with as_damage_error(self.header.place, RESTORE):
+            values = self.header.arrays["background"].read(slice(start, stop))
+            return checked_float32(values, "background")
 
     def blocks(self) -> Iterator[tuple[int, SparseRows]]:
         """All rows in blocks of bounded size, without diagnostics: (first row, rows)."""
@@ -212,22 +203,20 @@ class StoredTransport:
             self.rows((r * width + cols.start) * depth, (r * width + cols.stop) * depth)
             for r in range(rows.start, rows.stop)
         ]
-        found = SparseRows.joined(lines)
+        region = SparseRows.joined(lines)
         return LightTransport(
-            found.coefficients,
-            found.background,
+            region.coefficients,
+            region.background,
             (rows.stop - rows.start, cols.stop - cols.start, *channels),
             self.projector_shape,
             self.background_grid,
-            found.diagnostics,
+            region.diagnostics,
             self.provenance,
         )
 
     def load(self) -> LightTransport:
-        """All of it in memory, as `open` of the door gives it."""
-        return read_whole(self.stored)
-
-    # ---- what is done with it, as with `LightTransport`
+        """All of it in memory, as `lightmatrix.open` returns it."""
+        return read_whole(self.header)
 
     def relight(self, patterns: NDArray[Any]) -> NDArray[np.float32]:
         """Camera images under patterns; see `LightTransport.relight`."""
@@ -261,8 +250,8 @@ class StoredTransport:
     def row(self, *camera_index: int) -> NDArray[np.float32]:
         """How each projector pixel reaches one camera sample, as a projector image."""
         index = int(np.ravel_multi_index(camera_index, self.camera_shape))
-        found = self._rows(index, index + 1)
-        values = found.coefficients.toarray() + found.background @ self.pooling
+        row = self._rows(index, index + 1)
+        values = row.coefficients.toarray() + row.background @ self.pooling
         return np.asarray(values, np.float32).reshape(self.projector_shape)
 
     def column(self, row: int, col: int) -> NDArray[np.float32]:
@@ -273,19 +262,17 @@ class StoredTransport:
     def dense_columns(self, index: NDArray[np.integer]) -> NDArray[np.float32]:
         """Chosen columns of T, background included: (M, len(index)) float32."""
         pooled = self.pooling[:, index].toarray()
-        found = np.empty((self.shape[0], len(index)), np.float32)
+        columns = np.empty((self.shape[0], len(index)), np.float32)
         for start, block in self.blocks():
             values = block.coefficients[:, index].toarray() + block.background @ pooled
-            found[start : start + block.count] = values
-        return found
-
-    # ---- how it is read
+            columns[start : start + block.count] = values
+        return columns
 
     @cached_property
     def _indptr(self) -> NDArray[np.int64]:
-        with damage_explained(self.stored.place, RESTORE):
-            indptr = self.stored.arrays["indptr"].read()
-            check_indptr(indptr, self.stored.arrays["data"].shape[0])
+        with as_damage_error(self.header.place, RESTORE):
+            indptr = self.header.arrays["indptr"].read()
+            check_indptr(indptr, self.header.arrays["data"].shape[0])
         return indptr.astype(np.int64)
 
     @cached_property
@@ -297,11 +284,12 @@ class StoredTransport:
         kept = self._kept.get(start)
         if kept is not None:
             return kept
-        found = self._rows(start, stop)
-        # The first ones stay: what is gone through in order would push out what comes next.
-        if sum(map(_bytes, self._kept.values())) + _bytes(found) <= self.memory:
-            self._kept[start] = found
-        return found
+        block = self._rows(start, stop)
+        # The first blocks stay: going through all blocks in order, replacing the oldest would
+        # always remove the one that is needed next.
+        if sum(map(_bytes, self._kept.values())) + _bytes(block) <= self.memory:
+            self._kept[start] = block
+        return block
 
 
 def _bytes(rows: SparseRows) -> int:

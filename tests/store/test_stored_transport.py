@@ -17,7 +17,7 @@ import lightmatrix as lm
 from lightmatrix.cli import main
 from lightmatrix.errors import InputError
 from lightmatrix.files import zarr_arrays
-from lightmatrix.store import columns, lazy
+from lightmatrix.store import column_index, stored_transport
 
 
 def transport(camera: tuple[int, ...] = (9, 8)) -> lm.LightTransport:
@@ -34,7 +34,7 @@ def transport(camera: tuple[int, ...] = (9, 8)) -> lm.LightTransport:
 @pytest.fixture(autouse=True)
 def _small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(zarr_arrays, "CHUNK", 30)
-    monkeypatch.setattr(lazy, "_BLOCK_ENTRIES", 70)
+    monkeypatch.setattr(stored_transport, "_BLOCK_ENTRIES", 70)
 
 
 @pytest.mark.parametrize("camera", [(9, 8), (4, 5, 3), (1, 1)])
@@ -63,7 +63,7 @@ def test_it_gives_what_the_whole_gives(
     assert (loaded.sparse != whole.sparse).nnz == 0
     assert loaded.camera_shape == camera
     assert "42 entries" not in repr(found)
-    assert sum(map(lazy._bytes, found._kept.values())) <= memory
+    assert sum(map(stored_transport._bytes, found._kept.values())) <= memory
 
 
 def test_a_region_is_a_matrix_of_its_own(tmp_path: Path) -> None:
@@ -105,9 +105,9 @@ def test_others_read_the_format_as_it_is_documented(
     exec(code[0], found)
     assert (found["rows"] != whole.sparse[200:202]).nnz == 0
     # A projector of 3 x 5 in tiles of 2 x 2, by what the page says of their order.
-    monkeypatch.setattr(columns, "_TILE", 2)
+    monkeypatch.setattr(column_index, "_TILE", 2)
     order = [0, 1, 5, 6, 2, 3, 7, 8, 4, 9, 10, 11, 12, 13, 14]
-    assert np.argsort(columns.tile_places(np.arange(15), (3, 5))).tolist() == order
+    assert np.argsort(column_index.tile_places(np.arange(15), (3, 5))).tolist() == order
 
 
 def test_only_the_chunks_that_are_asked_for_are_read_and_damage_is_named(tmp_path: Path) -> None:
@@ -144,7 +144,7 @@ def test_relighting_from_files_reads_blocks(
     lm.save(tmp_path / "s.zarr", whole)
     shown = np.random.default_rng(2).random((6, 7))
     expected = lm.relight(whole, shown)
-    monkeypatch.setattr("lightmatrix.store.zarr_file.open", None)
+    monkeypatch.setattr("lightmatrix.store.zarr_store.read_whole", None)
     np.testing.assert_allclose(lm.relight(tmp_path / "s.zarr", shown), expected, rtol=1e-6)
     with pytest.raises(InputError, match="rows 3 to 99"):
         lm.StoredTransport.open(tmp_path / "s.zarr").rows(3, 99)
@@ -154,11 +154,11 @@ def test_relighting_from_files_reads_blocks(
 def test_an_index_of_columns_gives_the_light_of_some_pixels(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kept_cells: int
 ) -> None:
-    monkeypatch.setattr(columns, "_CHUNK", 25)
-    monkeypatch.setattr(columns, "_PASS_ENTRIES", 100)
-    monkeypatch.setattr(columns, "_TILE", 4)
-    monkeypatch.setattr(columns, "_PASS_VALUES", 6 * 16)
-    monkeypatch.setattr(columns, "_CELL_BYTES", 4 * 72 * kept_cells)
+    monkeypatch.setattr(column_index, "_CHUNK", 25)
+    monkeypatch.setattr(column_index, "_PASS_ENTRIES", 100)
+    monkeypatch.setattr(column_index, "_TILE", 4)
+    monkeypatch.setattr(column_index, "_PASS_VALUES", 6 * 16)
+    monkeypatch.setattr(column_index, "_CELL_BYTES", 4 * 72 * kept_cells)
     whole = transport()
     path = tmp_path / "s.zarr"
     lm.save(path, whole)
@@ -203,7 +203,7 @@ def test_the_index_of_another_matrix_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_damaged_index_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(columns, "_CHUNK", 25)
+    monkeypatch.setattr(column_index, "_CHUNK", 25)
     path = tmp_path / "s.zarr"
     lm.save(path, transport())
     lm.index_columns(path)

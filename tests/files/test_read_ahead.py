@@ -6,7 +6,7 @@ import threading
 
 import pytest
 
-from lightmatrix.files.ahead import read_ahead
+from lightmatrix.files.read_ahead import read_ahead
 
 
 @pytest.mark.parametrize("threads", [1, 2, 5, None])

@@ -1,4 +1,4 @@
-"""Reading ahead: the next files are read and decoded by threads while one is looked at."""
+"""Reading ahead: threads read and decode the next files while one is being used."""
 
 from __future__ import annotations
 
@@ -10,26 +10,26 @@ from typing import TypeVar
 
 S = TypeVar("S")
 T = TypeVar("T")
-# Beyond that, the disk and NumPy's lock are what is waited for.
+# More threads than this wait for the disk and for Python's lock. Chosen by hand.
 _MOST_THREADS = 8
 
 
 def read_ahead(
     read: Callable[[S], T], items: Iterable[S], threads: int | None = None
 ) -> Iterator[T]:
-    """What a function gives for each item, in their order, some of them ahead by threads.
+    """The results of `read` for each item, in their order, while threads work on the next ones.
 
-    Decoding PNG and TIFF is zlib's and Pillow's work, which threads share. No more than two results
-    a thread are held, and an error is raised in its turn, as without threads.
+    Threads help since zlib and Pillow decode PNG and TIFF without Python's lock. No more than two
+    results a thread are held, and an error is raised in its turn, as without threads.
 
     Parameters
     ----------
     read : callable
-        Reads one; may be called from any thread.
+        Reads one item; may be called from any thread.
     items : iterable
         What to read: files, or the numbers of frames.
     threads : int, optional
-        None takes one a core, eight at most. With 1 nothing is read ahead.
+        None: one for each processor core, at most eight. With 1 nothing is read ahead.
     """
     workers = min(_MOST_THREADS, os.cpu_count() or 1) if threads is None else threads
     if workers == 1:

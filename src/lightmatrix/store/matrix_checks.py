@@ -1,4 +1,7 @@
-"""What is read of a matrix is checked whole: compiled routines trust indices, and so do users."""
+"""Checks of matrices that were read: compiled routines trust indices, and users trust values.
+
+Each check raises a ValueError that says what is wrong; the reader adds the name of the file.
+"""
 
 from __future__ import annotations
 
@@ -10,28 +13,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from lightmatrix.files.npy import as_float32
+from lightmatrix.files.numpy_files import as_float32
 
-# Rows and columns are counted in 32 bits by SciPy's indices.
+# SciPy's indices count rows and columns in 32 bits.
 _MOST_PIXELS = 1 << 31
 
 
-def shape_of(value: Any, lengths: Sequence[int], name: str) -> tuple[int, ...]:
-    """A shape as it was stored: positive whole numbers, and not absurdly many pixels.
+def checked_shape(value: Any, lengths: Sequence[int], name: str) -> tuple[int, ...]:
+    """A stored shape of one of the permitted lengths: positive whole numbers, not too many pixels.
 
-    Parameters
-    ----------
-    value : list or array of int
-        What was read.
-    lengths : sequence of int
-        How many numbers it may have.
-    name : str
-        For the message.
-
-    Raises
-    ------
-    ValueError
-        If it is no such shape.
+    `name` is what the message calls it.
     """
     array = np.asarray(value)
     if array.ndim != 1 or len(array) not in lengths or array.dtype.kind not in "iu":
@@ -45,7 +36,7 @@ def shape_of(value: Any, lengths: Sequence[int], name: str) -> tuple[int, ...]:
 def checked_matrix(
     data: NDArray[Any], indices: NDArray[Any], indptr: NDArray[Any], shape: tuple[int, int]
 ) -> csr_array:
-    """The sparse matrix of three arrays, after each of them was looked through.
+    """The sparse float32 matrix (M, N) of three arrays, each of which is checked.
 
     Parameters
     ----------
@@ -56,26 +47,17 @@ def checked_matrix(
     indptr : (M + 1,) int
         Rising from 0 to nnz.
     shape : (M, N)
-
-    Returns
-    -------
-    (M, N) csr_array float32
-
-    Raises
-    ------
-    ValueError
-        If they are not all that.
     """
     rows, cols = shape
     if data.ndim != 1 or indices.shape != data.shape or indptr.shape != (rows + 1,):
         raise ValueError("its arrays do not fit each other")
     if indices.dtype.kind not in "iu" or indptr.dtype.kind not in "iu":
         raise ValueError("its indices are not whole numbers")
-    values = finite(data, "data")
+    values = checked_float32(data, "data")
     check_indptr(indptr, len(data))
     if len(indices) and not (indices.min() >= 0 and indices.max() < cols):
         raise ValueError(f"an index lies outside the {cols} columns")
-    # SciPy makes both kinds of indices as wide as the wider one, which stores keep in 64 bits.
+    # Stores keep indptr in 64 bits, and SciPy would widen the indices to that.
     if max(len(data), cols) <= np.iinfo(np.int32).max:
         indices, indptr = (part.astype(np.int32, copy=False) for part in (indices, indptr))
     matrix = csr_array((values, indices, indptr), shape=shape)
@@ -84,28 +66,16 @@ def checked_matrix(
 
 
 def check_indptr(indptr: NDArray[Any], entries: int) -> None:
-    """Whether ends of rows can be those of so many entries.
-
-    Raises
-    ------
-    ValueError
-        If they do not rise from 0 to the number of entries.
-    """
+    """Check that the ends of rows rise from 0 to the number of entries."""
     if indptr.dtype.kind not in "iu":
         raise ValueError("its indices are not whole numbers")
-    # Compared as they are: differences of unsigned numbers are never negative.
+    # Compared, not subtracted: differences of unsigned numbers are never negative.
     if indptr[0] != 0 or indptr[-1] != entries or (indptr[1:] < indptr[:-1]).any():
         raise ValueError("indptr does not rise from 0 to the number of entries")
 
 
-def finite(values: NDArray[Any], name: str) -> NDArray[np.float32]:
-    """Float values as float32.
-
-    Raises
-    ------
-    ValueError
-        If they are no numbers, or one is not finite in float32.
-    """
+def checked_float32(values: NDArray[Any], name: str) -> NDArray[np.float32]:
+    """Numbers as float32, all of them finite; `name` is what the message calls them."""
     if values.dtype.kind not in "fiu":
         raise ValueError(f"{name} holds {values.dtype} values")
     single = as_float32(values)
@@ -114,15 +84,11 @@ def finite(values: NDArray[Any], name: str) -> NDArray[np.float32]:
     return single
 
 
-def checked_diagnostics(found: Mapping[str, NDArray[Any]], rows: int) -> dict[str, NDArray[Any]]:
-    """Diagnostics as they were stored: one number a row. They may be NaN, as gaps are.
-
-    Raises
-    ------
-    ValueError
-        On another shape, or what are no numbers.
-    """
-    for name, values in found.items():
+def checked_diagnostics(
+    diagnostics: Mapping[str, NDArray[Any]], rows: int
+) -> dict[str, NDArray[Any]]:
+    """Stored diagnostics: one number a row, which may be NaN, as gaps are."""
+    for name, values in diagnostics.items():
         if values.shape != (rows,) or values.dtype.kind not in "bfiu":
             raise ValueError(f"the diagnostic {name[:40]!r} is not one number a row")
-    return dict(found)
+    return dict(diagnostics)

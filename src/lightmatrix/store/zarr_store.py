@@ -20,19 +20,25 @@ from lightmatrix.errors import InputError
 from lightmatrix.files.zarr_arrays import (
     GrowingArray,
     StoredArray,
-    damage_explained,
+    as_damage_error,
     read_attributes,
 )
 from lightmatrix.outputs.kinds import PACKED_CAPTURE, PARTIAL, STORE
 from lightmatrix.outputs.writing import atomic_folder
-from lightmatrix.resources.memory import check_room
-from lightmatrix.store.checked import checked_diagnostics, checked_matrix, finite, shape_of
+from lightmatrix.resources.memory import check_memory
+from lightmatrix.store.matrix_checks import (
+    checked_diagnostics,
+    checked_float32,
+    checked_matrix,
+    checked_shape,
+)
+from lightmatrix.store.sparse_npz import import_npz
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.transport.sparse_rows import SparseRows
 
 FORMAT, VERSION = "lightmatrix-transport", 1
 _DIAGNOSTICS = "diagnostics"
-# The arrays of the group, and what they are stored as.
+# The arrays of the group and the types of their values.
 _ARRAYS = {"indptr": np.int64, "indices": np.int32, "data": np.float32, "background": np.float32}
 RESTORE = "restore it from a copy, or run `lightmatrix estimate --overwrite` again"
 
@@ -81,29 +87,14 @@ def save_rows(
     provenance: Mapping[str, Any],
     overwrite: bool = False,
 ) -> None:
-    """Write a light transport matrix as `save` does, of which no more than a part is in memory.
+    """Write a matrix as `save` does, with no more than one part of its rows in memory.
 
-    Parameters
-    ----------
-    path : str or Path
-        Ends in .zarr.
-    parts : iterable of SparseRows
-        All rows in their order, one part or more, all with the same diagnostics.
-    camera_shape, projector_shape, background_grid : tuple of int
-    provenance : mapping
-        JSON-ready.
-    overwrite : bool
-        Whether an existing one may be replaced; it stays until the new one is whole.
-
-    Raises
-    ------
-    OutputError
-        If it exists, ends otherwise, or cannot be written.
+    The parts hold all rows in their order, all with the same diagnostics.
     """
     with atomic_folder(path, STORE, overwrite=overwrite) as part:
         group = zarr.open_group(part, mode="w", zarr_format=3)
         arrays = {name: GrowingArray(group, name, dtype) for name, dtype in _ARRAYS.items()}
-        told: dict[str, GrowingArray] = {}
+        diagnostics: dict[str, GrowingArray] = {}
         inner = group.create_group(_DIAGNOSTICS)
         arrays["indptr"].add(np.zeros(1, np.int64))
         entries = 0
@@ -115,10 +106,10 @@ def save_rows(
             arrays["background"].add(rows.background)
             entries += int(matrix.nnz)
             for name, values in rows.diagnostics.items():
-                if name not in told:
-                    told[name] = GrowingArray(inner, name, values.dtype)
-                told[name].add(values)
-        for array in (*arrays.values(), *told.values()):
+                if name not in diagnostics:
+                    diagnostics[name] = GrowingArray(inner, name, values.dtype)
+                diagnostics[name].add(values)
+        for array in (*arrays.values(), *diagnostics.values()):
             array.close()
         # Last, so that a group without attributes is never taken for a whole one.
         group.attrs.update(
@@ -134,29 +125,43 @@ def save_rows(
 
 
 def open(path: str | Path) -> LightTransport:
-    """Read a light transport matrix.
+    """Open a light transport matrix: a store (.zarr), or a file of `export` or `render` (.npz).
+
+    All of it is checked: indices, finite values, shapes.
+
+    Parameters
+    ----------
+    path : str or Path
+        A store is expected unless the name ends in .npz.
+
+    Returns
+    -------
+    LightTransport
 
     Raises
     ------
     InputError
         If there is none, it is incomplete, damaged, of a later format version, or not stored the
-        way that `save` does. All of it is checked: indices, finite values, shapes.
+        way that `save` does.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> lm.save("scene.zarr", lm.truth("metal").transport())
+    >>> lm.open("scene.zarr")
+    LightTransport(camera 64 x 64, projector 64 x 64, 1922182 entries, metal)
     """
-    return read_whole(look(path))
+    if Path(path).suffix.lower() == ".npz":
+        return import_npz(path)
+    return read_whole(read_store_header(path))
 
 
 @dataclass(frozen=True, eq=False)
-class Stored:
-    """What a store announces; its arrays are not read yet.
+class StoreHeader:
+    """What a store announces, with its arrays, whose values are not read yet.
 
-    Parameters
-    ----------
-    place : Path
-    camera_shape, projector_shape, background_grid : tuple of int
-    provenance : mapping
-    arrays : mapping of str to StoredArray
-        ``indptr``, ``indices``, ``data``, ``background`` and ``diagnostics/NAME``, whose shapes
-        fit each other.
+    The arrays are ``indptr``, ``indices``, ``data``, ``background`` and ``diagnostics/NAME``. Their
+    shapes fit each other.
     """
 
     place: Path
@@ -171,21 +176,22 @@ class Stored:
         """Camera samples and projector pixels (M, N)."""
         return math.prod(self.camera_shape), math.prod(self.projector_shape)
 
+    @property
+    def diagnostics(self) -> dict[str, StoredArray]:
+        """The arrays of diagnostics by their own names."""
+        prefix = f"{_DIAGNOSTICS}/"
+        arrays = self.arrays.items()
+        return {name.removeprefix(prefix): a for name, a in arrays if name.startswith(prefix)}
 
-def look(path: str | Path) -> Stored:
-    """Look at what a store announces.
 
-    Raises
-    ------
-    InputError
-        As `open`, but for what only the values of the arrays tell.
-    """
+def read_store_header(path: str | Path) -> StoreHeader:
+    """Read what a store announces; raises as `open` does, except for the values of the arrays."""
     place = Path(path)
     if not place.exists():
         if place.with_name(place.name + PARTIAL).exists():
             raise InputError(
                 f"{place}: the estimate is incomplete",
-                hint="run the same `lightmatrix estimate` again; it goes on where it stopped",
+                hint="run the same `lightmatrix estimate` again; it continues where it stopped",
             )
         raise InputError(f"{place}: no such file", hint="check the name")
     attributes = read_attributes(place)
@@ -205,15 +211,32 @@ def look(path: str | Path) -> Stored:
             f"reads {VERSION}",
             hint="update lightmatrix",
         )
-    with damage_explained(place, RESTORE):
-        return _announced(place, attributes)
+    with as_damage_error(place, RESTORE):
+        return _header(place, attributes)
 
 
-def _announced(place: Path, attributes: Mapping[str, Any]) -> Stored:
-    """A store whose arrays fit together, as far as they announce it."""
-    camera = shape_of(attributes["camera_shape"], (2, 3), "camera_shape")
-    rows, cols = shape_of(attributes["projector_shape"], (2,), "projector_shape")
-    grid_rows, grid_cols = shape_of(attributes["background_grid"], (2,), "background_grid")
+def read_whole(header: StoreHeader) -> LightTransport:
+    """Read all of a store into memory; an error says if it does not fit, or names the damage."""
+    check_memory(header.place, sum(array.bytes for array in header.arrays.values()))
+    with as_damage_error(header.place, RESTORE):
+        read = {name: array.read() for name, array in header.arrays.items()}
+        diagnostics = {name: read[f"{_DIAGNOSTICS}/{name}"] for name in header.diagnostics}
+        return LightTransport(
+            checked_matrix(read["data"], read["indices"], read["indptr"], header.shape),
+            checked_float32(read["background"], "background"),
+            header.camera_shape,
+            header.projector_shape,
+            header.background_grid,
+            checked_diagnostics(diagnostics, header.shape[0]),
+            header.provenance,
+        )
+
+
+def _header(place: Path, attributes: Mapping[str, Any]) -> StoreHeader:
+    """The header of a store, whose arrays must announce shapes that fit together."""
+    camera = checked_shape(attributes["camera_shape"], (2, 3), "camera_shape")
+    rows, cols = checked_shape(attributes["projector_shape"], (2,), "projector_shape")
+    grid_rows, grid_cols = checked_shape(attributes["background_grid"], (2,), "background_grid")
     samples = math.prod(camera)
     names = sorted(entry.name for entry in (place / _DIAGNOSTICS).iterdir() if entry.is_dir())
     members = [*_ARRAYS, *(f"{_DIAGNOSTICS}/{name}" for name in names)]
@@ -230,36 +253,4 @@ def _announced(place: Path, attributes: Mapping[str, Any]) -> Stored:
     provenance = attributes["provenance"]
     if not isinstance(provenance, dict):
         raise ValueError("its provenance is not an object")
-    return Stored(place, camera, (rows, cols), (grid_rows, grid_cols), provenance, arrays)
-
-
-def read_whole(stored: Stored) -> LightTransport:
-    """All of a store in memory.
-
-    Raises
-    ------
-    InputError
-        If it does not fit, or naming what is damaged.
-    """
-    check_room(stored.place, sum(array.bytes for array in stored.arrays.values()))
-    with damage_explained(stored.place, RESTORE):
-        read = {name: array.read() for name, array in stored.arrays.items()}
-        return LightTransport(
-            checked_matrix(read["data"], read["indices"], read["indptr"], stored.shape),
-            finite(read["background"], "background"),
-            stored.camera_shape,
-            stored.projector_shape,
-            stored.background_grid,
-            checked_diagnostics(diagnostics_of(read), stored.shape[0]),
-            stored.provenance,
-        )
-
-
-def diagnostics_of(arrays: Mapping[str, Any]) -> dict[str, Any]:
-    """The diagnostics among the arrays of a store, by their own names."""
-    prefix = f"{_DIAGNOSTICS}/"
-    return {
-        name.removeprefix(prefix): value
-        for name, value in arrays.items()
-        if name.startswith(prefix)
-    }
+    return StoreHeader(place, camera, (rows, cols), (grid_rows, grid_cols), provenance, arrays)

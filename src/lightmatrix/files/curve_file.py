@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.errors import InputError
-from lightmatrix.files.headers import read_json
+from lightmatrix.files.json_files import read_json
 from lightmatrix.outputs.kinds import RESPONSE, RESPONSE_FORMAT
 from lightmatrix.outputs.writing import atomic_file
 

@@ -1,8 +1,8 @@
-"""An index of the columns of a matrix on disk, so that a brush stroke reads no more than its light.
+"""An index of the columns of a store, so that a brush stroke reads no more than its columns.
 
-Rows are what a matrix on disk is cut into, and a column is spread over all of them. The index keeps
-the entries a second time, column by column, the columns of a tile of the projector together, and
-the background cell by cell.
+A store is cut into rows, and a column is spread over all of them. The index keeps the entries a
+second time, column by column. The columns of 32 x 32 projector pixels stand together. The index
+also keeps the background, cell by cell.
 """
 
 from __future__ import annotations
@@ -25,58 +25,58 @@ from lightmatrix.files.zarr_arrays import (
     QUICK,
     GrowingArray,
     StoredArray,
+    as_damage_error,
     create_array,
-    damage_explained,
     read_attributes,
 )
 from lightmatrix.outputs.kinds import STORE
 from lightmatrix.outputs.locks import check_unlocked
-from lightmatrix.outputs.targets import explained, final_target
+from lightmatrix.outputs.targets import as_output_error, final_target
 from lightmatrix.outputs.writing import claimed
 from lightmatrix.patterns.grids import grid_cells
 from lightmatrix.reprs import short_repr
-from lightmatrix.resources.disk import check_disk
-from lightmatrix.store.checked import check_indptr, finite
-from lightmatrix.store.lazy import StoredTransport
+from lightmatrix.resources.disk import check_disk_space
+from lightmatrix.store.matrix_checks import check_indptr, checked_float32
+from lightmatrix.store.stored_transport import StoredTransport
 from lightmatrix.transport.sparse_rows import row_blocks
 
 COLUMNS = "columns"
-# Where it is written before it is whole; a run that was killed leaves it, and the next sweeps it.
+# The folder of an index that is not whole yet. The next run removes what a killed run left there.
 _PART = ".columns.part"
 _ENTRIES = {"indptr": np.int64, "rows": np.int32, "data": np.float32}
-# Entries that are turned over together, 12 bytes each and as much again while they are sorted.
+# Entries that are sorted by columns at once. Each takes 12 bytes, and 12 more while it is sorted.
 _PASS_ENTRIES = 1 << 26
-# Values of the background that are turned over together.
+# Values of the background that are transposed at once.
 _PASS_VALUES = 1 << 24
-# Projector pixels of a tile, down and across.
+# Rows and columns of projector pixels whose columns stand together.
 _TILE = 32
-# Of a chunk, small enough that the pixels of a brush read little besides.
+# Entries of a chunk of the index: few, so that the pixels of a brush read little else.
 _CHUNK = 1 << 16
-# Chunks that are kept, of 512 KiB each.
+# Chunks that are kept in memory, 512 KiB each.
 _MOST_KEPT = 256
-# Bytes of the background's cells that are kept, 4 for each camera sample.
+# Bytes of background cells that are kept in memory. A cell takes 4 for each camera sample.
 _CELL_BYTES = 1 << 26
-_AGAIN = "make it again with index_columns"
+_REMEDY = "make it again with index_columns"
 
 
 def index_columns(path: str | Path, *, overwrite: bool = False) -> None:
     """Add an index of its columns to a matrix on disk.
 
-    It takes about as much space again, and a gigabyte and a half of memory at most.
+    The index takes about as much disk space as the matrix, and at most 1.5 GB of memory.
 
     Parameters
     ----------
     path : str or Path
         A .zarr folder from `estimate` or `save`.
     overwrite : bool
-        Whether an index that it has already is made again.
+        Whether an index that exists already is made again.
 
     Raises
     ------
     InputError
         If there is no matrix, it is damaged, or has an index already.
     OutputError
-        If it is being written, was changed by others, the disk has not enough room, or fails.
+        If it is being written, was changed by others, or the disk is full or fails.
 
     Examples
     --------
@@ -88,12 +88,12 @@ def index_columns(path: str | Path, *, overwrite: bool = False) -> None:
     (64, 64)
     """
     matrix = StoredTransport.open(path, memory=0)
-    _sweep(final_target(path))
-    with claimed(path, STORE, overwrite=True) as target, explained(path):
+    _remove_leftovers(final_target(path))
+    with claimed(path, STORE, overwrite=True) as target, as_output_error(path):
         if (target / COLUMNS).exists() and not overwrite:
             raise InputError(f"{path}: has an index already", hint="pass overwrite=True")
-        background = matrix.stored.arrays["background"].bytes
-        check_disk(target, 8 * matrix.entries + 8 * matrix.shape[1] + background, path)
+        background = matrix.header.arrays["background"].bytes
+        check_disk_space(target, 8 * matrix.entries + 8 * matrix.shape[1] + background, path)
         part = target / _PART
         shutil.rmtree(part, ignore_errors=True)
         try:
@@ -105,39 +105,29 @@ def index_columns(path: str | Path, *, overwrite: bool = False) -> None:
         STORE.mark(target)
 
 
-def _sweep(target: Path) -> None:
-    """Remove what a killed run left, which would otherwise be in the way as others' files are."""
+def _remove_leftovers(target: Path) -> None:
+    """Remove what a killed run left, which would otherwise count as somebody else's file."""
     check_unlocked(target)
     marker = read_attributes(target).get("output")
     listed = marker.get("files") if isinstance(marker, dict) else None
     finished = isinstance(listed, dict) and any(name.startswith(f"{COLUMNS}/") for name in listed)
-    with explained(target):
+    with as_output_error(target):
         for name in (_PART, *(() if finished else (COLUMNS,))):
             if (target / name).is_dir() and not (target / name).is_symlink():
                 shutil.rmtree(target / name)
 
 
 def tile_places(pixels: NDArray[np.integer], projector_shape: tuple[int, int]) -> NDArray[np.int64]:
-    """Where projector pixels stand in the index: tile by tile of 32 x 32, row by row in each.
+    """The places of projector pixels in the index: tile by tile of 32 x 32, row by row in each.
 
-    So that the pixels of a brush, which lie beside and below each other, stand together.
-
-    Parameters
-    ----------
-    pixels : (n,) int
-        In the order (row, col).
-    projector_shape : (rows, cols)
-
-    Returns
-    -------
-    (n,) int64
-        Places from 0 to N - 1, another for every pixel.
+    The pixels of a brush, which lie beside and below each other, then stand together. Places are
+    0 to N - 1, one for each pixel in the order (row, col).
     """
     rows, cols = projector_shape
     row, col = np.divmod(pixels, cols)
     top, left = row - row % _TILE, col - col % _TILE
     height, width = np.minimum(_TILE, rows - top), np.minimum(_TILE, cols - left)
-    # Rows of tiles above, tiles to the left, and within the tile as much again.
+    # Pixels in the rows of tiles above, in the tiles to the left, and before it in its own tile.
     return top * cols + left * height + (row - top) * width + col - left
 
 
@@ -156,12 +146,12 @@ def _write(part: Path, matrix: StoredTransport) -> None:
     for first, last in itertools.pairwise(row_blocks(ends, _PASS_ENTRIES)):
         columns, rows, data = [], [], []
         for start, block in matrix.blocks():
-            found = block.coefficients.tocoo()
-            column = places[found.col]
+            entries = block.coefficients.tocoo()
+            column = places[entries.col]
             inside = (column >= first) & (column < last)
             columns.append(column[inside].astype(np.int32))
-            rows.append((start + found.row[inside]).astype(np.int32))
-            data.append(found.data[inside])
+            rows.append((start + entries.row[inside]).astype(np.int32))
+            data.append(entries.data[inside])
         order = np.argsort(np.concatenate(columns), kind="stable")
         arrays["rows"].add(np.concatenate(rows)[order])
         arrays["data"].add(np.concatenate(data)[order])
@@ -171,18 +161,18 @@ def _write(part: Path, matrix: StoredTransport) -> None:
 
 
 def _write_background(group: zarr.Group, matrix: StoredTransport) -> None:
-    """The background with a row for each cell, which is read without the others."""
-    samples, cells = matrix.stored.arrays["background"].shape
+    """Write the background with a row for each cell, which is read without the others."""
+    samples, cells = matrix.header.arrays["background"].shape
     chunk = max(1, min(samples, CHUNK, _PASS_VALUES // cells))
-    turned = create_array(group, "background", (cells, samples), np.float32, (1, chunk), QUICK)
+    by_cells = create_array(group, "background", (cells, samples), np.float32, (1, chunk), QUICK)
     for start in range(0, samples, chunk):
         stop = min(start + chunk, samples)
-        turned[:, start:stop] = matrix.background(start, stop).T
+        by_cells[:, start:stop] = matrix.background(start, stop).T
 
 
 @dataclass(frozen=True, eq=False)
 class ColumnIndex:
-    """The columns of a matrix on disk, of which as many are read as are asked for.
+    """The columns of a matrix on disk, of which only the requested ones are read.
 
     Made by `open`.
 
@@ -204,7 +194,7 @@ class ColumnIndex:
 
     matrix: StoredTransport
     arrays: dict[str, StoredArray]
-    # Chunks that were read, since the next stroke is near the last.
+    # Chunks are kept once they were read, because the next stroke is near the last.
     _kept: dict[int, tuple[NDArray[Any], NDArray[Any]]] = field(default_factory=dict, repr=False)
     _kept_cells: dict[int, NDArray[np.float32]] = field(default_factory=dict, repr=False)
 
@@ -220,24 +210,25 @@ class ColumnIndex:
             If there is no store, it has no index, or it is damaged.
         """
         matrix = StoredTransport.open(path)
-        place = matrix.stored.place / COLUMNS
+        place = matrix.header.place / COLUMNS
         if not place.is_dir():
             raise InputError(f"{path}: has no index of its columns", hint="make it: index_columns")
-        with damage_explained(place, _AGAIN):
+        with as_damage_error(place, _REMEDY):
             entries, pixels = (matrix.entries,), (matrix.shape[1] + 1,)
-            turned = matrix.stored.arrays["background"].shape[::-1]
-            wanted = {"indptr": pixels, "rows": entries, "data": entries, "background": turned}
+            by_cells = matrix.header.arrays["background"].shape[::-1]
+            wanted = {"indptr": pixels, "rows": entries, "data": entries, "background": by_cells}
             arrays = {name: StoredArray.open(place / name) for name in wanted}
             if any(arrays[name].shape != shape for name, shape in wanted.items()):
                 raise ValueError("it is the index of another matrix")
-        found = cls(matrix, arrays)
-        assert len(found._ends) > 0
-        return found
+        index = cls(matrix, arrays)
+        # Read now, so that damage of it is reported at once.
+        assert len(index._ends) > 0
+        return index
 
     def light(
         self, pixels: NDArray[np.integer], values: NDArray[np.floating]
     ) -> NDArray[np.float32]:
-        """What the camera sees more of when some projector pixels get brighter.
+        """The light that the camera sees more of when some projector pixels get brighter.
 
         Parameters
         ----------
@@ -254,7 +245,7 @@ class ColumnIndex:
         Raises
         ------
         InputError
-            On pixels that the projector has not, or damage.
+            If the projector has no such pixels, or the index is damaged.
         """
         pixels, change = np.asarray(pixels, np.int64), np.asarray(values, np.float64)
         if pixels.ndim != 1 or pixels.shape != change.shape:
@@ -270,7 +261,7 @@ class ColumnIndex:
         image = np.zeros(self.matrix.shape[0], np.float32)
         for k in self._chunks(places):
             rows, data = self._kept[k]
-            # Of each pixel, its entries in this chunk, counted from the chunk's beginning.
+            # The entries of each pixel in this chunk, counted from the chunk's beginning.
             low = np.clip(ends[places] - k * _CHUNK, 0, len(rows))
             lengths = np.clip(ends[places + 1] - k * _CHUNK, 0, len(rows)) - low
             inside = np.flatnonzero(lengths)
@@ -286,15 +277,15 @@ class ColumnIndex:
         return image.reshape(self.matrix.camera_shape)
 
     def _chunks(self, places: NDArray[np.int64]) -> list[int]:
-        """Which chunks hold entries of columns at some places, all of them read and kept."""
-        ends, some = self._ends, places[self._ends[places] < self._ends[places + 1]]
-        spans = zip(ends[some] // _CHUNK, (ends[some + 1] - 1) // _CHUNK, strict=True)
+        """The numbers of the chunks that hold some columns, after all of them were read."""
+        ends, lit = self._ends, places[self._ends[places] < self._ends[places + 1]]
+        spans = zip(ends[lit] // _CHUNK, (ends[lit + 1] - 1) // _CHUNK, strict=True)
         wanted = sorted({k for first, last in spans for k in range(first, last + 1)})
         missing = [k for k in wanted if k not in self._kept]
         if len(self._kept) + len(missing) > _MOST_KEPT:
             self._kept.clear()
             missing = wanted
-        # Chunks that follow each other are read at one go, which is what takes time.
+        # Chunks that follow each other are read together: each reading takes time of its own.
         for run in np.split(missing, np.flatnonzero(np.diff(missing) > 1) + 1):
             if len(run):
                 self._read(int(run[0]), int(run[-1]) + 1)
@@ -302,25 +293,25 @@ class ColumnIndex:
 
     def _read(self, first: int, last: int) -> None:
         span = slice(first * _CHUNK, last * _CHUNK)
-        with damage_explained(self.matrix.stored.place / COLUMNS, _AGAIN):
+        with as_damage_error(self.matrix.header.place / COLUMNS, _REMEDY):
             rows = self.arrays["rows"].read(span)
             if len(rows) and not (rows.min() >= 0 and rows.max() < self.matrix.shape[0]):
                 raise ValueError("a row lies outside the matrix")
-            data = finite(self.arrays["data"].read(span), "data")
+            data = checked_float32(self.arrays["data"].read(span), "data")
         for k in range(first, last):
             part = slice((k - first) * _CHUNK, (k - first + 1) * _CHUNK)
             self._kept[k] = rows[part], data[part]
 
     def _background(self, cell: int) -> NDArray[np.float32]:
-        """What every camera sample sees of one cell of the background, read and kept."""
+        """The values of one cell of the background, one for each camera sample."""
         if cell not in self._kept_cells:
             room = _CELL_BYTES // (4 * self.matrix.shape[0])
             if len(self._kept_cells) >= max(1, room):
-                # The one that was read first.
+                # The cell that was read first goes.
                 del self._kept_cells[next(iter(self._kept_cells))]
-            with damage_explained(self.matrix.stored.place / COLUMNS, _AGAIN):
-                found = self.arrays["background"].read(slice(cell, cell + 1))
-                self._kept_cells[cell] = finite(found, "background")[0]
+            with as_damage_error(self.matrix.header.place / COLUMNS, _REMEDY):
+                values = self.arrays["background"].read(slice(cell, cell + 1))
+                self._kept_cells[cell] = checked_float32(values, "background")[0]
         return self._kept_cells[cell]
 
     @cached_property
@@ -334,7 +325,7 @@ class ColumnIndex:
 
     @cached_property
     def _ends(self) -> NDArray[np.int64]:
-        with damage_explained(self.matrix.stored.place / COLUMNS, _AGAIN):
+        with as_damage_error(self.matrix.header.place / COLUMNS, _REMEDY):
             ends = self.arrays["indptr"].read()
             check_indptr(ends, self.matrix.entries)
         return ends.astype(np.int64)

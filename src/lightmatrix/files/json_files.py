@@ -1,4 +1,4 @@
-"""Headers of our own files: JSON that says its format and version."""
+"""JSON files of our own, each with its format and version, and strict parsing of any JSON."""
 
 from __future__ import annotations
 
@@ -15,21 +15,15 @@ from lightmatrix.files.reading import read_text
 
 
 def read_json(file: Path, kind: str, version: int) -> dict[str, Any]:
-    """Read one of our JSON files and check its format and version.
-
-    Raises
-    ------
-    InputError
-        If it cannot be read (see `parse_json`), is of another format, or of another version.
-    """
+    """Read one of our JSON files and check its format and version."""
     content = parse_json(read_text(file), str(file))
     if not isinstance(content, dict) or content.get("format") != kind:
         raise InputError(f"{file}: is not a {kind} file", hint=f'its "format" must be "{kind}"')
-    found = content.get("version")
-    # True == 1, but is no version.
-    if type(found) is not int or found != version:
+    stored = content.get("version")
+    # True equals 1, but is no version.
+    if type(stored) is not int or stored != version:
         raise InputError(
-            f"{file}: has format version {str(found)[:20]}, this lightmatrix reads {version}",
+            f"{file}: has format version {str(stored)[:20]}, this lightmatrix reads {version}",
             hint="update lightmatrix, or write the file again",
         )
     return content
@@ -38,19 +32,8 @@ def read_json(file: Path, kind: str, version: int) -> dict[str, Any]:
 def parse_json(text: str, name: str, *, finite: bool = True) -> Any:
     """Parse JSON strictly: no key twice, no endless nesting, and only finite numbers.
 
-    Parameters
-    ----------
-    text : str
-        What to parse.
-    name : str
-        What messages call it.
-    finite : bool
-        False permits NaN and infinite numbers, which Python writes: in what is only kept.
-
-    Raises
-    ------
-    InputError
-        If it is not JSON, or one of these.
+    `name` is what messages call the text. `finite=False` permits NaN and infinite numbers, which
+    Python writes: in values that are kept but not used.
     """
     try:
         return json.loads(
@@ -70,14 +53,8 @@ def parse_json(text: str, name: str, *, finite: bool = True) -> Any:
 
 
 @contextmanager
-def said_in(file: Path) -> Iterator[None]:
-    """Name the file whose values are used within, in messages that name none that exists.
-
-    Raises
-    ------
-    InputError
-        As raised within, behind the name of the file.
-    """
+def errors_naming(file: Path) -> Iterator[None]:
+    """Put the name of a file before messages about its values, unless they name a file already."""
     try:
         yield
     except InputError as error:
@@ -93,12 +70,12 @@ def _refuse_constant(word: str) -> float:
 def _finite(digits: str) -> float:
     value = float(digits)
     if not math.isfinite(value):
-        raise ValueError("a number beyond all bounds")
+        raise ValueError("a number is too large")
     return value
 
 
 def _distinct(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     content = dict(pairs)
     if len(content) < len(pairs):
-        raise ValueError("a key stands there twice")
+        raise ValueError("a key appears twice")
     return content
