@@ -57,8 +57,8 @@ RigFile = Annotated[
     Path, typer.Option("--rig-file", help="The file that keeps the measurements of the rig.")
 ]
 
-# Defaults and limits that help texts mention. The code that uses them defines them too, but is slow to
-# import for a help text; tests/cli/test_same_from_python.py holds the two together.
+# Defaults and limits that help texts mention. The code that uses them defines them too, but is slow
+# to import for a help text; tests/cli/test_same_from_python.py holds the two together.
 USUAL_NOISE = 0.003
 USUAL_COUNT = 256
 USUAL_FRAMES, USUAL_REFERENCE = 64, 32

@@ -27,8 +27,8 @@ from rich.text import Text
 
 from lightmatrix.reprs import shown_value
 
-# A progress bar computes rate and time left from this many last seconds. Chosen by hand: the stages
-# of an estimate differ in pace, and within a few seconds the time left would jump with each of them.
+# Progress bars compute rate and time left from this many last seconds. Chosen by hand: the stages
+# of an estimate differ in pace, and with a few seconds the time left would jump at each of them.
 _STEADY_SECONDS = 300.0
 # Characters that would move the cursor or change colours. Tabs and line ends are fine.
 _CONTROLS = dict.fromkeys((*range(9), *range(11, 32), 127), "\N{REPLACEMENT CHARACTER}")
