@@ -1,10 +1,10 @@
 """Whether a frame shows its own pattern, judged while frames come in.
 
-As in the check of finished captures (`lightmatrix.diagnosis.frame_order`), some camera samples are explained by
-a few projector pixels each, from the frames so far, and their values under all patterns are
-predicted. A frame shows its pattern if it meets the prediction. If it does not, or meets a mixture
-with the pattern shown before, all over or from some row on, it is late or torn. Frames that came
-before enough was known are judged again later.
+As in the check of finished captures (`lightmatrix.diagnosis.frame_order`), some camera samples are
+explained by a few projector pixels each, from the frames so far, and their values under all
+patterns are predicted. A frame shows its pattern if it meets the prediction. If it does not, or
+meets a mixture with the pattern shown before, all over or from some row on, it is late or torn.
+Frames that came before enough was known are judged again later.
 
 Scenes without direct light, few patterns, and patterns of single pixels predict nothing. Frames are
 then confirmed by a second photograph instead.
@@ -177,11 +177,11 @@ class PatternMatcher:
     def _predict(
         self, frames: NDArray[np.int64]
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """The light of the samples (m, K), 0 in frames that are missing, and its prediction."""
+        """The light of the samples (m, K), NaN for missing frames, and its prediction."""
         if self._scale is None:
             self._scale = column_scale(self.patterns)
         # Taking off the mean of all samples removes flicker and the mean of the pattern.
-        light = np.zeros_like(self._values)
+        light = np.full_like(self._values, np.nan)
         light[:, frames] = self._values[:, frames]
         light[:, frames] -= light[:, frames].mean(axis=0)
         parts = _LARGE_FOLDS if self.patterns.pixels > _LARGE_PIXELS else fold_count(len(frames))
