@@ -1,10 +1,11 @@
-"""Compiled functions are safe against any argument: an ordinary exception, or the right result."""
+"""The compiled core gives the right result or an ordinary exception, whatever it is called with."""
 
 from __future__ import annotations
 
 import os
 import subprocess
 import sys
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from types import SimpleNamespace
@@ -12,15 +13,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
+from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from lightmatrix import _core
-from tests.helpers.hostile_core import (
+from tests.helpers.core_arguments import (
     BITS,
     CLIPPED,
-    HOSTILE,
     MATRIX,
     MEANS,
     ORDINARY,
@@ -32,17 +33,16 @@ from tests.helpers.hostile_core import (
     SHOWN_SET,
     UNSHOWN,
     VALUES,
-    Call,
-    around,
-    begin,
     cells,
-    chosen,
-    expectation,
     expected,
     likely,
+    neighbourhood,
+    pseudo_samples,
     samples,
+    settings,
     solve,
-    sparse,
+    sparse_rows,
+    start,
     weighted,
 )
 
@@ -50,44 +50,31 @@ ROOT = Path(__file__).parents[2]
 
 
 def run(*arguments: str) -> subprocess.CompletedProcess[str]:
-    """What a Python of its own says."""
+    """Run a Python process of its own."""
     command = [sys.executable, "-W", "ignore", *arguments]
     return subprocess.run(
         command, capture_output=True, text=True, check=False, cwd=ROOT, timeout=300
     )
 
 
-def test_what_is_not_hostile_is_taken() -> None:
-    assert solve(start=begin(), progress=lambda done, rows: None).converged.all()
-    found, shares = weighted(
+def test_valid_arguments_give_results() -> None:
+    assert solve(start=start(), progress=lambda done, rows: None).converged.all()
+    solved, shares = weighted(
         cells=cells(),
-        start=begin(),
+        start=start(),
         expected=None,
         background=np.full((ROWS, PATTERNS), 0.5, np.float32),
     )
-    assert found.converged.all()
+    assert solved.converged.all()
     assert shares.shape == (ROWS, 2)
-    assert weighted(expected=(UNSHOWN, expectation()))[0].converged.all()
+    assert weighted(expected=(UNSHOWN, pseudo_samples()))[0].converged.all()
     assert np.isfinite(expected()[0]).all()
     assert likely()[0][-1] > 0
 
 
-def test_hostile_arguments_do_not_end_the_process() -> None:
-    # A crash in here would end all other tests too, and say nothing: first see from outside.
-    done = run("-m", "tests.helpers.hostile_core")
-    assert done.returncode == 0, done.stdout + done.stderr
-
-
-@pytest.mark.parametrize("case", HOSTILE)
-def test_hostile_arguments_are_refused(case: str) -> None:
-    with pytest.raises(ORDINARY) as caught:
-        HOSTILE[case]()
-    assert str(caught.value)
-
-
-def test_nothing_is_solved_to_nothing() -> None:
+def test_empty_arguments_give_empty_results() -> None:
     none = samples(values=VALUES[:0], clipped=CLIPPED[:0])
-    assert len(solve(none).gap) == 0
+    assert len(solve(samples=none).gap) == 0
     assert _core.bits_forward(BITS, PIXELS, np.zeros((0, PIXELS))).shape == (0, PATTERNS)
     assert _core.bits_adjoint(BITS[:0], PIXELS, np.zeros((2, 0))).tolist() == [[0] * PIXELS] * 2
     assert _core.hadamard(np.zeros((0, 8))).shape == (0, 8)
@@ -95,7 +82,7 @@ def test_nothing_is_solved_to_nothing() -> None:
 
 
 def layouts(values: NDArray[Any]) -> list[NDArray[Any]]:
-    """The same values, otherwise in memory: by columns, by strides, backwards, out of step."""
+    """The same values in other memory layouts: Fortran order, strides, backwards, unaligned."""
     spread = np.zeros([2 * side for side in values.shape], values.dtype)
     every_other = spread[tuple(slice(None, None, 2) for _ in values.shape)]
     every_other[...] = values
@@ -106,18 +93,18 @@ def layouts(values: NDArray[Any]) -> list[NDArray[Any]]:
     return [np.asfortranarray(values), every_other, backwards, shifted]
 
 
-def same(found: _core.Solved, other: _core.Solved) -> None:
+def same(one: _core.Solved, other: _core.Solved) -> None:
     for name in ("indptr", "indices", "values", "background", "gap", "passes"):
-        np.testing.assert_array_equal(getattr(found, name), getattr(other, name))
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
 
 
-def test_no_layout_is_misread() -> None:
+def test_every_memory_layout_is_read_correctly() -> None:
     weights = RNG.random((ROWS, PATTERNS))
-    usual = solve(samples(weights=weights))
+    reference = solve(samples=samples(weights=weights))
     for values, clipped, weight in zip(
         layouts(VALUES), layouts(CLIPPED), layouts(weights), strict=True
     ):
-        same(usual, solve(samples(values=values, clipped=clipped, weights=weight)))
+        same(reference, solve(samples=samples(values=values, clipped=clipped, weights=weight)))
     x = RNG.random((5, PIXELS))
     for packed, rows in zip(layouts(BITS), layouts(x), strict=True):
         product = _core.bits_forward(packed, PIXELS, rows)
@@ -132,19 +119,23 @@ def test_no_layout_is_misread() -> None:
         np.testing.assert_array_equal(again, scores)
 
 
-def test_indices_of_either_width_and_values_of_either_precision_are_the_same() -> None:
-    usual, _ = weighted(start=begin(), cells=cells())
-    for whole in (np.int32, np.int64):
+def test_integer_width_and_precision_make_no_difference() -> None:
+    reference, _ = weighted(start=start(), cells=cells())
+    for integer in (np.int32, np.int64):
         for real in (np.float32, np.float64):
-            rows = sparse(
-                indptr=MATRIX.indptr.astype(whole),
-                indices=MATRIX.indices.astype(whole),
+            rows = sparse_rows(
+                indptr=MATRIX.indptr.astype(integer),
+                indices=MATRIX.indices.astype(integer),
                 data=MATRIX.data.astype(real),
             )
-            same(usual, weighted(rows, start=begin(coefficients=rows), cells=cells())[0])
-            np.testing.assert_array_equal(likely(rows)[1], likely()[1])
+            same(
+                reference,
+                weighted(candidates=rows, start=start(coefficients=rows), cells=cells())[0],
+            )
+            np.testing.assert_array_equal(likely(rows=rows)[1], likely()[1])
             np.testing.assert_array_equal(
-                expected(near=around(rows=begin(coefficients=rows)))[0], expected()[0]
+                expected(neighbourhood=neighbourhood(rows=start(coefficients=rows)))[0],
+                expected()[0],
             )
 
 
@@ -157,8 +148,8 @@ def test_indices_of_either_width_and_values_of_either_precision_are_the_same() -
     signs=st.tuples(st.booleans(), st.booleans()),
     seed=st.integers(0, 2**32 - 1),
 )
-@settings(max_examples=60, deadline=None)
-def test_numbers_of_any_size_end(
+@hypothesis_settings(max_examples=60, deadline=None)
+def test_numbers_of_any_size_give_finite_results(
     regularization: float,
     scale: float,
     weight: float,
@@ -178,20 +169,20 @@ def test_numbers_of_any_size_end(
         weights=rng.random((ROWS, PATTERNS)) * weight,
     )
     nonnegative, background = signs
-    how = chosen(
+    options = settings(
         regularization=regularization,
         fidelity=fidelity,
         nonnegative=nonnegative,
         background=background,
         max_passes=20,
     )
-    found = prepared.solve(rows, how)
-    assert np.isfinite(found.values).all()
-    assert np.isfinite(found.background).all()
-    assert found.indptr[-1] == len(found.indices)
+    solved = prepared.solve(rows, options)
+    assert np.isfinite(solved.values).all()
+    assert np.isfinite(solved.background).all()
+    assert solved.indptr[-1] == len(solved.indices)
     if nonnegative:
-        assert (found.values >= 0).all()
-        assert (found.background >= 0).all()
+        assert (solved.values >= 0).all()
+        assert (solved.background >= 0).all()
 
 
 ARRAYS = st.builds(
@@ -201,14 +192,14 @@ ARRAYS = st.builds(
     st.sampled_from([0.0, 1.0, 0.5, -1.0, 20.0]),
     st.integers(0, 3),
 )
-THINGS = st.one_of(ARRAYS, st.none(), st.integers(), st.text(max_size=3), st.just(MATRIX))
+ARGUMENTS = st.one_of(ARRAYS, st.none(), st.integers(), st.text(max_size=3), st.just(MATRIX))
 
 
-@given(things=st.lists(THINGS, min_size=9, max_size=9))
-@settings(max_examples=60, deadline=None)
-def test_any_things_give_an_ordinary_exception_or_a_result(things: list[Any]) -> None:
-    a, b, c, d, e, f, g, h, i = things
-    calls: list[Call] = [
+@given(values=st.lists(ARGUMENTS, min_size=9, max_size=9))
+@hypothesis_settings(max_examples=60, deadline=None)
+def test_any_arguments_give_an_ordinary_exception_or_a_result(values: list[Any]) -> None:
+    a, b, c, d, e, f, g, h, i = values
+    calls: list[Callable[[], Any]] = [
         lambda: _core.bits_forward(a, b, c),
         lambda: _core.bits_adjoint(BITS, PIXELS, a),
         lambda: _core.bits_columns(BITS, PIXELS, a),
@@ -217,14 +208,14 @@ def test_any_things_give_an_ordinary_exception_or_a_result(things: list[Any]) ->
         lambda: _core.PreparedPatterns.from_bits(a, PIXELS, b, c),
         lambda: _core.PreparedPatterns.from_dense(a, b),
         lambda: SHOWN.scores(a),
-        lambda: solve(samples(values=a)),
-        lambda: solve(samples(values=a, clipped=b, weights=c)),
-        lambda: solve(samples(weights=d)),
-        lambda: solve(start=begin(background=e)),
-        lambda: weighted(SimpleNamespace(indptr=a, indices=b, data=c)),
+        lambda: solve(samples=samples(values=a)),
+        lambda: solve(samples=samples(values=a, clipped=b, weights=c)),
+        lambda: solve(samples=samples(weights=d)),
+        lambda: solve(start=start(background=e)),
+        lambda: weighted(candidates=SimpleNamespace(indptr=a, indices=b, data=c)),
         lambda: weighted(cells=cells(means=d, penalties=e)),
-        lambda: weighted(background=f, start=begin(background=g), cells=cells()),
-        lambda: expected(near=around(movement=h)),
+        lambda: weighted(background=f, start=start(background=g), cells=cells()),
+        lambda: expected(neighbourhood=neighbourhood(movement=h)),
         lambda: expected(background=i, reach=a),
         lambda: likely(camera=a, projector=b, reach=(c, d), most=e, range=(f, g)),
         lambda: likely(doubts=a),
@@ -238,7 +229,7 @@ LIMITED = """
 import resource
 import numpy as np
 from lightmatrix import _core
-from tests.helpers.hostile_core import CLIPPED, SHOWN, VALUES, chosen, samples
+from tests.helpers.core_arguments import CLIPPED, SHOWN, VALUES, samples, settings
 
 SHOWN.scores(np.ones((1, 9)))
 pages = int(open("/proc/self/statm").read().split()[0])
@@ -249,12 +240,12 @@ try:
     {call}
 except (MemoryError, OSError) as error:
     print(type(error).__name__, error)
-# Threads that end need room too.
+# Threads need memory to end, too.
 resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
 """
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="limits of memory are Linux's here")
+@pytest.mark.skipif(sys.platform != "linux", reason="sets memory limits as on Linux")
 @pytest.mark.parametrize(
     ("room", "call", "message"),
     [
@@ -266,7 +257,7 @@ resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
         (
             2**28,
             "SHOWN.solve(samples(values=np.tile(VALUES, (60, 1)), "
-            "clipped=np.tile(CLIPPED, (60, 1))), chosen(threads=700))",
+            "clipped=np.tile(CLIPPED, (60, 1))), settings(threads=700))",
             "MemoryError not enough memory for the threads",
         ),
         (
@@ -279,7 +270,7 @@ resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
         ),
     ],
 )
-def test_memory_that_is_not_there_is_an_error(room: int, call: str, message: str) -> None:
+def test_missing_memory_is_a_memory_error(room: int, call: str, message: str) -> None:
     script = LIMITED.format(room=room, call=call)
     done = run("-c", script)
     assert done.returncode == 0, done.stderr
@@ -289,39 +280,39 @@ def test_memory_that_is_not_there_is_an_error(room: int, call: str, message: str
 NO_THREADS = """
 import os
 import resource
-from tests.helpers.hostile_core import chosen, solve
+from tests.helpers.core_arguments import settings, solve
 
-# Root may start what it likes.
+# The limit does not hold for root.
 if os.getuid() == 0:
     os.setuid(65534)
 resource.setrlimit(resource.RLIMIT_NPROC, (1, 1))
 try:
-    solve(chosen_=chosen(threads=5))
+    solve(settings=settings(threads=5))
 except OSError as error:
     print(error)
 """
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="limits of threads are Linux's here")
+@pytest.mark.skipif(sys.platform != "linux", reason="sets thread limits as on Linux")
 def test_threads_that_cannot_start_are_an_error() -> None:
     done = run("-c", NO_THREADS)
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith("cannot start 5 threads: ")
 
 
-@pytest.mark.skipif(not hasattr(os, "fork"), reason="there is no fork")
-def test_a_forked_process_has_threads_of_its_own() -> None:
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
+def test_a_forked_process_starts_its_own_threads() -> None:
     script = (
-        "import os\nfrom tests.helpers.hostile_core import chosen, solve\n"
-        "solve(chosen_=chosen(threads=None))\nchild = os.fork()\n"
-        "solve(chosen_=chosen(threads=None))\n"
+        "import os\nfrom tests.helpers.core_arguments import settings, solve\n"
+        "solve(settings=settings(threads=None))\nchild = os.fork()\n"
+        "solve(settings=settings(threads=None))\n"
         "os._exit(0) if child == 0 else print(os.waitpid(child, 0)[1])"
     )
     done = run("-c", script)
     assert (done.returncode, done.stdout) == (0, "0\n"), done.stderr
 
 
-def test_an_exception_in_progress_stops_the_rows() -> None:
+def test_an_exception_in_the_progress_callback_stops_the_solver() -> None:
     def stop(done: int, rows: int) -> None:
         raise KeyboardInterrupt
 

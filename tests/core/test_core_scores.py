@@ -17,7 +17,7 @@ INSTRUCTIONS = ("portable", "avx2", "avx512", "amx")
 
 
 def prepared(patterns: PatternSet, instructions: str) -> PreparedPatterns:
-    """Patterns for some instructions; skips the test, and says so, where the CPU has none such."""
+    """Patterns prepared for an instruction set; skips the test if the CPU does not have it."""
     try:
         return patterns.prepare(instructions=instructions)
     except ValueError as error:
@@ -67,23 +67,3 @@ def test_instruction_sets_give_the_same_scores(instructions: str) -> None:
     other = prepared(patterns, instructions).scores(e)
     np.testing.assert_array_equal(other[0], portable[0])
     np.testing.assert_array_equal(other[1], portable[1])
-
-
-def test_wrong_arguments_are_refused() -> None:
-    patterns = BernoulliPatterns((5, 5), 9)
-    with pytest.raises(ValueError, match="abacus"):
-        patterns.prepare(instructions="abacus")
-    core = patterns.prepare()
-    with pytest.raises(ValueError, match="9 patterns"):
-        core.scores(np.zeros((2, 8)))
-    with pytest.raises(ValueError, match="bytes a pattern"):
-        PreparedPatterns.from_bits(patterns.bits, 99, patterns.means)
-    with pytest.raises(ValueError, match="means has shape"):
-        PreparedPatterns.from_bits(patterns.bits, 25, np.zeros(3))
-    with pytest.raises(ValueError, match="outside"):
-        PreparedPatterns.from_dense(np.full((2, 3), 1.5, np.float32), np.zeros(2))
-    index = np.arange(9, dtype=np.int64)
-    with pytest.raises(ValueError, match="transform of length 24"):
-        PreparedPatterns.from_bits(
-            patterns.bits, 25, patterns.means, (24, index, np.arange(24, dtype=np.int64))
-        )
