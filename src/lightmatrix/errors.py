@@ -1,4 +1,4 @@
-"""Errors that a user can act on: what was wrong, where, and what would work."""
+"""The errors and warnings that lightmatrix raises, each with a hint at what would work."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ class LightMatrixError(Exception):
         self.hint = hint
 
     def __reduce__(self) -> tuple[Any, ...]:
-        # Errors of a worker come back in a pickle, which knows no keywords.
-        return _again, (type(self), self.message, self.hint)
+        # A worker process returns errors in a pickle, which passes no keywords.
+        return _rebuild, (type(self), self.message, self.hint)
 
 
 class InputError(LightMatrixError):
@@ -48,15 +48,15 @@ class MissingExtraError(LightMatrixError):
 
 
 class ClusterError(LightMatrixError):
-    """Worker processes cannot be reached, are not what they should be, or die again and again."""
+    """Worker processes cannot be reached, do not match this process, or keep dying."""
 
 
 class SolverError(LightMatrixError):
-    """A solver cannot treat this problem, or left the finite numbers."""
+    """A solver cannot solve this problem, or its numbers became infinite."""
 
 
 class DeviceError(LightMatrixError):
-    """A projector or a camera is missing, in use, gone, or does not do what it was asked."""
+    """A projector or a camera is missing, in use, disconnected, or does not do what it should."""
 
 
 class FrameTimeoutError(DeviceError):
@@ -64,8 +64,8 @@ class FrameTimeoutError(DeviceError):
 
 
 class LightMatrixWarning(UserWarning):
-    """The input is usable but probably not what was meant; the message says what to check."""
+    """The input is usable but probably not what the user meant; the message says what to check."""
 
 
-def _again(kind: type[LightMatrixError], message: str, hint: str | None) -> LightMatrixError:
+def _rebuild(kind: type[LightMatrixError], message: str, hint: str | None) -> LightMatrixError:
     return kind(message, hint=hint)

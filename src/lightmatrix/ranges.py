@@ -1,4 +1,4 @@
-"""Numbers within their range, or an InputError that says which would work."""
+"""Checks that numbers are in their range, with messages that say what would work."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 
 from lightmatrix.errors import InputError
 
-# Philox, behind everything random, takes keys of 64 bits.
+# The largest seed: the random generator Philox has keys of 64 bits.
 LARGEST_SEED = 2**64 - 1
 
 
@@ -19,23 +19,9 @@ def check_number(
     above: bool = False,
     hint: str,
 ) -> None:
-    """Refuse a number that is not finite or lies outside of least..most.
+    """Refuse a number that is not finite or lies outside of least..most, ends included.
 
-    Parameters
-    ----------
-    what : str
-        What it is a number of, as the message says it: "a blur".
-    least, most : float
-        The permitted range, ends included.
-    above : bool
-        Whether it must lie above `least` itself.
-    hint : str
-        What would work.
-
-    Raises
-    ------
-    InputError
-        If it lies outside, or is no number at all.
+    With `above`, the number must not equal `least`. `what` names it in the message, as in "a blur".
     """
     try:
         number = float(value)
@@ -46,15 +32,9 @@ def check_number(
 
 
 def check_seed(seed: int) -> None:
-    """Refuse seeds that are no whole numbers of 64 bits.
-
-    Raises
-    ------
-    InputError
-        If it is negative, too large, or not whole.
-    """
+    """Refuse seeds that are not whole numbers of 64 bits."""
     if not hasattr(seed, "__index__") or not 0 <= int(seed) <= LARGEST_SEED:
-        # "0" in quotes, lest it looks like the number.
+        # A text such as "0" keeps its quotes, so that it does not look like a number.
         shown = seed if hasattr(seed, "__index__") else repr(seed)
         raise InputError(f"a seed of {shown}", hint=f"use a whole number from 0 to {LARGEST_SEED}")
 

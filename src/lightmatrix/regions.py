@@ -1,4 +1,4 @@
-"""A rectangle of a camera's photographs: what `--crop` asks for, and what a store knows of it."""
+"""`Region`: the rectangle of photographs that `--crop` cuts out, kept in stores."""
 
 from __future__ import annotations
 
@@ -14,22 +14,7 @@ from lightmatrix.errors import InputError
 
 @dataclass(frozen=True)
 class Region:
-    """A rectangle of photographs.
-
-    Parameters
-    ----------
-    corner : (int, int)
-        Row and column of its first pixel.
-    shape : (int, int)
-        Its rows and columns.
-    whole : (int, int)
-        Rows and columns of the photographs.
-
-    Raises
-    ------
-    InputError
-        If it is empty or does not lie within the photographs.
-    """
+    """A rectangle of photographs of `whole` rows and columns, from a corner of (row, col)."""
 
     corner: tuple[int, int]
     shape: tuple[int, int]
@@ -52,36 +37,32 @@ class Region:
 
     @property
     def slices(self) -> tuple[slice, slice]:
-        """Its rows and columns, to take from an array of the whole."""
+        """Its rows and columns, as an index into an array of the whole."""
         (row, col), (rows, cols) = self.corner, self.shape
         return slice(row, row + rows), slice(col, col + cols)
 
     def samples(self, camera_shape: tuple[int, ...]) -> NDArray[np.int64]:
-        """Which samples of a camera of (rows, cols[, channels]) lie in it, in their order."""
+        """Indices of its samples, for a camera of (rows, cols[, channels]), in ascending order."""
         every = np.arange(np.prod(camera_shape)).reshape(camera_shape)
         return every[self.slices].ravel()
 
     def within(self, outer: Region) -> Region:
-        """The same rectangle, of the photographs that `outer` was cut from."""
+        """The same rectangle of the photographs from which `outer` was cut."""
         row, col = outer.corner[0] + self.corner[0], outer.corner[1] + self.corner[1]
         return Region((row, col), self.shape, outer.whole)
 
     def as_dict(self) -> dict[str, list[int]]:
         """Corner, shape and whole, JSON-ready."""
-        return {
-            "corner": list(self.corner),
-            "shape": list(self.shape),
-            "whole": list(self.whole),
-        }
+        return {name: list(pair) for name, pair in vars(self).items()}
 
     @classmethod
     def from_provenance(cls, provenance: Mapping[str, Any]) -> Self | None:
-        """The rectangle that an estimate's provenance tells of; None if of none, or nonsense."""
-        described = provenance.get("capture_description")
-        told = described.get("crop") if isinstance(described, Mapping) else None
-        if not isinstance(told, Mapping):
+        """The rectangle in the provenance of an estimate; None if there is none or a damaged one."""
+        description = provenance.get("capture_description")
+        crop = description.get("crop") if isinstance(description, Mapping) else None
+        if not isinstance(crop, Mapping):
             return None
-        pairs = [told.get(name) for name in ("corner", "shape", "whole")]
+        pairs = [crop.get(name) for name in ("corner", "shape", "whole")]
         try:
             corner, shape, whole = ((int(rows), int(cols)) for rows, cols in pairs)  # type: ignore[misc]
             return cls(corner, shape, whole)

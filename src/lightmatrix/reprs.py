@@ -1,4 +1,4 @@
-"""How objects show themselves: in one line where they are printed, as a table in a notebook."""
+"""Objects as text: in one line, as a table in a notebook, and as JSON."""
 
 from __future__ import annotations
 
@@ -7,17 +7,14 @@ from collections.abc import Mapping
 from dataclasses import fields
 from typing import Any
 
-# Longer texts, such as a provenance, are cut.
+# Characters of a value in one line; longer texts, such as a provenance, are cut.
 _LONGEST = 60
 
 
 def short_repr(self: Any) -> str:
-    """The fields of a dataclass in one line, arrays by their type and shape instead of content.
-
-    To be put into a class as its ``__repr__``.
-    """
-    shown = ", ".join(f"{field.name}={_short(getattr(self, field.name))}" for field in fields(self))
-    return f"{type(self).__name__}({shown})"
+    """The ``__repr__`` of a dataclass in one line, with type and shape in place of arrays."""
+    values = (f"{field.name}={_short(getattr(self, field.name))}" for field in fields(self))
+    return f"{type(self).__name__}({', '.join(values)})"
 
 
 def html_table(title: str, rows: Mapping[str, Any]) -> str:
@@ -31,14 +28,14 @@ def html_table(title: str, rows: Mapping[str, Any]) -> str:
 
 
 def text_table(title: str, rows: Mapping[str, Any]) -> str:
-    """Names and values as lines of text, for ``__repr__`` where one line cannot tell enough."""
+    """Names and values as lines of text, for a ``__repr__`` of several lines."""
     width = max(map(len, rows), default=0)
     lines = [f"  {name:<{width}}  {shown_value(value)}" for name, value in rows.items()]
     return "\n".join([title, *lines])
 
 
 def shown_value(value: Any) -> str:
-    """A value for the eye: numbers with four digits."""
+    """A value as text, numbers with four digits."""
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 

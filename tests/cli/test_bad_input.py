@@ -235,7 +235,7 @@ FAULTS: dict[str, tuple[Fault, str, str]] = {
         "estimate capture --patterns patterns -o scene.zarr",
         "a capture folder and --patterns were given",
     ),
-    "no source": (nothing, "estimate -o scene.zarr", "nothing to look at or to estimate from"),
+    "no source": (nothing, "estimate -o scene.zarr", "no capture is given"),
     "no patterns": (nothing, "estimate --images images", "--patterns is missing"),
     "no photographs": (nothing, "estimate --patterns patterns", "--images is missing"),
     # ---- outputs

@@ -101,13 +101,7 @@ class Decoder:
         return np.asarray(np.asarray(self.black_frame) >= np.min(self.clip))
 
     def check_count(self, count: int) -> None:
-        """Refuse lists of exposures or levels that do not have one number for each of the frames.
-
-        Raises
-        ------
-        InputError
-            Naming the list.
-        """
+        """Refuse lists of exposures or levels that do not have one number for each frame."""
         for name in ("clip", "black_level", "exposure"):
             value = np.asarray(getattr(self, name))
             if value.ndim and value.shape != (count,):

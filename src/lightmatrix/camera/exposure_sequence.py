@@ -21,11 +21,6 @@ def parse_exposures(text: str) -> list[tuple[float, float]]:
     """Read ``0.8``, or exposures with their shares of the frames, ``1:0.75,0.25:0.25``.
 
     The pairs of (exposure, share) are positive, and the shares sum to 1.
-
-    Raises
-    ------
-    InputError
-        On exposures that are no positive numbers or beyond 1e12, and shares that do not sum to 1.
     """
     pairs = []
     for name, share in parse_shares(text, "an exposure", EXAMPLE):

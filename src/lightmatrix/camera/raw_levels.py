@@ -37,11 +37,6 @@ def check_levels(
     """Refuse raw levels unless 0 <= black level < clip level <= full scale <= 2^32 in each frame.
 
     A level that is None is not known yet, and bounds nothing.
-
-    Raises
-    ------
-    InputError
-        On levels out of range.
     """
     top = MOST_LEVEL if full_scale is None else full_scale
     if not 0 < top <= MOST_LEVEL:
@@ -69,13 +64,7 @@ def check_levels(
 
 
 def check_exposures(exposure: float | NDArray[Any]) -> None:
-    """Refuse exposures that are not positive, finite numbers, one or one for each frame.
-
-    Raises
-    ------
-    InputError
-        Naming the smallest.
-    """
+    """Refuse exposures that are not positive, finite numbers, one or one for each frame."""
     values = np.asarray(exposure, np.float64)
     if values.ndim > 1 or not ((values > 0) & (values < np.inf)).all():
         raise InputError(f"an exposure of {values.min():g}", hint="use positive numbers, such as 1")

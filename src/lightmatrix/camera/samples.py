@@ -151,12 +151,7 @@ def bin_samples(
     Pixels that are not `valid`, (M,), are left out; a block without any is 0 and not clipped.
     Blocks at the border may be smaller.
 
-    Parameters
-    ----------
-    decoded : Samples
-        Samples (M, n) of whole frames of `shape`, (rows, cols[, channels]).
-    block : (int, int)
-        Rows and columns of a block.
+    `decoded` are samples (M, n) of whole frames of `shape`, (rows, cols[, channels]).
     """
     grid = (*shape[:2], shape[2] if len(shape) == 3 else 1)
     weight = np.ones(grid) if valid is None else valid.reshape(grid).astype(np.float64)

@@ -41,12 +41,6 @@ def make_decoder(stack: ImageStack, settings: ReadSettings) -> Decoder:
 
     The black level, the camera's electronic pedestal, is 0 unless it is stated. It is not taken
     from the black frame, whose room light must not change the unit of the samples.
-
-    Raises
-    ------
-    InputError
-        On a black frame of another size or bit depth, one that is clipped, or one of another
-        exposure than the frames where no black level is stated; on levels out of range.
     """
     top = range_end(stack.dtype)
     response = _stated_response(settings.response, stack)
@@ -119,11 +113,6 @@ def check_depth(frames: Frames, decoder: Decoder) -> None:
 
     A camera of 12 bits clips at 4095. With 65535 in its place all samples are below 1/16 and none
     is clipped: the estimate would be wrong without any sign of it.
-
-    Raises
-    ------
-    InputError
-        Naming the clip level that is probably meant.
     """
     if not decoder.clip_assumed or frames.dtype != np.uint16:
         return
@@ -140,13 +129,7 @@ def check_depth(frames: Frames, decoder: Decoder) -> None:
 
 
 def read_mask(mask: str | Path | None, shape: tuple[int, ...]) -> NDArray[np.bool_] | None:
-    """The camera samples where a mask image is not 0, like a frame; None without a mask.
-
-    Raises
-    ------
-    InputError
-        If it cannot be read or is not as large as the images.
-    """
+    """The camera samples where a mask image is not 0, like a frame; None without a mask."""
     if mask is None:
         return None
     image = read_image(mask)

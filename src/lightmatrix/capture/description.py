@@ -27,19 +27,7 @@ Levels = float | NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Description:
-    """What capture.json says of a capture.
-
-    Parameters
-    ----------
-    settings : ReadSettings
-        How its photographs are read.
-    projector_shape, camera_shape : tuple of int, optional
-        None: not stated.
-    provenance : mapping
-        What made the capture.
-    absent : frozenset of str
-        The keys that capture.json does not have at all.
-    """
+    """The content of capture.json; `absent` are the keys that it does not have at all."""
 
     settings: ReadSettings = field(default_factory=ReadSettings)
     projector_shape: tuple[int, ...] | None = None
@@ -49,14 +37,7 @@ class Description:
 
 
 def read_description(file: Path, *, allow_outside: bool = False) -> Description:
-    """Read a capture.json, whose files may lie outside its folder only with `allow_outside`.
-
-    Raises
-    ------
-    InputError
-        On a key that is unknown, at any level, or whose value is of another kind or out of range;
-        on a file that lies outside the folder.
-    """
+    """Read a capture.json, whose files may lie outside its folder only with `allow_outside`."""
     return parse_description(file, read_json(file, FORMAT, VERSION), allow_outside=allow_outside)
 
 

@@ -56,11 +56,6 @@ def read_capture(
 
     Files that capture.json names may lie outside the folder only with `allow_outside`. Patterns and
     frames must be equal in number if `counted`.
-
-    Raises
-    ------
-    InputError
-        On a folder that is no capture, or a capture.json that contradicts it.
     """
     place = Path(folder)
     if not place.is_dir():
@@ -109,11 +104,6 @@ def read_folders(
     """Read two plain folders of images, or stacks; see `Capture.from_folders`.
 
     Patterns and frames must be equal in number if `counted`.
-
-    Raises
-    ------
-    InputError
-        On numbers or sizes that differ, or files that cannot be read.
     """
     shown = patterns if isinstance(patterns, PatternSet) else read_patterns(patterns)
     shown = _as_light(shown, settings)
@@ -154,13 +144,6 @@ def write_capture(
         See `Response.parse`; `beside` writes a curve's file.
     beside : callable, optional
         Called with the folder before it is whole, writes further files into it.
-
-    Raises
-    ------
-    InputError
-        If the number or shape of the frames is wrong.
-    OutputError
-        If the folder exists or cannot be written.
     """
     suffix = ".png" if sensor.bits else ".npy"
     digits = max(4, len(str(patterns.count - 1)))

@@ -104,30 +104,24 @@ class ArrayStack:
 
     @property
     def count(self) -> int:
-        """Number of frames K."""
         return len(self.array)
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Shape of a frame."""
         return self.array.shape[1:]
 
     @property
     def dtype(self) -> np.dtype[Any]:
-        """Type of the levels."""
         return self.array.dtype
 
     def read(self, index: int) -> NDArray[Any]:
-        """One frame."""
         frame: NDArray[Any] = self.array[index]
         return frame
 
     def name(self, index: int) -> str:
-        """The frame's number."""
         return f"frame {index}"
 
     def select(self, index: Sequence[int]) -> ArrayStack:
-        """The frames of the given indices."""
         return ArrayStack(self.array[list(index)])
 
 
@@ -140,17 +134,14 @@ class CutFrames:
 
     @property
     def count(self) -> int:
-        """Number of frames K."""
         return self.frames.count
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Shape of the rectangle."""
         return (*self.region.shape, *self.frames.shape[2:])
 
     @property
     def dtype(self) -> np.dtype[Any]:
-        """Type of the levels."""
         return self.frames.dtype
 
     def read(self, index: int) -> NDArray[Any]:
@@ -158,11 +149,9 @@ class CutFrames:
         return self.frames.read(index)[self.region.slices].copy()
 
     def name(self, index: int) -> str:
-        """The whole frame's name."""
         return self.frames.name(index)
 
     def select(self, index: Sequence[int]) -> CutFrames:
-        """The frames of the given indices."""
         return replace(self, frames=self.frames.select(index))
 
 
@@ -181,26 +170,17 @@ class CutPixels(CutFrames):
         return self._part.read(index)
 
     def levels(self, start: int, stop: int) -> NDArray[Any]:
-        """Raw levels of the rectangle's samples start..stop in all frames."""
         return self._part.levels(start, stop)
 
     def part(self, rows: slice, cols: slice) -> PixelFrames:
-        """A rectangle of the rectangle."""
         return self._part.part(rows, cols)
 
     def select(self, index: Sequence[int]) -> CutPixels:
-        """The frames of the given indices."""
         return replace(self, frames=self.frames.select(index))
 
 
 def cut(frames: Frames, corner: tuple[int, int], shape: tuple[int, int]) -> CutFrames:
-    """A rectangle of frames, which may themselves be cut, from a corner of (row, col).
-
-    Raises
-    ------
-    InputError
-        If it does not lie within the frames.
-    """
+    """A rectangle of frames, which may themselves be cut, from a corner of (row, col)."""
     rows, cols = frames.shape[:2]
     region = Region(corner, shape, (rows, cols))
     whole = frames

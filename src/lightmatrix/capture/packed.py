@@ -77,28 +77,19 @@ class PackedFrames:
 
     @property
     def count(self) -> int:
-        """Number of frames K'."""
         return len(self.index)
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Shape of a frame."""
         rows, cols = self.rows, self.cols
         return rows.stop - rows.start, cols.stop - cols.start, *self.array.shape[3:]
 
     @property
     def dtype(self) -> np.dtype[Any]:
-        """Type of the levels."""
         return self.array.dtype
 
     def read(self, index: int) -> NDArray[Any]:
-        """One frame, for which the chunks of all frames are decompressed.
-
-        Raises
-        ------
-        InputError
-            Naming a chunk that is damaged.
-        """
+        """One frame, for which the chunks of all frames are decompressed."""
         k = int(self.index[index])
         with as_damage_error(self.array.place.parent, _REMEDY):
             return self.array.read(slice(k, k + 1), self.rows, self.cols)[0]
@@ -108,21 +99,12 @@ class PackedFrames:
         return self.names[self.index[index]]
 
     def select(self, index: Sequence[int]) -> PackedFrames:
-        """The frames of the given indices."""
         return replace(self, index=self.index[list(index)], _last={})
 
     def part(self, rows: slice, cols: slice) -> PackedFrames:
-        """A rectangle of the pixels."""
         return replace(self, rows=_within(self.rows, rows), cols=_within(self.cols, cols), _last={})
 
     def levels(self, start: int, stop: int) -> NDArray[Any]:
-        """Raw levels of the camera samples start..stop in all frames, (stop - start, K').
-
-        Raises
-        ------
-        InputError
-            Naming a chunk that is damaged.
-        """
         width = int(np.prod(self.shape[1:]))
         levels = np.empty((stop - start, self.count), self.dtype)
         top, end = self.rows.start + start // width, self.rows.start - (-stop // width)
@@ -159,13 +141,7 @@ def is_packed(place: Path) -> bool:
 
 
 def read_packed(place: Path) -> CaptureParts:
-    """Open a packed capture: reads and checks everything but the frames.
-
-    Raises
-    ------
-    InputError
-        If it is no packed capture, is damaged, or was packed by a later version.
-    """
+    """Open a packed capture: reads and checks everything but the frames."""
     attributes = read_attributes(place)
     if attributes.get("format") != FORMAT:
         output = attributes.get("output")

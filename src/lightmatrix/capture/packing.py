@@ -161,11 +161,6 @@ def write_packed(
     `shape` and `dtype` are those of a frame, `mask` has its shape. `beside` is called with the
     folder before it is whole, and writes further files into it. `temporary` is the number of bytes
     that are needed beside the output meanwhile.
-
-    Raises
-    ------
-    OutputError
-        If the output exists, the disk is too small, or the output cannot be written.
     """
     count, dtype = len(names), np.dtype(dtype)
     rows, cols = _tile(count, shape, dtype)

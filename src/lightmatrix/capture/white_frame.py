@@ -26,12 +26,6 @@ def read_white_frame(path: str | Path, settings: ReadSettings) -> Samples:
 
     M counts the camera samples that do not clip without light. The response is linear if none is
     stated.
-
-    Raises
-    ------
-    InputError
-        On images that cannot be read or differ in size, levels out of range, 16-bit files of fewer
-        bits without a clip level, and frames that are dark.
     """
     file = Path(path)
     if not file.exists() or file.is_dir():

@@ -1,4 +1,4 @@
-"""`lightmatrix pack`: the frames of a capture in one array, chunked by tiles of camera pixels."""
+"""`lightmatrix pack`: writes the frames of a capture into one array."""
 
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ def pack(
 ) -> None:
     """Put all frames into one array, read tile by tile.
 
-    Give a capture folder, or --patterns and --images with what else is to be said of them. The
-    packed capture takes the folder's place everywhere, and is read as far as asked: a tile of
-    camera pixels without the rest of the frames.
+    Give a capture folder, or --patterns and --images with their options. Every command takes the
+    packed capture in place of the folder, and reads tiles of camera pixels from it without the
+    rest of the frames.
     """
     claim(output, PACKED_CAPTURE, overwrite=overwrite)
-    # Of a folder, `pack` takes truth.npz along too.
-    opened = source.open() if source.folder is None else source.folder
+    # From a capture folder `pack` copies truth.npz too.
+    packable = source.open() if source.folder is None else source.folder
     with progress("packing", "frames") as step:
-        lm.pack(opened, output, overwrite=overwrite, progress=step)
+        lm.pack(packable, output, overwrite=overwrite, progress=step)
     size = sum(file.stat().st_size for file in output.rglob("*") if file.is_file())
     frames = lm.Capture.open(output).frames
     if as_json:

@@ -1,4 +1,4 @@
-"""`lightmatrix patterns`: projection patterns as a folder of images."""
+"""`lightmatrix patterns`: writes projection patterns as a folder of images."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def patterns(
             "-k",
             "--count",
             help="Number of patterns.",
-            show_default=f"{USUAL_COUNT}; all there are for onepixel and blocks",
+            show_default=f"{USUAL_COUNT}; for onepixel and blocks all",
         ),
     ] = None,
     shape: Annotated[str, typer.Option("--size", help="Projector rows x columns.")] = "128x128",
@@ -53,7 +53,7 @@ def patterns(
     block: Annotated[str, typer.Option(help="Blocks: rows x columns of one block.")] = "8x8",
     colour: Annotated[
         Colour | None,
-        typer.Option(help="Primary of a colour projector to show them in.", show_default="white"),
+        typer.Option(help="Primary of a colour projector that shows them.", show_default="white"),
     ] = None,
     seed: Seed = 0,
     overwrite: Overwrite = False,

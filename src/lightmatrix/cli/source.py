@@ -1,4 +1,4 @@
-"""Where a capture comes from: a folder that says all of it, or patterns, images and options."""
+"""The options that say where a capture comes from and how it is read, for three commands."""
 
 from __future__ import annotations
 
@@ -33,12 +33,12 @@ Folder = Annotated[
     Path | None,
     typer.Argument(
         metavar="CAPTURE",
-        help="Capture folder (patterns/, images/, capture.json); or the patterns, see --patterns.",
+        help="Capture folder (patterns/, images/, capture.json); or patterns, as --patterns.",
     ),
 ]
 Photographs = Annotated[
     Path | None,
-    typer.Argument(metavar="IMAGES", help="The photographs, if the patterns came before."),
+    typer.Argument(metavar="IMAGES", help="The photographs, if the first argument is patterns."),
 ]
 Patterns = Annotated[
     Path | None,
@@ -60,7 +60,7 @@ BlackExposure = Annotated[
 ]
 White = Annotated[
     Path | None,
-    _reading("--white", help="Photograph under a white pattern; one more sample."),
+    _reading("--white", help="Photograph under a white pattern; adds a sample."),
 ]
 Mask = Annotated[Path | None, _reading("--mask", help="Image; pixels at 0 are left out.")]
 BlackLevel = Annotated[
@@ -112,7 +112,8 @@ ProjectorCurve = Annotated[
 Mosaic = Annotated[
     bool,
     _reading(
-        "--mosaic", help="Raw camera files: each pixel a sample, not interpolated to colours."
+        "--mosaic",
+        help="Raw camera files: one sample for each pixel, without interpolating colours.",
     ),
 ]
 
@@ -195,14 +196,7 @@ def read_source(
     crop: Crop = None,
     mosaic: Mosaic = False,
 ) -> Source:
-    """The source that the options of a command describe.
-
-    Raises
-    ------
-    InputError
-        Unless there is a capture folder alone, or patterns and images; and on options that cannot
-        be read.
-    """
+    """The source that the options of a command describe."""
     stated = {
         "black": black,
         "black_exposure": black_exposure,
@@ -221,7 +215,7 @@ def read_source(
     if photographs is not None:
         if patterns is not None or images is not None:
             raise InputError(
-                f"{capture} and {photographs}, and --patterns or --images besides, were given",
+                f"{capture} and {photographs} were given, and --patterns or --images too",
                 hint="give patterns and images once",
             )
         capture, patterns, images = None, capture, photographs
@@ -232,12 +226,12 @@ def read_source(
             options = ", ".join(map(_option, besides))
             raise InputError(
                 f"a capture folder and {options} were given",
-                hint="a capture folder says all that in capture.json; give one or the other",
+                hint="a capture folder has these settings in capture.json; give one or the other",
             )
         return Source(capture, None, None, None, region)
     if patterns is None and images is None:
         raise InputError(
-            "there is nothing to look at or to estimate from",
+            "no capture is given",
             hint="give a capture folder, or --patterns and --images",
         )
     if patterns is None or images is None:
@@ -247,7 +241,7 @@ def read_source(
 
 
 def _read_settings(stated: Mapping[str, Any]) -> ReadSettings:
-    """The settings, with numbers in place of text."""
+    """The settings that options state, of which some are texts that hold numbers."""
     values = dict(stated)
     for name in ("exposure", "clip", "black_level"):
         if name in values:
@@ -262,20 +256,14 @@ def _option(name: str) -> str:
 
 
 def rectangle(text: str) -> tuple[tuple[int, int], tuple[int, int]]:
-    """Corner and shape of a rectangle of photographs, such as 400,600:768x1024.
-
-    Raises
-    ------
-    InputError
-        On anything else.
-    """
-    found = re.fullmatch(r" *([0-9]+) *, *([0-9]+) *: *([0-9]+) *[xX*] *([0-9]+) *", text)
-    if found is None or max(map(len, found.groups())) > 9:
+    """Corner and shape of a rectangle of photographs, written as 400,600:768x1024."""
+    match = re.fullmatch(r" *([0-9]+) *, *([0-9]+) *: *([0-9]+) *[xX*] *([0-9]+) *", text)
+    if match is None or max(map(len, match.groups())) > 9:
         raise InputError(
             f"--crop {text!r}",
             hint="write row and column of its first pixel, then rows x columns: 400,600:768x1024",
         )
-    row, col, rows, cols = map(int, found.groups())
+    row, col, rows, cols = map(int, match.groups())
     return (row, col), (rows, cols)
 
 
@@ -287,21 +275,15 @@ def level_or_file(text: str) -> float | str:
 
 
 def numbers(text: str, option: str) -> float | list[float]:
-    """One number; or one for each frame, separated by commas, or by anything in a text file.
-
-    Raises
-    ------
-    InputError
-        Naming the option, on anything else.
-    """
+    """One number, or one for each frame, in the text itself or in the file that it names."""
     wrong = InputError(
         f"{option} {text!r}",
         hint="give one number, or one for each frame: 1,0.5,0.25 or a text file of them",
     )
-    # Not of pathlib, which stumbles over lists that are too long for a name.
-    listed = read_text(text) if os.path.isfile(text) else text
+    # Unlike pathlib, os.path accepts lists that are too long for a file name.
+    content = read_text(text) if os.path.isfile(text) else text
     try:
-        values = [float(word) for word in listed.replace(",", " ").replace(";", " ").split()]
+        values = [float(word) for word in content.replace(",", " ").replace(";", " ").split()]
     except ValueError:
         raise wrong from None
     if not values:

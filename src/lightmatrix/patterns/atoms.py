@@ -38,16 +38,10 @@ class AtomPatterns(PatternSet):
     s, times a gain that gives the columns of all sizes the same contrast. The penalty on a spot is
     then in proportion to the samples that it can explain. Light beyond the projector is lost.
 
-    Parameters
-    ----------
-    single : PatternSet
-        K patterns over N single pixels.
-    sizes : tuple of float
-        Standard deviations of the spots in projector pixels, ascending; the first is 0, a pixel.
-    gains : tuple of float
-        In (0, 1], one for each size. Empty: from the contrast of the patterns.
-    narrow : bool
-        Whether the compiled solver keeps columns in half the memory, to within 1e-5.
+    `single` are the K patterns over N single pixels. `sizes` are standard deviations in projector
+    pixels, ascending from 0, a single pixel. `gains` are in (0, 1], one for each size; empty: from
+    the contrast of the patterns. With `narrow` the compiled solver keeps columns in half the
+    memory, to within 1e-5.
     """
 
     single: PatternSet

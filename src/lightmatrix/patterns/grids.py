@@ -17,11 +17,6 @@ def block_size(block: int | tuple[int, int], what: str) -> tuple[int, int]:
     """Rows and columns of a block of pixels, given as such or as one number for both.
 
     The message names the pixels as `what`, such as "camera".
-
-    Raises
-    ------
-    InputError
-        If the block is empty or larger than 2^20 pixels.
     """
     rows, cols = (block, block) if isinstance(block, (int, np.integer)) else block
     if not 1 <= min(rows, cols) <= max(rows, cols) <= _LARGEST_BLOCK:
@@ -48,11 +43,6 @@ def grid_cells(shape: tuple[int, int], grid: tuple[int, int]) -> NDArray[np.int6
 
     Cells are numbered in the order (row, col). They are as equal as whole pixels allow, and none is
     empty.
-
-    Raises
-    ------
-    InputError
-        If the grid has more rows or columns than the projector, or none.
     """
     check_grid(shape, grid)
     row = np.arange(shape[0]) * grid[0] // shape[0]

@@ -104,13 +104,7 @@ def make_patterns(
 
 
 def remake_patterns(description: Mapping[str, Any]) -> PatternSet | None:
-    """Remake a pattern set from its description; None for a set that only its images describe.
-
-    Raises
-    ------
-    InputError
-        On an unknown kind or missing parameters.
-    """
+    """Remake a pattern set from its description; None for a set that only its images describe."""
     parameters = {key: value for key, value in description.items() if key != "kind"}
     kind = description.get("kind")
     if kind == _IMAGES:

@@ -131,13 +131,7 @@ def default_mix(shape: tuple[int, int], count: int) -> Mix:
 
 
 def parse_mix(text: str, shape: tuple[int, int]) -> Mix:
-    """Read a mix such as ``fine:0.75,32x32:0.125,8x8:0.125``.
-
-    Raises
-    ------
-    InputError
-        On anything else.
-    """
+    """Read a mix such as ``fine:0.75,32x32:0.125,8x8:0.125``."""
     mix = []
     for name, share in parse_shares(text, "a mix", EXAMPLE):
         rows, _, cols = name.lower().partition("x")

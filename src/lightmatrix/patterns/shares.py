@@ -32,11 +32,6 @@ def parse_shares(text: str, what: str, example: str) -> list[tuple[str, float]]:
     """Read ``NAME:SHARE,NAME:SHARE`` as pairs whose shares sum to 1; a single NAME has the share 1.
 
     Messages say what is listed, and give an example that works.
-
-    Raises
-    ------
-    InputError
-        On shares that are no positive numbers or do not sum to 1, or names given twice.
     """
     parts = [part.strip().partition(":") for part in text.split(",")]
     if len(parts) == 1 and not parts[0][1]:

@@ -275,7 +275,7 @@ def _same_as_lower_case(folder: object, ran: object) -> str | None:
 def _names() -> list[Case]:
     long = "a" * 300
     return [
-        Case("no words at all for estimate", "estimate", "nothing to look at|capture"),
+        Case("no words at all for estimate", "estimate", "no capture is given"),
         Case("an unknown command", "photograph", "photograph"),
         Case("an unknown option", f"{PATTERNS} --shade red", "--shade"),
         Case(
