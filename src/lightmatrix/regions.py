@@ -57,7 +57,7 @@ class Region:
 
     @classmethod
     def from_provenance(cls, provenance: Mapping[str, Any]) -> Self | None:
-        """The rectangle in the provenance of an estimate; None if there is none or a damaged one."""
+        """The rectangle in the provenance of an estimate, or None without a valid one."""
         description = provenance.get("capture_description")
         crop = description.get("crop") if isinstance(description, Mapping) else None
         if not isinstance(crop, Mapping):
