@@ -1,6 +1,6 @@
-# Two commands for a fresh machine with Python >= 3.11, a Rust toolchain and make:
-#   make demo   a scene, a clipping camera, four estimators, a report with pictures
-#   make test   every check this project has
+# Two commands for a new machine with Python 3.11 or newer, a Rust toolchain and make:
+#   make demo   builds everything and runs a demo: a scene, a clipping camera, four estimators
+#   make test   runs every check of this project
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
@@ -11,7 +11,7 @@ CORE := $(shell find crates -name '*.rs' -o -name Cargo.toml) Cargo.toml pyproje
 	needs system-deps clean
 
 help:
-	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 16
+	@grep -E '^[a-z0-9-]+:.*## ' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 16
 
 $(BIN)/python:
 	$(PYTHON) -c 'import sys; sys.exit("lightmatrix needs Python 3.11 or newer, this is " + sys.version.split()[0] if sys.version_info < (3, 11) else 0)'
@@ -28,19 +28,19 @@ $(VENV)/.test-installed: $(VENV)/.installed
 	for extra in window aravis gentl video dslr; do \
 	  $(BIN)/python tools/requirements.py $$extra | \
 	    $(BIN)/python -m pip install --quiet --disable-pip-version-check -r /dev/stdin || \
-	    { echo "no $$extra here (see make system-deps): its tests are skipped"; test -z "$$CI"; } \
+	    { echo "$$extra cannot be installed (see make system-deps): its tests are skipped"; test -z "$$CI"; } \
 	    || exit 1; \
 	done
 	@touch $@
 
-install: $(VENV)/.installed ## build the core and install lightmatrix into .venv
+install: $(VENV)/.installed ## build lightmatrix into .venv
 
-demo: install ## simulate, estimate and evaluate a bundled scene; a report in report/
+demo: install ## run the demo; then open report/report.html
 	$(BIN)/lightmatrix demo -o report --overwrite
 
 test-install: $(VENV)/.test-installed
 
-test: test-install ## every check: formats, types, Rust, Python, README, wheel
+test: test-install ## run every check: format, types, Rust, Python, README, wheel
 	$(MAKE) --jobs=2 lint types rust-test
 	$(MAKE) py-test
 	$(MAKE) wheel-demo
@@ -57,75 +57,76 @@ types:
 rust-test:
 	cargo test --quiet --package lightmatrix-core --profile quick
 
-# Two processes, since many tests of devices wait; what they calculate with takes one thread each.
+# Two processes, because many tests of devices wait; one thread each for numerics.
 py-test:
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 \
 	  $(BIN)/python -m pytest --numprocesses 2 --dist loadfile --no-loadscope-reorder
 
-faults: test-install ## the table of faults, counted by what became of each
+faults: test-install ## run the table of faults and count the outcomes
 	$(BIN)/python -m tests.faults.table -v
 
-fuzz: test-install ## N damaged inputs, 20,000 unless said: make fuzz N=500
+fuzz: test-install ## try 20,000 damaged inputs, or make fuzz N=500
 	$(BIN)/python -m tests.faults.fuzz --count $(or $(N),20000)
 
-live-faults: test-install ## N captures of a rig that fails and is killed, 200 unless said: make live-faults N=20
+live-faults: test-install ## capture 200 times with a rig that fails, or make live-faults N=20
 	$(BIN)/python -m tests.live.rig_faults --count $(or $(N),200)
 
-kills: test-install ## N estimates killed at random moments, and N whose workers are; 50 unless said: make kills N=10
+kills: test-install ## kill 50 estimates and their workers at random moments, or make kills N=10
 	$(BIN)/python -m tests.estimators.kills --count $(or $(N),50)
 	$(BIN)/python -m tests.estimators.kills --count $(or $(N),50) --small --workers 2
 
 mutants: test-install ## break 200 lines, one at a time: do tests notice 85 % of them?
 	$(BIN)/python tools/mutants.py --count 200 --least 0.85
 
-format: test-install ## rewrite the sources in the house format
+format: test-install ## format the sources
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 	cargo fmt --all
 
-bench: install ## the solver against its peers: table, JSON and plot in bench-out/
+bench: install ## measure the solver against its peers: table, JSON and plot in bench-out/
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[bench]'
 	$(BIN)/python -m benchmarks
 
-experiments: test-install ## the paper's figures and ours, in experiments-out/; goes on where it stopped
+experiments: test-install ## make the paper's figures and ours in experiments-out/; continues if interrupted
 	for name in fig4 fig5 fig6 fig7 few-patterns rigs; do \
 	  test -e experiments-out/$$name/$$name.json || \
 	  $(BIN)/lightmatrix experiment $$name -o experiments-out/$$name || exit; done
 
-docs: test-install ## the documentation as a site, in site/; warnings are errors
+docs: test-install ## build the documentation in site/; warnings are errors
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build
 	@echo 'the documentation: site/index.html'
 
-gallery: test-install ## run the examples and keep their pictures in docs/images/gallery
+gallery: test-install ## run the examples, which draw docs/images/gallery
 	$(BIN)/python tools/gallery.py
 
-screenshots: test-install ## of the demo's report, in docs/images; needs a Chromium
+screenshots: test-install ## photograph the demo's report for docs/images; needs a Chromium
 	$(BIN)/python tools/report_screenshots.py
 
-# For the baseline of the system, whatever the shell or cargo's configuration ask for; faster
-# instructions are chosen at run time.
-wheel: $(BIN)/python ## a wheel for any CPU of this kind of system, with its checksum, in dist/
+# RUSTFLAGS is empty, so that the wheel runs on every processor of this system. The core chooses
+# faster instructions at run time.
+wheel: $(BIN)/python ## build a wheel for any CPU of this system in dist/
 	@command -v cargo >/dev/null || { echo 'lightmatrix needs a Rust toolchain: see https://rustup.rs'; exit 1; }
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check 'maturin>=1.12,<2'
 	env -u CARGO_ENCODED_RUSTFLAGS RUSTFLAGS= $(BIN)/maturin build --release --locked --out dist
 	cd dist && sha256sum *.whl > SHA256SUMS && cat SHA256SUMS
 
-wheel-test: wheel ## install it into an empty environment without a compiler and run the demo from it
+wheel-test: wheel ## test the wheel in an empty environment without a compiler
 	$(PYTHON) tools/wheel_test.py dist $$(command -v qemu-x86_64 >/dev/null && echo --cpu Nehalem)
 
 wheel-demo: wheel
 	$(PYTHON) tools/wheel_test.py dist --quick
 
-# Cross-compiled by zig, tried in emulation: on a machine with this processor, `make wheel-test`.
-wheel-arm64: install ## a wheel for 64-bit ARM, and its results under qemu; takes ten minutes
+# Cross-compiled by zig and tested in emulation. On such a machine, use `make wheel-test`.
+wheel-arm64: install ## build a wheel for 64-bit ARM and test it under qemu; takes ten minutes
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check 'maturin[zig]>=1.12,<2'
 	rustup target add aarch64-unknown-linux-gnu
 	PATH="$(CURDIR)/$(BIN):$$PATH" env -u CARGO_ENCODED_RUSTFLAGS RUSTFLAGS= $(BIN)/maturin build --release --locked \
 	  --target aarch64-unknown-linux-gnu --zig --compatibility manylinux_2_28 --out dist/arm64
 	$(BIN)/python tools/wheel_arm64.py dist/arm64
 
-# Cross-compiled by MinGW, tried by Wine: on Windows, `python tools/wheel_test.py dist`.
-wheel-windows: install ## a wheel for Windows, and the core's tests under Wine; WINDOWS_PYTHON=folder: its results, too
+# Cross-compiled by MinGW and tested by Wine. On Windows, use `python tools/wheel_test.py dist`.
+# WINDOWS_PYTHON=folder, with a CPython for Windows, also compares the wheel's results.
+wheel-windows: install ## build a wheel for Windows and test the core under Wine
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check 'maturin>=1.12,<2'
 	rustup target add x86_64-pc-windows-gnu
 	env -u CARGO_ENCODED_RUSTFLAGS RUSTFLAGS= $(BIN)/maturin build --release --locked \
@@ -135,8 +136,8 @@ wheel-windows: install ## a wheel for Windows, and the core's tests under Wine; 
 needs: test-install ## measure what estimates take of memory and time; takes half an hour
 	$(BIN)/python -m benchmarks.needs
 
-system-deps: ## optional system packages (the renderer's LLVM, a browser, screens and cameras)
+system-deps: ## install optional system packages: LLVM, a browser, screens, cameras
 	bash tools/system-deps.sh
 
-clean: ## remove what make made
+clean: ## remove everything that make made
 	rm -rf $(VENV) target dist report site bench-out experiments-out mutants-out src/lightmatrix/_core*.so

@@ -1,8 +1,8 @@
-"""Pages of the documentation that the project can tell by itself, made when the site is built.
+"""Pages of the documentation that are generated when the site is built.
 
-A hook of MkDocs (`mkdocs.yml`): the start page is the README, the commands come from the command
-line, the reference from the door's list of names, the gallery from the examples and the pictures
-that they made. Formulas become MathML, which browsers draw without any script.
+`mkdocs.yml` names this file as a hook. The start page is the README. The pages of commands come
+from the command line, the reference from the public names in `__init__.pyi`, and the gallery from
+the examples and their pictures. Formulas become MathML, which browsers show without scripts.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from mkdocs.structure.files import File, Files
 ROOT = Path(__file__).parent.parent
 DOOR = ROOT / "src" / "lightmatrix" / "__init__.pyi"
 EXAMPLES = ROOT / "examples"
-# In the order in which they are shown.
+# The examples of the gallery, in this order.
 GALLERY = (
     "relight_and_dual",
     "correspondence",
@@ -33,7 +33,7 @@ GALLERY_FOLDER = "images/gallery"
 
 
 def on_config(config: MkDocsConfig) -> MkDocsConfig:
-    """Put the pages of the commands where the navigation names their overview (an event)."""
+    """Put the pages of the commands behind their overview (MkDocs calls it)."""
     for part in config.nav or []:
         for heading, pages in part.items():
             if isinstance(pages, list) and "commands.md" in pages:
@@ -43,7 +43,7 @@ def on_config(config: MkDocsConfig) -> MkDocsConfig:
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
-    """Add the pages that are made here (an event of MkDocs)."""
+    """Add the generated pages (MkDocs calls it)."""
     pages = {
         "index.md": start_page(),
         "changelog.md": (ROOT / "CHANGELOG.md").read_text(),
@@ -57,33 +57,33 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_content(text: str, **_: Any) -> str:
-    """Turn formulas into MathML (an event of MkDocs)."""
+    """Turn formulas into MathML (MkDocs calls it)."""
     inline = re.sub(
         r'<span class="arithmatex">\\\((.*?)\\\)</span>',
-        lambda found: convert(html.unescape(found[1])),
+        lambda match: convert(html.unescape(match[1])),
         text,
         flags=re.DOTALL,
     )
     return re.sub(
         r'<div class="arithmatex">\s*\\\[(.*?)\\\]\s*</div>',
-        lambda found: f"<p>{convert(html.unescape(found[1]), display='block')}</p>",
+        lambda match: f"<p>{convert(html.unescape(match[1]), display='block')}</p>",
         inline,
         flags=re.DOTALL,
     )
 
 
 def start_page() -> str:
-    """The README, with links as they are seen from the folder docs."""
+    """The README, with links relative to the folder docs."""
     text = (ROOT / "README.md").read_text().replace("](docs/", "](")
     return re.sub(r"\[CITATION\.cff\]\(CITATION\.cff\)", "CITATION.cff", text)
 
 
 def reference_pages() -> dict[str, str]:
-    """The door's names, a page for each stage of the work."""
+    """The public names, a page for each heading in `__init__.pyi`."""
     pages: dict[str, str] = {}
     parts = re.split(r"^# (.+)\.\n(?=from)", DOOR.read_text(), flags=re.MULTILINE)[1:]
     for heading, part in zip(parts[::2], parts[1::2], strict=True):
-        lines = [f"# {heading}", "", "Names of `import lightmatrix as lm`.", ""]
+        lines = [f"# {heading}", "", "All names belong to `import lightmatrix as lm`.", ""]
         for node in ast.parse(part).body:
             if isinstance(node, ast.ImportFrom):
                 for alias in node.names:
@@ -94,14 +94,14 @@ def reference_pages() -> dict[str, str]:
 
 
 def gallery_page() -> str:
-    """The examples: what they do, the pictures that they made, and their code."""
-    lead = "Each of these scripts is run by the tests. Their pictures are made by `make gallery`."
+    """The examples: their subject, their pictures, and their code."""
+    lead = "The tests run each of these scripts. `make gallery` makes the pictures."
     lines = ["# Gallery", "", lead, ""]
     for name in GALLERY:
         file = EXAMPLES / f"{name}.py"
         code = file.read_text()
-        told = ast.get_docstring(ast.parse(code)) or name
-        title, _, rest = told.partition("\n")
+        docstring = ast.get_docstring(ast.parse(code)) or name
+        title, _, rest = docstring.partition("\n")
         lines += [f"## {title.rstrip('.')}", ""]
         lines += [_plain(re.sub(r"^ *python examples/.*$", "", rest, flags=re.MULTILINE)), ""]
         for picture, words in pictures_of(name).items():
@@ -112,12 +112,12 @@ def gallery_page() -> str:
 
 
 def pictures_of(example: str) -> dict[str, str]:
-    """The pictures that an example says that it writes, and what is to be seen on them."""
+    """The pictures that an example writes, each with its caption, from its constant PICTURES."""
     for node in ast.parse((EXAMPLES / f"{example}.py").read_text()).body:
         if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "PICTURES":
-            found: dict[str, str] = ast.literal_eval(node.value)
-            return found
-    raise ValueError(f"{example} says nothing of its pictures")
+            captions: dict[str, str] = ast.literal_eval(node.value)
+            return captions
+    raise ValueError(f"{example}.py has no PICTURES")
 
 
 def _plain(text: str) -> str:

@@ -1,4 +1,4 @@
-"""The requirements of extras, a line each: to install them without building us again."""
+"""Print the requirements of extras, one a line; to install them without a new build."""
 
 from __future__ import annotations
 

@@ -22,7 +22,9 @@ PAGE = Path(__file__).parent.parent / "docs" / "settings.md"
 ESTIMATORS = (PlainEstimator, CoherentEstimator, MultiScaleEstimator)
 HEAD = """# Settings of the solvers and estimators
 
-Made from the code by `python tools/settings_table.py`; do not edit.
+Most users need none of these: the options of `lightmatrix estimate` choose them. Each section is a
+class of `import lightmatrix as lm`. This page is generated: edit the docstrings, then run
+`python tools/settings_table.py`.
 """
 
 
@@ -50,7 +52,7 @@ def _section(solver: Any) -> str:
 
 
 def _parameters(text: str) -> dict[str, str]:
-    """The parameters of a NumPy-style docstring and what they mean."""
+    """The parameters of a NumPy-style docstring with their meanings."""
     section = re.search(r"Parameters\n-+\n(.*?)(?:\n\n|\Z)", text, flags=re.DOTALL)
     entries = re.split(r"\n(?=\w)", section[1] if section else "")
     result = {}

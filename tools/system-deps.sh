@@ -1,20 +1,19 @@
 #!/usr/bin/env bash
-# Installs what lightmatrix can use but Python cannot bring:
-# - the LLVM library (17 or newer) through which the renderer of the simulated rig compiles; without
-#   it rendering is about a hundred times slower;
-# - Aravis, which drives GigE and USB3 Vision cameras, and what its Python bindings are built with;
+# Installs optional system packages, which pip cannot install:
+# - the LLVM library, version 17 or newer: without it the renderer is about a hundred times slower;
+# - Aravis, which drives GigE and USB3 Vision cameras, and what its Python bindings need to build;
 # - X servers without screens, on which the tests of the live rig show their patterns;
-# - a Chromium, in which the tests look at the report.
-# Everything else works as it is. Does nothing where all of them are found.
+# - a Chromium, in which the tests open the report.
+# Does nothing if all of them are there.
 set -euo pipefail
 
-# The tested one first; never 15 or 16.
+# Versions of LLVM, the tested one first. The renderer aborts with 15 and 16.
 versions="19 20 21 18 17"
 live="xvfb xserver-xorg-core xserver-xorg-video-dummy x11-xserver-utils libgl1 libgl1-mesa-dri
       gir1.2-aravis-0.8 libgirepository1.0-dev libcairo2-dev pkg-config gcc"
 
 usable_llvm() {
-    # libLLVM 14 is refused by the renderer, 15 and 16 abort it.
+    # The renderer refuses libLLVM 14, and aborts with 15 and 16.
     local file version
     for file in /usr/lib/*-linux-gnu/libLLVM* /usr/lib/llvm-*/lib/libLLVM* /usr/lib64/libLLVM*; do
         version=$(basename "$file" | sed -nE 's/^libLLVM[-.](so\.)?([0-9]+).*/\2/p')
@@ -40,10 +39,10 @@ missing_live() {
 
 if ! command -v apt-get >/dev/null; then
     if found=$(usable_llvm); then
-        echo "system-deps: $found serves the renderer"
+        echo "system-deps: the renderer can use $found"
     else
         echo "system-deps: no LLVM 17 or newer; install it with your package manager, or set" >&2
-        echo "system-deps: DRJIT_LIBLLVM_PATH to its library. Rendering works without, slowly." >&2
+        echo "system-deps: DRJIT_LIBLLVM_PATH to its library. Without it rendering is slow." >&2
     fi
     echo "system-deps: no apt-get; docs/devices.md says what cameras and their tests need" >&2
     usable_llvm >/dev/null
@@ -54,7 +53,7 @@ packages=$(missing_live)
 browser >/dev/null || packages="$packages chromium"
 wants_llvm=
 if found=$(usable_llvm); then
-    echo "system-deps: $found serves the renderer"
+    echo "system-deps: the renderer can use $found"
 else
     wants_llvm=1
 fi
@@ -76,7 +75,7 @@ if [ -n "$wants_llvm" ]; then
         fi
     done
     if [ -z "$package" ]; then
-        echo "system-deps: apt-get has no libllvm of $versions; any from 17 on will do" >&2
+        echo "system-deps: apt-get has no libllvm of version $versions; install any from 17 on" >&2
         exit 1
     fi
     packages="$packages $package"

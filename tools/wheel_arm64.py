@@ -1,12 +1,12 @@
-"""Try a wheel for 64-bit ARM on another processor: qemu runs it, and its results are compared.
+"""Test a wheel for 64-bit ARM on another processor: qemu runs it, and the results must agree.
 
     python tools/wheel_arm64.py dist/arm64 [--folder target/arm64]
 
 The first argument is a wheel for aarch64, or a folder that holds one (`make wheel-arm64`). An arm64
-Python comes from Debian's archive, by an apt of its own that installs nothing on this system; what
-lightmatrix needs comes from PyPI, as wheels for arm64. The same small estimates are then made by
-this Python and in emulation, which takes minutes, and must agree. Needs apt-get, dpkg-deb and
-qemu-aarch64 (qemu-user). On a machine with such a processor `make wheel-test` does more.
+Python comes from Debian's archive, through a separate apt that installs nothing on this system; the
+dependencies come from PyPI as arm64 wheels. This Python and the emulated one then make the same
+small estimates, which takes minutes. Needs apt-get, dpkg-deb and qemu-aarch64 (qemu-user). On a
+machine with such a processor, `make wheel-test` tests more.
 """
 
 from __future__ import annotations
@@ -22,7 +22,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-# Bernoulli bits and grey patterns, rows with neighbours and by themselves: all kernels of the core.
+# Estimates that use all kernels of the core: Bernoulli bits and grey patterns, rows with their
+# neighbours and by themselves.
 QUESTION = """
 import platform, sys
 import numpy as np
@@ -30,33 +31,33 @@ import lightmatrix as lm
 print(platform.machine(), "Python", platform.python_version(), "NumPy", np.__version__)
 patterns = lm.BernoulliPatterns((64, 64), 16)
 capture = lm.simulate("metal", patterns, exposure=0.5, noise=0.003)
-# With fewer, rows by themselves have many solutions as good as the best.
+# With fewer patterns, a row by itself has many equally good solutions.
 many = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 128), exposure=0.5, noise=0.003)
 grey = lm.ImagePatterns(np.random.default_rng(0).random((16, 64, 64)).astype(np.float32))
 other = lm.simulate("metal", grey, exposure=0.5, noise=0.003)
-found = {
+transports = {
     "coherent": lm.estimate(capture),
     "by rows": lm.estimate(many, coherent=False),
     "grey, by rows": lm.estimate(other, coherent=False),
 }
-kept = {}
-for name, transport in found.items():
+images = {}
+for name, transport in transports.items():
     error = lm.evaluate(transport, capture.truth).relative_error
     print(f"{name}: relative error {error:.9f}", flush=True)
-    kept[name] = transport.relight(np.eye(64, dtype=np.float32))
-    kept[name + ", dual"] = transport.dual(np.eye(64))
-np.savez(sys.argv[1], **kept)
+    images[name] = transport.relight(np.eye(64, dtype=np.float32))
+    images[name + ", dual"] = transport.dual(np.eye(64))
+np.savez(sys.argv[1], **images)
 """
-# Debian's Python of our oldest version, and what wheels link to.
+# Debian's package of the oldest Python that we support, and the libraries that wheels link to.
 DEBIAN = "deb [signed-by={key}] http://deb.debian.org/debian bookworm main"
 KEY = "/usr/share/keyrings/debian-archive-keyring.gpg"
 PACKAGES = ("python3.11", "libstdc++6", "libgomp1")
-# Sums of float32 in another order.
+# Results may differ by this share of the largest value, since float32 sums run in another order.
 AGREE = 1e-4
 
 
 def fetch_root(folder: Path) -> Path:
-    """A folder with an arm64 Python, which apt fetches and nobody installs."""
+    """A folder with an arm64 Python, which apt downloads without installing it."""
     root, apt = folder / "root", folder / "apt"
     if (root / "usr/bin/python3.11").exists():
         return root
@@ -79,7 +80,7 @@ def fetch_root(folder: Path) -> Path:
 
 
 def install(folder: Path, version: str, platforms: Sequence[str], *packages: str | Path) -> Path:
-    """Packages and all that they need, for another system, in a folder of their own."""
+    """Install packages and their dependencies for another system into a separate folder."""
     site = folder / "site"
     shutil.rmtree(site, ignore_errors=True)
     subprocess.run(
@@ -107,7 +108,7 @@ def main() -> None:
     folder = arguments.folder.absolute()
     platforms = [f"manylinux_{name}_aarch64" for name in ("2_28", "2_27", "2_17")]
     root, site = fetch_root(folder), install(folder, "3.11", platforms, wheels[-1])
-    # BLAS may have been told of a kernel that the other processor has not.
+    # A variable may ask BLAS for a kernel that the other processor lacks.
     kept = {name: value for name, value in os.environ.items() if not name.startswith("OPENBLAS")}
     emulated = ["qemu-aarch64", "-L", str(root), str(root / "usr/bin/python3.11")]
     environment = {**kept, "PYTHONPATH": str(site)}
@@ -121,13 +122,13 @@ def main() -> None:
 
 
 def compare(here: Path, there: Path, system: str) -> None:
-    """Hold the answers to the question on another system against those given here."""
+    """Compare the results of QUESTION on another system with those of this one."""
     elsewhere: dict[str, NDArray[np.floating]] = dict(np.load(there))
     for name, image in np.load(here).items():
         difference = float(np.abs(image - elsewhere[name]).max() / np.abs(image).max())
-        print(f"{name}: differs by {difference:.1e} of the greatest value")
+        print(f"{name}: differs by {difference:.1e} of the largest value")
         if difference > AGREE:
-            sys.exit(f"{name} is another on {system}")
+            sys.exit(f"{name}: the results on {system} differ")
 
 
 if __name__ == "__main__":

@@ -1,13 +1,12 @@
-"""Try a wheel as a newcomer gets it: an empty environment, no compiler, then the demo.
+"""Test a wheel as a newcomer gets it: in an empty environment without a compiler, run the demo.
 
     python tools/wheel_test.py dist [--quick | --cpu Nehalem]
 
-The first argument is a wheel, or a folder that holds one for this system. Nothing but the new
-environment is on PATH, and pip takes no source packages. What is installed must stay below
-MOST_MEGABYTES. `--quick` does not compile all modules beforehand, which takes longest, nor counts
-what that adds. `--cpu` runs an estimate on an emulated processor too (qemu-user's names; Nehalem is
-x86-64-v2, the least that NumPy's own wheels need). Works without a shell, on Linux, macOS and
-Windows.
+The first argument is a wheel, or a folder that holds one for this system. PATH holds only the new
+environment, and pip takes no source packages. The installation must stay below MOST_MEGABYTES.
+`--quick` skips compiling the modules to bytecode, which takes longest, and its megabytes. `--cpu`
+also runs an estimate on an emulated processor of qemu-user; Nehalem is x86-64-v2, the oldest that
+NumPy's wheels run on. Works without a shell on Linux, macOS and Windows.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ import time
 import venv
 from pathlib import Path
 
-# What an emulated processor is asked: what it has, and one estimate that uses all of the core.
+# The script for an emulated processor: it shows which kernels it has, and estimates once.
 QUESTION = """
 import lightmatrix as lm
 patterns = lm.BernoulliPatterns((64, 64), 16)
@@ -34,14 +33,15 @@ except Exception as refusal:
 transport = lm.estimate(lm.simulate("metal", patterns), coherent=False, iterations=3)
 print(transport)
 """
-# Of the base install, without extras and without what an empty environment holds.
+# The limit for the base install, in millions of bytes: without extras, and without the packages of
+# an empty environment. It takes 405 today (docs/platforms.md); much more means a new dependency.
 MOST_MEGABYTES = 420
-# They would lead to other code than the wheel's, or to kernels that an emulated CPU has not.
+# Variables that would lead to other code than the wheel's, or to kernels an emulated CPU lacks.
 _FOREIGN = ("PYTHONPATH", "PYTHONHOME", "VIRTUAL_ENV", "OPENBLAS_CORETYPE")
 
 
 def find(place: Path) -> Path:
-    """The wheel, or the newest one of a folder."""
+    """The wheel itself, or the newest one in a folder."""
     if place.is_file():
         return place
     wheels = sorted(place.glob("lightmatrix-*.whl"), key=lambda file: file.stat().st_mtime)
@@ -93,7 +93,7 @@ def main() -> None:
     """Read the arguments and try the wheel."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("wheel", type=Path, help="a wheel, or a folder with one")
-    parser.add_argument("--quick", action="store_true", help="compile no modules beforehand")
+    parser.add_argument("--quick", action="store_true", help="compile no modules to bytecode")
     parser.add_argument("--cpu", help="a processor of qemu-user to emulate too")
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:

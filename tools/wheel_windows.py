@@ -1,13 +1,13 @@
-"""Try the core and a wheel for Windows where there is none: Wine runs them, results are compared.
+"""Test the core and a wheel for Windows on Linux: Wine runs them, and the results must agree.
 
     python tools/wheel_windows.py dist/windows [--python FOLDER] [--folder target/windows]
 
 The first argument is a wheel for win_amd64, or a folder that holds one (`make wheel-windows`). The
-core's tests are compiled for Windows and run by Wine. With `--python`, a folder with a CPython for
-Windows (python.exe, python3.dll: as in its package of NuGet), the wheel and what it needs are
-installed beside it; the same small estimates are then made by this Python and by that one, which
-takes minutes, and must agree. Needs Wine and MinGW's compiler (on Debian: wine,
-gcc-mingw-w64-x86-64). On Windows itself `tools/wheel_test.py` does more.
+core's tests are compiled for Windows, and Wine runs them. `--python` is a folder with a CPython for
+Windows, as in its NuGet package (python.exe, python3.dll). The wheel and its dependencies are then
+installed beside it, and both Pythons make the same small estimates, which takes minutes. Needs Wine
+and MinGW's compiler (on Debian: wine, gcc-mingw-w64-x86-64). On Windows itself,
+`tools/wheel_test.py` tests more.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ from wheel_arm64 import QUESTION, compare, install
 
 TARGET = "x86_64-pc-windows-gnu"
 COMPILER, OBJDUMP = "x86_64-w64-mingw32-gcc", "x86_64-w64-mingw32-objdump"
-# What markers of dependencies ask of a Windows, and pip on another system leaves out.
+# Dependencies that are needed on Windows only, and that pip therefore skips on other systems.
 ONLY_THERE = ("colorama", "tzdata")
 
-# Wine had none before version 9.
+# Source of bcryptprimitives.dll, which Wine has only from version 9 on.
 RANDOM = """
 #include <windows.h>
 BOOLEAN NTAPI SystemFunction036(PVOID, ULONG);
@@ -35,8 +35,8 @@ __declspec(dllexport) BOOL WINAPI ProcessPrng(PBYTE data, SIZE_T size) {
     return SystemFunction036(data, (ULONG)size);
 }
 """
-# Nor has its C library functions of complex numbers, which NumPy asks for. Windows passes these as
-# structures, and its long double is a double.
+# Source of the functions of complex numbers that NumPy needs and Wine's C library lacks. Windows
+# passes complex numbers as structures, and its long double is a double.
 MATHEMATICS = "api-ms-win-crt-math-l1-1-0.dll"
 STAND_IN = "instead-of-the-crt-math-l1.dll"
 COMPLEX = """
@@ -54,7 +54,7 @@ _COMPLEX_NAME = re.compile(
 
 
 def prefix(folder: Path) -> Path:
-    """Wine's own Windows, with what is missing there; its libraries' folder."""
+    """Set up Wine with the libraries that it lacks, and return the folder of its libraries."""
     system = folder / "prefix/drive_c/windows/system32"
     if not (system / "kernel32.dll").exists():
         for words in (["wineboot", "--init"], ["winecfg", "-v", "win10"]):
@@ -66,20 +66,20 @@ def prefix(folder: Path) -> Path:
 
 def wine(folder: Path, *words: str | Path) -> None:
     """Run a program for Windows."""
-    # Pipes: standard streams that are files or terminals confuse some versions.
-    ended = subprocess.Popen(
+    # Pipes, because standard streams that are files or terminals confuse some versions of Wine.
+    process = subprocess.Popen(
         ["wine", *map(str, words)], env=environment(folder), stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="replace",
     )  # fmt: skip
-    assert ended.stdout is not None
-    for line in ended.stdout:
+    assert process.stdout is not None
+    for line in process.stdout:
         print(line, end="", flush=True)
-    if ended.wait():
-        sys.exit(f"{words[0]} failed on Wine with exit code {ended.returncode}")
+    if process.wait():
+        sys.exit(f"{words[0]} failed on Wine with exit code {process.returncode}")
 
 
 def environment(folder: Path) -> dict[str, str]:
-    """What Wine and Python are told, and nothing that leads to this system's packages."""
+    """The environment of Wine, without variables that lead to this system's packages."""
     kept = {
         name: value
         for name, value in os.environ.items()
@@ -97,14 +97,14 @@ def _library(folder: Path, file: Path, source: str, *more: str | Path) -> None:
 
 def version_of(python: Path) -> str:
     """The version of a CPython for Windows, as 3.11."""
-    found = [name[6:-4] for name in os.listdir(python) if re.fullmatch(r"python3\d+\.dll", name)]
-    if not found:
-        sys.exit(f"{python}: no CPython for Windows, as there is no python3*.dll of a version")
-    return f"{found[0][0]}.{found[0][1:]}"
+    versions = [n[6:-4] for n in os.listdir(python) if re.fullmatch(r"python3\d+\.dll", n)]
+    if not versions:
+        sys.exit(f"{python}: is no CPython for Windows, since it has no file such as python311.dll")
+    return f"{versions[0][0]}.{versions[0][1:]}"
 
 
 def mend_mathematics(site: Path, system: Path, folder: Path) -> None:
-    """Let libraries take mathematics from one that has complex numbers, too."""
+    """Redirect the libraries' mathematics to a library that has complex numbers too."""
     names: set[str] = set()
     for file in sorted(site.rglob("*")):
         if file.suffix not in (".pyd", ".dll") or MATHEMATICS.encode() not in file.read_bytes():
