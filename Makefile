@@ -8,7 +8,7 @@ CORE := $(shell find crates -name '*.rs' -o -name Cargo.toml) Cargo.toml pyproje
 
 .PHONY: help install demo test test-install lint types rust-test py-test faults fuzz live-faults kills mutants format \
 	bench experiments docs gallery screenshots wheel wheel-test wheel-demo wheel-arm64 wheel-windows \
-	needs system-deps clean
+	resources system-deps clean
 
 help:
 	@grep -E '^[a-z0-9-]+:.*## ' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 16
@@ -133,8 +133,8 @@ wheel-windows: install ## build a wheel for Windows and test the core under Wine
 	  --target x86_64-pc-windows-gnu --out dist/windows
 	$(BIN)/python tools/wheel_windows.py dist/windows $(if $(WINDOWS_PYTHON),--python $(WINDOWS_PYTHON))
 
-needs: test-install ## measure what estimates take of memory and time; takes half an hour
-	$(BIN)/python -m benchmarks.needs
+resources: test-install ## measure what estimates take of memory and time; takes half an hour
+	$(BIN)/python -m benchmarks.resource_estimate
 
 system-deps: ## install optional system packages: LLVM, a browser, screens, cameras
 	bash tools/system-deps.sh

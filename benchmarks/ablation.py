@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, nullcontext
+from dataclasses import replace
 from functools import partial
 from typing import Any
 from unittest.mock import patch
@@ -19,7 +20,7 @@ from rich.console import Console
 from rich.table import Table
 from scipy.sparse import csr_array
 
-from lightmatrix.estimators.coherent import neighbourhood, stages
+from lightmatrix.estimators.coherent import neighbourhood, schedule
 from lightmatrix.estimators.coherent.backgrounds import Backgrounds
 from lightmatrix.estimators.coherent.estimator import CoherentEstimator
 from lightmatrix.evaluation.metrics import relative_error
@@ -35,8 +36,13 @@ def _evenly(backgrounds: Backgrounds, rows: csr_array) -> NDArray[np.float32]:
     return np.full((rows.shape[0], cells), 1 / cells, np.float32)
 
 
-def _still(rows: csr_array, *_: Any) -> NDArray[np.float32]:
+def _no_movement(rows: csr_array, *_: Any) -> NDArray[np.float32]:
     return np.zeros((rows.shape[0], 4), np.float32)
+
+
+def _likely_atoms(**values: float) -> AbstractContextManager[Any]:
+    constants = replace(neighbourhood.LIKELY_ATOMS, **values)  # type: ignore[arg-type]
+    return patch.object(neighbourhood, "LIKELY_ATOMS", constants)
 
 
 Change = Callable[[], AbstractContextManager[Any]]
@@ -50,22 +56,22 @@ WITHOUT: dict[str, tuple[Change, dict[str, Any]]] = {
     ),
     "without spots (single pixels only)": (nullcontext, {"sizes": (0.0,)}),
     "without single pixels within spots": (
-        partial(patch.multiple, neighbourhood, WITHIN_AT_FIRST=1e-9, WITHIN=1e-9),
+        partial(_likely_atoms, within_at_first=1e-9, within=1e-9),
         {},
     ),
     "without wider spots in the place of narrow ones": (
-        partial(patch.multiple, neighbourhood, WIDER_PIXEL=0.0, WIDER_SPOT=0.0),
+        partial(_likely_atoms, wider_pixel=0.0, wider_spot=0.0),
         {},
     ),
     "with single pixels believed in everywhere": (
-        partial(patch.object, neighbourhood, "PIXELS_LEAST", 1.0),
+        partial(_likely_atoms, pixels_least=1.0),
         {},
     ),
-    "without movement (votes where neighbours see them)": (
-        partial(patch.object, neighbourhood, "measured_movement", _still),
+    "without the Jacobian (votes where neighbours see them)": (
+        partial(patch.object, neighbourhood, "measure_jacobian", _no_movement),
         {},
     ),
-    "without expected samples": (partial(patch.object, stages, "EXPECTING", 99), {}),
+    "without pseudo-samples": (partial(patch.object, schedule, "PSEUDO_SAMPLES_FROM", 99), {}),
     "without halos (an even background)": (
         partial(patch.object, Backgrounds, "spread", _evenly),
         {},

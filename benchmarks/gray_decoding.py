@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 import lightmatrix as lm
-from lightmatrix.estimators.coherent import movement
+from lightmatrix.estimators.coherent.correspondence import strongest_entries
 from lightmatrix.files.image_stack import ImageStack
 
 # Frames 0 to 19: ten column bits, most significant first, each with its inverse; 20 to 39: ten row
@@ -46,7 +46,7 @@ def decoded(photographs: NDArray[np.float32], first: int) -> NDArray[np.float32]
 
 def strongest(matrix: csr_array) -> NDArray[np.int64]:
     """The column of each row's largest entry, (rows,); -1 where there is none."""
-    return np.where(np.diff(matrix.indptr) > 0, movement.strongest(matrix), -1)
+    return np.where(np.diff(matrix.indptr) > 0, strongest_entries(matrix), -1)
 
 
 def compared(stored: lm.StoredTransport, photographs: NDArray[np.float32]) -> dict[str, Any]:

@@ -24,8 +24,8 @@ import numpy as np
 import psutil
 
 import lightmatrix as lm
-from lightmatrix.estimators.workers.crew import DaskCrew
-from lightmatrix.estimators.workers.opening import opened
+from lightmatrix.estimators.workers.pool import DaskPool
+from lightmatrix.estimators.workers.startup import dask_pool
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -52,13 +52,13 @@ def measured(place: Path, coherent: bool, repeats: int) -> dict[str, Any]:
     alone = lm.estimate(capture, coherent=coherent)
     clock: dict[int, list[float]] = {1: [], 2: []}
     processors: dict[int, list[float]] = {1: [], 2: []}
-    with opened(1) as one, opened(2) as two:
+    with dask_pool(1) as one, dask_pool(2) as two:
         for _ in range(repeats):
-            for number, crew in ((1, one), (2, two)):
-                before, started = spent(crew), time.perf_counter()
-                found = estimated(capture, coherent, crew)
+            for number, pool in ((1, one), (2, two)):
+                before, started = spent(pool), time.perf_counter()
+                found = estimated(capture, coherent, pool)
                 clock[number].append(time.perf_counter() - started)
-                processors[number].append(spent(crew) - before)
+                processors[number].append(spent(pool) - before)
                 if not same(found, alone):
                     raise SystemExit(f"{number} workers give another result than none")
     best = {number: min(times) for number, times in clock.items()}
@@ -71,14 +71,15 @@ def measured(place: Path, coherent: bool, repeats: int) -> dict[str, Any]:
     }
 
 
-def estimated(capture: lm.Capture, coherent: bool, crew: DaskCrew) -> lm.LightTransport:
+def estimated(capture: lm.Capture, coherent: bool, pool: DaskPool) -> lm.LightTransport:
     """An estimate by workers."""
-    return lm.AutoEstimator(coherent=coherent).estimate(capture, crew=crew)
+    settings = lm.EstimateSettings(coherent=coherent)
+    return lm.choose_estimator(capture, settings).estimate(capture, pool=pool)
 
 
-def spent(crew: DaskCrew) -> float:
+def spent(pool: DaskPool) -> float:
     """Processor seconds of the workers and of this process so far."""
-    pids = [*crew.client.run(os.getpid).values(), os.getpid()]
+    pids = [*pool.client.run(os.getpid).values(), os.getpid()]
     times = [psutil.Process(pid).cpu_times() for pid in pids]
     return sum(one.user + one.system for one in times)
 

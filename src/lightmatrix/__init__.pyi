@@ -88,10 +88,15 @@ from .calibration.responses.camera import (
 from .calibration.responses.projector import projector_response as projector_response
 
 # Estimates.
-from .estimators.auto import AutoEstimator as AutoEstimator
-from .estimators.estimate import estimate as estimate, needs as needs
-from .estimators.needs import Needs as Needs
+from .estimators.choice import choose_estimator as choose_estimator
+from .estimators.estimate import estimate as estimate
+from .estimators.resource_estimate import (
+    ResourceEstimate as ResourceEstimate,
+    estimate_resources as estimate_resources,
+)
+from .estimators.settings import EstimateSettings as EstimateSettings
 from .estimators.coherent.estimator import CoherentEstimator as CoherentEstimator
+from .estimators.workers.startup import open_workers as open_workers
 from .estimators.multiscale.estimator import MultiScaleEstimator as MultiScaleEstimator
 from .estimators.plain import PlainEstimator as PlainEstimator
 from .solvers import (

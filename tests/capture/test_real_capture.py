@@ -22,8 +22,8 @@ from lightmatrix.capture.settings import ReadSettings
 from lightmatrix.diagnosis.frame_order import find_disorder
 from lightmatrix.diagnosis.refusals import refuse_unordered, refuse_unusable
 from lightmatrix.errors import InputError
+from lightmatrix.estimators.automatic_regularization import automatic_regularization
 from lightmatrix.estimators.coherent.estimator import CoherentEstimator
-from lightmatrix.estimators.regularization import automatic_regularization
 from lightmatrix.files.image_stack import ImageStack
 from lightmatrix.solvers.active_set import ActiveSet
 from lightmatrix.solvers.problem import Problem, Result

@@ -19,7 +19,7 @@ from lightmatrix.cli import experiment as experiment_command
 from lightmatrix.cli import main, options
 from lightmatrix.cli import patterns as patterns_command
 from lightmatrix.cli.app import STAGES
-from lightmatrix.estimators import auto
+from lightmatrix.estimators import settings as estimate_settings
 from lightmatrix.estimators.coherent.estimator import WORTH_IT_UP_TO
 from lightmatrix.experiments import run
 from lightmatrix.live import capturing
@@ -437,7 +437,7 @@ def test_help_texts_say_what_the_code_does() -> None:
     assert lm.ADMM().max_iterations == options.ADMM_ITERATIONS
     assert lm.SaturationADMM().max_iterations == options.ADMM_ITERATIONS
     assert options.size(options.USUAL_SIZE) == USUAL_SIZE
-    assert set(get_args(estimate_command.SolverName)) == set(auto.SOLVERS)
+    assert set(get_args(estimate_command.SolverName)) == set(estimate_settings.SOLVERS)
     assert set(get_args(estimate_command.FidelityName)) == set(lm.Fidelity)
     assert set(get_args(patterns_command.Kind)) == set(making.KINDS)
     assert set(get_args(experiment_command.Figure)) == set(run.EXPERIMENTS)

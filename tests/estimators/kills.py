@@ -25,6 +25,7 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import nullcontext, suppress
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, NoReturn
@@ -34,9 +35,9 @@ import psutil
 
 from lightmatrix import store
 from lightmatrix.capture.capture import Capture
-from lightmatrix.estimators.coherent import stages
+from lightmatrix.estimators.coherent import schedule
 from lightmatrix.estimators.coherent.estimator import WINDOWS, CoherentEstimator
-from lightmatrix.estimators.workers.opening import opened
+from lightmatrix.estimators.workers.startup import dask_pool
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.simulation.procedural_capture import simulate_procedural
 from lightmatrix.simulation.procedural_scene import ProceduralScene
@@ -77,10 +78,8 @@ def estimated(
     """Begin an estimate, or go on with it."""
     estimator = CoherentEstimator(windows=windows, tile_rows=200, threads=1)
     taken = Capture.open(capture)
-    with opened(workers) if workers else nullcontext() as crew:
-        estimator.estimate(
-            taken, checkpoint=target, overwrite=overwrite, progress=progress, crew=crew
-        )
+    with dask_pool(workers) if workers else nullcontext() as pool:
+        estimator.estimate(taken, output=target, overwrite=overwrite, progress=progress, pool=pool)
 
 
 def kill_later(victim: str, seconds: float, told: Path) -> Callable[[int, int], None]:
@@ -158,7 +157,7 @@ def main() -> int:
     parser.add_argument("--small", action="store_true")
     parser.add_argument("--workers", type=int, default=0)
     options = parser.parse_args()
-    stages.LARGE, stages.FEWEST_SEEDS = 0, 3
+    schedule.GROWTH = replace(schedule.GROWTH, large=0, fewest_seeds=3)
     windows, camera, projector, count = SMALLER if options.small else LARGER
     kills = wrong = 0
     with tempfile.TemporaryDirectory() as folder:

@@ -14,7 +14,7 @@ from lightmatrix import store
 from lightmatrix.camera.sensor import Sensor
 from lightmatrix.capture.capture import Capture
 from lightmatrix.errors import InputError
-from lightmatrix.estimators.coherent import stages
+from lightmatrix.estimators.coherent import schedule
 from lightmatrix.estimators.coherent.backgrounds import Backgrounds
 from lightmatrix.estimators.coherent.estimator import CoherentEstimator
 from lightmatrix.estimators.plain import PlainEstimator
@@ -81,7 +81,7 @@ def test_expected_samples_and_halos_are_worth_something(monkeypatch: pytest.Monk
     capture, known, rows = rendered("l_objects")
     whole = relative_error(CoherentEstimator().estimate(capture), known, rows)
     with monkeypatch.context() as patch:
-        patch.setattr(stages, "EXPECTING", 99)
+        patch.setattr(schedule, "PSEUDO_SAMPLES_FROM", 99)
         unexpecting = relative_error(CoherentEstimator().estimate(capture), known, rows)
     assert whole < 0.9 * unexpecting
 
@@ -116,12 +116,12 @@ def test_an_interrupted_estimate_goes_on(scene: Truth, tmp_path: Path, finished:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        estimator.estimate(capture, checkpoint=target, progress=interrupt)
+        estimator.estimate(capture, output=target, progress=interrupt)
     assert not target.exists()
     first = reached[0]
     reached.clear()
     again = estimator.estimate(
-        capture, checkpoint=target, progress=lambda done, total: reached.append(done)
+        capture, output=target, progress=lambda done, total: reached.append(done)
     )
     # What was whole is not done again: a round is about a tenth of all.
     assert first < 90
@@ -142,7 +142,7 @@ def test_a_damaged_round_is_done_again(scene: Truth, tmp_path: Path, name: str) 
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        estimator.estimate(capture, checkpoint=target, progress=interrupt)
+        estimator.estimate(capture, output=target, progress=interrupt)
     round_file = sorted((tmp_path / "scene.zarr.partial").glob("round-*.npz"))[0]
     with np.load(round_file) as arrays:
         damaged = dict(arrays)
@@ -150,7 +150,7 @@ def test_a_damaged_round_is_done_again(scene: Truth, tmp_path: Path, name: str) 
     if name == "background":
         damaged[name][0] = np.nan
     np.savez(round_file, **damaged)
-    again = estimator.estimate(capture, checkpoint=target)
+    again = estimator.estimate(capture, output=target)
     assert same(again, CoherentEstimator().estimate(capture))
 
 

@@ -19,7 +19,7 @@ from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.folder import write_capture
 from lightmatrix.errors import InputError, OutputError
 from lightmatrix.estimators import plain
-from lightmatrix.estimators.join import solver_provenance
+from lightmatrix.estimators.base import solver_provenance
 from lightmatrix.estimators.plain import PlainEstimator
 from lightmatrix.evaluation.metrics import relative_error, unclipped_rows
 from lightmatrix.patterns.bits import BernoulliPatterns
@@ -91,7 +91,7 @@ def test_interrupted_runs_go_on(
     output = tmp_path / "scene.zarr"
     monkeypatch.setattr(plain, "solve", interrupted)
     with pytest.raises(KeyboardInterrupt):
-        estimator.estimate(capture, checkpoint=output)
+        estimator.estimate(capture, output=output)
     assert not output.exists()
 
     solved.clear()
@@ -102,7 +102,7 @@ def test_interrupted_runs_go_on(
         return solve(problem, solver, progress=progress)
 
     monkeypatch.setattr(plain, "solve", counted)
-    found = estimator.estimate(capture, checkpoint=output)
+    found = estimator.estimate(capture, output=output)
     assert again == [40]
     assert abs(found.sparse - expected.sparse).max() == 0
     assert [entry.name for entry in tmp_path.iterdir()] == ["scene.zarr"]
@@ -127,7 +127,7 @@ def test_a_disk_that_is_too_small_is_said_before_anything_is_solved(
     monkeypatch.setattr(shutil, "disk_usage", lambda place: SimpleNamespace(free=5000))
     monkeypatch.setattr(plain, "solve", None)
     with pytest.raises(OutputError, match="takes at least about"):
-        PlainEstimator(ActiveSet()).estimate(Capture.open(rig[0]), checkpoint=tmp_path / "s.zarr")
+        PlainEstimator(ActiveSet()).estimate(Capture.open(rig[0]), output=tmp_path / "s.zarr")
     assert not os.listdir(tmp_path)
 
 

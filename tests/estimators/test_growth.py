@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,14 +11,19 @@ from scipy.sparse import csr_array
 
 from lightmatrix.camera.sensor import Sensor
 from lightmatrix.capture.capture import Capture
-from lightmatrix.estimators.coherent import stages
-from lightmatrix.estimators.coherent.certificate import SLACK, _residuals, holds_everywhere, sampled
+from lightmatrix.estimators.coherent import schedule
+from lightmatrix.estimators.coherent.camera_grid import CameraGrid
+from lightmatrix.estimators.coherent.certificate import (
+    SLACK,
+    _residuals,
+    holds_everywhere,
+    sampled_rows,
+)
 from lightmatrix.estimators.coherent.estimator import SIZES, WINDOWS, CoherentEstimator
-from lightmatrix.estimators.coherent.grid import CameraGrid
 from lightmatrix.estimators.coherent.neighbourhood import Neighbourhood
-from lightmatrix.estimators.coherent.rounds import HOLDS, LOOKED
-from lightmatrix.estimators.coherent.solving import Solving
-from lightmatrix.estimators.coherent.stages import Stage
+from lightmatrix.estimators.coherent.rounds import HOLDS, SEARCHED
+from lightmatrix.estimators.coherent.row_solver import RowSolver
+from lightmatrix.estimators.coherent.schedule import Round
 from lightmatrix.evaluation.metrics import relative_error
 from lightmatrix.patterns.atoms import AtomPatterns
 from lightmatrix.patterns.bits import BernoulliPatterns
@@ -29,6 +35,8 @@ from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.transport.sparse_rows import SparseRows
 
 CAMERA = (40, 36)
+# Every frame counts as large.
+LARGE_FRAMES = replace(schedule.GROWTH, large=0, fewest_seeds=4)
 
 
 def photographed(truth: Truth, count: int = 32) -> Capture:
@@ -47,8 +55,7 @@ def scene() -> Truth:
 @pytest.fixture
 def growing(monkeypatch: pytest.MonkeyPatch) -> None:
     """Every frame is large."""
-    monkeypatch.setattr(stages, "LARGE", 0)
-    monkeypatch.setattr(stages, "FEWEST_SEEDS", 4)
+    monkeypatch.setattr(schedule, "GROWTH", LARGE_FRAMES)
 
 
 def same(one: LightTransport, other: LightTransport) -> bool:
@@ -65,29 +72,28 @@ def same(one: LightTransport, other: LightTransport) -> bool:
 
 
 def test_small_frames_look_everywhere_and_large_ones_grow() -> None:
-    usual = stages.stages((128, 128, 3), 128 * 128, WINDOWS)
+    usual = schedule.schedule((128, 128, 3), 128 * 128, WINDOWS)
     assert [stage.window for stage in usual] == [None, *WINDOWS]
     assert {stage.spacing for stage in usual} == {1}
-    assert not any(stage.again for stage in usual)
-    grown = stages.stages((1024, 1024), 768 * 1024, WINDOWS)
+    assert not any(stage.search_unexplained for stage in usual)
+    grown = schedule.schedule((1024, 1024), 768 * 1024, WINDOWS)
     assert [stage.spacing for stage in grown] == [16] * 8 + [4] * 5 + [1] * 5
     assert [stage.window is None for stage in grown] == [True] + [False] * 17
     assert [stage.last for stage in grown] == [False] * 17 + [True]
-    assert [i for i, stage in enumerate(grown) if stage.again] == [9, 14]
-    assert [i for i, stage in enumerate(grown) if stage.still] == [11, 12, 15, 16]
+    assert [i for i, stage in enumerate(grown) if stage.search_unexplained] == [9, 14]
+    assert [i for i, stage in enumerate(grown) if stage.skip_settled] == [11, 12, 15, 16]
     # Narrow windows would leave gaps between seeds, and thin cameras have no neighbours.
-    assert stages.spacings((1024, 1024), 768 * 1024, ((1, 1),)) == (1,)
-    assert stages.spacings((10, 100_000), 768 * 1024, WINDOWS) == (1,)
-    short = stages.stages((1024, 1024), 768 * 1024, ((2, 1),))
+    assert schedule.spacings((1024, 1024), 768 * 1024, ((1, 1),)) == (1,)
+    assert schedule.spacings((10, 100_000), 768 * 1024, WINDOWS) == (1,)
+    short = schedule.schedule((1024, 1024), 768 * 1024, ((2, 1),))
     assert [stage.spacing for stage in short] == [16, 4, 1, 1]
-    assert stages.spacings((128, 1000), 768 * 1024, WINDOWS) == (8, 4, 1)
+    assert schedule.spacings((128, 1000), 768 * 1024, WINDOWS) == (8, 4, 1)
 
 
 @pytest.fixture(scope="module")
 def grown(scene: Truth) -> LightTransport:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(stages, "LARGE", 0)
-        patch.setattr(stages, "FEWEST_SEEDS", 4)
+        patch.setattr(schedule, "GROWTH", LARGE_FRAMES)
         return CoherentEstimator().estimate(photographed(scene))
 
 
@@ -99,11 +105,11 @@ def test_grown_rows_are_as_good_and_say_what_they_looked_at(
     error = relative_error(usual, known)
     assert relative_error(grown, known) < 1.1 * error
     # Seeds are a 64th of the rows.
-    assert 1 / 64 < grown.diagnostics[LOOKED].mean() < 0.2
+    assert 1 / 64 < grown.diagnostics[SEARCHED].mean() < 0.2
     held = grown.diagnostics[HOLDS]
     assert np.isfinite(held).mean() == pytest.approx(0.2, abs=0.02)
     assert np.nanmean(held) > 0.95
-    assert grown.summary()["rows_looked_everywhere"] == grown.diagnostics[LOOKED].mean()
+    assert grown.summary()["rows_looked_everywhere"] == grown.diagnostics[SEARCHED].mean()
     assert grown.summary()["rows_that_hold_everywhere"] == np.nanmean(held)
     assert grown.provenance["solver_parameters"]["spacings"] == [8, 4, 1]
 
@@ -121,7 +127,7 @@ def test_what_no_seed_sees_is_found(scene: Truth) -> None:
     matrix = csr_array(changed.tocsr())
     truth = Truth(matrix, matrix.data, CAMERA, scene.projector_shape, {})
     found = CoherentEstimator().estimate(photographed(truth))
-    assert found.diagnostics[LOOKED][odd].any()
+    assert found.diagnostics[SEARCHED][odd].any()
     strongest = np.asarray(found.sparse[odd].argmax(axis=1)).ravel()
     assert np.array_equal(strongest, places.ravel())
 
@@ -139,10 +145,10 @@ def test_tiles_and_interruptions_do_not_matter(
 
     target = tmp_path / "scene.zarr"
     with pytest.raises(KeyboardInterrupt):
-        estimator.estimate(capture, checkpoint=target, progress=interrupt)
+        estimator.estimate(capture, output=target, progress=interrupt)
     reached: list[int] = []
     again = estimator.estimate(
-        capture, checkpoint=target, progress=lambda done, _: reached.append(done)
+        capture, output=target, progress=lambda done, _: reached.append(done)
     )
     assert min(reached) > 0.4 * len(scene.matrix.indptr)
     assert reached == sorted(reached)
@@ -164,12 +170,12 @@ def test_a_grid_has_every_so_manieth_pixel(channels: tuple[int, ...]) -> None:
     assert np.array_equal(wanted.weights_of_all(), found.weights_of_all())
     entries = csr_array(random.random((grid.count, 5)) * (random.random((grid.count, 5)) > 0.5))
     facts = {"number": np.arange(grid.count)}
-    grown = whole.grown(grid, SparseRows(entries, random.random((grid.count, 1)), facts))
+    grown = whole.spread(grid, SparseRows(entries, random.random((grid.count, 1)), facts))
     assert (grown.coefficients[index] != entries).nnz == 0
     assert grown.coefficients.nnz == entries.nnz
     assert np.array_equal(grown.diagnostics["number"][index], facts["number"])
     moved = random.random((grid.count, 4)).astype(np.float32)
-    finer = whole.movement(grid, moved).reshape(*whole.camera, 4)
+    finer = whole.refine_jacobian(grid, moved).reshape(*whole.camera, 4)
     assert np.array_equal(finer[5, 9], moved.reshape(*grid.camera, 4)[1, 2] / 4)
 
 
@@ -193,11 +199,11 @@ def test_narrow_atoms_are_right_to_a_hundred_thousandth(count: int) -> None:
 def test_rows_that_left_something_out_do_not_hold(scene: Truth) -> None:
     capture = photographed(scene)
     count = capture.rows
-    solving = Solving(capture, ActiveSet(tolerance=1e-3), None, 0.01, 250, SIZES, (8, 8))
+    solving = RowSolver(capture, ActiveSet(tolerance=1e-3), None, 0.01, 250, SIZES, (8, 8))
     samples = capture.samples(0, count)
     alone = solving.everywhere(samples).rows.single()
     rows = np.arange(5, count, 97)
-    stage = Stage(1, (1, 1), 4, last=True)
+    stage = Round(1, (1, 1), 4, last=True)
     # All rows are told that light is in the first corner, which it is not.
     corner = csr_array((np.ones(count, np.float32), np.zeros(count, int), np.arange(count + 1)))
     corner.resize(alone.coefficients.shape)
@@ -216,8 +222,8 @@ def test_rows_that_left_something_out_do_not_hold(scene: Truth) -> None:
 
 
 def test_rows_held_against_all_atoms_are_spread() -> None:
-    whole = sampled(0, 100_000, 100_000)
+    whole = sampled_rows(0, 100_000, 100_000)
     assert 256 <= len(whole) < 300
-    parts = [sampled(start, start + 1000, 100_000) for start in range(0, 100_000, 1000)]
+    parts = [sampled_rows(start, start + 1000, 100_000) for start in range(0, 100_000, 1000)]
     assert np.array_equal(np.concatenate(parts), whole)
-    assert np.array_equal(sampled(0, 7, 7), np.arange(7))
+    assert np.array_equal(sampled_rows(0, 7, 7), np.arange(7))

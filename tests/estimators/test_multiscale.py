@@ -18,7 +18,7 @@ from lightmatrix.cli import main
 from lightmatrix.errors import InputError
 from lightmatrix.estimators.multiscale import estimator as multiscale
 from lightmatrix.estimators.multiscale.estimator import MultiScaleEstimator
-from lightmatrix.estimators.multiscale.scales import scales, split, strongest
+from lightmatrix.estimators.multiscale.scales import active_blocks, scales, split
 from lightmatrix.estimators.plain import PlainEstimator
 from lightmatrix.evaluation.metrics import relative_error
 from lightmatrix.patterns.bits import BernoulliPatterns
@@ -115,14 +115,14 @@ def test_the_strongest_blocks_and_their_neighbours_stay() -> None:
     coefficients[1, [5, 17]] = [0.1, 0.05]
     coefficients[2, :20] = 1e-3
     candidates = np.arange(0, 120, 3)
-    active = strongest(csr_array(coefficients), candidates, (10, 12), 0.04)
+    active = active_blocks(csr_array(coefficients), candidates, (10, 12), 0.04)
     expected = np.zeros((10, 12), bool)
     scores = (coefficients / coefficients.sum(axis=1, keepdims=True)).sum(axis=0)
     expected.ravel()[candidates[np.argsort(-scores, kind="stable")[:8]]] = True
     np.testing.assert_array_equal(active, binary_dilation(expected, np.ones((3, 3))))
     assert active[divmod(15, 12)]
     assert active[divmod(51, 12)]
-    dark = strongest(csr_array((3, 40)), candidates, (10, 12), 0.05)
+    dark = active_blocks(csr_array((3, 40)), candidates, (10, 12), 0.05)
     assert dark.ravel()[candidates].all()
 
 
@@ -210,12 +210,12 @@ def test_interrupted_runs_go_on(
     output = tmp_path / "scene.zarr"
     monkeypatch.setattr(multiscale, "solve", interrupted)
     with pytest.raises(KeyboardInterrupt):
-        estimator.estimate(capture, checkpoint=output)
+        estimator.estimate(capture, output=output)
     assert not output.exists()
     calls[:] = [0] * 20
     seen: list[tuple[int, int]] = []
     found = estimator.estimate(
-        capture, checkpoint=output, progress=lambda done, total: seen.append((done, total))
+        capture, output=output, progress=lambda done, total: seen.append((done, total))
     )
     assert seen[0] == (8 * 13 + 8 * 8, 18 * 13)
     assert seen[-1] == (18 * 13, 18 * 13)

@@ -10,6 +10,7 @@ import sys
 import time
 import warnings
 from collections.abc import Callable, Iterator
+from contextlib import nullcontext
 from dataclasses import replace
 from multiprocessing import spawn
 from pathlib import Path
@@ -26,15 +27,13 @@ from lightmatrix import store
 from lightmatrix.capture.packed import PackedFrames
 from lightmatrix.cli import main
 from lightmatrix.errors import ClusterError, InputError, MissingExtraError
-from lightmatrix.estimators.coherent import stages
+from lightmatrix.estimators.coherent import schedule
 from lightmatrix.estimators.coherent.estimator import CoherentEstimator
-from lightmatrix.estimators.join import joined
 from lightmatrix.estimators.multiscale.estimator import MultiScaleEstimator
 from lightmatrix.estimators.plain import PlainEstimator
-from lightmatrix.estimators.steps import LEAST_TILE, cut
-from lightmatrix.estimators.workers import crew as crews
-from lightmatrix.estimators.workers import opening, travel
-from lightmatrix.estimators.workers.opening import opened
+from lightmatrix.estimators.work import LEAST_TILE, cut_rows
+from lightmatrix.estimators.workers import pickling, pool, startup
+from lightmatrix.estimators.workers.startup import dask_pool
 from lightmatrix.solvers import ActiveSet
 from lightmatrix.transport.matrix import LightTransport
 from tests.helpers.systems import SIGNALS
@@ -107,13 +106,17 @@ def test_workers_find_the_same(
     name: str, capture: lm.Capture, cluster: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if name == "growing":
-        monkeypatch.setattr(stages, "LARGE", 0)
-        monkeypatch.setattr(stages, "FEWEST_SEEDS", 3)
+        large_frames = replace(schedule.GROWTH, large=0, fewest_seeds=3)
+        monkeypatch.setattr(schedule, "GROWTH", large_frames)
     estimator, told = ESTIMATORS[name], list[int]()
     alone = estimator.estimate(capture)
-    plan = estimator.plan(capture, lambda done, total: told.append(done))
-    with opened(cluster=cluster.scheduler_address) as crew:
-        found = joined(plan, checkpoint=tmp_path / "s.zarr", overwrite=False, crew=crew)
+    with dask_pool(cluster=cluster.scheduler_address) as workers:
+        found = estimator.estimate(
+            capture,
+            output=tmp_path / "s.zarr",
+            progress=lambda done, total: told.append(done),
+            pool=workers,
+        )
     assert same(found, alone)
     assert same(store.open(tmp_path / "s.zarr"), alone)
     assert told == sorted(told)
@@ -121,11 +124,11 @@ def test_workers_find_the_same(
     assert os.listdir(tmp_path) == ["s.zarr"]
 
 
-def test_a_crew_makes_one_estimate_after_the_other(capture: lm.Capture, cluster: Any) -> None:
+def test_a_pool_makes_one_estimate_after_the_other(capture: lm.Capture, cluster: Any) -> None:
     alone = ESTIMATORS["plain"].estimate(capture)
-    with opened(cluster=cluster.scheduler_address) as crew:
+    with dask_pool(cluster=cluster.scheduler_address) as workers:
         for _ in range(2):
-            assert same(ESTIMATORS["plain"].estimate(capture, crew=crew), alone)
+            assert same(ESTIMATORS["plain"].estimate(capture, pool=workers), alone)
 
 
 @SIGNALS
@@ -138,13 +141,12 @@ def test_a_worker_that_dies_costs_its_tile_only(
     def kill(done: int, total: int) -> None:
         told.append(done)
         if not killed and done > total / 4:
-            pids = crew.client.run(os.getpid)
+            pids = workers.client.run(os.getpid)
             killed.append(next(iter(pids.values())))
             os.kill(killed[0], signal.SIGKILL)
 
-    with opened(cluster=cluster.scheduler_address) as crew:
-        plan = estimator.plan(capture, kill)
-        found = joined(plan, checkpoint=tmp_path / "s.zarr", overwrite=False, crew=crew)
+    with dask_pool(cluster=cluster.scheduler_address) as workers:
+        found = estimator.estimate(capture, output=tmp_path / "s.zarr", progress=kill, pool=workers)
     assert killed
     # No tile twice: done is told once for each.
     assert told == sorted(told)
@@ -154,20 +156,21 @@ def test_a_worker_that_dies_costs_its_tile_only(
 
 @SIGNALS
 def test_a_tile_whose_worker_dies_before_it_is_asked_ends_later(cluster: Any) -> None:
-    with opened(cluster=cluster.scheduler_address) as crew:
+    with dask_pool(cluster=cluster.scheduler_address) as workers:
 
         def slowly() -> int:
             time.sleep(2.0)
             return os.getpid()
 
-        tile = crew.client.submit(slowly, pure=False)
+        tile = workers.client.submit(slowly, pure=False)
         os.kill(tile.result(), signal.SIGKILL)
         deadline = time.monotonic() + 30
         while tile.status != "lost" and time.monotonic() < deadline:
             time.sleep(0.01)
-        other = crew.client.submit(int, pure=False)
-        assert dict(crew._ended({tile: (0, 1), other: (1, 2)})) == {other: "finished"}
-        while not (ended := dict(crew._ended({tile: (0, 1)}))):
+        other = workers.client.submit(int, pure=False)
+        assert other.result() == 0
+        assert dict(workers._ended({tile: (0, 1), other: (1, 2)})) == {other: "finished"}
+        while not (ended := dict(workers._ended({tile: (0, 1)}))):
             assert time.monotonic() < deadline
         assert ended == {tile: "finished"}
 
@@ -176,13 +179,12 @@ KILLED = """
 import os, pathlib, signal, sys
 import lightmatrix as lm
 from tests.estimators.test_workers import ESTIMATORS
-from lightmatrix.estimators.join import joined
-from lightmatrix.estimators.workers.opening import opened
+from lightmatrix.estimators.workers.startup import dask_pool
 capture = lm.Capture.open(sys.argv[1])
 kill = lambda done, total: done > total / 2 and os.kill(os.getpid(), signal.SIGKILL)
-with opened(cluster=sys.argv[2]) as crew:
-    plan = ESTIMATORS["coherent"].plan(capture, kill)
-    joined(plan, checkpoint=pathlib.Path(sys.argv[3]), overwrite=False, crew=crew)
+with dask_pool(cluster=sys.argv[2]) as workers:
+    target = pathlib.Path(sys.argv[3])
+    ESTIMATORS["coherent"].estimate(capture, output=target, progress=kill, pool=workers)
 """
 
 
@@ -196,9 +198,13 @@ def test_a_killed_estimate_goes_on_with_its_workers(
     assert killed.returncode == -signal.SIGKILL
     assert not target.exists()
     told = list[int]()
-    plan = ESTIMATORS["coherent"].plan(capture, lambda done, total: told.append(done))
-    with opened(cluster=address) as crew:
-        found = joined(plan, checkpoint=target, overwrite=False, crew=crew)
+    with dask_pool(cluster=address) as workers:
+        found = ESTIMATORS["coherent"].estimate(
+            capture,
+            output=target,
+            progress=lambda done, total: told.append(done),
+            pool=workers,
+        )
     assert min(told) > 0.4 * capture.rows
     assert same(found, ESTIMATORS["coherent"].estimate(capture))
     assert os.listdir(tmp_path) == ["s.zarr"]
@@ -210,7 +216,7 @@ def test_with_workers_and_without_runs_go_on_where_they_stopped(
     address = cluster.scheduler_address
     target = tmp_path / "s.zarr"
 
-    def run(workers: bool, stop_at: float | None) -> list[int]:
+    def run(with_workers: bool, stop_at: float | None) -> list[int]:
         told = list[int]()
 
         def stop(done: int, total: int) -> None:
@@ -218,17 +224,14 @@ def test_with_workers_and_without_runs_go_on_where_they_stopped(
             if stop_at is not None and done > stop_at * total:
                 raise KeyboardInterrupt
 
-        plan = CoherentEstimator(windows=WINDOWS, tile_rows=60).plan(capture, stop)
-        if not workers:
-            joined(plan, checkpoint=target, overwrite=False)
-            return told
-        with opened(cluster=address) as crew:
-            joined(plan, checkpoint=target, overwrite=False, crew=crew)
+        estimator = CoherentEstimator(windows=WINDOWS, tile_rows=60)
+        with dask_pool(cluster=address) if with_workers else nullcontext() as workers:
+            estimator.estimate(capture, output=target, progress=stop, pool=workers)
         return told
 
-    for workers, share in ((True, 0.3), (False, 0.6), (True, 0.8)):
+    for with_workers, share in ((True, 0.3), (False, 0.6), (True, 0.8)):
         with pytest.raises(KeyboardInterrupt):
-            run(workers, share)
+            run(with_workers, share)
         assert not target.exists()
     assert min(run(False, None)) > 0.6 * capture.rows
     assert same(store.open(target), ESTIMATORS["coherent"].estimate(capture))
@@ -269,14 +272,14 @@ def refused(address: str, capture: lm.Capture, output: Path) -> ClusterError:
 def test_a_scheduler_that_does_not_answer(
     address: str, capture: lm.Capture, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(opening, "ANSWER", 0.5)
+    monkeypatch.setattr(startup, "SCHEDULER_TIMEOUT", 0.5)
     assert "no scheduler of Dask answers" in str(refused(address, capture, tmp_path / "s.zarr"))
 
 
 def test_workers_of_another_version(
     capture: lm.Capture, cluster: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(opening, "versions", lambda: {"lightmatrix": "9.1", "numpy": "3.2"})
+    monkeypatch.setattr(startup, "versions", lambda: {"lightmatrix": "9.1", "numpy": "3.2"})
     message = str(refused(cluster.scheduler_address, capture, tmp_path / "s.zarr"))
     assert f"lightmatrix {lm.__version__}, not 9.1" in message
     assert f"numpy {np.__version__}, not 3.2" in message
@@ -288,7 +291,7 @@ def test_workers_without_the_package(
     module = ModuleType("of_another_machine")
     exec("def about(dask_worker): return {}", module.__dict__)
     monkeypatch.setitem(sys.modules, module.__name__, module)
-    monkeypatch.setattr(opening, "about", module.about)
+    monkeypatch.setattr(startup, "describe_worker", module.about)
     message = str(refused(cluster.scheduler_address, capture, tmp_path / "s.zarr"))
     assert "has no lightmatrix like this one" in message
 
@@ -297,7 +300,7 @@ def test_workers_without_the_package(
     ("where", "name", "value", "what"),
     [
         (os.path, "abspath", lambda path: f"/elsewhere{path}", "cannot read the capture"),
-        (crews, "look_of", lambda capture: "another", "sees another capture"),
+        (pool, "capture_hash", lambda capture: "another", "sees another capture"),
     ],
 )
 def test_a_capture_that_workers_do_not_see(
@@ -328,18 +331,18 @@ def test_an_output_that_workers_do_not_see(
 
 
 def _impatient() -> None:
-    from lightmatrix.estimators.workers import solving
+    from lightmatrix.estimators.workers import worker
 
-    solving.PATIENCE = 0.1
+    worker.FILE_PATIENCE = 0.1
 
 
 def test_what_does_not_go_together(capture: lm.Capture, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(InputError, match="workers here and a cluster"):
-        lm.AutoEstimator(workers=2, cluster="tcp://127.0.0.1:9")
-    with pytest.raises(InputError, match="no output"):
+        lm.EstimateSettings(workers=2, cluster="tcp://127.0.0.1:9")
+    with pytest.raises(InputError, match="needs an output"):
         lm.estimate(capture, cluster="tcp://127.0.0.1:9")
     with pytest.raises(InputError, match="workers is 0"):
-        lm.AutoEstimator(workers=0)
+        lm.EstimateSettings(workers=0)
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(MissingExtraError, match=r"lightmatrix\[cluster\]"):
         lm.estimate(capture, workers=2)
@@ -347,19 +350,20 @@ def test_what_does_not_go_together(capture: lm.Capture, monkeypatch: pytest.Monk
 
 def test_machines_without_the_memory_for_all_their_workers() -> None:
     facts = [{"host": "a", "available": 3 << 30}, {"host": "b", "available": 9 << 30}]
-    opening._check_memory(facts, 2 << 30)
+    startup._check_memory(facts, 2 << 30)
     with pytest.raises(ClusterError, match="a: 2 workers take about 4 GiB of memory, 3 GiB"):
-        opening._check_memory([*facts, facts[0]], 2 << 30)
+        startup._check_memory([*facts, facts[0]], 2 << 30)
 
 
 def test_workers_share_memory_and_threads(
     capture: lm.Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    one, two = lm.AutoEstimator().needs(capture), lm.AutoEstimator(workers=2).needs(capture)
+    one = lm.estimate_resources(capture)
+    two = lm.estimate_resources(capture, lm.EstimateSettings(workers=2))
     assert two.memory == 2 * one.memory
     assert "(2 workers)" in str(two)
     monkeypatch.setenv("RAYON_NUM_THREADS", "8")
-    assert [opening.threads_each(workers) for workers in (1, 3, 16)] == [8, 2, 1]
+    assert [startup.threads_each(workers) for workers in (1, 3, 16)] == [8, 2, 1]
 
 
 def test_workers_started_here_have_their_threads_and_the_usual_malloc(
@@ -371,16 +375,16 @@ def test_workers_started_here_have_their_threads_and_the_usual_malloc(
     # Workers that Dask starts by itself leave it behind.
     monkeypatch.delenv("MALLOC_TRIM_THRESHOLD_", raising=False)
     before = dict(os.environ)
-    with opened(1) as crew:
-        (there,) = crew.client.run(lambda: dict(os.environ)).values()
-    assert [there[name] for name in opening._THREADS] == ["2"] * 4
+    with dask_pool(1) as workers:
+        (there,) = workers.client.run(lambda: dict(os.environ)).values()
+    assert [there[name] for name in startup._THREADS] == ["2"] * 4
     assert "MALLOC_TRIM_THRESHOLD_" not in there
     assert dict(os.environ) == before
 
 
 @given(st.integers(0, 9000), st.integers(1, 9000), st.integers(1, 40), st.booleans())
 def test_tiles_of_a_step(rows: int, most: int, parts: int, shrinking: bool) -> None:
-    spans = list(cut(rows, most, parts, shrinking))
+    spans = list(cut_rows(rows, most, parts, shrinking))
     assert [0, *(stop for _, stop in spans)] == [*(start for start, _ in spans), rows]
     sizes = [stop - start for start, stop in spans]
     assert max(sizes, default=0) <= most
@@ -401,7 +405,7 @@ def test_workers_do_not_read_the_script_that_starts_them(monkeypatch: pytest.Mon
     def told(name: str) -> set[str]:
         return {key for key in spawn.get_preparation_data(name) if key.startswith("init_main")}
 
-    with opening._without_script():
+    with startup._without_script():
         assert not told("Dask Worker process (from Nanny)")
         assert told("another's")
     assert told("Dask Worker process (from Nanny)")
@@ -418,17 +422,17 @@ def test_what_travels_leaves_behind_what_was_worked_out(
     plan = ESTIMATORS["plain"].plan(near, lambda done, total: None)
     assert near.digest
     assert near.patterns.prepared
-    data = travel.packed(plan.work)
+    data = pickling.pack_work(plan.work)
     assert len(data) < 20_000
     monkeypatch.chdir("/")
-    there = travel.unpacked(data)
+    there = pickling.unpack_work(data)
     assert "digest" not in vars(there.capture)
     assert there.capture.digest == near.digest
-    assert there.report(store.ROWS) is None
+    assert there.progress_of(store.ROWS) is None
     solver = type("Local", (ActiveSet,), {})()
     own = replace(ESTIMATORS["plain"], solver=solver).plan(capture)
     with pytest.raises(InputError, match="cannot be sent to workers"):
-        travel.packed(own.work)
+        pickling.pack_work(own.work)
 
 
 def test_errors_keep_their_hints_on_their_way() -> None:

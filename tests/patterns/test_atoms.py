@@ -144,8 +144,9 @@ def test_single_pixels_are_believed_in_where_they_hold_light() -> None:
     found = SparseRows(rows, np.zeros((count, 1), np.float32), {})
     belief = Neighbourhood(found, camera, atoms).singles.reshape(30, 60)
     np.testing.assert_array_equal(belief[:, :26], 1)
-    np.testing.assert_array_equal(belief[:, 34:], np.float32(neighbourhood.PIXELS_LEAST))
+    constants = neighbourhood.LIKELY_ATOMS
+    np.testing.assert_array_equal(belief[:, 34:], np.float32(constants.pixels_least))
     # Two of the nine columns around hold single pixels.
-    share = 2 / 9 / neighbourhood.PIXELS_BELIEVED
-    expected = max(share**neighbourhood.PIXELS_POWER, neighbourhood.PIXELS_LEAST)
+    share = 2 / 9 / constants.pixels_believed
+    expected = max(share**constants.pixels_power, constants.pixels_least)
     np.testing.assert_allclose(belief[:, 32], expected, rtol=1e-5)

@@ -49,7 +49,7 @@ def test_help_loads_no_more_than_it_needs() -> None:
 
 def test_an_estimate_loads_no_more_than_it_needs() -> None:
     """Half of its start were statistics and signals that it does not use."""
-    loaded = _loaded("import lightmatrix as lm; lm.AutoEstimator, lm.Capture")
+    loaded = _loaded("import lightmatrix as lm; lm.EstimateSettings, lm.Capture")
     assert "scipy.sparse" in loaded
     assert not loaded.intersection({"scipy.signal", "scipy.stats", "scipy.optimize"})
 
@@ -178,13 +178,15 @@ def test_no_photograph_with_numbers_out_of_range(name: str, value: object) -> No
 
 def test_a_chosen_estimator_is_the_one_that_was_asked_for() -> None:
     few = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 8))
-    assert isinstance(lm.AutoEstimator().estimator(few), lm.CoherentEstimator)
+    assert isinstance(lm.choose_estimator(few), lm.CoherentEstimator)
     for settings in ({"coherent": False}, {"signed": True}, {"solver": "romp"}):
-        assert isinstance(lm.AutoEstimator(**settings).estimator(few), lm.PlainEstimator)
-    scaled = lm.AutoEstimator(multi_scale=True).estimator(few)
+        assert isinstance(
+            lm.choose_estimator(few, lm.EstimateSettings(**settings)), lm.PlainEstimator
+        )
+    scaled = lm.choose_estimator(few, lm.EstimateSettings(multi_scale=True))
     assert isinstance(scaled, lm.MultiScaleEstimator)
     many = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 257))
-    assert isinstance(lm.AutoEstimator().estimator(many), lm.PlainEstimator)
+    assert isinstance(lm.choose_estimator(many), lm.PlainEstimator)
 
 
 def test_pictures_are_drawn(tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from lightmatrix.errors import InputError
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
 from lightmatrix.solvers import ActiveSet, Problem
-from lightmatrix.solvers.weighted import Candidates, Cells, Expectation, solve_weighted
+from lightmatrix.solvers.weighted import Candidates, Cells, PseudoSamples, solve_weighted
 from tests.helpers.problems import clipping_problem, with_samples
 
 SOLVER = ActiveSet(tolerance=1e-8)
@@ -123,7 +123,7 @@ def test_expected_samples_are_further_samples(packed: bool) -> None:
         every_pixel(problem),
         Cells(means, penalties),
         SOLVER,
-        expected=Expectation(unseen, values, weights),
+        pseudo_samples=PseudoSamples(unseen, values, weights),
     )
     # The same with the patterns shown twice.
     twice = np.concatenate([problem.patterns.images(), both])

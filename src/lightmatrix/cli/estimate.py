@@ -27,7 +27,7 @@ from lightmatrix.outputs.kinds import REPORT, STORE
 from lightmatrix.transport.labels import labelled
 
 if TYPE_CHECKING:
-    from lightmatrix import AutoEstimator, Capture, Finding, LightTransport, Needs
+    from lightmatrix import Capture, EstimateSettings, Finding, LightTransport, ResourceEstimate
 
 SolverName = Literal["active-set", "saturation-admm", "admm", "romp"]
 FidelityName = Literal["linear", "one-sided", "clipped", "rejection", "likelihood"]
@@ -156,7 +156,7 @@ def estimate(
     interrupted goes on where it stopped if given again.
     """
     started = time.perf_counter()
-    estimator = lm.AutoEstimator(
+    settings = lm.EstimateSettings(
         solver=solver,
         fidelity=fidelity,
         regularization=_regularization(regularization),
@@ -176,32 +176,32 @@ def estimate(
             claim(report, REPORT, overwrite=overwrite)
     taken = source.open()
     opened = taken.bin(projector=size(bin_projector), camera=size(bin_camera))
-    needs = estimator.needs(opened)
+    resources = lm.estimate_resources(opened, settings)
     if dry_run:
-        _show_needs(needs, as_json)
+        _show_resources(resources, as_json)
         return
-    _tell_needs(needs, check)
+    _warn_of_resources(resources, check)
     tell_what_is_left(output, "tiles", enough=not as_json and report is None)
-    # What is wrong with workers is said before frames are read.
-    with estimator.crew(opened) as crew:
-        if crew is not None:
-            warn(str(crew))
+    # Workers are checked before the frames are read, which takes longer.
+    with lm.open_workers(settings, resources) as pool:
+        if pool is not None:
+            warn(str(pool))
         findings = _findings(opened, taken, check)
         with progress("estimating", "rows") as step:
-            transport = estimator.estimate(
-                opened, checkpoint=output, overwrite=overwrite, progress=step, crew=crew
+            transport = lm.choose_estimator(opened, settings, resources).estimate(
+                opened, output=output, overwrite=overwrite, progress=step, pool=pool
             )
     seconds = round(time.perf_counter() - started, 2)
     told = None
     if report is not None:
         # Photographs are held out of a part of the camera, which this process does by itself.
-        here = replace(estimator, workers=None, cluster=None)
+        here = replace(settings, workers=None, cluster=None)
         told = _report(report, output, source, transport, opened, here, findings, overwrite)
     summary = transport.summary()
     if as_json:
         found = [finding.as_dict() for finding in findings]
         more = {"findings": found} if told is None else {"findings": found, "report": told}
-        took = {"seconds": seconds, "needs": needs.as_dict()}
+        took = {"seconds": seconds, "needs": resources.as_dict()}
         show_json({"output": str(output), **took, **summary, **more})
         return
     say(str(lm.verdict(transport)) if told is None else f"{told['verdict']}: {told['sentence']}")
@@ -212,27 +212,27 @@ def estimate(
         say(f"report: {(report / 'report.html').absolute()}")
 
 
-def _show_needs(needs: Needs, as_json: bool) -> None:
-    """What the estimate would take, as its only output."""
+def _show_resources(resources: ResourceEstimate, as_json: bool) -> None:
+    """Show the memory and time that the estimate would take, for --dry-run."""
     if as_json:
-        show_json(needs.as_dict())
+        show_json(resources.as_dict())
         return
-    whose = "allowed" if needs.limited else "free"
-    free = f"{needs.available / 2**30:.3g} GiB are {whose}"
-    say(f"the estimate takes {needs} ({free})", style=None if needs.fits else "yellow")
-    if needs.advice:
-        say(needs.advice)
+    whose = "allowed" if resources.limited else "free"
+    free = f"{resources.available / 2**30:.3g} GiB are {whose}"
+    say(f"the estimate takes {resources} ({free})", style=None if resources.fits else "yellow")
+    if resources.advice:
+        say(resources.advice)
 
 
-def _tell_needs(needs: Needs, check: bool) -> None:
-    """Refuse what does not fit, and say what takes long or much."""
-    if check or needs.limited:
-        needs.check()
-    much = needs.memory > _MUCH * needs.available
-    if much or (needs.seconds or 0) > _LONG:
-        warn(f"this takes {needs}")
-    if needs.advice:
-        warn(f"less: {needs.advice}", style="yellow")
+def _warn_of_resources(resources: ResourceEstimate, check: bool) -> None:
+    """Refuse an estimate that does not fit, and warn of one that takes long or much."""
+    if check or resources.limited:
+        resources.check()
+    much = resources.memory > _MUCH * resources.available
+    if much or (resources.seconds or 0) > _LONG:
+        warn(f"this takes {resources}")
+    if resources.advice:
+        warn(f"less: {resources.advice}", style="yellow")
 
 
 def _findings(opened: Capture, taken: Capture, check: bool) -> list[Finding]:
@@ -252,7 +252,7 @@ def _report(
     source: Source,
     transport: LightTransport,
     capture: Capture,
-    estimator: AutoEstimator,
+    settings: EstimateSettings,
     findings: list[Finding],
     overwrite: bool,
 ) -> dict[str, Any]:
@@ -263,7 +263,7 @@ def _report(
             transport,
             capture,
             truth=_truth(source.folder, transport),
-            estimator=estimator,
+            estimator=settings,
             title=store.name,
             findings=findings,
             overwrite=overwrite,

@@ -1,1 +1,1 @@
-"""From a capture to a light transport matrix: how rows are tiled, solved and joined."""
+"""From a capture to a light transport matrix. Start at `estimate.py`."""

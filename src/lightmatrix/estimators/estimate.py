@@ -1,4 +1,18 @@
-"""The calls of the estimate: `estimate`, and `needs`, which says before what it will take."""
+"""The call `lm.estimate`: from a capture to its light transport matrix.
+
+A tile of rows is solved six calls below it:
+
+1. `estimate` (here) checks the settings and the capture, and chooses the estimator (`choice.py`).
+2. `Estimator.estimate` (`base.py`) plans the work and opens the checkpoint.
+3. `complete` (`work.py`) goes through the steps of the work and their missing tiles.
+4. A method of `Rounds` (`coherent/rounds.py`) reads the samples of a tile and keeps its rows.
+5. `RowSolver.near` (`coherent/row_solver.py`) sets up the weighted problem of these rows.
+6. `solve_weighted` (`solvers/weighted.py`) hands it to the compiled core.
+
+Row by row, `_Rows.solve` (`plain.py`) replaces 4 and 5, and `solvers.solve` replaces 6.
+With workers, 3 hands the tiles to `DaskPool.solve` (`workers/pool.py`), and each worker does the
+rest (`workers/worker.py`).
+"""
 
 from __future__ import annotations
 
@@ -6,9 +20,11 @@ from pathlib import Path
 
 from lightmatrix.capture.capture import Capture, open_capture
 from lightmatrix.diagnosis.refusals import refuse_unordered, refuse_unusable
-from lightmatrix.estimators.auto import AutoEstimator
-from lightmatrix.estimators.needs import Needs
-from lightmatrix.estimators.steps import Progress
+from lightmatrix.estimators.choice import choose_estimator
+from lightmatrix.estimators.resource_estimate import estimate_resources
+from lightmatrix.estimators.settings import EstimateSettings
+from lightmatrix.estimators.work import Progress
+from lightmatrix.estimators.workers.startup import open_workers
 from lightmatrix.outputs.kinds import STORE
 from lightmatrix.outputs.writing import check_output
 from lightmatrix.transport.matrix import LightTransport
@@ -36,14 +52,13 @@ def estimate(
 ) -> LightTransport:
     """Estimate the light transport matrix of a capture, as `lightmatrix estimate` does.
 
-    Up to 256 patterns camera pixels learn from their neighbours where light is likely; with more,
-    and with anything that this does not go with, each is estimated by itself.
+    With up to 256 patterns, camera pixels learn from their neighbours where light is likely. With
+    more patterns, and with settings that exclude this, each camera pixel is estimated by itself.
 
     Parameters
     ----------
     capture : Capture, str or Path
-        M camera samples under K patterns of N projector pixels; or a capture folder, which is
-        opened and checked.
+        M camera samples under K patterns of N projector pixels; or a capture folder.
     solver : {"active-set", "saturation-admm", "admm", "romp"}
         active-set certifies a duality gap of each row.
     fidelity : {"one-sided", "clipped", "likelihood", "rejection", "linear"}, optional
@@ -51,17 +66,17 @@ def estimate(
         bound with a soft edge, not at all, at their value. None: one-sided; linear for admm,
         rejection for romp.
     regularization : "auto", "path" or float
-        The paper's lambda in units of camera sample at exposure 1; auto tells it from patterns and
-        samples; path takes, row by row, the value that best predicts patterns held out.
+        The paper's lambda in units of camera sample at exposure 1; auto derives it from patterns
+        and samples; path takes, row by row, the value that best predicts patterns held out.
     coherent : bool, optional
         Whether to learn from neighbouring camera pixels. None: with the active-set solver and up
         to 256 patterns.
     multi_scale : bool
-        Projector blocks first, then the pixels that matter.
+        Whether to solve on projector blocks first, then on the pixels that matter.
     background : bool
         Whether diffuse light has a coefficient, or coarse cells, per camera sample.
     signed : bool
-        Allow negative light, as the paper does.
+        Whether to allow negative light, as the paper does.
     iterations : int, optional
         Most iterations (rounds for romp, passes for active-set), 1 to 10^9.
     tile_rows : int, optional
@@ -78,11 +93,11 @@ def estimate(
         docs/clusters.md). They read the capture, and write beside the output, by their paths.
     output : str or Path, optional
         A store (.zarr) to write as well. Finished tiles are kept beside it, so that an interrupted
-        run goes on where it stopped.
+        run continues where it stopped.
     overwrite : bool
         Whether a complete store at `output` may be replaced.
     check : bool
-        Refuse photographs that do not follow their patterns, as `lm.check` finds them.
+        Whether to refuse photographs that do not follow their patterns, as `lm.check` does.
     progress : callable, optional
         Called with (done, total) rows.
 
@@ -95,10 +110,10 @@ def estimate(
     Raises
     ------
     InputError, SolverError, OutputError
-        On settings that do not go together, unusable captures, what does not fit into memory (see
-        `needs`), or outputs that cannot be written.
+        If settings exclude each other, the capture is unusable, the estimate does not fit into
+        memory (see `estimate_resources`), or the output cannot be written.
     ClusterError, MissingExtraError
-        On workers that cannot be reached or are not what they should be, or without Dask.
+        If workers cannot be reached or do not have the same versions, or Dask is missing.
 
     Examples
     --------
@@ -108,7 +123,7 @@ def estimate(
     >>> transport.camera_shape, transport.summary()["fidelity"]
     ((64, 64), 'one-sided')
     """
-    estimator = AutoEstimator(
+    settings = EstimateSettings(
         solver,
         fidelity,
         regularization,
@@ -122,51 +137,21 @@ def estimate(
         workers,
         cluster,
     )
-    estimator.check_shared(output)
+    settings.check_cluster_output(output)
     if output is not None:
         check_output(output, STORE, overwrite=overwrite)
-    taken = open_capture(capture)
-    estimator.needs(taken).check()
-    # What is wrong with workers is said before frames are read.
-    with estimator.crew(taken) as crew:
-        refuse_unusable(taken)
+    capture = open_capture(capture)
+    resources = estimate_resources(capture, settings)
+    resources.check()
+    # Workers are checked before the frames are read, which takes longer.
+    with open_workers(settings, resources) as pool:
+        refuse_unusable(capture)
         if check:
-            refuse_unordered(taken)
-        return estimator.estimate(
-            taken,
-            checkpoint=None if output is None else Path(output),
+            refuse_unordered(capture)
+        return choose_estimator(capture, settings, resources).estimate(
+            capture,
+            output=None if output is None else Path(output),
             overwrite=overwrite,
             progress=progress,
-            crew=crew,
+            pool=pool,
         )
-
-
-def needs(capture: Capture | str | Path, *, estimator: AutoEstimator | None = None) -> Needs:
-    """What an estimate will take of memory and time, and what would take less.
-
-    Parameters
-    ----------
-    capture : Capture, str or Path
-        A capture, or a capture folder, of which no frame but the first is read.
-    estimator : AutoEstimator, optional
-        With the settings of the estimate. None: the default ones.
-
-    Returns
-    -------
-    Needs
-        Within a factor of about 1.5 in memory and 2 in time.
-
-    Raises
-    ------
-    InputError
-        On a folder that is none.
-
-    Examples
-    --------
-    >>> import lightmatrix as lm
-    >>> capture = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 32))
-    >>> lm.needs(capture).fits
-    True
-    """
-    taken = open_capture(capture)
-    return (estimator or AutoEstimator()).needs(taken)

@@ -1,35 +1,30 @@
-"""Row by row: every camera sample estimated for itself, in tiles of bounded memory."""
+"""Row by row: every camera sample is estimated by itself, in tiles of bounded memory."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
 
 from lightmatrix.capture.capture import Capture
-from lightmatrix.estimators.join import (
-    TILE_BYTES,
-    Crew,
+from lightmatrix.estimators.automatic_regularization import automatic_regularization
+from lightmatrix.estimators.base import (
+    Estimator,
     Plan,
     capture_provenance,
-    joined,
-    kept,
+    rows_with_diagnostics,
     solver_provenance,
 )
-from lightmatrix.estimators.regularization import automatic_regularization
-from lightmatrix.estimators.steps import OneStep, Progress, cut
+from lightmatrix.estimators.work import TILE_BYTES, OneStep, Progress, cut_rows
 from lightmatrix.ranges import check_at_least_one
 from lightmatrix.solvers import Solver, solve
 from lightmatrix.solvers.problem import Problem
 from lightmatrix.store import ROWS
 from lightmatrix.store.tiles import Span
-from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.transport.sparse_rows import SparseRows
 
 
 @dataclass(frozen=True)
-class PlainEstimator:
+class PlainEstimator(Estimator):
     """Estimates T row by row with one solver.
 
     Parameters
@@ -63,53 +58,12 @@ class PlainEstimator:
     def __post_init__(self) -> None:
         check_at_least_one(tile_rows=self.tile_rows)
 
-    def estimate(
-        self,
-        capture: Capture,
-        *,
-        checkpoint: Path | None = None,
-        overwrite: bool = False,
-        progress: Progress | None = None,
-        crew: Crew | None = None,
-    ) -> LightTransport:
-        """From a capture to its light transport matrix.
-
-        Parameters
-        ----------
-        capture : Capture
-            M camera samples under K patterns of N projector pixels.
-        checkpoint : Path, optional
-            The store to write. Finished tiles are kept beside it, so that an interrupted run goes
-            on where it stopped.
-        overwrite : bool
-            Whether a complete store at `checkpoint` may be replaced.
-        progress : callable, optional
-            Called with (done, total) rows.
-        crew : Crew, optional
-            Other processes that solve the rows, see `lightmatrix.estimators.workers`.
-
-        Returns
-        -------
-        LightTransport
-            With the diagnostics clipped_share, iterations, converged, gap and objective per row.
-
-        Raises
-        ------
-        InputError, SolverError, OutputError
-            On unusable captures, problems the solver cannot treat, or outputs it cannot write.
-        """
-        plan = self.plan(capture, progress)
-        return joined(plan, checkpoint=checkpoint, overwrite=overwrite, crew=crew)
-
     def plan(self, capture: Capture, progress: Progress | None = None) -> Plan:
-        """The estimate before it is made; parameters are those of `estimate`."""
-        regularization = self._regularization(capture)
-        work = _Tiles(capture, progress, self, regularization)
-        return Plan(work, self.provenance(capture, regularization))
-
-    def provenance(self, capture: Capture, regularization: float) -> dict[str, Any]:
-        """What made the estimate, JSON-ready."""
-        return {
+        """The estimate before it is made."""
+        regularization = self.regularization
+        if regularization is None:
+            regularization = automatic_regularization(capture)
+        provenance = {
             "estimator": "plain",
             **solver_provenance(self.solver),
             "regularization": regularization,
@@ -117,23 +71,21 @@ class PlainEstimator:
             "background": self.background,
             **capture_provenance(capture),
         }
-
-    def _regularization(self, capture: Capture) -> float:
-        if self.regularization is not None:
-            return self.regularization
-        return automatic_regularization(capture)
+        return Plan(_Rows(capture, progress, self, regularization), provenance)
 
 
 @dataclass(frozen=True, eq=False)
-class _Tiles(OneStep):
+class _Rows(OneStep):
     """The rows of a capture, solved tile by tile."""
 
     estimator: PlainEstimator
     regularization: float
 
-    def ranges(self, step: str, parts: int = 1, *, shrinking: bool = False) -> Iterator[Span]:
-        most = self.estimator.tile_rows or self._fitting_rows()
-        return cut(self.capture.rows, most, parts, shrinking)
+    def tiles(self, step: str, parts: int = 1, *, shrinking: bool = False) -> Iterator[Span]:
+        patterns, solver = self.capture.patterns, self.estimator.solver
+        row_bytes = solver.row_bytes(patterns.count, patterns.pixels)
+        most = self.estimator.tile_rows or max(1, TILE_BYTES // row_bytes)
+        return cut_rows(self.capture.rows, most, parts, shrinking)
 
     def solve(self, start: int, stop: int) -> SparseRows:
         samples = self.capture.samples(start, stop)
@@ -144,11 +96,5 @@ class _Tiles(OneStep):
             nonnegative=self.estimator.nonnegative,
             background=self.estimator.background,
         )
-        report = self.report(ROWS, start)
-        return kept(samples, solve(problem, self.estimator.solver, progress=report))
-
-    def _fitting_rows(self) -> int:
-        patterns = self.capture.patterns
-        return max(
-            1, TILE_BYTES // self.estimator.solver.row_bytes(patterns.count, patterns.pixels)
-        )
+        result = solve(problem, self.estimator.solver, progress=self.progress_of(ROWS, start))
+        return rows_with_diagnostics(samples, result)

@@ -20,8 +20,9 @@ from lightmatrix.camera.noise import USUAL_NOISE
 from lightmatrix.camera.sensor import Sensor
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.folder import write_capture
-from lightmatrix.estimators.auto import AutoEstimator
+from lightmatrix.estimators.choice import choose_estimator
 from lightmatrix.estimators.plain import PlainEstimator
+from lightmatrix.estimators.settings import EstimateSettings
 from lightmatrix.evaluation.metrics import (
     relative_error,
     relighting_error,
@@ -47,12 +48,11 @@ SCENE = "l_objects"
 PATTERNS = 256
 # The brightest single responses just reach the clip level: what clips is the sum of many.
 DEFAULT = "lightmatrix"
-ESTIMATORS: dict[str, Estimator] = {
+ESTIMATORS: dict[str, Estimator | EstimateSettings] = {
     "ROMP": PlainEstimator(ROMP(fidelity=Fidelity.LINEAR)),
     "ADMM": PlainEstimator(ADMM()),
     "Saturation ADMM": PlainEstimator(SaturationADMM(Fidelity.CLIPPED)),
-    # What `estimate` does when nothing is said.
-    DEFAULT: AutoEstimator(),
+    DEFAULT: EstimateSettings(),
 }
 PICTURE = "methods"
 
@@ -80,6 +80,8 @@ def run(out: Path, *, progress: Callable[[int, int], None] | None = None) -> dic
     report(1, steps)
     estimates = {}
     for done, (name, estimator) in enumerate(ESTIMATORS.items(), start=2):
+        if isinstance(estimator, EstimateSettings):
+            estimator = choose_estimator(capture, estimator)
         estimates[name] = estimator.estimate(capture)
         report(done, steps)
     tests = unseen_patterns(known.projector_shape)

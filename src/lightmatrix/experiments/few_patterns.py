@@ -14,7 +14,7 @@ from scipy.sparse import csr_array
 
 from lightmatrix.capture.capture import Capture
 from lightmatrix.estimators.coherent.estimator import CoherentEstimator
-from lightmatrix.estimators.coherent.solving import DEFAULT_REGULARIZATION
+from lightmatrix.estimators.coherent.row_solver import DEFAULT_REGULARIZATION
 from lightmatrix.estimators.plain import PlainEstimator
 from lightmatrix.experiments.harness import Experiment, Measured
 from lightmatrix.experiments.measured_scene import (

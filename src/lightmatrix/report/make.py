@@ -10,8 +10,8 @@ from typing import Any, Protocol
 from lightmatrix._version import __version__
 from lightmatrix.capture.capture import Capture
 from lightmatrix.errors import InputError
-from lightmatrix.estimators.auto import AutoEstimator
-from lightmatrix.estimators.steps import Progress
+from lightmatrix.estimators.settings import EstimateSettings
+from lightmatrix.estimators.work import Progress
 from lightmatrix.evaluation.verdict import percent
 from lightmatrix.outputs.kinds import REPORT
 from lightmatrix.outputs.writing import atomic_folder
@@ -61,7 +61,7 @@ def report(
     capture: Capture,
     *,
     truth: LightTransport | Truth | None = None,
-    estimator: Estimator | None = None,
+    estimator: Estimator | EstimateSettings | None = None,
     held_out: bool = True,
     findings: Sequence[Finding] = (),
     title: str = "Light transport",
@@ -80,7 +80,7 @@ def report(
         What it was made from.
     truth : LightTransport or Truth, optional
         T, where it is known, such as that of a simulated capture.
-    estimator : AutoEstimator or another, optional
+    estimator : EstimateSettings or an estimator, optional
         How the estimate was made, for the one that predicts photographs held out. None: as
         `estimate` does when nothing is said.
     held_out : bool
@@ -140,7 +140,7 @@ def write_page(
     capture: Capture,
     *,
     truth: LightTransport | None = None,
-    estimator: Estimator | None = None,
+    estimator: Estimator | EstimateSettings | None = None,
     held_out: bool = True,
     findings: Sequence[Finding] = (),
     title: str,
@@ -156,7 +156,7 @@ def write_page(
     """
     held: HeldOut | str = "nobody asked for it"
     if held_out:
-        held = hold_out(capture, estimator or AutoEstimator(), progress=progress)
+        held = hold_out(capture, estimator or EstimateSettings(), progress=progress)
     facts = Facts(transport, capture, truth, held)
     todo = advice(facts)
     page = Page(

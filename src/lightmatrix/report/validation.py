@@ -15,7 +15,9 @@ from numpy.typing import NDArray
 
 from lightmatrix.capture.capture import Capture
 from lightmatrix.errors import LightMatrixError
-from lightmatrix.estimators.steps import Progress
+from lightmatrix.estimators.choice import choose_estimator
+from lightmatrix.estimators.settings import EstimateSettings
+from lightmatrix.estimators.work import Progress
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.transport.matrix import LightTransport
 
@@ -79,7 +81,7 @@ class HeldOut:
 
 
 def hold_out(
-    capture: Capture, estimator: Estimator, *, progress: Progress | None = None
+    capture: Capture, estimator: Estimator | EstimateSettings, *, progress: Progress | None = None
 ) -> HeldOut | str:
     """Estimate T without some frames and predict them.
 
@@ -88,8 +90,8 @@ def hold_out(
     capture : Capture
         Cameras of more than 16,384 samples are tested on a rectangle of about as many, where
         their light is.
-    estimator : Estimator
-        As the estimate was made.
+    estimator : Estimator or EstimateSettings
+        How the estimate was made.
     progress : callable, optional
         Called with (done, total) rows.
 
@@ -105,7 +107,10 @@ def hold_out(
     tested = capture if place is None else capture.window(*place)
     rest = np.setdiff1d(np.arange(capture.count), frames)
     try:
-        found = estimator.estimate(tested.select(rest), progress=progress)
+        others = tested.select(rest)
+        if isinstance(estimator, EstimateSettings):
+            estimator = choose_estimator(others, estimator)
+        found = estimator.estimate(others, progress=progress)
     except LightMatrixError as refusal:
         return f"without it the estimate is refused ({refusal.message})"
     samples = tested.select(frames).samples()

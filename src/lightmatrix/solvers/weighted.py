@@ -53,8 +53,8 @@ class Cells:
 
 
 @dataclass(frozen=True)
-class Expectation:
-    """Expected samples of M rows, which count as additional samples of little weight.
+class PseudoSamples:
+    """Samples that M rows probably have: further samples of little weight, which were not taken.
 
     `unseen` are E patterns that were not shown. `values` and `weights`, (M, K + E), are under the K
     patterns shown, whose own samples may clip, then under the unseen ones. A weight of 0 omits one.
@@ -71,7 +71,7 @@ def solve_weighted(
     cells: Cells,
     solver: ActiveSet,
     *,
-    expected: Expectation | None = None,
+    pseudo_samples: PseudoSamples | None = None,
     background: NDArray[np.float32] | None = None,
     start: SparseRows | None = None,
     progress: Progress | None = None,
@@ -99,13 +99,16 @@ def solve_weighted(
             f"there are candidates for {len(candidates.indptr) - 1} rows, not {problem.rows}"
         )
     check_start(problem, start)
+    pseudo = None
+    if pseudo_samples is not None:
+        pseudo = (pseudo_samples.unseen.prepared, pseudo_samples)
     solved, coefficients = _core.solve_weighted(
         prepared(problem),
         problem.samples,
         solver.settings(problem),
         candidates,
         cells=cells,
-        expected=None if expected is None else (expected.unseen.prepared, expected),
+        expected=pseudo,
         background=background,
         start=start,
         progress=progress,

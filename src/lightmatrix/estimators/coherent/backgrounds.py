@@ -1,9 +1,9 @@
 """The background of coherent estimates: faint light from everywhere, more of it from nearby.
 
-A row's sparse part holds the pixels that it sees well. What remains is spread widely, but not
-evenly: light that came by way of another surface falls off with the distance. So the unpenalised
-coefficient of a row's background stands for a halo around its sparse part, and coarse cells of
-projector pixels, penalised, for what differs from that.
+A row's sparse part holds the pixels that it sees well. The rest of the light is spread widely, but
+not evenly: light that comes by way of another surface falls off with its distance. So a row has one
+unpenalised coefficient for a halo around its sparse part, and penalised coefficients of coarse
+cells of projector pixels for light that differs from the halo.
 """
 
 from __future__ import annotations
@@ -23,19 +23,22 @@ from lightmatrix.solvers.weighted import Cells
 from lightmatrix.transport.matrix import cell_means
 from lightmatrix.transport.sparse_rows import SparseRows
 
-# Of the clip level, over the side of a cell: the penalty of a cell's coefficient.
+# The penalty of a cell's coefficient is this share of the clip level over the side of the cell in
+# pixels. Three times as much or as little changes errors by about a tenth (docs/few-patterns.md).
 CELL_PENALTY = 0.05
-# Halos are computed on no more squares than these along the projector's longer side. At a distance
-# of d the light is 1 / (d^2 + c^2)^2, as of a patch before a wall at a distance of c, which is this
-# share of the longer side. Measured: with 1 / (d^2 + 2^2), in squares, halos are too narrow nearby
-# and too bright far away.
+# Halos are computed on at most this many squares along the projector's longer side. Chosen by hand:
+# halos are smooth.
 SQUARES = 128
+# At a distance of d the halo is 1 / (d^2 + c^2)^2, as the light of a patch in front of a wall at a
+# distance of c. This is c as a share of the projector's longer side. Measured on `l_objects` at 64
+# mixed patterns: rows of mostly global light err by .129, and by .135 with c = 2 squares, which
+# makes halos too narrow nearby and too bright far away.
 WALL = 1 / 8
 
 
 @dataclass(frozen=True)
 class Backgrounds:
-    """Coarse cells of projector pixels, their light under all patterns, and halos on them.
+    """Coarse cells of projector pixels, their means under all patterns, and halos on them.
 
     Parameters
     ----------
@@ -50,10 +53,7 @@ class Backgrounds:
     unseen: PatternSet
 
     def spread(self, rows: csr_array) -> NDArray[np.float32]:
-        """How the background of sparse rows (m, N) is spread over the cells, (m, B).
-
-        Shares that sum to 1: of the halo, and of the pixels where a row is empty.
-        """
+        """The shares of the halo of each row (m, N) in the cells, (m, B); even if it is empty."""
         squares = csr_array(
             (rows.data, self._square[rows.indices], rows.indptr), self._squares_shape(rows)
         )
@@ -63,17 +63,14 @@ class Backgrounds:
         return np.where(total > 0, shares / np.where(total > 0, total, 1), even)
 
     def under_patterns(self, shares: NDArray[np.float32]) -> NDArray[np.float32]:
-        """What light that is spread so gives under the patterns, (m, K + E) in [0, 1]."""
+        """The halos under the patterns, shown and unseen, (m, K + E) in [0, 1]."""
         under = _core.rows_times(shares, self._means)
         return np.clip(under, 0, 1, out=under)
 
     def cells(self, cost: float, *, unseen: bool) -> Cells:
         """The cells as columns, with the unseen patterns or without.
 
-        Parameters
-        ----------
-        cost : float
-            The clip level over the regularization: what a penalty is relative to.
+        `cost` is the clip level over the regularization, which penalties are relative to.
         """
         if self.grid == (1, 1):
             return Cells.none(self.shown, self.unseen if unseen else None)
@@ -132,11 +129,11 @@ class Backgrounds:
 
     @cached_property
     def _halos(self) -> NDArray[np.float32]:
-        """Light of each cell in the halo of each square, (squares, B)."""
+        """The light of each cell in the halo around each square, (squares, B)."""
         rows, cols = self._squares
         down, right = np.ogrid[1 - rows : rows, 1 - cols : cols]
         kernel = 1 / (down**2 + right**2 + (WALL * max(rows, cols)) ** 2) ** 2
-        # By hand, since loading scipy.signal for it takes a second.
+        # Convolution by scipy.fft, as importing scipy.signal takes a second.
         sides = zip(kernel.shape, (rows, cols), strict=True)
         shape = [next_fast_len(n + m - 1, True) for n, m in sides]
         spread = rfft2(kernel, shape)
@@ -148,7 +145,7 @@ class Backgrounds:
         return result
 
     def _cells_on_squares(self) -> NDArray[Any]:
-        """Pixels that each cell has in each square, (B, rows, columns)."""
+        """The number of pixels of each cell in each square, (B, rows, columns)."""
         cells, squares = len(self._sizes), self._squares
         cell = np.repeat(np.arange(cells), np.diff(self._pooling.indptr))
         square = self._square[self._pooling.indices]

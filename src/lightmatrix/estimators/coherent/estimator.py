@@ -1,67 +1,55 @@
-"""Spatially coherent estimation: camera pixels learn from their neighbours where their light is.
-
-Neighbouring camera pixels look at neighbouring projector pixels. So each row is solved several
-times, each time with penalties that its neighbours' rows, moved back, suggest: low where they found
-light, high where they did not. The windows in which neighbours count shrink from round to round.
-This is reweighted l1 minimisation (Candes, Wakin & Boyd 2008) with the weights of one row coming
-from the rows around it. A row is explained by single pixels and by spots of several sizes, since
-footprints out of focus are spots; which of them, neighbours agree on as they do on the place. And
-what neighbours' rows would give in a row's place stands in for samples that clip or were never
-taken. docs/few-patterns.md says what it is worth.
-"""
+"""The coherent estimator and its parameters; the package explains the algorithm."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
 
 from lightmatrix.capture.capture import Capture
 from lightmatrix.errors import InputError
+from lightmatrix.estimators.base import Estimator, Plan, capture_provenance, solver_provenance
 from lightmatrix.estimators.coherent.rounds import Rounds
-from lightmatrix.estimators.coherent.solving import Solving
-from lightmatrix.estimators.coherent.stages import spacings, stages
-from lightmatrix.estimators.join import (
-    Crew,
-    Plan,
-    capture_provenance,
-    joined,
-    solver_provenance,
-)
-from lightmatrix.estimators.steps import Progress
+from lightmatrix.estimators.coherent.row_solver import RowSolver
+from lightmatrix.estimators.coherent.schedule import schedule, spacings
+from lightmatrix.estimators.work import Progress
 from lightmatrix.ranges import check_at_least_one
 from lightmatrix.solvers.active_set import ActiveSet
 from lightmatrix.solvers.fidelity import Fidelity
-from lightmatrix.transport.matrix import LightTransport
 
-# Half widths of the windows of each round, in camera and in projector pixels. The first rounds
-# gather evidence, the last ones settle it.
+# Half widths of the windows of each round, in camera and in projector pixels. The wide windows of
+# the first rounds gather evidence, the narrow ones of the last rounds settle it. Errors are flat
+# around these values (docs/few-patterns.md).
 WINDOWS = ((2, 1), (2, 1), (2, 1), (2, 1), (1, 1), (1, 1), (1, 1), (1, 1))
-# Standard deviations of spots in projector pixels; 0 is a single pixel. A size in between is a
-# mixture of its neighbours.
+# Standard deviations of the spots in projector pixels; 0 is a single pixel. Each is about 1.4 times
+# the one before, so that a mixture of two of them comes close to any size between.
 SIZES = (0.0, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0)
-# With more patterns than this the row by row estimate is good by itself, and much faster.
+# The number of patterns up to which this is the default estimate. With more patterns the estimate
+# row by row is good enough, and much faster (docs/few-patterns.md).
 WORTH_IT_UP_TO = 256
 
 
 @dataclass(frozen=True)
-class CoherentEstimator:
+class CoherentEstimator(Estimator):
     """Estimates T with penalties from neighbouring camera pixels, from few patterns.
 
-    In each round row i is solved on its likeliest atoms j, pixels and spots, with the penalty
-    ``2 lambda e / (e + s_ij)``, where s_i is the sum of the neighbours' rows, each moved back as
-    footprints are measured to move, over its maximum and blurred by a window, relative to its
-    strongest atom. From the third round on, rows have further samples, in place of clipped ones and
-    under 64 patterns that were never shown: what the neighbours' rows, moved along and scaled,
-    would give there. They weigh the less, the less the neighbours agree. Each row has a background,
-    a halo around what was found of it; the last round also has coarse cells of projector pixels,
-    for faint light from elsewhere.
+    Each round solves row i on its likeliest atoms j, single pixels and spots, with the penalty
+    ``2 lambda e / (e + s_ij)``. Here s_i is the sum of the neighbours' rows, each moved back by the
+    measured Jacobian, divided by its maximum and blurred by a window, relative to its strongest
+    atom. From the third of these rounds on rows have pseudo-samples, in place of clipped samples
+    and under 64 patterns that were never shown: predictions from the neighbours' rows, which weigh
+    the less, the less the neighbours agree. The background of each row is a halo around its atoms;
+    the last round also has coarse cells of projector pixels, for faint light from elsewhere.
+
+    The gap of a row is that of the weighted problem of the last round. Further diagnostics are
+    footprint, the effective number of projector pixels that a camera pixel sees, and
+    estimated_error, the estimated relative error of the row: the error of an estimate without an
+    eighth of the frames at these frames, less the noise; NaN below eight frames. Progress counts
+    all rounds, each by the time that it usually takes.
 
     Parameters
     ----------
     regularization : float or None
-        lambda: half the penalty of a pixel where no neighbour found light, in units of camera
-        sample at exposure 1; that of a spot is less in proportion to its contrast under the
+        lambda: half the penalty of a pixel where no neighbour has light, in units of camera
+        sample at exposure 1. The penalty of a spot is lower in proportion to its contrast under the
         patterns. None: 0.1 times the clip level of the longest exposure, for patterns whose values
         have a standard deviation of one half, and in proportion to it for others.
     trust : float
@@ -83,16 +71,16 @@ class CoherentEstimator:
     tolerance : float
         Relative duality gap of the weighted problem of each row.
     max_passes : int
-        Passes over a row's pixels, in each round, after which it is given up as it is.
+        Passes over a row's pixels in each round, after which it stays as it is.
     threads : int or None
-        None takes one per core.
+        Threads of the solver. None: one per core.
     tile_rows : int or None
         Rows solved at a time. None: as many as fit half a gigabyte. Results do not depend on it.
 
     Raises
     ------
     InputError
-        On parameters out of range.
+        If a parameter is out of range.
 
     Examples
     --------
@@ -115,7 +103,7 @@ class CoherentEstimator:
     tile_rows: int | None = None
 
     def __post_init__(self) -> None:
-        # The solver checks what it is given.
+        # The solver checks its own parameters.
         object.__setattr__(self, "fidelity", self._solver.fidelity)
         if not self.trust > 0:
             raise InputError(f"a trust of {self.trust}", hint="use a small number such as 0.01")
@@ -129,52 +117,10 @@ class CoherentEstimator:
                 f"a background grid of {self.background_grid}", hint="use (1, 1) or more"
             )
 
-    def estimate(
-        self,
-        capture: Capture,
-        *,
-        checkpoint: Path | None = None,
-        overwrite: bool = False,
-        progress: Progress | None = None,
-        crew: Crew | None = None,
-    ) -> LightTransport:
-        """From a capture to its light transport matrix.
-
-        Parameters
-        ----------
-        capture : Capture
-            M camera samples under K patterns of N projector pixels.
-        checkpoint : Path, optional
-            The store to write. Finished tiles of each round are kept beside it, so that an
-            interrupted run goes on where it stopped.
-        overwrite : bool
-            Whether a complete store at `checkpoint` may be replaced.
-        progress : callable, optional
-            Called with (done, total) rows; of all rounds, each counted by the time that it takes.
-        crew : Crew, optional
-            Other processes that solve the rows, see `lightmatrix.estimators.workers`.
-
-        Returns
-        -------
-        LightTransport
-            With the diagnostics clipped_share, iterations, converged, gap and objective per row;
-            the gap is that of the weighted problem of the last round. And with footprint, the
-            effective number of projector pixels that a camera pixel sees, and estimated_error, the
-            relative error that a row states of itself: what an estimate without an eighth of the
-            frames errs at these, noise apart; NaN below eight frames.
-
-        Raises
-        ------
-        InputError, SolverError, OutputError
-            On unusable captures or outputs that cannot be written.
-        """
-        plan = self.plan(capture, progress)
-        return joined(plan, checkpoint=checkpoint, overwrite=overwrite, crew=crew)
-
     def plan(self, capture: Capture, progress: Progress | None = None) -> Plan:
-        """The estimate before it is made; parameters are those of `estimate`."""
-        rounds = stages(capture.camera_shape, capture.patterns.pixels, self.windows)
-        solving = Solving(
+        """The estimate before it is made."""
+        rounds = schedule(capture.camera_shape, capture.patterns.pixels, self.windows)
+        solver = RowSolver(
             capture,
             self._solver,
             self.regularization,
@@ -184,14 +130,12 @@ class CoherentEstimator:
             self.background_grid,
             narrow=rounds[0].spacing > 1,
         )
-        work = Rounds(solving, rounds, self.tile_rows, progress)
-        provenance = self.provenance(capture, solving.penalty)
-        return Plan(work, provenance, solving.backgrounds.grid)
+        work = Rounds(solver, rounds, self.tile_rows, progress)
+        return Plan(work, self._provenance(capture, solver.penalty), solver.backgrounds.grid)
 
-    def provenance(self, capture: Capture, regularization: float) -> dict[str, Any]:
-        """What made the estimate, JSON-ready."""
-        made = solver_provenance(self._solver)
-        made["solver_parameters"] |= {
+    def _provenance(self, capture: Capture, regularization: float) -> dict[str, object]:
+        made_by = solver_provenance(self._solver)
+        made_by["solver_parameters"] |= {
             "trust": self.trust,
             "windows": [list(pair) for pair in self.windows],
             "candidates": self.candidates,
@@ -202,11 +146,11 @@ class CoherentEstimator:
         )
         steps = spacings(capture.camera_shape, capture.patterns.pixels, self.windows)
         if len(steps) > 1:
-            made["solver_parameters"] |= {"spacings": list(steps)}
+            made_by["solver_parameters"] |= {"spacings": list(steps)}
             certificate += "; that of some rows, evenly spread, against all pixels too"
         return {
             "estimator": "coherent",
-            **made,
+            **made_by,
             "regularization": regularization,
             "certificate": certificate,
             **capture_provenance(capture),

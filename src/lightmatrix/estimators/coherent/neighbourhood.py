@@ -1,11 +1,11 @@
-"""What the rows around say of a row: which atoms it probably holds, what its samples probably are.
+"""What the rows around a row say of it: which atoms it probably holds, and its pseudo-samples.
 
 Neighbouring camera pixels have much the same footprint, moved by a pixel or so. Where neighbours'
-rows, moved back, hold light, there a row is likely to hold some. And each neighbour's row, moved
-back and scaled to the samples that are known, is a guess at this one. Guesses count by how well
-they explain these samples, and the expected samples are their mean; where guesses differ little,
-little is left to doubt. Such samples stand in for clipped ones, and for patterns that were never
-shown (`docs/few-patterns.md`).
+rows, moved back by the Jacobian, hold light, there a row is likely to hold some. And each
+neighbour's row, moved back and scaled to the known samples, is a guess at this one. Guesses count
+by how well they explain these samples. The pseudo-samples are their mean; the less the guesses
+differ, the more the pseudo-samples weigh. They stand in for clipped samples and for patterns that
+were never shown (`docs/few-patterns.md`).
 """
 
 from __future__ import annotations
@@ -19,57 +19,106 @@ from scipy.sparse import csr_array
 
 from lightmatrix import _core
 from lightmatrix.camera.samples import Samples
-from lightmatrix.estimators.coherent.movement import measured_movement
-from lightmatrix.estimators.coherent.pooling import mean_around
+from lightmatrix.estimators.coherent.camera_grid import mean_around
+from lightmatrix.estimators.coherent.correspondence import measure_jacobian
 from lightmatrix.patterns.atoms import AtomPatterns
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.pattern_set import PatternSet
-from lightmatrix.solvers.weighted import Candidates, Expectation
+from lightmatrix.solvers.weighted import Candidates, PseudoSamples
 from lightmatrix.transport.sparse_rows import SparseRows
 
-# Half width of the window of neighbours that are asked.
+# Half width, in camera pixels, of the window of neighbours that guess a row's samples. Chosen by
+# hand: it is that of the widest windows of likely atoms.
 REACH = 2
-# Patterns never shown, and their seed, which nobody else has.
-UNSEEN = 64
-UNSEEN_SEED = 0x5EED_0F_64
-# Of the clip level: deviation of a sample that was taken. An expected one with deviation d has the
-# weight 1 / (1 + (d / this)^2).
-SAMPLE_DEVIATION = 0.0033
-# Guesses are never surer than this share of their mean: neighbours err alike.
-COMMON_ERROR = 0.02
-# They help rows of few known samples. With more than this many they weigh less, by the square of
-# the proportion: what a row says of itself grows with its samples, what neighbours err in common
-# stays.
-ENOUGH = 32
-# By this share of what makes a spot likely the pixels within it become likely too: little at first,
-# for single pixels explain everything, noise as well; more once they are believed in only where
-# they were needed.
-WITHIN_AT_FIRST, WITHIN = 0.04, 0.5
-# By this share of what makes a pixel likely, and of what makes a spot likely, the next wider spot
-# in its place becomes likely too: several narrow spots are often one that is wider, and cheaper.
-WIDER_PIXEL, WIDER_SPOT = 0.25, 2.0
-# Single pixels are believed in to the full where they hold this share of the light around, and by
-# this power of it where they hold less, down to the least: where footprints are wide the first
-# rounds give them a twentieth, from which they must not grow, and where they are not a fifth.
-PIXELS_BELIEVED, PIXELS_POWER, PIXELS_LEAST = 0.25, 6, 0.001
-# Around is a square of so many camera pixels.
-PIXELS_AROUND = 9
-# Lighter samples are left out.
-LEAST_WEIGHT = 1e-4
-# By how much more neighbours must hold of an atom, as a factor less one, where all of a row's light
-# is in its background; by the square of the share where less is. Measured: rows that hold mostly
-# global light err by 6 % less, and others hardly notice.
-SPREAD = 6.0
+
+
+@dataclass(frozen=True)
+class PseudoSampleConstants:
+    """How pseudo-samples are made and weighed.
+
+    Errors are flat around these values: 32 or 128 unseen patterns, or a common error of 0.01 or
+    0.04, change them by about a tenth (docs/few-patterns.md).
+
+    Parameters
+    ----------
+    unseen : int
+        Random patterns, never shown, under which rows are predicted.
+    seed : int
+        Their seed. No user has it, so that none of them is shown by chance.
+    deviation : float
+        Standard deviation of a real sample, relative to the clip level. A pseudo-sample of standard
+        deviation d has the weight 1 / (1 + (d / deviation)^2).
+    common_error : float
+        The least standard deviation of a pseudo-sample, relative to its value: neighbours err
+        alike.
+    enough : int
+        Known samples of a row from which on pseudo-samples weigh less, by the square of their
+        number: what a row says of itself grows with its samples, but the errors that neighbours
+        share do not average out. In proportion from 16 on, `gripper` at blur 2 and 32 patterns
+        errs by .046 in place of .042.
+    least_weight : float
+        Pseudo-samples of less weight are left out. Chosen by hand.
+    """
+
+    unseen: int = 64
+    seed: int = 0x5EED_0F_64
+    deviation: float = 0.0033
+    common_error: float = 0.02
+    enough: int = 32
+    least_weight: float = 1e-4
+
+
+@dataclass(frozen=True)
+class LikelyAtomConstants:
+    """How neighbours make atoms likely.
+
+    `python -m benchmarks.ablation` measures what the rules are worth (docs/few-patterns.md).
+
+    Parameters
+    ----------
+    within_at_first, within : float
+        A spot makes the single pixels within it likely by this share of its own likelihood, in the
+        first round and later. It is small at first, as single pixels explain everything, noise as
+        well; later rounds doubt single pixels by the light that they hold.
+    wider_pixel, wider_spot : float
+        A single pixel, or a spot, makes the next wider spot in its place likely by this factor:
+        several narrow spots are often one wider spot, which is cheaper.
+    pixels_believed, pixels_power, pixels_least : float
+        Single pixels count fully where they hold at least the first share of the light around.
+        Where they hold less, they count by this power of the proportion, at least the last value.
+        After the first round they hold a twentieth of the light where footprints are wide, from
+        which they must not grow, and a fifth or more where footprints are narrow.
+    pixels_around : int
+        Side in camera pixels of the square that counts as around.
+    spread : float
+        Neighbours must hold 1 + spread q^2 times as much of an atom, where the background holds the
+        share q of a row's light. Measured: rows of mostly global light err by 6 % less, others
+        hardly change.
+    """
+
+    within_at_first: float = 0.04
+    within: float = 0.5
+    wider_pixel: float = 0.25
+    wider_spot: float = 2.0
+    pixels_believed: float = 0.25
+    pixels_power: int = 6
+    pixels_least: float = 0.001
+    pixels_around: int = 9
+    spread: float = 6.0
+
+
+PSEUDO_SAMPLES = PseudoSampleConstants()
+LIKELY_ATOMS = LikelyAtomConstants()
 
 
 def unseen_patterns(shape: tuple[int, int]) -> PatternSet:
-    """The patterns that nobody shows."""
-    return BernoulliPatterns(shape, UNSEEN, seed=UNSEEN_SEED)
+    """The patterns that were never shown."""
+    return BernoulliPatterns(shape, PSEUDO_SAMPLES.unseen, seed=PSEUDO_SAMPLES.seed)
 
 
 @dataclass(frozen=True)
 class Neighbourhood:
-    """All rows as they were found, and how their footprints move.
+    """All rows after a round, and how their footprints move.
 
     Parameters
     ----------
@@ -78,26 +127,26 @@ class Neighbourhood:
     camera : (int, int, int)
         Rows, columns and channels of the camera, M in all.
     atoms : AtomPatterns
-        What the atoms give under the patterns shown.
+        The atoms under the patterns shown.
     spacing : int
-        Every so-manieth pixel of the camera is a row, both ways.
-    moved : (M, 4) float32, optional
-        How footprints move, where that is known already. None: it is measured.
+        Every `spacing`-th pixel of the camera along both axes is a row.
+    known_jacobian : (M, 4) float32, optional
+        The Jacobian, if it is known. None: it is measured.
     """
 
     rows: SparseRows
     camera: tuple[int, int, int]
     atoms: AtomPatterns
     spacing: int = 1
-    moved: NDArray[np.float32] | None = None
+    known_jacobian: NDArray[np.float32] | None = None
 
     def around(self, start: int, stop: int) -> tuple[int, int]:
-        """Range of the rows that start..stop have around them."""
+        """The range of rows that contains the neighbours of the rows start..stop."""
         _, cols, channels = self.camera
         reach = (REACH * cols + REACH) * channels
         return max(0, start - reach), min(self.rows.count, stop + reach)
 
-    def expected(
+    def pseudo_samples(
         self,
         unseen: PatternSet,
         samples: Samples,
@@ -105,15 +154,15 @@ class Neighbourhood:
         level: float,
         rows: NDArray[np.int64],
         background: NDArray[np.float32],
-    ) -> Expectation:
-        """Expected samples of some rows, in place of clipped ones and under unseen patterns.
+    ) -> PseudoSamples:
+        """Pseudo-samples of some rows, in place of clipped samples and under unseen patterns.
 
         Parameters
         ----------
         unseen : PatternSet
             E patterns over the same atoms.
         samples : Samples
-            (m, K), of these rows.
+            The samples of these rows, (m, K).
         clipped : (m, K) bool
             Samples that are lower bounds.
         level : float
@@ -121,7 +170,7 @@ class Neighbourhood:
         rows : (m,) int
             Ascending.
         background : (n, K + E) float32
-            What the backgrounds of the rows `around` the first to the last give under all patterns.
+            The backgrounds of the rows `around` the first to the last, under all patterns.
         """
         values, variances = _core.expected_samples(
             self.atoms.prepared,
@@ -134,23 +183,23 @@ class Neighbourhood:
             level=level,
             index=rows - rows[0],
         )
-        count = self.atoms.count
+        count, constants = self.atoms.count, PSEUDO_SAMPLES
         np.maximum(values[:, :count], samples.clip_level, out=values[:, :count], where=clipped)
-        # 1 / (1 + (variance + (COMMON_ERROR value)^2) / (SAMPLE_DEVIATION level)^2), in place.
+        # 1 / (1 + (variance + (common_error value)^2) / (deviation level)^2), in place.
         weight = np.square(values)
-        weight *= np.float32(COMMON_ERROR**2)
+        weight *= np.float32(constants.common_error**2)
         weight += variances
-        weight /= np.float32((SAMPLE_DEVIATION * level) ** 2)
+        weight /= np.float32((constants.deviation * level) ** 2)
         weight += 1
         np.reciprocal(weight, out=weight)
         weight[:, :count] *= clipped
-        # Masked rows, none of whose samples counts, stay empty.
+        # Masked rows have no sample that counts. They stay empty.
         used = samples.counted
         known = (used & ~clipped).sum(axis=1, keepdims=True)
-        helped = np.minimum(1, (ENOUGH / np.maximum(known, 1)) ** 2)
+        helped = np.minimum(1, (constants.enough / np.maximum(known, 1)) ** 2)
         weight *= (helped * used.any(axis=1, keepdims=True)).astype(np.float32)
-        weight[weight < LEAST_WEIGHT] = 0
-        return Expectation(unseen, values, weight)
+        weight[weight < constants.least_weight] = 0
+        return PseudoSamples(unseen, values, weight)
 
     @property
     def projector(self) -> tuple[int, int, int]:
@@ -158,36 +207,37 @@ class Neighbourhood:
         return self.atoms.planes, *self.atoms.shape
 
     @cached_property
-    def movement(self) -> NDArray[np.float32]:
-        """Projector rows and columns that footprints move a camera row and a camera column on.
+    def jacobian(self) -> NDArray[np.float32]:
+        """The Jacobian of the correspondence, (M, 4); see `measure_jacobian`."""
+        if self.known_jacobian is not None:
+            return self.known_jacobian
+        return measure_jacobian(self.rows.coefficients, self.camera, self.atoms.shape, self.spacing)
 
-        (M, 4) float32: rows by rows, rows by columns, columns by rows, columns by columns.
-        """
-        if self.moved is not None:
-            return self.moved
-        found = self.rows.coefficients
-        return measured_movement(found, self.camera, self.atoms.shape, self.spacing)
+    @property
+    def movement(self) -> NDArray[np.float32]:
+        """The Jacobian, by the name under which the compiled core reads it."""
+        return self.jacobian
 
     @cached_property
     def centres(self) -> csr_array:
-        """The rows' light at the middles of their spots, (M, N)."""
+        """The rows with the light of each spot at its centre, (M, N)."""
         return self.atoms.centres(self.rows.coefficients)
 
     @cached_property
     def singles(self) -> NDArray[np.float32]:
-        """How far single pixels are believed in, in [0, 1], by the light they hold around, (M,)."""
-        found = self.rows.coefficients
-        single = np.where(found.indices < self.atoms.single.pixels, found.data, 0)
-        pixels = csr_array((single, found.indices, found.indptr), shape=found.shape)
-        whole = found.sum(axis=1).reshape(self.camera)
+        """How far single pixels count, in [0, 1], by the light that they hold around, (M,)."""
+        constants, rows = LIKELY_ATOMS, self.rows.coefficients
+        single = np.where(rows.indices < self.atoms.single.pixels, rows.data, 0)
+        pixels = csr_array((single, rows.indices, rows.indptr), shape=rows.shape)
+        whole = rows.sum(axis=1).reshape(self.camera)
         part = pixels.sum(axis=1).reshape(self.camera)
         lit = whole > 0
         share = np.divide(part, whole, out=np.zeros(self.camera), where=lit)
-        around = np.nan_to_num(mean_around(share, lit, PIXELS_AROUND))
-        belief = np.clip((around / PIXELS_BELIEVED) ** PIXELS_POWER, PIXELS_LEAST, 1)
-        return belief.astype(np.float32).ravel()
+        around = np.nan_to_num(mean_around(share, lit, constants.pixels_around))
+        belief = (around / constants.pixels_believed) ** constants.pixels_power
+        return np.clip(belief, constants.pixels_least, 1).astype(np.float32).ravel()
 
-    def likely(
+    def likely_atoms(
         self,
         reach: tuple[int, int],
         most: int,
@@ -197,7 +247,7 @@ class Neighbourhood:
         *,
         first: bool = False,
     ) -> Candidates:
-        """The likeliest atoms of some rows, with penalties by what neighbours hold.
+        """The likeliest atoms of some rows, with penalties by the light of their neighbours.
 
         Parameters
         ----------
@@ -208,21 +258,22 @@ class Neighbourhood:
         trust : float
             How little light among the neighbours makes an atom likely, for 32 known samples.
         known : (m,) int
-            Samples of the rows that are neither clipped nor left out.
+            Samples of the rows that are neither clipped nor masked.
         rows : (m,) int
             Ascending.
         first : bool
-            Whether nothing was settled yet, and single pixels are believed in everywhere.
+            Whether these are the first candidates, when single pixels count fully.
         """
-        wider = np.full(self.atoms.planes, WIDER_SPOT, np.float32)
-        wider[0] = WIDER_PIXEL
+        constants = LIKELY_ATOMS
+        wider = np.full(self.atoms.planes, constants.wider_spot, np.float32)
+        wider[0] = constants.wider_pixel
         indptr, atoms, penalties = _core.likely_pixels(
             self.rows.coefficients,
             self.camera,
             self.projector,
-            self.movement,
+            self.jacobian,
             self.atoms.spots,
-            WITHIN_AT_FIRST if first else WITHIN,
+            constants.within_at_first if first else constants.within,
             wider,
             np.ones(self.rows.count, np.float32) if first else self.singles,
             reach,
@@ -236,19 +287,20 @@ class Neighbourhood:
     def _independence(
         self, known: NDArray[np.integer], rows: NDArray[np.int64]
     ) -> NDArray[np.float64]:
-        """How far rows can do without neighbours, (m,); 1 with `ENOUGH` known samples.
+        """How far rows can do without neighbours, (m,); 1 with `enough` known samples.
 
         Less with fewer samples for each pixel that a row may see: where footprints move by some
         pixels from one camera pixel to the next, they are about as large. More where most of the
-        light is in the background, as faint light of single pixels is likely to be, too.
+        light is in the background, where faint light of single pixels probably belongs too.
         """
-        moved = self.movement[rows].astype(np.float64) / self.spacing
-        larger = np.maximum(np.hypot(moved[:, 0], moved[:, 2]), np.hypot(moved[:, 1], moved[:, 3]))
-        enough = np.clip(known, 1, ENOUGH) / ENOUGH / np.maximum(larger, 1)
-        return enough * (1 + SPREAD * self._spread[rows] ** 2)
+        step = self.jacobian[rows].astype(np.float64) / self.spacing
+        size = np.maximum(np.hypot(step[:, 0], step[:, 2]), np.hypot(step[:, 1], step[:, 3]))
+        enough = PSEUDO_SAMPLES.enough
+        independence = np.clip(known, 1, enough) / enough / np.maximum(size, 1)
+        return independence * (1 + LIKELY_ATOMS.spread * self._background_share[rows] ** 2)
 
     @cached_property
-    def _spread(self) -> NDArray[np.float64]:
+    def _background_share(self) -> NDArray[np.float64]:
         """Share of each row's light that its background holds, (M,)."""
         background = self.rows.background.sum(axis=1, dtype=np.float64)
         whole = background + np.asarray(self.rows.coefficients.sum(axis=1), np.float64).ravel()

@@ -1,4 +1,4 @@
-"""The rounds of the coherent estimate: each solves rows with what the last one found."""
+"""The coherent estimate as work: its rounds, each of which starts from the rows before it."""
 
 from __future__ import annotations
 
@@ -14,48 +14,48 @@ from scipy.sparse import csr_array
 
 from lightmatrix.camera.samples import Samples
 from lightmatrix.capture.capture import Capture
-from lightmatrix.estimators.coherent.certificate import holds_everywhere, sampled
-from lightmatrix.estimators.coherent.grid import CameraGrid
-from lightmatrix.estimators.coherent.held_out import (
-    held_out_frames,
-    pooled,
-    squared_misfit,
-    without,
-)
+from lightmatrix.estimators.base import rows_with_diagnostics
+from lightmatrix.estimators.coherent.camera_grid import CameraGrid
+from lightmatrix.estimators.coherent.certificate import holds_everywhere, sampled_rows
 from lightmatrix.estimators.coherent.neighbourhood import Neighbourhood
-from lightmatrix.estimators.coherent.settling import (
+from lightmatrix.estimators.coherent.row_changes import (
     CHANGE,
-    as_they_were,
     replaced,
+    unchanged,
     unsettled,
     with_change,
 )
-from lightmatrix.estimators.coherent.solving import Solving
-from lightmatrix.estimators.coherent.stages import Stage
-from lightmatrix.estimators.costs import coherent_row_bytes, first_round_cost
-from lightmatrix.estimators.join import TILE_BYTES, kept
-from lightmatrix.estimators.steps import Found, Progress, SolveTile, cut
+from lightmatrix.estimators.coherent.row_errors import (
+    held_out_frames,
+    smooth_misfit,
+    squared_misfit,
+    without,
+)
+from lightmatrix.estimators.coherent.row_solver import RowSolver
+from lightmatrix.estimators.coherent.schedule import Round
+from lightmatrix.estimators.cost_model import coherent_row_bytes, first_round_cost
+from lightmatrix.estimators.work import TILE_BYTES, Progress, ReadStep, SolveTile, cut_rows
 from lightmatrix.solvers.problem import Result
 from lightmatrix.store import ROWS
 from lightmatrix.store.tiles import Span
 from lightmatrix.transport.sparse_rows import SparseRows, footprint_sizes
 
-# Of each row of a large frame: whether it looked at every projector pixel; and, of some rows,
-# whether none beside its likeliest would enter it, NaN of the others.
-LOOKED, HOLDS = "looked_everywhere", "holds_everywhere"
-# The step, and the fact of its rows, that measures the misfit under the frames held out.
+# Diagnostics of large frames: whether a row has searched all projector pixels; and whether no atom
+# beside its candidates would enter it, NaN for rows that were not checked.
+SEARCHED, HOLDS = "looked_everywhere", "holds_everywhere"
+# The step that measures the misfit under the frames held out, and the diagnostic that holds it.
 HELD_OUT = "held-out"
 
 
 @dataclass(frozen=True)
 class Rounds:
-    """The stages of an estimate; see `CoherentEstimator`.
+    """The work of a `CoherentEstimator`.
 
     Parameters
     ----------
-    solving : Solving
+    solver : RowSolver
         How rows are solved.
-    stages : tuple of Stage
+    rounds : tuple of Round
         All rounds in turn.
     tile_rows : int or None
         Rows solved at a time. None: as many as fit half a gigabyte.
@@ -63,206 +63,213 @@ class Rounds:
         Called with (done, total) rows.
     """
 
-    solving: Solving
-    stages: tuple[Stage, ...]
+    solver: RowSolver
+    rounds: tuple[Round, ...]
     tile_rows: int | None
     progress: Progress | None
     _latest: dict[int, Neighbourhood] = field(default_factory=dict, init=False, repr=False)
 
     @property
     def capture(self) -> Capture:
-        """What is estimated from."""
-        return self.solving.capture
+        """The capture that T is estimated from."""
+        return self.solver.capture
 
     @property
     def steps(self) -> Mapping[str, tuple[str, ...]]:
-        """A step a round; the last one is solved twice, first without the frames held out."""
-        names = [round_name(number) for number in range(len(self.stages) - 1)]
+        """One step for each round; the last is solved twice, first without the frames held out."""
+        names = [round_name(number) for number in range(len(self.rounds) - 1)]
         rounds = {name: (before,) for before, name in pairwise(names)}
         return {names[0]: (), **rounds, HELD_OUT: (names[-1],), ROWS: (names[-1], HELD_OUT)}
 
-    def begin(self, step: str, found: Found) -> SolveTile:
-        """What the rows of a step know of the one before, and what solves some of them."""
+    def tiles(self, step: str, parts: int = 1, *, shrinking: bool = False) -> Iterator[Span]:
+        """The rows start..stop of the tiles of a step, in order."""
+        row_bytes = coherent_row_bytes(self.capture.count, self.solver.candidates)
+        most = self.tile_rows or max(1, TILE_BYTES // row_bytes)
+        return cut_rows(self._grid(self._number(step)).count, most, parts, shrinking)
+
+    def prepare(self, step: str, read: ReadStep) -> SolveTile:
+        """Prepare the neighbourhood of a step, and return what solves its rows start..stop."""
         number = self._number(step)
         if number == 0:
-            return self._first
-        known = self._known(number, found)
+            return self._search
+        neighbours = self._neighbours(number, read)
         if step == HELD_OUT:
-            return partial(self._misfit, known)
+            return partial(self._hold_out, neighbours)
         if step != ROWS:
-            return partial(self._again, number, known)
-        misfit = found(HELD_OUT).diagnostics[HELD_OUT]
+            return partial(self._solve, number, neighbours)
+        misfit = read(HELD_OUT).diagnostics[HELD_OUT]
         if len(held_out_frames(self.capture.count)):
-            misfit = pooled(misfit, known.camera)
-        return partial(self._last, known, misfit)
+            misfit = smooth_misfit(misfit, neighbours.camera)
+        return partial(self._finish, neighbours, misfit)
 
-    def ranges(self, step: str, parts: int = 1, *, shrinking: bool = False) -> Iterator[Span]:
-        """Rows of a step that are solved at a time."""
-        solving = self.solving
-        row_bytes = coherent_row_bytes(solving.capture.count, solving.candidates)
-        most = self.tile_rows or max(1, TILE_BYTES // row_bytes)
-        return cut(self._grid(self.stages[self._number(step)]).count, most, parts, shrinking)
-
-    def report(self, step: str, start: int = 0) -> Progress | None:
-        """Tells rows as if all took alike: each round counts by the time that it usually takes."""
-        report = self.progress
-        if report is None:
+    def progress_of(self, step: str, start: int = 0) -> Progress | None:
+        """What to call with the solved rows of a step: each round counts by its usual time."""
+        progress = self.progress
+        if progress is None:
             return None
         rows, costs = self.capture.rows, self._costs
-        number = len(self.stages) if step == ROWS else self._number(step)
+        number = len(self.rounds) if step == ROWS else self._number(step)
         before, cost = sum(costs[:number]) / sum(costs), costs[number] / sum(costs)
-        count = self._grid(self.stages[self._number(step)]).count
-        return lambda done, _: report(int(rows * (before + cost * (start + done) / count)), rows)
+        count = self._grid(self._number(step)).count
+        return lambda done, _: progress(int(rows * (before + cost * (start + done) / count)), rows)
 
-    def silent(self) -> Rounds:
-        """The same without anybody who listens."""
+    def without_progress(self) -> Rounds:
+        """The same work without progress reports."""
         return replace(self, progress=None)
 
     def _number(self, step: str) -> int:
-        """Which of the stages a step is."""
-        last = len(self.stages) - 1
+        """The number of the round of a step."""
+        last = len(self.rounds) - 1
         return last if step in (HELD_OUT, ROWS) else [*self.steps].index(step)
 
     @property
-    def _grown(self) -> bool:
+    def _grows(self) -> bool:
         """Whether light grows from seeds, as in large frames."""
-        return self.stages[0].spacing > 1
+        return self.rounds[0].spacing > 1
 
     @cached_property
     def _grids(self) -> dict[int, CameraGrid]:
-        steps = {stage.spacing for stage in self.stages}
-        return {spacing: CameraGrid(self.solving.capture, spacing) for spacing in steps}
+        spacings = {step.spacing for step in self.rounds}
+        return {spacing: CameraGrid(self.capture, spacing) for spacing in spacings}
 
-    def _grid(self, stage: Stage) -> CameraGrid:
-        return self._grids[stage.spacing]
+    def _grid(self, number: int) -> CameraGrid:
+        """The camera pixels of a round."""
+        return self._grids[self.rounds[number].spacing]
 
-    def _first(self, start: int, stop: int) -> SparseRows:
-        samples = self._grid(self.stages[0]).samples(start, stop)
-        solved = self.solving.everywhere(samples, self.report(round_name(0), start))
-        return _looked(solved) if self._grown else _found(solved)
+    def _search(self, start: int, stop: int) -> SparseRows:
+        """The rows start..stop of the first round, each by itself on all atoms."""
+        samples = self._grid(0).samples(start, stop)
+        solved = self.solver.everywhere(samples, self.progress_of(round_name(0), start))
+        return _searched(solved) if self._grows else _for_next_round(solved)
 
-    def _again(self, number: int, known: Neighbourhood, start: int, stop: int) -> SparseRows:
-        """The rows start..stop of a round, with what neighbours found in the one before."""
-        stage = self.stages[number]
-        samples = self._grid(stage).samples(start, stop)
-        rows, report = np.arange(start, stop), self.report(round_name(number), start)
-        if not self._grown:
-            return _found(self.solving.near(samples, rows, stage, known, report)[0])
-        before = known.rows.rows(rows)
-        if not stage.still:
-            solved, _ = self.solving.near(samples, rows, stage, known, report)
-            found = _found(solved, before)
-            if stage.again:
-                found = self._explained(samples, solved, found)
-            return with_change(found, before)
-        moving = np.flatnonzero(unsettled(known.rows, known.camera)[start:stop])
+    def _solve(self, number: int, neighbours: Neighbourhood, start: int, stop: int) -> SparseRows:
+        """The rows start..stop of a round, with what their neighbours say of them."""
+        this_round = self.rounds[number]
+        samples = self._grid(number).samples(start, stop)
+        rows, progress = np.arange(start, stop), self.progress_of(round_name(number), start)
+        if not self._grows:
+            solved, _ = self.solver.near(samples, rows, this_round, neighbours, progress)
+            return _for_next_round(solved)
+        before = neighbours.rows.rows(rows)
+        if not this_round.skip_settled:
+            solved, _ = self.solver.near(samples, rows, this_round, neighbours, progress)
+            result = _for_next_round(solved, before)
+            if this_round.search_unexplained:
+                result = self._search_unexplained(samples, solved, result)
+            return with_change(result, before)
+        moving = np.flatnonzero(unsettled(neighbours.rows, neighbours.camera)[start:stop])
         if not len(moving):
-            return as_they_were(before)
-        some = before.rows(moving)
-        solved, _ = self.solving.near(samples.rows(moving), rows[moving], stage, known, report)
-        return replaced(before, with_change(_found(solved, some), some), moving)
+            return unchanged(before)
+        part = before.rows(moving)
+        solved, _ = self.solver.near(
+            samples.rows(moving), rows[moving], this_round, neighbours, progress
+        )
+        return replaced(before, with_change(_for_next_round(solved, part), part), moving)
 
-    def _explained(self, samples: Samples, solved: Result, found: SparseRows) -> SparseRows:
-        """Rows as they were found; those that are not explained look everywhere."""
-        odd = self.solving.unexplained(samples, solved)
-        if not len(odd):
-            return found
-        again = _looked(self.solving.everywhere(samples.rows(odd)))
+    def _search_unexplained(self, samples: Samples, solved: Result, rows: SparseRows) -> SparseRows:
+        """Rows of which the unexplained ones have searched all atoms."""
+        unexplained = self.solver.unexplained(samples, solved)
+        if not len(unexplained):
+            return rows
+        again = _searched(self.solver.everywhere(samples.rows(unexplained)))
         lit = np.flatnonzero(np.diff(again.coefficients.indptr) > 0)
-        return replaced(found, again.rows(lit), odd[lit]) if len(lit) else found
+        return replaced(rows, again.rows(lit), unexplained[lit]) if len(lit) else rows
 
-    def _misfit(self, known: Neighbourhood, start: int, stop: int) -> SparseRows:
-        """Squared errors of the rows start..stop under frames that are held out of the last round.
+    def _hold_out(self, neighbours: Neighbourhood, start: int, stop: int) -> SparseRows:
+        """Misfits of the rows start..stop under the frames held out of the last round.
 
-        As facts of rows without light.
+        They are diagnostics of rows without light.
         """
         count = stop - start
-        nothing = csr_array((count, self.solving.atoms.pixels), dtype=np.float32)
-        facts = {HELD_OUT: self._squares(known, start, stop)}
-        return SparseRows(nothing, np.zeros((count, 1), np.float32), facts)
+        nothing = csr_array((count, self.solver.atoms.pixels), dtype=np.float32)
+        diagnostics = {HELD_OUT: self._misfits(neighbours, start, stop)}
+        return SparseRows(nothing, np.zeros((count, 1), np.float32), diagnostics)
 
-    def _squares(self, known: Neighbourhood, start: int, stop: int) -> NDArray[np.float32]:
-        solving, stage = self.solving, self.stages[-1]
-        held = held_out_frames(solving.capture.count)
+    def _misfits(self, neighbours: Neighbourhood, start: int, stop: int) -> NDArray[np.float32]:
+        solver = self.solver
+        held = held_out_frames(self.capture.count)
         if not len(held):
             return np.full(stop - start, np.nan, np.float32)
-        samples = solving.capture.samples(start, stop)
-        part, report = without(samples, held), self.report(HELD_OUT, start)
-        solved, weighing = solving.near(part, np.arange(start, stop), stage, known, report)
-        light = solved.background[:, None] * weighing.background[:, held]
+        samples = self.capture.samples(start, stop)
+        solved, weighted = solver.near(
+            without(samples, held),
+            np.arange(start, stop),
+            self.rounds[-1],
+            neighbours,
+            self.progress_of(HELD_OUT, start),
+        )
+        light = solved.background[:, None] * weighted.background[:, held]
         if solved.cells.shape[1]:
-            light += solved.cells @ solving.backgrounds.shown_means[:, held]
-        predicted = solved.coefficients @ self._held_atoms + light
+            light += solved.cells @ solver.backgrounds.shown_means[:, held]
+        predicted = solved.coefficients @ self._held_out_atoms + light
         return squared_misfit(samples, predicted.astype(np.float32), held)
 
     @cached_property
-    def _held_atoms(self) -> NDArray[np.float32]:
-        """The atoms under the frames held out, (S N, H)."""
-        atoms = self.solving.atoms
+    def _held_out_atoms(self) -> NDArray[np.float32]:
+        """The atoms under the H frames held out, (S N, H)."""
+        atoms = self.solver.atoms
         held = held_out_frames(self.capture.count)
         return np.stack([atoms.rows(k, k + 1)[0] for k in held], axis=1)
 
-    def _last(
-        self, known: Neighbourhood, misfit: NDArray[np.float32], start: int, stop: int
+    def _finish(
+        self, neighbours: Neighbourhood, misfit: NDArray[np.float32], start: int, stop: int
     ) -> SparseRows:
-        """The rows start..stop of the last round, with the light of each cell."""
-        solving, stage = self.solving, self.stages[-1]
-        samples = solving.capture.samples(start, stop)
-        report = self.report(ROWS, start)
-        rows = np.arange(start, stop)
-        solved, weighing = solving.near(samples, rows, stage, known, report)
-        shares = solving.backgrounds.spread(known.centres[start:stop])
+        """The rows start..stop of the result, in pixels, with their backgrounds on the cells."""
+        solver, rows = self.solver, np.arange(start, stop)
+        samples = self.capture.samples(start, stop)
+        progress = self.progress_of(ROWS, start)
+        solved, weighted = solver.near(samples, rows, self.rounds[-1], neighbours, progress)
+        shares = solver.backgrounds.spread(neighbours.centres[start:stop])
         background = solved.background[:, None] * shares
         if solved.cells.shape[1]:
             background += solved.cells
-        found = kept(samples, solved)
-        whole = replace(
-            found,
-            coefficients=solving.atoms.expand(found.coefficients),
+        atoms = rows_with_diagnostics(samples, solved)
+        pixels = replace(
+            atoms,
+            coefficients=solver.atoms.expand(atoms.coefficients),
             background=background.astype(np.float32),
         )
-        length = solving.backgrounds.lengths(whole)
+        length = solver.backgrounds.lengths(pixels)
         with np.errstate(divide="ignore", invalid="ignore"):
-            error = np.sqrt(misfit[start:stop]) / (solving.atoms.single_contrast * length)
-        told: dict[str, NDArray[Any]] = {
-            "footprint": footprint_sizes(whole.coefficients),
+            error = np.sqrt(misfit[start:stop]) / (solver.atoms.single_contrast * length)
+        diagnostics: dict[str, NDArray[Any]] = {
+            "footprint": footprint_sizes(pixels.coefficients),
             "estimated_error": error,
         }
-        if self._grown:
-            some = sampled(start, stop, known.rows.count) - start
+        if self._grows:
+            checked = sampled_rows(start, stop, neighbours.rows.count) - start
             holds = np.full(stop - start, np.nan)
-            holds[some] = holds_everywhere(solving, weighing, solved, some)
-            told |= {LOOKED: known.rows.diagnostics[LOOKED][start:stop], HOLDS: holds}
-        facts = {name: values.astype(np.float32) for name, values in told.items()}
-        return replace(whole, diagnostics=dict(whole.diagnostics) | facts)
+            holds[checked] = holds_everywhere(solver, weighted, solved, checked)
+            searched = neighbours.rows.diagnostics[SEARCHED][start:stop]
+            diagnostics |= {SEARCHED: searched, HOLDS: holds}
+        further = {name: values.astype(np.float32) for name, values in diagnostics.items()}
+        return replace(pixels, diagnostics=dict(pixels.diagnostics) | further)
 
-    def _known(self, number: int, found: Found) -> Neighbourhood:
-        """What a round knows of all its rows, from what the one before found."""
-        # The last round is solved twice with it.
+    def _neighbours(self, number: int, read: ReadStep) -> Neighbourhood:
+        """The neighbourhood of all rows of a round, from the rows of the round before."""
+        # The last round is solved twice with the same neighbourhood.
         if number not in self._latest:
             self._latest.clear()
-            self._latest[number] = self._neighbourhood(number, found(round_name(number - 1)))
+            rows = read(round_name(number - 1))
+            grid, before = self._grid(number), self._grid(number - 1)
+            atoms = self.solver.atoms
+            neighbours = Neighbourhood(rows, before.camera, atoms, before.spacing)
+            if grid is not before:
+                jacobian = grid.refine_jacobian(before, neighbours.jacobian)
+                rows = grid.spread(before, rows)
+                neighbours = Neighbourhood(rows, grid.camera, atoms, grid.spacing, jacobian)
+            self._latest[number] = neighbours
         return self._latest[number]
-
-    def _neighbourhood(self, number: int, found: SparseRows) -> Neighbourhood:
-        grid, before = self._grid(self.stages[number]), self._grid(self.stages[number - 1])
-        atoms = self.solving.atoms
-        known = Neighbourhood(found, before.camera, atoms, before.spacing)
-        if grid is before:
-            return known
-        grown, moved = grid.grown(before, found), grid.movement(before, known.movement)
-        return Neighbourhood(grown, grid.camera, atoms, grid.spacing, moved)
 
     @cached_property
     def _costs(self) -> list[float]:
-        """What each round costs, and the last one twice, in rows that look at few atoms."""
-        capture = self.solving.capture
-        patterns = capture.patterns
+        """The cost of each round, and of the second pass of the last, in rows on likely atoms."""
+        patterns = self.capture.patterns
         grey = patterns.as_bits() is None
-        everywhere = first_round_cost(capture.rows, patterns.pixels, patterns.count, grey)
+        search = first_round_cost(self.capture.rows, patterns.pixels, patterns.count, grey)
         costs = [
-            self._grid(stage).count * (everywhere if stage.window is None else 1.0)
-            for stage in self.stages
+            self._grid(number).count * (search if step.window is None else 1.0)
+            for number, step in enumerate(self.rounds)
         ]
         return [*costs, costs[-1]]
 
@@ -272,13 +279,13 @@ def round_name(number: int) -> str:
     return f"round-{number}"
 
 
-def _found(solved: Result, before: SparseRows | None = None) -> SparseRows:
-    """What the next round asks of this one, with what was known of the same rows before."""
-    facts = {} if before is None else before.diagnostics
-    return replace(solved.rows.single(), diagnostics=facts)
+def _for_next_round(solved: Result, before: SparseRows | None = None) -> SparseRows:
+    """Rows as the next round needs them, with the diagnostics of the same rows before."""
+    diagnostics = {} if before is None else before.diagnostics
+    return replace(solved.rows.single(), diagnostics=diagnostics)
 
 
-def _looked(solved: Result) -> SparseRows:
-    """The same of rows of large frames that looked everywhere."""
+def _searched(solved: Result) -> SparseRows:
+    """Rows of a large frame that have searched all atoms, as the next round needs them."""
     ones = np.ones(solved.rows.count, np.float32)
-    return replace(solved.rows.single(), diagnostics={LOOKED: ones, CHANGE: ones})
+    return replace(solved.rows.single(), diagnostics={SEARCHED: ones, CHANGE: ones})

@@ -1,12 +1,10 @@
-"""Coarse to fine: where the light comes from is found on projector blocks, then refined."""
+"""Coarse to fine: finds on projector blocks where the light comes from, then refines them."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,41 +13,42 @@ from scipy.sparse import csr_array
 from lightmatrix.camera.samples import Samples
 from lightmatrix.capture.capture import Capture
 from lightmatrix.errors import InputError
-from lightmatrix.estimators.join import (
-    Crew,
+from lightmatrix.estimators.automatic_regularization import automatic_regularization
+from lightmatrix.estimators.base import (
+    Estimator,
     Plan,
     capture_provenance,
-    joined,
-    kept,
+    rows_with_diagnostics,
     solver_provenance,
 )
-from lightmatrix.estimators.multiscale.scales import Scale, grid_of, scales, split, strongest
-from lightmatrix.estimators.regularization import automatic_regularization
-from lightmatrix.estimators.steps import OneStep, Progress
+from lightmatrix.estimators.multiscale.scales import Scale, active_blocks, grid_of, scales, split
+from lightmatrix.estimators.work import OneStep, Progress
 from lightmatrix.solvers import Solver, solve
 from lightmatrix.solvers.problem import Problem, Result
 from lightmatrix.store import ROWS
 from lightmatrix.store.tiles import Span
-from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.transport.sparse_rows import SparseRows
 
 
 @dataclass(frozen=True)
-class MultiScaleEstimator:
+class MultiScaleEstimator(Estimator):
     """Estimates T with one solver, first on projector blocks, then inside those that matter.
 
-    Camera pixels are taken in square blocks, whose pixels look at nearly the same part of the
-    projector and share the candidates. At each scale, from `coarsest` down to single pixels, the
-    solver estimates the block's rows on the candidate projector blocks; the active ones among them,
-    by the sum over rows of each row's relative coefficients, and all blocks next to these are split
-    into four.
-    `docs/multi-scale.md` gives the reasons.
+    The pixels of a square camera block look at nearly the same part of the projector, so they share
+    candidates. At each scale, from `coarsest` down to single pixels, the solver estimates the rows
+    of the camera block on the candidate projector blocks. A projector block scores the sum of its
+    shares of each row's light. Those with a high score and their neighbours are split into four.
+    `docs/multi-scale.md` gives the reasons. A tile is a strip of camera blocks.
+
+    A further diagnostic, candidates, says on how many projector pixels each row was estimated. The
+    gap is that of the restricted problem: it says nothing about pixels that a coarser scale left
+    out.
 
     Parameters
     ----------
     solver : Solver
-        ADMM, SaturationADMM, ROMP or ActiveSet; for the last scale, and for all unless
-        `coarse_solver` is given.
+        ADMM, SaturationADMM, ROMP or ActiveSet, for the last scale; for all unless there is a
+        `coarse_solver`.
     regularization : float or None
         The paper's lambda at single pixels, as for `PlainEstimator`. At coarser scales it falls
         with the length of the patterns' columns.
@@ -61,7 +60,7 @@ class MultiScaleEstimator:
     camera_block : int
         Pixels per side of the camera blocks, at least 1.
     active : float
-        A projector block is active from this share of the strongest block's score on, in [0, 1);
+        A projector block is active if it has at least this share of the highest score, in [0, 1);
         0 keeps everything.
     coarse_solver : Solver or None
         Solver of all scales but the last, such as the same with fewer iterations.
@@ -69,7 +68,7 @@ class MultiScaleEstimator:
     Raises
     ------
     InputError
-        On parameters out of range.
+        If a parameter is out of range.
 
     Examples
     --------
@@ -99,46 +98,17 @@ class MultiScaleEstimator:
             )
         if not 0 <= self.active < 1:
             raise InputError(
-                f"blocks active from {self.active} of the strongest on",
+                f"an active share of {self.active}",
                 hint="use a share from 0 to below 1, such as 0.1",
             )
 
-    def estimate(
-        self,
-        capture: Capture,
-        *,
-        checkpoint: Path | None = None,
-        overwrite: bool = False,
-        progress: Progress | None = None,
-        crew: Crew | None = None,
-    ) -> LightTransport:
-        """From a capture to its light transport matrix.
-
-        Parameters, errors and checkpoints are those of `PlainEstimator.estimate`; a tile is a
-        strip of camera blocks.
-
-        Returns
-        -------
-        LightTransport
-            With the diagnostics of `PlainEstimator` for the last scale, and candidates: on how
-            many projector pixels each row was estimated. The gap is that of the restricted
-            problem: it says nothing about pixels that were given up at coarser scales.
-        """
-        plan = self.plan(capture, progress)
-        return joined(plan, checkpoint=checkpoint, overwrite=overwrite, crew=crew)
-
     def plan(self, capture: Capture, progress: Progress | None = None) -> Plan:
-        """The estimate before it is made; parameters are those of `estimate`."""
+        """The estimate before it is made."""
         regularization = self.regularization
         if regularization is None:
             regularization = automatic_regularization(capture)
-        work = _Run(capture, progress, self, regularization)
-        return Plan(work, self.provenance(capture, regularization))
-
-    def provenance(self, capture: Capture, regularization: float) -> dict[str, Any]:
-        """What made the estimate, JSON-ready."""
         coarse = solver_provenance(self.coarse_solver or self.solver)
-        return {
+        provenance = {
             "estimator": "multi-scale",
             **solver_provenance(self.solver),
             "coarse_solver": coarse["solver"],
@@ -151,17 +121,18 @@ class MultiScaleEstimator:
             "active": self.active,
             **capture_provenance(capture),
         }
+        return Plan(_Strips(capture, progress, self, regularization), provenance)
 
 
 @dataclass(frozen=True, eq=False)
-class _Run(OneStep):
-    """One capture, strip by strip of camera blocks."""
+class _Strips(OneStep):
+    """The rows of a capture, solved in strips of camera blocks."""
 
     estimator: MultiScaleEstimator
     regularization: float
 
-    def ranges(self, step: str, parts: int = 1, *, shrinking: bool = False) -> Iterator[Span]:
-        # Strips of whole blocks, whose pixels share their candidates.
+    def tiles(self, step: str, parts: int = 1, *, shrinking: bool = False) -> Iterator[Span]:
+        # The pixels of a block share their candidates, so that no strip cuts a block.
         rows = self.capture.camera_shape[0]
         width = self.capture.rows // rows
         for start in range(0, rows, self.estimator.camera_block):
@@ -178,12 +149,12 @@ class _Run(OneStep):
             background=self.estimator.background,
         )
         parts, order = [], []
-        report = self.report(ROWS, start)
+        progress = self.progress_of(ROWS, start)
         for rows in self._camera_blocks(stop - start):
             parts.append(self._solve_block(strip.take(rows), samples.rows(rows)))
             order.append(rows)
-            if report is not None:
-                report(sum(map(len, order)), stop - start)
+            if progress is not None:
+                progress(sum(map(len, order)), stop - start)
         return SparseRows.joined(parts).rows(np.argsort(np.concatenate(order)))
 
     def _camera_blocks(self, rows: int) -> Iterator[NDArray[np.int64]]:
@@ -201,24 +172,25 @@ class _Run(OneStep):
         candidates = np.arange(grid[0] * grid[1])
         for scale in self._scales[:-1]:
             result = self._solve_scale(problem, scale, candidates)
-            active = strongest(result.coefficients, candidates, grid, self.estimator.active)
+            active = active_blocks(result.coefficients, candidates, grid, self.estimator.active)
             finer = grid_of(patterns.shape, scale.block // 2)
             candidates = split(active, finer)
             grid = finer
         result = self._solve_scale(problem, self._scales[-1], candidates)
-        found = result.coefficients.tocoo()
+        entries = result.coefficients.tocoo()
         coefficients = csr_array(
-            (found.data.astype(np.float32), (found.row, candidates[found.col])),
+            (entries.data.astype(np.float32), (entries.row, candidates[entries.col])),
             shape=(problem.rows, patterns.pixels),
         )
         count = np.full(problem.rows, len(candidates), np.int32)
-        return replace(kept(samples, result, candidates=count), coefficients=coefficients)
+        rows = rows_with_diagnostics(samples, result, candidates=count)
+        return replace(rows, coefficients=coefficients)
 
     def _solve_scale(self, problem: Problem, scale: Scale, candidates: NDArray[np.int64]) -> Result:
         restricted = replace(
             problem,
             patterns=scale.restricted(candidates),
-            # Diffuse light comes from the whole projector, whichever pixels are looked at.
+            # Diffuse light comes from the whole projector, whichever pixels are candidates.
             background_column=problem.column,
             regularization=scale.regularization,
         )

@@ -12,9 +12,11 @@ from scipy.sparse import csr_array
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
 from lightmatrix.solvers.default_regularization import column_length
 
-# Blocks that are always kept, if they have any light: a spot may touch four, and its halo more.
+# The number of blocks with the highest scores that are kept in any case, if they have light. Chosen
+# by hand: a spot may touch four blocks, and its halo more.
 _LEAST_KEPT = 8
-# Blocks of patterns that hardly vary would make the regularization vanish.
+# The least factor by which the regularization falls at a coarser scale. Chosen by hand: where the
+# patterns hardly vary over a block, the regularization would vanish.
 _LEAST_SCALE = 1e-3
 
 
@@ -29,7 +31,7 @@ class Scale:
     patterns : PatternSet
         Means over the blocks.
     regularization : float
-        Of this scale.
+        The regularization of this scale.
     """
 
     block: int
@@ -37,7 +39,7 @@ class Scale:
     regularization: float
 
     def restricted(self, candidates: NDArray[np.int64]) -> ImagePatterns:
-        """The patterns on some blocks only."""
+        """The patterns on the candidate blocks only."""
         return ImagePatterns(self.patterns.columns(candidates)[:, None, :])
 
 
@@ -57,16 +59,16 @@ def scales(patterns: PatternSet, coarsest: int, regularization: float) -> list[S
     block = coarsest
     while block > 1 and min(grid_of(patterns.shape, block)) < 4:
         block //= 2
-    found = []
+    coarser = []
     while block > 1:
         coarse = patterns.coarse((block, block))
         shorter = column_length(coarse) / length if length > 0 else 1.0
-        found.append(Scale(block, coarse, regularization * max(shorter, _LEAST_SCALE)))
+        coarser.append(Scale(block, coarse, regularization * max(shorter, _LEAST_SCALE)))
         block //= 2
-    return [*found, Scale(1, patterns, regularization)]
+    return [*coarser, Scale(1, patterns, regularization)]
 
 
-def strongest(
+def active_blocks(
     coefficients: csr_array, candidates: NDArray[np.int64], grid: tuple[int, int], share: float
 ) -> NDArray[np.bool_]:
     """The projector blocks from which a camera block gets its light, and their neighbours.
@@ -74,13 +76,13 @@ def strongest(
     Parameters
     ----------
     coefficients : (m, n) csr_array
-        Of the m rows of a camera block, for n candidates.
+        The m rows of a camera block, on n candidates.
     candidates : (n,) int64
         Numbers of the candidates in the grid.
     grid : (rows, cols)
-        Of the projector blocks.
+        The grid of projector blocks.
     share : float
-        Of the strongest score, from which on a block is active, in [0, 1); 0 keeps everything.
+        The share of the highest score from which on a block is active, in [0, 1).
 
     Returns
     -------
@@ -89,7 +91,7 @@ def strongest(
     """
     size = abs(coefficients)
     total = np.asarray(size.sum(axis=1), np.float64).ravel()
-    # Bright rows tell no more about the places than dark ones.
+    # Each row counts by its shares, as bright rows know no more about the places than dark ones.
     score = size.T @ np.divide(1, total, out=np.zeros_like(total), where=total > 0)
     wanted = (score >= share * score.max()) & ((score > 0) | (share == 0))
     count = max(int(wanted.sum()), min(_LEAST_KEPT, int((score > 0).sum())))
@@ -101,7 +103,7 @@ def strongest(
 
 
 def split(active: NDArray[np.bool_], finer: tuple[int, int]) -> NDArray[np.int64]:
-    """Numbers of the half as large blocks that active blocks consist of, in a grid of `finer`."""
+    """Numbers of the quarters of the active blocks, in the grid `finer` of half as large blocks."""
     children = active.repeat(2, axis=0).repeat(2, axis=1)[: finer[0], : finer[1]]
     return np.flatnonzero(children)
 

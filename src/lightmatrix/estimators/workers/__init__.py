@@ -1,5 +1,8 @@
 """Estimates by several processes, here or on other machines, on Dask's scheduler (extra cluster).
 
-`opening.py` starts or finds the workers and refuses those that would not do; `crew.py` hands out
-tiles; `solving.py` is what a worker does with one; `travel.py` is how an estimate gets there.
+- `startup.py` starts workers, or connects to those of a cluster, and checks them.
+- `pool.py` hands out tiles.
+- `worker.py` runs in a worker: it solves a tile and writes it.
+- `pickling.py` turns an estimate into bytes and back.
+- `preload.py` is the hook that Dask runs as a worker starts.
 """

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.sparse import csr_array
 
-from lightmatrix.estimators.coherent.movement import measured_movement, strongest
+from lightmatrix.estimators.coherent.correspondence import measure_jacobian, strongest_entries
 
 CAMERA = (48, 56, 1)
 PROJECTOR = (160, 160)
@@ -40,7 +40,7 @@ def footprints(matrix: Any, wrong: float, seed: int = 0) -> csr_array:
 @pytest.mark.parametrize("wrong", [0.0, 0.7])
 @pytest.mark.parametrize("rig", RIGS)
 def test_it_is_found_at_any_scale_and_angle(rig: str, wrong: float) -> None:
-    found = measured_movement(footprints(RIGS[rig], wrong), CAMERA, PROJECTOR)
+    found = measure_jacobian(footprints(RIGS[rig], wrong), CAMERA, PROJECTOR)
     inside = found.reshape(*CAMERA[:2], 2, 2)[6:-6, 6:-6]
     off = np.abs(np.median(inside, axis=(0, 1)) - np.asarray(RIGS[rig]))
     # Finer than the steps of single pixels, of which a quarter is the least between two rows.
@@ -51,19 +51,19 @@ def test_two_surfaces_move_each_in_its_own_way() -> None:
     near, far = footprints(((1, 0), (0, 1)), 0.1), footprints(((1, 0), (0, 2)), 0.1, seed=1)
     left = (np.arange(48 * 56) % 56) < 28
     rows = csr_array(np.where(left[:, None], near.toarray(), far.toarray()))
-    found = measured_movement(rows, CAMERA, PROJECTOR).reshape(48, 56, 4)
+    found = measure_jacobian(rows, CAMERA, PROJECTOR).reshape(48, 56, 4)
     assert abs(np.median(found[:, 6:22, 3]) - 1) <= 0.02
     assert abs(np.median(found[:, 34:50, 3]) - 2) <= 0.02
 
 
 def test_nothing_lit_does_not_move() -> None:
     dark = csr_array((48 * 56, 160 * 160), dtype=np.float32)
-    assert not measured_movement(dark, CAMERA, PROJECTOR).any()
+    assert not measure_jacobian(dark, CAMERA, PROJECTOR).any()
     single = csr_array(np.ones((1, 4), np.float32))
-    assert not measured_movement(single, (1, 1, 1), (2, 2)).any()
+    assert not measure_jacobian(single, (1, 1, 1), (2, 2)).any()
 
 
 def test_the_strongest_entry_of_a_row_is_the_last_of_equals() -> None:
     rows = csr_array(np.array([[0, 0, 0], [1, 3, 3], [0, 0, 2], [0, 0, 0], [4, 1, 0]], np.float32))
-    assert strongest(rows).tolist() == [0, 2, 2, 0, 0]
-    assert strongest(csr_array((2, 3), dtype=np.float32)).tolist() == [0, 0]
+    assert strongest_entries(rows).tolist() == [0, 2, 2, 0, 0]
+    assert strongest_entries(csr_array((2, 3), dtype=np.float32)).tolist() == [0, 0]

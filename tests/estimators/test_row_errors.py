@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from lightmatrix.camera.samples import Samples
-from lightmatrix.estimators.coherent.held_out import (
+from lightmatrix.estimators.coherent.row_errors import (
     held_out_frames,
-    pooled,
+    smooth_misfit,
     squared_misfit,
     without,
 )
@@ -73,5 +73,5 @@ def test_masked_frames_say_nothing() -> None:
     found = squared_misfit(samples, np.zeros((2, 2), np.float32), held)
     assert np.isfinite(found[0])
     assert np.isnan(found[1])
-    assert np.isfinite(pooled(found, (1, 2, 1))).all()
-    assert np.isnan(pooled(np.full(4, np.nan, np.float32), (2, 2, 1))).all()
+    assert np.isfinite(smooth_misfit(found, (1, 2, 1))).all()
+    assert np.isnan(smooth_misfit(np.full(4, np.nan, np.float32), (2, 2, 1))).all()

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 import lightmatrix as lm
 from lightmatrix.cli import main
 from lightmatrix.cli.source import rectangle
-from lightmatrix.estimators import needs as needs_module
-from lightmatrix.estimators.coherent.stages import spacings
-from lightmatrix.estimators.costs import COEFFICIENTS, memory_terms, time_terms
+from lightmatrix.estimators import resource_estimate
+from lightmatrix.estimators.coherent.schedule import spacings
+from lightmatrix.estimators.cost_model import COEFFICIENTS, memory_terms, time_terms
 
 GIB = 2**30
 
@@ -51,15 +51,15 @@ def large() -> lm.Capture:
 
 @pytest.fixture(autouse=True)
 def _memory(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(needs_module, "available_bytes", lambda: 16 * GIB)
+    monkeypatch.setattr(resource_estimate, "available_bytes", lambda: 16 * GIB)
     monkeypatch.setenv("RAYON_NUM_THREADS", "2")
 
 
 def test_what_cannot_fit_is_refused_before_any_frame_is_read(large: lm.Capture) -> None:
-    needs = lm.needs(large)
-    assert not needs.fits
-    assert needs.memory > 30 * GIB
-    assert needs.temporary == 24_000_000 * 64 * 2
+    resources = lm.estimate_resources(large)
+    assert not resources.fits
+    assert resources.memory > 30 * GIB
+    assert resources.temporary == 24_000_000 * 64 * 2
     with pytest.raises(lm.InputError, match="24,000,000 camera samples") as refused:
         lm.estimate(large)
     assert "GiB of memory, 16 GiB are free" in refused.value.message
@@ -67,10 +67,10 @@ def test_what_cannot_fit_is_refused_before_any_frame_is_read(large: lm.Capture) 
 
 
 def test_what_is_proposed_fits(large: lm.Capture) -> None:
-    told = lm.needs(large).advice
+    told = lm.estimate_resources(large).advice
     assert "--crop" in told
     for cut in (large, large.crop((500, 1000), (3000, 4000))):
-        for words, size in lm.needs(cut).options:
+        for words, size in lm.estimate_resources(cut).options:
             smaller = cut
             if found := re.search(r"--crop (\S+)", words):
                 smaller = large.crop(*rectangle(found[1]))
@@ -78,7 +78,7 @@ def test_what_is_proposed_fits(large: lm.Capture) -> None:
                 smaller = smaller.bin(camera=int(found[1]))
             assert smaller.rows == size.rows
             if "--bin-projector" not in words:  # Takes a while at this size.
-                again = lm.needs(smaller)
+                again = lm.estimate_resources(smaller)
                 assert (again.fits, again.options) == (True, ())
                 assert again.memory == size.memory
 
@@ -111,7 +111,7 @@ def test_the_command_tells_and_refuses(
     assert main([*words, "--dry-run", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["fits"] is True
     assert not store.exists()
-    monkeypatch.setattr(needs_module, "available_bytes", lambda: 100 << 20)
+    monkeypatch.setattr(resource_estimate, "available_bytes", lambda: 100 << 20)
     assert main(words) == 2
     assert "are free" in capsys.readouterr().err
     assert not store.exists()
@@ -122,9 +122,9 @@ def test_the_command_tells_and_refuses(
 
 def test_other_solvers_have_no_time() -> None:
     capture = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 16))
-    needs = lm.needs(capture, estimator=lm.AutoEstimator(solver="saturation-admm"))
-    assert needs.seconds is None
-    assert needs.fits
+    resources = lm.estimate_resources(capture, lm.EstimateSettings(solver="saturation-admm"))
+    assert resources.seconds is None
+    assert resources.fits
 
 
 @pytest.mark.parametrize("block", [3, (2, 5)])
@@ -148,21 +148,22 @@ def test_photographs_are_binned_in_strips(
 def test_a_bound_of_memory_makes_tiles_smaller_and_is_kept() -> None:
     patterns = lm.BernoulliPatterns((256, 256), 64)
     capture = lm.Capture(patterns, Unread(64, (512, 512), np.dtype(np.uint8)), lm.Decoder(255, 255))
-    usual = lm.needs(capture)
+    usual = lm.estimate_resources(capture)
     for solver in ("active-set", "admm"):
-        free = lm.AutoEstimator(solver=solver)
-        most = free.needs(capture).memory - (100 << 20)
-        bounded = lm.AutoEstimator(solver=solver, memory=most)
-        needs = bounded.needs(capture)
-        assert needs.fits
-        assert needs.memory <= most
-        assert needs.size.tile_bytes < usual.size.tile_bytes
-        assert bounded.estimator(capture).tile_rows == needs.size.tile_rows  # type: ignore[union-attr]
+        free = lm.EstimateSettings(solver=solver)
+        most = lm.estimate_resources(capture, free).memory - (100 << 20)
+        bounded = lm.EstimateSettings(solver=solver, memory=most)
+        resources = lm.estimate_resources(capture, bounded)
+        assert resources.fits
+        assert resources.memory <= most
+        assert resources.size.tile_bytes < usual.size.tile_bytes
+        assert lm.choose_estimator(capture, bounded).tile_rows == resources.size.tile_rows  # type: ignore[attr-defined]
     with pytest.raises(lm.InputError, match=r"0\.2 GiB are allowed") as refused:
         lm.estimate(capture, memory="0.2GiB")
     assert refused.value.hint
     # More than there is does not help.
-    assert lm.AutoEstimator(memory="1TiB").needs(capture).available == 16 * GIB
+    settings = lm.EstimateSettings(memory="1TiB")
+    assert lm.estimate_resources(capture, settings).available == 16 * GIB
 
 
 @pytest.mark.parametrize(
@@ -171,20 +172,20 @@ def test_a_bound_of_memory_makes_tiles_smaller_and_is_kept() -> None:
         ({"memory": "4 apples"}, "4 apples"),
         ({"memory": "GiB"}, "'GiB'"),
         ({"memory": 0}, "0 bytes"),
-        ({"memory": "4GiB", "tile_rows": 5}, "tile rows and a bound"),
+        ({"memory": "4GiB", "tile_rows": 5}, "tile rows and a memory limit"),
         ({"memory": "4GiB", "multi_scale": True}, "multi-scale"),
     ],
 )
 def test_bounds_that_are_none(settings: dict[str, Any], what: str) -> None:
     with pytest.raises(lm.InputError, match=what):
-        lm.AutoEstimator(**settings)
+        lm.EstimateSettings(**settings)
 
 
 def test_large_frames_take_less_than_looking_everywhere_would(large: lm.Capture) -> None:
     small = lm.Capture(large.patterns, Unread(64, (32, 32), large.frames.dtype), large.decoder)
-    assert lm.needs(small).size.kind == "coherent"
-    assert lm.needs(large).size.kind == "growing"
-    seconds = [lm.needs(capture).seconds for capture in (small, large)]
+    assert lm.estimate_resources(small).size.kind == "coherent"
+    assert lm.estimate_resources(large).size.kind == "growing"
+    seconds = [lm.estimate_resources(capture).seconds for capture in (small, large)]
     assert seconds[0] is not None
     assert seconds[1] is not None
     assert seconds[1] / large.rows < 0.1 * seconds[0] / small.rows
@@ -201,16 +202,16 @@ def test_small_cameras_under_huge_projectors_are_told_what_they_take() -> None:
     seconds = {}
     for shape in ((48, 48), (48, 500), (64, 64), (64, 64, 3), (128, 128), (256, 256)):
         taken = capture(*shape)
-        needs = lm.needs(taken)
+        resources = lm.estimate_resources(taken)
         steps = spacings(taken.camera_shape, taken.patterns.pixels, lm.CoherentEstimator.windows)
-        assert needs.size.kind == ("growing" if len(steps) > 1 else "coherent"), shape
-        assert needs.seconds is not None
-        seconds[shape] = needs.seconds
+        assert resources.size.kind == ("growing" if len(steps) > 1 else "coherent"), shape
+        assert resources.seconds is not None
+        seconds[shape] = resources.seconds
     assert seconds[48, 48] > 3 * seconds[64, 64]
     # The fewer rows are seeds, the less each row takes.
     each = [seconds[side, side] / side**2 for side in (48, 64, 128, 256)]
     assert each == sorted(each, reverse=True)
     # What is proposed instead is told by its own sides.
-    proposed = dict(lm.needs(capture(40_000, 70)).options)
+    proposed = dict(lm.estimate_resources(capture(40_000, 70)).options)
     binned = next(size for words, size in proposed.items() if words.startswith("--bin-camera"))
     assert binned.kind == "coherent"

@@ -1,6 +1,6 @@
-"""What an estimate takes of memory and time: the numbers of `lightmatrix.estimators.costs`.
+"""What an estimate takes of memory and time: the numbers of `lightmatrix.estimators.cost_model`.
 
-    python -m benchmarks.needs [--quick] [-o needs.json]
+    python -m benchmarks.resource_estimate [--quick] [-o resources.json]
 
 Every case is a capture folder of a procedural scene, estimated by a process of its own on one core
 after what has been loaded and opened: its peak of resident memory above that of a process that has
@@ -26,7 +26,7 @@ import psutil
 from scipy.optimize import nnls
 
 import lightmatrix as lm
-from lightmatrix.estimators import costs
+from lightmatrix.estimators import cost_model
 from lightmatrix.simulation.procedural_scene import ProceduralScene
 
 Case = tuple[str, int, int, int, bool]
@@ -59,6 +59,7 @@ CASES: tuple[Case, ...] = (
     ("plain", 256, 128, 256, False),
 )
 QUICK = 32 * 64
+MODULE = "benchmarks.resource_estimate"
 
 
 def make(case: Case, folder: Path) -> None:
@@ -77,10 +78,11 @@ def make(case: Case, folder: Path) -> None:
 def estimate(case: Case, folder: Path) -> dict[str, float]:
     """Peak of memory in bytes beyond what is loaded anyway, and CPU seconds, of one estimate."""
     capture = lm.Capture.open(folder)
-    estimator = lm.AutoEstimator(coherent=case[0] == "coherent")
+    settings = lm.EstimateSettings(coherent=case[0] == "coherent")
+    estimator = lm.choose_estimator(capture, settings)
     loaded = psutil.Process().memory_info().rss
     started = time.process_time()
-    estimator.estimate(capture, checkpoint=folder / "scene.zarr")
+    estimator.estimate(capture, output=folder / "scene.zarr")
     return {
         "bytes": _peak() - loaded,
         "loaded": loaded,
@@ -100,7 +102,7 @@ def measure(case: Case) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as place:
         for step in ("make", "estimate"):
             told = subprocess.run(
-                [sys.executable, "-m", "benchmarks.needs", "--step", step, json.dumps(case), place],
+                [sys.executable, "-m", MODULE, "--step", step, json.dumps(case), place],
                 check=True, capture_output=True, text=True,
                 env={**os.environ, "RAYON_NUM_THREADS": "1"},
             )  # fmt: skip
@@ -112,13 +114,13 @@ def fit(rows: list[dict[str, Any]], method: str) -> None:
     """Print the coefficients that fit best, beside those in the code."""
     some = [row for row in rows if row["method"] == method]
     sizes = [(r["camera"] ** 2, r["projector"] ** 2, r["count"], r["grey"]) for r in some]
-    for what, terms in (("bytes", costs.memory_terms), ("seconds", costs.time_terms)):
+    for what, terms in (("bytes", cost_model.memory_terms), ("seconds", cost_model.time_terms)):
         measured = np.array([row[what] for row in some])
         columns = [terms(method, *size) for size in sizes]
         names = list(columns[0])
         matrix = np.array([[column[name] for name in names] for column in columns])
         found, _ = nnls(matrix / measured[:, None], np.ones(len(some)))
-        now = costs.COEFFICIENTS[method][what]
+        now = cost_model.COEFFICIENTS[method][what]
         print(f"\n{method}, {what}:")
         for name, value in zip(names, found, strict=True):
             print(f"  {name:<20} {value:12.4g}   in the code {now.get(name, 0):.4g}")
@@ -135,7 +137,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help="small cases only")
     parser.add_argument("--step", nargs=3, metavar=("STEP", "CASE", "FOLDER"))
-    parser.add_argument("-o", "--output", type=Path, default=Path("needs.json"))
+    parser.add_argument("-o", "--output", type=Path, default=Path("resources.json"))
     arguments = parser.parse_args()
     if arguments.step:
         step, text, place = arguments.step

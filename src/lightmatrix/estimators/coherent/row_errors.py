@@ -1,8 +1,8 @@
-"""How far a row is probably off: what it predicts for frames that were held out of it.
+"""The error of each row, estimated from how well it predicts frames that were held out of it.
 
-A row solved without some of its frames errs at them by what it has wrong. Under random patterns an
-error d of the row gives an error of the sample whose variance is that of the patterns' values times
-||d||^2: so the frames held out measure ||d|| itself, of a row from a few frames less.
+A row solved without some of its frames mispredicts these by what it has wrong. Under random
+patterns an error d of the row gives an error of the sample whose variance is that of the patterns'
+values times ||d||^2. So the frames held out measure ||d|| itself, of a row from a few frames less.
 """
 
 from __future__ import annotations
@@ -11,21 +11,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.camera.samples import Samples
-from lightmatrix.estimators.coherent.pooling import mean_around
+from lightmatrix.estimators.coherent.camera_grid import mean_around
 
-# One frame of so many is held out, but at least two; of fewer frames than this, none.
+# One frame of eight is held out, but at least two; none of fewer than eight frames. Chosen by hand:
+# the row should lose few frames, and one frame alone has no variance.
 EVERY = 8
 FEWEST = 8
-# Errors are smooth over the camera: they are pooled over a window of so many pixels, or, where
-# nothing is known within that, over a wider one.
-POOLED = (3, 9, 27)
-# The rows that err least show what is noise. No less than this share of what is seen is error.
+# Sides of the squares of camera pixels that errors are averaged over, as they are smooth over the
+# camera. A wider square stands in where a narrower one knows nothing.
+SQUARES = (3, 9, 27)
+# The noise of the camera is the misfit of the rows that err least: this quantile of all misfits.
+# At least the second share of a misfit counts as error. Both are chosen by hand.
 DARKEST = 0.05
 LEAST_SHARE = 0.1
 
 
 def held_out_frames(count: int) -> NDArray[np.int64]:
-    """Indices of the frames that are held out, evenly spread; none of fewer than `FEWEST`."""
+    """The frames that are held out, evenly spread; none of fewer than `FEWEST` frames."""
     if count < FEWEST:
         return np.zeros(0, np.int64)
     held = max(2, count // EVERY)
@@ -44,37 +46,34 @@ def squared_misfit(
 ) -> NDArray[np.float32]:
     """Variance of each row's misfit at the frames held out, (M,); NaN where fewer than two count.
 
-    Parameters
-    ----------
-    samples : Samples
-        (M, K), all of them.
-    predicted : (M, H) float32
-        What the rows give under the H frames held out.
-    held : (H,) int
+    `samples` are all of them, (M, K); `predicted` is (M, H) for the H frames `held`.
     """
     off = samples.values[:, held] - predicted
     weights = samples.weights_of_all()[:, held]
-    # A clipped sample that is predicted beyond its bound says nothing of the error.
+    # A clipped sample that is predicted beyond its bound says nothing about the error.
     weights[samples.clipped[:, held] & (off <= 0)] = 0
     total = weights.sum(axis=1)
-    # The effective number of samples; their mean, which is the background's error, does not count.
+    # The mean misfit is the error of the background and does not count. `number` is the effective
+    # number of samples.
     with np.errstate(invalid="ignore", divide="ignore"):
         mean = (weights * off).sum(axis=1) / total
         number = total**2 / (weights**2).sum(axis=1)
         spread = (weights * (off - mean[:, None]) ** 2).sum(axis=1) / total
         spread *= number / np.maximum(number - 1, 0.5)
-    # One sample is its own mean; its number is 1 but for rounding.
+    # One sample is its own mean. Its number may differ from 1 by rounding.
     return np.where(number > 1.001, spread, np.nan).astype(np.float32)
 
 
-def pooled(squares: NDArray[np.float32], camera: tuple[int, int, int]) -> NDArray[np.float32]:
-    """Means over the camera's neighbourhoods, without what is the camera's noise, (M,)."""
+def smooth_misfit(
+    squares: NDArray[np.float32], camera: tuple[int, int, int]
+) -> NDArray[np.float32]:
+    """Misfits averaged over neighbouring camera pixels, less the camera's noise, (M,)."""
     image = squares.reshape(camera).astype(np.float64)
     known = np.isfinite(image)
     means = np.full(camera, np.nan)
     if not known.any():
         return np.asarray(means.ravel(), np.float32)
-    for width in POOLED:
+    for width in SQUARES:
         missing = ~np.isfinite(means)
         if missing.any():
             means[missing] = mean_around(image, known, width)[missing]

@@ -73,7 +73,7 @@ def by_definition(
             other = (other_r * camera_cols + other_c) * channels + channel
             step = np.array([other_r - r, other_c - c], np.float32)
             # Not as a product of matrices, which rounds otherwise.
-            part = (around.movement[row].reshape(2, 2) * step).sum(axis=1)
+            part = (around.jacobian[row].reshape(2, 2) * step).sum(axis=1)
             entries = around.rows.coefficients[[other]].toarray().reshape(shown.shape)
             places = np.argwhere(entries > 0)
             for moved, share in whole_numbers(part):
@@ -133,7 +133,7 @@ def test_they_are_the_mean_of_the_guesses(camera: Any, projector: Any, k: int, s
     around = neighbourhood(camera, shown, seed)
     samples = samples_of(shown, around.rows.count, seed)
     background = backgrounds_of(around.rows.count, k + unseen.count, seed)
-    found = around.expected(
+    found = around.pseudo_samples(
         single(unseen), samples, samples.clipped, LEVEL, all_of(samples), background
     )
     for row in range(around.rows.count):
@@ -158,14 +158,14 @@ def test_rows_asked_for_apart_are_the_same() -> None:
     around = neighbourhood((7, 6, 1), shown, 3)
     samples = samples_of(shown, 42, 1)
     background = backgrounds_of(42, 20 + unseen.count, 2)
-    whole = around.expected(
+    whole = around.pseudo_samples(
         single(unseen), samples, samples.clipped, LEVEL, all_of(samples), background
     )
     for part in (np.arange(17, 30), np.array([17, 18, 23, 29])):
         some = samples.rows(part)
         first, last = around.around(17, 30)
         near = background[first:last].copy()
-        found = around.expected(single(unseen), some, some.clipped, LEVEL, part, near)
+        found = around.pseudo_samples(single(unseen), some, some.clipped, LEVEL, part, near)
         assert np.array_equal(found.values, whole.values[part])
         assert np.array_equal(found.weights, whole.weights[part])
 
@@ -181,7 +181,7 @@ def test_footprints_are_followed_however_the_projector_is_turned(turn: int, fine
     shown, unseen = BernoulliPatterns(projector, 30), unseen_patterns(projector)
     around = Neighbourhood(without_background(rows), (side, side, 1), single(shown))
     turned = {0: (1, 0, 0, 1), 1: (0, 1, -1, 0), 2: (-1, 0, 0, -1), 3: (0, -1, 1, 0)}[turn]
-    movement = around.movement.reshape(side, side, 4)[3:-3, 3:-3]
+    movement = around.jacobian.reshape(side, side, 4)[3:-3, 3:-3]
     assert np.array_equal(movement, np.broadcast_to(finer * np.array(turned), movement.shape))
     # All neighbours agree: clipped samples are as good as known, but for what neighbours share.
     values = shown.forward(rows.toarray())
@@ -190,7 +190,7 @@ def test_footprints_are_followed_however_the_projector_is_turned(turn: int, fine
     seen = np.where(clipped, LEVEL, values)
     samples = Samples(seen, clipped, np.full(30, LEVEL, np.float32), None)
     dark = np.zeros((side**2, 30 + unseen.count), np.float32)
-    found = around.expected(single(unseen), samples, clipped, LEVEL, all_of(samples), dark)
+    found = around.pseudo_samples(single(unseen), samples, clipped, LEVEL, all_of(samples), dark)
     inside = np.zeros((side, side), bool)
     inside[5:-5, 5:-5] = True
     middle = inside.ravel()
@@ -205,7 +205,7 @@ def test_neighbours_that_know_nothing_are_not_asked() -> None:
     dark = replace(around, rows=without_background(csr_array((16, 25), dtype=np.float32)))
     samples = samples_of(shown, 16, 0)
     background = backgrounds_of(16, 9 + unseen.count, 0)
-    found = dark.expected(
+    found = dark.pseudo_samples(
         single(unseen), samples, samples.clipped, LEVEL, all_of(samples), background
     )
     assert not found.weights.any()

@@ -14,12 +14,12 @@ from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.folder import write_capture
 from lightmatrix.cli import main
 from lightmatrix.errors import InputError
-from lightmatrix.estimators.plain import PlainEstimator
-from lightmatrix.estimators.regularization import (
+from lightmatrix.estimators.automatic_regularization import (
     automatic_regularization,
     held_out_path,
     reached_level,
 )
+from lightmatrix.estimators.plain import PlainEstimator
 from lightmatrix.evaluation.metrics import relative_error
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.pattern_set import PatternSet

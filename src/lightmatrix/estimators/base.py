@@ -1,0 +1,184 @@
+"""The base class of all estimators: it plans an estimate, solves its tiles and joins them."""
+
+from __future__ import annotations
+
+import platform
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from contextlib import ExitStack
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, cast
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from lightmatrix._version import __version__
+from lightmatrix.camera.samples import Samples
+from lightmatrix.capture.capture import Capture
+from lightmatrix.estimators.work import Progress, TilesInMemory, Work, WorkerPool, complete
+from lightmatrix.outputs.targets import final_target
+from lightmatrix.resources.disk import check_disk_space
+from lightmatrix.solvers import Solver
+from lightmatrix.solvers.problem import Result, check_regularization
+from lightmatrix.store import ROWS, Checkpoint
+from lightmatrix.transport.matrix import LightTransport
+from lightmatrix.transport.sparse_rows import SparseRows
+
+# Entries of a row of T by which the free disk space is checked before an estimate. Most rows have
+# more, so the check refuses only what cannot fit.
+_FEW_ENTRIES = 16
+
+
+@dataclass(frozen=True)
+class Plan:
+    """An estimate before it is made.
+
+    Parameters
+    ----------
+    work : Work
+        The steps and their tiles.
+    provenance : mapping
+        All parameters and versions, JSON-ready.
+    background_grid : (int, int)
+        Rows and columns of the cells of the background.
+    """
+
+    work: Work
+    provenance: Mapping[str, Any]
+    background_grid: tuple[int, int] = (1, 1)
+
+    @property
+    def shapes(self) -> dict[str, Any]:
+        """Everything that a light transport has besides its rows."""
+        return {
+            "camera_shape": self.work.capture.camera_shape,
+            "projector_shape": self.work.capture.projector_shape,
+            "background_grid": self.background_grid,
+            "provenance": dict(self.provenance),
+        }
+
+    @property
+    def fingerprint(self) -> dict[str, Any]:
+        """Everything that the result depends on."""
+        return {**self.provenance, "capture": self.work.capture.digest}
+
+    @property
+    def least_disk_bytes(self) -> int:
+        """Bytes that tiles and output take on disk, with few entries in each row."""
+        cells = self.background_grid[0] * self.background_grid[1]
+        # The tiles are kept until the compressed output is complete.
+        return (6 * cells + 8 * _FEW_ENTRIES + 40) * self.work.capture.rows
+
+
+class Estimator(ABC):
+    """From a capture to its light transport matrix, in one way."""
+
+    @abstractmethod
+    def plan(self, capture: Capture, progress: Progress | None = None) -> Plan:
+        """The estimate before it is made."""
+
+    def estimate(
+        self,
+        capture: Capture,
+        *,
+        output: Path | None = None,
+        overwrite: bool = False,
+        progress: Progress | None = None,
+        pool: WorkerPool | None = None,
+    ) -> LightTransport:
+        """Estimate the light transport matrix of a capture.
+
+        Parameters
+        ----------
+        capture : Capture
+            M camera samples under K patterns of N projector pixels.
+        output : Path, optional
+            The store to write. Finished tiles of each step are kept beside it, so that an
+            interrupted run continues where it stopped.
+        overwrite : bool
+            Whether a complete store at `output` may be replaced.
+        progress : callable, optional
+            Called with (done, total) rows.
+        pool : WorkerPool, optional
+            Other processes that solve the tiles (`lightmatrix.estimators.workers`). None: this
+            process.
+
+        Returns
+        -------
+        LightTransport
+            With the diagnostics clipped_share, iterations, converged, gap and objective of each
+            row, and those that the class documents.
+
+        Raises
+        ------
+        InputError, SolverError, OutputError
+            If the capture is unusable, the solver cannot treat the problem, or the output cannot
+            be written.
+        ClusterError
+            If the workers cannot be reached, do not see the capture or the output, or all die.
+        """
+        plan = self.plan(capture, progress)
+        check_regularization(plan.provenance["regularization"])
+        if output is None and pool is None:
+            tiles = TilesInMemory()
+            complete(plan.work, tiles)
+            rows = tiles.read(ROWS)
+            return LightTransport(
+                rows.coefficients, rows.background, diagnostics=rows.diagnostics, **plan.shapes
+            )
+        with ExitStack() as stack:
+            if output is None:
+                # Workers hand over their tiles through a folder.
+                folder = stack.enter_context(TemporaryDirectory(prefix="lightmatrix-"))
+                output = Path(folder) / "scene.zarr"
+            target = final_target(output)
+            check_disk_space(target.parent, plan.least_disk_bytes, output, "at least about")
+            checkpoint = stack.enter_context(
+                Checkpoint.open(output, plan.fingerprint, overwrite=overwrite)
+            )
+            complete(plan.work, checkpoint, pool=pool)
+            return checkpoint.finish(**plan.shapes)
+
+
+def rows_with_diagnostics(
+    samples: Samples, result: Result, **diagnostics: NDArray[Any]
+) -> SparseRows:
+    """Solved rows in single precision with their diagnostics, (m,) each, and further ones."""
+    return replace(
+        result.rows.single(),
+        diagnostics={
+            "clipped_share": samples.clipped.mean(axis=1, dtype=np.float32),
+            **result.rows.diagnostics,
+            "gap": result.gap.astype(np.float32),
+            **diagnostics,
+        },
+    )
+
+
+def solver_provenance(solver: Solver) -> dict[str, Any]:
+    """The solver and its parameters, JSON-ready."""
+
+    def plain(value: Any) -> Any:
+        # Members of enumerations become strings.
+        return value if isinstance(value, (bool, int, float, type(None))) else str(value)
+
+    parameters = {key: plain(value) for key, value in asdict(cast(Any, solver)).items()}
+    return {"solver": type(solver).__name__, "solver_parameters": parameters}
+
+
+def capture_provenance(capture: Capture) -> dict[str, Any]:
+    """The patterns, the capture and the versions of everything, JSON-ready."""
+    return {
+        "patterns": capture.patterns.description,
+        "pattern_digest": capture.patterns.digest,
+        "capture_description": capture.description,
+        "versions": {
+            "lightmatrix": __version__,
+            "numpy": np.__version__,
+            "scipy": scipy.__version__,
+            "python": platform.python_version(),
+        },
+    }

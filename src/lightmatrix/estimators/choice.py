@@ -1,0 +1,69 @@
+"""The choice of the estimator that suits a capture."""
+
+from __future__ import annotations
+
+from lightmatrix.capture.capture import Capture
+from lightmatrix.estimators.automatic_regularization import held_out_path
+from lightmatrix.estimators.base import Estimator
+from lightmatrix.estimators.coherent.estimator import CoherentEstimator
+from lightmatrix.estimators.multiscale.estimator import MultiScaleEstimator
+from lightmatrix.estimators.plain import PlainEstimator
+from lightmatrix.estimators.resource_estimate import ResourceEstimate, estimate_resources
+from lightmatrix.estimators.settings import EstimateSettings
+from lightmatrix.solvers import ActiveSet
+
+
+def choose_estimator(
+    capture: Capture,
+    settings: EstimateSettings | None = None,
+    resources: ResourceEstimate | None = None,
+) -> Estimator:
+    """Choose the estimator that suits a capture; the regularization "path" solves some rows for it.
+
+    Parameters
+    ----------
+    capture : Capture
+        What is estimated from.
+    settings : EstimateSettings, optional
+        How it is estimated. None: the default settings.
+    resources : ResourceEstimate, optional
+        What `estimate_resources` says of this estimate, if it is known already.
+
+    Returns
+    -------
+    CoherentEstimator, PlainEstimator or MultiScaleEstimator
+
+    Raises
+    ------
+    InputError
+        If there are too few patterns or rows for a path of regularizations.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> capture = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 8))
+    >>> type(lm.choose_estimator(capture)).__name__
+    'CoherentEstimator'
+    >>> type(lm.choose_estimator(capture, lm.EstimateSettings(solver="romp"))).__name__
+    'PlainEstimator'
+    """
+    settings = settings or EstimateSettings()
+    solver, nonnegative = settings.row_solver, not settings.signed
+    regularization = None
+    if settings.regularization == "path":
+        regularization = held_out_path(capture).best
+    elif not isinstance(settings.regularization, str):
+        regularization = float(settings.regularization)
+    if settings.multi_scale:
+        return MultiScaleEstimator(solver, regularization, nonnegative, settings.background)
+    tile_rows = settings.tile_rows
+    if settings.memory is not None:
+        tile_rows = (resources or estimate_resources(capture, settings)).size.tile_rows
+    if settings.is_coherent(capture) and isinstance(solver, ActiveSet):
+        return CoherentEstimator(
+            regularization,
+            fidelity=solver.fidelity,
+            max_passes=solver.max_passes,
+            tile_rows=tile_rows,
+        )
+    return PlainEstimator(solver, regularization, nonnegative, settings.background, tile_rows)

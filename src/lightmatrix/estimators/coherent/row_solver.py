@@ -1,0 +1,200 @@
+"""Solves rows of the coherent estimate: on all atoms, or on the likely ones."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+
+from lightmatrix.camera.samples import Samples
+from lightmatrix.capture.capture import Capture
+from lightmatrix.estimators.coherent.backgrounds import Backgrounds
+from lightmatrix.estimators.coherent.neighbourhood import Neighbourhood, unseen_patterns
+from lightmatrix.estimators.coherent.schedule import Round
+from lightmatrix.estimators.work import Progress
+from lightmatrix.patterns.atoms import AtomPatterns
+from lightmatrix.solvers.active_set import ActiveSet
+from lightmatrix.solvers.fidelity import Fidelity
+from lightmatrix.solvers.problem import Problem, Result
+from lightmatrix.solvers.weighted import Candidates, Cells, PseudoSamples, solve_weighted
+
+# lambda relative to the clip level. Errors are flat around it: three times as much or as little
+# changes them by about a tenth (docs/few-patterns.md).
+DEFAULT_REGULARIZATION = 0.1
+# lambda relative to the clip level, and the relative gap, of the first round. They are rougher, as
+# this round only has to show where light may be. Chosen by hand.
+FIRST_REGULARIZATION = 0.32
+FIRST_TOLERANCE = 1e-2
+# The contrast of patterns that regularizations are for, the standard deviation of their values.
+# Random patterns with half of the pixels lit have it; for others lambda changes in proportion.
+USUAL_CONTRAST = 0.5
+# The standard deviation of a spot is at most this share of the projector's shorter side. Chosen by
+# hand.
+WIDEST = 1 / 16
+# A row is unexplained if its objective exceeds this share of what an even background leaves of its
+# samples. Measured on procedural scenes: the share is at most .02 in rows that are right, and at
+# least .4 in rows that are wrong.
+UNEXPLAINED = 0.25
+# The norm of an atom's column is at most this times its contrast times the root of the number of
+# patterns. Chosen by hand.
+LONGEST = 1.5
+
+
+@dataclass(frozen=True)
+class WeightedRows:
+    """The weighted problem of some rows; the fields are parameters of `solve_weighted`."""
+
+    problem: Problem
+    candidates: Candidates
+    cells: Cells
+    pseudo_samples: PseudoSamples | None
+    background: NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class RowSolver:
+    """Solves rows of a capture; the parameters are those of `CoherentEstimator`.
+
+    `narrow` keeps the columns of the atoms in half the memory.
+    """
+
+    capture: Capture
+    solver: ActiveSet
+    regularization: float | None
+    trust: float
+    candidates: int
+    sizes: tuple[float, ...]
+    background_grid: tuple[int, int]
+    narrow: bool = False
+
+    @cached_property
+    def atoms(self) -> AtomPatterns:
+        """Pixels and spots under the patterns shown."""
+        patterns = self.capture.patterns
+        widest = WIDEST * min(patterns.shape)
+        sizes = tuple(size for size in self.sizes if size <= widest)
+        return AtomPatterns(patterns, sizes, narrow=self.narrow)
+
+    @cached_property
+    def unseen(self) -> AtomPatterns:
+        """Pixels and spots under the patterns that were never shown."""
+        atoms = self.atoms
+        return AtomPatterns(unseen_patterns(atoms.shape), atoms.sizes, atoms.gains, self.narrow)
+
+    @cached_property
+    def level(self) -> float:
+        """The clip level, in proportion to the contrast of the patterns."""
+        contrast = self.atoms.single_contrast / USUAL_CONTRAST
+        return self.capture.reference_level * (contrast or 1.0)
+
+    @property
+    def penalty(self) -> float:
+        """The regularization of single pixels."""
+        if self.regularization is None:
+            return DEFAULT_REGULARIZATION * self.level
+        return self.regularization
+
+    @cached_property
+    def backgrounds(self) -> Backgrounds:
+        """The cells of the background, at most one a pixel."""
+        shape = self.capture.projector_shape
+        grid = min(self.background_grid[0], shape[0]), min(self.background_grid[1], shape[1])
+        return Backgrounds(grid, self.capture.patterns, self.unseen.single)
+
+    def everywhere(self, samples: Samples, progress: Progress | None = None) -> Result:
+        """Solve each row by itself on all atoms."""
+        problem = self._problem(samples, FIRST_REGULARIZATION * self.level)
+        solver = replace(self.solver, tolerance=max(FIRST_TOLERANCE, self.solver.tolerance))
+        return solver.solve(problem, progress)
+
+    def unexplained(self, samples: Samples, solved: Result) -> NDArray[np.int64]:
+        """Rows whose samples the solution does not explain, but other atoms might."""
+        weights = samples.weights_of_all().astype(np.float64)
+        total = np.maximum(weights.sum(axis=1, keepdims=True), 1e-30)
+        means = (weights * samples.values).sum(axis=1, keepdims=True) / total
+        left = (weights * (samples.values - means) ** 2).sum(axis=1)
+        # No atom can enter darker rows than this, if they search all atoms.
+        reach = LONGEST * self.atoms.single_contrast * np.sqrt(self.capture.count)
+        bright = np.sqrt(left) * reach > FIRST_REGULARIZATION * self.level
+        wrong = solved.rows.diagnostics["objective"] > UNEXPLAINED * left / 2
+        return np.flatnonzero(bright & wrong)
+
+    def weighted_rows(
+        self,
+        samples: Samples,
+        rows: NDArray[np.int64],
+        this_round: Round,
+        neighbours: Neighbourhood,
+    ) -> WeightedRows:
+        """The problem of some rows, ascending, with what their neighbours say of them."""
+        assert this_round.window is not None
+        problem = self._problem(samples, self.penalty)
+        first, last = int(rows[0]), int(rows[-1]) + 1
+        if this_round.has_pseudo_samples:
+            first, last = neighbours.around(first, last)
+        halos = self.halos(neighbours, first, last)
+        pseudo_samples = None
+        if this_round.has_pseudo_samples:
+            light = neighbours.rows.background[first:last]
+            pseudo_samples = neighbours.pseudo_samples(
+                self.unseen,
+                samples,
+                samples.clipped & Fidelity(self.solver.fidelity).term.clip_aware,
+                self.capture.reference_level,
+                rows,
+                light * halos,
+            )
+        unseen = pseudo_samples is not None
+        cells = Cells.none(self.capture.patterns, self.unseen if unseen else None)
+        # Cells join in the last round, when it is clear where most of the light is.
+        if this_round.last:
+            cost = self.level / problem.regularization
+            cells = self.backgrounds.cells(cost, unseen=unseen)
+        background = halos[rows - first, : cells.means.shape[1]]
+        known = samples.counted & ~samples.clipped
+        candidates = neighbours.likely_atoms(
+            this_round.window,
+            self.candidates,
+            self.trust,
+            known.sum(axis=1),
+            rows,
+            first=this_round.age == 1,
+        )
+        return WeightedRows(
+            problem, candidates, cells, pseudo_samples, np.ascontiguousarray(background)
+        )
+
+    def near(
+        self,
+        samples: Samples,
+        rows: NDArray[np.int64],
+        this_round: Round,
+        neighbours: Neighbourhood,
+        progress: Progress | None = None,
+    ) -> tuple[Result, WeightedRows]:
+        """Solve rows, ascending, on their likeliest atoms; returns their problem too."""
+        weighted = self.weighted_rows(samples, rows, this_round, neighbours)
+        solved = solve_weighted(
+            weighted.problem,
+            weighted.candidates,
+            weighted.cells,
+            self.solver,
+            pseudo_samples=weighted.pseudo_samples,
+            background=weighted.background,
+            start=neighbours.rows.rows(rows),
+            progress=progress,
+        )
+        return solved, weighted
+
+    def halos(self, neighbours: Neighbourhood, start: int, stop: int) -> NDArray[np.float32]:
+        """The halos of the rows start..stop under the patterns shown and unseen, (n, K + E)."""
+        backgrounds = self.backgrounds
+        centres = csr_array(neighbours.centres[start:stop])
+        return backgrounds.under_patterns(backgrounds.spread(centres))
+
+    def _problem(self, samples: Samples, penalty: float) -> Problem:
+        """The problem of rows of atoms, for a penalty of single pixels."""
+        return Problem(self.atoms, samples, penalty * self.atoms.gains[0])

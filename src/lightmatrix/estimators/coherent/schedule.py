@@ -1,0 +1,138 @@
+"""The rounds of a coherent estimate: which camera pixels are solved, and where they seek light.
+
+In a small frame every camera pixel first searches all projector pixels. The cost of this grows with
+the product of both. In a large frame only seeds search: every sixteenth camera pixel along both
+axes. After some rounds among themselves, their light grows to every fourth camera pixel, then to
+all, as matches do in PatchMatch stereo (Barnes et al. 2009). Camera pixels whose samples this does
+not explain then search for themselves.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Growth:
+    """How light grows from seeds in large frames. All values are chosen by hand.
+
+    Parameters
+    ----------
+    large : int
+        A frame is large if camera samples times projector pixels exceed this. 128 x 128 pixels of
+        both, in colour too, stay below.
+    spacings : tuple of tuple of int
+        Spacings of the solved camera pixels, level by level. The first sequence applies for which
+        the camera has enough seeds. A spacing is at most four times the next one, since rows reach
+        only `reach` pixels to both sides and would leave gaps.
+    reach : int
+        The half width in camera pixels that the first window must have.
+    fewest_seeds : int
+        Seeds along the shorter side of the camera that a sequence needs. With fewer, seeds have
+        hardly any neighbours.
+    settling : int
+        Rounds at each finer level after the one in which light grows onto it.
+    search_after : int
+        Rounds at a level after which its unexplained rows search all projector pixels.
+    """
+
+    large: int = 1 << 30
+    spacings: tuple[tuple[int, ...], ...] = ((16, 4, 1), (8, 4, 1), (4, 1))
+    reach: int = 2
+    fewest_seeds: int = 16
+    settling: int = 4
+    search_after: int = 2
+
+
+GROWTH = Growth()
+# The number of rounds after which rows get pseudo-samples. Chosen by hand: most rows are about
+# right by then, so that their neighbours can rely on them.
+PSEUDO_SAMPLES_FROM = 3
+
+
+@dataclass(frozen=True)
+class Round:
+    """One pass over some camera pixels.
+
+    Parameters
+    ----------
+    spacing : int
+        Every `spacing`-th camera pixel along both axes is solved.
+    window : (int, int), optional
+        Half widths of the windows, in camera and in projector pixels. None: each row searches all
+        projector pixels by itself.
+    age : int
+        Rounds that these rows, or those that they grow from, have behind them.
+    last : bool
+        Whether its rows are the result.
+    search_unexplained : bool
+        Whether rows that are not explained search all projector pixels afterwards.
+    skip_settled : bool
+        Whether rows around which nothing changed in the round before stay as they are.
+    """
+
+    spacing: int
+    window: tuple[int, int] | None
+    age: int
+    last: bool = False
+    search_unexplained: bool = False
+    skip_settled: bool = False
+
+    @property
+    def has_pseudo_samples(self) -> bool:
+        """Whether neighbours' rows stand in for samples that clip or were never taken."""
+        return self.age >= PSEUDO_SAMPLES_FROM
+
+
+def schedule(
+    camera: tuple[int, ...], pixels: int, windows: tuple[tuple[int, int], ...]
+) -> tuple[Round, ...]:
+    """All rounds in turn.
+
+    Parameters
+    ----------
+    camera : (rows, columns, ...)
+        Shape of the camera.
+    pixels : int
+        Projector pixels.
+    windows : tuple of (int, int)
+        Half widths of the windows of each round of a small frame, after the search.
+    """
+    first, *finer = spacings(camera, pixels, windows)
+    seed_windows = windows[:-1] if finer else windows
+    rounds = [Round(first, None, 0)]
+    rounds += [Round(first, window, age) for age, window in enumerate(seed_windows, start=1)]
+    for spacing in finer:
+        own = (windows[0], *windows[-GROWTH.settling :])
+        if spacing > 1:
+            own = (windows[0], *windows[-GROWTH.settling - 1 : -1])
+        searched = min(GROWTH.search_after, len(own) - 1)
+        for i, window in enumerate(own):
+            rounds.append(
+                Round(
+                    spacing,
+                    window,
+                    PSEUDO_SAMPLES_FROM + i,
+                    search_unexplained=i + 1 == searched,
+                    skip_settled=i >= searched and window == own[i - 1],
+                )
+            )
+    last = rounds.pop()
+    return (*rounds, Round(last.spacing, last.window, last.age, last=True))
+
+
+def is_large(samples: int, pixels: int) -> bool:
+    """Whether a frame is too large for all of its camera samples to search."""
+    return samples * pixels > GROWTH.large
+
+
+def spacings(
+    camera: tuple[int, ...], pixels: int, windows: tuple[tuple[int, int], ...]
+) -> tuple[int, ...]:
+    """The spacings from the seeds to all camera pixels; (1,) of a small frame."""
+    rows, cols, *channels = camera
+    samples = rows * cols * (channels[0] if channels else 1)
+    if not is_large(samples, pixels) or windows[0][0] < GROWTH.reach:
+        return (1,)
+    enough = min(rows, cols) // GROWTH.fewest_seeds
+    return next((steps for steps in GROWTH.spacings if enough >= steps[0]), (1,))

@@ -1,0 +1,221 @@
+"""How much memory and time an estimate takes, by its size.
+
+`python -m benchmarks.resource_estimate` measures the coefficients: it makes procedural captures of
+many sizes, estimates each in a process of its own on one core (peak of resident memory beyond what
+is loaded anyway, CPU seconds), and fits `COEFFICIENTS` to the measurements. On the machine of these
+measurements (AMD EPYC, 2026-11) they are right within a factor of about 1.5 in memory and 2 in
+time.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+from lightmatrix.estimators.coherent.neighbourhood import PSEUDO_SAMPLES
+from lightmatrix.estimators.coherent.schedule import GROWTH, spacings
+from lightmatrix.estimators.work import TILE_BYTES
+from lightmatrix.resources.disk import SCRATCH_MEMORY_BYTES
+from lightmatrix.solvers.active_set import ActiveSet
+
+# Bytes per unit of `memory_terms` and seconds of one core per unit of `time_terms`, by the method.
+# "growing" is the coherent estimate of large frames, in which light grows from seeds and few rows
+# search all projector pixels.
+COEFFICIENTS: Mapping[str, Mapping[str, Mapping[str, float]]] = {
+    "coherent": {
+        "bytes": {"pixel": 2048, "value": 31, "tile": 0.62, "row": 1580, "sample": 1},
+        "seconds": {
+            "value": 3.0e-7,
+            "row": 2.4e-4,
+            "sample": 7.1e-6,
+            "entry": 5.7e-8,
+            "grey entry": 4.8e-10,
+        },
+    },
+    "growing": {
+        "bytes": {"pixel": 1200, "value": 14, "tile": 0.4, "row": 1310, "sample": 1},
+        "seconds": {
+            "value": 3.0e-7,
+            "row": 2.0e-4,
+            "sample": 5.6e-6,
+            "entry": 4.0e-10,
+            "grey entry": 1.0e-11,
+        },
+    },
+    "plain": {
+        "bytes": {"pixel": 640, "value": 0.71, "row": 400, "sample": 15},
+        "seconds": {"row": 8.8e-6, "sample": 2.2e-7, "entry": 1.9e-11, "grey entry": 8.3e-10},
+    },
+}
+# Share of the rows of a large frame that search all projector pixels again, because the light that
+# grew onto them does not explain their samples. Estimated by hand; it is part of the fit of
+# "growing".
+_UNEXPLAINED_SHARE = 0.003
+# Bytes that Python, the libraries and the patterns take before the estimate begins.
+LOADED_BYTES = 130 << 20
+# Bytes of the smallest tile that a memory limit may lead to. Chosen by hand: rows that are solved
+# together keep all cores busy.
+_LEAST_TILE_BYTES = 8 << 20
+# Rounds after the first one in the measurements of "coherent": eight, the last of them twice.
+_ROUNDS = 9
+
+
+@dataclass(frozen=True)
+class EstimateSize:
+    """How large an estimate is.
+
+    Parameters
+    ----------
+    method : {"coherent", "plain", "other"}
+        coherent; row by row with the active-set solver; or one whose time is not known.
+    camera : (rows, columns, ...)
+        Shape of the camera, channels last.
+    pixels, count : int
+        Projector pixels N, patterns K.
+    grey : bool
+        Whether patterns have grey values, and not only black and white.
+    sample_bytes : int
+        Bytes of one sample of a frame as it is kept: 1, 2 or 4; 5 once it is binned.
+    row_bytes : int
+        Bytes that a row of "other" takes while it is solved.
+    check_bytes : int
+        Bytes that the check of the photographs takes before the estimate.
+    tile_bytes : int
+        Working memory of one tile.
+    windows : tuple of (int, int)
+        Half widths of the windows of the coherent estimate.
+    """
+
+    method: str
+    camera: tuple[int, ...]
+    pixels: int
+    count: int
+    grey: bool
+    sample_bytes: int = 1
+    row_bytes: int = 0
+    check_bytes: int = 0
+    tile_bytes: int = TILE_BYTES
+    windows: tuple[tuple[int, int], ...] = ()
+
+    @property
+    def rows(self) -> int:
+        """Camera samples M."""
+        return math.prod(self.camera)
+
+    @property
+    def kind(self) -> str:
+        """The key of the coefficients that apply."""
+        if self.method == "coherent":
+            return "growing" if self._seed_spacing > 1 else "coherent"
+        return "plain"
+
+    @property
+    def _seed_spacing(self) -> int:
+        """Camera pixels between those that search all projector pixels."""
+        return spacings(self.camera, self.pixels, self.windows)[0]
+
+    @property
+    def solved_row_bytes(self) -> int:
+        """Bytes that one row takes while it is solved."""
+        other = self.method == "other"
+        return self.row_bytes if other else _row_bytes(self.kind, self.count, self.pixels)
+
+    @property
+    def tile_rows(self) -> int:
+        """Rows of one tile."""
+        return max(1, self.tile_bytes // max(1, self.solved_row_bytes))
+
+    def within(self, limit: int) -> EstimateSize:
+        """The same estimate in smaller tiles, as far as these bring it below `limit` bytes."""
+        size = self
+        while size.memory > limit and size.tile_bytes > _LEAST_TILE_BYTES:
+            size = replace(size, tile_bytes=size.tile_bytes // 2)
+        return size
+
+    @property
+    def memory(self) -> int:
+        """Bytes of memory at its peak."""
+        terms = memory_terms(self.kind, self.rows, self.pixels, self.count, self.grey)
+        terms["tile"] = min(self.rows * self.solved_row_bytes, self.tile_bytes)
+        coefficients = COEFFICIENTS[self.kind]["bytes"]
+        samples = self.rows * self.count * (self.sample_bytes - 1) - self.temporary
+        solving = sum(coefficients[name] * terms[name] for name in coefficients) + samples
+        if self.method == "other":
+            solving += terms["tile"]
+        return int(LOADED_BYTES + max(solving, self.check_bytes))
+
+    @property
+    def temporary(self) -> int:
+        """Bytes of temporary files, which hold samples that are too many for memory."""
+        size = self.rows * self.count * self.sample_bytes
+        return size if size > SCRATCH_MEMORY_BYTES else 0
+
+    def seconds(self, cores: int) -> float | None:
+        """Time on some cores; None where it is not known."""
+        if self.method == "other":
+            return None
+        terms = time_terms(self.kind, self.rows, self.pixels, self.count, self.grey)
+        if self.kind == "growing":
+            # The coefficients were measured at the widest spacing of seeds.
+            times = _searching_share(self._seed_spacing) / _searching_share(GROWTH.spacings[0][0])
+            terms |= {name: times * terms[name] for name in terms if "entry" in name}
+        coefficients = COEFFICIENTS[self.kind]["seconds"]
+        return sum(coefficients[name] * terms[name] for name in coefficients) / cores
+
+
+def _searching_share(spacing: int) -> float:
+    """Share of the rows of a large frame that search all projector pixels."""
+    return 1 / spacing**2 + _UNEXPLAINED_SHARE
+
+
+def coherent_row_bytes(count: int, candidates: int = 250) -> int:
+    """Bytes that a row of the coherent estimate takes while it is solved."""
+    # Samples and pseudo-samples twice, and the candidates with their coefficients.
+    return 32 * (count + PSEUDO_SAMPLES.unseen) + 32 * candidates
+
+
+def _row_bytes(kind: str, count: int, pixels: int) -> int:
+    return ActiveSet().row_bytes(count, pixels) if kind == "plain" else coherent_row_bytes(count)
+
+
+def memory_terms(kind: str, rows: int, pixels: int, count: int, grey: bool) -> dict[str, float]:
+    """The quantities that the peak of memory is a sum of."""
+    row_bytes = _row_bytes(kind, count, pixels)
+    values = pixels * (count if kind == "plain" else count + PSEUDO_SAMPLES.unseen)
+    return {
+        "pixel": pixels,
+        "value": values,
+        "grey value": pixels * count * grey,
+        "tile": min(rows * row_bytes, TILE_BYTES),
+        "row": rows,
+        "sample": rows * count,
+    }
+
+
+def time_terms(kind: str, rows: int, pixels: int, count: int, grey: bool) -> dict[str, float]:
+    """The quantities that the time is a sum of."""
+    others = {"row": rows, "sample": rows * count, "grey entry": rows * pixels * count * grey}
+    if kind != "plain":
+        values = pixels * (count + PSEUDO_SAMPLES.unseen)
+        return {"value": values, "entry": rows * pixels, **others}
+    return {"entry": rows * pixels * count, **others}
+
+
+def first_round_cost(rows: int, pixels: int, count: int, grey: bool) -> float:
+    """Time of the first round of a coherent estimate, in units of a later round.
+
+    The first round searches all projector pixels.
+    """
+    terms = time_terms("coherent", rows, pixels, count, grey)
+    coefficients = COEFFICIENTS["coherent"]["seconds"]
+    whole = sum(coefficients[name] * terms[name] for name in coefficients)
+    first = sum(coefficients[name] * terms[name] for name in coefficients if "entry" in name)
+    return _ROUNDS * first / (whole - first)
+
+
+def core_threads() -> int:
+    """Threads that the compiled core uses."""
+    wanted = os.environ.get("RAYON_NUM_THREADS", "")
+    return int(wanted) if wanted.isdecimal() and int(wanted) else os.cpu_count() or 1

@@ -1,0 +1,170 @@
+"""The settings of an estimate, which check themselves."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+from lightmatrix.capture.capture import Capture
+from lightmatrix.errors import InputError
+from lightmatrix.estimators.coherent.estimator import WORTH_IT_UP_TO
+from lightmatrix.ranges import check_at_least_one, check_number
+from lightmatrix.resources.memory import memory_bytes
+from lightmatrix.solvers import ADMM, ROMP, ActiveSet, Fidelity, SaturationADMM, Solver
+
+# The solvers by name, each with the fidelity that it has unless the user asks for another.
+SOLVERS = {
+    "active-set": Fidelity.ONE_SIDED,
+    "saturation-admm": Fidelity.ONE_SIDED,
+    "admm": Fidelity.LINEAR,
+    "romp": Fidelity.REJECTION,
+}
+# The largest number of iterations that an estimate accepts. It is beyond what anybody can wait for
+# and fits into 32 bits.
+MOST_ITERATIONS = 1_000_000_000
+# The range of regularizations that an estimate accepts, in units of camera sample. Chosen by hand:
+# float32 samples in any unit lie well within it.
+LEAST_REGULARIZATION, MOST_REGULARIZATION = 1e-20, 1e20
+
+
+@dataclass(frozen=True)
+class EstimateSettings:
+    """How T is estimated; the parameters are those of `estimate`, which explains them.
+
+    Raises
+    ------
+    InputError, SolverError
+        If a parameter is out of range or two of them exclude each other.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> capture = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 32))
+    >>> settings = lm.EstimateSettings(solver="romp")
+    >>> lm.estimate_resources(capture, settings).fits
+    True
+    """
+
+    solver: str = "active-set"
+    fidelity: str | None = None
+    regularization: str | float = "auto"
+    coherent: bool | None = None
+    multi_scale: bool = False
+    background: bool = True
+    signed: bool = False
+    iterations: int | None = None
+    tile_rows: int | None = None
+    memory: int | str | None = None
+    workers: int | None = None
+    cluster: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.solver not in SOLVERS:
+            raise InputError(
+                f"there is no solver {self.solver!r}", hint=f"use one of {', '.join(SOLVERS)}"
+            )
+        if self.fidelity is not None and self.fidelity not in list(Fidelity):
+            raise InputError(
+                f"there is no fidelity {self.fidelity!r}", hint=f"use one of {', '.join(Fidelity)}"
+            )
+        limit = self.iterations
+        if limit is not None and not 1 <= limit <= MOST_ITERATIONS:
+            raise InputError(f"{limit} iterations", hint=f"use 1 to {MOST_ITERATIONS}")
+        self._check_tiles()
+        if self.workers is not None and self.cluster is not None:
+            raise InputError("workers here and a cluster", hint="leave out one of the two")
+        check_at_least_one(workers=self.workers)
+        self._check_regularization()
+        reason = self._reason_against_coherent
+        if self.coherent and reason is not None:
+            raise InputError(f"the coherent estimate {reason}", hint="leave out one of the two")
+        _ = self.row_solver  # Checks that solver and fidelity fit each other.
+
+    @cached_property
+    def row_solver(self) -> Solver:
+        """The solver with its fidelity and iteration limit."""
+        fidelity = SOLVERS[self.solver] if self.fidelity is None else Fidelity(self.fidelity)
+        limit = {} if self.iterations is None else {"max_iterations": self.iterations}
+        if self.solver == "active-set":
+            passes = ActiveSet.max_passes if self.iterations is None else self.iterations
+            return ActiveSet(fidelity, max_passes=passes)
+        if self.solver == "romp":
+            return ROMP(fidelity=fidelity, **limit)
+        if self.solver == "saturation-admm":
+            return SaturationADMM(fidelity=fidelity, **limit)
+        if fidelity is not Fidelity.LINEAR:
+            raise InputError(
+                f"the solver admm cannot use the fidelity {fidelity}",
+                hint="use the solver saturation-admm, or the fidelity linear",
+            )
+        return ADMM(**limit)
+
+    @property
+    def memory_limit(self) -> int | None:
+        """Bytes of memory that the estimate may take; None: no limit."""
+        return memory_bytes(self.memory) if isinstance(self.memory, str) else self.memory
+
+    def is_coherent(self, capture: Capture) -> bool:
+        """Whether the camera pixels of a capture learn from their neighbours."""
+        if self.coherent is not None:
+            return self.coherent
+        suits = self._reason_against_coherent is None and self.regularization != "path"
+        return suits and capture.count <= WORTH_IT_UP_TO
+
+    def check_cluster_output(self, output: str | Path | None) -> None:
+        """Refuse a cluster without an output, beside which its workers write their tiles."""
+        if self.cluster is not None and output is None:
+            raise InputError(
+                "a cluster needs an output, beside which its workers write their tiles",
+                hint="give an output on a file system that all of them share",
+            )
+
+    def _check_tiles(self) -> None:
+        if self.tile_rows is not None and self.tile_rows < 1:
+            raise InputError(f"tiles of {self.tile_rows} rows", hint="use at least 1")
+        limits = {"tile rows": self.tile_rows, "a memory limit": self.memory}
+        names = [name for name, value in limits.items() if value is not None]
+        if len(names) > 1:
+            raise InputError(" and ".join(names), hint="leave out one of the two")
+        if self.multi_scale and names:
+            raise InputError(
+                f"{names[0]} with the multi-scale estimate, which solves strips of camera blocks",
+                hint="leave out one of the two",
+            )
+        limit = self.memory_limit
+        if limit is not None and limit < 1:
+            raise InputError(f"a memory limit of {limit} bytes", hint="give one such as 4GiB")
+
+    def _check_regularization(self) -> None:
+        value = self.regularization
+        if value == "path" and self.coherent:
+            raise InputError(
+                "the regularization path is for rows by themselves, not for the coherent estimate",
+                hint="leave out one of the two",
+            )
+        if not isinstance(value, str):
+            check_number(
+                "a regularization",
+                value,
+                least=LEAST_REGULARIZATION,
+                most=MOST_REGULARIZATION,
+                hint="use auto, path or a positive number in units of camera sample, such as 0.3",
+            )
+        elif value not in ("auto", "path"):
+            raise InputError(
+                f"a regularization of {value!r}", hint="use auto, path or a number such as 0.3"
+            )
+
+    @property
+    def _reason_against_coherent(self) -> str | None:
+        """Why these settings exclude the coherent estimate; None if they do not."""
+        if self.multi_scale:
+            return "looks for light in its own way, not by multi-scale"
+        if self.solver != "active-set":
+            return f"needs the solver active-set, not {self.solver}"
+        if self.signed:
+            return "needs light that is not negative, not signed"
+        if not self.background:
+            return "needs the background, which was turned off"
+        return None

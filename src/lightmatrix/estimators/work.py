@@ -1,0 +1,176 @@
+"""An estimate as work: steps, each of tiles of rows, solved here or by other processes."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Protocol, Self
+
+from lightmatrix.capture.capture import Capture
+from lightmatrix.store import ROWS, Checkpoint
+from lightmatrix.store.tiles import Span, unfinished_spans
+from lightmatrix.transport.sparse_rows import SparseRows
+
+# Called with (done, total) rows.
+Progress = Callable[[int, int], None]
+# Solves the rows start..stop of a step.
+SolveTile = Callable[[int, int], SparseRows]
+# Reads all rows of a finished step by its name.
+ReadStep = Callable[[str], SparseRows]
+
+# Bytes of working memory of one tile. Half a gigabyte is chosen by hand: it holds enough rows to
+# keep all cores busy, and lies well below the 4 GiB that any estimate may take.
+TILE_BYTES = 512 << 20
+# Rows of the smallest tile that a step is cut into so that every worker gets some. Chosen by hand:
+# smaller tiles cost more to hand out than to solve.
+LEAST_TILE = 64
+
+
+class Work(Protocol):
+    """An estimate as steps, each of tiles of rows: what is solved, and after what.
+
+    It may travel to other processes, so it holds only the capture and parameters.
+    """
+
+    @property
+    def capture(self) -> Capture:
+        """The capture that T is estimated from."""
+
+    @property
+    def steps(self) -> Mapping[str, tuple[str, ...]]:
+        """The steps by name, each with the steps that must be finished before it.
+
+        The last one is `ROWS`, the result. A name has lower case letters, digits and hyphens.
+        """
+
+    def tiles(self, step: str, parts: int = 1, *, shrinking: bool = False) -> Iterator[Span]:
+        """The rows start..stop of the tiles of a step, in order.
+
+        There are at least `parts` tiles where the step can be cut so. With `shrinking` they get
+        smaller towards the end, so that all workers finish at about the same time.
+        """
+
+    def prepare(self, step: str, read: ReadStep) -> SolveTile:
+        """Prepare a step, and return the function that solves its rows start..stop.
+
+        It may `read` the rows of the steps before. A row depends on these, on its samples and on
+        nothing else, whichever tile it is in.
+        """
+
+    def progress_of(self, step: str, start: int = 0) -> Progress | None:
+        """What to call with the solved rows of a step from `start` on; None if nobody listens."""
+
+    def without_progress(self) -> Work:
+        """The same work without progress reports, which cannot travel."""
+
+
+@dataclass(frozen=True, eq=False)
+class OneStep(ABC):
+    """A `Work` of one step, whose rows depend on their own samples alone."""
+
+    capture: Capture
+    progress: Progress | None
+
+    @property
+    def steps(self) -> Mapping[str, tuple[str, ...]]:
+        """The result alone."""
+        return {ROWS: ()}
+
+    @abstractmethod
+    def tiles(self, step: str, parts: int = 1, *, shrinking: bool = False) -> Iterator[Span]:
+        """The rows start..stop of the tiles, in order; see `Work`."""
+
+    @abstractmethod
+    def solve(self, start: int, stop: int) -> SparseRows:
+        """The rows start..stop."""
+
+    def prepare(self, step: str, read: ReadStep) -> SolveTile:
+        """Return `solve`; nothing comes before it."""
+        return self.solve
+
+    def progress_of(self, step: str, start: int = 0) -> Progress | None:
+        """What to call with the solved rows from `start` on; None if nobody listens."""
+        progress, total = self.progress, self.capture.rows
+        return None if progress is None else lambda done, _: progress(start + done, total)
+
+    def without_progress(self) -> Self:
+        """The same work without progress reports."""
+        return replace(self, progress=None)
+
+
+class WorkerPool(Protocol):
+    """Other processes that solve tiles, and write them where the checkpoint keeps them."""
+
+    @property
+    def parts(self) -> int:
+        """Into how many tiles a step is cut at least, so that every worker has some."""
+
+    def solve(self, work: Work, step: str, spans: list[Span], checkpoint: Checkpoint) -> None:
+        """Solve tiles of a step, and count them as finished."""
+
+
+@dataclass(frozen=True, eq=False)
+class TilesInMemory:
+    """Finished tiles of an estimate without an output; does what a `Checkpoint` does."""
+
+    rows: dict[str, dict[Span, SparseRows]] = field(default_factory=dict)
+
+    def spans(self, step: str = ROWS) -> list[Span]:
+        """Rows of the finished tiles of a step, in order."""
+        return sorted(self.rows.get(step, {}))
+
+    def write(self, start: int, stop: int, rows: SparseRows, step: str = ROWS) -> None:
+        """Keep a finished tile."""
+        self.rows.setdefault(step, {})[start, stop] = rows
+
+    def read(self, step: str) -> SparseRows:
+        """All tiles of a step, joined."""
+        tiles = self.rows[step]
+        return SparseRows.joined([tiles[span] for span in sorted(tiles)])
+
+    def forget(self, step: str) -> None:
+        """Throw away the tiles of a step."""
+        self.rows.pop(step, None)
+
+
+def complete(
+    work: Work,
+    finished: Checkpoint | TilesInMemory,
+    step: str = ROWS,
+    pool: WorkerPool | None = None,
+) -> None:
+    """Solve the missing tiles of a step and of the steps before it, by a pool of workers or here.
+
+    Each tile is kept in `finished` as soon as it is solved. Steps that no other step needs any more
+    are thrown away.
+    """
+    parts = 1 if pool is None else pool.parts
+    missing = unfinished_spans(work.tiles(step, parts, shrinking=True), finished.spans(step))
+    if not missing:
+        return
+    for before in work.steps[step]:
+        complete(work, finished, before, pool)
+    if pool is not None:
+        assert isinstance(finished, Checkpoint), "workers write their tiles into its folder"
+        pool.solve(work, step, missing, finished)
+    else:
+        solve_tile = work.prepare(step, finished.read)
+        for start, stop in missing:
+            finished.write(start, stop, solve_tile(start, stop), step)
+    for before in work.steps[step]:
+        if [name for name, needed in work.steps.items() if before in needed] == [step]:
+            finished.forget(before)
+
+
+def cut_rows(rows: int, most: int, parts: int = 1, shrinking: bool = False) -> Iterator[Span]:
+    """Cut rows into tiles of at most `most`, in `parts` or more; see `Work.tiles`."""
+    start, even = 0, -(-rows // parts)
+    while start < rows:
+        size = even
+        if shrinking and parts > 1:
+            # A share of the rows that remain, but at least half of an equal part.
+            size = max(-(-even // 2), -(-2 * (rows - start) // max(4, parts)))
+        stop = min(rows, start + max(1, min(most, max(LEAST_TILE, size))))
+        yield start, stop
+        start = stop
