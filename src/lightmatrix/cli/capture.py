@@ -1,4 +1,4 @@
-"""`lightmatrix capture`: a scene photographed under patterns by a rig."""
+"""`lightmatrix capture`: photographs a scene under patterns with a rig."""
 
 from __future__ import annotations
 
@@ -47,39 +47,42 @@ def capture(
         typer.Option(help="Share of lit pixels of random patterns.", show_default="as measured"),
     ] = None,
     cell: Annotated[
-        int, typer.Option(help="Projector pixels of a side of each pattern pixel.")
+        int, typer.Option(help="Projector pixels along a side of each pattern pixel.")
     ] = 1,
     exposure: Annotated[
         float | None,
-        typer.Option(help="Seconds, for all frames.", show_default="as measured, several perhaps"),
+        typer.Option(
+            help="Exposure of all frames, in seconds.", show_default="as measured, possibly several"
+        ),
     ] = None,
     settle: Annotated[
         float | None,
         typer.Option(help="Seconds to wait after showing a pattern.", show_default="as measured"),
     ] = None,
     response: Annotated[
-        str, typer.Option(help="Of the camera: linear, gamma:2.2, srgb, FILE.")
+        str, typer.Option(help="Response of the camera: linear, gamma:2.2, srgb, FILE.")
     ] = "linear",
     patience: Patience = USUAL_PATIENCE,
     rig_file: RigFile = Path(RIG_FILE),
     check: Annotated[
-        bool, typer.Option(help="Keep only frames that are shown to be their pattern's.")
+        bool, typer.Option(help="Keep only frames that are proved to show their pattern.")
     ] = True,
     reference_every: Annotated[
         int, typer.Option(help="Frames between two looks at black and white; 0 for none.")
     ] = USUAL_REFERENCE,
     store: Annotated[
         Path | None,
-        typer.Option("--estimate", help="Estimate T too, into this store, ending in .zarr."),
+        typer.Option("--estimate", help="Also estimate T, into this .zarr store."),
     ] = None,
     seed: Seed = 0,
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
-    """Photograph patterns by a rig; interrupted runs go on.
+    """Photograph patterns with a rig; interrupted runs go on.
 
-    The rig is measured first (settle time, exposures, flicker, response, linearity) and looked
-    over when it is known. Frames that are late, torn, lost or copied are taken again.
+    The rig is measured first: settle time, exposures, flicker, response and linearity. Later
+    captures only check these by a short look. Frames that are late, torn, lost or copied are taken
+    again.
     """
     settings = lm.CaptureSettings(
         cell=cell,
@@ -111,27 +114,27 @@ def capture(
             progress=shown.photographed,
             measuring=shown.measured,
         )
-    told: dict[str, Any] = {"output": output, "clipped_share": captured.clipped_share}
-    told |= captured.provenance
+    summary: dict[str, Any] = {"output": output, "clipped_share": captured.clipped_share}
+    summary |= captured.provenance
     if not as_json:
-        _show(told)
+        _show(summary)
     if store is not None:
         with progress("estimating", "rows") as report:
             transport = lm.estimate(captured, output=store, overwrite=overwrite, progress=report)
-        told["estimate"] = {"output": store, **transport.summary()}
+        summary["estimate"] = {"output": store, **transport.summary()}
         if not as_json:
-            say(f"its matrix in {store}")
+            say(f"light transport matrix in {store}")
     if as_json:
-        show_json(told)
+        show_json(summary)
 
 
-def _show(told: dict[str, Any]) -> None:
-    checks = ", ".join(f"{number} {check}" for check, number in told["checks"].items())
+def _show(summary: dict[str, Any]) -> None:
+    checks = ", ".join(f"{number} {check}" for check, number in summary["checks"].items())
     say(
-        f"{told['frames']} frames in {told['output']} ({checks}), "
-        f"{100 * told['clipped_share']:.1f} % of the samples clipped"
+        f"{summary['frames']} frames in {summary['output']} ({checks}), "
+        f"{100 * summary['clipped_share']:.1f} % of the samples clipped"
     )
-    again = told["photographed_again"]
+    again = summary["photographed_again"]
     if again:
         say(f"{sum(again.values())} photographs were taken again:")
         for reason, number in sorted(again.items(), key=lambda item: -item[1]):

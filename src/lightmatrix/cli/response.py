@@ -1,4 +1,4 @@
-"""`lightmatrix response`: the curve of a camera or a projector, from photographs."""
+"""`lightmatrix response`: measures the curve of a camera or a projector from photographs."""
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ if TYPE_CHECKING:
     from lightmatrix import CameraResponse, ProjectorResponse
 
 Method = Literal["debevec", "robertson"]
-# Beyond it, a curve misses more than estimates should.
+# Warnings name a misfit, or a difference between channels, above these shares of full light.
+# Estimates would be off by as much.
 _MISFIT, _CHANNELS = 0.02, 0.03
 
 
@@ -31,7 +32,7 @@ def response(
     ],
     output: Annotated[Path, typer.Option("-o", "--output", help="The curve to write: .json.")],
     picture: Annotated[
-        Path | None, typer.Option("--picture", help="A picture of the curve as well: .png.")
+        Path | None, typer.Option("--picture", help="A picture of the curve to write: .png.")
     ] = None,
     exposure: Annotated[
         str | None,
@@ -42,7 +43,8 @@ def response(
         ),
     ] = None,
     method: Annotated[
-        Method, typer.Option(help="Debevec's curve is smooth; Robertson's follows bends.")
+        Method,
+        typer.Option(help="Debevec's curve is smooth; Robertson's is rough and follows bends."),
     ] = "debevec",
     black: Annotated[
         str | None,
@@ -77,14 +79,14 @@ def response(
     """Measure the response of a camera, or of a projector.
 
     Photograph a scene that does not change, with dark and bright parts, at 5 to 9 exposures, each
-    about twice the one before. The curve is for `estimate`, `check` and `plan --response`, and for
-    capture.json. With --projector, photograph grey values from black to white at one exposure
-    (--response says the camera's curve); that curve is for --projector-response.
+    about twice the one before. Give the curve to `estimate`, `check` and `plan` as --response, or
+    name it in capture.json. With --projector, photograph grey values from black to white at one
+    exposure (--response is the camera's curve), and use the result as --projector-response.
     """
     if projector:
         _refuse("--projector", {"--exposure": exposure, "--black": black})
         grey = None if levels is None else numbers(levels, "--levels")
-        ramp = lm.projector_response(
+        measured = lm.projector_response(
             photographs,
             [grey] if isinstance(grey, float) else grey,
             response=camera,
@@ -93,10 +95,10 @@ def response(
             picture=picture,
             overwrite=overwrite,
         )
-        _show_projector(ramp, output, picture, as_json)
+        _show_projector(measured, output, picture, as_json)
         return
     _refuse("a camera's curve", {"--levels": levels, "--response": camera})
-    found = lm.camera_response(
+    camera_curve = lm.camera_response(
         photographs,
         None if exposure is None else numbers(exposure, "--exposure"),
         method=method,
@@ -106,44 +108,46 @@ def response(
         picture=picture,
         overwrite=overwrite,
     )
-    _show_camera(found, output, picture, as_json)
+    _show_camera(camera_curve, output, picture, as_json)
 
 
 def _refuse(what: str, options: dict[str, str | None]) -> None:
-    given = [name for name, value in options.items() if value is not None]
-    if given:
+    unfit = [name for name, value in options.items() if value is not None]
+    if unfit:
         hint = "leave it out" if what == "--projector" else "add --projector, or leave it out"
-        raise InputError(f"{given[0]} does not go with {what}", hint=hint)
+        raise InputError(f"{unfit[0]} does not go with {what}", hint=hint)
 
 
 def _show_projector(
-    found: ProjectorResponse, output: Path, picture: Path | None, as_json: bool
+    measured: ProjectorResponse, output: Path, picture: Path | None, as_json: bool
 ) -> None:
     if as_json:
-        show_json({"output": output, "picture": picture, "gamma": found.gamma})
+        show_json({"output": output, "picture": picture, "gamma": measured.gamma})
         return
-    say(f"{output}: the projector's gamma is about {found.gamma:.2f}")
+    say(f"{output}: the projector's gamma is about {measured.gamma:.2f}")
     say(f"use it with: lightmatrix estimate ... --projector-response {output}")
 
 
-def _show_camera(found: CameraResponse, output: Path, picture: Path | None, as_json: bool) -> None:
+def _show_camera(
+    measured: CameraResponse, output: Path, picture: Path | None, as_json: bool
+) -> None:
     if as_json:
-        show_json({"output": output, "picture": picture, **found.as_dict()})
+        show_json({"output": output, "picture": picture, **measured.as_dict()})
         return
     say(
-        f"{output}: the camera's gamma is about {found.gamma:.2f}; the curve is known to "
-        f"{100 * max(found.uncertainty, found.misfit):.1f} % of full light"
+        f"{output}: the camera's gamma is about {measured.gamma:.2f}; the curve is known to "
+        f"{100 * max(measured.uncertainty, measured.misfit):.1f} % of full light"
     )
-    if not found.misfit <= _MISFIT:
+    if not measured.misfit <= _MISFIT:
         say(
-            f"its light is up to {100 * found.misfit:.0f} % off growing with the exposure: did the "
-            "scene, the light or a setting of the camera (ISO, aperture, white balance, "
+            f"its light is up to {100 * measured.misfit:.0f} % off growing with the exposure: did "
+            "the scene, the light or a setting of the camera (ISO, aperture, white balance, "
             "contrast) change between the photographs?",
             style="yellow",
         )
-    if found.channels is not None and found.channels > _CHANNELS:
+    if measured.channels is not None and measured.channels > _CHANNELS:
         say(
-            f"the curves of the channels differ by up to {100 * found.channels:.0f} % of full "
+            f"the curves of the channels differ by up to {100 * measured.channels:.0f} % of full "
             "light, and one for all is a compromise: turn colour enhancement and white balance off",
             style="yellow",
         )

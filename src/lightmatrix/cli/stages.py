@@ -1,4 +1,4 @@
-"""Progress of work at a rig: one bar at a time, whatever it is busy with."""
+"""Progress of a rig: one bar at a time for measuring and photographing."""
 
 from __future__ import annotations
 
@@ -8,43 +8,43 @@ from typing import Any
 
 from lightmatrix.cli.terminal import progress
 
-# Between the stages that count something.
+# Title of the bar between the stages that count something.
 _BETWEEN = "looking at the rig"
 
 
 class Stages:
-    """Shows the bar of the stage that was told of last; made by `stages`."""
+    """Shows the bar of the latest stage; made by `stages`."""
 
     def __init__(self, shown: ExitStack) -> None:
         self._shown = shown
-        self._what = ""
+        self._title = ""
         self._bar: Callable[..., None]
         self._begin(_BETWEEN, "looks")
 
     def measured(self, part: str, done: int, total: int) -> None:
-        """A part of the rig is being measured."""
-        self._tell(f"measuring {part}", "looks", done, total)
+        """Progress of measuring a part of the rig."""
+        self._update(f"measuring {part}", "looks", done, total)
         if done == total:
             self._begin(_BETWEEN, "looks")
 
     def photographed(self, step: Any) -> None:
-        """A frame was taken; see `lightmatrix.live.session.Step`."""
+        """Progress of a capture after a frame, a `lightmatrix.live.session.Step`."""
         note = f"{100 * step.clipped:.1f} % clipped, {step.check}"
-        self._tell("photographing", "frames", step.done, step.total, note)
+        self._update("photographing", "frames", step.done, step.total, note)
 
-    def _tell(self, what: str, unit: str, done: int, total: int, note: str = "") -> None:
-        if what != self._what:
-            self._begin(what, unit)
+    def _update(self, title: str, unit: str, done: int, total: int, note: str = "") -> None:
+        if title != self._title:
+            self._begin(title, unit)
         self._bar(done, total, note)
 
-    def _begin(self, what: str, unit: str) -> None:
-        # Two bars at once would write over each other.
+    def _begin(self, title: str, unit: str) -> None:
+        # Two bars at once would overwrite each other.
         self._shown.close()
-        self._what, self._bar = what, self._shown.enter_context(progress(what, unit))
+        self._title, self._bar = title, self._shown.enter_context(progress(title, unit))
 
 
 @contextmanager
 def stages() -> Iterator[Stages]:
-    """Bars with rate and time left on a terminal; silent elsewhere."""
+    """Show bars with rate and time left on a terminal, and nothing elsewhere."""
     with ExitStack() as shown:
         yield Stages(shown)

@@ -18,13 +18,7 @@ Photographs = str | Path | NDArray[Any]
 
 
 def open_photographs(source: Photographs) -> Frames:
-    """Photographs of a folder, of one file of several, or in memory.
-
-    Raises
-    ------
-    InputError
-        On files that cannot be read, or arrays that are none of (K, rows, cols[, 3]).
-    """
+    """Open photographs of a folder or of a stack, or take an array (K, rows, cols[, 3])."""
     if isinstance(source, str | Path):
         return ImageStack.open(source)
     if source.ndim not in (3, 4) or source.dtype not in (np.uint8, np.uint16, np.float32):
@@ -35,17 +29,11 @@ def open_photographs(source: Photographs) -> Frames:
     return ArrayStack(source)
 
 
-def exposures_of(frames: Frames, said: float | NDArray[Any] | None) -> NDArray[np.float64]:
-    """Exposure of each photograph, (K,): as said, or as the camera wrote it into the files.
-
-    Raises
-    ------
-    InputError
-        If they are unknown, not one a photograph, or no positive numbers.
-    """
-    if said is None:
-        return _written(frames)
-    exposures = np.atleast_1d(np.asarray(said, np.float64))
+def exposures_of(frames: Frames, stated: float | NDArray[Any] | None) -> NDArray[np.float64]:
+    """Exposure of each photograph, (K,): the stated ones, or those in the files of the camera."""
+    if stated is None:
+        return _from_files(frames)
+    exposures = np.atleast_1d(np.asarray(stated, np.float64))
     if exposures.shape != (frames.count,):
         raise InputError(
             f"{exposures.size} exposures for {frames.count} photographs",
@@ -59,7 +47,7 @@ def exposures_of(frames: Frames, said: float | NDArray[Any] | None) -> NDArray[n
 
 
 def level_or_median(black: str | Path | float | None) -> float:
-    """The level without light: a number, or the median of a photograph; 0 if nothing is said."""
+    """The level without light: a number, the median of a photograph, or 0 for None."""
     if black is None:
         return 0.0
     if isinstance(black, int | float):
@@ -67,13 +55,13 @@ def level_or_median(black: str | Path | float | None) -> float:
     return float(np.median(read_image(black)))
 
 
-def _written(frames: Frames) -> NDArray[np.float64]:
+def _from_files(frames: Frames) -> NDArray[np.float64]:
     paths = frames.paths if isinstance(frames, ImageStack) else ()
-    found = [exposure_time(path) for path in paths if isinstance(path, Path)]
-    if not found or None in found:
-        which = f"{paths[found.index(None)]}: " if None in found else ""
+    times = [exposure_time(path) for path in paths if isinstance(path, Path)]
+    if not times or None in times:
+        which = f"{paths[times.index(None)]}: " if None in times else ""
         raise InputError(
             f"{which}how long the photographs were exposed is not known",
             hint="say it, --exposure 1,2,4,8 in any unit, in the order of the photographs",
         )
-    return np.array(found, np.float64)
+    return np.array(times, np.float64)

@@ -1,56 +1,34 @@
-"""Pictures of responses: light over level, and how far to trust it."""
+"""Pictures of measured responses: light over level, and how far to trust it."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import matplotlib as mpl
 import numpy as np
-from numpy.typing import NDArray
 
+from lightmatrix.calibration.responses.curve_fit import Residuals
 from lightmatrix.camera.camera_curve import Response
 from lightmatrix.patterns.projector_curve import ProjectorResponse
 from lightmatrix.pictures.style import COLOURS, STYLE
 from lightmatrix.pictures.transport import Picture
 
 
-@dataclass(frozen=True, eq=False)
-class Residuals:
-    """How far light is from growing with the exposure.
-
-    Parameters
-    ----------
-    light : (n,) float64
-        Middle of each range of light.
-    off : (n,) float64
-        Mean over its pixels, as a share of full light.
-    """
-
-    light: NDArray[np.float64]
-    off: NDArray[np.float64]
-
-    @property
-    def largest(self) -> float:
-        """The largest of them; NaN if there are none."""
-        return float(np.abs(self.off).max()) if len(self.off) else float("nan")
-
-
 def draw_camera_response(response: Response, residuals: Residuals, gamma: float) -> Picture:
-    """A camera's curve beside known ones, and what its light misses of being proportional."""
+    """A camera's curve beside known ones, and its residuals."""
     with mpl.rc_context(STYLE):
         drawing = Picture(figsize=(7.2, 3.2), layout="constrained")
-        curve, misses = drawing.subplots(1, 2)
+        curve, deviations = drawing.subplots(1, 2)
         top = response.full_scale or 1.0
         share = np.linspace(0, 1, 256)
         curve.plot(top * share, response.linearise(share), color=COLOURS[0], label="measured")
         _known(curve, top, gamma)
         curve.set(xlabel="raw level", ylabel="light", title="Response of the camera")
         curve.legend()
-        misses.axhline(0, color="0.7", linewidth=0.8)
-        misses.plot(residuals.light, 100 * residuals.off, "o-", color=COLOURS[1], markersize=4)
+        deviations.axhline(0, color="0.7", linewidth=0.8)
+        deviations.plot(residuals.light, 100 * residuals.off, "o-", color=COLOURS[1], markersize=4)
         most = max(1.0, 120 * residuals.largest)
-        misses.set(
+        deviations.set(
             xlabel="light", ylabel="% of full light", xlim=(0, 1), ylim=(-most, most),
             title="Light of a pixel, less what its exposure says",
         )  # fmt: skip
@@ -58,7 +36,7 @@ def draw_camera_response(response: Response, residuals: Residuals, gamma: float)
 
 
 def draw_projector_response(response: ProjectorResponse) -> Picture:
-    """A projector's light over the grey values that it was given."""
+    """A projector's light over its grey values."""
     with mpl.rc_context(STYLE):
         drawing = Picture(figsize=(3.8, 3.2), layout="constrained")
         curve = drawing.subplots()

@@ -1,4 +1,4 @@
-"""The projector's response from photographs of a ramp: one grey value all over in each."""
+"""The projector's response from photographs of a ramp: each shows one grey value all over."""
 
 from __future__ import annotations
 
@@ -19,10 +19,12 @@ from lightmatrix.outputs.kinds import PICTURE, RESPONSE
 from lightmatrix.outputs.writing import check_output
 from lightmatrix.patterns.projector_curve import ProjectorResponse
 
+# The fewest photographs of a ramp; a curve with a bend needs as many.
 _FEWEST = 5
 _WHITE = 255
-# Fewer lit samples, or less light over black, are not the projector's.
-_FEWEST_LIT, _SEEN = 20, 0.02
+# The projector lights the scene if so many samples are lit, and white is above black by this share
+# of the clip level.
+_FEWEST_LIT, _VISIBLE = 20, 0.02
 
 
 def projector_response(
@@ -43,16 +45,16 @@ def projector_response(
         At least 5 photographs at one exposure, each of one grey value all over the projector: a
         folder, a stack, or (K, rows, cols[, 3]) levels.
     levels : (K,), optional
-        The grey values, whole numbers increasing from 0 to 255; None: evenly spaced.
+        The grey values, whole numbers increasing from 0 to 255. None: evenly spaced.
     response : Response or str, optional
-        Of the camera, see `Response.parse`; None: linear.
+        The camera's response, see `Response.parse`. None: linear.
     clip : float, optional
-        Raw level at which the camera clips; None: the end of the range of the files, or of its
-        response.
+        Raw level at which the camera clips. None: the end of the range of the files, or of the
+        camera's response.
     output : str or Path, optional
-        A .json file of the curve to write as well.
+        A .json file of the curve to write.
     picture : str or Path, optional
-        A .png picture of it to write as well.
+        A .png picture of the curve to write.
     overwrite : bool
         Whether existing files may be replaced.
 
@@ -63,7 +65,7 @@ def projector_response(
     Raises
     ------
     InputError
-        On photographs that cannot be read, grey values that do not fit them, or too little light.
+        If photographs cannot be read, grey values do not fit them, or there is too little light.
     OutputError
         If a file cannot be written.
 
@@ -71,8 +73,8 @@ def projector_response(
     --------
     >>> import lightmatrix as lm
     >>> light = np.linspace(0, 1, 9)[:, None, None] ** 1.8 * np.full((9, 10, 10), 0.8)
-    >>> found = lm.projector_response(np.rint(250 * light + 5).astype(np.uint8))
-    >>> round(found.gamma, 1)
+    >>> measured = lm.projector_response(np.rint(250 * light + 5).astype(np.uint8))
+    >>> round(measured.gamma, 1)
     1.8
     """
     for path, kind in ((output, RESPONSE), (picture, PICTURE)):
@@ -89,7 +91,7 @@ def projector_response(
 
     black, white = light(0), light(frames.count - 1)
     lit = lit_samples(white, black, ceiling)
-    if lit.sum() < _FEWEST_LIT or np.quantile(white - black, 0.99) < _SEEN * ceiling:
+    if lit.sum() < _FEWEST_LIT or np.quantile(white - black, 0.99) < _VISIBLE * ceiling:
         raise InputError(
             f"{frames.name(frames.count - 1)} has only {int(lit.sum())} pixels that the projector "
             "lights and that do not clip",
@@ -97,7 +99,7 @@ def projector_response(
             "darkest grey value first",
         )
     shares = np.array([share_of_white(light(k), white, black, lit) for k in range(frames.count)])
-    falls = np.flatnonzero(np.diff(shares) < -_SEEN)
+    falls = np.flatnonzero(np.diff(shares) < -_VISIBLE)
     if len(falls):
         k = int(falls[0])
         raise InputError(
@@ -105,12 +107,12 @@ def projector_response(
             f"{grey[k + 1]} after {grey[k]}",
             hint="give --levels in the order of the photographs, from 0 to 255",
         )
-    found = ProjectorResponse.of_light(grey, shares)
+    measured = ProjectorResponse.of_light(grey, shares)
     if output is not None:
-        found.save(output, overwrite=overwrite)
+        measured.save(output, overwrite=overwrite)
     if picture is not None:
-        draw_projector_response(found).write(picture, overwrite=overwrite)
-    return found
+        draw_projector_response(measured).write(picture, overwrite=overwrite)
+    return measured
 
 
 def _grey(levels: Sequence[float] | NDArray[Any] | None, count: int) -> NDArray[np.int64]:

@@ -1,0 +1,129 @@
+"""Fitting a camera's curve to pixels at several exposures, by OpenCV.
+
+Debevec and Malik (1997) and Robertson, Borman and Stevenson (2003) find the light of each level up
+to a common factor, because a pixel's light grows with the exposure.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import isotonic_regression
+
+from lightmatrix.calibration.responses.pixel_series import TOP, PixelSeries
+from lightmatrix.errors import MissingExtraError
+
+METHODS = ("debevec", "robertson")
+# Weight of the smoothness of Debevec's curve. tests/calibration/test_responses.py and
+# `python -m benchmarks.response_curves` measure the errors that it leaves.
+_SMOOTHNESS = 50.0
+# Debevec's equations are solved as a dense system. These limit it: pixels along a side of a square
+# of them, and equations (pixels times exposures).
+_SIDE, _EQUATIONS = 17, 3000
+# Pixels that Robertson's method gets; it takes longer with more.
+_PIXELS = 10_000
+# Robertson's iterations: the most, and the change of the curve at which they end.
+_ITERATIONS, _TOLERANCE = 100, 1e-4
+# Beyond the trusted levels, the curve goes on as the line through this many levels at its end.
+_END = 12
+# Residuals are averaged over this many ranges of light, of which each needs so many pixels.
+_BINS, _FEWEST_IN_BIN = 16, 30
+
+
+@dataclass(frozen=True, eq=False)
+class Residuals:
+    """How far the light of pixels departs from growing with the exposure.
+
+    Parameters
+    ----------
+    light : (n,) float64
+        Middle of each range of light.
+    off : (n,) float64
+        Mean over its pixels, as a share of full light.
+    """
+
+    light: NDArray[np.float64]
+    off: NDArray[np.float64]
+
+    @property
+    def largest(self) -> float:
+        """The largest of them; NaN if there are none."""
+        return float(np.abs(self.off).max()) if len(self.off) else float("nan")
+
+
+def fit_curve(series: PixelSeries, method: str) -> NDArray[np.float64]:
+    """Light of the levels 0 to 255: 0 without light, 1 at the clip level, never decreasing."""
+    fitted = _debevec(series) if method == "debevec" else _robertson(series)
+    low, high = series.lowest, series.highest
+    levels = np.arange(TOP + 1)
+    known = np.isfinite(fitted) & (fitted > 0) & (levels >= low) & (levels <= high)
+    # Debevec's curve is smooth, so it also holds for levels that no pixel had.
+    known &= np.isin(levels, series.values[series.trusted]) | (method == "debevec")
+    light = np.interp(levels, levels[known], fitted[known])
+    low, high = int(levels[known][0]), int(levels[known][-1])
+    # Noise and clipping bend both ends of the curve, so straight lines replace them.
+    end = slice(high - _END, high + 1)
+    slope, start = np.polyfit(levels[end], light[end], 1)
+    light[high:] = (start + slope * levels)[high:]
+    light[: low + 1] = light[low] * np.clip((levels[: low + 1] - series.black), 0, None)
+    light[: low + 1] /= low - series.black
+    rising = np.asarray(isotonic_regression(light).x)
+    return np.asarray(np.clip(rising / rising[-1], 0, 1))
+
+
+def measure_residuals(curve: NDArray[np.float64], series: PixelSeries) -> Residuals:
+    """How far each pixel's light is from growing with the exposure, over ranges of light."""
+    light, times = curve[series.values], series.exposures[:, None]
+    weight = series.trusted.astype(np.float64)
+    per_exposure = (weight * light * times).sum(axis=0) / (weight * times**2).sum(axis=0)
+    expected = per_exposure * times
+    trusted = series.trusted & (expected <= 1)
+    bins = np.minimum((expected[trusted] * _BINS).astype(int), _BINS - 1)
+    count = np.bincount(bins, minlength=_BINS)
+    total = np.bincount(bins, (light - expected)[trusted], _BINS)
+    keep = count >= _FEWEST_IN_BIN
+    centre = (np.arange(_BINS) + 0.5) / _BINS
+    return Residuals(centre[keep], total[keep] / count[keep])
+
+
+def nearest_gamma(curve: NDArray[np.float64], series: PixelSeries) -> float:
+    """The exponent of the power of the level that is nearest to a curve."""
+    share = (np.arange(TOP + 1) - series.black) / (TOP - series.black)
+    part = (share > 0.1) & (share < 0.99) & (curve > 0)
+    log_light, log_level = np.log(curve[part]), np.log(share[part])
+    return float((log_light @ log_level) / (log_level @ log_level))
+
+
+def _debevec(series: PixelSeries) -> NDArray[np.float64]:
+    cv2 = _opencv()
+    side = min(_SIDE, int(np.sqrt(_EQUATIONS / len(series.exposures))))
+    some = series.some(side * side)
+    # OpenCV takes its samples from a grid over the image; here the grid is the whole image.
+    images = [np.ascontiguousarray(row.reshape(side, side)) for row in some.values]
+    calibrate = cv2.createCalibrateDebevec(side * side, _SMOOTHNESS, False)
+    curve = calibrate.process(images, some.exposures.astype(np.float32))
+    return np.asarray(curve, np.float64).reshape(TOP + 1)
+
+
+def _robertson(series: PixelSeries) -> NDArray[np.float64]:
+    cv2 = _opencv()
+    some = series.some(_PIXELS)
+    # OpenCV's implementation needs images of three channels.
+    images = [np.repeat(row[None, :, None], 3, axis=2) for row in some.values]
+    calibrate = cv2.createCalibrateRobertson(_ITERATIONS, _TOLERANCE)
+    curve = calibrate.process(images, some.exposures.astype(np.float32))
+    return np.asarray(curve, np.float64).reshape(TOP + 1, 3)[:, 0]
+
+
+def _opencv() -> Any:
+    try:
+        import cv2
+    except ImportError as error:
+        raise MissingExtraError(
+            "measuring a camera's response needs OpenCV",
+            hint='install the extra: pip install "lightmatrix[response]"',
+        ) from error
+    return cv2
