@@ -1,1 +1,1 @@
-"""Files: images, outputs that are whole or absent, headers."""
+"""File formats: images and stacks of them, NumPy's files, our JSON files, arrays of Zarr."""

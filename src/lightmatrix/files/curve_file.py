@@ -1,4 +1,4 @@
-"""Measured curves as files: JSON of levels and the light that belongs to each."""
+"""Files of measured response curves: JSON of levels and the light that belongs to each."""
 
 from __future__ import annotations
 
@@ -17,21 +17,22 @@ from lightmatrix.outputs.kinds import RESPONSE, RESPONSE_FORMAT
 from lightmatrix.outputs.writing import atomic_file
 
 _VERSION = 1
-_MOST_POINTS = 65_536
+# Points of a curve: no more than a 16-bit camera has levels. Levels are smaller than the second
+# number, which no device reaches.
+_MOST_POINTS, _MOST_LEVEL = 65_536, 1e9
 
 
 @dataclass(frozen=True, eq=False)
 class CurveFile:
-    """What a file says of a curve.
+    """The response curve of a camera or projector, as a file holds it.
 
     Parameters
     ----------
     device : {"camera", "projector"}
-        What the curve is of.
     levels, light : (n,) float64
-        Points of it: levels that increase, from 0, and light that does not decrease, from 0 to 1.
+        Points of the curve: increasing levels from 0, and light from 0 to 1 that never decreases.
     facts : mapping
-        What else is known of it, JSON-ready.
+        Further entries of the file, JSON-ready.
     """
 
     device: str
@@ -40,13 +41,7 @@ class CurveFile:
     facts: Mapping[str, Any] = field(default_factory=dict)
 
     def save(self, path: str | Path, *, overwrite: bool = False) -> None:
-        """Write it as JSON, whole or not at all.
-
-        Raises
-        ------
-        OutputError
-            If there is a file that is none of them or must not be replaced, or the disk fails.
-        """
+        """Write it as JSON, whole or not at all."""
         content = {
             "format": RESPONSE_FORMAT,
             "version": _VERSION,
@@ -60,19 +55,13 @@ class CurveFile:
 
     @classmethod
     def load(cls, path: str | Path, device: str) -> CurveFile:
-        """Read what `save` wrote of a camera or of a projector.
-
-        Raises
-        ------
-        InputError
-            On a file that is missing, damaged, something else, or of the other device.
-        """
+        """Read what `save` wrote for a camera or for a projector."""
         file = Path(path)
         content = read_json(file, RESPONSE_FORMAT, _VERSION)
         if content.get("device") != device:
-            said = str(content.get("device"))[:20]
+            other = str(content.get("device"))[:20]
             raise InputError(
-                f"{file}: is the response of a {said}, not of a {device}",
+                f"{file}: is the response of a {other}, not of a {device}",
                 hint="`lightmatrix response` measures cameras, with --projector projectors",
             )
         levels, light = _numbers(content.get("levels")), _numbers(content.get("light"))
@@ -87,17 +76,18 @@ class CurveFile:
 
 
 def _short(values: Sequence[float] | NDArray[np.float64]) -> list[float]:
-    """Numbers of as many digits as a measurement has."""
+    """Numbers of seven digits, more than a measurement has."""
     return [float(f"{value:.7g}") for value in values]
 
 
-def _numbers(found: Any) -> NDArray[np.float64] | None:
-    if not isinstance(found, list) or not 2 <= len(found) <= _MOST_POINTS:
+def _numbers(values: Any) -> NDArray[np.float64] | None:
+    """The numbers of a JSON list; None if it is no such list."""
+    if not isinstance(values, list) or not 2 <= len(values) <= _MOST_POINTS:
         return None
-    # True is a number to Python.
-    if any(type(value) not in (int, float) or abs(value) > 1e9 for value in found):
+    # Compared by type, since Python takes True for a number.
+    if any(type(value) not in (int, float) or abs(value) > _MOST_LEVEL for value in values):
         return None
-    return np.array(found, np.float64)
+    return np.array(values, np.float64)
 
 
 def _is_curve(levels: NDArray[np.float64], light: NDArray[np.float64]) -> bool:

@@ -1,4 +1,4 @@
-"""Stacks of images, read one at a time: the files of a folder in natural order, or one file's."""
+"""Stacks of images, read one at a time: the files of a folder in natural order, or pages of one."""
 
 from __future__ import annotations
 
@@ -21,15 +21,10 @@ from lightmatrix.reprs import short_repr
 
 
 def list_images(folder: str | Path) -> list[Path]:
-    """The image files of a folder in natural order (frame 2 before frame 10).
+    """The image files of a folder in natural order (frame 2 before frame 10), all of one format.
 
-    Hidden files and files that are no images are passed over.
-
-    Raises
-    ------
-    InputError
-        If the folder is missing, is a file, or holds no images, images of several formats, or
-        links that lead nowhere, pipes or devices that are named like images.
+    Hidden files and files that are no images are ignored. Links that lead nowhere, pipes and
+    devices that are named like images are refused.
     """
     place = Path(folder)
     if not place.exists():
@@ -42,12 +37,12 @@ def list_images(folder: str | Path) -> list[Path]:
     files = [entry for entry in place.iterdir() if not entry.is_dir() and entry.name[0] != "."]
     images = sorted((file for file in files if file.suffix.lower() in READABLE), key=_natural)
     for file in images:
-        # A link that leads nowhere is a frame that is missing, not a file to pass over.
+        # A link that leads nowhere is a missing frame, not a file to ignore.
         regular_file(file)
     if not images:
         other = sorted({file.suffix for file in files if file.suffix})
-        found = f", only {', '.join(other)} files" if other else ""
-        raise InputError(f"{place}: holds no images{found}", hint=f"convert them to {FORMATS}")
+        only = f", only {', '.join(other)} files" if other else ""
+        raise InputError(f"{place}: holds no images{only}", hint=f"convert them to {FORMATS}")
     suffixes = sorted({file.suffix.lower() for file in images})
     if len(suffixes) > 1:
         raise InputError(
@@ -60,12 +55,7 @@ def list_images(folder: str | Path) -> list[Path]:
 def list_entries(source: str | Path) -> list[Path | Page]:
     """The images of a folder in natural order, or of a file that holds several.
 
-    A folder that holds a single file of several images is taken for that file.
-
-    Raises
-    ------
-    InputError
-        As `list_images` and `pages`.
+    A folder that holds a single file of several images counts as that file.
     """
     place = Path(source)
     if is_stack(place) and not place.is_dir():
@@ -87,15 +77,15 @@ def nonlinear_tag(path: str | Path | Page) -> str | None:
     if file.suffix.lower() != ".png":
         return None
     try:
-        found = png.read_chunks(file.read_bytes())
+        chunks = png.read_chunks(file.read_bytes())
     except (ValueError, OSError):
         return None
     for name, words in ((b"sRGB", "tagged sRGB"), (b"iCCP", "tagged with a colour profile")):
-        if name in found:
+        if name in chunks:
             return words
-    if b"cICP" in found:
+    if b"cICP" in chunks:
         return "tagged with a video colour space"
-    gamma = found.get(b"gAMA", b"")
+    gamma = chunks.get(b"gAMA", b"")
     if len(gamma) == 4 and (value := struct.unpack(">I", gamma)[0]) not in (0, 100000):
         return f"tagged with gamma {100000 / value:.2g}"
     return None
@@ -110,12 +100,12 @@ class ImageStack:
     paths : tuple of Path or Page
         The files, or the pages of one, in the order of the frames.
     shape : (rows, cols) or (rows, cols, 3)
-        Of every image.
+        The shape of each image.
     dtype : numpy.dtype
         uint8, uint16 or float32.
     grey : bool
-        Whether the files hold three channels that are all the same, as grey cameras' JPEG often
-        do; images are then read as one.
+        Whether the files hold three equal channels, as grey cameras' JPEG files often do. Images
+        are then read as one channel.
     mosaic : bool
         Whether raw camera files are read as they are; see `read_image`.
     """
@@ -132,12 +122,9 @@ class ImageStack:
     def open(
         cls, source: str | Path | Sequence[Path | Page], *, mosaic: bool = False
     ) -> ImageStack:
-        """The images of a folder (natural order), of one file, or of a list (its order).
+        """Open the images of a folder (natural order), of one file, or of a list (its order).
 
-        Raises
-        ------
-        InputError
-            If there are none or the first one cannot be read; later ones are checked when read.
+        Only the first image is checked now, the others when they are read.
         """
         paths = list_entries(source) if isinstance(source, (str, Path)) else list(source)
         if not paths:
@@ -153,13 +140,7 @@ class ImageStack:
         return len(self.paths)
 
     def read(self, index: int) -> NDArray[Any]:
-        """Image number `index`, of the stack's shape and dtype.
-
-        Raises
-        ------
-        InputError
-            If it cannot be read, or differs from the first image in shape or type.
-        """
+        """Image number `index`, which must have the shape and type of the first one."""
         path = self.paths[index]
         image = read_entry(path, mosaic=self.mosaic)
         if self.grey:
@@ -185,24 +166,27 @@ class ImageStack:
         return self.paths[index].name
 
     def select(self, index: Sequence[int]) -> ImageStack:
-        """The stack of the images of the given indices."""
+        """The stack of the images with these indices."""
         return replace(self, paths=tuple(self.paths[i] for i in index))
 
 
 def _all_grey(paths: Sequence[Path | Page]) -> bool:
-    """Whether files of three channels are grey, as some of them say that are not one level."""
-    looked = [paths[k] for k in sorted({0, len(paths) // 3, 2 * len(paths) // 3, len(paths) - 1})]
-    telling = 0
-    for path in looked:
+    """Whether files of three channels are grey, by four of them.
+
+    Images of a single level do not count, so that a black frame alone makes no camera grey.
+    """
+    samples = [paths[k] for k in sorted({0, len(paths) // 3, 2 * len(paths) // 3, len(paths) - 1})]
+    varied = 0
+    for path in samples:
         try:
             image = read_entry(path)
         except InputError:
-            # It is named when it is read in its turn.
+            # Reading it in its turn names the damage.
             return False
         if image.ndim != 3 or not is_grey(image):
             return False
-        telling += bool(np.ptp(image) > 0)
-    return telling > len(looked) // 2
+        varied += bool(np.ptp(image) > 0)
+    return varied > len(samples) // 2
 
 
 def _one_channel(path: Path | Page, image: NDArray[Any]) -> NDArray[Any]:
@@ -222,7 +206,7 @@ def _words(shape: tuple[int, ...]) -> str:
 
 
 def _natural(path: Path) -> tuple[list[tuple[int, int, str]], str]:
-    # ASCII digits only: others, such as a superscript two, are digits to some functions of Python.
+    # Only ASCII digits count: Python takes a superscript two for a digit, too.
     parts = re.split(r"([0-9]+)", path.name.casefold())
     key = [(0, int(p), "") if p[0] in "0123456789" else (1, 0, p) for p in parts if p]
     return key, path.name

@@ -1,7 +1,7 @@
 """Image files: 8/16-bit PNG, TIFF and npy, grey or colour, one image a file.
 
-Pixels come back as they were stored (uint8, uint16 or float32); what they mean is the business of
-`lightmatrix.camera`. Stacks are folders of images in natural order, read one image at a time.
+Pixels stay as they were stored (uint8, uint16 or float32); `lightmatrix.camera` says what they
+mean. Stacks of images are in `image_stack.py`.
 """
 
 from __future__ import annotations
@@ -33,8 +33,10 @@ from lightmatrix.files.tiff import read_tiff
 from lightmatrix.outputs.kinds import IMAGE
 from lightmatrix.outputs.writing import atomic_file
 
+# The endings of files that are read, and their formats in words.
 READABLE = (".png", ".tif", ".tiff", ".npy", ".jpg", ".jpeg", ".bmp", ".pgm", ".exr", *RAW)
 FORMATS = "PNG, TIFF, npy, EXR, DNG and other raw files, JPEG, BMP or PGM"
+# Filters of warnings belong to the whole process, in which several threads may read images.
 _filters = threading.Lock()
 
 
@@ -78,20 +80,14 @@ def read_image(path: str | Path, *, mosaic: bool = False) -> NDArray[Any]:
 
 @contextmanager
 def as_image_error(name: str) -> Iterator[None]:
-    """Say of which image it is that a library fails on it.
-
-    Raises
-    ------
-    InputError
-        In place of anything that such libraries raise on damaged files.
-    """
+    """Turn whatever a library raises on a damaged image into an InputError that names it."""
     try:
         yield
     except (LightMatrixError, MemoryError):
         raise
-    # Nearly anything, among them SyntaxError.
+    # Libraries raise nearly anything, among them SyntaxError.
     except Exception as error:
-        # Reading past the end, and formats that no reader knows, are told without helpful words.
+        # Their words do not help where the file ends early, or where no reader knows the format.
         reason = " ".join(str(error).split())[:120]
         if isinstance(error, (IndexError, struct.error)) or "given uri" in reason:
             reason = ""
@@ -127,13 +123,13 @@ def read_grey(path: str | Path) -> NDArray[np.float32]:
 
 
 def as_grey(name: str, image: NDArray[Any]) -> NDArray[np.float32]:
-    """An image that `read_image` gave as a pattern; see `read_grey`."""
+    """The pattern that an image from `read_image` shows; see `read_grey`."""
     if image.ndim == 3:
         lit = [bool(image[..., channel].any()) for channel in range(3)]
         if sum(lit) > 1 and not is_grey(image):
             raise InputError(
                 f"{name}: a pattern of several colours",
-                hint="make it grey; a colour projector is three: show and photograph all "
+                hint="make it grey; a colour projector counts as three: show and photograph all "
                 "patterns in red, then in green, then in blue, and estimate each by itself",
             )
         image = image[..., lit.index(True) if any(lit) else 0]
@@ -146,18 +142,7 @@ def is_grey(image: NDArray[Any]) -> bool:
 
 
 def read_light(path: str | Path) -> NDArray[np.float32]:
-    """Read one pattern in grey or colour: values in [0, 1].
-
-    Returns
-    -------
-    (rows, cols) or (rows, cols, 3) float32
-        Integer images over their full range.
-
-    Raises
-    ------
-    InputError
-        As for `read_image`, and for float values outside [0, 1].
-    """
+    """Read one pattern: (rows, cols) or (rows, cols, 3) float32 in [0, 1]; see `read_grey`."""
     return _as_light(str(path), read_image(path))
 
 
@@ -173,7 +158,7 @@ def _as_light(name: str, image: NDArray[Any]) -> NDArray[np.float32]:
 
 
 def colour_of(image: NDArray[Any]) -> str:
-    """The colour that a pattern is shown in: "grey", "red", "green", "blue", or "" if all black."""
+    """The colour of a pattern: "grey", "red", "green", "blue", or "" if all of it is black."""
     if image.ndim == 2:
         return "grey" if image.any() else ""
     lit = [name for channel, name in enumerate(COLOURS) if image[..., channel].any()]
@@ -217,13 +202,7 @@ def write_image(
 
 
 def fill_image(path: Path, image: NDArray[Any], *, bits: int = 8) -> None:
-    """Write one image as `write_image` does, at once: for folders that are atomic as a whole.
-
-    Raises
-    ------
-    InputError
-        If the image is not an image or not finite.
-    """
+    """Write one image as `write_image` does, but in place: for folders that are atomic."""
     pixels = np.asarray(image)
     if pixels.ndim == 3 and pixels.shape[-1] == 1:
         pixels = pixels[..., 0]
@@ -237,7 +216,7 @@ def fill_image(path: Path, image: NDArray[Any], *, bits: int = 8) -> None:
             raise InputError("the image has values that are not finite")
     suffix = path.suffix.lower()
     if suffix == ".npy":
-        # By name, NumPy would add its own ending to one in capitals.
+        # NumPy would add its own ending to a name whose ending is in capitals.
         with path.open("wb") as stream:
             np.save(stream, pixels)
     elif suffix == ".exr":
@@ -249,7 +228,7 @@ def fill_image(path: Path, image: NDArray[Any], *, bits: int = 8) -> None:
         if levels.ndim == 3 and levels.dtype == np.uint16:
             png.write_deep_colour(path, levels)
         else:
-            # Encoded first: given a file, Pillow's plugin trips over a full disk twice.
+            # Encoded in memory first: Pillow's plugin fails twice if the disk is full.
             encoded = imageio.imwrite("<bytes>", levels, extension=".png", plugin="pillow")
             path.write_bytes(encoded)
 
@@ -274,11 +253,11 @@ def _read_png(file: Path) -> NDArray[Any]:
     check_image_size(file, (header.rows, header.cols, png.CHANNELS[header.colour]))
     if header.is_deep_colour:
         return png.decode_deep_colour(chunks)
-    # Pillow stops at the last pixel and never asks for the checksum behind it.
+    # Pillow stops at the last pixel and does not verify the checksum behind it.
     png.verify_pixels(chunks.get(b"IDAT", b""), header.inflated_bytes)
     pixels = header.rows * header.cols
     if header.colour == png.PALETTE:
-        # Pillow makes colours of the indices, and black of those that have none.
+        # Pillow turns indices into colours, and indices without a colour into black.
         png.verify_indices(_read_by_pillow(data, pixels, mode="P"), chunks.get(b"PLTE", b""))
     return _read_by_pillow(data, pixels)
 
@@ -292,7 +271,7 @@ def _read_bmp(file: Path) -> NDArray[Any]:
 
 
 def _read_signed(file: Path, signature: bytes, kind: str) -> NDArray[Any]:
-    """An image in the format that its name says, so that no other reader is let at it."""
+    """Read an image only if it begins like the format of its name."""
     data = file.read_bytes()
     if not data.startswith(signature):
         raise ValueError(f"not a {kind} file")
@@ -307,9 +286,8 @@ def _read_by_pillow(data: bytes, pixels: int, **options: Any) -> NDArray[Any]:
 
     if pixels <= (Image.MAX_IMAGE_PIXELS or math.inf):
         return read()
-    # Filters of warnings are the whole process's, while several threads may read.
     with _filters, warnings.catch_warnings():
-        # Of large images; their size was checked.
+        # Pillow warns of large images, whose size was checked.
         warnings.filterwarnings("ignore", message=".*decompression bomb", category=Warning)
         return read()
 
@@ -328,13 +306,7 @@ _READERS = {
 
 
 def as_stored(name: str, image: NDArray[Any]) -> NDArray[Any]:
-    """What a library read as an image of ours; see `read_image`.
-
-    Raises
-    ------
-    InputError
-        Naming the image, if it has another shape or type, or values that are not finite.
-    """
+    """Convert what a library read to a shape and type of `read_image`, or refuse it by name."""
     if image.dtype == np.bool_:
         image = image.astype(np.uint8) * np.uint8(255)
     if image.ndim == 3 and image.shape[-1] in (2, 4):
@@ -356,7 +328,7 @@ def as_stored(name: str, image: NDArray[Any]) -> NDArray[Any]:
             )
         return np.ascontiguousarray(values)
     if image.dtype == np.int32 and image.min() >= 0 and image.max() <= 65535:
-        # How Pillow hands over some 16-bit images.
+        # Pillow returns some 16-bit images in 32 bits.
         return image.astype(np.uint16)
     if image.dtype.newbyteorder("=") not in (np.uint8, np.uint16):
         raise InputError(

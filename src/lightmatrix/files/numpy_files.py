@@ -117,7 +117,7 @@ def _read_values(stream: IO[bytes], header: NpyHeader) -> NDArray[Any]:
             raise ValueError("it ends early")
         buffer += piece
     if stream.read(1):
-        raise ValueError("it goes on after its end")
+        raise ValueError("it continues after its end")
     if not header.bytes:
         return np.empty(header.shape, header.dtype)
     return np.ndarray(header.shape, header.dtype, buffer, order="F" if header.fortran else "C")

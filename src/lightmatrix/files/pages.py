@@ -1,7 +1,7 @@
 """Files that hold several images: TIFF of several pages, npy and npz of (K, rows, cols[, 3]).
 
-A page is opened when it is read, so that a stack may be larger than memory; only npz, which may be
-packed, is read at once.
+A page is opened when it is read, so that a stack may be larger than memory. Only npz files, which
+may be compressed, are read at once.
 """
 
 from __future__ import annotations
@@ -21,34 +21,25 @@ from lightmatrix.files.numpy_files import read_npy_header, read_npz
 from lightmatrix.files.reading import check_image_size, regular_file
 from lightmatrix.files.tiff import check_segments, read_page
 
+# Endings of files that may hold several images, and their formats in words.
 STACKS = (".tif", ".tiff", ".npy", ".npz")
 STACK_FORMATS = "a TIFF of several pages, npy or npz"
 
 
 class _Source(Protocol):
-    """Several images, read one at a time."""
+    """A file of several images, read one at a time."""
 
     @property
     def count(self) -> int:
-        """How many there are."""
+        """Number of images."""
 
     def read(self, index: int) -> NDArray[Any]:
-        """One of them, not checked yet."""
+        """One image, not checked yet."""
 
 
 @dataclass(frozen=True)
 class Page:
-    """One image of a file that holds several.
-
-    Parameters
-    ----------
-    file : Path
-        The file.
-    index : int
-        Which of its images, from 0.
-    source : object
-        What reads it.
-    """
+    """One image, number `index` from 0, of a file that holds several."""
 
     file: Path
     index: int
@@ -56,20 +47,14 @@ class Page:
 
     @property
     def name(self) -> str:
-        """What a message calls it, beside others of its file."""
+        """How messages distinguish it from other images of its file."""
         return f"{self.file.name}, image {self.index}"
 
     def __str__(self) -> str:
         return f"{self.file}, image {self.index}"
 
     def read(self) -> NDArray[Any]:
-        """The image, as `read_image` gives one.
-
-        Raises
-        ------
-        InputError
-            As `read_image`.
-        """
+        """The image, as `read_image` returns one."""
         with as_image_error(str(self)):
             image = self.source.read(self.index)
         return as_stored(str(self), image)
@@ -94,25 +79,16 @@ def holds_several(file: Path) -> bool:
             return len(shape) == 4 or (len(shape) == 3 and shape[-1] > 4)
         with tifffile.TiffFile(file) as tiff:
             return len(tiff.pages) > 1 or _contiguous(file) is not None
-    # As in `as_image_error`.
+    # Libraries raise nearly anything on damaged files.
     except Exception:
         return False
 
 
 def pages(path: str | Path) -> list[Page]:
-    """The images of a TIFF, npy or npz file, in their order.
+    """The images of a file, in their order; a damaged page is noticed when it is read.
 
-    Parameters
-    ----------
-    path : str or Path
-        A TIFF file of one or more pages; an npy file of (K, rows, cols) or (K, rows, cols, 3); or
-        an npz file of one such array.
-
-    Raises
-    ------
-    InputError
-        If it is another file, is damaged, or holds an array of another shape. Damage of single
-        pages shows when they are read.
+    The file is a TIFF of one or more pages, an npy of (K, rows, cols) or (K, rows, cols, 3), or an
+    npz of one such array.
     """
     file = regular_file(path)
     suffix = file.suffix.lower()
@@ -121,11 +97,11 @@ def pages(path: str | Path) -> list[Page]:
     with as_image_error(str(file)):
         source: _Source
         if suffix == ".npz":
-            source = _Array(_only(file))
+            source = _Array(_single_array(file))
         elif suffix == ".npy":
-            source = _Npy.of(file)
+            source = _npy(file)
         else:
-            source = _contiguous(file) or _TiffPages.of(file)
+            source = _contiguous(file) or _tiff(file)
     return [Page(file, index, source) for index in range(source.count)]
 
 
@@ -144,7 +120,7 @@ class _Array:
 
 @dataclass(frozen=True, eq=False)
 class _Mapped:
-    """Images one behind the other in a file, uncompressed."""
+    """Images that follow each other in a file, uncompressed."""
 
     file: Path
     shape: tuple[int, ...]
@@ -159,20 +135,8 @@ class _Mapped:
     def read(self, index: int) -> NDArray[Any]:
         order = "F" if self.fortran else "C"
         mapped = np.memmap(self.file, self.dtype, "r", self.offset, self.shape, order)  # type: ignore[call-overload]
-        # A copy: the file must not stay open, nor change under whoever has the image.
+        # A copy: the file must not stay open, and the image must not change with it.
         return np.array(mapped[index])
-
-
-class _Npy(_Mapped):
-    @classmethod
-    def of(cls, file: Path) -> _Npy:
-        with file.open("rb") as stream:
-            header = read_npy_header(stream)
-            offset = stream.tell()
-        if header.bytes != file.stat().st_size - offset:
-            raise ValueError("its size does not fit its header")
-        _check_shape(file, header.shape)
-        return cls(file, header.shape, header.dtype, offset, header.fortran)
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,18 +146,28 @@ class _TiffPages:
     file: Path
     count: int
 
-    @classmethod
-    def of(cls, file: Path) -> _TiffPages:
-        with tifffile.TiffFile(file) as tiff:
-            return cls(file, len(tiff.pages))
-
     def read(self, index: int) -> NDArray[Any]:
         with tifffile.TiffFile(self.file) as tiff:
             return read_page(self.file, tiff.pages[index].aspage(), index)
 
 
+def _npy(file: Path) -> _Mapped:
+    with file.open("rb") as stream:
+        header = read_npy_header(stream)
+        offset = stream.tell()
+    if header.bytes != file.stat().st_size - offset:
+        raise ValueError("its size does not fit its header")
+    _check_shape(file, header.shape)
+    return _Mapped(file, header.shape, header.dtype, offset, header.fortran)
+
+
+def _tiff(file: Path) -> _TiffPages:
+    with tifffile.TiffFile(file) as tiff:
+        return _TiffPages(file, len(tiff.pages))
+
+
 def _contiguous(file: Path) -> _Mapped | None:
-    """Images behind the description of a single one, as ImageJ and tifffile may write them."""
+    """Images after the description of a single one, as ImageJ and tifffile may write them."""
     with tifffile.TiffFile(file) as tiff:
         page = tiff.pages.first
         if len(tiff.pages) > 1 or not (tiff.is_imagej or tiff.is_shaped):
@@ -213,7 +187,7 @@ def _contiguous(file: Path) -> _Mapped | None:
         return _Mapped(file, shape, dtype, series.dataoffset)
 
 
-def _only(file: Path) -> NDArray[Any]:
+def _single_array(file: Path) -> NDArray[Any]:
     """The one array of an npz file."""
     arrays = read_npz(file)
     if len(arrays) != 1:
@@ -222,13 +196,13 @@ def _only(file: Path) -> NDArray[Any]:
             f"{file}: holds {len(arrays)} arrays ({named})",
             hint="save one array of (K, rows, cols) in it, or give an npy file",
         )
-    found = next(iter(arrays.values()))
-    _check_shape(file, found.shape)
-    return found
+    (array,) = arrays.values()
+    _check_shape(file, array.shape)
+    return array
 
 
 def _check_shape(file: Path, shape: Sequence[int]) -> None:
-    # Three at the end are colours: no projector and no camera is three pixels wide.
+    # A last axis of three means colours: no projector and no camera is three pixels wide.
     fits = (len(shape) == 3 and shape[-1] != 3) or (len(shape) == 4 and shape[-1] in (1, 3))
     if not fits or not shape[0]:
         raise InputError(

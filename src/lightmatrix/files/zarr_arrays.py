@@ -1,7 +1,7 @@
-"""Arrays of Zarr v3 as we store them, and no others: written in chunks, read as far as asked.
+"""Arrays of Zarr v3: written in chunks, read in parts, and only if they are stored in our way.
 
-A codec may be anything, up to a program, so only what `create_array` writes is read back: bytes,
-Blosc, a checksum. Chunks are looked at before they are decoded, and a damaged one is named.
+A codec may be anything, even a program, so only what `create_array` writes is read back: bytes,
+Blosc, a checksum. Chunks are checked before they are decoded, and a damaged one is named.
 """
 
 from __future__ import annotations
@@ -26,15 +26,18 @@ from lightmatrix.files.json_files import parse_json
 from lightmatrix.files.reading import read_text, regular_file
 
 HEADER = "zarr.json"
-# Values of a chunk where nothing speaks for another number.
+# Values of a chunk unless the caller chooses another size. Chosen by hand.
 CHUNK = 1 << 20
+# SMALL takes a tenth less space than QUICK, which is decoded in a third of the time.
 SMALL = BloscCodec(cname="zstd", clevel=3, shuffle="shuffle")
-# A tenth larger, decoded in a third of the time.
 QUICK = BloscCodec(cname="lz4hc", clevel=5, shuffle="shuffle")
+# The only codecs and names of chunks that are read.
 _CODECS = ("bytes", "blosc", "crc32c")
 _KEYS = {"name": "default", "configuration": {"separator": "/"}}
-# The header of a Blosc chunk: version, flags, sizes; the first of these is that of its content.
+# The header of a Blosc chunk: version and flags, then three sizes, first that of its content.
 _BLOSC = struct.Struct("<4xIII")
+# Python's words where there is no memory left for a thread, which is no damage.
+_NO_THREAD = "can't start new thread"
 
 
 def create_array(
@@ -45,28 +48,18 @@ def create_array(
     chunks: tuple[int, ...],
     blosc: BloscCodec = SMALL,
 ) -> zarr.Array[Any]:
-    """Begin an array, to be filled chunk by chunk.
+    """Begin an array of a group, to be filled chunk by chunk.
 
-    Parameters
-    ----------
-    group : zarr.Group
-        Of Zarr v3, which it becomes a member of.
-    name : str
-    shape, chunks : tuple of int
-        Of one length; chunks of at least 1.
-    dtype : numpy.dtype
-        Truth values, integers or floats.
-    blosc : BloscCodec
-        `SMALL`, or `QUICK` for what someone waits for.
+    `blosc` is `SMALL`, or `QUICK` for arrays whose reading someone waits for.
     """
     return group.create_array(
         name,
         shape=shape,
         chunks=chunks,
         dtype=dtype,
-        # The checksum because Blosc may take a truncated chunk for a whole one.
+        # The checksum notices truncated chunks, which Blosc may take for whole ones.
         compressors=[blosc, Crc32cCodec()],
-        # Chunks of zeros are written too, so that a missing chunk is known to be missing.
+        # Chunks of zeros are written too, so that a missing chunk is noticed.
         config={"write_empty_chunks": True},
     )
 
@@ -80,21 +73,10 @@ def write_array(group: zarr.Group, name: str, values: NDArray[Any]) -> None:
 
 
 class GrowingArray:
-    """An array that is written from its beginning to an end that is not known yet.
+    """An array that is written from its beginning and whose length is not known yet.
 
-    Chunks go to the disk as they fill, so that no more than about one is in memory. An array of
-    less than a chunk gets one of its own size.
-
-    Parameters
-    ----------
-    group : zarr.Group
-    name : str
-    dtype : numpy.dtype
-        What the values are stored as.
-    chunk : int, optional
-        Values of a chunk; None for as many as usual.
-    blosc : BloscCodec
-        As of `create_array`.
+    Chunks are written as they fill, so that only about one is in memory. An array of less than a
+    chunk gets a chunk of its own size. `chunk` counts values; None stands for `CHUNK`.
     """
 
     def __init__(
@@ -111,14 +93,14 @@ class GrowingArray:
         self._array: zarr.Array[Any] | None = None
 
     def add(self, values: NDArray[Any]) -> None:
-        """Put values behind those that are there, along the first axis."""
+        """Append values along the first axis."""
         self._waiting.append(np.asarray(values, self._dtype))
         chunk = max(1, (self._chunk or CHUNK) // max(1, int(np.prod(values.shape[1:]))))
         if sum(map(len, self._waiting)) >= chunk:
             self._write(chunk, last=False)
 
     def close(self) -> None:
-        """Write what is left; something must have been added, if only an empty array."""
+        """Write the rest; something must have been added, even if only an empty array."""
         self._write(max(1, sum(map(len, self._waiting))), last=True)
 
     def _write(self, chunk: int, *, last: bool) -> None:
@@ -138,13 +120,7 @@ class GrowingArray:
 
 
 def read_metadata(place: Path) -> dict[str, Any]:
-    """The metadata of a group or array of Zarr version 3.
-
-    Raises
-    ------
-    InputError, ValueError
-        If it cannot be read or is of another kind.
-    """
+    """The metadata of a group or array of Zarr version 3, or InputError or ValueError."""
     file = place / HEADER
     content = parse_json(read_text(file), str(file), finite=False)
     if not isinstance(content, dict) or content.get("zarr_format") != 3:
@@ -153,7 +129,7 @@ def read_metadata(place: Path) -> dict[str, Any]:
 
 
 def read_attributes(place: Path) -> dict[str, Any]:
-    """The attributes of a group; empty if nothing that could be read as one is there."""
+    """The attributes of a group; empty if there is no group that can be read."""
     if not place.is_dir() or not os.path.lexists(place / HEADER):
         return {}
     try:
@@ -165,20 +141,14 @@ def read_attributes(place: Path) -> dict[str, Any]:
 
 @contextmanager
 def as_damage_error(place: Path, hint: str) -> Iterator[None]:
-    """Whatever goes wrong within is damage of a folder, said with what to do.
-
-    Raises
-    ------
-    InputError
-        Naming the folder, and what is wrong in it.
-    """
+    """Turn whatever goes wrong within into an InputError: the folder is damaged, and what to do."""
     try:
         yield
     except MemoryError:
         raise
-    # The codecs raise nearly anything on damaged chunks.
+    # Codecs raise nearly anything on damaged chunks.
     except Exception as error:
-        if "can't start new thread" in str(error):
+        if _NO_THREAD in str(error):
             raise MemoryError(str(error)) from error
         words = " ".join(str(getattr(error, "message", error)).split())[:120]
         raise InputError(
@@ -188,18 +158,7 @@ def as_damage_error(place: Path, hint: str) -> Iterator[None]:
 
 @dataclass(frozen=True, eq=False)
 class StoredArray:
-    """An array on disk, of which only what is asked for is read.
-
-    Made by `open`, which reads no values.
-
-    Parameters
-    ----------
-    place : Path
-        Its folder.
-    shape, chunks : tuple of int
-    dtype : numpy.dtype
-    array : zarr.Array
-    """
+    """An array on disk, of which only the requested parts are read; made by `open`."""
 
     place: Path
     shape: tuple[int, ...]
@@ -209,22 +168,12 @@ class StoredArray:
 
     @classmethod
     def open(cls, place: Path, most_chunk: int = CHUNK) -> StoredArray:
-        """Look at what an array announces.
+        """Read the header of an array; a ValueError says if we would not store it this way.
 
-        Parameters
-        ----------
-        place : Path
-            Its folder.
-        most_chunk : int
-            Values that one chunk may hold, even if the array has fewer.
-
-        Raises
-        ------
-        ValueError
-            On codecs, types or chunks that we do not write.
+        A chunk may hold `most_chunk` values, even if the array has fewer.
         """
         shape, chunks, dtype = _checked_header(place, read_metadata(place), most_chunk)
-        # Nothing but version 3: through others, other codecs come in.
+        # Only version 3 is opened: other versions permit other codecs.
         array = zarr.open_array(place, mode="r", zarr_format=3)
         if (array.shape, array.dtype) != (shape, dtype):
             raise ValueError(f"{place.name} is not an array")
@@ -232,21 +181,16 @@ class StoredArray:
 
     @property
     def bytes(self) -> int:
-        """Of all its values."""
+        """The size of all its values."""
         return math.prod(self.shape) * self.dtype.itemsize
 
     def read(self, *where: slice) -> NDArray[Any]:
         """The values of a box; axes that are not named are read whole.
 
-        Raises
-        ------
-        ValueError
-            Naming a chunk that is missing or damaged.
+        A ValueError names a chunk that is missing or damaged.
         """
-        asked = (*where, *(slice(None) for _ in self.shape[len(where) :]))
-        spans = [
-            slice(*part.indices(size)[:2]) for part, size in zip(asked, self.shape, strict=True)
-        ]
+        box = (*where, *(slice(None) for _ in self.shape[len(where) :]))
+        spans = [slice(*part.indices(size)[:2]) for part, size in zip(box, self.shape, strict=True)]
         grid = [
             range(span.start // chunk, -(-span.stop // chunk)) if span.stop > span.start else []
             for span, chunk in zip(spans, self.chunks, strict=True)
@@ -258,21 +202,21 @@ class StoredArray:
         except MemoryError:
             raise
         except Exception as error:
-            if "can't start new thread" in str(error):
+            if _NO_THREAD in str(error):
                 raise
             for index in itertools.product(*grid):
                 self._decode(index)
             raise ValueError(f"{self.place.name} cannot be read ({error})") from error
 
     def chunk_file(self, index: tuple[int, ...]) -> Path:
-        """The file of a chunk."""
+        """The file of a chunk, by its number along each axis."""
         return self.place.joinpath("c", *map(str, index))
 
     def _check_chunk(self, index: tuple[int, ...]) -> None:
-        """Whether a chunk is a regular file that announces no more than its place in the array."""
+        """Check that a chunk is a regular file that announces no more values than a chunk has."""
         most = math.prod(self.chunks) * self.dtype.itemsize
         file = self.chunk_file(index)
-        # One that is missing would be read as zeros.
+        # Zarr would read a missing chunk as zeros.
         if not os.path.lexists(file):
             raise ValueError(f"the chunk {self._named(index)} is missing")
         with regular_file(file).open("rb") as stream:
@@ -304,11 +248,11 @@ def _checked_header(
         raise ValueError(f"{place.name} is not an array ({error})") from error
     ours = codecs == _CODECS and keys == _KEYS and dtype.kind in "bfiu"
     if not ours or metadata.get("storage_transformers"):
-        raise ValueError(f"{place.name} is stored in a way of others")
+        raise ValueError(f"{place.name} is stored in another way than ours")
     whole = all(type(n) is int and n >= 0 for n in (*shape, *chunks))
     if not whole or len(chunks) != len(shape) or min(chunks, default=1) < 1:
         raise ValueError(f"{place.name} has a shape that no array has")
-    # Of one chunk no more than the array itself, or what we put into one.
+    # A chunk may hold no more values than the whole array, or than our chunks do.
     if math.prod(chunks) > max(most_chunk, math.prod(shape)):
         raise ValueError(f"{place.name} has chunks of {math.prod(chunks)} values")
     return shape, chunks, dtype

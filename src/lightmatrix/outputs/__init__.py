@@ -1,1 +1,1 @@
-"""Outputs: whole or absent, told from what others wrote, and locked while they are written."""
+"""Outputs that are written whole or not at all, locked meanwhile, and replace only our own."""

@@ -1,7 +1,7 @@
-"""The kinds of outputs that lightmatrix writes, each known again by what is inside it.
+"""The kinds of outputs that lightmatrix writes, and how each is recognized.
 
-They stand here together, apart from what writes them, so that a command can judge and lock its
-output before anything slow is loaded.
+They stand apart from the code that writes them, so that a command can check and lock its output
+before it loads anything slow.
 """
 
 from __future__ import annotations
@@ -11,18 +11,19 @@ from pathlib import Path
 from lightmatrix.errors import OutputError
 from lightmatrix.outputs.markers import FileKind, FolderKind, holds_member, read_object
 
-# Endings of the folders that hold running results, beside an output.
+# Endings of the folders beside an output that hold its running results.
 PARTIAL, CASES = ".partial", ".cases"
-# What the members are called by which our npz files are known.
+# Names of the arrays by which our npz files are recognized.
 TRANSPORT_MARK, TRUTH_MARK, PACKED_MARK, NUMBERS_MARK = (
     "lightmatrix_transport",
     "lightmatrix_truth",
     "lightmatrix_packed",
     "lightmatrix_numbers",
 )
-# The text that our mat files begin with; readers of the format pass over it.
+# The text with which our mat files begin; readers of the format ignore it.
 MAT_MARK = "MATLAB 5.0 MAT-file, written by lightmatrix"
 RIG_FORMAT, RESPONSE_FORMAT = "lightmatrix-rig", "lightmatrix-response"
+# The first bytes of PNG, npy, TIFF and EXR files.
 _IMAGES = (b"\x89PNG\r\n\x1a\n", b"\x93NUMPY", b"II*\0", b"MM\0*", b"v/1\x01")
 
 
@@ -38,9 +39,9 @@ def _is_json(file: Path, name: str) -> bool:
 
 PATTERNS = FolderKind("folder of patterns")
 CAPTURE = FolderKind("capture")
-# The same, photographed: frame by frame, over hours perhaps.
+# A capture that is being photographed, perhaps for hours, keeps its frames as running results.
 LIVE_CAPTURE = FolderKind("capture", running=PARTIAL)
-# The marker is an attribute of the group, since Zarr warns of files that are none of its own.
+# The marker is an attribute of the group, since Zarr warns of files that are not its own.
 STORE = FolderKind(
     "light transport matrix", (".zarr",), ("zarr.json", "attributes", "output"), running=PARTIAL
 )
@@ -57,7 +58,7 @@ RIG = FileKind("measurements of a rig", (".json",), lambda file: _is_json(file, 
 RESPONSE = FileKind("measured response", (".json",), lambda file: _is_json(file, RESPONSE_FORMAT))
 NPZ = FileKind("exported matrix", (".npz",), lambda file: holds_member(file, TRANSPORT_MARK))
 MAT = FileKind("exported matrix", (".mat",), lambda file: _begins_with(file, MAT_MARK.encode()))
-# Images say nothing of who wrote them: one may take the place of another.
+# Images do not say who wrote them, so any image may be replaced by another.
 IMAGE = FileKind(
     "image", (".png", ".tif", ".tiff", ".npy", ".exr"), lambda file: _begins_with(file, *_IMAGES)
 )
@@ -65,13 +66,7 @@ PICTURE = FileKind("picture", (".png",), lambda file: _begins_with(file, _IMAGES
 
 
 def export_kind(path: str | Path) -> FileKind:
-    """The kind of file that `export` writes at a path, by its ending.
-
-    Raises
-    ------
-    OutputError
-        If it ends neither in .npz nor in .mat.
-    """
+    """The kind of file that `export` writes at a path: npz or mat, by its ending."""
     suffix = Path(path).suffix
     for kind in (NPZ, MAT):
         if suffix.lower() in kind.suffixes:

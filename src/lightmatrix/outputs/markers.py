@@ -1,9 +1,9 @@
-"""Kinds of outputs, and how what lightmatrix wrote is told from what it did not.
+"""How lightmatrix recognizes outputs that it wrote.
 
-A folder that we wrote carries a marker: a JSON object with a format name inside, the kind of the
-output, and every file in it with its size. A folder without one, with a file that is not listed, or
-with one of another size (edited since) is not ours alone and is never replaced. A single file is
-known by what is inside it.
+A folder of ours carries a marker: a JSON object that holds the name of the format, the kind of the
+output, and every file in it with its size. A folder without a marker, with a file that is not
+listed, or with one of another size (edited since) is not ours alone and is never replaced. A single
+file is recognized by its content.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from lightmatrix.outputs.targets import ANOTHER_NAME
 
 MARKER = ".lightmatrix"
 FORMAT, VERSION = "lightmatrix-output", 1
-# No marker of ours comes near; what is larger is not read.
+# Bytes of the largest JSON file that is read in search of a marker, far more than any marker takes.
 _MOST_BYTES = 1 << 28
 
 
@@ -47,7 +47,7 @@ class FolderKind:
     running: str = ""
 
     def check_replaceable(self, shown: Path, target: Path) -> bool:
-        """Whether what lies at a target may be replaced: True, or False if it is just empty.
+        """Whether a folder may be replaced: True, or False if it is just empty.
 
         Raises
         ------
@@ -60,24 +60,25 @@ class FolderKind:
             )
         if not any(target.iterdir()):
             return False
-        found = self._read(target)
-        if found is None:
+        marker = self._read(target)
+        if marker is None:
             raise OutputError(
                 f"{shown}: is a folder that was not written by lightmatrix "
                 "(or before folders were marked)",
                 hint=f"{ANOTHER_NAME}, or remove the folder yourself",
             )
-        if found["kind"] != self.name:
+        kind, files = marker
+        if kind != self.name:
             raise OutputError(
-                f"{shown}: holds a {found['kind']}, the output is a {self.name}",
+                f"{shown}: holds a {kind}, the output is a {self.name}",
                 hint=f"{ANOTHER_NAME}, or remove the folder yourself",
             )
-        for name, size in listed(target):
+        for name, size in sizes_below(target):
             if name == self.marker[0]:
                 continue
-            if name not in found["files"]:
+            if name not in files:
                 problem = f"holds {printable(name)}, which was not written by lightmatrix"
-            elif size != found["files"][name]:
+            elif size != files[name]:
                 problem = f"{printable(name)} in it was changed since lightmatrix wrote it"
             else:
                 continue
@@ -88,7 +89,7 @@ class FolderKind:
 
     def mark(self, folder: Path) -> None:
         """Write the marker of a finished folder."""
-        files = {name: size for name, size in listed(folder) if name != self.marker[0]}
+        files = {name: size for name, size in sizes_below(folder) if name != self.marker[0]}
         content = {"format": FORMAT, "version": VERSION, "kind": self.name, "files": files}
         file = folder / self.marker[0]
         whole: Any = content
@@ -102,15 +103,15 @@ class FolderKind:
         written.write_text(json.dumps(whole, indent=1) + "\n")
         os.replace(written, file)
 
-    def _read(self, folder: Path) -> dict[str, Any] | None:
+    def _read(self, folder: Path) -> tuple[str, dict[str, Any]] | None:
+        """The kind and the files that a folder's marker names; None if it has none of ours."""
         content = read_object(folder / self.marker[0])
         for key in self.marker[1:]:
             content = content.get(key) if isinstance(content, dict) else None
         if not isinstance(content, dict) or content.get("format") != FORMAT:
             return None
-        if not isinstance(content.get("files"), dict):
-            return None
-        return {"kind": printable(str(content.get("kind"))), "files": content["files"]}
+        files = content.get("files")
+        return (printable(str(content.get("kind"))), files) if isinstance(files, dict) else None
 
 
 @dataclass(frozen=True)
@@ -123,23 +124,17 @@ class FileKind:
         In words, such as "rendered matrix".
     suffixes : tuple of str
         Permitted endings, in lower case; empty permits any.
-    recognise : callable
-        Whether a file is of this kind, told from its content; what it raises counts as no.
+    recognize : callable
+        Whether a file is of this kind by its content. An exception counts as no.
     """
 
     name: str
     suffixes: tuple[str, ...]
-    recognise: Callable[[Path], bool]
+    recognize: Callable[[Path], bool]
     running: str = ""
 
     def check_replaceable(self, shown: Path, target: Path) -> bool:
-        """Whether what lies at a target may be replaced: True, or False if it is just empty.
-
-        Raises
-        ------
-        OutputError
-            If it is a folder or no file of this kind.
-        """
+        """Whether a file may be replaced: True, or OutputError if it is of another kind."""
         if target.is_dir():
             raise OutputError(
                 f"{shown}: is a folder, the output is a file ({self.name})", hint=ANOTHER_NAME
@@ -147,7 +142,7 @@ class FileKind:
         if target.stat().st_size == 0:
             return True
         try:
-            ours = self.recognise(target)
+            ours = self.recognize(target)
         # Readers raise nearly anything on files of other kinds.
         except Exception:
             ours = False
@@ -163,23 +158,24 @@ OutputKind = FolderKind | FileKind
 
 
 def holds_member(file: Path, name: str) -> bool:
-    """Whether an npz file has an array of that name, which we write first.
+    """Whether an npz file has an array of that name.
 
-    A file that was cut off is still known by the name that it begins with.
+    We write that array first, so that a file that was cut off is still recognized.
     """
     member = f"{name}.npy".encode()
     with file.open("rb") as opened:
         start = opened.read(30 + len(member))
+    # 30 bytes of a ZIP file stand before the name of the first member.
     if start.startswith(b"PK\x03\x04") and start[30:] == member:
         return True
     with zipfile.ZipFile(file) as archive:
         return f"{name}.npy" in archive.namelist()
 
 
-def listed(folder: Path) -> Iterator[tuple[str, int]]:
-    """Path in the folder and size of everything below it that is no folder; links are not followed.
+def sizes_below(folder: Path) -> Iterator[tuple[str, int]]:
+    """Path and size of everything in a folder that is no folder; links are not followed.
 
-    The size of what is neither file nor folder (a link, a pipe) is -1.
+    The size of a link, a pipe or a device is -1.
     """
     for place, folders, files in os.walk(folder, onerror=_raise):
         folders.sort()
@@ -203,7 +199,7 @@ def read_object(file: Path) -> dict[str, Any] | None:
 
 
 def printable(text: str) -> str:
-    """A name or command without what would disturb a terminal."""
+    """A name or command without characters that would disturb a terminal."""
     return "".join(character if character.isprintable() else "?" for character in text)
 
 

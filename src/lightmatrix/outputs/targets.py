@@ -1,4 +1,4 @@
-"""Where an output would land, and what is never replaced, whoever wrote it."""
+"""Where an output would be written, and the places that no output ever replaces."""
 
 from __future__ import annotations
 
@@ -11,7 +11,9 @@ from pathlib import Path
 from lightmatrix.errors import OutputError
 
 _MOUNTS = Path("/proc/self/mountinfo")
-_NAMES = {
+# How the kernel writes blanks, tabs, line breaks and backslashes in names of mount points.
+_ESCAPES = {"\\040": " ", "\\011": "\t", "\\012": "\n", "\\134": "\\"}
+_SPECIAL_FILES = {
     stat.S_IFBLK: "a device",
     stat.S_IFCHR: "a device",
     stat.S_IFIFO: "a pipe",
@@ -21,12 +23,7 @@ ANOTHER_NAME = "choose another name for the output"
 
 
 def final_target(path: str | Path) -> Path:
-    """Follow links to their end; refuse what no output may replace.
-
-    Parameters
-    ----------
-    path : str or Path
-        The output as it was given. Nothing is made or changed.
+    """Follow the links of an output to their end, without making anything.
 
     Returns
     -------
@@ -49,28 +46,28 @@ def final_target(path: str | Path) -> Path:
                 )
         target = Path(os.path.realpath(given))
         try:
-            found = os.stat(given)
+            status = os.stat(given)
         except FileNotFoundError:
-            # Of new/.. too, which is there once new has been made.
+            # A path such as new/.. exists once new has been made.
             if not os.path.lexists(target):
                 return target
-            found = os.lstat(target)
-        _check_kind(given, target, found)
+            status = os.lstat(target)
+        _check_kind(given, target, status)
         _check_place(given, target)
     return target
 
 
 @contextmanager
 def as_output_error(output: str | Path) -> Iterator[None]:
-    """Turn the failures of the disk into an OutputError that names the output."""
+    """Turn failures of the disk into an OutputError that names the output."""
     try:
         yield
     except OSError as error:
-        raise failure(output, error) from error
+        raise disk_failure(output, error) from error
 
 
-def failure(output: str | Path, error: OSError, left: str = "") -> OutputError:
-    """The failure of the disk in words; `left` tells what could not be cleaned up."""
+def disk_failure(output: str | Path, error: OSError, left: str = "") -> OutputError:
+    """The error for a failure of the disk; `left` says what could not be cleaned up."""
     return OutputError(
         f"{output}: cannot be written ({error.strerror or error})",
         hint=f"{left}check the folder, its permissions and the free space",
@@ -78,41 +75,39 @@ def failure(output: str | Path, error: OSError, left: str = "") -> OutputError:
 
 
 def mount_points() -> list[Path]:
-    """The places where file systems are mounted, single files among them; as far as is known."""
+    """The places where file systems are mounted, as far as known; some are single files."""
     try:
         lines = _MOUNTS.read_text(encoding="utf-8", errors="surrogateescape").splitlines()
     except OSError:
         return []
-    # Blanks in these names are written as octal numbers.
-    escapes = {"\\040": " ", "\\011": "\t", "\\012": "\n", "\\134": "\\"}
-    found = []
+    places = []
     for line in lines:
         name = line.split(" ")[4]
-        for code, character in escapes.items():
+        for code, character in _ESCAPES.items():
             name = name.replace(code, character)
-        found.append(Path(name))
-    return found
+        places.append(Path(name))
+    return places
 
 
-def _check_kind(given: Path, target: Path, found: os.stat_result) -> None:
-    kind = stat.S_IFMT(found.st_mode)
+def _check_kind(given: Path, target: Path, status: os.stat_result) -> None:
+    kind = stat.S_IFMT(status.st_mode)
     if kind not in (stat.S_IFREG, stat.S_IFDIR):
-        what = _NAMES.get(kind, "no file or folder")
+        what = _SPECIAL_FILES.get(kind, "no file or folder")
         raise OutputError(f"{given}: is {what}, which is never replaced", hint=ANOTHER_NAME)
-    # Links of /proc lead to what has no name, such as a file that was deleted.
-    if not (os.path.lexists(target) and os.path.samestat(os.lstat(target), found)):
+    # Links of /proc lead to files without a name, such as those that were deleted.
+    if not (os.path.lexists(target) and os.path.samestat(os.lstat(target), status)):
         raise OutputError(f"{given}: leads to a file without a name", hint=ANOTHER_NAME)
 
 
 def _check_place(given: Path, target: Path) -> None:
-    never = [
+    protected = [
         ("the current folder", Path(os.path.realpath(Path.cwd()))),
         ("the home folder", Path(os.path.realpath(os.path.expanduser("~")))),
         *(("a place where a disk is mounted", mounted) for mounted in mount_points()),
     ]
     if os.path.ismount(target):
-        never.append(("a place where a disk is mounted", target))
-    for words, place in never:
+        protected.append(("a place where a disk is mounted", target))
+    for words, place in protected:
         if target == place or target in place.parents:
             verb = "is" if target == place else "holds"
             raise OutputError(

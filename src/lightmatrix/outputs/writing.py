@@ -1,11 +1,10 @@
-"""Outputs that are either whole or absent, and replace nothing but what lightmatrix wrote.
+"""Writes outputs that are either whole or absent, and that replace only what lightmatrix wrote.
 
-An output is written in a temporary folder beside it, ``.NAME.part``, and renamed into place when it
-is whole. An old one stays until then: a file is replaced in one step, a folder changes places with
-the new one in one step, or is moved into the temporary folder first where the file system cannot do
-that. While it is written, the output is locked (`locks.py`). What a killed run left in
-``.NAME.part`` is put back (an old folder that was moved aside) or swept by the next run that writes
-the same output.
+An output is written in a temporary folder beside it, ``.NAME.part``, and renamed when it is whole.
+An old output stays until then. A file is replaced in one step. A folder changes places with the new
+one in one step, or is moved into the temporary folder first where the file system cannot do that.
+Meanwhile the output is locked (`locks.py`). The next run that writes the same output removes what a
+killed run left in ``.NAME.part``, and puts an old folder back that was moved there.
 """
 
 from __future__ import annotations
@@ -22,14 +21,15 @@ from lightmatrix.outputs.locks import check_unlocked, locked
 from lightmatrix.outputs.markers import MARKER, FolderKind, OutputKind, read_object
 from lightmatrix.outputs.running import check_running
 from lightmatrix.outputs.swap import put_in_place
-from lightmatrix.outputs.targets import as_output_error, failure, final_target
+from lightmatrix.outputs.targets import as_output_error, disk_failure, final_target
 
 TEMPORARY = "lightmatrix-temporary"
+# Where an old folder lies in the temporary folder, if it could not change places.
 _OLD = "old"
 
 
 def check_output(path: str | Path, kind: OutputKind, *, overwrite: bool = False) -> Path:
-    """Whether an output may be written; makes nothing.
+    """Check that an output may be written, without making anything.
 
     Parameters
     ----------
@@ -38,7 +38,7 @@ def check_output(path: str | Path, kind: OutputKind, *, overwrite: bool = False)
     kind : FolderKind or FileKind
         What it is to be.
     overwrite : bool
-        Whether an existing output of this kind may be replaced. An empty folder may in any case.
+        Whether an existing output of this kind may be replaced. An empty folder always may.
 
     Returns
     -------
@@ -48,8 +48,8 @@ def check_output(path: str | Path, kind: OutputKind, *, overwrite: bool = False)
     Raises
     ------
     OutputError
-        If its name ends otherwise, what exists there may not be replaced, somebody else is writing
-        it, or its folder cannot be written to.
+        If its name ends otherwise, what exists there may not be replaced, another process is
+        writing it, or its folder cannot be written to.
     """
     given = Path(path)
     if kind.suffixes and given.suffix.lower() not in kind.suffixes:
@@ -75,24 +75,19 @@ def check_output(path: str | Path, kind: OutputKind, *, overwrite: bool = False)
 def claimed(path: str | Path, kind: OutputKind, *, overwrite: bool = False) -> Iterator[Path]:
     """Hold an output for this thread: checked, its parent folders made, locked.
 
-    What killed runs left of it is put back or swept. Parent folders that were made are removed
-    again if they are empty in the end. Parameters and errors are those of `check_output`.
-
-    Yields
-    ------
-    Path
-        Where it is to be written.
+    What killed runs left of it is put back or removed. Parent folders that were made are removed
+    again if they are empty in the end. Parameters, errors and the path are those of `check_output`.
     """
     target = check_output(path, kind, overwrite=overwrite)
     made: list[Path] = []
     try:
         with as_output_error(path):
             _make_parents(target.parent, made)
-        with locked(target) as first:
-            if first:
+        with locked(target) as is_new:
+            if is_new:
                 with as_output_error(path):
-                    _tidy(target)
-                # Another run may have come between the check and the lock.
+                    _restore_leftovers(target)
+                # Another run may have written it between the check and the lock.
                 check_output(path, kind, overwrite=overwrite)
             yield target
     finally:
@@ -110,7 +105,7 @@ def atomic_file(path: str | Path, kind: OutputKind, *, overwrite: bool = False) 
     OutputError
         As `check_output`, or on any failure of the disk.
     """
-    with claimed(path, kind, overwrite=overwrite) as target, _workplace(path, target) as place:
+    with claimed(path, kind, overwrite=overwrite) as target, _temporary(path, target) as place:
         # In lower case, for writers that choose the format by it or append their own.
         part = place / f"new{Path(path).suffix.lower()}"
         yield part
@@ -131,21 +126,21 @@ def atomic_folder(path: str | Path, kind: FolderKind, *, overwrite: bool = False
     OutputError
         As `check_output`, or on any failure of the disk.
     """
-    with claimed(path, kind, overwrite=overwrite) as target, _workplace(path, target) as place:
+    with claimed(path, kind, overwrite=overwrite) as target, _temporary(path, target) as place:
         part = place / "new"
         part.mkdir()
         yield part
         kind.mark(part)
-        # Somebody may have put a file into the old one meanwhile.
+        # Somebody may have put a file into the old folder meanwhile.
         check_output(path, kind, overwrite=overwrite)
         put_in_place(part, target, place / _OLD)
 
 
 @contextmanager
-def _workplace(shown: str | Path, target: Path) -> Iterator[Path]:
+def _temporary(shown: str | Path, target: Path) -> Iterator[Path]:
     """The temporary folder of an output, marked as such and removed in any case."""
-    place = _part_of(target)
-    # One that stands there belongs to a claim around this one: making it fails.
+    place = _temporary_folder(target)
+    # One that exists belongs to a claim around this one, so making it fails.
     ours = not os.path.lexists(place)
     try:
         with as_output_error(shown):
@@ -154,18 +149,22 @@ def _workplace(shown: str | Path, target: Path) -> Iterator[Path]:
         (place / MARKER).write_text(json.dumps(content) + "\n")
         yield place
     except OSError as error:
-        raise failure(shown, error, _removed(place)) from error
+        raise disk_failure(shown, error, _remove_temporary(place)) from error
     finally:
         if ours:
-            _removed(place)
+            _remove_temporary(place)
 
 
-def _removed(place: Path) -> str:
+def _remove_temporary(place: Path) -> str:
     """Remove a temporary folder and say whether that went well."""
     with suppress(OSError):
-        # The marker last: whatever is left of a temporary folder is known as one.
+        # The marker goes last, so that what is left of a temporary folder is recognized as one.
         for name in set(os.listdir(place)) - {MARKER}:
-            _remove(place / name)
+            path = place / name
+            if path.is_dir() and not path.is_symlink():
+                shutil.rmtree(path)
+            else:
+                path.unlink()
         (place / MARKER).unlink(missing_ok=True)
         place.rmdir()
     if os.path.lexists(place):
@@ -173,16 +172,9 @@ def _removed(place: Path) -> str:
     return "nothing was left behind; "
 
 
-def _remove(path: Path) -> None:
-    if path.is_dir() and not path.is_symlink():
-        shutil.rmtree(path)
-    else:
-        path.unlink()
-
-
-def _tidy(target: Path) -> None:
-    """Put back or sweep what a killed run left beside an output; its lock is ours."""
-    place = _part_of(target)
+def _restore_leftovers(target: Path) -> None:
+    """Put back or remove what a killed run left beside an output whose lock is ours."""
+    place = _temporary_folder(target)
     if not os.path.lexists(place):
         return
     if not _is_temporary(place):
@@ -192,7 +184,7 @@ def _tidy(target: Path) -> None:
         )
     if os.path.lexists(place / _OLD) and not os.path.lexists(target):
         os.rename(place / _OLD, target)
-    _removed(place)
+    _remove_temporary(place)
 
 
 def _is_temporary(place: Path) -> bool:
@@ -200,18 +192,18 @@ def _is_temporary(place: Path) -> bool:
         return False
     content = read_object(place / MARKER)
     if content is None:
-        # A run that was killed before the marker was whole had written nothing else.
+        # A run that was killed before it had written the marker had written nothing else.
         inside = list(place.iterdir())
         return not inside or (inside == [place / MARKER] and not inside[0].stat().st_size)
     return content.get("format") == TEMPORARY
 
 
-def _part_of(target: Path) -> Path:
+def _temporary_folder(target: Path) -> Path:
     return target.with_name(f".{target.name}.part")
 
 
 def _check_parent(given: Path, target: Path) -> None:
-    """Whether the first folder that exists above an output can be written to."""
+    """Check that the first folder that exists above an output can be written to."""
     parent = next(folder for folder in target.parents if os.path.lexists(folder))
     if not parent.is_dir():
         raise OutputError(f"{given}: cannot be written ({parent} is not a folder)")
@@ -223,6 +215,7 @@ def _check_parent(given: Path, target: Path) -> None:
 
 
 def _make_parents(folder: Path, made: list[Path]) -> None:
+    """Make the folders that are missing above an output, and note those that were made here."""
     missing = []
     while not os.path.lexists(folder):
         missing.append(folder)
@@ -231,5 +224,5 @@ def _make_parents(folder: Path, made: list[Path]) -> None:
         try:
             place.mkdir()
         except FileExistsError:
-            continue  # by another run, just now
+            continue  # Another run has just made it.
         made.append(place)
