@@ -64,7 +64,7 @@ def test_a_terminal_of_80_columns_has_room_for_the_values(
     assert main(line.split()) == 0
     shown = capsys.readouterr().out
     verdict, _, *rows = shown.splitlines()
-    assert verdict.startswith("not tested: ")
+    assert verdict.startswith("Not tested. ")
     assert 8 <= len(rows) <= 12
     assert main(["info", "s.zarr"]) == 0
     assert shown.startswith(capsys.readouterr().out)

@@ -104,5 +104,5 @@ def test_diffuse_rows_have_no_dominant_window() -> None:
 def test_different_rigs_are_not_compared(pair: tuple[LightTransport, LightTransport]) -> None:
     estimate, truth = pair
     other = LightTransport.from_matrix(truth.sparse, (6, 5), (16, 16))
-    with pytest.raises(InputError, match="binned alike"):
+    with pytest.raises(InputError, match="the same binning"):
         relative_error(estimate, other)

@@ -1,4 +1,4 @@
-"""How far an estimate is from the truth, over all rows and over some kinds of rows."""
+"""`Errors` of an estimate against the truth, over all rows and over some kinds of rows."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lightmatrix.evaluation.metrics import (
     diffuse_rows,
@@ -27,25 +28,26 @@ from lightmatrix.transport.matrix import LightTransport
 
 @dataclass(frozen=True)
 class Errors:
-    """The errors of an estimate; those of a kind of rows are NaN where there is no such row.
+    """The errors of an estimate; those of a kind of rows are NaN if there is no such row.
 
     Parameters
     ----------
     exposure : float
-        Exposure of the capture, which tells the rows that clip under one projector pixel.
+        Exposure of the capture, which decides which rows clip under one projector pixel.
     relative_error : float
         ||T_est - T||_F / ||T||_F over all rows, background included.
     relighting_error : float
-        Relative L2 error of linear, unclipped images, averaged over patterns that no estimate saw.
+        Relative L2 error of linear, unclipped images, averaged over unseen patterns.
     response_rmse : float
         RMSE of single responses, in units of the clip level.
-    share_of_rows_unclipped_responses, share_of_rows_diffuse : float
-        Share of the rows that do not clip under a single projector pixel; whose strongest window
-        of 3 x 3 pixels holds less than half of their light.
+    share_of_rows_unclipped_responses : float
+        Share of the rows that do not clip under a single projector pixel.
     relative_error_unclipped_responses, relighting_error_unclipped_responses : float
-        The same errors over the rows that do not clip under a single projector pixel.
+        The same errors over these rows.
+    share_of_rows_diffuse : float
+        Share of the rows whose strongest window of 3 x 3 pixels holds less than half their light.
     relative_error_diffuse, relighting_error_diffuse : float
-        The same errors over diffuse rows.
+        The same errors over these rows.
 
     Examples
     --------
@@ -67,7 +69,7 @@ class Errors:
     relighting_error_diffuse: float
 
     def as_dict(self) -> dict[str, float]:
-        """Names and values, JSON-ready; without those that no row has."""
+        """Names and values, JSON-ready, without those that are NaN."""
         return {name: value for name, value in asdict(self).items() if not math.isnan(value)}
 
     def __repr__(self) -> str:
@@ -84,7 +86,7 @@ class ColourErrors:
     Parameters
     ----------
     red, green, blue : Errors
-        Of each primary's own matrix.
+        Errors of each primary's matrix.
     relative_error : float
         ||T_est - T||_F / ||T||_F over the three together.
     relighting_error : float
@@ -106,9 +108,8 @@ class ColourErrors:
     relighting_error: float
 
     def as_dict(self) -> dict[str, Any]:
-        """Names and values, JSON-ready; each primary's under its name."""
-        joint = {name: getattr(self, name) for name in ("relative_error", "relighting_error")}
-        return joint | {name: getattr(self, name).as_dict() for name in COLOURS}
+        """Names and values, JSON-ready, with the errors of each primary under its name."""
+        return self._joint | {name: getattr(self, name).as_dict() for name in COLOURS}
 
     def __repr__(self) -> str:
         return text_table("Errors in colour", labelled(self.table()))
@@ -117,55 +118,46 @@ class ColourErrors:
         return html_table("Errors in colour", labelled(self.table()))
 
     def table(self) -> dict[str, float]:
-        """The errors that matter most in one list: of the three together, and of each."""
-        joint = {name: getattr(self, name) for name in ("relative_error", "relighting_error")}
-        return joint | {
+        """The two errors that matter most, of the three together and of each."""
+        return self._joint | {
             f"{error}_{colour}": getattr(getattr(self, colour), error)
-            for colour in ("red", "green", "blue")
-            for error in joint
+            for colour in COLOURS
+            for error in self._joint
+        }
+
+    @property
+    def _joint(self) -> dict[str, float]:
+        return {
+            "relative_error": self.relative_error,
+            "relighting_error": self.relighting_error,
         }
 
 
 def errors_in_colour(
     estimates: Sequence[LightTransport], truths: Sequence[LightTransport], exposure: float
 ) -> ColourErrors:
-    """The errors of the matrices of red, green and blue, each and together.
-
-    Raises
-    ------
-    InputError
-        On matrices of different rigs, or an exposure out of range.
-    """
+    """The errors of the matrices of red, green and blue, each and together."""
     each = [errors_by_rows(*pair, exposure) for pair in zip(estimates, truths, strict=True)]
     energies = np.array([float(row_energies(truth).sum()) for truth in truths])
     missed = np.array([one.relative_error for one in each]) ** 2 * energies
     patterns = np.stack(list(unseen_patterns(truths[0].projector_shape).values()))
-    # Each primary shows another one of them, so that all colours are there.
-    shown = [np.roll(patterns, k, axis=0) for k in range(len(truths))]
-    lit = [
-        sum(one.relight(part).astype(np.float64) for one, part in zip(some, shown, strict=True))
-        for some in (estimates, truths)
-    ]
-    found, known = (np.reshape(images, (len(patterns), -1)) for images in lit)
-    off = np.linalg.norm(found - known, axis=1) / np.linalg.norm(known, axis=1)
+    # Each primary shows a different pattern, so that the images have all colours.
+    of_primaries = [np.roll(patterns, k, axis=0) for k in range(len(truths))]
+
+    def images(matrices: Sequence[LightTransport]) -> NDArray[np.float64]:
+        pairs = zip(matrices, of_primaries, strict=True)
+        light = sum(matrix.relight(shown).astype(np.float64) for matrix, shown in pairs)
+        return np.reshape(light, (len(patterns), -1))
+
+    predicted, expected = images(estimates), images(truths)
+    off = np.linalg.norm(predicted - expected, axis=1) / np.linalg.norm(expected, axis=1)
     red, green, blue = each
     whole = float(np.sqrt(missed.sum() / energies.sum()))
     return ColourErrors(red, green, blue, whole, float(off.mean()))
 
 
 def errors_by_rows(estimate: LightTransport, truth: LightTransport, exposure: float) -> Errors:
-    """The project's metrics over all rows, rows that do not clip singly, and diffuse rows.
-
-    Parameters
-    ----------
-    exposure : float
-        Exposure of the capture, > 0.
-
-    Raises
-    ------
-    InputError
-        On matrices of different rigs, or an exposure out of range.
-    """
+    """The metrics over all rows, over rows without a clipped single response, and diffuse rows."""
     check_number("an exposure", exposure, above=True, hint="use a number above 0, such as 1")
     patterns = np.stack(list(unseen_patterns(truth.projector_shape).values()))
     result = {
@@ -181,11 +173,11 @@ def errors_by_rows(estimate: LightTransport, truth: LightTransport, exposure: fl
     for name, chosen in groups.items():
         rows = np.flatnonzero(chosen)
         result[f"share_of_rows_{name}"] = float(chosen.mean())
-        found = len(rows) > 0
-        result[f"relative_error_{name}"] = (
-            relative_error(estimate, truth, rows) if found else math.nan
-        )
-        result[f"relighting_error_{name}"] = (
-            relighting_error(estimate, truth, patterns, rows) if found else math.nan
-        )
+        errors = (math.nan, math.nan)
+        if len(rows):
+            errors = (
+                relative_error(estimate, truth, rows),
+                relighting_error(estimate, truth, patterns, rows),
+            )
+        result[f"relative_error_{name}"], result[f"relighting_error_{name}"] = errors
     return Errors(**result)

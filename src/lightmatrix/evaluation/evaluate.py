@@ -1,4 +1,4 @@
-"""Holding an estimate against the truth, wherever the two are."""
+"""`lm.evaluate`: an estimate against the truth, each given as a matrix or by its place."""
 
 from __future__ import annotations
 
@@ -33,17 +33,17 @@ def evaluate(
     estimate : LightTransport, str or Path
         The estimate, or where `open` finds it.
     truth : LightTransport, Truth, str or Path
-        What is known; a truth file, T.npz; a simulated capture; or a scene, rendered if need be.
-        Of an estimate from cropped photographs, only the rows that it has count.
+        The known T; a truth file, T.npz; a simulated capture; or a scene, rendered if need be. If
+        the estimate is from cropped photographs, only its rows are compared.
     exposure : float
-        Exposure of the capture: tells which rows clip under one projector pixel.
+        Exposure of the capture, which decides which rows clip under one projector pixel.
     progress : callable, optional
-        Called with (done, total) paths where the scene has to be rendered.
+        Called with (done, total) paths while the scene is rendered.
 
     Returns
     -------
     Errors
-        Relative error, RMSE and relighting error, of all rows and of some kinds.
+        Relative error, RMSE and relighting error, over all rows and over some kinds of rows.
 
     Raises
     ------
@@ -59,7 +59,7 @@ def evaluate(
     >>> 0.01 < errors.relative_error < 0.5
     True
     """
-    return errors_by_rows(*_pair(estimate, truth, progress), exposure)
+    return errors_by_rows(*_matrices(estimate, truth, progress), exposure)
 
 
 def evaluate_colour(
@@ -74,16 +74,16 @@ def evaluate_colour(
     Parameters
     ----------
     estimates, truths : sequence of three
-        Of red, green and blue, each as `evaluate` takes it.
+        The matrices of red, green and blue, each as `evaluate` takes it.
     exposure : float
-        Exposure of the captures: tells which rows clip under one projector pixel.
+        Exposure of the captures, which decides which rows clip under one projector pixel.
     progress : callable, optional
-        Called with (done, total) paths where a scene has to be rendered.
+        Called with (done, total) paths while a scene is rendered.
 
     Returns
     -------
     ColourErrors
-        Those of each matrix, and of the three together.
+        The errors of each matrix, and of the three together.
 
     Raises
     ------
@@ -93,41 +93,41 @@ def evaluate_colour(
     Examples
     --------
     >>> import lightmatrix as lm
-    >>> shown = lm.BernoulliPatterns((16, 16), 8)
+    >>> patterns = lm.BernoulliPatterns((16, 16), 8)
     >>> scene = lm.ProceduralScene((16, 16), (16, 16)).truth()
-    >>> taken = [lm.simulate(scene, shown, primary=name) for name in ("red", "green", "blue")]
-    >>> known = [one.truth for one in taken]
-    >>> found = [one.transport() for one in known]
-    >>> lm.evaluate_colour(found, known).relative_error
+    >>> captures = [lm.simulate(scene, patterns, primary=name) for name in ("red", "green", "blue")]
+    >>> truths = [capture.truth for capture in captures]
+    >>> estimates = [truth.transport() for truth in truths]
+    >>> lm.evaluate_colour(estimates, truths).relative_error
     0.0
     """
-    for given, word in ((estimates, "estimates"), (truths, "truths")):
-        if len(given) != 3:
-            raise InputError(f"{len(given)} {word}", hint="give those of red, green and blue")
-    pairs = [_pair(*pair, progress) for pair in zip(estimates, truths, strict=True)]
+    for matrices, word in ((estimates, "estimates"), (truths, "truths")):
+        if len(matrices) != 3:
+            raise InputError(f"{len(matrices)} {word}", hint="give those of red, green and blue")
+    pairs = [_matrices(*pair, progress) for pair in zip(estimates, truths, strict=True)]
     return errors_in_colour([one for one, _ in pairs], [known for _, known in pairs], exposure)
 
 
-def _pair(
+def _matrices(
     estimate: LightTransport | str | Path,
     truth: LightTransport | Truth | str | Path,
     progress: Callable[[int, int], None] | None,
 ) -> tuple[LightTransport, LightTransport]:
-    """An estimate, and the truth of its rows."""
-    found = estimate if isinstance(estimate, LightTransport) else store.open(estimate)
-    known = truth if isinstance(truth, LightTransport) else _known(found, truth, progress)
-    known = known.cropped_like(found)
-    if found.shape != known.shape:
+    """The matrix of an estimate, and the truth of its rows."""
+    matrix = estimate if isinstance(estimate, LightTransport) else store.open(estimate)
+    known = truth if isinstance(truth, LightTransport) else _known(matrix, truth, progress)
+    known = known.cropped_like(matrix)
+    if matrix.shape != known.shape:
         names = [
-            str(given) if isinstance(given, str | Path) else word
-            for given, word in ((estimate, "the estimate"), (truth, "the truth"))
+            str(argument) if isinstance(argument, str | Path) else word
+            for argument, word in ((estimate, "the estimate"), (truth, "the truth"))
         ]
         raise InputError(
-            f"{names[0]} is {found.shape[0]} x {found.shape[1]}, "
+            f"{names[0]} is {matrix.shape[0]} x {matrix.shape[1]}, "
             f"{names[1]} is {known.shape[0]} x {known.shape[1]}",
-            hint="compare matrices of one rig, binned alike",
+            hint="compare matrices of one rig with the same binning",
         )
-    return found, known
+    return matrix, known
 
 
 def _known(
@@ -135,20 +135,20 @@ def _known(
     truth: Truth | str | Path,
     progress: Callable[[int, int], None] | None,
 ) -> LightTransport:
-    a_file = isinstance(truth, str) and (truth.lower().endswith(".npz") or Path(truth).is_dir())
-    if isinstance(truth, str) and not a_file:
+    is_file = isinstance(truth, str) and (truth.lower().endswith(".npz") or Path(truth).is_dir())
+    if isinstance(truth, str) and not is_file:
         _check_scene(estimate, truth)
     return library.truth(truth, estimate.projector_shape, progress=progress).transport()
 
 
 def _check_scene(estimate: LightTransport, name: str) -> None:
-    """Whether there is a scene of that name, at the size of the estimate."""
+    """Raise InputError if there is no scene of that name at the size of the estimate."""
     find_scene(name)
     region, projector = estimate.region, estimate.projector_shape
     camera = estimate.camera_shape if region is None else region.whole
     if camera != projector:
         raise InputError(
             f"the estimate has a camera of {' x '.join(map(str, camera))} and a projector of "
-            f"{' x '.join(map(str, projector))}, {name} is rendered with both of one size",
+            f"{' x '.join(map(str, projector))}, but {name} is rendered with both of one size",
             hint="give the T.npz of the same rig",
         )

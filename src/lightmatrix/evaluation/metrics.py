@@ -1,4 +1,4 @@
-"""How far an estimate is from the truth: the metrics that experiments and benchmarks share."""
+"""Metrics of an estimate against the truth, for users, experiments and benchmarks alike."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ from lightmatrix.patterns.blocks import sampled_pixels
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.transport.sparse_rows import row_blocks
 
-# A single response counts as not clipping up to this share of the clip level.
+# A single response counts as unclipped up to this share of the clip level. The margin of 2 % is
+# part of the metric's definition, chosen by hand.
 UNCLIPPED_RESPONSE = 0.98
+# Rows are processed in chunks of about this many bytes, of which a sparse entry takes 32: a double,
+# its square, and two indices.
 _CHUNK_BYTES = 64 << 20
-# In double precision, squared, with indices.
 _ENTRY_BYTES = 32
+# Unseen patterns of blocks and stripes have cells of this many projector pixels, checkers of twice
+# as many. A row is diffuse if its strongest window holds less than this share of its sum.
+_CELL = 4
+_DIFFUSE_SHARE = 0.5
 
 
 def relative_error(
     estimate: LightTransport, truth: LightTransport, rows: NDArray[np.integer] | None = None
 ) -> float:
-    """||T_est - T||_F / ||T||_F over the stated rows, background included.
-
-    Parameters
-    ----------
-    rows : (R,) int, optional
-        Camera samples to count; None means all.
-    """
+    """||T_est - T||_F / ||T||_F over some rows (None: all), background included."""
     wrong, total = squared_errors(estimate, truth)
     chosen = slice(None) if rows is None else rows
     missed, energy = float(wrong[chosen].sum()), float(total[chosen].sum())
@@ -41,21 +41,18 @@ def relative_error(
 def squared_errors(
     estimate: LightTransport, truth: LightTransport
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """||T_est - T||^2 and ||T||^2 of each row, backgrounds included, without a dense matrix.
-
-    Returns
-    -------
-    wrong, total : (M,) float64
-    """
+    """||T_est - T||^2 and ||T||^2 of each row, (M,) each, backgrounds included."""
     _check_same_rig(estimate, truth)
     wrong = np.empty(truth.sparse.shape[0])
     entries = np.asarray(estimate.sparse.indptr, np.int64) + truth.sparse.indptr
     cells = estimate.background.shape[1] + truth.background.shape[1]
     for rows in _blocks(entries, _ENTRY_BYTES, cells):
         difference = csr_array(estimate.sparse[rows] - truth.sparse[rows], dtype=np.float64)
-        found = estimate.background[rows], estimate.pooling
-        expected = -truth.background[rows], truth.pooling
-        wrong[rows] = _row_energies(difference, [found, expected])
+        backgrounds = [
+            (estimate.background[rows], estimate.pooling),
+            (-truth.background[rows], truth.pooling),
+        ]
+        wrong[rows] = _row_energies(difference, backgrounds)
     return wrong, row_energies(truth)
 
 
@@ -70,24 +67,24 @@ def row_energies(transport: LightTransport) -> NDArray[np.float64]:
 
 
 def _blocks(indptr: NDArray[np.integer], bytes_each: int, cells: int = 0) -> Iterator[slice]:
-    """Rows whose entries, of so many bytes each, and cells of the background about fill a chunk."""
+    """Slices of rows whose entries and background cells, `bytes_each` each, fill a chunk."""
     ends = np.asarray(indptr, np.int64) + cells * np.arange(len(indptr))
     for start, stop in itertools.pairwise(row_blocks(ends, _CHUNK_BYTES // bytes_each)):
         yield slice(start, stop)
 
 
 def _row_energies(
-    sparse: csr_array, coarse: list[tuple[NDArray[Any], csr_array]]
+    sparse: csr_array, backgrounds: list[tuple[NDArray[Any], csr_array]]
 ) -> NDArray[np.float64]:
-    """Row by row ||S + sum B m||^2: products of the parts, each as small as its smaller one."""
+    """||S + sum B m||^2 of each row, from products of the parts, so that nothing becomes dense."""
     squares = csr_array((sparse.data**2, sparse.indices, sparse.indptr), shape=sparse.shape)
     energy = np.asarray(squares.sum(axis=1), np.float64)
-    for i, (background, means) in enumerate(coarse):
+    for i, (background, means) in enumerate(backgrounds):
         if not background.any():
             continue
         own = background.astype(np.float64)
         energy += 2 * ((sparse @ means.T.astype(np.float64)).toarray() * own).sum(axis=1)
-        for other_background, other_means in coarse[i:]:
+        for other_background, other_means in backgrounds[i:]:
             overlap = (means @ other_means.T).toarray().astype(np.float64)
             product = ((own @ overlap) * other_background).sum(axis=1)
             energy += product if other_background is background else 2 * product
@@ -105,26 +102,21 @@ def response_rmse(
 ) -> float:
     """RMSE against one-pixel responses of projector pixels on a grid, as in the paper's Fig. 6.
 
-    Parameters
-    ----------
-    clip_level : float
-        The unit of the result, in camera full scale at exposure 1 (1 / exposure).
-    rows : (R,) int, optional
-        Camera samples to count; None means all.
-    step, offset : int
-        The grid of projector pixels (offset + step i, offset + step j).
+    The result is in units of `clip_level`, which is 1 / exposure. The grid has the projector pixels
+    (offset + step i, offset + step j); `rows` None counts all camera samples.
     """
     _check_same_rig(estimate, truth)
     columns = sampled_pixels(truth.projector_shape, step, min(offset, step - 1))
     chosen = slice(None) if rows is None else rows
-    gap = csr_array(estimate.sparse[:, columns] - truth.sparse[:, columns])[chosen]
+    difference = csr_array(estimate.sparse[:, columns] - truth.sparse[:, columns])[chosen]
     light = [(t.background[chosen], t.pooling[:, columns].toarray()) for t in (estimate, truth)]
-    (found, cells), (known, true_cells) = light
+    (background, cells), (true_background, true_cells) = light
     wrong, size = 0.0, max(1, _CHUNK_BYTES // (4 * max(1, len(columns))))
-    for start in range(0, gap.shape[0], size):
+    for start in range(0, difference.shape[0], size):
         part = slice(start, start + size)
-        wrong += _energy(gap[part].toarray() + found[part] @ cells - known[part] @ true_cells)
-    count = gap.shape[0] * gap.shape[1]
+        dense = difference[part].toarray() + background[part] @ cells
+        wrong += _energy(dense - true_background[part] @ true_cells)
+    count = difference.shape[0] * difference.shape[1]
     return float(np.sqrt(wrong / max(count, 1))) / clip_level
 
 
@@ -134,13 +126,7 @@ def relighting_error(
     patterns: NDArray[Any],
     rows: NDArray[np.integer] | None = None,
 ) -> float:
-    """Relative L2 error of linear, unclipped camera images, averaged over patterns.
-
-    Parameters
-    ----------
-    patterns : (K, rows, cols)
-        Unseen patterns, such as `unseen_patterns`.
-    """
+    """Relative L2 error of linear, unclipped camera images, averaged over patterns (K, rows, cols)."""
     _check_same_rig(estimate, truth)
     chosen = slice(None) if rows is None else rows
     expected = truth.relight(patterns).reshape(len(patterns), -1)[:, chosen].astype(np.float64)
@@ -151,16 +137,17 @@ def relighting_error(
 
 
 def unseen_patterns(shape: tuple[int, int], seed: int = 0) -> dict[str, NDArray[np.float32]]:
-    """Patterns no estimate has seen: checker, disc, gradient, stripes, random blocks."""
+    """Patterns that no estimate has seen: checker, disc, gradient, stripes, random blocks."""
     rows, cols = np.indices(shape)
     centre = (shape[0] - 1) / 2, (shape[1] - 1) / 2
-    random = np.random.default_rng(seed).random((-(-shape[0] // 4), -(-shape[1] // 4))) < 0.5
+    cells = [-(-side // _CELL) for side in shape]
+    random = np.random.default_rng(seed).random(cells) < 0.5
     patterns = {
-        "checker": (rows // 8 + cols // 8) % 2,
+        "checker": (rows // (2 * _CELL) + cols // (2 * _CELL)) % 2,
         "disc": np.hypot(rows - centre[0], cols - centre[1]) < min(shape) / 3,
         "gradient": (rows / shape[0] + 2 * cols / shape[1]) / 3,
-        "stripes": cols // 4 % 2,
-        "blocks": np.kron(random, np.ones((4, 4)))[: shape[0], : shape[1]],
+        "stripes": cols // _CELL % 2,
+        "blocks": np.kron(random, np.ones((_CELL, _CELL)))[: shape[0], : shape[1]],
     }
     return {name: np.asarray(image, np.float32) for name, image in patterns.items()}
 
@@ -184,33 +171,30 @@ def unclipped_rows(truth: LightTransport, exposure: float) -> NDArray[np.bool_]:
 
 
 def diffuse_rows(matrix: csr_array, projector_shape: tuple[int, int]) -> NDArray[np.bool_]:
-    """Rows whose strongest 3 x 3 window of projector pixels holds less than half their sum.
+    """Rows whose strongest 3 x 3 window of projector pixels holds less than half their sum, (M,).
 
-    Returns
-    -------
-    (M,) bool
-        False for rows without light.
+    Rows without light are not diffuse.
     """
     down, right = (
         diags_array([1.0] * 3, offsets=(-1, 0, 1), shape=(n, n)) for n in projector_shape
     )
     windows = csr_array(kron(down, right), dtype=np.float32)
     result = np.zeros(matrix.shape[0], bool)
-    # Each entry lies in nine windows, of eight bytes each.
+    # Each entry lies in nine windows, of 8 bytes each.
     for rows in _blocks(matrix.indptr, 9 * 8):
         part = matrix[rows]
         strongest = (part @ windows).max(axis=1).toarray().ravel()
-        result[rows] = strongest < 0.5 * part.sum(axis=1)
+        result[rows] = strongest < _DIFFUSE_SHARE * part.sum(axis=1)
     return result
 
 
 def _check_same_rig(estimate: LightTransport, truth: LightTransport) -> None:
-    for what in ("camera_shape", "projector_shape"):
-        if getattr(estimate, what) != getattr(truth, what):
+    for name in ("camera_shape", "projector_shape"):
+        if getattr(estimate, name) != getattr(truth, name):
             raise InputError(
-                f"the estimate's {what.replace('_', ' ')} is {getattr(estimate, what)}, "
-                f"the truth's {getattr(truth, what)}",
-                hint="compare matrices of one rig, binned alike",
+                f"the estimate's {name.replace('_', ' ')} is {getattr(estimate, name)}, "
+                f"the truth's is {getattr(truth, name)}",
+                hint="compare matrices of one rig with the same binning",
             )
 
 

@@ -1,4 +1,4 @@
-"""What to think of an estimate, in plain words, from what its rows know of themselves."""
+"""`lm.verdict`: how far to trust an estimate, judged by the diagnostics of its rows."""
 
 from __future__ import annotations
 
@@ -13,126 +13,120 @@ from lightmatrix.transport.matrix import LightTransport
 
 Level = Literal["good", "fair", "doubtful", "not tested"]
 
-# Relative errors up to which an estimate is called good, and fair.
+# An estimate is called good up to the first relative error of T, and fair up to the second. Chosen by
+# hand; no measurement stands behind them.
 GOOD, FAIR = 0.05, 0.2
-_UNTESTED = (
-    "it was not held against photographs that it has not seen (`estimate --report` does that)"
-)
-_REMEDY = (
-    "more patterns help most, then an exposure that uses the camera's range, or projector pixels "
-    "binned together; neighbouring camera pixels must see neighbouring projector pixels"
-)
-# Of the rows: with more whose single responses clip no estimate is called good; fewer are worth a
-# word, as they are bright. What they state of their errors, and photographs held out, know nothing
-# of the light beyond the clip level.
+# If the single responses of more than the first share of the rows clip, no estimate is called good;
+# if more than the second share does, the verdict mentions it. Neither the estimated error nor
+# unseen photographs show the light beyond the clip level. Chosen by hand: such rows are bright, so
+# few of them matter.
 SINGLY_CLIPPED, _SOME_CLIPPED = 0.02, 0.002
-# Of the rows: more that clip in half of their samples, or did not converge, are worth a word.
+# The verdict mentions it if more than this share of the rows clip in half of their samples, or do
+# not converge. Chosen by hand.
 _MANY_CLIPPED, _MANY_UNFINISHED = 0.1, 0.01
+_UNTESTED = "It was not tested on unseen photographs (`estimate --report` does that)."
+_REMEDY = (
+    "More patterns help most, then an exposure that uses the camera's range, or binned projector "
+    "pixels. Neighbouring camera pixels must see neighbouring projector pixels."
+)
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """What to think of an estimate.
+    """How far to trust an estimate.
 
     Parameters
     ----------
     level : {"good", "fair", "doubtful", "not tested"}
-        In a word.
+        The verdict in a word.
     sentence : str
-        Why, in one sentence with numbers.
+        The reasons with their numbers, in short sentences.
 
     Examples
     --------
     >>> import lightmatrix as lm
-    >>> print(lm.Verdict("good", "photographs held out are met within 1 %"))
-    good: photographs held out are met within 1 %
+    >>> print(lm.Verdict("good", "Prediction error on unseen photographs: 1 %."))
+    Good. Prediction error on unseen photographs: 1 %.
     """
 
     level: Level
     sentence: str
 
     def __str__(self) -> str:
-        return f"{self.level}: {self.sentence}"
+        return f"{self.level.capitalize()}. {self.sentence}"
 
 
 def verdict(transport: LightTransport, why_untested: str = _UNTESTED) -> Verdict:
-    """Judge an estimate by the errors that it states of its rows, or by what else is known.
+    """Judge an estimate by the errors that it estimates of its own rows.
 
     Parameters
     ----------
     transport : LightTransport
-        An estimate; a matrix without diagnostics cannot be judged.
+        An estimate. A matrix without diagnostics cannot be judged.
     why_untested : str
-        What is said where rows state no error.
+        The sentence to add where no row has an estimated error.
 
     Returns
     -------
     Verdict
-        "not tested" where no row states its error: solvers that converge certify that they solved
-        their problem, not that its solution is T.
+        "not tested" where no row has an estimated error. A solver that converged certifies that it
+        solved its problem, not that the solution is T.
 
     Examples
     --------
     >>> import lightmatrix as lm
     >>> print(lm.verdict(lm.truth("metal").transport()))
-    not tested: the matrix knows nothing of how it was found
+    Not tested. The matrix has no diagnostics.
     """
-    diagnostics = transport.diagnostics
-    if not diagnostics:
-        return Verdict("not tested", "the matrix knows nothing of how it was found")
+    if not transport.diagnostics:
+        return Verdict("not tested", "The matrix has no diagnostics.")
     remarks = _remarks(transport)
-    stated = stated_error(transport)
-    if stated is None:
-        return Verdict("not tested", "; ".join([*remarks, why_untested]))
-    said = f"the rows state a relative error of T of {percent(stated)}"
-    level, unseen = limited(level_of(stated), singly_clipped(transport, _shortest(transport)))
+    error = estimated_error(transport)
+    if error is None:
+        return Verdict("not tested", " ".join([*remarks, why_untested]))
+    clipped = singly_clipped(transport, _shortest_exposure(transport))
+    level, warnings = limited(level_of(error), clipped)
     if level == "doubtful":
         remarks.append(_REMEDY)
-    return Verdict(level, "; ".join([said, *unseen, *remarks]))
+    sentences = [f"Estimated error of T: {percent(error)}.", *warnings, *remarks]
+    return Verdict(level, " ".join(sentences))
 
 
 def singly_clipped(transport: LightTransport, exposure: float) -> float:
-    """Share of the rows whose strongest single response clips at an exposure, the shortest."""
+    """Share of the rows whose strongest single response clips at an exposure."""
     return 1 - float(np.mean(unclipped_rows(transport, exposure)))
 
 
 def limited(level: Level, clipped: float) -> tuple[Level, list[str]]:
-    """A level that does not trust in light that nobody saw, and what to say of it.
-
-    Parameters
-    ----------
-    level : {"good", "fair", "doubtful"}
-        By what rows state and photographs say, which know nothing of it.
-    clipped : float
-        Share of the rows whose single responses clip.
-    """
+    """Lower a level if the single responses of a share `clipped` of the rows clip; and a warning."""
     if clipped <= _SOME_CLIPPED:
         return level, []
-    told = f"but {percent(clipped)} of the rows clip under a single projector pixel, and nobody "
     if level == "good" and clipped > SINGLY_CLIPPED:
         level = "fair"
-    return level, [told + "saw by how much"]
+    return level, [
+        f"But {percent(clipped)} of the rows clip under a single projector pixel, and no photograph "
+        "shows by how much."
+    ]
 
 
-def _shortest(transport: LightTransport) -> float:
-    """Its shortest exposure by its provenance; 0, at which nothing clips, if that has none."""
-    told = transport.provenance.get("capture_description")
-    # A store may say anything.
+def _shortest_exposure(transport: LightTransport) -> float:
+    """The shortest exposure by the provenance; 0, at which nothing clips, if it is unknown."""
+    description = transport.provenance.get("capture_description")
+    # The provenance of a store may hold anything.
     try:
-        exposure = float(np.min(told["exposure"])) if isinstance(told, Mapping) else 0.0
+        exposure = (
+            float(np.min(description["exposure"])) if isinstance(description, Mapping) else 0.0
+        )
     except (TypeError, ValueError, KeyError):
         return 0.0
     return exposure if np.isfinite(exposure) else 0.0
 
 
-def stated_error(transport: LightTransport) -> float | None:
-    """The relative error of T that follows from those that its rows state of themselves.
+def estimated_error(transport: LightTransport) -> float | None:
+    """The relative error of T that follows from the estimated errors of its rows.
 
-    Returns
-    -------
-    float or None
-        ||error of T|| / ||T|| in the Frobenius norm, over the rows that state theirs; None where
-        there are none.
+    It is ||error of T|| / ||T|| in the Frobenius norm, over the rows that have an estimate of their
+    error; None if no row has.
     """
     errors = np.asarray(transport.diagnostics.get("estimated_error", np.zeros(0)), float)
     known = np.flatnonzero(np.isfinite(errors))
@@ -145,28 +139,28 @@ def stated_error(transport: LightTransport) -> float | None:
 
 
 def level_of(error: float) -> Level:
-    """The word for a relative error."""
+    """The verdict on a relative error of T."""
     return "good" if error <= GOOD else "fair" if error <= FAIR else "doubtful"
 
 
 def _remarks(transport: LightTransport) -> list[str]:
-    """What is unusual about the rows; that all is well, if nothing is."""
-    told = []
+    """Sentences about convergence and clipping."""
+    remarks = []
     diagnostics = transport.diagnostics
     finished = float(np.mean(diagnostics.get("converged", np.ones(1))))
     if 1 - finished > _MANY_UNFINISHED:
-        told.append(f"{percent(1 - finished)} of the rows reached the iteration limit")
+        remarks.append(f"{percent(1 - finished)} of the rows reached the iteration limit.")
     elif "converged" in diagnostics:
-        told.append(f"{percent(finished)} of the rows converged")
+        remarks.append(f"{percent(finished)} of the rows converged.")
     clipped = np.asarray(diagnostics.get("clipped_share", np.zeros(1)))
     often = float(np.mean(clipped > 0.5))
     if often > _MANY_CLIPPED:
-        told.append(f"{percent(often)} of the rows clipped in more than half of their samples")
-    return told
+        remarks.append(f"{percent(often)} of the rows clipped in more than half of their samples.")
+    return remarks
 
 
 def percent(share: float) -> str:
-    """A share in per cent, with as many digits as tell something."""
+    """A share in per cent, rounded to two digits or to whole per cent."""
     value = 100 * share
     digits = "0" if value == 0 else f"{value:.0f}" if value >= 9.95 else f"{value:.2g}"
     return f"{digits} %"

@@ -17,7 +17,7 @@ from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.frames import ArrayStack
 from lightmatrix.estimators.estimate import estimate
 from lightmatrix.evaluation.metrics import relighting_error, squared_errors, unseen_patterns
-from lightmatrix.evaluation.verdict import stated_error
+from lightmatrix.evaluation.verdict import estimated_error
 from lightmatrix.experiments.harness import Experiment, Measured
 from lightmatrix.experiments.measured_scene import SCENES
 from lightmatrix.patterns.bits import BernoulliPatterns
@@ -145,7 +145,7 @@ def measure(case: Case) -> Measured:
         **asdict(case),
         "relative_error": float(np.sqrt(wrong.sum() / total.sum())),
         "relighting_error": relighting_error(found, known, tests),
-        "stated_error": stated_error(found),
+        "stated_error": estimated_error(found),
         "footprint": float(np.median(found.diagnostics["footprint"])),
         "seconds": seconds,
         "full_frame": float("nan"),

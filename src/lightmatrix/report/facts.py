@@ -14,11 +14,11 @@ from lightmatrix.evaluation.metrics import relative_error, squared_errors
 from lightmatrix.evaluation.verdict import (
     FAIR,
     Verdict,
+    estimated_error,
     level_of,
     limited,
     percent,
     singly_clipped,
-    stated_error,
     verdict,
 )
 from lightmatrix.report.validation import HeldOut
@@ -141,7 +141,7 @@ class Facts:
         if self.relative_error is not None:
             errors.append(self.relative_error)
             told.append(f"T is within {percent(self.relative_error)} of the truth")
-        stated = stated_error(self.transport)
+        stated = estimated_error(self.transport)
         if stated is not None:
             errors.append(stated)
             told.append(f"its rows state an error of T of {percent(stated)}")
