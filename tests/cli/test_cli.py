@@ -98,7 +98,7 @@ def test_rows_by_themselves_do_not_know_their_footprint(
     plain, out = str(tmp_path / "plain.zarr"), tmp_path / "out.png"
     assert main(["estimate", str(work / "capture"), "--no-coherent", "-o", plain]) == 0
     assert main(["show", plain, "--footprint", "-o", str(out)]) == 2
-    assert "does not know the footprint of its rows" in capsys.readouterr().err
+    assert "this matrix has no footprint of its rows" in capsys.readouterr().err
     assert not out.exists()
     assert main(["show", str(work / "scene.zarr"), "--footprint", "-o", str(out)]) == 0
 

@@ -9,7 +9,7 @@ import pytest
 from scipy.sparse import csr_array, random_array
 
 import lightmatrix as lm
-from lightmatrix.evaluation.verdict import stated_error, verdict
+from lightmatrix.evaluation.verdict import estimated_error, verdict
 
 ROWS, COLS = 9, 7
 
@@ -25,33 +25,31 @@ def transport() -> lm.LightTransport:
     return lm.LightTransport(csr_array(dense), background, (5, 6), (ROWS, COLS), (2, 1))
 
 
-def test_the_verdict_follows_what_rows_state(transport: lm.LightTransport) -> None:
+def test_the_verdict_follows_the_estimated_errors(transport: lm.LightTransport) -> None:
     assert verdict(transport).level == "not tested"
 
     def judged(**facts: float) -> str:
         diagnostics = {name: np.full(30, value) for name, value in facts.items()}
         return str(verdict(replace(transport, diagnostics=diagnostics)))
 
-    assert judged(estimated_error=0.01).startswith(
-        "good: the rows state a relative error of T of 1 %"
-    )
-    assert judged(estimated_error=0.1).startswith("fair")
-    assert judged(estimated_error=0.5).startswith("doubtful")
-    assert "not tested: 100 % of the rows converged" in judged(converged=1)
+    assert judged(estimated_error=0.01).startswith("Good. Estimated error of T: 1 %.")
+    assert judged(estimated_error=0.1).startswith("Fair. ")
+    assert judged(estimated_error=0.5).startswith("Doubtful. ")
+    assert "Not tested. 100 % of the rows converged." in judged(converged=1)
     assert "reached the iteration limit" in judged(converged=0)
     assert "clipped in more than half" in judged(clipped_share=0.8, estimated_error=0.01)
-    # Rows count by their light; those that state nothing do not.
+    # Rows count by their light; rows without an estimated error do not count.
     errors = np.where(np.arange(30) < 2, 0.5, 0.01)
     errors[5] = np.nan
     mixed = replace(transport, diagnostics={"estimated_error": errors})
     energy = (transport.dense_rows(np.arange(30)).astype(float) ** 2).sum(axis=1)
     known = np.isfinite(errors)
     expected = np.sqrt((energy[known] * errors[known] ** 2).sum() / energy[known].sum())
-    assert stated_error(mixed) == pytest.approx(expected, rel=1e-5)
+    assert estimated_error(mixed) == pytest.approx(expected, rel=1e-5)
     assert verdict(mixed).level == "fair"
 
 
-def test_an_estimate_that_did_not_see_its_brightest_light_is_not_called_good(
+def test_an_estimate_with_clipped_single_responses_is_not_called_good(
     transport: lm.LightTransport,
 ) -> None:
     brightest = float(transport.dense_rows(np.arange(30)).max())
@@ -65,7 +63,7 @@ def test_an_estimate_that_did_not_see_its_brightest_light_is_not_called_good(
     clipped = judged([1e3 / brightest, 2e3 / brightest])
     assert clipped.level == "fair"
     assert "of the rows clip under a single projector pixel" in clipped.sentence
-    # The shortest of several exposures saw it.
+    # The shortest of several exposures does not clip.
     assert judged([1e3 / brightest, 0.5 / brightest]).level == "good"
     damaged: object
     for damaged in ("much", None, [], {}, float("nan"), ["a"]):

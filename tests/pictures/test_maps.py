@@ -29,19 +29,19 @@ def test_maps_are_read_without_colour(transport: lm.LightTransport) -> None:
     """Lightness always rises or always falls, for black-and-white prints and the colour-blind."""
     matches = lm.correspondence(transport)
     rows = np.arange(30, dtype=np.float32)
-    knowing = replace(
+    estimate = replace(
         transport,
         diagnostics={
             "clipped_share": rows / 30, "gap": 1e-5 * rows, "footprint": rows,
             "estimated_error": rows / 30,
         },
     )  # fmt: skip
-    shown = [
-        maps.clipping_map(knowing), maps.gap_map(knowing), maps.footprint_map(knowing),
-        maps.stated_error_map(knowing), maps.error_map(rows.reshape(5, 6)),
+    drawn = [
+        maps.clipping_map(estimate), maps.gap_map(estimate), maps.footprint_map(estimate),
+        maps.estimated_error_map(estimate), maps.error_map(rows.reshape(5, 6)),
         *maps.correspondence_maps(matches),
     ]  # fmt: skip
-    for one in shown:
+    for one in drawn:
         colours = one.colour_map(np.linspace(0, 1, 64))[:, :3] ** 2.2
         steps = np.diff(colours @ (0.2126, 0.7152, 0.0722))
         assert (steps > 0).all() or (steps < 0).all(), one.name
@@ -49,10 +49,10 @@ def test_maps_are_read_without_colour(transport: lm.LightTransport) -> None:
         assert pixels.shape == (5, 6, 3)
         assert pixels.dtype == np.uint8
     # Unknown values do not look like the smallest value.
-    assert (shown[5].pixels()[np.isnan(shown[5].values)] == 178).all()
+    assert (drawn[5].pixels()[np.isnan(drawn[5].values)] == 178).all()
 
 
-def test_maps_of_unknown_facts_are_refused(transport: lm.LightTransport) -> None:
+def test_maps_of_missing_diagnostics_are_refused(transport: lm.LightTransport) -> None:
     for show in (lm.show_clipping, lm.show_gaps, lm.show_footprints, lm.show_stated_errors):
-        with pytest.raises(lm.InputError, match="does not know"):
+        with pytest.raises(lm.InputError, match="this matrix has no"):
             show(transport)

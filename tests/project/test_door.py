@@ -207,7 +207,7 @@ def test_pictures_are_drawn(tmp_path: Path) -> None:
         lm.show_row(found, 3)
     with pytest.raises(lm.InputError, match="no projector pixel"):
         lm.show_column(found, 3, 64)
-    with pytest.raises(lm.InputError, match="does not know the gap"):
+    with pytest.raises(lm.InputError, match="this matrix has no gap"):
         lm.show_gaps(capture.truth.transport())
 
 

@@ -1,4 +1,4 @@
-"""The report: what it tells, and how it looks in a real browser."""
+"""The report: its content, and how it looks in a real browser."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from lightmatrix.cli import main
 from lightmatrix.pictures import maps
 from lightmatrix.report import image_data, validation
 from lightmatrix.report.facts import Facts
-from lightmatrix.report.recommendations import advice
+from lightmatrix.report.recommendations import recommendations
 from lightmatrix.simulation.procedural_scene import ProceduralScene
 
 NOISE = 0.003
@@ -43,10 +43,10 @@ def written(
     capture: lm.SimulatedCapture, estimate: lm.LightTransport,
     tmp_path_factory: pytest.TempPathFactory,
 ) -> Path:  # fmt: skip
-    """A report with all that can stand on one, and a title that is no markup."""
+    """A report with every optional part, and a title that must not be read as markup."""
     folder = tmp_path_factory.mktemp("written") / "report"
     rows = np.arange(len(estimate.background))
-    knowing = replace(
+    complete = replace(
         estimate,
         diagnostics={
             **estimate.diagnostics,
@@ -54,7 +54,7 @@ def written(
             "estimated_error": (0.001 * (1 + rows % 50)).astype(np.float32),
         },
     )
-    lm.report(folder, knowing, capture, truth=capture.truth, title="<b>odd & title</b>")
+    lm.report(folder, complete, capture, truth=capture.truth, title="<b>odd & title</b>")
     return folder
 
 
@@ -64,7 +64,7 @@ def _words(file: Path) -> str:
     return " ".join(text.split())
 
 
-def test_the_page_stands_by_itself(written: Path) -> None:
+def test_the_page_is_self_contained(written: Path) -> None:
     page = (written / "report.html").read_text()
     assert len(page.encode()) < 5_000_000
     assert "<script" not in page
@@ -78,20 +78,20 @@ def test_the_page_stands_by_itself(written: Path) -> None:
     assert all(re.search(r'alt="[^"]{2,}"', picture) for picture in pictures)
 
 
-def test_the_page_tells_what_it_should(written: Path, estimate: lm.LightTransport) -> None:
+def test_the_page_has_its_sections_and_numbers(written: Path, estimate: lm.LightTransport) -> None:
     words = _words(written / "report.html")
     numbers = json.loads((written / "report.json").read_text())
     assert numbers["verdict"] in ("good", "fair")
     assert numbers["sentence"] in words
-    for told in (
-        "The first patterns and photographs", "0: ", "Samples that clipped, frame by frame",
-        "Relative duality gap", "Error that the estimate states", "Prediction minus photograph",
-        "Projector row", "Projector column", "Confidence", "Size of footprints", "Background",
+    for phrase in (
+        "First patterns and photographs", "0: ", "Clipped samples per frame",
+        "Relative duality gap", "Estimated error per camera pixel", "Prediction minus photograph",
+        "Projector row", "Projector column", "Confidence", "Footprint size", "Background",
         "Dual image", "Row of camera pixel", "Column of projector pixel", "The truth",
-        "Error against the truth", "What to do better next time", "pattern digest",
+        "Error against the truth", "Recommendations", "pattern digest",
         str(estimate.provenance["pattern_digest"]), "versions: numpy",
     ):  # fmt: skip
-        assert told in words, told
+        assert phrase in words, phrase
 
 
 def test_the_numbers_are_those_of_the_estimate(
@@ -104,7 +104,7 @@ def test_the_numbers_are_those_of_the_estimate(
     assert numbers["held_out_error"] < 0.3 * numbers["mean_photograph_error"]
 
 
-def test_an_estimate_that_knows_little_has_a_report_too(tmp_path: Path) -> None:
+def test_an_estimate_without_diagnostics_has_a_report_too(tmp_path: Path) -> None:
     """Colour, two exposures, bins, a mask, all rows dark on one side, no truth, no diagnostics."""
     patterns = lm.BernoulliPatterns((8, 8), 6)
     frames = np.random.default_rng(0).integers(0, 250, (6, 10, 12, 3)).astype(np.uint8)
@@ -116,19 +116,17 @@ def test_an_estimate_that_knows_little_has_a_report_too(tmp_path: Path) -> None:
     capture = lm.Capture.from_arrays(patterns, frames, sensor, mask=mask).bin(camera=2)
     estimate = lm.estimate(capture, solver="romp", iterations=2)
     bare = replace(estimate, diagnostics={}, provenance={})
-    wrong = SimpleNamespace(
+    finding = SimpleNamespace(
         kind="swapped", frames=(2, 4), message="two frames look swapped", advice="swap them"
     )
-    told = lm.report(tmp_path / "report", bare, capture, findings=[wrong])
-    assert told["findings"] == ["swapped"]
-    assert told["verdict"] == "not tested"
-    assert told["clipped_samples"] == pytest.approx(capture.clipped_share)
+    numbers = lm.report(tmp_path / "report", bare, capture, findings=[finding])
+    assert numbers["findings"] == ["swapped"]
+    assert numbers["verdict"] == "not tested"
+    assert numbers["clipped_samples"] == pytest.approx(capture.clipped_share)
     words = _words(tmp_path / "report" / "report.html")
     assert "6 photographs are too few" in words
-    assert "clip, exposure 0.25" in words
-    assert (
-        "What is wrong with the frames two frames look swapped (frames 2, 4). Swap them." in words
-    )
+    assert "clipped, exposure 0.25" in words
+    assert "Problems of the frames Two frames look swapped (frames 2, 4). Swap them." in words
 
 
 def test_a_capture_of_another_rig_is_refused(
@@ -145,26 +143,26 @@ def test_estimate_writes_a_report(
 ) -> None:  # fmt: skip
     capture.save(tmp_path / "capture")
     monkeypatch.chdir(tmp_path)
-    assert main(["estimate", "capture", "--report", "told", "--json"]) == 0
-    said = json.loads(capsys.readouterr().out)["report"]
-    assert said == json.loads(Path("told/report.json").read_text())
-    # Simulated captures bring their truth along.
-    assert said["relative_error"] is not None
-    assert main(["estimate", "capture", "--report", "told", "-o", "other.zarr"]) == 2
-    assert "told: exists already" in capsys.readouterr().err
+    assert main(["estimate", "capture", "--report", "report", "--json"]) == 0
+    numbers = json.loads(capsys.readouterr().out)["report"]
+    assert numbers == json.loads(Path("report/report.json").read_text())
+    # A simulated capture holds its truth.
+    assert numbers["relative_error"] is not None
+    assert main(["estimate", "capture", "--report", "report", "-o", "other.zarr"]) == 2
+    assert "report: exists already" in capsys.readouterr().err
     assert not Path("other.zarr").exists()
 
 
 def test_pictures_stay_small_whatever_they_show() -> None:
     """About 40 of them, and as many thumbnails twice, stay below 5 MB."""
     noise = np.random.default_rng(0).random((1000, 900, 3))
-    found = maps.error_map(noise[..., 0])
+    errors = maps.error_map(noise[..., 0])
     pictures = (
         image_data.photograph(noise, "noise", exact=True),
         image_data.pattern_image(noise[..., 0], "noise"),
         image_data.difference_image(noise - 0.5, 1, "noise", "noise"),
         image_data.faint_image(noise[..., 0], "noise", "noise"),
-        image_data.image_of_map(found),
+        image_data.image_of_map(errors),
     )
     for picture in pictures:
         assert len(picture.source) < 150_000
@@ -173,11 +171,11 @@ def test_pictures_stay_small_whatever_they_show() -> None:
     assert len(thumbnail.source) < 8_000
 
 
-# ---- photographs held out
+# ---- unseen photographs
 
 
 class _Known:
-    """An estimator that knows a matrix, and remembers what it was shown."""
+    """An estimator that returns a fixed matrix and records its captures."""
 
     def __init__(self, matrix: lm.LightTransport) -> None:
         self.matrix = matrix
@@ -188,34 +186,34 @@ class _Known:
         return self.matrix
 
 
-def test_frames_held_out_are_not_seen(capture: lm.SimulatedCapture) -> None:
+def test_the_second_estimate_does_not_see_the_frames(capture: lm.SimulatedCapture) -> None:
     knowing = _Known(capture.truth.transport())
-    held = validation.hold_out(capture, knowing)
-    assert isinstance(held, validation.HeldOut)
+    tested = validation.validate(capture, knowing)
+    assert isinstance(tested, validation.Validation)
     seen = knowing.seen[0]
-    assert seen.count == capture.count - len(held.frames) == held.others
-    for index in held.frames:
+    assert seen.count == capture.count - len(tested.frames) == tested.others
+    for index in tested.frames:
         frame = capture.frame(int(index))
         assert not any((seen.frame(k) == frame).all() for k in range(seen.count))
-    # The truth misses them by the noise, and nothing by all of what did not clip.
-    level = float(np.sqrt(np.mean(np.square(held.photographed))))
-    assert held.error < 2 * NOISE / level
+    # The truth predicts them up to the noise; a black matrix misses all light.
+    level = float(np.sqrt(np.mean(np.square(tested.photographs))))
+    assert tested.error < 2 * NOISE / level
     black = lm.LightTransport.from_matrix(
         0 * capture.truth.matrix, capture.camera_shape, capture.projector_shape
     )
-    nothing = validation.hold_out(capture, _Known(black))
-    assert isinstance(nothing, validation.HeldOut)
+    nothing = validation.validate(capture, _Known(black))
+    assert isinstance(nothing, validation.Validation)
     assert nothing.error == pytest.approx(1)
-    assert held.trivial_error > 10 * held.error
+    assert tested.mean_error > 10 * tested.error
 
 
-def test_an_estimate_that_needs_every_frame_is_told(capture: lm.SimulatedCapture) -> None:
+def test_an_estimate_that_needs_every_frame_is_not_tested(capture: lm.SimulatedCapture) -> None:
     class Refusing:
         def estimate(self, capture: lm.Capture, *, progress: Any = None) -> lm.LightTransport:
             raise lm.InputError("too few patterns")
 
-    told = validation.hold_out(capture, Refusing())
-    assert told == "without it the estimate is refused (too few patterns)"
+    reason = validation.validate(capture, Refusing())
+    assert reason == "the estimate is impossible without the unseen photographs (too few patterns)"
 
 
 def test_large_cameras_are_tested_on_a_part(
@@ -229,12 +227,12 @@ def test_large_cameras_are_tested_on_a_part(
             seen.append(capture)
             return lm.estimate(capture, coherent=False, iterations=20)
 
-    held = validation.hold_out(capture, Cropped())
-    assert isinstance(held, validation.HeldOut)
-    assert held.place is not None
-    rows, cols = held.place
+    tested = validation.validate(capture, Cropped())
+    assert isinstance(tested, validation.Validation)
+    assert tested.region is not None
+    rows, cols = tested.region
     whole = capture.samples().values.reshape(*capture.camera_shape, -1)[rows, cols]
-    kept = np.setdiff1d(np.arange(capture.count), held.frames)
+    kept = np.setdiff1d(np.arange(capture.count), tested.frames)
     shown = seen[0].samples().values.reshape(*whole.shape[:2], -1)
     np.testing.assert_array_equal(shown, whole[..., kept])
     assert 50 < seen[0].rows <= 100
@@ -243,9 +241,9 @@ def test_large_cameras_are_tested_on_a_part(
 def test_patterns_that_are_sums_of_others_are_not_held_out() -> None:
     stripes = np.stack([(np.arange(16) >> bit & 1) * np.ones((16, 1)) for bit in range(4)])
     gray = np.concatenate([stripes, 1 - stripes, np.ones((1, 16, 16))]).astype(np.float32)
-    told = validation.choose_frames(lm.ImagePatterns(gray))
-    assert isinstance(told, str)
-    assert "sum of others" in told
+    reason = validation.choose_frames(lm.ImagePatterns(gray))
+    assert isinstance(reason, str)
+    assert "sum of others" in reason
     random = lm.BernoulliPatterns((16, 16), 64)
     chosen = validation.choose_frames(random)
     assert not isinstance(chosen, str)
@@ -253,34 +251,36 @@ def test_patterns_that_are_sums_of_others_are_not_held_out() -> None:
     assert isinstance(validation.choose_frames(lm.BernoulliPatterns((16, 16), 7)), str)
 
 
-# ---- advice
+# ---- recommendations
 
 
 def _facts(capture: lm.Capture, transport: lm.LightTransport, **more: Any) -> Facts:
-    return Facts(transport, capture, None, more.get("held", "nobody asked for it"))
+    return Facts(transport, capture, None, more.get("validation", "the test was not requested"))
 
 
-def test_advice_names_what_is_wanting(
+def test_each_problem_has_a_recommendation(
     capture: lm.SimulatedCapture, estimate: lm.LightTransport
 ) -> None:
+    def advice(transport: lm.LightTransport, of: lm.Capture = capture, **more: Any) -> str:
+        return " ".join(recommendations(_facts(of, transport, **more)))
+
     rows = len(estimate.background)
     bright = replace(estimate, sparse=estimate.sparse * 3)
-    assert any("single projector pixel" in said for said in advice(_facts(capture, bright)))
+    assert "single projector pixel" in advice(bright)
     stopped = {**estimate.diagnostics, "converged": np.arange(rows) % 2 == 0}
-    told = advice(_facts(capture, replace(estimate, diagnostics=stopped)))
-    assert any("50 % of the rows reached the iteration limit" in said for said in told)
+    stopped_advice = advice(replace(estimate, diagnostics=stopped))
+    assert "50 % of the rows reached the iteration limit" in stopped_advice
     often = {"clipped_share": np.full(rows, 0.9, np.float32)}
-    told = advice(_facts(capture, replace(estimate, diagnostics=often)))
-    assert any("more than half of their samples" in said for said in told)
+    assert "more than half of their samples" in advice(replace(estimate, diagnostics=often))
     dim = lm.simulate(capture.truth, capture.patterns, exposure=0.05)
-    assert any("times the exposure" in said for said in advice(_facts(dim, estimate)))
-    held = validation.hold_out(capture, _Known(estimate))
-    assert isinstance(held, validation.HeldOut)
-    told = advice(_facts(capture, estimate, held=replace(held, error=0.5)))
-    assert any("missed by 50 %" in said and "(80)" in said for said in told)
+    assert "times as long" in advice(estimate, dim)
+    tested = validation.validate(capture, _Known(estimate))
+    assert isinstance(tested, validation.Validation)
+    inaccurate = advice(estimate, validation=replace(tested, error=0.5))
+    assert "unseen photographs: 50 %" in inaccurate
+    assert "(80)" in inaccurate
     wide = {**estimate.diagnostics, "footprint": np.full(rows, 40, np.float32)}
-    told = advice(_facts(capture, replace(estimate, diagnostics=wide)))
-    assert any("Footprints cover 40" in said for said in told)
+    assert "Footprints cover 40" in advice(replace(estimate, diagnostics=wide))
 
 
 # ---- in a browser
@@ -290,35 +290,35 @@ def test_advice_names_what_is_wanting(
 def browser() -> Iterator[Browser]:
     if installed() is None:
         pytest.skip("no Chromium is installed: make system-deps brings one")
-    with opened() as found:
-        yield found
+    with opened() as chromium:
+        yield chromium
 
 
 @pytest.mark.parametrize(("width", "scheme"), [(1440, "light"), (360, "dark")])
 def test_the_page_is_accessible(width: int, scheme: Any, written: Path, browser: Browser) -> None:
     page = browser.new_page(viewport={"width": width, "height": 900}, color_scheme=scheme)
     page.goto((written / "report.html").as_uri())
-    found = Axe().run(page)
-    assert not found.response["violations"], found.generate_report()
+    result = Axe().run(page)
+    assert not result.response["violations"], result.generate_report()
     assert page.evaluate("document.documentElement.scrollWidth") <= width
     page.close()
 
 
-def test_the_page_asks_for_nothing_and_shows_its_pictures(written: Path, browser: Browser) -> None:
+def test_the_page_requests_nothing_and_shows_its_pictures(written: Path, browser: Browser) -> None:
     page = browser.new_page(color_scheme="dark")
-    asked: list[str] = []
-    said: list[str] = []
-    page.on("request", lambda request: asked.append(request.url))
-    page.on("console", lambda message: said.append(message.text))
+    requests: list[str] = []
+    messages: list[str] = []
+    page.on("request", lambda request: requests.append(request.url))
+    page.on("console", lambda message: messages.append(message.text))
     page.goto((written / "report.html").as_uri())
     missing = "[...document.images].filter(i => !(i.complete && i.naturalWidth)).length"
     assert page.evaluate(missing) == 0
-    assert [url for url in asked if not url.startswith(("file:", "data:"))] == []
-    assert said == []
+    assert [url for url in requests if not url.startswith(("file:", "data:"))] == []
+    assert messages == []
     dark = page.evaluate("getComputedStyle(document.body).backgroundColor")
     page.emulate_media(color_scheme="light")
     assert page.evaluate("getComputedStyle(document.body).backgroundColor") != dark
-    # On paper always black on white, and without what can only be clicked.
+    # On paper the page is black on white, without the links of the navigation.
     page.emulate_media(media="print", color_scheme="dark")
     assert page.evaluate("getComputedStyle(document.body).color") == "rgb(0, 0, 0)"
     assert not page.locator("nav").is_visible()

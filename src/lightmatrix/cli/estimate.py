@@ -204,10 +204,10 @@ def estimate(
         took = {"seconds": seconds, "needs": resources.as_dict()}
         show_json({"output": str(output), **took, **summary, **more})
         return
-    verdict = lm.verdict(transport)
-    if told is not None:
-        verdict = lm.Verdict(told["verdict"], told["sentence"])
-    say(str(verdict))
+    if told is None:
+        say(str(lm.verdict(transport)))
+    else:
+        say(str(lm.Verdict(told["verdict"], told["sentence"])))
     show_table(str(output), labelled(summary, main_only=not verbose))
     if summary["converged_rows"] < _FEW_CONVERGED:
         say("some rows reached the iteration limit: raise it with --iterations", style="yellow")

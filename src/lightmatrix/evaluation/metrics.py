@@ -126,7 +126,7 @@ def relighting_error(
     patterns: NDArray[Any],
     rows: NDArray[np.integer] | None = None,
 ) -> float:
-    """Relative L2 error of linear, unclipped camera images, averaged over patterns (K, rows, cols)."""
+    """Relative L2 error of linear, unclipped images, averaged over patterns (K, rows, cols)."""
     _check_same_rig(estimate, truth)
     chosen = slice(None) if rows is None else rows
     expected = truth.relight(patterns).reshape(len(patterns), -1)[:, chosen].astype(np.float64)

@@ -13,8 +13,8 @@ from lightmatrix.transport.matrix import LightTransport
 
 Level = Literal["good", "fair", "doubtful", "not tested"]
 
-# An estimate is called good up to the first relative error of T, and fair up to the second. Chosen by
-# hand; no measurement stands behind them.
+# An estimate is called good up to the first relative error of T, and fair up to the second. Both
+# were chosen by hand; no measurement stands behind them.
 GOOD, FAIR = 0.05, 0.2
 # If the single responses of more than the first share of the rows clip, no estimate is called good;
 # if more than the second share does, the verdict mentions it. Neither the estimated error nor
@@ -98,14 +98,14 @@ def singly_clipped(transport: LightTransport, exposure: float) -> float:
 
 
 def limited(level: Level, clipped: float) -> tuple[Level, list[str]]:
-    """Lower a level if the single responses of a share `clipped` of the rows clip; and a warning."""
+    """A level, lowered if the single responses of too many rows clip, and warnings about it."""
     if clipped <= _SOME_CLIPPED:
         return level, []
     if level == "good" and clipped > SINGLY_CLIPPED:
         level = "fair"
     return level, [
-        f"But {percent(clipped)} of the rows clip under a single projector pixel, and no photograph "
-        "shows by how much."
+        f"But {percent(clipped)} of the rows clip under a single projector pixel, and no "
+        "photograph shows by how much."
     ]
 
 

@@ -1,4 +1,4 @@
-"""Pictures of how good a light transport matrix is, and of what its rows know of themselves."""
+"""Pictures of the diagnostics of an estimate, as maps over the camera."""
 
 from __future__ import annotations
 
@@ -12,31 +12,31 @@ from lightmatrix.pictures.maps import (
     Map,
     clipping_map,
     correspondence_maps,
+    estimated_error_map,
     footprint_map,
     gap_map,
-    stated_error_map,
 )
 from lightmatrix.pictures.style import STYLE, panel
 from lightmatrix.pictures.transport import Picture
 from lightmatrix.transport.correspondence import correspondence
 from lightmatrix.transport.matrix import LightTransport
 
-# Lines on a map of projector rows or columns: so many of them cross the projector.
-_LINES = 8
+# Lines of equal value divide a map of projector rows or columns into this many bands.
+_BANDS = 8
 
 
 def show_clipping(transport: LightTransport) -> Picture:
-    """Picture of how many of each camera pixel's samples clipped.
+    """Picture of the share of each camera pixel's samples that clipped.
 
     Parameters
     ----------
     transport : LightTransport
-        An estimate, whose diagnostics say it.
+        An estimate.
 
     Returns
     -------
     Picture
-        A Matplotlib figure; of a colour camera, the channel that clipped most.
+        A Matplotlib figure. For a colour camera it shows the channel that clipped most.
 
     Raises
     ------
@@ -54,17 +54,17 @@ def show_clipping(transport: LightTransport) -> Picture:
 
 
 def show_gaps(transport: LightTransport) -> Picture:
-    """Picture of the relative duality gap of each row: how far from its optimum it can be.
+    """Picture of the relative duality gap of each row, the most that it can miss its optimum by.
 
     Parameters
     ----------
     transport : LightTransport
-        An estimate of a solver that certifies its rows, such as active-set.
+        An estimate of a solver that computes gaps, such as active-set.
 
     Returns
     -------
     Picture
-        A Matplotlib figure; rows without a gap are grey. Of a colour camera, the largest gap.
+        A Matplotlib figure. Rows without a gap are grey; a colour camera shows its largest gap.
 
     Raises
     ------
@@ -82,22 +82,22 @@ def show_gaps(transport: LightTransport) -> Picture:
 
 
 def show_footprints(transport: LightTransport) -> Picture:
-    """Picture of the size of each camera pixel's footprint: what is out of focus.
+    """Picture of the size of each camera pixel's footprint, which is large where out of focus.
 
     Parameters
     ----------
     transport : LightTransport
-        An estimate that measured its footprints.
+        An estimate that measured footprints, as the coherent one does.
 
     Returns
     -------
     Picture
-        A Matplotlib figure, in projector pixels; of a colour camera, the largest of its channels.
+        A Matplotlib figure, in projector pixels. A colour camera shows its largest channel.
 
     Raises
     ------
     InputError
-        If the estimate did not measure them.
+        If the estimate did not measure footprints.
 
     Examples
     --------
@@ -108,43 +108,44 @@ def show_footprints(transport: LightTransport) -> Picture:
 
 
 def show_stated_errors(transport: LightTransport) -> Picture:
-    """Picture of the relative error that an estimate states of each of its rows.
+    """Picture of the estimated relative error of each row.
 
     Parameters
     ----------
     transport : LightTransport
-        An estimate that states its errors.
+        An estimate that estimates its errors, as the coherent one does.
 
     Returns
     -------
     Picture
-        A Matplotlib figure; of a colour camera, the largest error of its channels.
+        A Matplotlib figure. A colour camera shows its largest error.
 
     Raises
     ------
     InputError
-        If the estimate states none.
+        If the estimate has no estimated errors.
 
     Examples
     --------
     >>> import lightmatrix as lm
     >>> lm.show_stated_errors(lm.open("scene.zarr")).savefig("errors.png")  # doctest: +SKIP
     """
-    return draw(stated_error_map(transport))
+    return draw(estimated_error_map(transport))
 
 
 def show_correspondence(transport: LightTransport) -> Picture:
-    """Picture of which projector pixel each camera pixel sees most, and how sure that is.
+    """Picture of the projector pixel that each camera pixel sees most, and of the confidence.
 
     Parameters
     ----------
     transport : LightTransport
+        T.
 
     Returns
     -------
     Picture
         A Matplotlib figure of three maps: projector row, projector column, and the share of the
-        light that comes from there. `correspondence` gives the numbers.
+        light that comes from there. `correspondence` returns the numbers.
 
     Examples
     --------
@@ -173,13 +174,13 @@ def draw(shown: Map) -> Picture:
 def _draw_into(drawing: Figure, axes: Axes, shown: Map) -> None:
     options = {"cmap": shown.colour_map, "norm": shown.norm, "vmin": None, "vmax": None}
     drawn = panel(axes, shown.shown, shown.title, **options)
-    # As high as the picture, whatever the frame's shape.
+    # The colour bar is as high as the map, whatever the frame's shape.
     drawing.colorbar(drawn, cax=axes.inset_axes((1.03, 0, 0.05, 1)), label=shown.label)
 
 
 def _draw_lines(axes: Axes, shown: Map) -> None:
-    """Lines of equal value, which are read without colour."""
+    """Draw lines of equal value, which can be read without colour."""
     if min(shown.values.shape) < 2 or not np.isfinite(shown.values).any():
         return
-    levels: NDArray[np.float64] = np.linspace(shown.low, shown.high, _LINES + 1)[1:-1]
+    levels: NDArray[np.float64] = np.linspace(shown.low, shown.high, _BANDS + 1)[1:-1]
     axes.contour(shown.shown, levels, colors="white", linewidths=0.5)

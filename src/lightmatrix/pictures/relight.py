@@ -1,4 +1,4 @@
-"""Relighting from files to files, as `lightmatrix relight` does."""
+"""`lm.relight`: camera images under new patterns, from and to files."""
 
 from __future__ import annotations
 
@@ -34,39 +34,38 @@ def relight(
     output: str | Path | None = None,
     overwrite: bool = False,
 ) -> NDArray[np.float32]:
-    """The camera image under a pattern that need not have been projected: c = e T p.
+    """The camera image under a new pattern: c = e T p.
 
     Parameters
     ----------
     transport : LightTransport, StoredTransport, str or Path, or three of them
-        T, or where `open` finds it; of a colour projector those of its red, green and blue, whose
-        light adds up. Of a store no more than a part is in memory at a time.
+        T, or where `open` finds it. For a colour projector, the matrices of red, green and blue,
+        whose light is added. A store is read block by block, so it need not fit into memory.
     pattern : (rows, cols) array, str or Path
-        Of the projector's size, in [0, 1]; or an image, whose largest value is 1. For a colour
-        projector (rows, cols, 3), or grey as white light. If the projector was binned for T, it may
-        have the size before, and is averaged likewise.
+        Pattern of the projector's size, in [0, 1], or an image file. A colour projector takes
+        (rows, cols, 3), or a grey pattern as white light. If the projector was binned for T, the
+        pattern may have the size before binning, and is averaged.
     exposure : float
         Exposure e of the image, > 0.
     gamma : float
         Display gamma of a PNG, 0.1 to 10; 1 keeps it linear.
     resize : bool
-        Whether a pattern of any other size is resized to the projector.
+        Whether to resize a pattern of any other size to the projector.
     output : str or Path, optional
-        An image to write as well: .png (8 bits, cut off at full scale), .tiff, .exr or .npy (all
-        values).
+        Image file to write: .png (8 bits, clipped at full scale), .tiff, .exr or .npy (all values).
     overwrite : bool
         Whether an existing image may be replaced.
 
     Returns
     -------
     camera_shape float32
-        Linear, not clipped; 1 is the clip level.
+        Linear image, not clipped; 1 is the clip level.
 
     Raises
     ------
     InputError
-        On a pattern of another size, unless it is resized, numbers out of range, and matrices of
-        different cameras or projectors, or of a number other than one and three.
+        On a pattern of another size that may not be resized, numbers out of range, matrices of
+        different rigs, and a number of matrices other than one and three.
     OutputError
         If the image cannot be written.
 
@@ -85,19 +84,20 @@ def relight(
         target = check_output(output, IMAGE, overwrite=overwrite)
         if gamma != 1 and target.suffix.lower() != ".png":
             raise InputError(
-                f"a gamma of {gamma:g} for {target}, which keeps linear values",
-                hint="write a .png, or leave the gamma out",
+                f"a gamma of {gamma:g} for {target}, which holds linear values",
+                hint="write a .png, or leave out the gamma",
             )
     single = isinstance(transport, LightTransport | store.StoredTransport | str | Path)
-    given: list[Any] = [transport] if single else [*transport]  # type: ignore[misc]
-    found = _of_one_rig([_opened(one) for one in given])
-    image = np.zeros(found[0].camera_shape, np.float32)
-    for one, name, part in zip(found, given, _parts(pattern, len(found)), strict=True):
-        # A store that was damaged may be what does not fit.
-        named = errors_naming(Path(name)) if isinstance(name, str | Path) else nullcontext()
-        with named:
-            light = _fitted(part, one, resize)
-        image += exposure * one.relight(light)
+    sources: list[Any] = [transport] if single else [*transport]  # type: ignore[misc]
+    matrices = [_opened(source) for source in sources]
+    _check_one_rig(matrices)
+    image = np.zeros(matrices[0].camera_shape, np.float32)
+    channels = _channels(pattern, len(matrices))
+    for matrix, source, channel in zip(matrices, sources, channels, strict=True):
+        # Errors name the store, because its damage may be the reason why the pattern does not fit.
+        with errors_naming(Path(source)) if isinstance(source, str | Path) else nullcontext():
+            light = _fitted(channel, matrix, resize)
+        image += exposure * matrix.relight(light)
     if output is not None:
         written = image
         if target.suffix.lower() == ".png":
@@ -106,37 +106,39 @@ def relight(
     return image
 
 
-def _of_one_rig(found: list[Relit]) -> list[Relit]:
-    """The matrices of a projector, one or three, which belong together."""
-    if len(found) not in (1, 3):
-        raise InputError(f"{len(found)} matrices", hint="give one, or those of red, green and blue")
-    for one in found[1:]:
-        for what in ("camera_shape", "projector_shape"):
-            if getattr(one, what) != getattr(found[0], what):
+def _check_one_rig(matrices: list[Relit]) -> None:
+    """Raise InputError unless these are one or three matrices of the same shapes."""
+    if len(matrices) not in (1, 3):
+        raise InputError(
+            f"{len(matrices)} matrices", hint="give one, or those of red, green and blue"
+        )
+    first = matrices[0]
+    for matrix in matrices[1:]:
+        for name in ("camera_shape", "projector_shape"):
+            if getattr(matrix, name) != getattr(first, name):
                 raise InputError(
-                    f"matrices of {what} {getattr(found[0], what)} and {getattr(one, what)}",
-                    hint="red, green and blue must be of one rig, binned alike",
+                    f"matrices of {name} {getattr(first, name)} and {getattr(matrix, name)}",
+                    hint="give red, green and blue of one rig with the same binning",
                 )
-    return found
 
 
-def _parts(pattern: NDArray[Any] | str | Path, count: int) -> list[NDArray[Any]]:
-    """What each of the projector's primaries shows."""
+def _channels(pattern: NDArray[Any] | str | Path, count: int) -> list[NDArray[Any]]:
+    """The pattern of each of the projector's primaries."""
     if count == 1:
         return [read_grey(pattern) if isinstance(pattern, str | Path) else np.asarray(pattern)]
-    shown = read_light(pattern) if isinstance(pattern, str | Path) else np.asarray(pattern)
-    if shown.ndim == 2:
-        return [shown] * count
-    if shown.ndim != 3 or shown.shape[2] != count:
+    image = read_light(pattern) if isinstance(pattern, str | Path) else np.asarray(pattern)
+    if image.ndim == 2:
+        return [image] * count
+    if image.ndim != 3 or image.shape[2] != count:
         raise InputError(
-            f"a pattern of shape {shown.shape} for a colour projector",
+            f"a pattern of shape {image.shape} for a colour projector",
             hint="give (rows, cols, 3), or (rows, cols) for white light",
         )
-    return list(np.moveaxis(shown, 2, 0))
+    return list(np.moveaxis(image, 2, 0))
 
 
 def _opened(transport: Relit | str | Path) -> Relit:
-    """A matrix as it is; a store is left on disk and read block by block."""
+    """A matrix unchanged, or a store that is read block by block."""
     if isinstance(transport, LightTransport | store.StoredTransport):
         return transport
     if Path(transport).suffix.lower() == ".npz":
@@ -145,22 +147,22 @@ def _opened(transport: Relit | str | Path) -> Relit:
 
 
 def _fitted(pattern: NDArray[Any], transport: Relit, resize: bool) -> NDArray[Any]:
-    """A pattern in the size of the projector of T, where it can be known or is asked for."""
+    """A pattern averaged as the projector was binned, or resized if that is allowed."""
     wanted = transport.projector_shape
     if pattern.ndim != 2 or pattern.shape == wanted:
         return pattern
-    described = transport.provenance.get("capture_description")
-    block = described.get("bin_projector") if isinstance(described, Mapping) else None
+    description = transport.provenance.get("capture_description")
+    block = description.get("bin_projector") if isinstance(description, Mapping) else None
     if block and tuple(-(-n // b) for n, b in zip(pattern.shape, block, strict=True)) == wanted:
         rows, cols = (int(b) for b in block)
         return block_mean(pattern[None].astype(np.float64), (rows, cols))[0]
     if not resize:
         raise InputError(
             f"a pattern of shape {pattern.shape} for a projector of {wanted[0]} x {wanted[1]}",
-            hint="resize it; --resize, or resize=True, does",
+            hint="resize it with --resize, or resize=True",
         )
-    # Means over pixels where it shrinks, so that light is kept; bilinear where it grows.
+    # Shrinking averages over pixels, which keeps the light; enlarging is bilinear.
     shrinks = pattern.shape[0] >= wanted[0] and pattern.shape[1] >= wanted[1]
-    how = Image.Resampling.BOX if shrinks else Image.Resampling.BILINEAR
-    drawn = Image.fromarray(pattern.astype(np.float32))
-    return np.asarray(drawn.resize((wanted[1], wanted[0]), how)).clip(0, 1)
+    filter_ = Image.Resampling.BOX if shrinks else Image.Resampling.BILINEAR
+    image = Image.fromarray(pattern.astype(np.float32))
+    return np.asarray(image.resize((wanted[1], wanted[0]), filter_)).clip(0, 1)

@@ -1,4 +1,4 @@
-"""Any view of a light transport matrix, as a picture or in numbers, as `lightmatrix show` does."""
+"""`lm.show` and `lm.write_pictures`: views of T as pictures or numbers, and their files."""
 
 from __future__ import annotations
 
@@ -22,45 +22,43 @@ from lightmatrix.transport.correspondence import correspondence
 from lightmatrix.transport.matrix import LightTransport
 
 Numbers = Mapping[str, NDArray[Any]]
+# Format version of the .npz files.
 _VERSION = 1
 
 
 @dataclass(frozen=True)
 class _View:
-    """A picture, the numbers behind it, and the row fact it needs, if any."""
+    """A view: how to draw it, its numbers, and the diagnostic that it needs, if any."""
 
     picture: Callable[..., Picture]
     numbers: Callable[..., Numbers]
     needs: str = ""
 
 
-def _values(of_map: Callable[[LightTransport], maps.Map]) -> Callable[[LightTransport], Numbers]:
-    return lambda transport: {"values": of_map(transport).values}
+def _values(make: Callable[[LightTransport], maps.Map]) -> Callable[[LightTransport], Numbers]:
+    return lambda transport: {"values": make(transport).values}
 
 
 def _correspondence(transport: LightTransport) -> Numbers:
-    found = correspondence(transport)
-    return {"pixel": found.pixel, "place": found.place, "confidence": found.confidence}
+    matches = correspondence(transport)
+    return {"pixel": matches.pixel, "place": matches.place, "confidence": matches.confidence}
 
 
 VIEWS: dict[str, _View] = {
     "row": _View(show_row, lambda transport, *index: {"values": transport.row(*index)}),
     "column": _View(show_column, lambda transport, *index: {"values": transport.column(*index)}),
-    "dual": _View(
-        show_dual,
-        lambda transport: {"values": transport.dual_image()},
-    ),
+    "dual": _View(show_dual, lambda transport: {"values": transport.dual_image()}),
     "correspondence": _View(diagnostics.show_correspondence, _correspondence),
     "clipping": _View(diagnostics.show_clipping, _values(maps.clipping_map), needs="clipped_share"),
     "gap": _View(diagnostics.show_gaps, _values(maps.gap_map), needs="gap"),
     "footprint": _View(diagnostics.show_footprints, _values(maps.footprint_map), needs="footprint"),
     "stated-error": _View(
-        diagnostics.show_stated_errors, _values(maps.stated_error_map), needs="estimated_error"
+        diagnostics.show_stated_errors, _values(maps.estimated_error_map), needs="estimated_error"
     ),
 }
-# Views of one row or column, which need to be told which, and by how many numbers.
+# Views of one row or column, and how many numbers their index may have.
 _INDEXED = {"row": (2, 3), "column": (2,)}
-# Views over the whole camera: the pictures of `lightmatrix info`.
+# Maps over the whole camera, which `lightmatrix info` writes.
 _OVERVIEW = tuple(name for name in VIEWS if name not in (*_INDEXED, "dual"))
 
 
@@ -72,26 +70,26 @@ def show(
     raw: bool = False,
     overwrite: bool = False,
 ) -> Picture:
-    """Picture of any view of a light transport matrix, and a file of it or of its numbers.
+    """Draw a view of a light transport matrix, and write it or its numbers to a file.
 
     Parameters
     ----------
     transport : LightTransport, str or Path
         T, or where `open` finds it.
     view : str
-        "row" and "column" of T; "dual", the scene seen from the projector; "correspondence",
-        which projector pixel each camera pixel sees most; and what the rows of an estimate know of
-        themselves: "clipping", "gap", "footprint" and "stated-error".
+        "row" and "column" of T; "dual", the scene seen from the projector; "correspondence", the
+        projector pixel that each camera pixel sees most; or a diagnostic of an estimate:
+        "clipping", "gap", "footprint" or "stated-error" (the estimated error).
     index : int
-        Of a row: the camera pixel's row and column and, for a colour camera, channel; of a column:
-        the projector pixel's row and column. Other views have none.
+        For a row: row and column of the camera pixel and, for a colour camera, channel. For a
+        column: row and column of the projector pixel. Other views have no index.
     output : str or Path, optional
-        A file to write as well: .png, the picture; .npz, its numbers (``values``, or ``pixel``,
-        ``place`` and ``confidence`` of `Correspondence`); .tiff, .exr or .npy, its values as one
-        image.
+        File to write: .png for the picture; .npz for its numbers (``values``, or ``pixel``,
+        ``place`` and ``confidence`` of `Correspondence`); .tiff, .exr or .npy for its values as
+        one image.
     raw : bool
-        Whether a .png holds numbers instead of a picture: of a correspondence the column, the row
-        and the confidence (0 to 65535) as red, green and blue of 16 bits.
+        Whether a .png of a correspondence holds numbers instead of a picture: column, row and
+        confidence (0 to 65535) as red, green and blue of 16 bits.
     overwrite : bool
         Whether an existing file may be replaced.
 
@@ -103,8 +101,7 @@ def show(
     Raises
     ------
     InputError
-        On an unknown view, an index that does not belong to it, or a fact that the matrix does not
-        know.
+        On an unknown view, a wrong index, or a diagnostic that the matrix does not have.
     OutputError
         If the file cannot be written.
 
@@ -122,33 +119,33 @@ def show(
     if len(index) not in _INDEXED.get(view, (0,)):
         needs = "the row and column of its pixel" if view in _INDEXED else "no pixel"
         raise InputError(
-            f"the view {view} of {', '.join(map(str, index)) or 'no pixel'}",
-            hint=f"it needs {needs}",
+            f"the view {view} with the index {', '.join(map(str, index)) or 'of no pixel'}",
+            hint=f"it takes {needs}",
         )
     if output is not None:
         _check_format(view, Path(output), raw)
         check_output(output, _kind(output), overwrite=overwrite)
-    found = transport if isinstance(transport, LightTransport) else store.open(transport)
-    drawing = VIEWS[view].picture(found, *index)
+    matrix = transport if isinstance(transport, LightTransport) else store.open(transport)
+    drawing = VIEWS[view].picture(matrix, *index)
     if output is not None:
-        _write(found, view, index, drawing, Path(output), raw=raw, overwrite=overwrite)
+        _write(matrix, view, index, drawing, Path(output), raw=raw, overwrite=overwrite)
     return drawing
 
 
 def write_pictures(
     folder: str | Path, transport: LightTransport | str | Path, *, overwrite: bool = False
 ) -> list[Path]:
-    """Write the maps over the camera of all that is known of a matrix, a picture each.
+    """Write all maps over the camera of a light transport matrix, one picture each.
 
     Parameters
     ----------
     folder : str or Path
-        The folder to make: correspondence.png and, of an estimate, clipping.png, gap.png,
-        footprint.png and stated-error.png, as far as its rows know them.
+        The folder to make: correspondence.png and, as far as an estimate has these diagnostics,
+        clipping.png, gap.png, footprint.png and stated-error.png.
     transport : LightTransport, str or Path
         T, or where `open` finds it.
     overwrite : bool
-        Whether an existing folder of them may be replaced.
+        Whether an existing folder of such maps may be replaced.
 
     Returns
     -------
@@ -158,7 +155,7 @@ def write_pictures(
     Raises
     ------
     OutputError
-        If the folder exists, is not one of ours, or cannot be written.
+        If the folder exists, holds something else, or cannot be written.
 
     Examples
     --------
@@ -166,19 +163,19 @@ def write_pictures(
     >>> [path.name for path in lm.write_pictures("maps", lm.truth("metal").transport())]
     ['correspondence.png']
     """
-    found = transport if isinstance(transport, LightTransport) else store.open(transport)
+    matrix = transport if isinstance(transport, LightTransport) else store.open(transport)
     written = []
     with atomic_folder(folder, PICTURES, overwrite=overwrite) as part:
         for name in _OVERVIEW:
             view = VIEWS[name]
-            if not view.needs or maps.has_diagnostic(found, view.needs):
-                _save(view.picture(found), part / f"{name}.png")
+            if not view.needs or maps.has_diagnostic(matrix, view.needs):
+                _save(view.picture(matrix), part / f"{name}.png")
                 written.append(Path(folder) / f"{name}.png")
     return written
 
 
 def _kind(output: str | Path) -> FileKind:
-    """The kind of file that is written at a path, by its ending."""
+    """The kind of output that a path names by its suffix."""
     return NUMBERS if Path(output).suffix.lower() == ".npz" else IMAGE
 
 
@@ -187,7 +184,7 @@ def _check_format(view: str, output: Path, raw: bool) -> None:
     if raw and (suffix != ".png" or view != "correspondence"):
         raise InputError(
             f"raw numbers of the view {view} in {output}",
-            hint="only a correspondence is written as a raw PNG; .npz holds the numbers of any",
+            hint="only a correspondence has a raw PNG; write .npz for the numbers of any view",
         )
     if view == "correspondence" and suffix not in (".png", ".npz"):
         raise InputError(
@@ -210,7 +207,7 @@ def _write(
     if suffix == ".npz":
         numbers = VIEWS[view].numbers(transport, *index)
         with atomic_file(output, NUMBERS, overwrite=overwrite) as part, part.open("wb") as stream:
-            # The mark first, so that even a file that was cut off is known as ours.
+            # The mark comes first, so that even a truncated file is recognised.
             marked: dict[str, Any] = {NUMBERS_MARK: np.array(_VERSION), **numbers}
             np.savez_compressed(stream, **marked)
     elif suffix != ".png":

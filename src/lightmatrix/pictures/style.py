@@ -1,4 +1,4 @@
-"""Figures: one look for all pictures, and the panels that several of them share."""
+"""The style of all figures, and the panels that several of them share."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from matplotlib.ticker import FixedLocator, NullLocator
 from numpy.typing import NDArray
 
 CLIPPED_COLOUR = (0.90, 0.10, 0.12)
-# A palette that stays apart for colour-blind readers (Okabe & Ito).
+# Colour-blind readers can tell the colours of this palette apart (Okabe and Ito).
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 STYLE: dict[Any, Any] = {
     "font.size": 9,
@@ -33,7 +33,7 @@ STYLE: dict[Any, Any] = {
 
 @contextmanager
 def figure(width: float, height: float) -> Iterator[Figure]:
-    """A figure of the given size in inches, in the house style; needs no display."""
+    """A figure of this size in inches, in the common style; needs no display."""
     with mpl.rc_context(STYLE):
         yield Figure(figsize=(width, height), layout="constrained")
 
@@ -45,31 +45,31 @@ def save(drawing: Figure, folder: Path, name: str, formats: tuple[str, ...] = ("
 
 
 def fix_ticks(axis: Any, places: Sequence[float]) -> None:
-    """Ticks at the given places of a logarithmic axis, written as plain numbers, and no others."""
+    """Set the ticks of a logarithmic axis, written as plain numbers."""
     axis.set_major_locator(FixedLocator(places))
     axis.set_major_formatter("{x:g}")
     axis.set_minor_locator(NullLocator())
 
 
 def display(image: NDArray[Any], white: float) -> NDArray[np.float64]:
-    """A linear image for the eye: divided by `white`, clipped to [0, 1], gamma 2.2."""
+    """A linear image for display: divided by `white`, clipped to [0, 1], gamma 2.2."""
     return np.clip(np.asarray(image, float) / max(white, 1e-12), 0, 1) ** (1 / 2.2)
 
 
 def mark_clipped(image: NDArray[Any], clipped: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """A grey display image in [0, 1] as RGB with the clipped pixels in red."""
+    """A grey display image in [0, 1] as RGB, with clipped pixels in red."""
     marked = np.repeat(np.asarray(image, float)[..., None], 3, axis=-1)
     marked[clipped] = CLIPPED_COLOUR
     return marked
 
 
 def panel(axes: Any, image: NDArray[Any], title: str = "", **options: Any) -> Any:
-    """Show an image in a thin frame, without ticks; grey from 0 to 1 unless said otherwise."""
+    """Draw an image in a thin frame without ticks; by default grey from 0 to 1."""
     options = {"cmap": "gray", "vmin": 0, "vmax": 1, "interpolation": "nearest", **options}
-    shown = axes.imshow(image, **options)
+    artist = axes.imshow(image, **options)
     axes.set_title(title)
     axes.set_xticks([])
     axes.set_yticks([])
     for spine in axes.spines.values():
         spine.set(visible=True, color="0.6", linewidth=0.5)
-    return shown
+    return artist

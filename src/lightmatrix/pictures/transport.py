@@ -1,4 +1,4 @@
-"""Pictures of a light transport matrix: rows, columns, images under light."""
+"""Pictures of a light transport matrix: rows, columns, relit and dual images."""
 
 from __future__ import annotations
 
@@ -21,16 +21,18 @@ from lightmatrix.ranges import check_number
 from lightmatrix.transport.matrix import LightTransport
 
 _UNIT = "camera full scale per projector pixel"
-# Faint light beside a bright spot: the colours follow this power of the values.
+# The colours of a row or column follow this power of the values, which makes faint light beside a
+# bright spot visible. Chosen by eye.
 FAINT = 0.35
-# Of the brightest pixels of a picture, the share that is shown as white whatever it is.
+# This share of a picture's pixels, the brightest, is shown as white. Chosen by eye: highlights must
+# not make everything else dark.
 _GLINTS = 0.005
-# Of pictures in files.
+# Picture files have this many dots per inch.
 DPI = 150
 
 
 class Picture(Figure):
-    """A Matplotlib figure that a notebook shows as it is, without pyplot."""
+    """A Matplotlib figure that a notebook shows without pyplot."""
 
     def _repr_png_(self) -> bytes:
         stream = io.BytesIO()
@@ -38,23 +40,24 @@ class Picture(Figure):
         return stream.getvalue()
 
     def write(self, path: str | Path, *, overwrite: bool = False) -> None:
-        """Write it as a .png file, whole or not at all.
+        """Write the figure as a .png file.
 
         Raises
         ------
         OutputError
-            If there is a file that is no picture or must not be replaced, or the disk fails.
+            If the file exists, or cannot be written.
         """
         with atomic_file(path, PICTURE, overwrite=overwrite) as part:
             self.savefig(part, facecolor="white", dpi=DPI)
 
 
 def show_row(transport: LightTransport, *camera_index: int) -> Picture:
-    """Picture of a row of T: how each projector pixel reaches one camera sample.
+    """Picture of a row of T: how much light each projector pixel sends to one camera sample.
 
     Parameters
     ----------
     transport : LightTransport
+        T.
     camera_index : int
         Row, column and, for a colour camera, channel.
 
@@ -74,7 +77,7 @@ def show_row(transport: LightTransport, *camera_index: int) -> Picture:
     >>> lm.show_row(lm.truth("metal").transport(), 20, 30).savefig("row.png")
     """
     _check_index(camera_index, transport.camera_shape, "camera sample")
-    place = ", ".join(map(str, camera_index)) + _of_photograph(transport, camera_index)
+    place = ", ".join(map(str, camera_index)) + _photograph_pixel(transport, camera_index)
     return _faint(transport.row(*camera_index), f"Row of T: the light of camera pixel {place}")
 
 
@@ -84,13 +87,14 @@ def show_column(transport: LightTransport, row: int, col: int) -> Picture:
     Parameters
     ----------
     transport : LightTransport
+        T.
     row, col : int
         The projector pixel.
 
     Returns
     -------
     Picture
-        A Matplotlib figure; of a colour camera, the mean of its channels.
+        A Matplotlib figure. A colour camera shows the mean of its channels.
 
     Raises
     ------
@@ -115,10 +119,11 @@ def show_relit(
     Parameters
     ----------
     transport : LightTransport
+        T.
     pattern : (rows, cols) array
-        Of the projector's shape, in [0, 1].
+        Pattern of the projector's shape, in [0, 1].
     exposure : float, optional
-        Exposure of the image; what clips is shown in red. None: one at which hardly anything does.
+        Exposure of the image; clipped pixels are red. None: one at which hardly any pixel clips.
 
     Returns
     -------
@@ -138,7 +143,7 @@ def show_relit(
     >>> lm.show_relit(lm.truth("metal").transport(), stripes).savefig("relit.png")
     """
     image = transport.relight(pattern)
-    title = "The scene under it"
+    title = "The scene under this pattern"
     if exposure is None:
         shown = display(image, _white(image))
     else:
@@ -164,9 +169,10 @@ def show_dual(transport: LightTransport, lights: NDArray[Any] | None = None) -> 
     Parameters
     ----------
     transport : LightTransport
+        T.
     lights : camera_shape array, optional
-        How strongly each camera sample acts as a light. None: all alike, and a colour camera in
-        its colours.
+        Strength of each camera sample as a light. None: all equal, with a colour image from a
+        colour camera.
 
     Returns
     -------
@@ -186,12 +192,13 @@ def show_dual(transport: LightTransport, lights: NDArray[Any] | None = None) -> 
     image = transport.dual_image() if lights is None else transport.dual(lights)
     with mpl.rc_context(STYLE):
         drawing = Picture(figsize=(3.6, 3.6), layout="constrained")
-        panel(drawing.subplots(), display(image, _white(image)), "Dual image: seen from projector")
+        title = "Dual image: seen from the projector"
+        panel(drawing.subplots(), display(image, _white(image)), title)
     return drawing
 
 
-def _of_photograph(transport: LightTransport, camera_index: tuple[int, ...]) -> str:
-    """Where a camera pixel of an estimate from cropped photographs lies in these, in words."""
+def _photograph_pixel(transport: LightTransport, camera_index: tuple[int, ...]) -> str:
+    """The pixel of the whole photographs, in words, if the estimate is from cropped ones."""
     region = transport.region
     if region is None:
         return ""
@@ -201,8 +208,8 @@ def _of_photograph(transport: LightTransport, camera_index: tuple[int, ...]) -> 
 
 
 def _faint(image: NDArray[Any], title: str) -> Picture:
-    """An image of one bright spot and faint light, with the scale of its colours."""
-    # Negative light, which some estimates allow, is as dark as none.
+    """Draw one bright spot and the faint light around it, with a colour scale."""
+    # Negative light, which some estimates allow, is drawn black.
     brightest = max(float(image.max()), 1e-12)
     norm = PowerNorm(FAINT, 0, brightest, clip=True)
     with mpl.rc_context(STYLE):
@@ -230,10 +237,10 @@ def _marked(shown: NDArray[np.float64], clipped: NDArray[np.bool_]) -> NDArray[n
     return marked
 
 
-def _check_index(index: tuple[int, ...], shape: tuple[int, ...], what: str) -> None:
+def _check_index(index: tuple[int, ...], shape: tuple[int, ...], kind: str) -> None:
     fits = len(index) == len(shape)
     if not fits or not all(0 <= i < n for i, n in zip(index, shape, strict=True)):
         raise InputError(
-            f"there is no {what} {index}",
-            hint=f"the shape is {' x '.join(map(str, shape))}, counted from 0",
+            f"there is no {kind} {index}",
+            hint=f"the shape is {' x '.join(map(str, shape))}; indices count from 0",
         )

@@ -1,4 +1,5 @@
-"""The report of an estimate: one page of HTML that stands by itself.
+"""The report of an estimate: one self-contained page of HTML.
 
-A section a file (`sections/`), made of the blocks of `blocks.py`, which the templates lay out.
+Each section has a file in `sections/`, which builds it from the elements of `elements.py`. The
+templates lay out each kind of element.
 """

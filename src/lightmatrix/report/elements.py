@@ -1,4 +1,4 @@
-"""What a section of the report is made of. The templates lay out each kind of block."""
+"""The elements of a section, such as galleries and tables; the templates lay out each kind."""
 
 from __future__ import annotations
 
@@ -8,17 +8,7 @@ from typing import ClassVar, Literal, TypeAlias
 
 @dataclass(frozen=True)
 class Scale:
-    """What the colours of an image mean.
-
-    Parameters
-    ----------
-    bar : str
-        The colours from the lowest to the highest value, as an address of image data.
-    low, high : str
-        What the ends stand for.
-    label : str
-        Of what, with the unit.
-    """
+    """A colour scale: its colours as an image address, the values at its ends, and its label."""
 
     bar: str
     low: str
@@ -28,21 +18,7 @@ class Scale:
 
 @dataclass(frozen=True)
 class Image:
-    """A picture with its words.
-
-    Parameters
-    ----------
-    source : str
-        Address of image data (data:...).
-    width, height : int
-        In its own pixels.
-    alternative : str
-        What is to be seen, for who does not see it.
-    title, caption : str
-        Above and below it; empty for none.
-    scale : Scale, optional
-        Where colours stand for numbers.
-    """
+    """A picture (a data: address, its size in pixels), its description for blind readers, words."""
 
     source: str
     width: int
@@ -55,7 +31,7 @@ class Image:
 
 @dataclass(frozen=True)
 class Gallery:
-    """Pictures side by side, as many as the screen is wide."""
+    """Pictures side by side, as many as fit the screen."""
 
     images: tuple[Image, ...]
     size: Literal["small", "medium", "wide"] = "medium"
@@ -74,7 +50,7 @@ class Pair:
 
 @dataclass(frozen=True)
 class Strip:
-    """Patterns and photographs in the order in which they were taken."""
+    """Pairs of patterns and photographs in the order of the capture."""
 
     pairs: tuple[Pair, ...]
     kind: ClassVar[str] = "strip"
@@ -82,7 +58,7 @@ class Strip:
 
 @dataclass(frozen=True)
 class Table:
-    """Numbers or names under heads; the first column names the line."""
+    """A table whose first column names the row."""
 
     title: str
     heads: tuple[str, ...]
@@ -92,29 +68,14 @@ class Table:
 
 @dataclass(frozen=True)
 class Bars:
-    """One bar a frame.
-
-    Parameters
-    ----------
-    title : str
-        What the bars show.
-    description : str
-        The same in words with numbers.
-    unit : str
-        Of the values, such as " %".
-    heights : tuple of float
-        Of the bars, as shares of the largest.
-    most : str
-        What the tallest bar stands for.
-    first, last : int
-        The frames of the first and last bar.
-    """
+    """A chart of one bar per frame: heights as shares of the tallest, whose value is `most`."""
 
     title: str
+    # The chart in words and numbers.
     description: str
-    unit: str
     heights: tuple[float, ...]
     most: str
+    # The frames of the first and last bar.
     first: int
     last: int
     kind: ClassVar[str] = "bars"
@@ -130,7 +91,7 @@ class Text:
 
 @dataclass(frozen=True)
 class Points:
-    """A list of sentences."""
+    """A bullet list of sentences."""
 
     items: tuple[str, ...]
     kind: ClassVar[str] = "points"
@@ -138,32 +99,21 @@ class Points:
 
 @dataclass(frozen=True)
 class Columns:
-    """Blocks side by side where the screen is wide enough, below each other elsewhere."""
+    """Elements in two columns on wide screens, below each other on narrow ones."""
 
-    left: tuple[Block, ...]
-    right: tuple[Block, ...]
+    left: tuple[Element, ...]
+    right: tuple[Element, ...]
     kind: ClassVar[str] = "columns"
 
 
-Block: TypeAlias = "Gallery | Strip | Table | Bars | Text | Points | Columns"
+Element: TypeAlias = "Gallery | Strip | Table | Bars | Text | Points | Columns"
 
 
 @dataclass(frozen=True)
 class Section:
-    """A part of the report under a heading.
-
-    Parameters
-    ----------
-    anchor : str
-        Its name in links.
-    title : str
-        The heading.
-    lead : str
-        What it tells, in a sentence or two.
-    blocks : tuple of Block
-    """
+    """A part of the report: its anchor for links, heading, first paragraph and elements."""
 
     anchor: str
     title: str
     lead: str
-    blocks: tuple[Block, ...]
+    elements: tuple[Element, ...]

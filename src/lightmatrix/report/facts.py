@@ -1,4 +1,4 @@
-"""What a report tells of: an estimate, its capture, and what was found out about the two."""
+"""`Facts`: an estimate, its capture, and everything computed from the two for the report."""
 
 from __future__ import annotations
 
@@ -21,29 +21,24 @@ from lightmatrix.evaluation.verdict import (
     singly_clipped,
     verdict,
 )
-from lightmatrix.report.validation import HeldOut
+from lightmatrix.report.validation import Validation
 from lightmatrix.transport.correspondence import Correspondence, correspondence
 from lightmatrix.transport.matrix import LightTransport
 
-# A camera pixel below this share of a bright one's white level sees next to nothing.
+# A camera pixel hardly sees the projector if its white level is below this share of a bright one's
+# (0.99 quantile). Chosen by hand, as in `planning`.
 _DARK = 0.02
-# Kinds of rows are told by looking at all entries of T, zeros included.
+# Errors over kinds of rows are computed only if T has at most this many entries, zeros included:
+# finding the diffuse rows of larger matrices takes minutes.
 _MOST_ENTRIES = 1 << 30
-# A prediction that is no better than this share of the error of the mean photograph says little.
+# An estimate is doubtful if its prediction error exceeds this share of the error of the mean
+# photograph, which knows nothing of T. Chosen by hand.
 _BARELY_BETTER = 0.5
 
 
 @dataclass(frozen=True, eq=False)
 class FrameFacts:
-    """What was seen in each frame.
-
-    Parameters
-    ----------
-    clipped : (K,) float
-        Share of the samples that count that clipped.
-    level : (K,) float
-        Their mean, as a share of the clip level.
-    """
+    """The share of clipped samples of each frame, (K,), and its mean relative to the clip level."""
 
     clipped: NDArray[np.float64]
     level: NDArray[np.float64]
@@ -51,24 +46,16 @@ class FrameFacts:
 
 @dataclass(frozen=True, eq=False)
 class Facts:
-    """All that the sections of a report are made from.
+    """What the sections of a report show.
 
-    Parameters
-    ----------
-    transport : LightTransport
-        The estimate.
-    capture : Capture
-        What it was made from.
-    truth : LightTransport or None
-        T, where it is known.
-    held : HeldOut or str
-        Photographs held out; or why there are none, in words.
+    `truth` is T where it is known. `validation` is the test on unseen photographs, or the reason
+    why there is none.
     """
 
     transport: LightTransport
     capture: Capture
     truth: LightTransport | None
-    held: HeldOut | str
+    validation: Validation | str
 
     @cached_property
     def frames(self) -> FrameFacts:
@@ -82,7 +69,7 @@ class Facts:
 
     @cached_property
     def correspondence(self) -> Correspondence:
-        """Which projector pixel each camera pixel sees most."""
+        """The projector pixel that each camera pixel sees most."""
         return correspondence(self.transport)
 
     @cached_property
@@ -92,7 +79,7 @@ class Facts:
 
     @cached_property
     def dark_share(self) -> float:
-        """Share of the camera pixels that the projector hardly reaches."""
+        """Share of the camera pixels that hardly see the projector."""
         white = self.white if self.white.ndim == 2 else self.white.sum(axis=2)
         return float(np.mean(white <= _DARK * np.quantile(white, 0.99)))
 
@@ -103,12 +90,12 @@ class Facts:
 
     @cached_property
     def relative_error(self) -> float | None:
-        """Of T against the truth."""
+        """Relative error of T, where the truth is known."""
         return None if self.truth is None else relative_error(self.transport, self.truth)
 
     @cached_property
     def errors(self) -> Errors | None:
-        """Errors against the truth, over kinds of rows; None too where telling them takes long."""
+        """Errors over kinds of rows, where the truth is known and T is not too large."""
         if self.truth is None or self.transport.shape[0] * self.transport.shape[1] > _MOST_ENTRIES:
             return None
         return errors_by_rows(self.transport, self.truth, float(self.capture.exposures.max()))
@@ -127,27 +114,28 @@ class Facts:
 
     @cached_property
     def verdict(self) -> Verdict:
-        """What to think of the estimate: by photographs held out where there are some."""
-        told, errors = [], []
-        if isinstance(self.held, HeldOut):
-            error, trivial = self.held.error, self.held.trivial_error
-            errors.append(error if error < _BARELY_BETTER * trivial else max(error, 2 * FAIR))
-            count = len(self.held.frames)
-            some = "1 photograph held out is" if count == 1 else f"{count} photographs held out are"
-            told.append(
-                f"{some} predicted within {percent(error)} (by the mean of the others: "
-                f"{percent(trivial)})"
+        """The verdict by the worst of the prediction error, the true and the estimated error."""
+        sentences, errors = [], []
+        if isinstance(self.validation, Validation):
+            error, baseline = self.validation.error, self.validation.mean_error
+            errors.append(error if error < _BARELY_BETTER * baseline else max(error, 2 * FAIR))
+            count = len(self.validation.frames)
+            photographs = "1 unseen photograph" if count == 1 else f"{count} unseen photographs"
+            sentences.append(
+                f"Prediction error on {photographs}: {percent(error)} (mean of the other "
+                f"photographs: {percent(baseline)})."
             )
         if self.relative_error is not None:
             errors.append(self.relative_error)
-            told.append(f"T is within {percent(self.relative_error)} of the truth")
-        stated = estimated_error(self.transport)
-        if stated is not None:
-            errors.append(stated)
-            told.append(f"its rows state an error of T of {percent(stated)}")
-        if not told:
-            return verdict(self.transport, f"no photograph was held out: {self.held}")
-        level, unseen = level_of(max(errors)), list[str]()
+            sentences.append(f"Error of T against the truth: {percent(self.relative_error)}.")
+        own_estimate = estimated_error(self.transport)
+        if own_estimate is not None:
+            errors.append(own_estimate)
+            sentences.append(f"Estimated error of T: {percent(own_estimate)}.")
+        if not errors:
+            why = f"It was not tested on unseen photographs: {self.validation}."
+            return verdict(self.transport, why)
+        level, warnings = level_of(max(errors)), list[str]()
         if self.relative_error is None:
-            level, unseen = limited(level, self.singly_clipped)
-        return Verdict(level, "; ".join([*told, *unseen]))
+            level, warnings = limited(level, self.singly_clipped)
+        return Verdict(level, " ".join([*sentences, *warnings]))

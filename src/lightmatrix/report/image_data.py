@@ -1,4 +1,4 @@
-"""From arrays to the pictures of the report: small enough for a page, and with their words."""
+"""Arrays as images of the report: small enough for one page, with alternative texts and scales."""
 
 from __future__ import annotations
 
@@ -18,33 +18,38 @@ from lightmatrix.pictures.style import display
 from lightmatrix.pictures.transport import FAINT
 from lightmatrix.report.elements import Image, Scale
 
-# Of the longer side: more does not fit a column of the page.
+# The longer side of a picture has at most this many pixels, which fills a column of the page. The
+# second limit is that of thumbnails.
 MOST_PIXELS = 320
 THUMB_PIXELS = 72
-# Up to this size single pixels are told apart on the page, and noise does not make it heavy.
+# Photographs of up to this many pixels a side are stored without loss: single pixels are visible on
+# the page, and noise does not make the file large.
 MOST_LOSSLESS = 128
-# Of the brightest pixels of a picture, the share that is shown as white whatever it is.
+# This share of a picture's pixels, the brightest, is shown as white. Chosen by eye: highlights must
+# not make everything else dark.
 _GLINTS = 0.005
+# WebP quality of images with and without loss. Chosen by eye and by file size.
+_LOSSY_QUALITY, _LOSSLESS_QUALITY = 88, 60
 _BAR_PIXELS = 64
 
-Shrinking = Literal["mean", "largest", "some"]
+Shrinking = Literal["mean", "largest", "sampled"]
 
 
 def image_of_map(shown: Map, caption: str = "") -> Image:
     """A map over the camera, with the scale of its colours."""
-    pixels = _shrink(shown.pixels(), MOST_PIXELS, "some")
+    pixels = _shrink(shown.pixels(), MOST_PIXELS, "sampled")
     steps = np.linspace(0, 1, _BAR_PIXELS)
     bar = np.asarray(shown.colour_map(steps, bytes=True))[None, :, :3]
     scale = Scale(_address(bar), _number(shown.low), _number(shown.high), shown.label)
     logarithmic = ", on a logarithmic scale" if shown.logarithmic else ""
     known = shown.values[np.isfinite(shown.values)]
-    told = "no pixel has a value"
+    range_ = "no pixel has a value"
     if known.size:
         low, middle, high = np.quantile(known, (0.05, 0.5, 0.95))
-        told = (
+        range_ = (
             f"90 % of the pixels lie between {low:.3g} and {high:.3g}, the median is {middle:.3g}"
         )
-    alternative = f"Map over the camera of the {shown.label}{logarithmic}: {told}."
+    alternative = f"Map over the camera of the {shown.label}{logarithmic}: {range_}."
     return _image(pixels, alternative, shown.title, caption, scale)
 
 
@@ -52,17 +57,10 @@ def photograph(
     light: NDArray[Any], alternative: str, title: str = "", caption: str = "",
     *, white: float | None = None, most: int = MOST_PIXELS, exact: bool = False,
 ) -> Image:  # fmt: skip
-    """A linear image for the eye, of a display gamma of 2.2.
+    """A linear image (rows, cols[, 3]) with a display gamma of 2.2.
 
-    Parameters
-    ----------
-    light : (rows, cols) or (rows, cols, 3)
-    white : float, optional
-        The value shown as white. None: one that hardly any pixel is above.
-    most : int
-        Pixels of the longer side.
-    exact : bool
-        Whether single pixels matter, so that nothing of a small image may be lost.
+    `white` is the value shown as white; by default hardly any pixel is above it. The longer side
+    has `most` pixels. With `exact`, a small image is stored without loss.
     """
     level = float(np.quantile(light, 1 - _GLINTS)) if white is None else white
     shown = display(_shrink(np.asarray(light, float), most, "mean"), level)
@@ -74,20 +72,20 @@ def pattern_image(
     pattern: NDArray[Any], alternative: str, title: str = "", caption: str = "",
     *, most: int = MOST_PIXELS,
 ) -> Image:  # fmt: skip
-    """A pattern as it is projected: its values, from black to white."""
+    """A pattern with its values in [0, 1] as grey levels."""
     shown = np.clip(_shrink(np.asarray(pattern, float), most, "mean"), 0, 1)
     return _image(_bytes(shown), alternative, title, caption)
 
 
 def faint_image(light: NDArray[Any], alternative: str, title: str, caption: str = "") -> Image:
-    """One bright spot and faint light around it: rows and columns of T."""
+    """A row or column of T, with the faint light around its bright spot made visible."""
     brightest = max(float(light.max()), 1e-12)
     shown = np.clip(_shrink(np.asarray(light, float), MOST_PIXELS, "largest") / brightest, 0, 1)
     colours = mpl.colormaps["inferno"]
     pixels = np.asarray(colours(shown**FAINT, bytes=True))[..., :3]
     bar = np.asarray(colours(np.linspace(0, 1, _BAR_PIXELS), bytes=True))[None, :, :3]
     half = _number(0.5 ** (1 / FAINT) * brightest)
-    label = f"of the clip level; the middle is {half}"
+    label = f"relative to the clip level; the middle of the scale is {half}"
     scale = Scale(_address(bar), "0", _number(brightest), label)
     return _image(pixels, alternative, title, caption, scale)
 
@@ -95,16 +93,16 @@ def faint_image(light: NDArray[Any], alternative: str, title: str, caption: str 
 def difference_image(
     difference: NDArray[Any], most: float, alternative: str, title: str, caption: str = ""
 ) -> Image:
-    """A difference: grey where there is none, darker below, brighter above."""
+    """A difference: grey where it is 0, darker below, brighter above, up to +-`most`."""
     grey = _grey(np.asarray(difference, float))
     shown = np.clip(0.5 + 0.5 * _shrink(grey, MOST_PIXELS, "mean") / max(most, 1e-12), 0, 1)
     bar = _bytes(np.linspace(0, 1, _BAR_PIXELS)[None])
-    scale = Scale(_address(bar), _number(-most), f"+{_number(most)}", "of the clip level")
+    scale = Scale(_address(bar), _number(-most), f"+{_number(most)}", "relative to the clip level")
     return _image(_bytes(shown), alternative, title, caption, scale)
 
 
 def image_of_file(file: Path, alternative: str, title: str = "", caption: str = "") -> Image:
-    """A picture that was drawn already, such as a figure in a PNG file."""
+    """A picture from a file, such as a figure."""
     pixels = read_image(file)
     rows, cols = pixels.shape[:2]
     return Image(_address(pixels), cols, rows, alternative, title, caption)
@@ -119,19 +117,21 @@ def _image(
 
 
 def _address(pixels: NDArray[np.uint8], exact: bool = True) -> str:
-    """An image as the text of an address, lossless unless said otherwise."""
-    options: dict[str, Any] = {"lossless": True, "quality": 60} if exact else {"quality": 88}
+    """An image as a data: address, lossless if `exact`."""
+    options: dict[str, Any] = {"quality": _LOSSY_QUALITY}
+    if exact:
+        options = {"lossless": True, "quality": _LOSSLESS_QUALITY}
     coloured = pixels if pixels.ndim == 3 else np.repeat(pixels[..., None], 3, axis=2)
-    coded = imageio.imwrite("<bytes>", coloured, extension=".webp", plugin="pillow", **options)
-    return "data:image/webp;base64," + base64.b64encode(coded).decode("ascii")
+    encoded = imageio.imwrite("<bytes>", coloured, extension=".webp", plugin="pillow", **options)
+    return "data:image/webp;base64," + base64.b64encode(encoded).decode("ascii")
 
 
 def _shrink(image: NDArray[Any], most: int, how: Shrinking) -> NDArray[Any]:
-    """An image of at most so many pixels a side, by whole numbers of pixels."""
+    """An image of at most `most` pixels a side, shrunk by a whole number of pixels."""
     block = -(-max(image.shape[:2]) // most)
     if block == 1:
         return image
-    if how == "some":
+    if how == "sampled":
         first = [min(block // 2, size - 1) for size in image.shape[:2]]
         return image[first[0] :: block, first[1] :: block]
     if how == "largest":

@@ -1,4 +1,4 @@
-"""Making a report: what is known is gathered, judged and written as one page."""
+"""`lm.report`: writes the report of an estimate."""
 
 from __future__ import annotations
 
@@ -18,41 +18,41 @@ from lightmatrix.outputs.writing import atomic_folder
 from lightmatrix.report.elements import Points, Section
 from lightmatrix.report.facts import Facts
 from lightmatrix.report.page import Page, html
-from lightmatrix.report.recommendations import advice
-from lightmatrix.report.sections.error_estimates import solved
+from lightmatrix.report.recommendations import recommendations
+from lightmatrix.report.sections.error_estimates import error_estimates
 from lightmatrix.report.sections.parameters import parameters
-from lightmatrix.report.sections.photographs import captured, order
-from lightmatrix.report.sections.relighting import relit
-from lightmatrix.report.sections.transport_matrix import found
-from lightmatrix.report.validation import Estimator, HeldOut, hold_out
+from lightmatrix.report.sections.photographs import first_frames, photographs
+from lightmatrix.report.sections.relighting import relighting
+from lightmatrix.report.sections.transport_matrix import transport_matrix
+from lightmatrix.report.validation import Estimator, Validation, validate
 from lightmatrix.simulation.truth import Truth
 from lightmatrix.transport.matrix import LightTransport
 
 
 class Finding(Protocol):
-    """One thing that is wrong with a capture, as its checks tell it."""
+    """A problem of a capture, as `check` finds it."""
 
     @property
     def kind(self) -> str:
-        """In a word."""
+        """The kind of problem, in a word."""
 
     @property
     def frames(self) -> Sequence[int]:
-        """The frames that it is about; empty for all of them."""
+        """The affected frames; empty if all are."""
 
     @property
     def message(self) -> str:
-        """What was found."""
+        """What is wrong."""
 
     @property
     def advice(self) -> str:
         """What to do."""
 
 
-# What a report folder holds.
+# The files of a report folder.
 PAGE, NUMBERS = "report.html", "report.json"
-# Of the frames of a finding.
-_MOST_NAMED = 8
+# A finding lists at most this many frames.
+_MOST_LISTED = 8
 
 
 def report(
@@ -68,7 +68,7 @@ def report(
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> dict[str, Any]:
-    """Write a report of an estimate: one page of HTML with everything inside.
+    """Write a report of an estimate: one self-contained page of HTML.
 
     Parameters
     ----------
@@ -77,19 +77,19 @@ def report(
     transport : LightTransport
         The estimate.
     capture : Capture
-        What it was made from.
+        The capture of the estimate.
     truth : LightTransport or Truth, optional
         T, where it is known, such as that of a simulated capture.
     estimator : EstimateSettings or an estimator, optional
-        How the estimate was made, for the one that predicts photographs held out. None: as
-        `estimate` does when nothing is said.
+        The estimator of the estimate. It estimates T again to predict unseen photographs. None:
+        the default of `estimate`.
     held_out : bool
-        Whether to hold out a few photographs and estimate once more from the others: as slow as
-        the estimate itself, on 16,384 camera samples at most.
+        Whether to hold out a few photographs, estimate T again from the others, and predict the
+        unseen ones. That takes as long as the estimate itself, on at most 16,384 camera samples.
     findings : sequence of Finding
-        What is wrong with the frames: each has a kind, frames, a message and an advice.
+        Problems of the frames: each has a kind, frames, a message and an advice.
     title : str
-        What the report is about.
+        Title of the page.
     overwrite : bool
         Whether an existing report may be replaced.
     progress : callable, optional
@@ -98,9 +98,9 @@ def report(
     Returns
     -------
     dict
-        What report.json holds: the verdict in a word (good, fair, doubtful or not tested) and in a
-        sentence, the relative errors of photographs held out and against the truth (None where
-        there is none), and the advice. JSON-ready.
+        The content of report.json, JSON-ready: the verdict in a word (good, fair, doubtful or not
+        tested) and in sentences, the relative errors on unseen photographs and against the truth
+        (None where there is none), and the recommendations.
 
     Raises
     ------
@@ -114,8 +114,8 @@ def report(
     >>> import lightmatrix as lm
     >>> capture = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 32), exposure=0.5)
     >>> estimate = lm.estimate(capture, coherent=False, iterations=20)
-    >>> told = lm.report("report", estimate, capture, truth=capture.truth, held_out=False)
-    >>> sorted(told)[-2:], 0 < told["relative_error"] < 1
+    >>> numbers = lm.report("report", estimate, capture, truth=capture.truth, held_out=False)
+    >>> sorted(numbers)[-2:], 0 < numbers["relative_error"] < 1
     (['sentence', 'verdict'], True)
     """
     known = truth.transport() if isinstance(truth, Truth) else truth
@@ -147,82 +147,81 @@ def write_page(
     more: Sequence[Section] = (),
     progress: Progress | None = None,
 ) -> dict[str, Any]:
-    """Write the files of a report into an existing folder; see `report`.
-
-    Parameters
-    ----------
-    more : sequence of Section
-        Further sections, before the parameters.
-    """
-    held: HeldOut | str = "nobody asked for it"
+    """Write the files of `report` into an existing folder, with `more` sections near the end."""
+    validation: Validation | str = "the test was not requested"
     if held_out:
-        held = hold_out(capture, estimator or EstimateSettings(), progress=progress)
-    facts = Facts(transport, capture, truth, held)
-    todo = advice(facts)
+        validation = validate(capture, estimator or EstimateSettings(), progress=progress)
+    facts = Facts(transport, capture, truth, validation)
+    advice = recommendations(facts)
     page = Page(
         title,
         facts.verdict,
-        _numbers(facts),
-        tuple(_told(finding) for finding in findings),
-        order(facts),
+        _first_numbers(facts),
+        tuple(_sentences(finding) for finding in findings),
+        first_frames(facts),
         (
-            captured(facts),
-            solved(facts),
-            found(facts),
-            relit(facts),
+            photographs(facts),
+            error_estimates(facts),
+            transport_matrix(facts),
+            relighting(facts),
             *more,
-            Section("next", "What to do better next time", "", (Points(todo),)),
+            Section("recommendations", "Recommendations", "", (Points(advice),)),
             parameters(facts),
         ),
         __version__,
     )
+    test = validation if isinstance(validation, Validation) else None
     result: dict[str, Any] = {
         "verdict": facts.verdict.level,
         "sentence": facts.verdict.sentence,
-        "held_out_error": held.error if isinstance(held, HeldOut) else None,
-        "held_out_frames": held.frames.tolist() if isinstance(held, HeldOut) else [],
-        "mean_photograph_error": held.trivial_error if isinstance(held, HeldOut) else None,
+        "held_out_error": test.error if test else None,
+        "held_out_frames": test.frames.tolist() if test else [],
+        "mean_photograph_error": test.mean_error if test else None,
         "relative_error": facts.relative_error,
         "clipped_samples": float(facts.frames.clipped.mean()),
         "findings": [finding.kind for finding in findings],
-        "advice": list(todo),
+        "advice": list(advice),
     }
     (folder / PAGE).write_text(html(page), encoding="utf-8")
     (folder / NUMBERS).write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
     return result
 
 
-def _told(finding: Finding) -> str:
+def _sentences(finding: Finding) -> str:
     """A finding in words, with its frames."""
-    some = ", ".join(map(str, finding.frames[:_MOST_NAMED]))
-    if len(finding.frames) > _MOST_NAMED:
-        some += f" and {len(finding.frames) - _MOST_NAMED} more"
-    where = f" (frames {some})" if some else ""
-    return f"{finding.message}{where}. {finding.advice[:1].upper()}{finding.advice[1:]}."
+    frames = ", ".join(map(str, finding.frames[:_MOST_LISTED]))
+    if len(finding.frames) > _MOST_LISTED:
+        frames += f" and {len(finding.frames) - _MOST_LISTED} more"
+    where = f" (frames {frames})" if frames else ""
+    return f"{_capital(finding.message)}{where}. {_capital(finding.advice)}."
 
 
-def _numbers(facts: Facts) -> dict[str, str]:
+def _capital(text: str) -> str:
+    return f"{text[:1].upper()}{text[1:]}"
+
+
+def _first_numbers(facts: Facts) -> dict[str, str]:
     capture, transport = facts.capture, facts.transport
     numbers = {
         "camera": " x ".join(map(str, transport.camera_shape)),
         "projector": " x ".join(map(str, transport.projector_shape)),
         "photographs": str(capture.count),
-        "samples that clipped": percent(float(facts.frames.clipped.mean())),
+        "clipped samples": percent(float(facts.frames.clipped.mean())),
     }
-    if isinstance(facts.held, HeldOut):
-        numbers["photographs held out missed by"] = percent(facts.held.error)
+    if isinstance(facts.validation, Validation):
+        numbers["prediction error on unseen photographs"] = percent(facts.validation.error)
     if facts.relative_error is not None:
-        numbers["error of T"] = percent(facts.relative_error)
+        numbers["error of T against the truth"] = percent(facts.relative_error)
     return numbers
 
 
 def _check(transport: LightTransport, capture: Capture, truth: LightTransport | None) -> None:
     for name in ("camera_shape", "projector_shape"):
         shape = getattr(transport, name)
-        for what, other in (("capture", capture), ("truth", truth)):
+        for origin, other in (("capture", capture), ("truth", truth)):
             if other is not None and getattr(other, name) != shape:
                 raise InputError(
-                    f"the estimate's {name.replace('_', ' ')} is {shape}, the {what}'s "
+                    f"the estimate's {name.replace('_', ' ')} is {shape}, the {origin}'s is "
                     f"{getattr(other, name)}",
-                    hint="give the capture that it was made from, binned alike",
+                    hint="give the capture of this estimate, with the same binning",
                 )

@@ -1,4 +1,4 @@
-"""The page itself: sections laid out as HTML that needs no network and no script."""
+"""The page of a report: sections laid out as HTML that needs no network and no script."""
 
 from __future__ import annotations
 
@@ -14,39 +14,25 @@ from lightmatrix.report.elements import Section, Strip
 
 @dataclass(frozen=True)
 class Page:
-    """All that stands on a report.
-
-    Parameters
-    ----------
-    title : str
-        What the report is about, such as the name of a store.
-    verdict : Verdict
-        What to think of it.
-    numbers : mapping of str to str
-        The few numbers of the first screen.
-    findings : tuple of str
-        What is wrong with the frames, and what to do about it.
-    order : Strip
-        The first patterns and photographs.
-    sections : tuple of Section
-    version : str
-        Of lightmatrix.
-    """
+    """The content of a report."""
 
     title: str
     verdict: Verdict
+    # The few numbers of the first screen.
     numbers: dict[str, str]
+    # Problems of the frames, with remedies.
     findings: tuple[str, ...]
-    order: Strip
+    first_frames: Strip
     sections: tuple[Section, ...]
+    # The version of lightmatrix.
     version: str
 
 
 def html(page: Page) -> str:
-    """A page as one document of HTML, with everything inside."""
+    """A page as one self-contained HTML document."""
     environment = Environment(
         loader=PackageLoader("lightmatrix.report"),
-        # Whatever a name or a value holds is text.
+        # Names and values are text, whatever they hold.
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
@@ -57,6 +43,6 @@ def html(page: Page) -> str:
 
 
 def _code(text: str) -> Markup:
-    """Text in which `words` between backticks are set as code, and no line begins with a %."""
+    """Escaped text with `words` in backticks as code, and no line break before a %."""
     together = str(escape(text)).replace(" %", "\N{NO-BREAK SPACE}%")
     return Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", together))

@@ -1,4 +1,4 @@
-"""Every parameter, as the estimate keeps it: enough to make it again."""
+"""All parameters of the estimate, enough to repeat it."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from lightmatrix.report.elements import Section, Table
 from lightmatrix.report.facts import Facts
 from lightmatrix.reprs import shown_value
 
-# Longer lists, such as one exposure a frame, are cut.
+# Longer values, such as lists of one exposure per frame, are cut to this many characters.
 _LONGEST = 200
 
 
 def parameters(facts: Facts) -> Section:
     """The provenance of the estimate."""
     rows = tuple(_flat(facts.transport.provenance))
-    lead = "What the estimate was made with, as it stands in its store."
+    lead = "The parameters as the store of the estimate holds them."
     tables = (Table("Parameters", ("parameter", "value"), rows),) if rows else ()
-    return Section("parameters", "Every parameter", lead, tables)
+    return Section("parameters", "All parameters", lead, tables)
 
 
 def _flat(values: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, str]]:

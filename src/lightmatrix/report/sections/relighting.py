@@ -1,4 +1,4 @@
-"""Under a pattern that was never projected; beside the truth, where it is known."""
+"""The scene relit by patterns that were never projected, beside the truth where it is known."""
 
 from __future__ import annotations
 
@@ -7,66 +7,65 @@ import numpy as np
 from lightmatrix.evaluation.metrics import relighting_error, unseen_patterns
 from lightmatrix.evaluation.verdict import percent
 from lightmatrix.pictures.maps import error_map
-from lightmatrix.report.elements import Block, Columns, Gallery, Section, Table, Text
+from lightmatrix.report.elements import Columns, Element, Gallery, Section, Table, Text
 from lightmatrix.report.facts import Facts
 from lightmatrix.report.image_data import difference_image, image_of_map, pattern_image, photograph
-from lightmatrix.report.validation import HeldOut
+from lightmatrix.report.validation import Validation
 from lightmatrix.reprs import shown_value
 from lightmatrix.transport.labels import labelled
 
 _SHOWN = ("disc", "stripes")
+# White is this quantile of the true image, and the scale of its difference ends at this share of
+# white. Chosen by eye.
+_WHITE_QUANTILE, _DIFFERENCE_SCALE = 0.99, 0.2
 
 
-def relit(facts: Facts) -> Section:
+def relighting(facts: Facts) -> Section:
     """Relit images, and the errors of T where the truth is known."""
     patterns = unseen_patterns(facts.transport.projector_shape)
-    blocks: list[Block] = [_images(facts, name, patterns[name]) for name in _SHOWN]
+    elements: list[Element] = [_images(facts, name, patterns[name]) for name in _SHOWN]
+    lead = "The scene under patterns that were never projected, without clipping: c = T p."
     if facts.truth is None:
-        lead = "The scene under patterns that were never projected, not clipped: c = T p."
-        if isinstance(facts.held, HeldOut):
-            blocks.append(Text("How far such images are right, the photographs held out say."))
+        if isinstance(facts.validation, Validation):
+            expected = percent(facts.validation.error)
+            elements.append(Text(f"Expect errors as on unseen photographs: {expected}."))
     else:
-        missed = relighting_error(facts.transport, facts.truth, np.stack(list(patterns.values())))
-        lead = (
-            "The scene under patterns that were never projected, beside what is true: images are "
-            f"off by {percent(missed)} on average over such patterns."
-        )
-        blocks.append(_against_truth(facts))
-    return Section("relit", "Relighting", lead, tuple(blocks))
+        error = relighting_error(facts.transport, facts.truth, np.stack(list(patterns.values())))
+        lead += f" Mean error of the images: {percent(error)}."
+        elements.append(_against_truth(facts))
+    return Section("relighting", "Relighting", lead, tuple(elements))
 
 
 def _against_truth(facts: Facts) -> Columns:
     assert facts.row_errors is not None
-    caption = (
-        "Error of each row of T, relative to its own size. Dark rows have little to be relative to."
-    )
-    shown = Gallery((image_of_map(error_map(facts.row_errors), caption),))
+    caption = "Error of each camera pixel's rows of T, relative to their size."
+    errors = Gallery((image_of_map(error_map(facts.row_errors), caption),))
     values = {"relative error of T": facts.relative_error}
     if facts.errors is not None:
         values = labelled(facts.errors.as_dict())
     rows = tuple((name, shown_value(value)) for name, value in values.items())
-    return Columns((Table("Errors against the truth", ("what", "value"), rows),), (shown,))
+    return Columns((Table("Errors against the truth", ("what", "value"), rows),), (errors,))
 
 
 def _images(facts: Facts, name: str, pattern: np.ndarray) -> Gallery:
     image = facts.transport.relight(pattern)
-    shown = [pattern_image(pattern, f"The pattern: {name}", f"Pattern: {name}")]
+    images = [pattern_image(pattern, f"The pattern: {name}", f"Pattern: {name}")]
     if facts.truth is None:
-        alternative = f"The scene under it ({name}), computed from T"
-        shown.append(photograph(image, alternative, "The scene under it", exact=True))
-        return Gallery(tuple(shown))
+        alternative = f"The relit scene ({name}), computed from T"
+        images.append(photograph(image, alternative, "The relit scene", exact=True))
+        return Gallery(tuple(images))
     known = facts.truth.relight(pattern)
-    white = float(np.quantile(known, 0.99))
-    missed = float(np.linalg.norm(image - known) / max(float(np.linalg.norm(known)), 1e-12))
-    shown += [
+    white = float(np.quantile(known, _WHITE_QUANTILE))
+    error = float(np.linalg.norm(image - known) / max(float(np.linalg.norm(known)), 1e-12))
+    images += [
         photograph(image, f"Computed from T: {name}", "Computed from T", white=white, exact=True),
         photograph(known, f"The truth: {name}", "The truth", white=white, exact=True),
         difference_image(
             image - known,
-            0.2 * white,
-            f"Difference: {percent(missed)} of the image",
+            _DIFFERENCE_SCALE * white,
+            f"Difference: {percent(error)} of the image",
             "Difference",
-            f"{percent(missed)} of the image (relative L2)",
+            f"Relative error of the image: {percent(error)}.",
         ),
     ]
-    return Gallery(tuple(shown))
+    return Gallery(tuple(images))

@@ -1,4 +1,4 @@
-"""What was found: the geometry, rows and columns of T, background, the view from the projector."""
+"""The estimated T in pictures: correspondence, white and dual image, background, rows, columns."""
 
 from __future__ import annotations
 
@@ -6,41 +6,41 @@ import numpy as np
 
 from lightmatrix.evaluation.verdict import percent
 from lightmatrix.pictures.maps import correspondence_maps, footprint_map, has_diagnostic
-from lightmatrix.report.elements import Block, Gallery, Image, Section, Text
+from lightmatrix.report.elements import Element, Gallery, Image, Section, Text
 from lightmatrix.report.facts import Facts
 from lightmatrix.report.image_data import faint_image, image_of_map, photograph
 
 
-def found(facts: Facts) -> Section:
+def transport_matrix(facts: Facts) -> Section:
     """Pictures of T, from the geometry to single rows and columns."""
     transport = facts.transport
     captions = (
-        "Row of the projector pixel that each camera pixel sees most.",
-        "Column of the same pixel.",
-        "How much of a camera pixel's light comes from there: dark where it comes from many "
+        "The row of the projector pixel that each camera pixel sees most.",
+        "The column of that pixel.",
+        "How much of a camera pixel's light comes from that pixel. Dark: the light comes from many "
         "places, by way of other surfaces.",
     )
     maps = correspondence_maps(facts.correspondence)
     images = [image_of_map(*pair) for pair in zip(maps, captions, strict=True)]
     if has_diagnostic(transport, "footprint"):
-        caption = "How many projector pixels reach a camera pixel: what is out of focus."
+        caption = "How many projector pixels a camera pixel sees: many where it is out of focus."
         images.append(image_of_map(footprint_map(transport), caption))
-    blocks: list[Block] = [
+    elements: list[Element] = [
         Text(
-            "Which projector pixel each camera pixel sees most. `lightmatrix show SCENE.zarr "
-            "--correspondence -o map.npz` gives the numbers, to fractions of a pixel."
+            "The projector pixel that each camera pixel sees most. `lightmatrix show SCENE.zarr "
+            "--correspondence -o map.npz` writes the numbers, to fractions of a pixel."
         ),
         Gallery(tuple(images)),
         Gallery(_views(facts)),
         Text(
-            "Rows of T: where the light of a camera pixel comes from, seen on the projector. "
-            "Columns of T: where the light of a projector pixel goes, seen by the camera. Faint "
-            "light is raised, so that it is seen beside the bright spot."
+            "A row of T shows on the projector where the light of a camera pixel comes from. A "
+            "column of T shows in the camera where the light of a projector pixel goes. Faint "
+            "light is brightened, so that it is visible beside the bright spot."
         ),
         Gallery(_rows_and_columns(facts)),
     ]
-    lead = "T itself: the geometry, light by other paths, and the scene seen from the projector."
-    return Section("found", "What was found", lead, tuple(blocks))
+    lead = "How light travels from projector to camera pixels, directly and by other surfaces."
+    return Section("matrix", "The light transport matrix", lead, tuple(elements))
 
 
 def _views(facts: Facts) -> tuple[Image, ...]:
@@ -55,14 +55,14 @@ def _views(facts: Facts) -> tuple[Image, ...]:
             facts.white,
             f"The scene under a white pattern, {rows} x {cols} pixels, computed from T",
             "White pattern",
-            "The scene with every projector pixel lit, not clipped.",
+            "The scene with every projector pixel lit, without clipping.",
             exact=True,
         ),
         photograph(
             background,
             f"Light of the background: {share} of all light",
             "Background",
-            f"{share} of the light comes faintly from everywhere; same scale.",
+            f"{share} of the light comes faintly from everywhere; shown on the same scale.",
             white=level,
             exact=True,
         ),
@@ -79,7 +79,8 @@ def _views(facts: Facts) -> tuple[Image, ...]:
 def _rows_and_columns(facts: Facts) -> tuple[Image, ...]:
     transport = facts.transport
     images = []
-    for why, (row, col) in _telling_pixels(facts).items():
+    pixels = _example_pixels(facts)
+    for why, (row, col) in pixels.items():
         index = (row, col) if len(transport.camera_shape) == 2 else (row, col, 0)
         images.append(
             faint_image(
@@ -89,7 +90,7 @@ def _rows_and_columns(facts: Facts) -> tuple[Image, ...]:
                 why,
             )
         )
-    for why, (row, col) in _telling_pixels(facts).items():
+    for why, (row, col) in pixels.items():
         seen = facts.correspondence.pixel[row, col]
         image = transport.column(int(seen[0]), int(seen[1]))
         images.append(
@@ -97,33 +98,34 @@ def _rows_and_columns(facts: Facts) -> tuple[Image, ...]:
                 image if image.ndim == 2 else image.mean(axis=2),
                 f"Column of T over the camera: projector pixel {seen[0]}, {seen[1]} alone",
                 f"Column of projector pixel {seen[0]}, {seen[1]}",
-                f"What the camera sees of the pixel that {why[0].lower()}{why[1:]} sees most.",
+                f"The projector pixel that {why[0].lower()}{why[1:]} sees most.",
             )
         )
     return tuple(images)
 
 
-def _telling_pixels(facts: Facts) -> dict[str, tuple[int, int]]:
-    """A few camera pixels that are unlike each other, by what they are."""
-    found = facts.correspondence
+def _example_pixels(facts: Facts) -> dict[str, tuple[int, int]]:
+    """A few camera pixels that differ from each other, each with its description."""
+    matches = facts.correspondence
     white = facts.white if facts.white.ndim == 2 else facts.white.sum(axis=2)
-    lit = found.valid & (white > np.quantile(white, 0.5))
+    lit = matches.valid & (white > np.quantile(white, 0.5))
     if not lit.any():
-        lit = found.valid
+        lit = matches.valid
     if not lit.any():
         return {}
-    confidence = np.where(lit, found.confidence, np.nan)
+    confidence = np.where(lit, matches.confidence, np.nan)
     middle = float(np.nanmedian(confidence))
     chosen = {
-        "A bright camera pixel like most": np.nanargmin(np.abs(confidence - middle)),
-        "The bright camera pixel with most light by other paths": np.nanargmin(confidence),
+        "A typical bright camera pixel": np.nanargmin(np.abs(confidence - middle)),
+        "The bright camera pixel with the most indirect light": np.nanargmin(confidence),
     }
     shares = facts.transport.diagnostics.get("clipped_share")
     if shares is not None and np.any(shares > 0):
         often = np.asarray(shares).reshape(*white.shape, -1).max(axis=2)
-        chosen["The camera pixel that clipped most"] = np.argmax(np.where(found.valid, often, -1))
-    places = {}
+        most_clipped = np.argmax(np.where(matches.valid, often, -1))
+        chosen["The camera pixel that clipped most often"] = most_clipped
+    pixels = {}
     for why, flat in chosen.items():
         row, col = np.unravel_index(int(flat), white.shape)
-        places[why] = int(row), int(col)
-    return places
+        pixels[why] = int(row), int(col)
+    return pixels
