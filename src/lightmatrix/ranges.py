@@ -35,8 +35,8 @@ def check_seed(seed: int) -> None:
     """Refuse seeds that are not whole numbers of 64 bits."""
     if not hasattr(seed, "__index__") or not 0 <= int(seed) <= LARGEST_SEED:
         # A text such as "0" keeps its quotes, so that it does not look like a number.
-        shown = seed if hasattr(seed, "__index__") else repr(seed)
-        raise InputError(f"a seed of {shown}", hint=f"use a whole number from 0 to {LARGEST_SEED}")
+        text = seed if hasattr(seed, "__index__") else repr(seed)
+        raise InputError(f"a seed of {text}", hint=f"use a whole number from 0 to {LARGEST_SEED}")
 
 
 def check_positive(**values: float | None) -> None:

@@ -151,7 +151,7 @@ def test_the_projectors_gamma_is_found_and_used(tmp_path: Path) -> None:
     )
     np.testing.assert_allclose(capture.patterns.images(), shown.images() ** 1.8, atol=0.006)
     bits = lm.BernoulliPatterns((8, 8), 4)
-    assert found.shown(bits) is bits
+    assert found.light_of_patterns(bits) is bits
 
 
 @pytest.mark.parametrize(

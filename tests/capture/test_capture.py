@@ -1,4 +1,4 @@
-"""Captures: two layouts on disk, one meaning; tiles, binning and masks that keep the truth."""
+"""Captures: reading and writing folders, decoding tiles, binning and masks."""
 
 from __future__ import annotations
 
@@ -41,20 +41,20 @@ from tests.helpers.captures import (
 @pytest.mark.parametrize("patterns", SETS, ids=lambda patterns: type(patterns).__name__)
 def test_patterns_come_back_as_the_operator_they_were(tmp_path: Path, patterns: PatternSet) -> None:
     write_patterns(tmp_path / "patterns", patterns)
-    found = read_patterns(tmp_path / "patterns")
-    assert type(found) is type(patterns)
-    assert found.digest == patterns.digest
-    np.testing.assert_array_equal(found.dense(), patterns.dense())
+    read = read_patterns(tmp_path / "patterns")
+    assert type(read) is type(patterns)
+    assert read.digest == patterns.digest
+    np.testing.assert_array_equal(read.dense(), patterns.dense())
 
 
-def test_images_have_the_last_word_over_their_description(tmp_path: Path) -> None:
+def test_images_override_their_description(tmp_path: Path) -> None:
     write_patterns(tmp_path / "patterns", SETS[0])
     changed = SETS[0].images()
     changed[4, 2, 3] = 1 - changed[4, 2, 3]
     write_image(tmp_path / "patterns" / "pattern_0004.png", changed[4], overwrite=True)
     with pytest.warns(LightMatrixWarning, match=r"pattern_0004\.png is not among"):
-        found = read_patterns(tmp_path / "patterns")
-    np.testing.assert_array_equal(found.images(), changed)
+        read = read_patterns(tmp_path / "patterns")
+    np.testing.assert_array_equal(read.images(), changed)
     (tmp_path / "patterns" / "pattern_0004.png").unlink()
     with pytest.warns(LightMatrixWarning, match="its 8 images are not"):
         assert read_patterns(tmp_path / "patterns").count == COUNT - 1
@@ -96,15 +96,15 @@ def test_a_written_capture_comes_back(
     write_capture(
         tmp_path / "c", patterns, frames, sensor=sensor, camera_shape=camera, provenance={"seed": 1}
     )
-    found = Capture.open(tmp_path / "c")
-    assert isinstance(found.patterns, BernoulliPatterns)
-    assert (found.camera_shape, found.projector_shape) == (camera, SHAPE)
-    assert found.description["seed"] == 1
-    assert found.reference_level == pytest.approx(1 / 1.5)
+    capture = Capture.open(tmp_path / "c")
+    assert isinstance(capture.patterns, BernoulliPatterns)
+    assert (capture.camera_shape, capture.projector_shape) == (camera, SHAPE)
+    assert capture.description["seed"] == 1
+    assert capture.reference_level == pytest.approx(1 / 1.5)
     memory = Capture.from_arrays(patterns, frames, sensor)
-    assert found.digest == memory.digest
-    samples = found.samples()
-    assert samples.clipped.any() or found.rows == 1
+    assert capture.digest == memory.digest
+    samples = capture.samples()
+    assert samples.clipped.any() or capture.rows == 1
     truth = light(patterns, camera)
     open_ = ~samples.clipped
     step = 0.004 if bits == 8 else 0.002
@@ -115,7 +115,7 @@ def test_a_written_capture_comes_back(
     # Misfit of 3 % of the longest exposure's range and noise of 0.3 % of each frame's.
     variance = 0.03**2 + (0.003 * 1.5 / exposure) ** 2
     np.testing.assert_allclose(samples.weights, variance.min() / variance, rtol=1e-6)
-    np.testing.assert_array_equal(found.frame(3), frames[3])
+    np.testing.assert_array_equal(capture.frame(3), frames[3])
 
 
 def test_samples_fit_a_problem() -> None:
@@ -129,19 +129,19 @@ def test_samples_fit_a_problem() -> None:
 def test_plain_folders_in_natural_order(tmp_path: Path) -> None:
     sensor = Sensor()
     frames = photographs(SETS[3], sensor)
-    shown, photos = write_folders(tmp_path, SETS[3], frames)
-    found = Capture.from_folders(shown, photos)
-    assert found.digest == Capture.from_arrays(SETS[3], frames, sensor).digest
-    assert found.samples().weights is None
+    patterns, photos = write_folders(tmp_path, SETS[3], frames)
+    capture = Capture.from_folders(patterns, photos)
+    assert capture.digest == Capture.from_arrays(SETS[3], frames, sensor).digest
+    assert capture.samples().weights is None
 
 
 def test_options_of_plain_folders(tmp_path: Path) -> None:
     sensor = Sensor(black_level=20, clip=200)
     frames = photographs(SETS[3], sensor)
-    shown, photos = write_folders(tmp_path, SETS[3], frames)
+    patterns, photos = write_folders(tmp_path, SETS[3], frames)
     expected = Capture.from_arrays(SETS[3], frames, sensor)
-    found = Capture.from_folders(shown, photos, ReadSettings(black=20, clip=200, exposure=1.0))
-    assert found.digest == expected.digest
+    capture = Capture.from_folders(patterns, photos, ReadSettings(black=20, clip=200, exposure=1.0))
+    assert capture.digest == expected.digest
 
     black = np.full((5, 7), 20, np.uint8)
     black[2, 3] = 255
@@ -150,8 +150,8 @@ def test_options_of_plain_folders(tmp_path: Path) -> None:
     mask[0, :2] = 0
     write_image(tmp_path / "mask.png", mask)
     write_image(tmp_path / "white.png", np.full((5, 7), 150, np.uint8))
-    found = Capture.from_folders(
-        shown,
+    capture = Capture.from_folders(
+        patterns,
         photos,
         ReadSettings(
             black=tmp_path / "black.png",
@@ -161,9 +161,9 @@ def test_options_of_plain_folders(tmp_path: Path) -> None:
             clip=200,
         ),
     )
-    assert found.count == COUNT + 1
-    np.testing.assert_array_equal(found.patterns.images()[-1], 1)
-    samples = found.samples()
+    assert capture.count == COUNT + 1
+    np.testing.assert_array_equal(capture.patterns.images()[-1], 1)
+    samples = capture.samples()
     assert samples.weights is not None
     # Two pixels are masked and one is hot: it clips without light.
     assert np.flatnonzero(samples.weights[:, 0] == 0).tolist() == [0, 1, 2 * 7 + 3]
@@ -179,8 +179,8 @@ def test_options_of_plain_folders(tmp_path: Path) -> None:
 def test_gamma_is_undone(tmp_path: Path) -> None:
     linear = photographs(SETS[3], Sensor(bits=16)) / 65535
     encoded = np.rint(255 * linear ** (1 / 2.2)).astype(np.uint8)
-    shown, photos = write_folders(tmp_path, SETS[3], encoded)
-    samples = Capture.from_folders(shown, photos, ReadSettings(response="gamma:2.2")).samples()
+    patterns, photos = write_folders(tmp_path, SETS[3], encoded)
+    samples = Capture.from_folders(patterns, photos, ReadSettings(response="gamma:2.2")).samples()
     np.testing.assert_allclose(samples.values, linear.reshape(COUNT, -1).T, atol=0.01)
 
 
@@ -266,7 +266,7 @@ def test_selected_frames_keep_their_own_levels() -> None:
     np.testing.assert_array_equal(part.samples().clip_level, whole.clip_level[index])
 
 
-def test_large_captures_are_held_in_a_file(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_large_captures_are_kept_in_a_temporary_file(monkeypatch: pytest.MonkeyPatch) -> None:
     sensor = Sensor()
     frames = photographs(SETS[0], sensor)
     expected = Capture.from_arrays(SETS[0], frames, sensor)
@@ -344,7 +344,7 @@ def test_a_capture_is_written_whole_or_not_at_all(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("bits", [10, 12])
-def test_fewer_bits_than_the_files_have(tmp_path: Path, bits: int) -> None:
+def test_files_with_unused_bits_are_refused(tmp_path: Path, bits: int) -> None:
     # Nobody stated the clip level, and no level is above a sixteenth of that of the files.
     frames = photographs(SETS[0], Sensor(bits=bits))
     for k, frame in enumerate(frames):
@@ -375,7 +375,7 @@ def test_jpeg_without_a_response_is_warned_about(tmp_path: Path) -> None:
         Capture.from_folders(SETS[0], tmp_path / "photos", ReadSettings(response=response))
 
 
-def test_captures_no_estimate_can_come_from() -> None:
+def test_unusable_captures_are_refused() -> None:
     sensor = Sensor()
     frames = photographs(SETS[0], sensor)
     grey = np.linspace(0, 1, COUNT, dtype=np.float32)[:, None, None]
@@ -423,7 +423,7 @@ def test_the_documented_description_is_the_one_that_is_read() -> None:
         assert f"`{key}`" in page
 
 
-def test_a_capture_says_what_it_is_and_how_it_is_read() -> None:
+def test_the_description_of_a_capture() -> None:
     patterns, sensor = SETS[0], Sensor(1.5, 0.0, bits=8)
     frames = photographs(patterns, sensor)
     plain = Capture.from_arrays(patterns, frames, sensor)

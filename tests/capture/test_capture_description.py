@@ -96,7 +96,7 @@ def test_values_of_another_kind_or_out_of_range(tmp_path: Path, change: dict[str
         ('{"format": "lightmatrix-capture", "version": true}', "format version True"),
     ],
 )
-def test_json_that_is_none(tmp_path: Path, text: str, message: str) -> None:
+def test_damaged_json_is_refused(tmp_path: Path, text: str, message: str) -> None:
     place = write_plain(tmp_path)
     (place / "capture.json").write_text(text)
     with pytest.raises(InputError, match=message):
@@ -185,7 +185,7 @@ def test_files_of_a_capture_lie_in_its_folder(tmp_path: Path) -> None:
     Capture.open(place, allow_outside=True)
 
 
-def test_a_description_in_other_letters_is_not_passed_over(tmp_path: Path) -> None:
+def test_a_description_spelled_otherwise_is_refused(tmp_path: Path) -> None:
     place = write_plain(tmp_path)
     (place / "capture.json").rename(place / "Capture.json")
     with pytest.raises(InputError, match=r"Capture\.json: is not read under this name"):
@@ -202,7 +202,7 @@ def test_a_description_in_other_letters_is_not_passed_over(tmp_path: Path) -> No
         ({"black": {"file": "gone.png"}}, r".*gone\.png: no such file"),
     ],
 )
-def test_what_does_not_fit_the_frames_is_said_of_the_description(
+def test_messages_about_levels_name_the_description(
     tmp_path: Path, change: dict[str, Any], message: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     place = write_plain(tmp_path)
@@ -234,7 +234,7 @@ def test_a_black_frame_has_the_depth_of_the_frames(tmp_path: Path) -> None:
     "content", ["root:x:0:0:secret", "1 2\nsecret 3\n", "", "\n#\n", "1 2\n3\n"]
 )
 @pytest.mark.parametrize("name", ["curve.txt", "curve.npy"])
-def test_a_curve_that_is_none_is_not_quoted(tmp_path: Path, name: str, content: str) -> None:
+def test_a_damaged_curve_is_not_quoted(tmp_path: Path, name: str, content: str) -> None:
     (tmp_path / name).write_text(content)
     with pytest.raises(InputError, match="no table of numbers") as refused:
         Response.parse(f"curve:{tmp_path / name}")
@@ -267,7 +267,7 @@ def test_curves_are_regular_files_of_a_sane_size(tmp_path: Path) -> None:
 # ---- what lies beside it
 
 
-def test_a_black_frame_or_mask_is_never_passed_over_in_silence(tmp_path: Path) -> None:
+def test_a_black_frame_or_mask_is_never_ignored_silently(tmp_path: Path) -> None:
     place = write_plain(tmp_path)
     write_image(place / "Black.PNG", DARK)
     mask = np.full((5, 7), 255, np.uint8)
@@ -280,8 +280,8 @@ def test_a_black_frame_or_mask_is_never_passed_over_in_silence(tmp_path: Path) -
     expected = Capture.open(place)
     (place / "capture.json").unlink()
     with pytest.warns(LightMatrixWarning, match=r"Black\.PNG: is used as the black frame"):
-        found = Capture.open(place)
-    assert found.digest == expected.digest
+        capture = Capture.open(place)
+    assert capture.digest == expected.digest
     write_image(place / "mask.tif", mask)
     with (
         pytest.warns(LightMatrixWarning, match="is used as the mask"),
@@ -293,7 +293,7 @@ def test_a_black_frame_or_mask_is_never_passed_over_in_silence(tmp_path: Path) -
         Capture.open(place)
 
 
-def test_a_description_of_patterns_is_held_to_the_images_first(tmp_path: Path) -> None:
+def test_the_size_of_described_patterns_is_checked_first(tmp_path: Path) -> None:
     write_patterns(tmp_path / "patterns", SETS[0])
     file = tmp_path / "patterns" / "patterns.json"
     content = json.loads(file.read_text())
@@ -353,7 +353,7 @@ def test_room_light_does_not_change_the_unit(tmp_path: Path, room: float, pedest
     np.testing.assert_allclose(white.values[:, 0], received[:, 0], atol=2e-6)
 
 
-def test_a_pedestal_is_asked_for_where_black_light_is_scaled(tmp_path: Path) -> None:
+def test_a_scaled_black_frame_requires_a_black_level(tmp_path: Path) -> None:
     place = write_plain(tmp_path)
     write_image(place / "black.png", DARK)
     file = place / "capture.json"
@@ -374,10 +374,10 @@ def test_a_pedestal_is_asked_for_where_black_light_is_scaled(tmp_path: Path) -> 
 
 
 def test_a_black_level_is_given_once(tmp_path: Path) -> None:
-    shown, photos = write_folders(tmp_path, SETS[3], photographs(SETS[3], Sensor()))
+    patterns, photos = write_folders(tmp_path, SETS[3], photographs(SETS[3], Sensor()))
     with pytest.raises(InputError, match="give the black level once"):
-        Capture.from_folders(shown, photos, ReadSettings(black=20, black_level=20))
-    level = Capture.from_folders(shown, photos, ReadSettings(black_level=20)).samples()
-    number = Capture.from_folders(shown, photos, ReadSettings(black=20)).samples()
+        Capture.from_folders(patterns, photos, ReadSettings(black=20, black_level=20))
+    level = Capture.from_folders(patterns, photos, ReadSettings(black_level=20)).samples()
+    number = Capture.from_folders(patterns, photos, ReadSettings(black=20)).samples()
     np.testing.assert_array_equal(level.values, number.values)
     shutil.rmtree(photos)

@@ -36,8 +36,8 @@ def truth(seen: tuple[float, ...]) -> lm.LightTransport:
     )
 
 
-def photographs(known: lm.LightTransport, exposure: float) -> NDArray[np.uint8]:
-    light = exposure * known.relight(PATTERNS.images())
+def photographs(exact: lm.LightTransport, exposure: float) -> NDArray[np.uint8]:
+    light = exposure * exact.relight(PATTERNS.images())
     noise = np.random.default_rng(1).normal(0, 0.003, light.shape)
     return np.rint(255 * np.clip(light + noise, 0, 1)).astype(np.uint8)
 
@@ -58,43 +58,45 @@ def rig(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, float]:
     return place, exposure
 
 
-def _off(found: NDArray[np.float32], known: NDArray[np.float32]) -> float:
-    return float(np.linalg.norm(found - known) / np.linalg.norm(known))
+def _off(estimated: NDArray[np.float32], exact: NDArray[np.float32]) -> float:
+    return float(np.linalg.norm(estimated - exact) / np.linalg.norm(exact))
 
 
 def test_a_colour_scene_is_relit_in_colour(rig: tuple[Path, float]) -> None:
     place, _ = rig
     for colour, seen in SEEN.items():
-        found, known = lm.open(place / f"{colour}.zarr"), truth(seen)
-        assert found.camera_shape == (12, 12, 3)
+        estimated, exact = lm.open(place / f"{colour}.zarr"), truth(seen)
+        assert estimated.camera_shape == (12, 12, 3)
         stripes = np.zeros((12, 12))
         stripes[:, ::3] = 1
-        assert _off(found.relight(stripes), known.relight(stripes)) < 0.05
+        assert _off(estimated.relight(stripes), exact.relight(stripes)) < 0.05
         # Each channel by itself, so that none is another's.
         for channel in np.argsort(seen)[1:]:
-            off = _off(found.relight(stripes)[..., channel], known.relight(stripes)[..., channel])
+            off = _off(
+                estimated.relight(stripes)[..., channel], exact.relight(stripes)[..., channel]
+            )
             assert off < 0.08
-        image = found.dual_image()
+        image = estimated.dual_image()
         assert image.shape == (12, 12, 3)
-        assert _off(image, known.dual_image()) < 0.06
-        assert lm.evaluate(found, known).as_dict()["relighting_error"] < 0.05
+        assert _off(image, exact.dual_image()) < 0.06
+        assert lm.evaluate(estimated, exact).as_dict()["relighting_error"] < 0.05
 
 
 def test_a_colour_projector_is_three(
     rig: tuple[Path, float], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     place, exposure = rig
-    shown = np.random.default_rng(5).random((12, 12, 3))
-    known = sum(truth(seen).relight(shown[..., k]) for k, seen in enumerate(SEEN.values()))
+    picture = np.random.default_rng(5).random((12, 12, 3))
+    exact = sum(truth(seen).relight(picture[..., k]) for k, seen in enumerate(SEEN.values()))
     stores = [place / f"{colour}.zarr" for colour in COLOURS]
-    found = lm.relight(stores, shown)
-    assert _off(found, np.asarray(known)) < 0.03
-    swapped = lm.relight(stores[::-1], shown)
-    assert _off(swapped, np.asarray(known)) > 0.2
+    estimated = lm.relight(stores, picture)
+    assert _off(estimated, np.asarray(exact)) < 0.03
+    swapped = lm.relight(stores[::-1], picture)
+    assert _off(swapped, np.asarray(exact)) > 0.2
     white = lm.relight(stores, np.ones((12, 12)))
     np.testing.assert_allclose(white, lm.relight(stores, np.ones((12, 12, 3))), rtol=1e-6)
     # On the command line, bit for bit.
-    lm.write_image(tmp_path / "shown.png", shown, bits=16)
+    lm.write_image(tmp_path / "shown.png", picture, bits=16)
     line = f"relight {stores[0]} {tmp_path}/shown.png --green {stores[1]} --exposure {exposure}"
     assert main([*line.split(), "-o", f"{tmp_path}/a.tiff"]) == 2
     assert "--blue is missing" in capsys.readouterr().err
@@ -108,11 +110,11 @@ def test_three_matrices_are_evaluated_together(
 ) -> None:
     patterns = lm.BernoulliPatterns((16, 16), 8)
     scene = ProceduralScene((16, 16), (16, 16)).truth()
-    taken = [lm.simulate(scene, patterns, primary=colour) for colour in COLOURS]
-    known = [one.truth.transport() for one in taken]
+    captures = [lm.simulate(scene, patterns, primary=colour) for colour in COLOURS]
+    exact = [one.truth.transport() for one in captures]
     # As each filter lets pass, and no light that is not the primary's.
     grey = scene.matrix.toarray()
-    for k, one in enumerate(taken):
+    for k, one in enumerate(captures):
         assert one.camera_shape == (16, 16, 3)
         parts = one.truth.matrix.toarray().reshape(256, 3, 256)
         for channel in range(3):
@@ -129,25 +131,25 @@ def test_three_matrices_are_evaluated_together(
 
     # Green is a tenth too bright: known in all errors.
     wrong = [replace(one, sparse=one.sparse * np.float32(1 + 0.1 * (k == 1)))
-             for k, one in enumerate(known)]  # fmt: skip
-    errors = lm.evaluate_colour(wrong, known)
+             for k, one in enumerate(exact)]  # fmt: skip
+    errors = lm.evaluate_colour(wrong, exact)
     assert errors.green.relative_error == pytest.approx(0.1, rel=1e-4)
     assert errors.red.relative_error == errors.blue.relative_error == 0
-    energy = [float((one.sparse**2).sum()) for one in known]
-    wanted = 0.1 * np.sqrt(energy[1] / sum(energy))
-    assert errors.relative_error == pytest.approx(wanted, rel=1e-4)
+    energy = [float((one.sparse**2).sum()) for one in exact]
+    expected = 0.1 * np.sqrt(energy[1] / sum(energy))
+    assert errors.relative_error == pytest.approx(expected, rel=1e-4)
     assert 0.02 < errors.relighting_error < 0.1
     assert "green: error of T" in repr(errors)
     for k, colour in enumerate(COLOURS):
-        taken[k].save(tmp_path / colour)
+        captures[k].save(tmp_path / colour)
         lm.save(tmp_path / f"{colour}.zarr", wrong[k])
     line = f"evaluate {tmp_path}/red.zarr --green {tmp_path}/green.zarr --truth {tmp_path} --json"
     assert main(line.split()) == 2
     assert "--blue is missing" in capsys.readouterr().err
     assert main([*line.split(), "--blue", f"{tmp_path}/blue.zarr"]) == 0
-    assert json.loads(capsys.readouterr().out) == lm.evaluate_colour(wrong, known).as_dict()
+    assert json.loads(capsys.readouterr().out) == lm.evaluate_colour(wrong, exact).as_dict()
     with pytest.raises(InputError, match="2 truths"):
-        lm.evaluate_colour(wrong, known[:2])
+        lm.evaluate_colour(wrong, exact[:2])
     with pytest.raises(InputError, match="no primary 'pink'"):
         lm.simulate(scene, patterns, primary="pink")
 

@@ -48,20 +48,20 @@ def test_samples_are_those_of_the_rectangle(folder: Path) -> None:
     part = whole.crop(CORNER, SHAPE)
     assert part.camera_shape == SHAPE
     inside = np.arange(64 * 64).reshape(WHOLE)[11:35, 21:41].ravel()
-    expected, found = whole.samples().rows(inside), part.samples()
+    expected, samples = whole.samples().rows(inside), part.samples()
     for name in ("values", "clipped", "clip_level", "weights"):
-        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
+        np.testing.assert_array_equal(getattr(samples, name), getattr(expected, name))
     # Cut twice is cut once, and blocks of pixels begin at the corner.
     again = whole.crop((10, 20), (30, 30)).crop((1, 1), SHAPE)
-    np.testing.assert_array_equal(again.samples().values, found.values)
+    np.testing.assert_array_equal(again.samples().values, samples.values)
     assert again.description["crop"] == Region(CORNER, SHAPE, WHOLE).as_dict()
     binned = part.bin(camera=2).samples().values.reshape(12, 10, -1)
-    inner = found.values.reshape(12, 2, 10, 2, -1).mean(axis=(1, 3))
-    masked = found.weights_of_all().reshape(12, 2, 10, 2, -1).min(axis=(1, 3)) > 0
+    inner = samples.values.reshape(12, 2, 10, 2, -1).mean(axis=(1, 3))
+    masked = samples.weights_of_all().reshape(12, 2, 10, 2, -1).min(axis=(1, 3)) > 0
     np.testing.assert_allclose(binned[masked], inner[masked], rtol=1e-5, atol=1e-6)
 
 
-def test_only_the_rectangle_is_kept_of_a_photograph(folder: Path) -> None:
+def test_only_the_rectangle_of_a_photograph_stays_in_memory(folder: Path) -> None:
     frame = lm.Capture.open(folder, crop=(CORNER, SHAPE)).frame(3)
     assert frame.shape == SHAPE
     assert frame.base is None
@@ -70,7 +70,7 @@ def test_only_the_rectangle_is_kept_of_a_photograph(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("corner", "shape"), [((60, 0), (5, 5)), ((-1, 0), (5, 5)), ((0, 0), (0, 5)), ((0, 0), (65, 1))]
 )
-def test_what_lies_outside_is_refused(
+def test_a_crop_outside_the_photographs_is_refused(
     folder: Path, corner: tuple[int, int], shape: tuple[int, int]
 ) -> None:
     with pytest.raises(lm.InputError, match="crop of"):
@@ -79,7 +79,7 @@ def test_what_lies_outside_is_refused(
         lm.Capture.open(folder, bin_camera=2).crop((0, 0), (2, 2))
 
 
-def test_commands_know_where_the_rows_lay(
+def test_commands_know_the_place_of_a_crop(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     plain = f"--patterns {folder}/patterns --images {folder}/images --no-check"
@@ -96,13 +96,13 @@ def test_commands_know_where_the_rows_lay(
     # The whole truth is cut alike, whether it is given as a file or as a scene.
     capsys.readouterr()
     truth = lm.truth(folder / "truth.npz").transport()
-    known = lm.LightTransport.from_matrix(
+    truth = lm.LightTransport.from_matrix(
         truth.sparse[Region(CORNER, SHAPE, WHOLE).samples(WHOLE)], SHAPE, WHOLE
     )
-    expected = lm.evaluate(stores[0], known).relative_error
+    expected = lm.evaluate(stores[0], truth).relative_error
     assert expected < 0.9
-    for given in (str(folder / "truth.npz"), "metal"):
-        assert main(["evaluate", str(tmp_path / "0.zarr"), "--truth", given, "--json"]) == 0
+    for source in (str(folder / "truth.npz"), "metal"):
+        assert main(["evaluate", str(tmp_path / "0.zarr"), "--truth", source, "--json"]) == 0
         assert json.loads(capsys.readouterr().out)["relative_error"] == pytest.approx(expected)
     assert main(["info", str(tmp_path / "0.zarr")]) == 0
     assert "24 x 20 from 11, 21, of 64 x 64" in capsys.readouterr().out
@@ -123,7 +123,7 @@ def test_a_simulated_capture_keeps_its_truth() -> None:
 
 
 @pytest.mark.parametrize("text", ["", "3", "1,2", "1,2:3", "a,b:cxd", "1,2:3x4:5", "-1,2:3x4"])
-def test_a_crop_that_is_none_is_refused(
+def test_malformed_crops_are_refused(
     text: str, folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["check", str(folder), f"--crop={text}"]) == 2
@@ -137,10 +137,10 @@ def test_jpeg_is_found_in_a_crop_beside_its_blocks(tmp_path: Path) -> None:
     images.mkdir()
     for k in range(24):
         imageio.imwrite(images / f"{k:03d}.jpg", simulated.frame(k), quality=60)
-    found = lm.check(
+    findings = lm.check(
         patterns=simulated.patterns,
         images=images,
         settings=lm.ReadSettings(response="linear"),
         crop=((3, 5), (58, 57)),
     )
-    assert "jpeg" in [finding.kind for finding in found]
+    assert "jpeg" in [finding.kind for finding in findings]

@@ -38,8 +38,8 @@ def test_every_prefix_has_about_the_shares(shares: list[float], count: int) -> N
     assert given_.sum() == count
     # Webster's rule, from its definition: no kind would rather have another one's last frame.
     claim = np.array(shares) / (2 * given_ + 1)
-    taken = [s / (2 * n - 1) if n else np.inf for s, n in zip(shares, given_, strict=True)]
-    assert claim.max() <= min(taken) * (1 + 1e-9)
+    quotients = [s / (2 * n - 1) if n else np.inf for s, n in zip(shares, given_, strict=True)]
+    assert claim.max() <= min(quotients) * (1 + 1e-9)
     np.testing.assert_array_equal(interleave(shares, count + 7)[:count], kinds)
 
 
@@ -50,8 +50,8 @@ def test_every_exposure_sees_every_kind_of_pattern() -> None:
         exposures = np.asarray(exposure_sequence(wanted, patterns))
         for value, share in wanted:
             for kind in range(3):
-                found = (exposures[patterns.kinds == kind] == value).mean()
-                assert found == pytest.approx(share, abs=1e-9)
+                frequency = (exposures[patterns.kinds == kind] == value).mean()
+                assert frequency == pytest.approx(share, abs=1e-9)
     assert exposure_sequence([(0.7, 1.0)], patterns) == 0.7
     some = np.asarray(
         exposure_sequence(parse_exposures("1:0.75,0.25:0.25"), BernoulliPatterns((4, 4), 8))
@@ -72,7 +72,7 @@ def test_every_exposure_sees_every_kind_of_pattern() -> None:
         ("1:0.5,1:0.5", "given twice"),
     ],
 )
-def test_exposures_that_are_none_are_refused(text: str, message: str) -> None:
+def test_malformed_exposures_are_refused(text: str, message: str) -> None:
     with pytest.raises(InputError, match=message):
         parse_exposures(text)
 

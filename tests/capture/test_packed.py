@@ -42,30 +42,30 @@ def patterns(kind: str) -> PatternSet:
 def capture(
     camera: tuple[int, ...] = (5, 7),
     dtype: Any = np.uint8,
-    shown: str = "bernoulli",
+    kind: str = "bernoulli",
     **decoder: Any,
 ) -> Capture:
-    """Frames that mean nothing, and so hold every level."""
+    """Random frames, which hold every level."""
     generator = np.random.default_rng(2)
     size = (COUNT, *camera)
     top = 1.0 if dtype is np.float32 else float(np.iinfo(dtype).max)
     frames = (top * generator.random(size)).astype(dtype)
-    given: dict[str, Any] = {"clip": 0.9 * top, "full_scale": top, **decoder}
+    levels: dict[str, Any] = {"clip": 0.9 * top, "full_scale": top, **decoder}
     mask = generator.random(camera) < 0.9
     return Capture.from_arrays(
-        patterns(shown), frames, Decoder(**given), mask=mask, provenance={"seed": 1}
+        patterns(kind), frames, Decoder(**levels), mask=mask, provenance={"seed": 1}
     )
 
 
-def assert_same(found: Capture, wanted: Capture) -> None:
-    assert found.digest == wanted.digest
-    assert found.description == wanted.description
-    assert found.patterns.description == wanted.patterns.description
-    assert type(found.patterns) is type(wanted.patterns)
-    assert found.decoder.clip_assumed == wanted.decoder.clip_assumed
+def assert_same(reopened: Capture, original: Capture) -> None:
+    assert reopened.digest == original.digest
+    assert reopened.description == original.description
+    assert reopened.patterns.description == original.patterns.description
+    assert type(reopened.patterns) is type(original.patterns)
+    assert reopened.decoder.clip_assumed == original.decoder.clip_assumed
     for k in range(COUNT):
-        np.testing.assert_array_equal(found.frame(k), wanted.frame(k))
-        assert found.frames.name(k) == wanted.frames.name(k)
+        np.testing.assert_array_equal(reopened.frame(k), original.frame(k))
+        assert reopened.frames.name(k) == original.frames.name(k)
 
 
 @pytest.fixture
@@ -96,29 +96,29 @@ DECODERS: dict[str, dict[str, Any]] = {
 @pytest.mark.parametrize("words", DECODERS)
 @pytest.mark.usefixtures("small_chunks")
 def test_a_packed_capture_is_the_same_capture(tmp_path: Path, words: str) -> None:
-    wanted = capture(**DECODERS[words])
-    lm.pack(wanted, tmp_path / "c.zarr")
-    found = Capture.open(tmp_path / "c.zarr")
-    assert isinstance(found.frames, PackedFrames)
-    assert_same(found, wanted)
+    original = capture(**DECODERS[words])
+    lm.pack(original, tmp_path / "c.zarr")
+    reopened = Capture.open(tmp_path / "c.zarr")
+    assert isinstance(reopened.frames, PackedFrames)
+    assert_same(reopened, original)
     for block in ((2, 2), (3, 8)):
-        assert found.bin(camera=block).digest == wanted.bin(camera=block).digest
+        assert reopened.bin(camera=block).digest == original.bin(camera=block).digest
     part = slice(1, 4), slice(2, 6)
-    assert found.window(*part).digest == wanted.window(*part).digest
+    assert reopened.window(*part).digest == original.window(*part).digest
     some = [3, 0]
-    assert found.window(*part).select(some).digest == wanted.window(*part).select(some).digest
+    assert reopened.window(*part).select(some).digest == original.window(*part).select(some).digest
     assert [entry.name for entry in tmp_path.iterdir()] == ["c.zarr"]
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
 @pytest.mark.parametrize("camera", [(5, 7), (4, 3, 3), (1, 1)])
-@pytest.mark.parametrize("shown", ["bernoulli", "bits", "grey"])
+@pytest.mark.parametrize("kind", ["bernoulli", "bits", "grey"])
 def test_all_kinds_of_frames_and_patterns(
-    tmp_path: Path, camera: tuple[int, ...], dtype: Any, shown: str
+    tmp_path: Path, camera: tuple[int, ...], dtype: Any, kind: str
 ) -> None:
-    wanted = capture(camera, dtype, shown)
-    lm.pack(wanted, tmp_path / "c.zarr")
-    assert_same(Capture.open(tmp_path / "c.zarr"), wanted)
+    original = capture(camera, dtype, kind)
+    lm.pack(original, tmp_path / "c.zarr")
+    assert_same(Capture.open(tmp_path / "c.zarr"), original)
 
 
 @given(st.integers(0, 35), st.integers(0, 35), st.integers(1, 300), st.data())
@@ -127,33 +127,35 @@ def test_any_run_of_samples_is_that_of_the_frames(
     tmp_path_factory: pytest.TempPathFactory, one: int, other: int, chunk: int, data: st.DataObject
 ) -> None:
     place = tmp_path_factory.mktemp("run") / "c.zarr"
-    wanted = capture()
+    original = capture()
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(packing, "_CHUNK_BYTES", chunk)
-        lm.pack(wanted, place)
-    found = Capture.open(place)
+        lm.pack(original, place)
+    reopened = Capture.open(place)
     rows = sorted((one, other))
     for _ in range(2):
-        np.testing.assert_array_equal(found.reader.levels(*rows), wanted.reader.raw[slice(*rows)])
+        np.testing.assert_array_equal(
+            reopened.reader.levels(*rows), original.reader.raw[slice(*rows)]
+        )
     at = data.draw(st.integers(0, 34))
-    np.testing.assert_array_equal(found.reader.levels(at, at + 1)[0], wanted.reader.raw[at])
+    np.testing.assert_array_equal(reopened.reader.levels(at, at + 1)[0], original.reader.raw[at])
 
 
 @pytest.mark.usefixtures("small_chunks")
 def test_packed_and_cropped_in_either_order_are_the_same(tmp_path: Path) -> None:
     whole = capture(**DECODERS["a black frame"])
-    wanted = whole.crop((1, 2), (3, 4))
+    original = whole.crop((1, 2), (3, 4))
     lm.pack(whole, tmp_path / "whole.zarr")
-    lm.pack(wanted, tmp_path / "part.zarr")
+    lm.pack(original, tmp_path / "part.zarr")
     cropped = Capture.open(tmp_path / "whole.zarr", crop=((1, 2), (3, 4)))
     assert isinstance(cropped.frames, PixelFrames)
-    for found in (cropped, Capture.open(tmp_path / "part.zarr")):
-        assert_same(found, wanted)
+    for reopened in (cropped, Capture.open(tmp_path / "part.zarr")):
+        assert_same(reopened, original)
     inner = (1, 1), (2, 2)
-    assert cropped.crop(*inner).digest == wanted.crop(*inner).digest
+    assert cropped.crop(*inner).digest == original.crop(*inner).digest
     assert cropped.crop(*inner).description["crop"]["corner"] == [2, 3]
     some = [3, 0]
-    assert cropped.select(some).digest == wanted.select(some).digest
+    assert cropped.select(some).digest == original.select(some).digest
 
 
 def test_a_tile_reads_only_its_own_chunks(tmp_path: Path, small_chunks: None) -> None:
@@ -169,16 +171,16 @@ def test_a_tile_reads_only_its_own_chunks(tmp_path: Path, small_chunks: None) ->
         frames.levels(14, 22)
 
 
-def test_through_a_file_it_is_the_same(tmp_path: Path, small_chunks: None) -> None:
-    wanted = capture(dtype=np.uint16)
-    told: list[tuple[int, int]] = []
-    lm.pack(wanted, tmp_path / "c.zarr", memory=100, progress=lambda *step: told.append(step))
-    assert_same(Capture.open(tmp_path / "c.zarr"), wanted)
-    assert told[-1] == (COUNT, COUNT)
+def test_packing_through_a_file_gives_the_same_capture(tmp_path: Path, small_chunks: None) -> None:
+    original = capture(dtype=np.uint16)
+    steps: list[tuple[int, int]] = []
+    lm.pack(original, tmp_path / "c.zarr", memory=100, progress=lambda *step: steps.append(step))
+    assert_same(Capture.open(tmp_path / "c.zarr"), original)
+    assert steps[-1] == (COUNT, COUNT)
     assert [entry.name for entry in tmp_path.iterdir()] == ["c.zarr"]
     # And packed once more, from tiles to tiles.
     lm.pack(tmp_path / "c.zarr", tmp_path / "d.zarr")
-    assert_same(Capture.open(tmp_path / "d.zarr"), wanted)
+    assert_same(Capture.open(tmp_path / "d.zarr"), original)
 
 
 @pytest.fixture(scope="module")
@@ -186,39 +188,39 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A simulated capture as a folder, and packed."""
     place = tmp_path_factory.mktemp("simulated")
     known = coarse(lm.truth("metal"), 4)
-    taken = lm.simulate(known, lm.BernoulliPatterns((16, 16), 24), exposure=0.3, leak=0.1)
-    taken.save(place / "capture")
-    taken.save(place / "simulated.zarr")
+    simulated = lm.simulate(known, lm.BernoulliPatterns((16, 16), 24), exposure=0.3, leak=0.1)
+    simulated.save(place / "capture")
+    simulated.save(place / "simulated.zarr")
     lm.pack(place / "capture", place / "packed.zarr")
     return place
 
 
 @pytest.mark.parametrize("name", ["packed.zarr", "simulated.zarr"])
-def test_everything_takes_it_as_it_takes_the_folder(folder: Path, name: str) -> None:
-    wanted = Capture.open(folder / "capture")
-    found = Capture.open(folder / name)
-    assert found.digest == wanted.digest
-    assert found.description == wanted.description
+def test_a_packed_capture_replaces_the_folder_everywhere(folder: Path, name: str) -> None:
+    original = Capture.open(folder / "capture")
+    reopened = Capture.open(folder / name)
+    assert reopened.digest == original.digest
+    assert reopened.description == original.description
     assert lm.check(folder / name) == lm.check(folder / "capture")
     known = lm.truth(folder / name / "truth.npz")
     assert known.matrix.nnz == lm.truth(folder / "capture" / "truth.npz").matrix.nnz
     estimator = lm.PlainEstimator(lm.ROMP(max_iterations=2), tile_rows=77)
-    one, other = estimator.estimate(found), estimator.estimate(wanted)
+    one, other = estimator.estimate(reopened), estimator.estimate(original)
     assert (one.sparse != other.sparse).nnz == 0
     assert one.provenance == other.provenance
 
 
-def test_info_tells_of_both(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    told = []
+def test_info_describes_both(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    summaries = []
     for name in ("capture", "packed.zarr"):
         assert main(["info", str(folder / name), "--json"]) == 0
-        told.append(json.loads(capsys.readouterr().out))
+        summaries.append(json.loads(capsys.readouterr().out))
         assert main(["info", str(folder / name)]) == 0
         assert "16 x 16" in capsys.readouterr().out
         assert main(["info", str(folder / name), "--pictures", str(folder / "p")]) == 2
         assert "is a capture" in capsys.readouterr().err
-    assert told[0] == told[1]
-    assert told[0]["frames"] == 24
+    assert summaries[0] == summaries[1]
+    assert summaries[0]["frames"] == 24
 
 
 def test_the_command_packs_plain_folders(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -226,11 +228,11 @@ def test_the_command_packs_plain_folders(folder: Path, capsys: pytest.CaptureFix
     assert main(f"pack {plain} -o {folder}/plain.zarr --json".split()) == 0
     assert json.loads(capsys.readouterr().out)["frames"] == 24
     inside = folder / "capture"
-    wanted = Capture.from_folders(inside / "patterns", inside / "images", ReadSettings(black=3))
-    assert Capture.open(folder / "plain.zarr").digest == wanted.digest
+    original = Capture.from_folders(inside / "patterns", inside / "images", ReadSettings(black=3))
+    assert Capture.open(folder / "plain.zarr").digest == original.digest
 
 
-def test_what_it_is_not_is_said(folder: Path, tmp_path: Path) -> None:
+def test_messages_name_the_wrong_kind_of_output(folder: Path, tmp_path: Path) -> None:
     scene = lm.truth(folder / "capture" / "truth.npz").transport()
     lm.save(tmp_path / "scene.zarr", scene)
     with pytest.raises(InputError, match="is a light transport matrix, not a capture"):
@@ -295,7 +297,7 @@ DAMAGES: dict[str, tuple[Any, str]] = {
 
 
 @pytest.mark.parametrize("words", DAMAGES)
-def test_damaged_and_hostile_ones_are_refused(tmp_path: Path, words: str) -> None:
+def test_damaged_and_hostile_packed_captures_are_refused(tmp_path: Path, words: str) -> None:
     lm.pack(capture(), tmp_path / "c.zarr")
     damage, message = DAMAGES[words]
     damage(tmp_path / "c.zarr")
@@ -314,39 +316,39 @@ def test_a_damaged_chunk_is_named(tmp_path: Path, how: str, small_chunks: None) 
         # It says that it inflates to 2 GiB.
         data[4:8] = (2**31).to_bytes(4, "little")
     chunk.write_bytes(data[:-3] if how == "cut" else data)
-    found = Capture.open(tmp_path / "c.zarr")
+    reopened = Capture.open(tmp_path / "c.zarr")
     with pytest.raises(InputError, match=r"c\.zarr: is damaged .*frames/c/0/2/0"):
-        found.samples()
-    assert found.samples(0, 14).count == 14
+        reopened.samples()
+    assert reopened.samples(0, 14).count == 14
 
 
-def test_patterns_that_are_made_otherwise_now_are_those_stored(tmp_path: Path) -> None:
-    wanted = capture()
-    lm.pack(wanted, tmp_path / "c.zarr")
-    told = {**wanted.patterns.description, "seed": 8}
-    _header({"patterns": {"description": told, "digest": ""}})(tmp_path / "c.zarr")
-    found = Capture.open(tmp_path / "c.zarr")
-    assert isinstance(found.patterns, lm.BitPatterns)
-    assert found.digest == wanted.digest
+def test_stored_patterns_are_used_if_they_are_made_differently_now(tmp_path: Path) -> None:
+    original = capture()
+    lm.pack(original, tmp_path / "c.zarr")
+    changed = {**original.patterns.description, "seed": 8}
+    _header({"patterns": {"description": changed, "digest": ""}})(tmp_path / "c.zarr")
+    reopened = Capture.open(tmp_path / "c.zarr")
+    assert isinstance(reopened.patterns, lm.BitPatterns)
+    assert reopened.digest == original.digest
 
 
-def test_a_disk_that_is_too_small_is_said_before_anything_is_read(
+def test_disk_space_is_checked_before_a_frame_is_read(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     usage = shutil.disk_usage(tmp_path)._replace(free=100)
     monkeypatch.setattr(shutil, "disk_usage", lambda _: usage)
-    taken = capture()
+    original = capture()
     read: list[int] = []
-    monkeypatch.setattr(type(taken.frames), "read", lambda self, k: read.append(k))
+    monkeypatch.setattr(type(original.frames), "read", lambda self, k: read.append(k))
     with pytest.raises(OutputError, match=r"takes up to .* GiB, 9\.31e-08 GiB are free"):
-        lm.pack(taken, tmp_path / "c.zarr")
+        lm.pack(original, tmp_path / "c.zarr")
     assert not read
     assert not list(tmp_path.iterdir())
 
 
-def test_what_fails_on_the_way_leaves_nothing(tmp_path: Path) -> None:
-    taken = capture()
-    broken = replace(taken, frames=_Broken(taken.frames))
+def test_a_failed_packing_leaves_nothing(tmp_path: Path) -> None:
+    original = capture()
+    broken = replace(original, frames=_Broken(original.frames))
     for memory in (1 << 20, 100):
         with pytest.raises(InputError, match="frame 3 is gone"):
             lm.pack(broken, tmp_path / "c.zarr", memory=memory)
@@ -364,8 +366,8 @@ class _Broken:
     def read(self, index: int) -> NDArray[Any]:
         if index == 3:
             raise InputError("frame 3 is gone")
-        found: NDArray[Any] = self.frames.read(index)
-        return found
+        frame: NDArray[Any] = self.frames.read(index)
+        return frame
 
 
 def test_black_and_white_images_give_the_estimate_of_the_generated_set(

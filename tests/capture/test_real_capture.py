@@ -95,10 +95,10 @@ def test_the_strongest_entry_is_where_gray_decoding_says(
         matrix = CoherentEstimator().estimate(capture).sparse[rows]
     else:
         matrix = estimate(capture, rows).coefficients
-    found = strongest(matrix)
-    found_row, found_col = np.divmod(found, capture.projector_shape[1])
+    columns = strongest(matrix)
+    found_row, found_col = np.divmod(columns, capture.projector_shape[1])
     bright = bins(photographs[WHITE] - photographs[BLACK])[rows] > 0.1 * CLIP
-    near = found >= 0
+    near = columns >= 0
     for place, first in ((found_col, COLUMN_BITS), (found_row, ROW_BITS)):
         seen = np.where(bright, bins(decoded(photographs, first))[rows], np.nan)
         near &= np.abs(place - np.nanmedian(seen, axis=1) // BIN) <= 1
@@ -177,7 +177,7 @@ def test_stripes_finer_than_a_bin_become_constant_without_error(capture: Capture
     refuse_unordered(capture)
 
 
-def test_white_is_not_taken_for_stripes_that_became_grey() -> None:
+def test_stripes_that_became_grey_are_not_reported_as_swapped() -> None:
     """Binned patterns of one grey cannot be told apart, though their photographs vary."""
     binned = Capture.from_folders(
         BOARD / "graycode_pattern",

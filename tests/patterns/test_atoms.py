@@ -118,9 +118,9 @@ def test_the_compiled_moments_are_those_of_blurred_images(
     atoms = AtomPatterns(ImagePatterns(grey), (0.0, 0.7, 4.0), (1.0, 1.0, 1.0))
     images = grey.reshape(count, -1)
     for plane, kernel in enumerate(atoms.kernels):
-        found = _core.blurred_moments(images, shape, kernel)
+        moments = _core.blurred_moments(images, shape, kernel)
         values = atoms._blurred(images, plane).astype(np.float64)
-        np.testing.assert_allclose(found, (values.sum(), (values**2).sum()), rtol=1e-5)
+        np.testing.assert_allclose(moments, (values.sum(), (values**2).sum()), rtol=1e-5)
 
 
 @pytest.mark.parametrize(
@@ -141,8 +141,8 @@ def test_single_pixels_are_believed_in_where_they_hold_light() -> None:
     light[:-1, 30:, 64 + 5] = 2
     rows = csr_array(light.reshape(1800, -1))
     count = rows.shape[0]
-    found = SparseRows(rows, np.zeros((count, 1), np.float32), {})
-    belief = Neighbourhood(found, camera, atoms).singles.reshape(30, 60)
+    solved = SparseRows(rows, np.zeros((count, 1), np.float32), {})
+    belief = Neighbourhood(solved, camera, atoms).singles.reshape(30, 60)
     np.testing.assert_array_equal(belief[:, :26], 1)
     constants = neighbourhood.LIKELY_ATOMS
     np.testing.assert_array_equal(belief[:, 34:], np.float32(constants.pixels_least))

@@ -258,12 +258,12 @@ def test_black_and_white_images_are_bits_as_generated_ones_are(
         last = made.images()[-1]
         last[-1, -1] = 0.2
         write_image(sorted(folder.iterdir())[-1], last, overwrite=True)
-    found = read_patterns(folder)
-    assert isinstance(found, ImagePatterns if grey else BitPatterns)
+    read = read_patterns(folder)
+    assert isinstance(read, ImagePatterns if grey else BitPatterns)
     if not grey:
-        np.testing.assert_array_equal(found.as_bits(), made.bits)
-    assert (found.images()[:-1] == made.images()[:-1]).all()
-    whiter = with_white(found)
-    assert type(whiter) is type(found)
-    np.testing.assert_array_equal(whiter.images()[:-1], found.images())
+        np.testing.assert_array_equal(read.as_bits(), made.bits)
+    assert (read.images()[:-1] == made.images()[:-1]).all()
+    whiter = with_white(read)
+    assert type(whiter) is type(read)
+    np.testing.assert_array_equal(whiter.images()[:-1], read.images())
     assert (whiter.images()[-1] == 1).all()

@@ -50,7 +50,7 @@ class Samples:
         return len(self.values)
 
     def check(self, patterns: int) -> None:
-        """Refuse samples that cannot belong to so many patterns.
+        """Refuse samples that cannot belong to K patterns.
 
         Raises
         ------

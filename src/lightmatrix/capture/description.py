@@ -119,7 +119,7 @@ class _Table:
                 hint=f"its keys are {', '.join(sorted(self.prefix + key for key in self.keys))}",
             )
 
-    def get(self, key: str, read: Callable[[Any], Any], wanted: str) -> Any:
+    def get(self, key: str, read: Callable[[Any], Any], expected: str) -> Any:
         """The value of a key as `read` returns it; None if it is absent, or null and may be."""
         if key not in self.content:
             return None
@@ -131,7 +131,7 @@ class _Table:
         if result is None:
             raise InputError(
                 f'{self.file}: "{self.prefix}{key}" cannot be {_short(value)}',
-                hint=f"give {wanted}" + (", or leave it out" if value is None else ""),
+                hint=f"give {expected}" + (", or leave it out" if value is None else ""),
             )
         return result
 
@@ -186,5 +186,5 @@ def _object(value: Any) -> dict[str, Any] | None:
 
 
 def _short(value: Any) -> str:
-    shown = "null" if value is None else repr(value)
-    return shown if len(shown) <= 60 else f"{shown[:57]}..."
+    text = "null" if value is None else repr(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."

@@ -77,13 +77,13 @@ def read_capture(
     stack = ImageStack.open(photographs, mosaic=settings.mosaic)
     if counted:
         _check_counts(patterns, stack, photographs)
-    for key, wanted, shape, what in (
+    for key, stated, shape, what in (
         ("projector_shape", description.projector_shape, patterns.shape, "patterns"),
         ("camera_shape", description.camera_shape, stack.shape, "images"),
     ):
-        if wanted is not None and wanted != shape:
+        if stated is not None and stated != shape:
             raise InputError(
-                f"{file}: {key} is {list(wanted)}, but the {what} have {list(shape)}",
+                f"{file}: {key} is {list(stated)}, but the {what} have {list(shape)}",
                 hint="correct capture.json, or restore the folder",
             )
     with errors_naming(file):
@@ -105,16 +105,16 @@ def read_folders(
 
     Patterns and frames must be equal in number if `counted`.
     """
-    shown = patterns if isinstance(patterns, PatternSet) else read_patterns(patterns)
-    shown = _as_light(shown, settings)
+    projected = patterns if isinstance(patterns, PatternSet) else read_patterns(patterns)
+    projected = _as_light(projected, settings)
     stack = ImageStack.open(images, mosaic=settings.mosaic)
     if counted:
-        _check_counts(shown, stack, Path(images))
+        _check_counts(projected, stack, Path(images))
     if settings.white is not None:
-        shown = with_white(shown)
+        projected = with_white(projected)
         stack = replace(stack, paths=(*stack.paths, Path(settings.white)))
     decoder = make_decoder(stack, settings)
-    return CaptureParts(shown, stack, decoder, read_mask(settings.mask, stack.shape))
+    return CaptureParts(projected, stack, decoder, read_mask(settings.mask, stack.shape))
 
 
 def write_capture(
@@ -279,4 +279,4 @@ def _as_light(patterns: PatternSet, settings: ReadSettings) -> PatternSet:
         return patterns
     if not isinstance(response, ProjectorResponse):
         response = ProjectorResponse.load(response)
-    return response.shown(patterns)
+    return response.light_of_patterns(patterns)

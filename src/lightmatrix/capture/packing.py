@@ -37,8 +37,8 @@ from lightmatrix.reprs import jsonable
 from lightmatrix.resources.disk import check_disk_space
 
 Progress = Callable[[int, int], None]
-# Called with a number of camera rows, iterates over the levels of all frames in so many rows at a
-# time, (K, rows, cols[, channels]); the last strip may have fewer rows.
+# Called with a number of camera rows, iterates over strips of that height: the levels of all
+# frames, (K, rows, cols[, channels]). The last strip may have fewer rows.
 Strips = Callable[[int], Iterator[NDArray[Any]]]
 
 # Bytes of one chunk. Chosen by hand: small enough that a tile of camera pixels reads little more

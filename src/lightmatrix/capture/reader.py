@@ -22,8 +22,8 @@ from lightmatrix.resources.disk import scratch_array
 _STRIP = 1 << 20
 # Rows of samples in a tile, where the caller does not say how many.
 _TILE_ROWS = 4096
-# Frames are transposed in groups of at most so many frames and bytes. Column by column, every page
-# of the array would be touched once for each frame.
+# The most frames, and the most bytes of them, that are transposed together. One by one, each frame
+# would touch every page of the array.
 _GROUP_FRAMES, _GROUP_BYTES = 64, 256 << 20
 
 

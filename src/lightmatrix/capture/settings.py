@@ -101,6 +101,6 @@ class ReadSettings:
         check_exposures(self.exposure)
         if self.black_exposure is not None:
             check_number(
-                "a black frame of exposure", self.black_exposure, above=True,
+                "a black exposure", self.black_exposure, above=True,
                 hint="use a positive number, in the unit of the frames' exposures",
             )  # fmt: skip

@@ -12,7 +12,7 @@ from lightmatrix.capture.reader import Reader
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.reprs import jsonable
 
-# A summary lists so many exposures, and counts the others.
+# The number of different exposures that a summary lists; it counts the others.
 _LISTED_EXPOSURES = 4
 
 

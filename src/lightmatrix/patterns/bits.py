@@ -16,8 +16,8 @@ from lightmatrix.ranges import check_seed
 from lightmatrix.reprs import short_repr
 
 # The iterative solvers multiply the same patterns many times. A product of float matrices is then
-# faster than sums of bits if the matrix has at most so many bytes, and if it is multiplied by so
-# many rows at least. Both are chosen by hand.
+# faster than sums of bits, if the matrix has at most _DENSE_BYTES and multiplies _DENSE_ROWS rows
+# or more. Both are chosen by hand.
 _DENSE_BYTES = 128 << 20
 _DENSE_ROWS = 8
 

@@ -77,8 +77,8 @@ def fill_pattern_folder(folder: Path, patterns: PatternSet, colour: str | None =
     primary = np.array([name == colour for name in COLOURS], np.uint8)
     for start, block in patterns.chunks():
         for k, image in enumerate(to_grey(block.reshape(-1, *patterns.shape)), start):
-            shown = image if colour is None else image[..., None] * primary
-            fill_image(folder / f"pattern_{k:0{digits}d}.png", shown)
+            coloured = image if colour is None else image[..., None] * primary
+            fill_image(folder / f"pattern_{k:0{digits}d}.png", coloured)
     header = {"format": FORMAT, "version": VERSION, "digest": patterns.digest}
     content = {**header, "description": patterns.description}
     (folder / DESCRIPTION).write_text(json.dumps(content, indent=2) + "\n")
@@ -220,8 +220,8 @@ def _first_difference(operator: PatternSet, paths: list[Path]) -> str | None:
     for start, block in operator.chunks():
         expected = to_grey(block.reshape(-1, *operator.shape))
         some = paths[start : start + len(block)]
-        shown = read_ahead(read_image, some)
-        for path, image, grey in zip(some, shown, expected, strict=True):
+        images = read_ahead(read_image, some)
+        for path, image, grey in zip(some, images, expected, strict=True):
             if not np.array_equal(to_grey(colours.grey(path, image)), grey):
                 return f"{path.name} is not among"
     return None

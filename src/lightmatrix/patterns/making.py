@@ -86,16 +86,16 @@ def make_patterns(
     """
     if mix is not None and kind != "mix":
         raise InputError(f"a mix for {kind} patterns", hint="make patterns of the kind mix")
-    wanted = USUAL_COUNT if count is None else count
+    number = USUAL_COUNT if count is None else count
     if kind == "bernoulli":
-        return BernoulliPatterns(shape, wanted, density, seed)
+        return BernoulliPatterns(shape, number, density, seed)
     if kind == "hadamard":
-        return HadamardPatterns(shape, wanted, order, permute, seed)
+        return HadamardPatterns(shape, number, order, permute, seed)
     if kind == "mix":
-        shares = default_mix(shape, wanted) if mix is None else mix
+        shares = default_mix(shape, number) if mix is None else mix
         if isinstance(shares, str):
             shares = parse_mix(shares, shape)
-        return MixedPatterns(shape, wanted, shares, density, seed)
+        return MixedPatterns(shape, number, shares, density, seed)
     if kind == "onepixel":
         return _some(one_pixel_patterns(shape), count, "onepixel", seed)
     if kind == "blocks":

@@ -115,7 +115,7 @@ class MixedPatterns(BinaryPatterns):
 
 
 def default_mix(shape: tuple[int, int], count: int) -> Mix:
-    """The usual mix for so many patterns: all fine below 64, then a quarter coarse.
+    """The usual mix for a number of patterns: all fine below 64, then a quarter coarse.
 
     3/4 are fine, 1/8 have a grid of 32 x 32 and 1/8 of 8 x 8 cells. A grid that is not at least
     twice as coarse as the projector leaves its share to the fine patterns.

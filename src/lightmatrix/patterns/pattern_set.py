@@ -130,7 +130,7 @@ class PatternSet(ABC):
         return dense
 
     def coarse(self, block: tuple[int, int]) -> ImagePatterns:
-        """The patterns averaged over blocks of so many rows and columns of projector pixels.
+        """The patterns averaged over blocks of (rows, cols) projector pixels.
 
         Blocks at the border may be smaller.
         """

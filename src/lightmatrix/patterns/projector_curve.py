@@ -75,8 +75,8 @@ class ProjectorResponse:
 
     def grey_for(self, light: NDArray[np.floating]) -> NDArray[np.uint8]:
         """Grey values (uint8) that give the wanted light, in [0, 1]."""
-        wanted = np.asarray(light, np.float64) ** (1 / self.gamma)
-        return np.rint(np.interp(wanted, self._root, self.levels)).astype(np.uint8)
+        root = np.asarray(light, np.float64) ** (1 / self.gamma)
+        return np.rint(np.interp(root, self._root, self.levels)).astype(np.uint8)
 
     def light_of(self, grey: NDArray[np.floating]) -> NDArray[np.float32]:
         """Light, in [0, 1], of grey values given as a share of white."""
@@ -84,7 +84,7 @@ class ProjectorResponse:
         root = np.interp(np.asarray(grey, np.float64), levels, self._root)
         return (root**self.gamma).astype(np.float32)
 
-    def shown(self, patterns: PatternSet) -> PatternSet:
+    def light_of_patterns(self, patterns: PatternSet) -> PatternSet:
         """The light of patterns that the projector was sent as grey values.
 
         Black and white patterns do not change.
