@@ -19,6 +19,7 @@ from lightmatrix.files.numpy_files import read_npy
 from lightmatrix.files.reading import read_text
 
 RESPONSES = "linear, gamma:2.2, srgb, or a curve's file"
+# Endings of file names that are read as a curve without ``curve:`` before them.
 _CURVES = (".json", ".txt", ".csv", ".npy")
 # Bytes of a text file that are read. 65,536 lines of two numbers take less than a tenth of it.
 _MOST_CURVE = 16 << 20

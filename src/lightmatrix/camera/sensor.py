@@ -27,6 +27,7 @@ from lightmatrix.errors import InputError
 from lightmatrix.ranges import check_number, check_seed
 from lightmatrix.reprs import short_repr
 
+# Bits of a raw level that simulated cameras can have.
 BIT_DEPTHS = (8, 10, 12, 16)
 
 

@@ -1,4 +1,4 @@
-"""capture.json: the file that describes a capture; each key has its own kind and range."""
+"""capture.json: the file that describes a capture, read strictly."""
 
 from __future__ import annotations
 
@@ -18,8 +18,9 @@ from lightmatrix.files.json_files import errors_naming, read_json
 from lightmatrix.files.reading import within
 
 NAME = "capture.json"
-# The T that was photographed, beside a simulated capture, packed or not.
+# The file with the T that was photographed, in the folder of a simulated capture.
 TRUTH = "truth.npz"
+# Every capture.json states its format and version; a later version is refused.
 FORMAT, VERSION = "lightmatrix-capture", 1
 
 Levels = float | NDArray[np.float64]
@@ -44,7 +45,7 @@ def read_description(file: Path, *, allow_outside: bool = False) -> Description:
 def parse_description(
     file: Path, content: Mapping[str, Any], *, allow_outside: bool = False
 ) -> Description:
-    """The description in the content of a file; raises as `read_description`."""
+    """The description in the content of `file`, which messages name."""
     table = _Table(file, "", content, KEYS)
     black = table.get("black", _object, "an object with the black frame's file")
     frame = _Table(file, "black.", black or {}, _BLACK_KEYS)
@@ -98,6 +99,7 @@ KEYS = frozenset(
     | {"exposure", "clip", "black_level", "full_scale", "response", "projector_response", "mosaic"}
 )
 _BLACK_KEYS = frozenset({"file", "exposure"})
+# Keys whose value may be null, which states that the capture has none.
 _NULL_IS_NONE = frozenset({"black", "mask", "provenance"})
 
 

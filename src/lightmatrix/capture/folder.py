@@ -67,11 +67,11 @@ def read_capture(
     file = place / NAME
     # A dangling link is an error, not a folder without a description.
     described = os.path.lexists(file)
-    if not described:
-        _check_name(place)
-    description = Description()
     if described:
         description = read_description(file, allow_outside=allow_outside)
+    else:
+        _check_name(place)
+        description = Description()
     settings = _with_files_beside(place, description, described)
     patterns = _as_light(read_patterns(pattern_images), settings)
     stack = ImageStack.open(photographs, mosaic=settings.mosaic)

@@ -15,8 +15,8 @@ from lightmatrix.files.read_ahead import read_ahead
 from lightmatrix.regions import Region
 from lightmatrix.reprs import short_repr
 
-# Raw levels that are read together where all frames of some pixels are. Chosen by hand: 16 to 64 MB
-# of levels, by their type, are little memory.
+# Raw levels that are read together, of all frames at some camera pixels. Chosen by hand: they take
+# 16 to 64 MB, depending on their type.
 BLOCK_LEVELS = 1 << 24
 
 

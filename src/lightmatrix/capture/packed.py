@@ -35,6 +35,7 @@ from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
 from lightmatrix.reprs import short_repr
 from lightmatrix.resources.memory import check_memory
 
+# The attributes of every packed capture state its format and version; others are refused.
 FORMAT, VERSION = "lightmatrix-packed-capture", 1
 # The names of the arrays in the group.
 FRAMES, BITS, LEVELS, BLACK, MASK, CURVE = (

@@ -30,6 +30,7 @@ from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet, to_grey
 from lightmatrix.resources.memory import check_memory
 
 DESCRIPTION = "patterns.json"
+# Every patterns.json states its format and version; a later version is refused.
 FORMAT, VERSION = "lightmatrix-patterns", 1
 
 

@@ -26,8 +26,8 @@ from lightmatrix.errors import InputError
 from lightmatrix.patterns.grids import block_mean
 from lightmatrix.reprs import short_repr
 
-# Bytes of patterns that are unpacked at a time, as float32. Chosen by hand: small beside the memory
-# of an estimate, and a hundred patterns of a megapixel still take few chunks.
+# Bytes of patterns that are unpacked at a time, as float32. Chosen by hand: little beside the
+# memory of an estimate, and still 16 patterns of a megapixel.
 _CHUNK_BYTES = 64 << 20
 # The most pixels of a projector: sparse matrices number them in 32 bits.
 _MOST_PIXELS = 2**31 - 1
