@@ -1,11 +1,12 @@
-"""How near measured camera curves come to known ones: the table of docs/response.md.
+"""Errors of measured camera curves against known ones: the table of docs/response.md.
 
     python -m benchmarks.response_curves [--seeds 3] [--exposures 0.25,1,4]
 
-Simulated photographs of 48 x 64 pixels of a smooth scene of 200 : 1, at seven exposures each twice
-the one before unless said otherwise, with noise of 0.3 and 1 % of full light (growing with its
-root), black levels of 0 and 20 of 255, in 8 and 12 bits. Printed is the largest error over all
-levels of all of them, in % of full light, by each method. Takes a minute and the extra `response`.
+The simulated photographs have 48 x 64 pixels of a smooth scene with a contrast of 200 : 1. There
+are seven exposures, each twice the one before, unless others are given. Noise is 0.3 and 1 % of
+full light (growing with the root of the light), black levels are 0 and 20 of 255, and depths are 8
+and 12 bits. The table shows the largest error over all levels and photographs, in % of full light,
+of each method. It takes a minute and needs the extra `response`.
 """
 
 from __future__ import annotations
@@ -32,11 +33,11 @@ def srgb(light: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def film(light: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Like those measured of cameras with a contrast curve."""
+    """A contrast curve, as cameras apply it to JPEG files."""
     return 1.17 * light**0.7 / (light**0.7 + 0.3) + 0.1 * light
 
 
-# Level as a share of the range, of light in [0, 1].
+# Curves from light in [0, 1] to the level as a share of the range.
 CURVES: dict[str, Curve] = {
     "linear": lambda light: light,
     "gamma": lambda light: light ** (1 / 2.2),
@@ -55,7 +56,7 @@ def stack(
     noise: float = 0.005,
     seed: int = 0,
 ) -> NDArray[Any]:
-    """Photographs of a smooth scene of 200 : 1, with noise and clipping, in whole levels."""
+    """Photographs of a smooth scene with a contrast of 200 : 1, with noise, clipped and rounded."""
     random = np.random.default_rng(seed)
     scene = gaussian_filter(random.normal(size=(48, 64)), 2)
     scene = np.exp((scene - scene.min()) / np.ptp(scene) * np.log(200) - np.log(200))
@@ -64,14 +65,14 @@ def stack(
         light = scene * time
         light = light + noise * np.sqrt(0.1 + light) * random.normal(size=scene.shape)
         frames.append(np.rint(black + (clip - black) * curve(np.clip(light, 0, 1))))
-    # The contrast curve goes a little beyond 1, where a camera clips.
+    # The contrast curve exceeds 1 a little, where a camera clips.
     levels = np.clip(np.array(frames), 0, 255 if clip < 256 else 65535)
     return levels.astype(np.uint8 if clip < 256 else np.uint16)
 
 
-def errors(found: lm.CameraResponse, curve: Curve, black: int, clip: int) -> NDArray[np.float64]:
-    """Light by the measured curve less light by the known one, of its 256 levels."""
-    response = found.response
+def errors(measured: lm.CameraResponse, curve: Curve, black: int, clip: int) -> NDArray[np.float64]:
+    """Light of the 256 levels by the measured curve, less that by the known one."""
+    response = measured.response
     assert response.light is not None
     assert response.full_scale == clip
     light = np.linspace(0, 1, 100_001)
@@ -81,17 +82,17 @@ def errors(found: lm.CameraResponse, curve: Curve, black: int, clip: int) -> NDA
 
 
 def largest_error(curve: Curve, method: str, times: Sequence[float], seeds: int) -> float:
-    """Over all levels, noises, black levels and depths; a share of full light."""
+    """The largest error over levels, noises, black levels and depths; a share of full light."""
     worst = 0.0
     for noise, black, clip, seed in itertools.product(
         (0.003, 0.01), (0, 20), (255, 4095), range(seeds)
     ):
         dark = black * (clip + 1) // 256
         photographs = stack(curve, times, black=dark, clip=clip, noise=noise, seed=seed)
-        found = lm.camera_response(
+        measured = lm.camera_response(
             photographs, list(times), method=method, black=float(dark), clip=float(clip)
         )
-        worst = max(worst, float(np.abs(errors(found, curve, dark, clip)).max()))
+        worst = max(worst, float(np.abs(errors(measured, curve, dark, clip)).max()))
     return worst
 
 
@@ -105,8 +106,8 @@ def main() -> None:
     methods = ("debevec", "robertson") if len(times) >= 5 else ("debevec",)
     print(f"| curve of the camera | {' | '.join(methods)} |\n|---{'|---' * len(methods)}|")
     for name, curve in CURVES.items():
-        found = (100 * largest_error(curve, each, times, arguments.seeds) for each in methods)
-        print(f"| {name} | {' | '.join(f'{share:.1f}' for share in found)} |", flush=True)
+        shares = (100 * largest_error(curve, each, times, arguments.seeds) for each in methods)
+        print(f"| {name} | {' | '.join(f'{share:.1f}' for share in shares)} |", flush=True)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""A virtual camera: free-running with buffers that grow stale, or triggered; with faults."""
+"""A virtual camera with faults: free-running, with buffers that grow stale, or triggered."""
 
 from __future__ import annotations
 
@@ -17,31 +17,24 @@ from lightmatrix.live.devices.protocols import Frame
 from lightmatrix.live.devices.virtual.light import Light
 from lightmatrix.live.devices.virtual.settings import VirtualSettings
 
+# The fault of a frame is drawn from the seed, this number and the frame's number.
 _STREAM = 2
-# Microseconds, in which real cameras count their exposure.
+# Exposures in seconds: cameras count in microseconds, and have limits like these.
 _STEP = 1e-6
 _SHORTEST, _LONGEST = 20e-6, 10.0
-# From the trigger to the start of the exposure.
-_TRIGGERED = 1e-4
+# Seconds from the trigger to the start of the exposure, as of machine vision cameras.
+_TRIGGER_DELAY = 1e-4
 
 
 class _Waiting(NamedTuple):
-    """A frame that was taken, and when it can be had."""
+    """A frame that was taken, and when it is ready."""
 
     ready: float
     frame: Frame
 
 
 class VirtualCamera:
-    """Camera of a virtual rig; see `lightmatrix.live.devices.protocols.Camera`.
-
-    Parameters
-    ----------
-    light : Light
-        What it photographs.
-    settings : VirtualSettings
-    clock : Clock
-    """
+    """The camera of a virtual rig; it photographs the light that the projector changes."""
 
     def __init__(self, light: Light, settings: VirtualSettings, clock: Clock) -> None:
         self._light, self._settings, self._clock = light, settings, clock
@@ -59,8 +52,6 @@ class VirtualCamera:
         self._next = self._begun
         self._meddled = settings.meddled == 0
         self._closed = False
-
-    # ---- what a camera is
 
     @property
     def exposure(self) -> float:
@@ -113,31 +104,23 @@ class VirtualCamera:
     def trigger(self) -> None:
         self._check_plugged()
         if not self._settings.fps:
-            self._take(self._clock.now() + _TRIGGERED)
+            self._take(self._clock.now() + _TRIGGER_DELAY)
 
     def close(self) -> None:
         self._waiting.clear()
         self._closed = True
 
     def reopen(self) -> VirtualCamera:
-        """The camera after it was lost and found again; its frames are gone.
-
-        Raises
-        ------
-        DeviceError
-            While it is unplugged.
-        """
+        """The camera after it was lost, without its frames; a DeviceError while it is unplugged."""
         self._check_there()
         self._closed = False
         self._waiting.clear()
         self._next = max(self._next, self._clock.now())
         return self
 
-    # ---- what happens to it
-
     @property
     def _interval(self) -> float:
-        # Read-out takes a while, in which the next exposure cannot begin.
+        # The next exposure cannot begin during the read-out.
         return max(self._settings.frame_interval, self._exposure + self._settings.latency)
 
     @property
@@ -147,7 +130,7 @@ class VirtualCamera:
         return self._next + self._exposure + self._settings.latency
 
     def _run_until(self, now: float) -> None:
-        """Let a free-running camera take the frames whose exposure has ended."""
+        """Take the frames of a free-running camera whose exposure has ended."""
         self._meddle()
         while self._settings.fps and self._next + self._exposure <= now:
             if len(self._waiting) < self._settings.buffers:
@@ -157,7 +140,7 @@ class VirtualCamera:
             self._next += self._interval
 
     def _take(self, start: float) -> None:
-        """One frame, with what befalls it."""
+        """Take one frame, perhaps with a fault."""
         number, self._id = self._id, self._id + 1
         stop = start + self._exposure
         draw = np.random.default_rng([self._settings.seed, _STREAM, number])
@@ -170,14 +153,15 @@ class VirtualCamera:
         if fate < dropped:
             return
         if before is not None and fate < dropped + duplicate:
-            # Some drivers hand the old buffer out under a new number, others as it was.
+            # Some drivers hand out the old buffer under a new number, others under its own.
             data = before
             number -= int(draw.integers(2))
         elif before is not None and fate < dropped + duplicate + torn:
             row = int(draw.integers(1, len(data)))
             data = np.concatenate([data[:row], before[row:]])
         ready = stop + self._settings.latency
-        self._waiting.append(_Waiting(ready, Frame(data, number, stop, self._clip_level)))
+        frame = Frame(data, number, stop, self._sensor.clip_level)
+        self._waiting.append(_Waiting(ready, frame))
 
     def _expose(self, start: float, stop: float, number: int) -> NDArray[Any]:
         light = self._light.between(start, stop)
@@ -189,12 +173,8 @@ class VirtualCamera:
             raw = np.rint(black + share**self._settings.curve * (top - black)).astype(raw.dtype)
         return np.ascontiguousarray(raw.reshape(self._light.truth.camera_shape))
 
-    @property
-    def _clip_level(self) -> float:
-        return self._sensor.clip_level
-
     def _meddle(self) -> None:
-        """Another program changes the exposure, once."""
+        """Let another program change the exposure, once."""
         settings = self._settings
         if not self._meddled and self._clock.now() - self._begun >= settings.meddled_at:
             self._meddled = True

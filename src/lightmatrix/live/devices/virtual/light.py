@@ -1,4 +1,4 @@
-"""The light between a virtual projector and a virtual camera, over time."""
+"""The light in a virtual rig over time, from the projector and from the room."""
 
 from __future__ import annotations
 
@@ -12,31 +12,31 @@ from numpy.typing import NDArray
 from lightmatrix.live.devices.virtual.settings import VirtualSettings
 from lightmatrix.simulation.truth import Truth
 
-# How long a picture that is not shown any more may still be asked for.
+# Seconds for which earlier images are remembered: frames may begin that long ago. Exposures last
+# at most 10 s.
 _REMEMBERED = 10.0
 
 
 @dataclass(eq=False)
 class Light:
-    """Irradiance of the camera's samples, as the projector changes it.
+    """Irradiance of the camera's M samples.
 
     Parameters
     ----------
     truth : Truth
-        T, blurred as the projector is.
+        T, including the blur of the projector.
     room : (M,) float32
         Irradiance by the room's light.
     settings : VirtualSettings
-        Gamma, leaking black, flicker and fading of the projector; flicker of the room's light.
     begun : float
-        When the lamp was as bright as T says.
+        When the lamp had its full brightness.
     """
 
     truth: Truth
     room: NDArray[np.float32]
     settings: VirtualSettings
     begun: float = 0.0
-    # Since when which irradiance by the projector, in the order of time.
+    # Times from which on the projector gave an irradiance, in ascending order.
     _shown: deque[tuple[float, NDArray[np.float32]]] = field(default_factory=deque)
 
     def __post_init__(self) -> None:
@@ -44,20 +44,20 @@ class Light:
         self._shown.append((-math.inf, self.irradiance(black)))
 
     def irradiance(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
-        """T p of an image (rows, cols) uint8, its gamma and leaking black included; (M,)."""
+        """T p (M,) of an image (rows, cols) uint8, with the projector's gamma and leaking black."""
         leak = self.settings.leak
         emitted = leak + (1 - leak) * (image.ravel() / 255.0) ** self.settings.gamma
         return np.asarray(self.truth.matrix @ emitted.astype(np.float32), np.float32)
 
     def change(self, when: float, image: NDArray[np.uint8]) -> None:
-        """Let the projector show an image from some time on."""
+        """Show an image from some time on."""
         while self._shown and self._shown[-1][0] >= when:
-            # A picture that came late is overtaken by the next.
+            # The next image overtakes one that is late.
             self._shown.pop()
         self._shown.append((when, self.irradiance(image)))
 
     def between(self, start: float, stop: float) -> NDArray[np.float32]:
-        """Mean irradiance (M,) over a time."""
+        """Mean irradiance (M,) between two times."""
         while len(self._shown) > 1 and self._shown[1][0] < start - _REMEMBERED:
             self._shown.popleft()
         total = np.zeros(len(self.room), np.float64)
@@ -70,7 +70,7 @@ class Light:
         return np.asarray(total / (stop - start), np.float32)
 
     def _lamp(self, start: float, stop: float) -> float:
-        """The lamp's light over a time; at first, and but for its flicker, 1 a second."""
+        """Light of the lamp between two times; without flicker and fading 1 a second."""
         light = self._flickering(start, stop, self.settings.flicker)
         if self.settings.fading:
             minutes = (0.5 * (start + stop) - self.begun) / 60
@@ -78,9 +78,9 @@ class Light:
         return light
 
     def _flickering(self, start: float, stop: float, amplitude: float) -> float:
-        """Light of 1 a second over a time, if it flickers."""
-        turn = 2 * math.pi * self.settings.flicker_hz
-        if not amplitude or not turn:
+        """Light of 1 a second between two times, if it flickers by an amplitude."""
+        angular = 2 * math.pi * self.settings.flicker_hz
+        if not amplitude or not angular:
             return stop - start
-        waves = (math.cos(turn * start) - math.cos(turn * stop)) / turn
+        waves = (math.cos(angular * start) - math.cos(angular * stop)) / angular
         return stop - start + amplitude * waves

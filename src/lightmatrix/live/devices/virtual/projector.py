@@ -1,4 +1,4 @@
-"""A virtual projector: shows with the next refresh, some refreshes late, and later at times."""
+"""A virtual projector: images appear some refreshes late, and sometimes later still."""
 
 from __future__ import annotations
 
@@ -14,27 +14,20 @@ from lightmatrix.live.devices.protocols import check_image
 from lightmatrix.live.devices.virtual.light import Light
 from lightmatrix.live.devices.virtual.settings import VirtualSettings
 
-# Refreshes by which a late pattern is late.
+# A late image is late by 3 to 8 refreshes.
 _LATE = (3, 8)
-# The fault of a pattern is drawn by its number and this, that of a frame by another.
+# The fault of an image is drawn from the seed, this number and the image's number. The camera has
+# another number, so that faults of both are independent.
 _STREAM = 1
 
 
 class VirtualProjector:
-    """Projector of a virtual rig; see `lightmatrix.live.devices.protocols.Projector`.
-
-    Parameters
-    ----------
-    light : Light
-        What it changes.
-    settings : VirtualSettings
-    clock : Clock
-    """
+    """The projector of a virtual rig; it changes the light that the camera photographs."""
 
     def __init__(self, light: Light, settings: VirtualSettings, clock: Clock) -> None:
         self._light, self._settings, self._clock = light, settings, clock
         self._count = 0
-        # What was asked for last; None once it is closed.
+        # The image that was asked for last; None once the projector is closed.
         self.image: NDArray[np.uint8] | None = np.zeros(self.shape, np.uint8)
 
     @property
@@ -57,7 +50,7 @@ class VirtualProjector:
             image = image.mean(axis=2).astype(np.uint8)
         refresh = 1 / self._settings.refresh
         now = self._clock.now()
-        # As a window that swaps its buffers, it comes back with the next refresh.
+        # Like a window that swaps its buffers, it returns at the next refresh.
         swap = math.ceil(now / refresh) * refresh
         self._clock.sleep(swap - now)
         lateness = 0

@@ -1,4 +1,4 @@
-"""What a virtual rig is like, and how it is written: `virtual:l_objects,delay=3,late=0.05`."""
+"""Settings of a virtual rig, written as `virtual:l_objects,delay=3,late=0.05`."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 from lightmatrix.errors import InputError
 
 PREFIX = "virtual:"
-# Scenes that need neither a file nor a renderer, at any size.
+# The scene that needs neither a file nor a renderer, and has any size.
 PROCEDURAL = "procedural"
 
 
@@ -17,22 +17,22 @@ PROCEDURAL = "procedural"
 class VirtualSettings:
     """A virtual projector and camera, their room and their faults.
 
-    Times are in seconds, rates are shares of the frames from 0 to 1.
+    Times are in seconds; rates are shares of the frames from 0 to 1.
 
     Parameters
     ----------
     scene : str
         A scene (see `scenes`), a truth file (T.npz), or "procedural".
     size : int
-        Pixels of a side of projector and camera; the bundled scenes come at 64.
+        Pixels along a side of projector and camera; the bundled scenes have 64.
     refresh : float
-        Pictures that the projector shows in a second.
+        Refresh rate of the projector in Hz.
     delay : float
         Refreshes between `show` and the light.
     gamma : float
-        Of the projector: light = grey value to the power of it.
+        Exponent of the projector: light = (grey value / 255) ** gamma.
     leak : float
-        Light of a black projector pixel as a share of a white one.
+        Light of a black projector pixel, as a share of a white one's.
     blur : float
         Projector defocus, standard deviation in projector pixels.
     room : float
@@ -44,13 +44,13 @@ class VirtualSettings:
     fading : float
         Share of its light that the lamp loses in each minute.
     fps : float
-        Frames that the camera takes in a second, whoever asks; 0: one for each trigger.
+        Frames a second of a free-running camera; 0: one frame for each trigger.
     buffers : int
-        Frames that a free-running camera keeps; further ones are lost until one is taken.
+        Frames that a free-running camera keeps; further ones are lost until one is fetched.
     latency : float
-        From the end of the exposure until the frame can be had.
+        Time from the end of the exposure until the frame is ready.
     unit : float
-        Exposure time at which a sample is T p; `simulate`'s exposure 1.
+        Exposure time at which a sample is T p, that is exposure 1 of `simulate`.
     bits : int
         Bit depth: 8, 10, 12 or 16.
     black : float
@@ -60,17 +60,17 @@ class VirtualSettings:
     curve : float
         Exponent of the camera: 1 is linear.
     late : float
-        Rate of patterns that the projector shows three to eight refreshes late.
+        Rate of images that the projector shows three to eight refreshes late.
     dropped, duplicate, torn : float
-        Rates of frames that are lost, replaced by the one before, or hold its lower rows.
+        Rates of frames that are lost, replaced by the one before, or contain its lower rows.
     unplugged, unplugged_at : float
-        How long the camera is gone, and since when after the start.
+        How long the camera is gone, and how long after the start that begins.
     meddled, meddled_at : float
-        Another program multiplies the exposure by `meddled` (0: none does), and when.
+        Factor by which another program changes the exposure (0: none does), and when.
     seed : int
-        Of the noise and the faults.
+        Seed of the noise and the faults.
     real : int
-        1: time passes as it does; 0: the clock of the rig runs without waiting.
+        1: real time; 0: the clock of the rig jumps instead of waiting.
     """
 
     scene: str
@@ -110,9 +110,7 @@ class VirtualSettings:
             value = getattr(self, field.name)
             if isinstance(value, str):
                 continue
-            most = math.inf
-            if field.name in _RATES:
-                most = 1.0
+            most = 1.0 if field.name in _RATES else math.inf
             least = _LEAST.get(field.name, 0.0)
             if not (math.isfinite(value) and least <= value <= most):
                 limit = f" to {most:g}" if most < math.inf else " on"
@@ -127,6 +125,7 @@ class VirtualSettings:
         return 1 / self.fps if self.fps else 0.0
 
 
+# Settings that are at most 1, and settings with a least value other than 0.
 _RATES = {
     "late", "dropped", "duplicate", "torn", "leak", "flicker", "room_flicker", "fading",
 }  # fmt: skip
@@ -134,20 +133,8 @@ _LEAST = {"size": 2, "refresh": 1.0, "gamma": 0.1, "curve": 0.1, "unit": 1e-6, "
 
 
 def parse_settings(text: str) -> VirtualSettings:
-    """Read ``virtual:SCENE`` or ``virtual:SCENE,name=value,...``.
+    """Read ``virtual:SCENE`` or ``virtual:SCENE,name=value,...``; see `VirtualSettings`.
 
-    Parameters
-    ----------
-    text : str
-        Names are the parameters of `VirtualSettings`.
-
-    Raises
-    ------
-    InputError
-        On anything else, an unknown name, or a number out of range.
-
-    Examples
-    --------
     >>> parse_settings("virtual:metal,delay=3,seed=7").delay
     3.0
     """
