@@ -1,15 +1,15 @@
-"""The solver's claims, measured in one run: `python -m benchmarks` (or `make bench`).
+"""Measures the solver and checks its claims: `python -m benchmarks` (or `make bench`).
 
-Answers are compared first: certified gaps, then agreement with an independent float64 solver, then
-objectives and gaps beside the peers'. Tables go to the terminal, everything to `bench-out/`
-(`solver.json`, `scaling.png`, `scaling.svg`). Exposure by the benchmark rule, noise 0.003 of the
-clip level, 8 bits, lambda = 0.32 clip levels at every number of patterns. BLAS, which passes are
-measured against, runs the processor's own kernel whatever the environment asks for.
+Answers come first: certified gaps, agreement with an independent float64 solver, objectives and
+gaps of other packages. Then times. Tables go to the terminal, everything to `bench-out/`
+(`solver.json`, `scaling.png`, `scaling.svg`). Problems have the benchmark exposure, noise of 0.003
+clip levels, 8 bits and lambda = 0.32 clip levels. BLAS runs the processor's own kernel, whatever
+the environment says.
 
     python -m benchmarks [--quick] [--truth FOLDER] [-o bench-out]
 
-`--truth` names a folder of rendered truths at 128 x 128, SCENE.npz; without it they are taken from
-the cache or rendered, which takes minutes a scene.
+`--truth` is a folder of rendered truths at 128 x 128, SCENE.npz. Without it they come from the
+cache or are rendered, which takes minutes per scene.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def main(arguments: list[str] | None = None) -> None:
     options.out.mkdir(parents=True, exist_ok=True)
     started = time.perf_counter()
     console = Console(width=150)
-    console.print(f"BLAS: {blas.told()}")
+    console.print(f"BLAS: {blas.described()}")
     quick = options.quick
     scenes = solver_rows.SCENES[:1] if quick else solver_rows.SCENES
     results: dict[str, Any] = {"machine": _machine(), "quick": quick}
@@ -85,7 +85,7 @@ def main(arguments: list[str] | None = None) -> None:
         show(console, "Cost of synthetic rows, one core", results["scaling"], tables.SCALING)
         show(console, "Cost against rows, one core", results["scaling_rows"], tables.SCALING)
     results["claims"] = solver_claims.claims(results)
-    show(console, "What was asked for", results["claims"], tables.CLAIMS)
+    show(console, "Claims", results["claims"], tables.CLAIMS)
     solver_plot.scaling(results["scaling"], results["scaling_rows"], options.out)
     results["minutes"] = (time.perf_counter() - started) / 60
     (options.out / "solver.json").write_text(json.dumps(results, indent=1) + "\n")
@@ -96,7 +96,7 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 def _frames(scenes: tuple[str, ...], options: argparse.Namespace) -> dict[str, list[Row]]:
-    """Whole frames of the scenes, and their answers against independent ones."""
+    """Measure whole frames of the scenes, and compare their answers with independent solvers."""
     frames, agreements, admm = [], [], []
     for scene in scenes:
         truth = solver_rows.exposed_truth(scene, options.truth)
@@ -132,7 +132,7 @@ def _peer_rows(scenes: tuple[str, ...], count: int, options: argparse.Namespace)
             table.append({"patterns": count, "name": name, "note": f"no module {error.name}"})
             continue
         if name == "active set":
-            # Its cost varies from row to row: the mean over many, the answers from the same rows.
+            # The cost varies from row to row, so time many rows; accuracy is from the same rows.
             batch = peers.methods(many)[name][0]
             seconds = many.run(name, batch, ladder, 1e-4, repeats=5).seconds_per_row
         else:

@@ -1,12 +1,13 @@
-"""What clipping costs at full size: 128 x 128, K = 256, the middle 32 x 32 camera pixels.
+"""The error that clipping causes at full size, by fidelity.
 
     python -m benchmarks.clipping_at_scale [--paper] [SCENE ...]
 
-Exposure by the house rule (a fifth of all rows have a single response that clips), noise 0.3 %,
-8 bits, lambda a tenth of the clip level. Relative errors count rows whose single responses do not
-clip, and of these those apart of which at most half the samples clip. The aim is a clip-aware error
-at least four times below the
-linear one. `--paper` adds the paper's own fidelity, which takes minutes a scene.
+It estimates the middle 32 x 32 camera pixels at 128 x 128 with 256 patterns, the benchmark exposure
+(a fifth of all rows have a single response that clips), noise 0.3 %, 8 bits, lambda a tenth of the
+clip level. Relative errors count rows whose single responses do not clip; a second figure counts
+those of them with at most half of their samples clipped. It fails unless `one-sided` has at most a
+quarter of the error of `linear`. `--paper` adds the paper's own fidelity, which takes minutes per
+scene.
 """
 
 from __future__ import annotations
@@ -31,8 +32,8 @@ from lightmatrix.transport.matrix import LightTransport
 SIZE = (128, 128)
 PATTERNS = 256
 REGULARIZATION = 0.1
-# The convex fidelities are solved to a certificate, so the errors are those of the problems and not
-# of a solver that stopped early; what ADMM converges to is `linear`.
+# The convex fidelities are solved to a certified gap, so that errors come from the problem and not
+# from a solver that stopped early. ADMM converges to the solution of `linear`.
 SOLVERS: dict[str, Solver] = {
     "linear": ActiveSet(Fidelity.LINEAR),
     "rejection": ActiveSet(Fidelity.REJECTION),
@@ -42,7 +43,7 @@ PAPER: dict[str, Solver] = {"clipped": SaturationADMM(Fidelity.CLIPPED)}
 
 
 def measure(name: str, solvers: dict[str, Solver]) -> dict[str, Any]:
-    """Errors, times and peak memory of all fidelities on one scene."""
+    """Measure errors, times and peak memory of all fidelities on one scene."""
     truth = library.truth(name, SIZE)
     exposure = benchmark_exposure(truth.transport())
     rows = (np.arange(48, 80)[:, None] * SIZE[1] + np.arange(48, 80)).ravel()
@@ -61,11 +62,11 @@ def measure(name: str, solvers: dict[str, Solver]) -> dict[str, Any]:
         started = time.perf_counter()
         result = solve(problem, solver)
         seconds[fidelity] = time.perf_counter() - started
-        found = LightTransport(
+        estimate = LightTransport(
             result.coefficients, result.background[:, None].astype(np.float32), (32, 32), SIZE
         )
-        errors[fidelity] = relative_error(found, known, counted)
-        half_errors[fidelity] = relative_error(found, known, lightly)
+        errors[fidelity] = relative_error(estimate, known, counted)
+        half_errors[fidelity] = relative_error(estimate, known, lightly)
         print(f"{name}, {fidelity}: {errors[fidelity]:.4f}", file=sys.stderr, flush=True)
     return {
         "scene": name,

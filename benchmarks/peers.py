@@ -1,9 +1,10 @@
-"""Peers on the problem they know: unclipped rows, min lambda sum x + ||y - A x||^2 / 2, x >= 0.
+"""The solver against other packages, which know no clipping.
 
-The background column is projected out of patterns and samples, which is the same problem wherever
-b > 0; each peer gets that matrix in float64 and, from a ladder of tolerances, the loosest that
-reaches the gap on every row. Times are those of the process on one core. Objectives and gaps are
-recomputed here, alike for all.
+The problem is min lambda sum x + ||y - A x||^2 / 2, x >= 0, on unclipped rows. The background's
+column is projected out of patterns and samples, which gives the same problem where b > 0. Each peer
+gets this matrix in float64, with the loosest of several tolerances that reaches the gap on every
+row. Times are those of the process on one core. Objectives and gaps are computed here for all
+peers.
 """
 
 from __future__ import annotations
@@ -21,15 +22,15 @@ from numpy.typing import NDArray
 from lightmatrix.solvers import ADMM, ActiveSet, Fidelity, Problem, SaturationADMM, solve
 
 Rows = NDArray[np.float64]
-# Repeats of a measurement end before they take more seconds than this.
+# A measurement is repeated as long as it takes less than this many seconds in all.
 PATIENCE = 5.0
-# Solves rows (M, K) to a setting of the peer's own; returns x (M, N).
+# Solves the rows with one setting (a tolerance or a number of iterations); returns x, (M, N).
 Method = Callable[[float], Rows]
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a method reached on all rows, and the time it took."""
+    """The accuracy of a method on all rows, and its time."""
 
     name: str
     setting: float
@@ -40,7 +41,7 @@ class Outcome:
 
 
 class Centred:
-    """A problem without its background, dense and in float64."""
+    """A problem with its background projected out, dense and in float64."""
 
     def __init__(self, problem: Problem) -> None:
         dense = problem.patterns.dense().astype(np.float64)
@@ -53,7 +54,7 @@ class Centred:
         self.lam = problem.regularization
 
     def objective_and_gap(self, x: Rows) -> tuple[Rows, Rows]:
-        """Objective and relative duality gap of each row, from their definitions."""
+        """Objective and relative duality gap of each row, by definition."""
         r = self.samples - x @ self.matrix.T
         primal = self.lam * x.sum(axis=1) + (r**2).sum(axis=1) / 2
         most = np.maximum((r @ self.matrix).max(axis=1), 1e-300)
@@ -65,8 +66,8 @@ class Centred:
     def run(
         self, name: str, method: Method, settings: Sequence[float], gap: float, repeats: int = 3
     ) -> Outcome:
-        """The first setting that reaches the gap on every row, or the last one; best of repeats."""
-        method(settings[0])  # compilers and caches are warm before the clock starts
+        """Time the first setting that reaches the gap on every row, or else the last setting."""
+        method(settings[0])  # warms up compilers and caches
         for setting in settings:
             seconds, spent = np.inf, 0.0
             for repeat in range(repeats):
@@ -90,14 +91,14 @@ class Centred:
 
 
 def with_active_rows(problem: Problem, rows: int) -> Problem:
-    """Rows whose background is positive at the optimum: there all methods solve one problem."""
+    """Rows with a positive background at the optimum, where all methods solve one problem."""
     result = solve(problem, ActiveSet(Fidelity.LINEAR))
     usable = np.flatnonzero(result.background > 1e-6)
     return problem.take(usable[np.linspace(0, len(usable) - 1, rows).astype(np.int64)])
 
 
 def methods(centred: Centred) -> dict[str, tuple[Method, Sequence[float]]]:
-    """Each method with its ladder of settings, loosest first."""
+    """All methods, each with its settings, loosest first."""
     known: dict[str, tuple[Callable[[Centred, float], Rows], Sequence[float]]] = {
         "active set": (_active_set, (1e-4,)),
         "celer": (_celer, (1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8)),
@@ -148,7 +149,7 @@ def _sklearn(centred: Centred, tolerance: float) -> Rows:
 def _sporco(centred: Centred, iterations: float) -> Rows:
     from sporco.admm.bpdn import BPDN
 
-    # Of the penalties 0.3 to 300 the best at 256 patterns; the automatic one diverges here.
+    # rho = 300 is the best of 0.3 to 300 at 256 patterns. The automatic choice diverges here.
     options = BPDN.Options(
         {
             "Verbose": False,

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 
 def scaling(table: list[dict[str, Any]], by_rows: list[dict[str, Any]], folder: Path) -> None:
-    """Cost a row against N and K, with the line of cost proportional to K N, and against rows."""
+    """Plot the cost of a row against N and K, with lines proportional to N, and against rows."""
     figure = Figure(figsize=(9, 3.6), layout="constrained")
     left, right = figure.subplots(1, 2)
     for count in sorted({row["patterns"] for row in table}):

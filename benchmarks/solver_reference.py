@@ -1,7 +1,7 @@
-"""An independent solver of single rows, slow and in float64: SciPy on a growing set of pixels.
+"""An independent reference solver of single rows, slow and in float64.
 
-It shares no code with the package's solvers: NumPy products with the dense patterns, SciPy's
-bound-constrained quasi-Newton method on the pixels that matter, all pixels checked in the end.
+It shares no code with the package's solvers. It runs SciPy's bound-constrained quasi-Newton method
+on a growing set of pixels, and checks all pixels with the dense patterns.
 """
 
 from __future__ import annotations
@@ -13,13 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
+# Limit of rounds. A round adds this many pixels to the set. Both are generous: time does not
+# matter.
 _ROUNDS = 200
 _NEW_PIXELS = 200
 
 
 @dataclass(frozen=True)
 class Reference:
-    """Objective of one row, and a lower bound of the optimum."""
+    """The objective of one row, and a lower bound of the optimum."""
 
     objective: float
     bound: float
@@ -64,12 +66,12 @@ def _improved(
     clipped: NDArray[np.bool_],
     lam: float,
 ) -> tuple[float, float]:
-    """The better of what is known and what theta proves, scaled to be feasible."""
-    free = ~clipped
-    excess, energy = max(float(theta @ means), 0.0), float((means[free] ** 2).sum())
+    """The best objective and bound so far, with the bound of theta, scaled to be feasible."""
+    two_sided = ~clipped
+    excess, energy = max(float(theta @ means), 0.0), float((means[two_sided] ** 2).sum())
     if excess > 0 and energy > 0:
-        # Patterns are not negative, so taking light away only lowers correlations.
-        theta = theta - excess / energy * means * free
+        # Patterns are not negative, so subtracting light only lowers correlations.
+        theta = theta - excess / energy * means * two_sided
     scale = min(1.0, lam / max(float(correlations.max()), 1e-300))
     bound = float(scale * (y @ theta) - scale**2 * (theta @ theta) / 2)
     return min(best[0], objective), max(best[1], bound)

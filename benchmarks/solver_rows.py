@@ -1,4 +1,4 @@
-"""Rows that the solver benchmarks run on: rendered scenes, or synthetic rows of any size."""
+"""The problems of the solver benchmarks: rows of rendered scenes, and synthetic rows."""
 
 from __future__ import annotations
 
@@ -21,15 +21,16 @@ from lightmatrix.solvers import Problem
 
 SCENES = ("l_objects", "gripper", "metal")
 SIZE = (128, 128)
+# Standard deviation of the noise, as a share of the clip level.
 NOISE = 0.003
 BITS = 8
-# Of the clip level, at every number of patterns.
+# lambda as a share of the clip level, for every number of patterns: twice the default.
 REGULARIZATION = 0.32
 
 
 @cache
 def exposed_truth(name: str, folder: Path | None = None) -> csr_array:
-    """T of a scene at 128 x 128, times the benchmark exposure; rendered on first use."""
+    """T of a scene at 128 x 128, times the benchmark exposure. Rendered on first use."""
     truth = library.truth(name, SIZE) if folder is None else Truth.load(folder / f"{name}.npz")
     return truth.matrix * np.float32(benchmark_exposure(truth.transport()))
 
@@ -47,7 +48,7 @@ def photographed(
     regularization: float = REGULARIZATION,
     seed: int = 0,
 ) -> Problem:
-    """Samples of the rows of an exposed T: noise, clipping (if any) and 8 bits."""
+    """The problem of the rows of an exposed T: noise, clipping (optional) and 8 bits."""
     light = irradiance(csr_array(matrix, dtype=np.float32), patterns)
     noise = np.random.default_rng(seed).normal(0, NOISE, light.shape)
     levels = np.rint((light + noise) * (2**BITS - 1))
@@ -60,12 +61,12 @@ def photographed(
 
 
 def spread(problem: Problem, rows: int) -> Problem:
-    """Some rows, evenly spread over the frame."""
+    """The problem of some rows, evenly spread over the frame."""
     return problem.take(np.unique(np.linspace(0, problem.rows - 1, rows).astype(np.int64)))
 
 
 def synthetic_truth(rows: int, pixels: int, seed: int = 0) -> csr_array:
-    """Rows of three direct entries, a hundred weak ones and nothing else, exposed by the rule."""
+    """Rows of three direct entries and a hundred weak ones, with the benchmark exposure."""
     rng = np.random.default_rng(seed)
     direct, tail = 3, 100
     columns = rng.integers(0, pixels, (rows, direct + tail))

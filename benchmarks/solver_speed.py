@@ -1,4 +1,4 @@
-"""The measurements behind `python -m benchmarks`: whole frames, passes, scaling, agreement."""
+"""The measurements of `python -m benchmarks`: whole frames, passes, scaling, agreement."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ from lightmatrix.solvers.active_set import prepared
 from lightmatrix.solvers.objective import objective
 
 Row = dict[str, Any]
+# Number of rows of a timed correlation pass: full batches of every kernel.
 PASS_ROWS = 96
 
-
-# Where one core works, its time is that of the process: other work on the machine does not count.
+# Work on one core is timed by the process's own time, so that other processes do not count.
 Clock = Callable[[], float]
 WALL, CORE = time.perf_counter, time.process_time
 
 
 def best_of(repeats: int, run: Callable[[], Any], clock: Clock = WALL) -> tuple[float, Any]:
-    """Least time of several runs, and the last one's result."""
+    """The least time of several runs, and the last result."""
     best = np.inf
     for _ in range(repeats):
         started = clock()
@@ -37,7 +37,7 @@ def best_of(repeats: int, run: Callable[[], Any], clock: Clock = WALL) -> tuple[
 
 
 def sgemm_seconds(patterns: PatternSet, rows: int, repeats: int = 5, clock: Clock = WALL) -> float:
-    """One correlation pass by BLAS in float32, per row."""
+    """The time of one correlation pass by BLAS in float32, per row."""
     e = np.random.default_rng(0).normal(size=(rows, patterns.count)).astype(np.float32)
     p = patterns.dense()
     seconds, _ = best_of(repeats, lambda: e @ p, clock)
@@ -45,7 +45,7 @@ def sgemm_seconds(patterns: PatternSet, rows: int, repeats: int = 5, clock: Cloc
 
 
 def whole_frame(problem: Problem, repeats: int = 3) -> Row:
-    """Every row of a frame, certified, on all cores; beside it one SGEMM pass on all cores."""
+    """Solve all rows of a frame on all cores, and compare with one SGEMM pass on all cores."""
     prepared(problem)
     seconds, result = best_of(repeats, lambda: solve(problem, ActiveSet()))
     sgemm = sgemm_seconds(problem.patterns, min(2048, problem.rows)) * problem.rows
@@ -66,9 +66,9 @@ def whole_frame(problem: Problem, repeats: int = 3) -> Row:
 
 
 def on_one_core(problem: Problem) -> Row:
-    """The frame on one core, in its own time, and whether all cores give the very same rows.
+    """Solve the frame on one core, and check that all cores give the same rows bit for bit.
 
-    To be called where BLAS is limited to one thread.
+    The caller limits BLAS to one thread.
     """
     seconds, one = best_of(2, lambda: solve(problem, ActiveSet(threads=1)), CORE)
     many = solve(problem, ActiveSet())
@@ -84,31 +84,31 @@ def on_one_core(problem: Problem) -> Row:
 
 
 def agreement(problem: Problem, rows: int) -> Row:
-    """Certified objectives against an independent, long float64 solve."""
+    """Compare certified objectives with a long, independent float64 solve."""
     problem = solver_rows.spread(problem, rows)
     rough, fine = solve(problem, ActiveSet()), solve(problem, ActiveSet(tolerance=1e-6))
     dense = problem.patterns.dense().astype(np.float64)
-    beyond, apart, proof = [], [], []
+    beyond, differences, reference_gaps = [], [], []
     for i in range(problem.rows):
-        known = solver_reference.solve_row(
+        reference = solver_reference.solve_row(
             dense, problem.samples.values[i], problem.samples.clipped[i], problem.regularization
         )
-        scale = max(known.objective, 5e-7 * float((problem.samples.values[i] ** 2).sum()))
-        # How far the distance to the reference exceeds what the gap promises.
-        excess = (rough.objective[i] - known.objective) / scale - rough.gap[i]
+        scale = max(reference.objective, 5e-7 * float((problem.samples.values[i] ** 2).sum()))
+        # How far the distance from the reference exceeds the certified gap.
+        excess = (rough.objective[i] - reference.objective) / scale - rough.gap[i]
         beyond.append(excess)
-        apart.append(abs(fine.objective[i] - known.objective) / scale)
-        proof.append((known.objective - known.bound) / scale)
+        differences.append(abs(fine.objective[i] - reference.objective) / scale)
+        reference_gaps.append((reference.objective - reference.bound) / scale)
     return {
         "rows": problem.rows,
         "beyond_certified_gap": max(beyond),
-        "objective_difference_at_1e-6": max(apart),
-        "reference_gap": max(proof),
+        "objective_difference_at_1e-6": max(differences),
+        "reference_gap": max(reference_gaps),
     }
 
 
 def passes(count: int, repeats: int = 7) -> list[Row]:
-    """One correlation pass for each instruction set, and for Hadamard patterns, against SGEMM."""
+    """Time a correlation pass for each instruction set and for Hadamard patterns, against SGEMM."""
     shape = solver_rows.SIZE
     bits = solver_rows.bernoulli(count)
     sets: list[tuple[str, PatternSet, str | None]] = [
@@ -138,7 +138,7 @@ def passes(count: int, repeats: int = 7) -> list[Row]:
 
 
 def scaling(sizes: tuple[int, ...], counts: tuple[int, ...], rows: int) -> list[Row]:
-    """Cost of synthetic rows against projector size and patterns, one core."""
+    """The cost of synthetic rows by projector size and number of patterns, on one core."""
     table = []
     for size in sizes:
         truth = solver_rows.synthetic_truth(rows, size * size)
@@ -149,7 +149,7 @@ def scaling(sizes: tuple[int, ...], counts: tuple[int, ...], rows: int) -> list[
 
 
 def scaling_rows(size: int, count: int, rows: tuple[int, ...]) -> list[Row]:
-    """Cost against the number of rows."""
+    """The cost of a row by number of rows, on one core."""
     truth = solver_rows.synthetic_truth(max(rows), size * size)
     patterns = solver_rows.bernoulli(count, (size, size))
     problem = solver_rows.photographed(truth, patterns)
@@ -171,12 +171,12 @@ def _scaling_row(problem: Problem, size: int) -> Row:
 
 
 def against_saturation_admm(problem: Problem, rows: int, share: float = 1e-3) -> Row:
-    """Time until Saturation ADMM's mean objective is within a share of the optimum, one core."""
+    """Time until Saturation ADMM's mean objective is within `share` of the optimum, on one core."""
     problem = solver_rows.spread(problem, rows)
     seconds, exact = best_of(3, lambda: solve(problem, ActiveSet(threads=1)), CORE)
     for iterations in (50, 100, 200, 400, 800, 1600):
         solver = SaturationADMM(Fidelity.ONE_SIDED, max_iterations=iterations, tolerance=1e-9)
-        theirs, result = best_of(1, partial(solve, problem, solver), CORE)
+        admm_seconds, result = best_of(1, partial(solve, problem, solver), CORE)
         above = float(_repaired(problem, result).sum() / exact.objective.sum() - 1)
         if above <= share:
             break
@@ -184,13 +184,13 @@ def against_saturation_admm(problem: Problem, rows: int, share: float = 1e-3) ->
         "rows": problem.rows,
         "microseconds_per_row": seconds / problem.rows * 1e6,
         "admm_iterations": iterations,
-        "admm_microseconds_per_row": theirs / problem.rows * 1e6,
+        "admm_microseconds_per_row": admm_seconds / problem.rows * 1e6,
         "admm_above_optimum": above,
-        "times_faster": theirs / seconds,
+        "times_faster": admm_seconds / seconds,
     }
 
 
 def _repaired(problem: Problem, result: Result) -> Any:
-    """Objectives of the feasible rows nearest to ADMM's."""
+    """The objectives of ADMM's rows after setting negative values to 0."""
     x = csr_array(result.coefficients.maximum(0))
     return objective(problem, x, np.maximum(result.background, 0), Fidelity.ONE_SIDED)

@@ -11,7 +11,7 @@ Row = dict[str, Any]
 
 
 def show(console: Console, title: str, rows: list[Row], names: dict[str, str]) -> None:
-    """One table; `names` are the columns to show and their headings."""
+    """Print a table; `names` maps the keys to show to their headings."""
     table = Table(title=title, title_justify="left")
     for key, heading in names.items():
         text = any(isinstance(row.get(key), str) for row in rows)
@@ -36,7 +36,7 @@ FRAMES = {
     "seconds": "s",
     "sgemm_seconds": "one SGEMM, s",
     "ratio": "ratio",
-    "microseconds_per_row": "one core, µs a row",
+    "microseconds_per_row": "one core, µs per row",
     "core_ratio": "ratio",
     "certified": "certified",
     "worst_gap": "worst gap",
@@ -55,24 +55,24 @@ ADMM = {
     "scene": "scene",
     "patterns": "K",
     "rows": "rows",
-    "microseconds_per_row": "active set, µs a row",
+    "microseconds_per_row": "active set, µs per row",
     "admm_iterations": "ADMM iterations",
-    "admm_microseconds_per_row": "ADMM, µs a row",
+    "admm_microseconds_per_row": "ADMM, µs per row",
     "admm_above_optimum": "above optimum",
     "times_faster": "times",
 }
 PASSES = {
     "patterns": "K",
     "kernel": "kernel",
-    "microseconds_per_row": "µs a row",
-    "sgemm_microseconds_per_row": "SGEMM, µs a row",
+    "microseconds_per_row": "µs per row",
+    "sgemm_microseconds_per_row": "SGEMM, µs per row",
     "times_sgemm": "times SGEMM",
 }
 PEERS = {
     "patterns": "K",
     "name": "method",
     "setting": "its setting",
-    "microseconds_per_row": "µs a row",
+    "microseconds_per_row": "µs per row",
     "worst_gap": "worst gap",
     "objective": "mean objective",
     "times_active_set": "times active set",
@@ -82,7 +82,7 @@ SCALING = {
     "size": "side",
     "patterns": "K",
     "rows": "rows",
-    "microseconds_per_row": "µs a row",
+    "microseconds_per_row": "µs per row",
     "nanoseconds_per_pattern_pixel": "ns / (K N)",
     "certified": "certified",
 }
