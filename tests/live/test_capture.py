@@ -436,7 +436,7 @@ def test_ctrl_c_keeps_the_frames() -> None:
     process.send_signal(signal.SIGINT)
     _, told = process.communicate(timeout=30)
     assert process.returncode == 130
-    assert told == "stopped; finished frames are kept, run again to go on\n"
+    assert told == "stopped; finished frames are kept, run again to continue\n"
     with lm.open_rig(QUIET) as rig:
         settings = lm.CaptureSettings(exposure=0.01, settle=0.5)
         capture = lm.take_capture("capture", rig, count=40, settings=settings)

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 import lightmatrix as lm
-from lightmatrix.cli.claims import claim, tell_what_is_left
+from lightmatrix.cli.claims import claim, say_what_is_kept
 from lightmatrix.cli.options import (
     RIG_FILE,
     USUAL_FRAMES,
@@ -93,10 +93,10 @@ def capture(
         reference_every=reference_every,
     )
     claim(output, LIVE_CAPTURE, overwrite=overwrite)
-    tell_what_is_left(output, "frames")
+    say_what_is_kept(output, "frames")
     if store is not None:
         claim(store, STORE, overwrite=overwrite)
-        tell_what_is_left(store, "tiles")
+        say_what_is_kept(store, "tiles")
     with (
         lm.open_rig(rig, projector=projector, camera=camera, patience=patience) as opened,
         stages() as shown,

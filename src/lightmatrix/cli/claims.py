@@ -1,4 +1,4 @@
-"""The outputs of the command that runs: judged before any work, and locked until it ends."""
+"""The outputs of the command that runs: checked before any work, and locked until it ends."""
 
 from __future__ import annotations
 
@@ -14,61 +14,53 @@ from lightmatrix.outputs.kinds import PARTIAL
 from lightmatrix.outputs.markers import OutputKind
 from lightmatrix.outputs.writing import claimed
 
-# Closed by `lightmatrix.cli.app` when the command ends.
+# `lightmatrix.cli.app` closes them when the command ends.
 outputs = ExitStack()
 
 
 def claim(output: Path, kind: OutputKind, *, overwrite: bool) -> Path:
-    """Check an output before any work, and hold its lock until the command ends.
-
-    Returns
-    -------
-    Path
-        Where it will be written: links are followed to their end.
-    """
+    """Check an output and hold its lock until the command ends; returns where it is written."""
     return outputs.enter_context(claimed(output, kind, overwrite=overwrite))
 
 
-def tell_what_is_left(output: Path, parts: str, *, enough: bool = False) -> None:
-    """From now until the command ends, say on Ctrl-C what is left of an output made in parts.
+def say_what_is_kept(output: Path, parts: str, *, enough: bool = False) -> None:
+    """From now until the command ends, let a failure say what is kept of an output.
 
-    So it is said where memory ends once the output is whole, which is no failure if the output is
-    `enough`, all that was asked for.
+    On Ctrl-C the message says that finished `parts` are kept, or that the output is finished. If
+    memory runs out after that, the message says so too. With `enough`, the finished output is all
+    that the command had to do, so that this is no failure.
     """
-    outputs.enter_context(_left_told(output, parts, enough))
+    outputs.enter_context(_saying_what_is_kept(output, parts, enough))
 
 
 @contextmanager
-def _left_told(output: Path, parts: str, enough: bool) -> Iterator[None]:
-    before = _identity(output)
+def _saying_what_is_kept(output: Path, parts: str, enough: bool) -> Iterator[None]:
+    before = _file_number(output)
     try:
         yield
     except BaseException as error:
-        # Libraries may have made their own of it.
-        if not is_stop(error):
-            if _identity(output) != before:
-                _tell_finished(output, enough, error)
+        finished = _file_number(output) != before
+        if is_stop(error):
+            words = [f"finished {parts} are kept, run again to continue"]
+            if finished:
+                words = [f"{output} is finished"]
+            elif not output.with_name(output.name + PARTIAL).exists():
+                words = []
+            if isinstance(error, Stopped):
+                words.append(str(error))
+            raise Stopped("; ".join(filter(None, words))) from None
+        if finished and lacks_memory(error):
+            why = "then there was not enough memory"
+        elif finished and enough and isinstance(error, InputError):
+            # The whole output could not be read back.
+            why = error.message
+        else:
             raise
-        kept = output.with_name(output.name + PARTIAL).exists()
-        left = f"finished {parts} are kept, run again to go on" if kept else ""
-        if _identity(output) != before:
-            left = f"{output} is finished"
-        told = [str(error)] if isinstance(error, Stopped) else []
-        raise Stopped("; ".join(filter(None, [left, *told]))) from None
+        raise FinishedError(f"{output} is finished; {why}", enough) from error
 
 
-def _tell_finished(output: Path, enough: bool, error: BaseException) -> None:
-    """Raise `FinishedError` where memory ended, or a whole output could not be read back."""
-    if lacks_memory(error):
-        why = "then there was not enough memory"
-    elif enough and isinstance(error, InputError):
-        why = error.message
-    else:
-        return
-    raise FinishedError(f"{output} is finished; {why}", enough) from error
-
-
-def _identity(place: Path) -> int | None:
+def _file_number(place: Path) -> int | None:
+    """The inode of an output, which changes when it is replaced; None if there is none."""
     try:
         return place.stat().st_ino
     except OSError:

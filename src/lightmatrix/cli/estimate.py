@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 import lightmatrix as lm
-from lightmatrix.cli.claims import claim, tell_what_is_left
+from lightmatrix.cli.claims import claim, say_what_is_kept
 from lightmatrix.cli.options import (
     ADMM_ITERATIONS,
     COHERENT_UP_TO,
@@ -181,7 +181,7 @@ def estimate(
         _show_resources(resources, as_json)
         return
     _warn_of_resources(resources, check)
-    tell_what_is_left(output, "tiles", enough=not as_json and report is None)
+    say_what_is_kept(output, "tiles", enough=not as_json and report is None)
     # Workers are checked before the frames are read, which takes longer.
     with lm.open_workers(settings, resources) as pool:
         if pool is not None:

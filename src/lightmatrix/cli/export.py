@@ -21,13 +21,13 @@ def export(
     output: Annotated[Path, typer.Argument(metavar="T.npz|T.mat", help="File to write.")],
     dense_background: Annotated[
         bool,
-        typer.Option(help="Spread the background over all pixels: T whole, but not sparse."),
+        typer.Option(help="Spread the background over all pixels: the whole of T, but not sparse."),
     ] = False,
     region: Annotated[
         str | None,
         typer.Option(
             metavar="ROWS,COLS",
-            help="Only these camera pixels of a store, such as 100:200,0:640.",
+            help="Export only these camera pixels of a store, such as 100:200,0:640.",
         ),
     ] = None,
     overwrite: Overwrite = False,
@@ -35,14 +35,14 @@ def export(
 ) -> None:
     """Write T for SciPy (.npz) or MATLAB (.mat).
 
-    The file holds the sparse part of T as `scipy.sparse.load_npz` reads it; the background is
-    kept beside it unless --dense-background spreads it in.
+    The file holds the sparse part of T as `scipy.sparse.load_npz` reads it. The background is
+    stored separately in it, unless --dense-background adds it to the entries.
     """
     claim(output, export_kind(output), overwrite=overwrite)
     if region is None:
         transport = lm.open(scene)
     else:
-        # Of a store no more is read than that.
+        # Only the region is read from the store.
         transport = lm.StoredTransport.open(scene).region(*_region(region))
     lm.export(output, transport, dense_background=dense_background, overwrite=overwrite)
     left_out = 0.0 if dense_background else transport.background_share
@@ -52,8 +52,8 @@ def export(
         return
     note = ""
     if left_out:
-        note = f"; without the background ({100 * left_out:.1f} % of the light): "
-        note += "--dense-background adds it"
+        note = f"; without the background ({100 * left_out:.1f} % of the light), which "
+        note += "--dense-background adds"
     say(f"{output}, {output.stat().st_size / 2**20:.1f} MiB{note}")
 
 

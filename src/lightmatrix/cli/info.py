@@ -35,14 +35,14 @@ def info(
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
-    """Tell what a store holds: a verdict, shapes, clipping, gaps.
+    """Show what a store holds: a verdict, shapes, clipping, gaps.
 
-    Of a capture: its frames, patterns, levels and exposures.
+    For a capture: its frames, patterns, levels and exposures.
     """
     if lm.Capture.lies_at(scene):
         if pictures is not None:
             raise InputError(
-                f"{scene}: is a capture, of which there are no maps", hint="leave out --pictures"
+                f"{scene}: is a capture, which has no maps", hint="leave out --pictures"
             )
         capture = lm.Capture.open(scene)
         if as_json:
@@ -51,22 +51,22 @@ def info(
             show_table(str(scene), capture.summary())
         return
     transport = lm.open(scene)
-    judged = lm.verdict(transport)
+    verdict = lm.verdict(transport)
     written = None
     if pictures is not None:
         written = lm.write_pictures(pictures, transport, overwrite=overwrite)
     if as_json:
-        told: dict[str, Any] = {"verdict": judged.level, "sentence": judged.sentence}
-        told |= {**transport.summary(), "provenance": transport.provenance}
+        content: dict[str, Any] = {"verdict": verdict.level, "sentence": verdict.sentence}
+        content |= {**transport.summary(), "provenance": transport.provenance}
         if written is not None:
-            told["pictures"] = written
-        show_json(told)
+            content["pictures"] = written
+        show_json(content)
         return
-    say(str(judged))
+    say(str(verdict))
     show_table(str(scene), labelled(transport.summary(), main_only=not verbose))
     versions = transport.provenance.get("versions")
     if verbose and isinstance(versions, Mapping) and versions:
-        made = ", ".join(f"{name} {number}" for name, number in versions.items())
-        say(f"made with {made}")
+        names = ", ".join(f"{name} {number}" for name, number in versions.items())
+        say(f"made with {names}")
     if written is not None:
         say(f"pictures: {', '.join(map(str, written))}")
