@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,9 +12,9 @@ from numpy.typing import NDArray
 import lightmatrix as lm
 from lightmatrix.camera.sensor import Sensor
 from lightmatrix.capture.capture import Capture
-from lightmatrix.diagnosis import all_checks
+from lightmatrix.diagnosis import all_checks, frame_order
 from lightmatrix.diagnosis.frame_order import find_disorder, order_findings
-from lightmatrix.diagnosis.order_hypotheses import Hypothesis, RawRows, find_misses
+from lightmatrix.diagnosis.order_hypotheses import Hypothesis, Misses, RawRows, find_misses
 from lightmatrix.diagnosis.pursuit import column_scale
 from lightmatrix.diagnosis.refusals import refuse_unordered, refuse_unusable
 from lightmatrix.errors import InputError
@@ -219,3 +220,97 @@ def test_a_capture_is_judged_as_check_does(monkeypatch: pytest.MonkeyPatch) -> N
     taken = capture(patterns)
     assert lm.check(taken) == []
     refuse_unordered(taken)
+
+
+# ---- the parts of the judgement
+
+
+def test_the_richest_run() -> None:
+    assert frame_order._richest_run(np.array([-1.0, 2, 1, -1, 3, -2])) == (1, 5)
+    assert frame_order._richest_run(np.array([1.0, 1, 1])) == (0, 3)
+    assert frame_order._richest_run(np.array([-1.0, -1]))[0] == 0
+
+
+@pytest.mark.parametrize(
+    ("gain", "supported"),
+    [
+        ([1.4, 1.4, 1.4], True),
+        ([1.4, 1.4], False),
+        # In sum, in the mean, and with one frame that counts no more than the others.
+        ([0.8, 0.8, 0.8], False),
+        ([0.9, 0.9, 0.9], True),
+        ([0.3] * 10, True),
+        ([0.2] * 20, False),
+        ([9.0, 0.3, 0.3], False),
+        ([0.0, 3.0, 0.0, 1.2], True),
+    ],
+)
+def test_runs_need_support(gain: list[float], supported: bool) -> None:
+    padded = np.array([5.0, *gain, 5.0])
+    assert frame_order._supported(padded, 1, len(gain) + 1) == supported
+
+
+@pytest.mark.parametrize(("miss", "predictive"), [(0.7, True), (0.9, False)])
+def test_predictions_must_meet_most_frames(miss: float, predictive: bool) -> None:
+    logarithms = np.full((5, 5), np.log(miss))
+    telling = np.ones(5, bool)
+    # A frame that shows nothing known, and one that tells nothing, do not count.
+    order = np.array([1, 0, 2, -1, 4])
+    logarithms[3], logarithms[4], telling[4] = 3, 3, False
+    misses = Misses(logarithms, np.zeros((5, 5), bool), telling)
+    assert frame_order._predictive(misses, order) == predictive
+
+
+def test_words_for_runs() -> None:
+    def words(start: int, stop: int, step: int) -> str:
+        return frame_order._describe_run(start, stop, step, 10, "frame {}".format)
+
+    every = "the images do not follow the patterns: each image shows the pattern "
+    assert words(0, 8, 1) == every + "after its own"
+    assert words(1, 9, -1) == every + "before its own"
+    assert words(1, 8, 1).endswith(
+        "from frame 1 to frame 8, each image shows the pattern after its own: is one missing?"
+    )
+    assert words(2, 9, -1).endswith("before its own: is one extra?")
+    assert words(0, 7, 1).startswith("from frame 0 to frame 7")
+
+
+def test_words_for_single_frames() -> None:
+    findings = order_findings({9: 4, 4: 9, 7: 2, 1: 5, 5: 6}, "image {}".format)
+    assert [(each.kind, each.frames) for each in findings] == [
+        ("order", (1,)),
+        ("order", (4, 9)),
+        ("order", (5,)),
+        ("order", (7,)),
+    ]
+    assert findings[1].message == "image 4 and image 9 look swapped"
+    assert findings[3].message.startswith("image 7 shows the pattern of image 2:")
+
+
+def test_patterns_that_are_alike_may_change_places() -> None:
+    images = BernoulliPatterns(PROJECTOR, 12).images().copy()
+    images[7] = images[2]
+    images[7, 0, 0] = 1 - images[7, 0, 0]
+    images[9] = images[3]
+    images[9, :3] = 1 - images[9, :3]
+    alike = frame_order._alike(ImagePatterns(images))
+    assert np.argwhere(alike).tolist() == [[2, 7], [7, 2]]
+    images[5] = 0.7
+    images[5, 0, 0] = 0.7005
+    assert np.flatnonzero(~frame_order._varied(ImagePatterns(images))).tolist() == [5]
+
+
+def test_bright_rows_are_spread_over_the_tiles(monkeypatch: pytest.MonkeyPatch) -> None:
+    taken = capture(BernoulliPatterns(PROJECTOR, 16))
+    bright = frame_order._bright_rows(taken.patterns, taken.tiles(), taken.rows)
+    assert bright is not None
+    assert 200 <= len(bright.shares) <= 210
+    monkeypatch.setattr(frame_order, "_WORK", 16 * 320 * 8 * 3 * 50)
+    some = frame_order._bright_rows(taken.patterns, taken.tiles(), taken.rows)
+    assert some is not None
+    assert 50 <= len(some.shares) <= 60
+    ((_, tile),) = list(taken.tiles())
+    spread = np.sort(tile.values.std(axis=1))[::-1]
+    assert some.shares.std(axis=1).min() >= spread[len(spread) // 3] - 1e-6
+    dark = [(0, replace(tile, values=0 * tile.values))]
+    assert frame_order._bright_rows(taken.patterns, dark, taken.rows) is None

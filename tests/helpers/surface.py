@@ -5,6 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from lightmatrix.camera.sensor import Sensor
+from lightmatrix.patterns.pattern_set import PatternSet
+
 PROJECTOR = (16, 20)
 CAMERA = (18, 22)
 
@@ -24,3 +27,17 @@ def surface(seed: int = 0, diffuse: float = 0.3) -> NDArray[np.float64]:
             matrix[r, c, y : y + 2, x : x + 2] = albedo[r, c] * weights
     matrix += diffuse * albedo[..., None, None] / np.prod(PROJECTOR)
     return matrix.reshape(-1, int(np.prod(PROJECTOR)))
+
+
+def photographs(
+    patterns: PatternSet,
+    *,
+    gain: NDArray[np.floating] | float = 1.0,
+    noise: float = 0.005,
+    exposure: float = 0.9,
+    diffuse: float = 0.3,
+) -> NDArray[np.uint8]:
+    """Photographs (K, rows, cols) of the surface; the light of each frame times its gain."""
+    light = patterns.forward(surface(0, diffuse)) * gain
+    raw = Sensor(exposure, read_noise=noise).expose(np.asarray(light, np.float32), seed=0)
+    return np.ascontiguousarray(raw.T).reshape(-1, *CAMERA)

@@ -95,8 +95,12 @@ class PairSums:
 
     @cached_property
     def usual(self) -> NDArray[np.float64]:
-        """The median of what pairs add up to, (m,)."""
-        return np.asarray(np.nanmedian(np.stack([self.sum_of(j, k) for j, k in self.pairs]), 0))
+        """The median of what pairs add up to, (m,); NaN where one of each pair is clipped."""
+        sums = np.stack([self.sum_of(j, k) for j, k in self.pairs])
+        known = ~np.isnan(sums).all(axis=0)
+        usual = np.full(sums.shape[1], np.nan)
+        usual[known] = np.nanmedian(sums[:, known], axis=0)
+        return usual
 
     def oddness(self, j: int, k: int) -> float:
         """How far two frames are from adding up to white, as a share of it."""

@@ -1,0 +1,156 @@
+"""Predictions leave out the frame that they predict, as refitting without it does."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import lightmatrix as lm
+from lightmatrix.diagnosis import prediction
+from lightmatrix.diagnosis.prediction import FramePrediction, find_places, predict
+from lightmatrix.diagnosis.pursuit import column_scale
+from lightmatrix.patterns.bits import BernoulliPatterns
+
+K, SHAPE = 80, (12, 14)
+PATTERNS = BernoulliPatterns(SHAPE, K)
+
+
+def samples(places: list[tuple[int, int]], noise: float = 0.0, top: float = np.inf) -> lm.Samples:
+    """Camera pixels that see one projector pixel, and one as bright as a half 5 columns on."""
+    columns = PATTERNS.columns(np.arange(PATTERNS.pixels))
+    first = [np.ravel_multi_index(place, SHAPE) for place in places]
+    light = columns[:, first].T + 0.5 * columns[:, [p + 5 for p in first]].T
+    light = light + noise * np.random.default_rng(0).standard_normal(light.shape)
+    return lm.Samples(np.minimum(light, top), light >= top, np.full(K, top))
+
+
+def test_the_two_strongest_places_are_found() -> None:
+    first, second = find_places(PATTERNS, samples([(3, 4), (8, 2)]))
+    assert first.tolist() == [3 * 14 + 4, 8 * 14 + 2]
+    assert second.tolist() == [3 * 14 + 9, 8 * 14 + 7]
+    (only,) = find_places(PATTERNS, samples([(3, 4)]), count=1)
+    assert only.tolist() == [3 * 14 + 4]
+
+
+def test_clipped_and_doubted_samples_find_nothing() -> None:
+    seen = samples([(3, 4)])
+    spoilt = seen.values.copy()
+    spoilt[0, :6] = np.random.default_rng(1).random(6) * 9
+    clipped = np.arange(K) < 6
+    found = find_places(PATTERNS, lm.Samples(spoilt, clipped[None], np.full(K, np.inf)))
+    assert found[0].tolist() == [3 * 14 + 4]
+    plain = lm.Samples(spoilt, np.zeros((1, K), bool), np.full(K, np.inf))
+    assert find_places(PATTERNS, plain, ~clipped[None])[0].tolist() == [3 * 14 + 4]
+    doubtful = predict(PATTERNS, plain, doubted=clipped)
+    assert doubtful.places[0].tolist() == [3 * 14 + 4]
+    # Predicted are they all the same.
+    np.testing.assert_allclose(doubtful.expected[0, :6], seen.values[0, :6], atol=0.1)
+
+
+def test_each_sample_is_predicted_without_itself() -> None:
+    """The closed form is what ridge regression of the other frames gives."""
+    seen = samples([(3, 4), (1, 1)], noise=0.05)
+    made = predict(PATTERNS, seen)
+    for row in range(2):
+        windows = []
+        for place, scale in zip(made.places, (1.0, 0.5), strict=True):
+            r, c = divmod(int(place[row]), SHAPE[1])
+            for down in range(-2, 3):
+                for right in range(-2, 3):
+                    if 0 <= r + down < SHAPE[0] and 0 <= c + right < SHAPE[1]:
+                        pixel = (r + down) * SHAPE[1] + c + right
+                        fall = np.exp(-(down**2 + right**2) / 4)
+                        windows.append(scale * fall * PATTERNS.columns(np.array([pixel]))[:, 0])
+        means = PATTERNS.means
+        windows.append(0.1 * (means - means.mean()) / means.std())
+        explain = np.stack(windows, axis=1).astype(float)
+        target = seen.values[row]
+        by_ridge = []
+        for ridge in (0.003, 0.03, 0.3):
+            left_out = np.empty(K)
+            for k in range(K):
+                rest = np.delete(np.arange(K), k)
+                x, y = explain[rest], target[rest]
+                centred = x - x.mean(axis=0)
+                slope = np.linalg.solve(
+                    centred.T @ centred + ridge * np.eye(x.shape[1]), centred.T @ (y - y.mean())
+                )
+                left_out[k] = y.mean() + (explain[k] - x.mean(axis=0)) @ slope
+            by_ridge.append(left_out)
+        missed = [float(((each - target) ** 2).mean()) for each in by_ridge]
+        best = int(np.argmin(missed))
+        np.testing.assert_allclose(made.expected[row], by_ridge[best], atol=2e-3)
+        assert made.miss[row] == pytest.approx(missed[best] / target.var(), rel=0.02)
+
+
+def test_rows_in_chunks_are_predicted_alike(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen = samples([(3, 4), (8, 2), (5, 5)], noise=0.05)
+    whole = predict(PATTERNS, seen)
+    monkeypatch.setattr(prediction, "_MOST_VALUES", 51 * K)
+    parts = predict(PATTERNS, seen)
+    np.testing.assert_allclose(whole.expected, parts.expected)
+    np.testing.assert_allclose(whole.miss, parts.miss)
+
+
+def test_few_frames_explain_the_rest(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(prediction, "_MOST_FRAMES", 60)
+    seen = samples([(3, 4)])
+    learned = np.random.default_rng(0).permutation(K)[:60]
+    others = np.setdiff1d(np.arange(K), learned)
+    made = predict(PATTERNS, seen)
+    spoilt = seen.values.copy()
+    spoilt[0, others] += 1
+    again = predict(PATTERNS, lm.Samples(spoilt, seen.clipped, seen.clip_level), made.places)
+    np.testing.assert_allclose(made.expected, again.expected)
+
+
+def test_samples_near_the_clip_level_are_not_trusted() -> None:
+    seen = samples([(3, 4)], noise=0.02, top=1.2)
+    made = predict(PATTERNS, seen)
+    assert not made.trusted[seen.clipped].any()
+    usual = np.sqrt(made.miss * seen.values.var(axis=1))[:, None]
+    np.testing.assert_array_equal(made.trusted, ~seen.clipped & (made.expected < 1.2 - 3 * usual))
+
+
+def test_patterns_of_one_mean_are_no_problem() -> None:
+    images = PATTERNS.images()[:40]
+    equal = lm.ImagePatterns(np.concatenate([images, images[:, :, ::-1], images[:, ::-1]], axis=2))
+    means = equal.means[:, None, None]
+    equal = lm.ImagePatterns((0.4 * equal.stack / means).astype(np.float32))
+    light = equal.columns(np.array([50])).T
+    made = predict(equal, lm.Samples(light, light > 9, np.full(40, 9.0)))
+    assert np.isfinite(made.expected).all()
+
+
+def test_rows_that_can_be_predicted() -> None:
+    trusted = np.ones((4, 10), bool)
+    trusted[2, :2], trusted[3, :3] = False, False
+    none = np.zeros((4, 10))
+    made = FramePrediction(none, none, trusted, np.array([0.35, 0.45, 0.1, 0.1]), ())
+    assert made.predicted.tolist() == [True, False, True, False]
+
+
+def test_noise_is_the_median_deviation_of_trusted_samples() -> None:
+    observed = np.random.default_rng(0).standard_normal((3, 2000)) * [[1], [2], [0]]
+    trusted = np.ones(observed.shape, bool)
+    observed[:, :500], trusted[:, :500] = 99, False
+    made = FramePrediction(observed, 0 * observed, trusted, np.zeros(3), ())
+    np.testing.assert_allclose(made.noise[:, 0], [1, 2, 0], rtol=0.05, atol=1e-8)
+
+
+def test_parts_of_a_prediction() -> None:
+    made = predict(PATTERNS, samples([(3, 4), (8, 2), (5, 5)], noise=0.05))
+    some = made.rows(np.array([2, 0])).frames(np.array([5, 1]))
+    np.testing.assert_array_equal(some.expected, made.expected[[2, 0]][:, [5, 1]])
+    np.testing.assert_array_equal(some.observed, made.observed[[2, 0]][:, [5, 1]])
+    np.testing.assert_array_equal(some.trusted, made.trusted[[2, 0]][:, [5, 1]])
+    np.testing.assert_array_equal(some.miss, made.miss[[2, 0]])
+    assert some.places[1].tolist() == made.places[1][[2, 0]].tolist()
+
+
+def test_the_scale_of_projector_pixels() -> None:
+    images = PATTERNS.images().copy()
+    images[:, 0, 0] = 1
+    scale = column_scale(lm.ImagePatterns(images))
+    assert scale[0] == 0
+    np.testing.assert_allclose(scale[1:], 1 / images.reshape(K, -1).std(axis=0)[1:], rtol=1e-5)

@@ -1,0 +1,101 @@
+"""Frames that do not show their pattern are recognised by what their prediction misses."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lightmatrix.diagnosis.prediction import FramePrediction
+from lightmatrix.diagnosis.wrong_frames import SUSPECT, check_frames, wrong_frames
+from tests.helpers.predictions import prediction
+
+K, M = 16, 60
+NAMES = [f"frame {k}" for k in range(K)]
+
+
+def off(frame: int, share: float, rows: int = M) -> FramePrediction:
+    """A frame that misses a share of its variation; the others miss 1 %."""
+    example = prediction(rows=rows, frames=K)
+    expected = example.expected / example.expected.std(axis=1, keepdims=True)
+    variation = (expected - expected.mean(axis=1, keepdims=True)).var(axis=0) + 1e-12
+    sign = np.where(np.arange(rows) % 2, 1.0, -1.0)[:, None]
+    size = np.full(K, 0.01)
+    size[frame] = share
+    usual = expected.mean(axis=1, keepdims=True)
+    variation = ((expected - usual) ** 2).mean(axis=0)
+    return replace(example, expected=expected, observed=expected + sign * np.sqrt(size * variation))
+
+
+@pytest.mark.parametrize(("share", "wrong"), [(0.22, False), (0.4, True), (3.0, True)])
+def test_a_frame_that_misses_much_of_its_variation_is_wrong(share: float, wrong: bool) -> None:
+    assert np.flatnonzero(wrong_frames(off(5, share))).tolist() == [5] * wrong
+
+
+@pytest.mark.parametrize(("share", "suspect"), [(0.09, False), (0.16, True)])
+def test_suspects_miss_less(share: float, suspect: bool) -> None:
+    assert wrong_frames(off(5, share), SUSPECT)[5] == suspect
+
+
+def test_a_frame_must_miss_more_than_the_others() -> None:
+    noisy = off(5, 0.35)
+    sign = np.where(np.arange(M) % 2, 1.0, -1.0)[:, None]
+    for usual, wrong in ((0.08, True), (0.1, False)):
+        usual_misses = noisy.expected + sign * np.sqrt(usual)
+        observed = np.where(np.arange(K) == 5, noisy.observed, usual_misses)
+        assert wrong_frames(replace(noisy, observed=observed))[5] == wrong
+
+
+def test_too_few_rows_accuse_nobody() -> None:
+    assert not wrong_frames(off(5, 2.0, rows=19)).any()
+    assert wrong_frames(off(5, 2.0, rows=20))[5]
+    example = off(5, 2.0)
+    trusted = example.trusted.copy()
+    trusted[19:, 5] = False
+    assert not wrong_frames(replace(example, trusted=trusted)).any()
+
+
+def test_brightness_is_corrected_between_half_and_twice() -> None:
+    gain = np.ones(K)
+    for size, wrong in ((0.52, False), (1.9, False), (0.25, True), (6.0, True)):
+        gain[5] = size
+        assert wrong_frames(prediction(rows=M, frames=K, gain=gain))[5] == wrong
+
+
+def test_dark_frames_are_wrong_only_where_light_is_expected() -> None:
+    example = prediction(rows=M, frames=K)
+    # Hardly any variation is missed: the pattern is flat, and dark by itself.
+    expected, observed = example.expected.copy(), example.observed.copy()
+    expected[:, 5] = 0.05
+    observed[:, 5] = 0.01
+    assert not wrong_frames(replace(example, expected=expected, observed=observed))[5]
+    expected[:, 5] = 0.075
+    observed[:, 5] = 0.02
+    assert wrong_frames(replace(example, expected=expected, observed=observed))[5]
+
+
+def test_no_row_decides_alone() -> None:
+    example = off(5, 0.01, rows=120)
+    observed = example.observed.copy()
+    observed[0, 5] += 8
+    assert not wrong_frames(replace(example, observed=observed))[5]
+
+
+def test_black_frames_and_others() -> None:
+    gain = np.ones(K)
+    gain[[2, 3, 4]] = 0.09, 0.11, 0.0
+    example = prediction(rows=M, frames=K, gain=gain)
+    wrong = np.isin(np.arange(K), [2, 3, 4])
+    black, other = check_frames(example, wrong, NAMES)
+    assert (black.kind, black.frames) == ("frame", (2, 4))
+    assert black.message == "frame 2 and frame 4: black, although the pattern is not"
+    assert (other.kind, other.frames) == ("frame", (3,))
+    assert check_frames(example, np.zeros(K) > 0, NAMES) == []
+    # Samples that are not trusted say nothing.
+    trusted = example.trusted.copy()
+    trusted[::2, 3] = False
+    observed = example.observed.copy()
+    observed[::2, 3] = 7
+    again = replace(example, trusted=trusted, observed=observed)
+    assert check_frames(again, wrong, NAMES)[1].frames == (3,)
