@@ -83,6 +83,20 @@ def test_what_is_proposed_fits(large: lm.Capture) -> None:
                 assert again.memory == size.memory
 
 
+def test_a_proposal_bins_both_camera_and_projector() -> None:
+    """The camera keeps about twice as many samples as the projector has pixels."""
+    patterns = lm.BernoulliPatterns((768, 1024), 64)
+    frames = Unread(64, (4001, 6001), np.dtype(np.uint16))
+    capture = lm.Capture(patterns, frames, lm.Decoder(65535, 65535))
+    options = dict(lm.estimate_resources(capture).options)
+    (words,) = (words for words in options if "-camera" in words and "-projector" in words)
+    camera, projector = (int(part) for part in re.findall(r" (\d+)", words))
+    size = options[words]
+    assert size.camera == (-(-4001 // camera), -(-6001 // camera))
+    assert size.pixels == -(-768 // projector) * -(-1024 // projector)
+    assert 1.5 < size.rows / size.pixels <= 2.1
+
+
 def test_more_of_everything_takes_more() -> None:
     for kind in COEFFICIENTS:
         for terms, what in ((memory_terms, "bytes"), (time_terms, "seconds")):

@@ -1,0 +1,34 @@
+"""Which rows are unexplained, and search all projector pixels again."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from lightmatrix.camera.samples import Samples
+from lightmatrix.camera.sensor import Sensor
+from lightmatrix.capture.capture import Capture
+from lightmatrix.estimators.coherent.row_solver import UNEXPLAINED, RowSolver
+from lightmatrix.patterns.bits import BernoulliPatterns
+from lightmatrix.solvers import ActiveSet
+
+
+def test_rows_are_unexplained_by_their_share_of_what_an_even_background_leaves() -> None:
+    patterns = BernoulliPatterns((16, 16), 24)
+    frames = np.zeros((24, 2, 2), np.uint8)
+    capture = Capture.from_arrays(patterns, frames, Sensor(1.0, bits=8))
+    solver = RowSolver(capture, ActiveSet(), None, 0.01, 50, (0.0,), (1, 1))
+    random = np.random.default_rng(0)
+    values = random.random((4, 24)).astype(np.float32)
+    # The last row is so dark that no atom could enter it.
+    values[3] *= 1e-3
+    weights = np.ones((4, 24), np.float32)
+    weights[:, :5] = 0.5
+    samples = Samples(values, np.zeros((4, 24), bool), np.ones(24, np.float32), weights)
+    mean = (weights * values).sum(axis=1, keepdims=True) / weights.sum(axis=1, keepdims=True)
+    left = (weights * (values - mean) ** 2).sum(axis=1) / 2
+    objective = UNEXPLAINED * left * np.array([0.9, 1.1, 1.1, 10])
+    solved: Any = SimpleNamespace(rows=SimpleNamespace(diagnostics={"objective": objective}))
+    assert solver.unexplained(samples, solved).tolist() == [1, 2]
