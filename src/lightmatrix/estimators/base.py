@@ -34,17 +34,7 @@ _FEW_ENTRIES = 16
 
 @dataclass(frozen=True)
 class Plan:
-    """An estimate before it is made.
-
-    Parameters
-    ----------
-    work : Work
-        The steps and their tiles.
-    provenance : mapping
-        All parameters and versions, JSON-ready.
-    background_grid : (int, int)
-        Rows and columns of the cells of the background.
-    """
+    """An estimate before it is made. The provenance is JSON-ready and has every parameter."""
 
     work: Work
     provenance: Mapping[str, Any]

@@ -64,28 +64,14 @@ _ROUNDS = 9
 
 @dataclass(frozen=True)
 class EstimateSize:
-    """How large an estimate is.
+    """How large an estimate is, and the memory and time that this takes.
 
-    Parameters
-    ----------
-    method : {"coherent", "plain", "other"}
-        coherent; row by row with the active-set solver; or one whose time is not known.
-    camera : (rows, columns, ...)
-        Shape of the camera, channels last.
-    pixels, count : int
-        Projector pixels N, patterns K.
-    grey : bool
-        Whether patterns have grey values, and not only black and white.
-    sample_bytes : int
-        Bytes of one sample of a frame as it is kept: 1, 2 or 4; 5 once it is binned.
-    row_bytes : int
-        Bytes that a row of "other" takes while it is solved.
-    check_bytes : int
-        Bytes that the check of the photographs takes before the estimate.
-    tile_bytes : int
-        Working memory of one tile.
-    windows : tuple of (int, int)
-        Half widths of the windows of the coherent estimate.
+    `method` is "coherent", "plain" (row by row with the active-set solver) or "other", whose time
+    is not known and whose rows take `row_bytes` each. `camera` is its shape, channels last; there
+    are `count` patterns of so many projector `pixels`, which may be `grey` and not only black and
+    white. `sample_bytes` are those of one kept sample of a frame: 1, 2 or 4; 5 once it is binned.
+    The check of the photographs takes `check_bytes` before the estimate, and one tile takes
+    `tile_bytes`. `windows` are those of the coherent estimate.
     """
 
     method: str

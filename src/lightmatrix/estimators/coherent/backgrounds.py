@@ -40,12 +40,7 @@ WALL = 1 / 8
 class Backgrounds:
     """Coarse cells of projector pixels, their means under all patterns, and halos on them.
 
-    Parameters
-    ----------
-    grid : (int, int)
-        Rows and columns of the B cells, no more than there are projector pixels.
-    shown, unseen : PatternSet
-        K and E patterns.
+    There are B cells, at most one a pixel, K patterns shown and E unseen ones.
     """
 
     grid: tuple[int, int]

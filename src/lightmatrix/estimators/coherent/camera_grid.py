@@ -22,15 +22,7 @@ _READ_ROWS = 1 << 16
 
 @dataclass(frozen=True, eq=False)
 class CameraGrid:
-    """Every `spacing`-th pixel of a camera along both axes.
-
-    Parameters
-    ----------
-    capture : Capture
-        M camera samples.
-    spacing : int
-        1 takes all pixels.
-    """
+    """Every `spacing`-th pixel of a camera along both axes."""
 
     capture: Capture
     spacing: int = 1

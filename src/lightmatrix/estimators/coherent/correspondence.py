@@ -68,21 +68,9 @@ def measure_jacobian(
 ) -> NDArray[np.float32]:
     """Projector rows and columns that footprints move per camera row and per camera column.
 
-    Parameters
-    ----------
-    rows : (M, S N) csr_array
-        Coefficients of atoms: S planes of N projector pixels.
-    camera : (int, int, int)
-        Rows, columns and channels of the camera, M in all.
-    projector : (int, int)
-        Rows and columns of the projector, N in all.
-    spacing : int
-        Camera pixels from row to row; footprints may move this many times as far.
-
-    Returns
-    -------
-    (M, 4) float32
-        Rows by rows, rows by columns, columns by rows, columns by columns.
+    `rows` are coefficients of atoms, S planes of N projector pixels, (M, S N). They lie `spacing`
+    camera pixels apart, so that footprints may move this many times as far. The result is (M, 4):
+    rows by rows, rows by columns, columns by rows, columns by columns.
     """
     pixel = strongest_entries(rows) % (projector[0] * projector[1])
     places = [place.reshape(camera) for place in np.divmod(pixel, projector[1])]

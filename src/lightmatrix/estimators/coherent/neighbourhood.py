@@ -118,20 +118,10 @@ def unseen_patterns(shape: tuple[int, int]) -> PatternSet:
 
 @dataclass(frozen=True)
 class Neighbourhood:
-    """All rows after a round, and how their footprints move.
+    """All M rows after a round, on atoms and one background coefficient, and their Jacobian.
 
-    Parameters
-    ----------
-    rows : SparseRows
-        M rows of coefficients of atoms, with one background coefficient each.
-    camera : (int, int, int)
-        Rows, columns and channels of the camera, M in all.
-    atoms : AtomPatterns
-        The atoms under the patterns shown.
-    spacing : int
-        Every `spacing`-th pixel of the camera along both axes is a row.
-    known_jacobian : (M, 4) float32, optional
-        The Jacobian, if it is known. None: it is measured.
+    They are every `spacing`-th pixel of the camera along both axes; `camera` has their rows,
+    columns and channels. The Jacobian, (M, 4), is measured unless it is known.
     """
 
     rows: SparseRows
@@ -157,20 +147,9 @@ class Neighbourhood:
     ) -> PseudoSamples:
         """Pseudo-samples of some rows, in place of clipped samples and under unseen patterns.
 
-        Parameters
-        ----------
-        unseen : PatternSet
-            E patterns over the same atoms.
-        samples : Samples
-            The samples of these rows, (m, K).
-        clipped : (m, K) bool
-            Samples that are lower bounds.
-        level : float
-            Clip level that deviations are relative to.
-        rows : (m,) int
-            Ascending.
-        background : (n, K + E) float32
-            The backgrounds of the rows `around` the first to the last, under all patterns.
+        `samples` are those of the `rows`, (m, K), in ascending order; the `clipped` ones are lower
+        bounds. Deviations are relative to `level`. `background` has the backgrounds of the rows
+        `around` the first to the last, under the K shown and E unseen patterns, (n, K + E).
         """
         values, variances = _core.expected_samples(
             self.atoms.prepared,
@@ -249,20 +228,10 @@ class Neighbourhood:
     ) -> Candidates:
         """The likeliest atoms of some rows, with penalties by the light of their neighbours.
 
-        Parameters
-        ----------
-        reach : (int, int)
-            Half widths of the windows, in camera and projector pixels.
-        most : int
-            Atoms kept of each row.
-        trust : float
-            How little light among the neighbours makes an atom likely, for 32 known samples.
-        known : (m,) int
-            Samples of the rows that are neither clipped nor masked.
-        rows : (m,) int
-            Ascending.
-        first : bool
-            Whether these are the first candidates, when single pixels count fully.
+        `reach` has the half widths of the windows, in camera and projector pixels. At most `most`
+        atoms are kept of each row. `trust` says how little light among the neighbours makes an atom
+        likely, for 32 known samples; `known` are those of each of the `rows`, which ascend. Single
+        pixels count fully in the `first` candidates.
         """
         constants = LIKELY_ATOMS
         wider = np.full(self.atoms.planes, constants.wider_spot, np.float32)

@@ -49,19 +49,7 @@ HELD_OUT = "held-out"
 
 @dataclass(frozen=True)
 class Rounds:
-    """The work of a `CoherentEstimator`.
-
-    Parameters
-    ----------
-    solver : RowSolver
-        How rows are solved.
-    rounds : tuple of Round
-        All rounds in turn.
-    tile_rows : int or None
-        Rows solved at a time. None: as many as fit half a gigabyte.
-    progress : callable or None
-        Called with (done, total) rows.
-    """
+    """The work of a `CoherentEstimator`."""
 
     solver: RowSolver
     rounds: tuple[Round, ...]

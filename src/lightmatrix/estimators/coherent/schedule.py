@@ -52,23 +52,12 @@ PSEUDO_SAMPLES_FROM = 3
 
 @dataclass(frozen=True)
 class Round:
-    """One pass over some camera pixels.
+    """One pass over every `spacing`-th camera pixel along both axes.
 
-    Parameters
-    ----------
-    spacing : int
-        Every `spacing`-th camera pixel along both axes is solved.
-    window : (int, int), optional
-        Half widths of the windows, in camera and in projector pixels. None: each row searches all
-        projector pixels by itself.
-    age : int
-        Rounds that these rows, or those that they grow from, have behind them.
-    last : bool
-        Whether its rows are the result.
-    search_unexplained : bool
-        Whether rows that are not explained search all projector pixels afterwards.
-    skip_settled : bool
-        Whether rows around which nothing changed in the round before stay as they are.
+    `window` has half widths in camera and in projector pixels; without one each row searches all
+    projector pixels by itself. `age` counts the rounds that the rows, or those that they grow from,
+    have behind them. The rows of the `last` round are the result. Unexplained rows may search all
+    projector pixels afterwards, and rows may stay as they are if nothing changed around them.
     """
 
     spacing: int
@@ -87,17 +76,7 @@ class Round:
 def schedule(
     camera: tuple[int, ...], pixels: int, windows: tuple[tuple[int, int], ...]
 ) -> tuple[Round, ...]:
-    """All rounds in turn.
-
-    Parameters
-    ----------
-    camera : (rows, columns, ...)
-        Shape of the camera.
-    pixels : int
-        Projector pixels.
-    windows : tuple of (int, int)
-        Half widths of the windows of each round of a small frame, after the search.
-    """
+    """All rounds in turn; `windows` are those of a small frame after the search."""
     first, *finer = spacings(camera, pixels, windows)
     seed_windows = windows[:-1] if finer else windows
     rounds = [Round(first, None, 0)]

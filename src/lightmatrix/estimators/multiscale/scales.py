@@ -22,17 +22,7 @@ _LEAST_SCALE = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Scale:
-    """The patterns at one size of projector blocks.
-
-    Parameters
-    ----------
-    block : int
-        Pixels per side.
-    patterns : PatternSet
-        Means over the blocks.
-    regularization : float
-        The regularization of this scale.
-    """
+    """The patterns, as means over projector blocks of `block` pixels a side."""
 
     block: int
     patterns: PatternSet
@@ -46,14 +36,10 @@ class Scale:
 def scales(patterns: PatternSet, coarsest: int, regularization: float) -> list[Scale]:
     """The scales from the coarsest to single pixels.
 
-    Parameters
-    ----------
-    coarsest : int
-        Pixels per side of the first scale's blocks, a power of two; halved as long as the
-        projector has no 4 x 4 of them.
-    regularization : float
-        At single pixels. At coarser scales it falls with the root mean square length of the
-        patterns' centred columns, so that it stands at the same height above noise.
+    The blocks of the first scale have `coarsest` pixels a side, a power of two, which is halved as
+    long as the projector has no 4 x 4 of them. `regularization` is that of single pixels. At
+    coarser scales it falls with the root mean square length of the patterns' centred columns, so
+    that it stands at the same height above noise.
     """
     length = column_length(patterns)
     block = coarsest
@@ -73,21 +59,9 @@ def active_blocks(
 ) -> NDArray[np.bool_]:
     """The projector blocks from which a camera block gets its light, and their neighbours.
 
-    Parameters
-    ----------
-    coefficients : (m, n) csr_array
-        The m rows of a camera block, on n candidates.
-    candidates : (n,) int64
-        Numbers of the candidates in the grid.
-    grid : (rows, cols)
-        The grid of projector blocks.
-    share : float
-        The share of the highest score from which on a block is active, in [0, 1).
-
-    Returns
-    -------
-    grid bool
-        All candidates if no row has any light.
+    `coefficients` are (m, n), of the rows of the camera block on n candidates, whose numbers in the
+    `grid` of projector blocks are `candidates`. A block is active if it has at least this `share`
+    of the highest score, in [0, 1). All candidates are active if no row has any light.
     """
     size = abs(coefficients)
     total = np.asarray(size.sum(axis=1), np.float64).ravel()

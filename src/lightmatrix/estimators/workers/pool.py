@@ -50,16 +50,9 @@ SAME_VERSIONS = "install the same version of lightmatrix, NumPy, SciPy and Pytho
 
 @dataclass(eq=False)
 class DaskPool:
-    """Workers of Dask that solve tiles and write them; made by `open_workers`.
+    """Checked workers of Dask that solve tiles and write them; made by `open_workers`.
 
-    Parameters
-    ----------
-    client : distributed.Client
-        A client of a scheduler whose workers were checked.
-    cores : int
-        Threads of all workers together.
-    memory : int
-        Bytes that each worker is expected to take.
+    They have `cores` threads together, and each is expected to take `memory` bytes.
     """
 
     client: Client
@@ -86,17 +79,7 @@ class DaskPool:
         return TILES_EACH * max(1, len(self.threads))
 
     def solve(self, work: Work, step: str, spans: list[Span], checkpoint: Checkpoint) -> None:
-        """Let workers solve tiles of a step, and count them as finished.
-
-        Parameters
-        ----------
-        work : Work
-        step : str
-            The steps before it are finished.
-        spans : list of (int, int)
-            Rows of each tile.
-        checkpoint : Checkpoint
-            Where the tiles are written.
+        """Let workers solve tiles of a step whose earlier steps are finished; see `WorkerPool`.
 
         Raises
         ------

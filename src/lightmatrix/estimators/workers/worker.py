@@ -45,20 +45,10 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Job:
-    """An estimate in a folder that all workers share.
+    """An estimate in a folder of running results that all workers share.
 
-    Parameters
-    ----------
-    folder : str
-        The running results, as an absolute path.
-    digest : str
-        Hash of the file that holds the packed estimate.
-    token : str
-        Fingerprint of the running results.
-    capture_hash : str
-        `capture_hash` of the capture.
-    version : str
-        The version of lightmatrix.
+    `digest` is the hash of the packed estimate, `token` the fingerprint of the running results,
+    and `capture_hash` that of the capture.
     """
 
     folder: str
@@ -155,20 +145,8 @@ def solve_tile(
 ) -> None:
     """Solve the rows `span` of a step and write them into the running results.
 
-    Parameters
-    ----------
-    job : Job
-    step : str
-    span : (int, int)
-    before : mapping of str to list of (int, int)
-        The finished tiles of the steps before this one.
-    threads : int
-        Threads of this worker, which start with its first tile.
-
-    Raises
-    ------
-    LightMatrixError
-        As an estimate in one process.
+    `before` has the finished tiles of the steps before. The `threads` of this worker start with its
+    first tile. It raises what an estimate in one process raises.
     """
     if job.version != __version__:
         raise ClusterError(
