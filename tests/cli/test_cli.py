@@ -70,8 +70,8 @@ def test_relight(work: Path, capsys: pytest.CaptureFixture[str]) -> None:
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        ("-o out.png", "nothing to show was asked for"),
-        ("--dual --gap -o out.png", "2 views were asked for"),
+        ("-o out.png", "no views are given"),
+        ("--dual --gap -o out.png", "2 views are given"),
         ("--row 3 -o out.png", "--row 3\n  write row,column"),
         ("--row 3,-1 -o out.png", "--row 3,-1"),
         ("--row 3,99 -o out.png", "there is no camera sample (3, 99)"),

@@ -223,7 +223,7 @@ def test_two_folders_are_enough_for_photographs_of_one_exposure(
     arguments = ["plan", str(tmp_path / "white.png"), "--black", black, "--response", "srgb"]
     assert main(arguments) == 0
     text = capsys.readouterr().out
-    assert "for a projector of 128x128; say yours with --size" in text
+    assert "for a projector of 128x128; give the size of yours with --size" in text
     folders = f"estimate --patterns patterns/ --images photos/ --black {black} --response srgb"
     assert folders in text
     assert "capture/" not in text

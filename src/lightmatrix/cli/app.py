@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import io
 import os
+import re
 import sys
 import warnings
 from collections.abc import Callable
@@ -84,9 +85,12 @@ def help_sections(command: TyperCommand, context: Any) -> dict[str, list[tuple[s
     for parameter in command.get_params(context):
         record = parameter.get_help_record(context)
         if record is not None:
+            words, meaning = record
+            # Typer puts a default that is text into brackets of its own.
+            meaning = re.sub(r"\[default: \((.*)\)(;.*)?\]$", r"[default: \1\2]", meaning)
             usual = "Arguments" if parameter.param_type_name == "argument" else "Options"
             heading = getattr(parameter, "rich_help_panel", None) or usual
-            sections.setdefault(heading, []).append(record)
+            sections.setdefault(heading, []).append((words, meaning))
     # Options without a heading are those that most commands have: they come last.
     rest = sections.pop("Options", None)
     return sections | ({"Options": rest} if rest else {})
@@ -95,9 +99,9 @@ def help_sections(command: TyperCommand, context: Any) -> dict[str, list[tuple[s
 app = typer.Typer(
     name="lightmatrix",
     cls=_Group,
-    help="Measure the light transport matrix of a projector-camera system, c = T p.",
-    epilog="Start with `lightmatrix demo`. Exit codes: 0 done, 1 `check` found something, 2 bad "
-    "input or output, 3 out of memory, 70 a bug of ours, 130 stopped.",
+    help="Measure the light transport matrix T of a projector-camera system, c = T p.",
+    epilog="Start with `lightmatrix demo`. Exit codes: 0 done, 1 `check` found a fault, 2 bad "
+    "input or output, 3 out of memory, 70 a bug of lightmatrix, 130 stopped.",
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
 )

@@ -1,4 +1,4 @@
-"""`lightmatrix check`: what is wrong with a capture, before anything is estimated from it."""
+"""`lightmatrix check`: what is wrong with a capture."""
 
 from __future__ import annotations
 
@@ -13,21 +13,18 @@ from lightmatrix.cli.terminal import say, show_json
 if TYPE_CHECKING:
     from lightmatrix import Finding
 
-# What `check` exits with if it finds something.
+# The exit code if something is wrong.
 FOUND = 1
 
 
 @with_source()
-def check(
-    *,
-    source: Source,
-    as_json: Json = False,
-) -> None:
-    """Tell what is wrong with a capture, and what to do.
+def check(*, source: Source, as_json: Json = False) -> None:
+    """Find what is wrong with a capture, and say what to do.
 
-    Give a capture folder; or patterns and images, each a folder or a stack. Frames lost, late,
-    swapped, black or odd; gamma and JPEG; motion and flicker; light; what the patterns cannot
-    tell. Exits with 0 if nothing is found, with 1 if something is.
+    Give a capture folder; or patterns and images, each as a folder or a stack. The command finds
+    frames that are missing, late, swapped, black or odd; gamma and JPEG; motion and flicker; too
+    much or too little light; and pixels that the patterns cannot tell apart. It exits with 0 if
+    nothing is wrong, and with 1 otherwise.
     """
     findings = source.check()
     if as_json:
@@ -35,13 +32,13 @@ def check(
     elif findings:
         show_findings(findings)
     else:
-        say("nothing wrong was found")
+        say("nothing is wrong")
     if findings:
         raise typer.Exit(FOUND)
 
 
 def show_findings(findings: list[Finding]) -> None:
-    """Print findings, each with what to do."""
+    """Print findings, each with its advice."""
     for finding in findings:
         say(f"{finding.kind}: {finding.message}", style="yellow")
         say(f"  {finding.advice}")

@@ -1,4 +1,4 @@
-"""`lightmatrix demo`: a first look."""
+"""`lightmatrix demo`: simulate, estimate, and write a report."""
 
 from __future__ import annotations
 
@@ -13,11 +13,13 @@ from lightmatrix.cli.terminal import progress, say, show_columns, show_json
 
 
 def demo(
-    output: Annotated[Path, typer.Option("-o", "--output", help="Report folder.")] = Path("report"),
+    output: Annotated[Path, typer.Option("-o", "--output", help="Folder of the report.")] = Path(
+        "report"
+    ),
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
-    """Simulate and estimate a scene; write a report with pictures."""
+    """Simulate a scene, estimate it, and write a report with pictures."""
     with progress("demo", "steps") as report:
         result = lm.demo(output, overwrite=overwrite, progress=report)
     if as_json:
@@ -42,7 +44,5 @@ def demo(
             for method in result["methods"]
         ],
     )
-    say(
-        f"lightmatrix's own estimate, {result['report']['verdict']}: {result['report']['sentence']}"
-    )
+    say(f"the default estimate is {result['report']['verdict']}: {result['report']['sentence']}")
     say(f"report: {(output / 'report.html').absolute()}")

@@ -19,8 +19,8 @@ def evaluate(
     truth: Annotated[
         str,
         typer.Option(
-            help="T.npz from `render` or `export`, a simulated capture, or a scene, rendered if "
-            "need be; with --green and --blue a folder of three captures, red, green and blue."
+            help="T.npz from `render` or `export`, a simulated capture, or a scene; with --green "
+            "and --blue a folder with the captures red, green and blue."
         ),
     ],
     green: Green = None,
@@ -28,15 +28,15 @@ def evaluate(
     exposure: Annotated[
         float,
         typer.Option(
-            help="Exposure of the capture: tells which rows clip under one projector pixel."
+            help="Exposure of the capture; decides which rows clip under one projector pixel."
         ),
     ] = 1.0,
     as_json: Json = False,
 ) -> None:
-    """Compare an estimate with the truth.
+    """Compare an estimate with the true T.
 
-    Gives the relative error, the RMSE and the relighting error, of all rows and of some kinds. With
-    --green and --blue the matrices of a colour projector are compared, each and together.
+    Shows the errors of T, of relit images and of single responses, over all rows and some kinds of
+    rows. With --green and --blue, it compares the three matrices of a colour projector.
     """
     three = primaries(scene, green, blue)
     title = f"{scene} against {truth}"

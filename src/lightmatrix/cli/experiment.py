@@ -19,7 +19,7 @@ def experiment(
         Figure,
         typer.Argument(
             metavar="FIGURE",
-            help="A figure of the paper; how few patterns suffice; or what other rigs give.",
+            help="A figure of the paper; the error of few patterns; or that of other rigs.",
         ),
     ],
     output: Annotated[Path, typer.Option("-o", "--output", help="Folder for the figure.")],
@@ -27,10 +27,10 @@ def experiment(
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
-    """Reproduce a figure: picture, CSV and JSON.
+    """Reproduce a figure as a picture, CSV and JSON.
 
-    Without --quick it takes up to an hour and goes on where it stopped if run again; fig6, fig7,
-    few-patterns and rigs then need the extra `render`.
+    Without --quick it takes up to an hour. After an interruption, the same command goes on where it
+    stopped. fig6, fig7, few-patterns and rigs need the extra `render`, except with --quick.
     """
     with progress(figure, "steps") as report:
         result = lm.experiment(figure, output, quick=quick, overwrite=overwrite, progress=report)

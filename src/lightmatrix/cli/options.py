@@ -21,17 +21,13 @@ Clip = Annotated[
         help="Raw level at which samples clip.", show_default="255, 65535, or 1 for float"
     ),
 ]
+RESPONSE_HELP = "linear, gamma:2.2, srgb, or a file of `lightmatrix response`."
 ResponseCurve = Annotated[
-    str | None,
-    typer.Option(
-        "--response",
-        help="linear, gamma:2.2, srgb, or a curve's file from `lightmatrix response`.",
-        show_default="linear",
-    ),
+    str | None, typer.Option("--response", help=RESPONSE_HELP, show_default="linear")
 ]
-Seed = Annotated[int, typer.Option(help="Seed of everything random.", min=0)]
+Seed = Annotated[int, typer.Option(help="Seed of the random numbers.", min=0)]
 Store = Annotated[
-    Path, typer.Argument(metavar="SCENE.zarr", help="A store made by `estimate`, or a T.npz.")
+    Path, typer.Argument(metavar="SCENE.zarr", help="A store of `estimate`, or a T.npz.")
 ]
 Green = Annotated[
     Path | None,

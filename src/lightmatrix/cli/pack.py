@@ -18,18 +18,17 @@ from lightmatrix.outputs.kinds import PACKED_CAPTURE
 @with_source(crop=False)
 def pack(
     output: Annotated[
-        Path, typer.Option("-o", "--output", help="Packed capture to write, ending in .zarr.")
+        Path, typer.Option("-o", "--output", help="Packed capture to write, which ends in .zarr.")
     ] = Path("capture.zarr"),
     *,
     source: Source,
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
-    """Put all frames into one array, read tile by tile.
+    """Put all frames of a capture into one array.
 
-    Give a capture folder, or --patterns and --images with their options. Every command takes the
-    packed capture in place of the folder, and reads tiles of camera pixels from it without the
-    rest of the frames.
+    Give a capture folder; or patterns and images, each as a folder or a stack. All commands take
+    a packed capture in place of a folder, and read from it only the camera pixels that they need.
     """
     claim(output, PACKED_CAPTURE, overwrite=overwrite)
     # From a capture folder `pack` copies truth.npz too.

@@ -29,31 +29,33 @@ Order = Literal["natural", "sequency", "random"]
 
 def patterns(
     kind: Annotated[Kind, typer.Argument(metavar="KIND", help="Kind of patterns.")],
-    output: Annotated[Path, typer.Option("-o", "--output", help="Folder to write PNGs to.")],
+    output: Annotated[Path, typer.Option("-o", "--output", help="Folder to write.")],
     count: Annotated[
         int | None,
         typer.Option(
             "-k",
             "--count",
             help="Number of patterns.",
-            show_default=f"{USUAL_COUNT}; for onepixel and blocks all",
+            show_default=f"{USUAL_COUNT}; all for onepixel and blocks",
         ),
     ] = None,
-    shape: Annotated[str, typer.Option("--size", help="Projector rows x columns.")] = "128x128",
+    shape: Annotated[
+        str, typer.Option("--size", help="Rows x columns of the projector.")
+    ] = "128x128",
     density: Annotated[float, typer.Option(help="Bernoulli and mix: share of lit pixels.")] = 0.5,
     mix: Annotated[
         str | None,
         typer.Option(
-            help="Mix: grids of cells lit as a whole and their shares, "
-            f"{MIX_EXAMPLE} (the default; all fine below {FEWEST_MIXED})."
+            help="Mix: cell sizes and their shares of the patterns, "
+            f"{MIX_EXAMPLE} (the default; all fine below {FEWEST_MIXED} patterns)."
         ),
     ] = None,
-    order: Annotated[Order, typer.Option(help="Hadamard: which come first.")] = "sequency",
+    order: Annotated[Order, typer.Option(help="Hadamard: order of the patterns.")] = "sequency",
     permute: Annotated[bool, typer.Option(help="Hadamard: shuffle the pixels.")] = False,
-    block: Annotated[str, typer.Option(help="Blocks: rows x columns of one block.")] = "8x8",
+    block: Annotated[str, typer.Option(help="Blocks: rows x columns of a block.")] = "8x8",
     colour: Annotated[
         Colour | None,
-        typer.Option(help="Primary of a colour projector that shows them.", show_default="white"),
+        typer.Option(help="Primary of a colour projector.", show_default="white"),
     ] = None,
     seed: Seed = 0,
     overwrite: Overwrite = False,

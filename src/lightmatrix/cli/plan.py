@@ -30,31 +30,32 @@ def plan(
         str,
         typer.Argument(
             metavar="WHITE_FRAME|SCENE|T.npz",
-            help="Photograph of a white pattern; or a scene, or a truth file, to simulate.",
+            help="Photograph under a white pattern; or a scene or a truth file to simulate.",
         ),
     ],
     shape: Annotated[
         str | None,
-        typer.Option("--size", help="Projector rows x columns.", show_default=USUAL_SIZE),
+        typer.Option("--size", help="Rows x columns of the projector.", show_default=USUAL_SIZE),
     ] = None,
     frames: Annotated[
-        int | None, typer.Option("--frames", "-k", help="Frames; else as --error asks.", min=2)
+        int | None,
+        typer.Option("--frames", "-k", help="Number of frames; otherwise --error decides.", min=2),
     ] = None,
     error: Annotated[
-        float, typer.Option(help="Relative error of T that is good enough; sets the frames.")
+        float, typer.Option(help="Relative error of T to aim for; decides the number of frames.")
     ] = 0.03,
     noise: Annotated[
-        float, typer.Option(help="Noise of a sample, share of the clip level.")
+        float, typer.Option(help="Noise of a sample, as a share of the clip level.")
     ] = USUAL_NOISE,
     exposure: Annotated[
         float | None,
         typer.Option(
-            help="Exposure of the white frame in any unit, such as ms; the answer's too.",
+            help="Exposure of the white frame, in any unit; the advice uses the same unit.",
             show_default="1",
         ),
     ] = None,
     shortest: Annotated[
-        float | None, typer.Option(help="The camera's shortest exposure, in the same unit.")
+        float | None, typer.Option(help="Shortest exposure of the camera, in the same unit.")
     ] = None,
     black: Annotated[
         str | None, typer.Option(help="Photograph under a black pattern, or the black level.")
@@ -63,9 +64,9 @@ def plan(
     response: ResponseCurve = None,
     as_json: Json = False,
 ) -> None:
-    """Advise exposures, patterns and frames.
+    """Advise exposures, patterns and the number of frames.
 
-    With them comes the error to expect, and the commands to run.
+    The advice states the error to expect and the commands to run.
     """
     with progress("rendering", "paths") as report:
         advice = lm.plan(
@@ -85,7 +86,7 @@ def plan(
         show_json(advice.as_dict())
         return
     if not advice.simulated and shape is None:
-        say(f"for a projector of {USUAL_SIZE}; say yours with --size")
+        say(f"for a projector of {USUAL_SIZE}; give the size of yours with --size")
     _show_exposures(advice, advice.simulated or exposure is not None)
     _show_errors(advice)
     _show_commands(advice)

@@ -16,28 +16,25 @@ from lightmatrix.cli.terminal import say, show_json
 def relight(
     scene: Store,
     pattern: Annotated[
-        Path, typer.Argument(metavar="PATTERN", help="Image of the projector's size.")
+        Path, typer.Argument(metavar="PATTERN", help="An image of the projector's size.")
     ],
     output: Annotated[
         Path, typer.Option("-o", "--output", help="Image: .png, .tiff, .exr or .npy.")
     ],
     exposure: Annotated[float, typer.Option(help="Exposure e of the image.")] = 1.0,
-    gamma: Annotated[
-        float, typer.Option(help="Display gamma, of PNG only; 1 keeps it linear.")
-    ] = 1.0,
+    gamma: Annotated[float, typer.Option(help="Display gamma of a PNG; 1 keeps it linear.")] = 1.0,
     green: Green = None,
     blue: Blue = None,
     resize: Annotated[
-        bool, typer.Option("--resize", help="Resize a pattern of another size to the projector.")
+        bool, typer.Option("--resize", help="Resize the pattern to the projector.")
     ] = False,
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
-    """Compute the image under a new pattern.
+    """Compute the photograph under a new pattern.
 
-    It is c = T p for a pattern p that need not have been projected. A PNG is cut off at full
-    scale; TIFF, EXR and npy keep all values. With --green and --blue the pattern is in colour, and
-    each primary of the projector has a T of its own.
+    The photograph is c = T p. A PNG clips at full scale; TIFF, EXR and npy keep all values. For a
+    colour projector, give T of each primary (SCENE, --green, --blue) and a pattern in colour.
     """
     image = lm.relight(
         primaries(scene, green, blue) or scene,

@@ -15,27 +15,32 @@ from lightmatrix.outputs.kinds import TRUTH
 
 
 def render(
-    name: Annotated[str, typer.Argument(metavar="SCENE", help="A scene; see `scenes`.")],
+    name: Annotated[
+        str, typer.Argument(metavar="SCENE", help="A scene; `lightmatrix scenes` lists them.")
+    ],
     output: Annotated[Path, typer.Option("-o", "--output", help="The T.npz file to write.")],
     shape: Annotated[
-        str, typer.Option("--size", help="Camera and projector, rows x columns.")
+        str, typer.Option("--size", help="Rows x columns of camera and projector.")
     ] = "128x128",
     projector: Annotated[
-        str | None, typer.Option("--projector-size", help="Projector.", show_default="as --size")
+        str | None,
+        typer.Option(
+            "--projector-size", help="Rows x columns of the projector.", show_default="as --size"
+        ),
     ] = None,
     samples: Annotated[
         int, typer.Option("--spp", help="Light paths per camera pixel.")
     ] = USUAL_SAMPLES,
     keep: Annotated[float, typer.Option(help="Share of each row's energy to keep.")] = 0.999,
-    colour: Annotated[bool, typer.Option(help="Three camera samples a pixel.")] = False,
+    colour: Annotated[bool, typer.Option(help="Render three camera samples per pixel.")] = False,
     scalar: Annotated[bool, typer.Option(help="Use the slow renderer without LLVM.")] = False,
     seed: Seed = 0,
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
-    """Render a scene's T (extra `render`).
+    """Render T of a scene; needs the extra `render`.
 
-    One pass of path tracing gives the whole matrix, direct and global light apart.
+    One pass of path tracing gives the whole matrix, with direct and global light apart.
     """
     claim(output, TRUTH, overwrite=overwrite)
     with progress(f"rendering {name}", "paths") as report:

@@ -16,15 +16,15 @@ from lightmatrix.outputs.kinds import THUMBNAILS
 
 def scenes(
     thumbnails: Annotated[
-        Path | None, typer.Option(help="Folder to write a picture of each scene to.")
+        Path | None, typer.Option(help="Draw a picture of each scene into this folder.")
     ] = None,
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
-    """List the scenes of the simulated rig.
+    """List the scenes that can be simulated.
 
-    Bundled ones come at 64x64. All else is rendered on first use and kept, which needs the extra
-    `render`: other sizes, and the scenes translucent and wall.
+    Four scenes come with the package at 64x64. Other sizes, and the scenes translucent and wall,
+    are rendered on first use and kept, which needs the extra `render`.
     """
     if thumbnails is not None:
         claim(thumbnails, THUMBNAILS, overwrite=overwrite)

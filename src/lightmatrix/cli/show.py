@@ -1,4 +1,4 @@
-"""`lightmatrix show`: a look at T."""
+"""`lightmatrix show`: pictures of T."""
 
 from __future__ import annotations
 
@@ -20,40 +20,44 @@ def show(
         typer.Option(
             "-o",
             "--output",
-            help="Picture: .png. Numbers: .npz, or .tiff, .exr and .npy for one image.",
+            help="A picture (.png), or numbers (.npz; .tiff, .exr and .npy for one image).",
         ),
     ],
     row: Annotated[
         str | None,
-        typer.Option(metavar="R,C", help="Row of T: where the light of camera pixel R,C is from."),
+        typer.Option(
+            metavar="R,C", help="Row of T: where the light at camera pixel R,C comes from."
+        ),
     ] = None,
     column: Annotated[
         str | None,
-        typer.Option(metavar="R,C", help="Column of T: where projector pixel R,C's light goes."),
+        typer.Option(
+            metavar="R,C", help="Column of T: where the light of projector pixel R,C goes."
+        ),
     ] = None,
     dual: Annotated[
-        bool, typer.Option("--dual", help="The scene seen from the projector.")
+        bool, typer.Option("--dual", help="The scene as seen from the projector.")
     ] = False,
     correspondence: Annotated[
         bool,
-        typer.Option("--correspondence", help="Projector pixel each camera pixel sees most."),
+        typer.Option(
+            "--correspondence", help="The projector pixel that each camera pixel sees most."
+        ),
     ] = False,
     clipping: Annotated[
-        bool, typer.Option("--clipping", help="Share of clipped samples, over the camera.")
+        bool, typer.Option("--clipping", help="Share of clipped samples of each camera pixel.")
     ] = False,
-    gap: Annotated[
-        bool, typer.Option("--gap", help="Duality gap of each row, over the camera.")
-    ] = False,
+    gap: Annotated[bool, typer.Option("--gap", help="Duality gap of each row.")] = False,
     footprint: Annotated[
-        bool, typer.Option("--footprint", help="Size of footprints, over the camera.")
+        bool, typer.Option("--footprint", help="Size of each footprint on the projector.")
     ] = False,
     stated_error: Annotated[
-        bool, typer.Option("--stated-error", help="Error that the estimate states of each row.")
+        bool, typer.Option("--stated-error", help="Estimated error of each row.")
     ] = False,
     raw: Annotated[
         bool,
         typer.Option(
-            "--raw", help="Correspondence as 16-bit PNG: column, row and confidence as RGB."
+            "--raw", help="Correspondence as a 16-bit PNG with column, row and confidence as RGB."
         ),
     ] = False,
     overwrite: Overwrite = False,
@@ -61,7 +65,7 @@ def show(
 ) -> None:
     """Draw a row, a column, a map or a view of T.
 
-    Give one of them. Rows and columns are counted from 0; a colour camera's row is R,C,CHANNEL.
+    Give one of the options below. Pixels count from 0; for a colour camera, write R,C,CHANNEL.
     """
     indexed = {"row": row, "column": column}
     named = {
@@ -75,9 +79,9 @@ def show(
     chosen = [name for name, value in indexed.items() if value is not None]
     chosen += [name for name, value in named.items() if value]
     if len(chosen) != 1:
-        given = "nothing to show was" if not chosen else f"{len(chosen)} views were"
+        count = len(chosen) or "no"
         raise InputError(
-            f"{given} asked for", hint="give one of --row R,C, --column R,C, --dual, "
+            f"{count} views are given", hint="give one of --row R,C, --column R,C, --dual, "
             "--correspondence, --clipping, --gap, --footprint, --stated-error",
         )  # fmt: skip
     view = chosen[0]

@@ -34,13 +34,13 @@ def simulate(
     scene: Annotated[
         str,
         typer.Argument(
-            metavar="SCENE|T.npz|procedural", help="A scene, a truth file, or one made up."
+            metavar="SCENE|T.npz|procedural", help="A scene, a truth file, or a procedural scene."
         ),
     ],
     output: Annotated[
         Path,
         typer.Option(
-            "-o", "--output", help="Capture folder to write; packed, if it ends in .zarr."
+            "-o", "--output", help="Capture folder to write; a packed capture if it ends in .zarr."
         ),
     ],
     pattern_folder: Annotated[
@@ -55,17 +55,17 @@ def simulate(
     ] = None,
     count: Annotated[
         int | None,
-        typer.Option("-k", help="procedural: this many random patterns in place of --patterns."),
+        typer.Option("-k", help="procedural: number of random patterns, in place of --patterns."),
     ] = None,
     keep_truth: Annotated[
         bool,
-        typer.Option("--truth", help="procedural: write truth.npz too, about 1.2 kB a pixel."),
+        typer.Option("--truth", help="procedural: write truth.npz too, about 1.2 kB per pixel."),
     ] = False,
     exposure: Annotated[
         str,
         typer.Option(
-            help="Exposure e: sample = min(1, e T p); or several and their shares of the frames, "
-            f"{EXPOSURES_EXAMPLE}."
+            help="Exposure e in sample = min(1, e T p); or several with their shares of the "
+            f"frames, {EXPOSURES_EXAMPLE}."
         ),
     ] = "0.8",
     bits: Annotated[int, typer.Option(help="Bit depth: 8, 10, 12 or 16.")] = 8,
@@ -77,12 +77,14 @@ def simulate(
         typer.Option(help="Shot noise at the clip level, standard deviation as a share of it."),
     ] = 0.0,
     black: Annotated[float, typer.Option(help="Black level in raw levels.")] = 0.0,
-    blur: Annotated[float, typer.Option(help="Projector defocus, pixels (std).")] = 0.0,
+    blur: Annotated[
+        float, typer.Option(help="Defocus of the projector, standard deviation in pixels.")
+    ] = 0.0,
     leak: Annotated[
-        float, typer.Option(help="Light of a black projector pixel, share of a white one.")
+        float, typer.Option(help="Light of a black projector pixel, as a share of a white one.")
     ] = 0.0,
     ambient: Annotated[
-        float, typer.Option(help="Room light, share of the mean white image.")
+        float, typer.Option(help="Room light, as a share of the mean white image.")
     ] = 0.0,
     vignetting: Annotated[
         float, typer.Option(help="Share of the light lost in the camera's corners.")
@@ -90,8 +92,8 @@ def simulate(
     primary: Annotated[
         Literal["red", "green", "blue"] | None,
         typer.Option(
-            help="Primary of a colour projector that shows the patterns; the camera is one of "
-            "three channels then.",
+            help="Primary of a colour projector that shows the patterns; the camera then has "
+            "three channels.",
             show_default="white",
         ),
     ] = None,
@@ -101,10 +103,9 @@ def simulate(
 ) -> None:
     """Photograph a scene under patterns.
 
-    The scene's matrix is known: bundled, rendered on demand, or a file. What is written is a
-    capture folder to estimate from, with the matrix that was photographed as truth.npz. The scene
-    `procedural` is made up, of any --camera and --size, and photographed block by block; its
-    matrix is made again where it is asked for, such as by `evaluate --truth CAPTURE`.
+    The command writes a capture folder, with the true T beside the frames as truth.npz. The scene
+    `procedural` has any --camera and --size, and is photographed block by block; `evaluate --truth
+    CAPTURE` computes its T again.
     """
     packed = output.suffix.lower() == ".zarr"
     claim(output, PACKED_CAPTURE if packed else CAPTURE, overwrite=overwrite)

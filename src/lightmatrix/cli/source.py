@@ -14,14 +14,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 import lightmatrix as lm
-from lightmatrix.cli.options import ResponseCurve
+from lightmatrix.cli.options import RESPONSE_HELP
 from lightmatrix.errors import InputError
 from lightmatrix.files.reading import read_text
 
 if TYPE_CHECKING:
     from lightmatrix import Capture, Finding, ReadSettings
 
-_EACH = "one number, numbers a,b,c or a text file of one for each frame"
+_EACH = "one number; or one per frame, as a,b,c or a text file"
 
 
 def _reading(*names: str, **settings: Any) -> Any:
@@ -33,12 +33,14 @@ Folder = Annotated[
     Path | None,
     typer.Argument(
         metavar="CAPTURE",
-        help="Capture folder (patterns/, images/, capture.json); or patterns, as --patterns.",
+        help="A capture folder (patterns/, images/, capture.json); or the patterns.",
     ),
 ]
 Photographs = Annotated[
     Path | None,
-    typer.Argument(metavar="IMAGES", help="The photographs, if the first argument is patterns."),
+    typer.Argument(
+        metavar="IMAGES", help="The photographs, if the first argument is the patterns."
+    ),
 ]
 Patterns = Annotated[
     Path | None,
@@ -60,7 +62,7 @@ BlackExposure = Annotated[
 ]
 White = Annotated[
     Path | None,
-    _reading("--white", help="Photograph under a white pattern; adds a sample."),
+    _reading("--white", help="Photograph under a white pattern; used as one more sample."),
 ]
 Mask = Annotated[Path | None, _reading("--mask", help="Image; pixels at 0 are left out.")]
 BlackLevel = Annotated[
@@ -87,18 +89,18 @@ Exposure = Annotated[
         show_default="1",
     ),
 ]
-
 Crop = Annotated[
     str | None,
     _reading(
         "--crop",
         metavar="ROW,COL:ROWSxCOLS",
-        help="Rectangle of the photographs to use, from its first pixel, such as 400,600:768x1024.",
+        help="First pixel and size of the rectangle to use, such as 400,600:768x1024.",
         show_default="all",
     ),
 ]
-
-
+CameraCurve = Annotated[
+    str | None, _reading("--response", help=RESPONSE_HELP, show_default="linear")
+]
 ProjectorCurve = Annotated[
     Path | None,
     _reading(
@@ -107,8 +109,6 @@ ProjectorCurve = Annotated[
         show_default="linear",
     ),
 ]
-
-
 Mosaic = Annotated[
     bool,
     _reading(
@@ -190,7 +190,7 @@ def read_source(
     black_level: BlackLevel = None,
     clip: ClipLevel = None,
     full_scale: FullScale = None,
-    response: ResponseCurve = None,
+    response: CameraCurve = None,
     projector_response: ProjectorCurve = None,
     exposure: Exposure = None,
     crop: Crop = None,
