@@ -1,4 +1,4 @@
-"""Responses measured from photographs: known curves are found again, within what is stated."""
+"""Responses measured from photographs agree with known curves, within the stated errors."""
 
 from __future__ import annotations
 
@@ -30,24 +30,24 @@ pytest.importorskip("cv2")
         ("srgb", "robertson", 0, 255),
     ],
 )
-def test_known_curves_are_found(name: str, method: str, black: int, clip: int) -> None:
+def test_known_curves_are_recovered(name: str, method: str, black: int, clip: int) -> None:
     curve = CURVES[name]
     photographs = stack(curve, TIMES, black=black, clip=clip)
-    found = lm.camera_response(
+    measured = lm.camera_response(
         photographs, TIMES, method=method, black=float(black), clip=float(clip)
     )
-    off = errors(found, curve, black, clip)
-    # As docs/response.md states it.
+    off = errors(measured, curve, black, clip)
+    # docs/response.md states these errors.
     assert np.abs(off).max() < 0.017
     assert np.sqrt((off**2).mean()) < 0.006
-    assert found.misfit < 0.005
-    assert found.uncertainty < 0.02
+    assert measured.misfit < 0.005
+    assert measured.uncertainty < 0.02
     if name == "gamma":
-        assert found.gamma == pytest.approx(2.2, rel=0.01)
+        assert measured.gamma == pytest.approx(2.2, rel=0.01)
 
 
 def test_a_curve_makes_a_capture_linear(tmp_path: Path) -> None:
-    """The whole way: measured, written, and used for a capture that was taken with the curve."""
+    """A curve is measured, written, and used for a capture that was taken with it."""
     patterns = lm.BernoulliPatterns((8, 8), 24)
     light = patterns.dense() @ np.random.default_rng(1).random((64, 90)) / 60
     frames = np.rint(255 * srgb(np.clip(light, 0, 1))).astype(np.uint8).reshape(24, 9, 10)
@@ -57,8 +57,8 @@ def test_a_curve_makes_a_capture_linear(tmp_path: Path) -> None:
     lm.write_patterns(place / "patterns", patterns)
     for k, frame in enumerate(frames):
         lm.write_image(place / "images" / f"{k}.png", frame)
-    told = {"format": "lightmatrix-capture", "version": 1, "response": "curve.json"}
-    (place / "capture.json").write_text(json.dumps(told))
+    description = {"format": "lightmatrix-capture", "version": 1, "response": "curve.json"}
+    (place / "capture.json").write_text(json.dumps(description))
     (place / "curve.json").write_bytes((tmp_path / "curve.json").read_bytes())
     samples = lm.Capture.open(place).samples()
     np.testing.assert_allclose(samples.values.T.ravel(), light.clip(0, 1).ravel(), atol=0.02)
@@ -68,7 +68,7 @@ def test_a_curve_makes_a_capture_linear(tmp_path: Path) -> None:
     np.testing.assert_array_equal(plain.samples().values, samples.values)
 
 
-def test_a_curve_knows_the_levels_it_was_measured_of(tmp_path: Path) -> None:
+def test_a_curve_states_the_levels_that_it_was_measured_from(tmp_path: Path) -> None:
     photographs = stack(CURVES["gamma"], TIMES, clip=4095)
     lm.camera_response(photographs, TIMES, clip=4095, output=tmp_path / "curve.json")
     np.save(tmp_path / "p.npy", lm.BernoulliPatterns((8, 8), 7).images())
@@ -83,13 +83,13 @@ def test_a_curve_knows_the_levels_it_was_measured_of(tmp_path: Path) -> None:
 
     capture = opened()
     assert (capture.decoder.full_scale, capture.decoder.clip) == (4095, 4095)
-    # Stated otherwise, levels keep the light that they were measured to have.
-    told = lm.Capture.from_folders(
+    # Another full scale leaves the light of each level unchanged.
+    restated = lm.Capture.from_folders(
         tmp_path / "p.npy",
         tmp_path / "i.npy",
         lm.ReadSettings(response=str(tmp_path / "curve.json"), full_scale=65535, clip=4095),
     )
-    np.testing.assert_allclose(told.samples().values, capture.samples().values, atol=1e-6)
+    np.testing.assert_allclose(restated.samples().values, capture.samples().values, atol=1e-6)
     np.save(tmp_path / "i.npy", stack(CURVES["gamma"], TIMES))
     with pytest.raises(InputError, match="levels up to 4095 for images of uint8"):
         opened()
@@ -100,9 +100,9 @@ def test_exposures_come_from_the_files(tmp_path: Path) -> None:
         exif = Image.Exif()
         exif.get_ifd(0x8769)[0x829A] = time / 100
         Image.fromarray(image).save(tmp_path / f"{k}.jpg", quality=98, exif=exif)
-    found = lm.camera_response(tmp_path)
-    np.testing.assert_allclose(found.exposures, np.array(TIMES) / 100)
-    assert np.abs(errors(found, srgb, 0, 255)).max() < 0.03
+    measured = lm.camera_response(tmp_path)
+    np.testing.assert_allclose(measured.exposures, np.array(TIMES) / 100)
+    assert np.abs(errors(measured, srgb, 0, 255)).max() < 0.03
     Image.fromarray(image).save(tmp_path / "3.jpg")
     with pytest.raises(InputError, match=r"3\.jpg: how long the photographs were exposed"):
         lm.camera_response(tmp_path)
@@ -129,13 +129,13 @@ def _ramp(gamma: float, count: int = 9) -> NDArray[Any]:
 
 
 def test_the_projectors_gamma_is_found_and_used(tmp_path: Path) -> None:
-    found = lm.projector_response(
+    measured = lm.projector_response(
         _ramp(1.8), output=tmp_path / "p.json", picture=tmp_path / "p.png"
     )
-    assert found.gamma == pytest.approx(1.8, rel=0.01)
-    assert lm.ProjectorResponse.load(tmp_path / "p.json").levels == found.levels
+    assert measured.gamma == pytest.approx(1.8, rel=0.01)
+    assert lm.ProjectorResponse.load(tmp_path / "p.json").levels == measured.levels
     grey = np.linspace(0, 1, 100)
-    np.testing.assert_allclose(found.light_of(grey), grey**1.8, atol=0.006)
+    np.testing.assert_allclose(measured.light_of(grey), grey**1.8, atol=0.006)
     # A photograph through the camera's own curve.
     bent = np.rint(255 * (_ramp(1.8) / 255) ** (1 / 2.2)).astype(np.uint8)
     through = lm.projector_response(bent, response="gamma:2.2")
@@ -151,11 +151,11 @@ def test_the_projectors_gamma_is_found_and_used(tmp_path: Path) -> None:
     )
     np.testing.assert_allclose(capture.patterns.images(), shown.images() ** 1.8, atol=0.006)
     bits = lm.BernoulliPatterns((8, 8), 4)
-    assert found.light_of_patterns(bits) is bits
+    assert measured.light_of_patterns(bits) is bits
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         ("{}/s.npy", "how long the photographs were exposed is not known"),
         ("{}/s.npy --exposure 1,2", "2 exposures for 7 photographs"),
@@ -170,23 +170,23 @@ def test_the_projectors_gamma_is_found_and_used(tmp_path: Path) -> None:
         ("{}/nothing --exposure 1,2,4", "no such folder"),
     ],
 )
-def test_what_cannot_be_measured_is_told(
-    words: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_unusable_photographs_are_refused(
+    words: str, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     np.save(tmp_path / "s.npy", stack(srgb, TIMES))
     np.save(tmp_path / "dark.npy", np.full((7, 20, 20), 2, np.uint8))
     line = words.replace("{}", str(tmp_path)).replace("{t}", ",".join(map(str, TIMES)))
     assert main(f"response {line} -o {tmp_path}/curve.json".split()) == 2
-    assert said in capsys.readouterr().err
+    assert message in capsys.readouterr().err
     assert not (tmp_path / "curve.json").exists()
 
 
-def test_files_that_are_no_curves(tmp_path: Path) -> None:
+def test_other_files_are_refused_as_curves(tmp_path: Path) -> None:
     good = {
         "format": "lightmatrix-response", "version": 1, "device": "camera",
         "levels": [0, 100, 255], "light": [0, 0.2, 1],
     }  # fmt: skip
-    for change, said in (
+    for change, message in (
         ({"device": "projector"}, "is the response of a projector, not of a camera"),
         ({"levels": [0, 0, 255]}, "holds no curve"),
         ({"light": [0, 0.5, True]}, "holds no curve"),
@@ -196,7 +196,7 @@ def test_files_that_are_no_curves(tmp_path: Path) -> None:
         ({"format": "x"}, "is not a lightmatrix-response file"),
     ):
         (tmp_path / "c.json").write_text(json.dumps({**good, **change}))
-        with pytest.raises(InputError, match=said):
+        with pytest.raises(InputError, match=message):
             lm.Response.parse("c.json", tmp_path)
     with pytest.raises(InputError, match="no such file"):
         lm.Response.parse(str(tmp_path / "nothing.json"))

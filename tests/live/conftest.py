@@ -81,10 +81,10 @@ def two_screens(_xorg: str, monkeypatch: pytest.MonkeyPatch) -> str:
 
 
 def _program(name: str) -> str:
-    found = shutil.which(name)
-    if found is None:
+    path = shutil.which(name)
+    if path is None:
         pytest.skip(f"{name} is missing: make system-deps")
-    return found
+    return path
 
 
 @contextmanager

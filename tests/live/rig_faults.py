@@ -106,7 +106,7 @@ def _photograph(folder: Path, seed: int, count: int, largest_file: int | None) -
                 resource.setrlimit(resource.RLIMIT_FSIZE, (largest_file, largest_file))
             take_capture(folder / "capture", rig, patterns, keep=folder / "rig.json")
     except OutputError:
-        # Not to be told: a limit on files holds for a log too.
+        # Nothing is printed: the limit on files holds for a log too.
         code = _FULL
     except LightMatrixError as error:
         print(error, file=sys.stderr)
@@ -166,13 +166,13 @@ def _judge(folder: Path, outcome: Outcome) -> None:
     """Hold each frame against what its pattern gives."""
     settings = settings_of(outcome.seed)
     capture = Capture.open(folder / "capture")
-    told = capture.provenance
-    outcome.again.update(told["photographed_again"])
-    outcome.left_out = len(told["left_out"])
+    provenance = capture.provenance
+    outcome.again.update(provenance["photographed_again"])
+    outcome.left_out = len(provenance["left_out"])
     rig = open_rig(settings)
     light = rig.camera._light  # type: ignore[attr-defined]
     top = 2.0**settings.bits - 1
-    seconds = capture.exposures * told["exposure_1_in_seconds"]
+    seconds = capture.exposures * provenance["exposure_1_in_seconds"]
     for k in range(capture.count):
         image = to_grey(capture.patterns.images(k, k + 1)[0])
         sample = (light.irradiance(image) + light.room) * seconds[k] / settings.unit

@@ -122,10 +122,12 @@ def main() -> int:
         left_out += without
         print(f"{seed}: {len(some)} mixed photographs, {len(remaining)} kept", flush=True)
     for least, most in pairwise(_CLASSES):
-        found, there = (
+        total, remained = (
             sum(least <= one.share < most for one in photographs) for photographs in (met, kept)
         )
-        print(f"shares of {100 * least:g} to {100 * most:g} %: {found} photographs, {there} kept")
+        print(
+            f"shares of {100 * least:g} to {100 * most:g} %: {total} photographs, {remained} kept"
+        )
     worst = max((one.light for one in kept), default=0.0)
     print(f"the most that was kept: {worst:.2f} standard deviations of the noise")
     print(f"{left_out} patterns left out")

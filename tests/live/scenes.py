@@ -43,7 +43,7 @@ class ShownScene:
     projector: tuple[int, int]
     camera: tuple[int, int]
     exposure: float
-    taken: int = 0
+    photographs: int = 0
     _surface: NDArray[np.float64] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -57,9 +57,11 @@ class ShownScene:
 
     def photograph(self, exposure: float) -> NDArray[np.uint8]:
         """What is shown now, with noise."""
-        self.taken += 1
+        self.photographs += 1
         levels = self.light(read_image(self.folder / SHOWN), exposure)
-        levels = levels + _NOISE * np.random.default_rng(self.taken).standard_normal(self.camera)
+        levels = levels + _NOISE * np.random.default_rng(self.photographs).standard_normal(
+            self.camera
+        )
         return np.clip(np.rint(levels), 0, 255).astype(np.uint8)
 
     def write_jpeg(self, path: Path, exposure: float) -> None:

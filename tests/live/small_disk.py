@@ -26,10 +26,10 @@ class SmallDisk:
 
     def leave(self, room: int) -> None:
         """Let so many bytes more be written, in whole pages of memory; `free` ends it."""
-        found = os.statvfs(self.folder)
-        used = (found.f_blocks - found.f_bfree) * found.f_frsize
+        status = os.statvfs(self.folder)
+        used = (status.f_blocks - status.f_bfree) * status.f_frsize
         # A size of 0 is no limit.
-        self._resize(max(used + room, found.f_frsize))
+        self._resize(max(used + room, status.f_frsize))
 
     def free(self) -> None:
         """Let there be plenty."""

@@ -28,11 +28,11 @@ _COUNT = 24
 
 
 def _counting() -> object:
-    taken = iter(range(1, 60000))
-    return lambda exposure: np.full(SHAPE, next(taken), np.uint16)
+    levels = iter(range(1, 60000))
+    return lambda exposure: np.full(SHAPE, next(levels), np.uint16)
 
 
-def _taken(camera: AravisCamera) -> Frame:
+def _frame(camera: AravisCamera) -> Frame:
     """A frame; a second try if the loopback network of a busy machine lost it, as networks do."""
     try:
         camera.trigger()
@@ -91,7 +91,7 @@ def test_patterns_on_a_screen_come_back_as_the_camera_saw_them(screen: str) -> N
             pattern = random.integers(0, 2, projector, np.uint8) * np.uint8(255)
             blocks = np.ones((SCREEN[0] // 16, SCREEN[1] // 16), np.uint8)
             shown = window.show(np.kron(pattern, blocks))
-            frame = _taken(camera)
+            frame = _frame(camera)
             light = 2 * (matrix @ (pattern.ravel() / 255)) * 65535
             np.testing.assert_allclose(frame.data.ravel(), np.minimum(light, 65535), atol=1)
             assert frame.timestamp > shown

@@ -1,4 +1,4 @@
-"""Whole captures by a virtual rig: what they hold, and how they go on after what ended them."""
+"""Whole captures by a virtual rig: what they contain, and how they resume."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def _known() -> lm.RigMeasurements:
 
 @pytest.fixture(autouse=True)
 def _here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, _known: lm.RigMeasurements) -> None:
-    """A folder in which the quiet rig is known; rigs unlike it are measured anew."""
+    """A folder that has measurements of the quiet rig; other rigs are measured."""
     monkeypatch.chdir(tmp_path)
     _known.save("rig.json")
 
@@ -63,17 +63,17 @@ def _stop_after(frames: int) -> Any:
 
 
 def _again(fault: str, **settings: Any) -> int:
-    """How often photographs were taken again for a fault, and the capture is right even so."""
+    """Number of photographs that were repeated because of a fault."""
     capture = _capture(fault, **settings)
-    told = capture.provenance
-    assert not told["left_out"]
-    assert told["frames"] == capture.count == told["patterns"]
-    assert set(told["checks"]) <= {"matched", "confirmed"}
-    return sum(told["photographed_again"].values())
+    provenance = capture.provenance
+    assert not provenance["left_out"]
+    assert provenance["frames"] == capture.count == provenance["patterns"]
+    assert set(provenance["checks"]) <= {"matched", "confirmed"}
+    return sum(provenance["photographed_again"].values())
 
 
 def _are_trusted(checks: dict[str, int], count: int = 32) -> None:
-    """Most frames by what is predicted; those near chance by a second photograph."""
+    """Most frames match their prediction; a second photograph confirms the others."""
     assert set(checks) <= {"matched", "confirmed"}
     assert checks["matched"] >= 0.6 * count
     assert sum(checks.values()) == count
@@ -94,7 +94,7 @@ def test_a_capture_is_as_good_as_a_simulated_one() -> None:
         capture = lm.take_capture("capture", rig)
     errors = lm.evaluate(lm.estimate(capture), "capture/truth.npz")
     truth = lm.truth("capture/truth.npz")
-    # With the room's light, which a black frame takes off.
+    # The simulated capture has the same room light, which its black frame removes.
     simulated = lm.simulate(
         truth, capture.patterns, exposure=1.0, bits=12, black_level=64, ambient=0.02
     )
@@ -103,23 +103,23 @@ def test_a_capture_is_as_good_as_a_simulated_one() -> None:
     assert errors.relative_error < 1.05 * known.relative_error
 
 
-def test_every_frame_says_how_it_was_taken() -> None:
+def test_a_capture_states_how_it_was_taken() -> None:
     capture = _capture()
-    told = json.loads(Path("capture/capture.json").read_text())
-    assert told["clip"] == 4095
-    assert told["black_level"] == pytest.approx(64, abs=1)
-    assert told["exposure"] == told["black"]["exposure"] == 1
+    description = json.loads(Path("capture/capture.json").read_text())
+    assert description["clip"] == 4095
+    assert description["black_level"] == pytest.approx(64, abs=1)
+    assert description["exposure"] == description["black"]["exposure"] == 1
     _are_trusted(capture.provenance["checks"])
     assert capture.provenance["photographed_again"] == {}
     assert not Path("capture.partial").exists()
     assert not [path for path in Path().iterdir() if path.name.startswith(".")]
-    # The rig is known now, and looked over only.
+    # The rig is known now, so a short look suffices.
     before = Path("rig.json").read_text()
     _capture(overwrite=True)
     assert Path("rig.json").read_text() == before
 
 
-def test_grey_patterns_are_shown_as_the_light_that_they_are() -> None:
+def test_grey_patterns_are_shown_as_their_light() -> None:
     draw = np.random.default_rng(0)
     grey = lm.ImagePatterns(draw.random((40, 24, 24), np.float32))
     with lm.open_rig(QUIET + ",gamma=2.4,noise=0.001") as rig:
@@ -177,7 +177,7 @@ def test_a_camera_whose_exposure_is_set_by_hand(monkeypatch: pytest.MonkeyPatch)
         (",meddled=2,meddled_at=6,fps=0", 1),
     ],
 )
-def test_faults_are_noticed_and_mended(fault: str, least: int) -> None:
+def test_faults_are_noticed_and_frames_repeated(fault: str, least: int) -> None:
     assert _again(fault, settle=0.05) >= least
     _right_frames(fault)
 
@@ -210,7 +210,7 @@ def test_patterns_of_single_pixels_are_confirmed_one_by_one() -> None:
     _right_frames(",late=0.1,fps=0,seed=2")
 
 
-def test_what_cannot_be_mended_is_named_and_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_patterns_that_always_fail_are_named_and_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
     image = ProjectedPatterns.image
 
     def stubborn(self: ProjectedPatterns, index: int) -> Any:
@@ -229,23 +229,23 @@ def test_what_cannot_be_mended_is_named_and_left_out(monkeypatch: pytest.MonkeyP
     assert lm.Capture.open("capture").count == 30
 
 
-def test_one_bad_frame_after_the_other_ends_the_session(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_several_failures_in_a_row_end_the_session(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(_StopError):
         _capture(progress=_stop_after(10))
     with monkeypatch.context() as patched:
         patched.setattr(
             "lightmatrix.live.frames.photograph.copied_rows", lambda data, *_: len(data)
         )
-        with pytest.raises(lm.DeviceError, match=r"4 patterns in a row.*is a copy of") as told:
+        with pytest.raises(lm.DeviceError, match=r"4 patterns in a row.*is a copy of") as caught:
             _capture()
-    assert "the frames so far are kept" in str(told.value.hint)
+    assert "the frames so far are kept" in str(caught.value.hint)
     assert _capture().count == 32
 
 
 @pytest.mark.parametrize(
     ("what", "words"), [("room", "the room's light changed"), ("lamp", "the light is 90 % of")]
 )
-def test_light_that_changes_meanwhile_is_named(what: str, words: str) -> None:
+def test_changing_light_is_named(what: str, words: str) -> None:
     with lm.open_rig(QUIET + ",fps=0,dropped=0.2") as rig:
         light: Any = rig.camera._light  # type: ignore[attr-defined]
 
@@ -281,14 +281,14 @@ def test_drift_is_named() -> None:
 
 @pytest.fixture(scope="module")
 def ends_met() -> Iterator[list[int]]:
-    """Ends before their own that captures met; a quick one may be done before it is killed."""
+    """Kills and full disks that captures met; a quick one may finish before it is killed."""
     met: list[int] = []
     yield met
     assert sum(met) >= len(met) // 2
 
 
 @pytest.mark.parametrize("seed", range(10))
-def test_killed_robbed_and_failing_captures_are_right(
+def test_captures_are_right_despite_kills_full_disks_and_faults(
     seed: int, tmp_path: Path, ends_met: list[int]
 ) -> None:
     outcome = run(tmp_path, seed, count=32, kills=2)
@@ -311,7 +311,7 @@ def test_a_capture_that_was_stopped_goes_on() -> None:
     assert steps[0] == 21
     assert capture.count == 32
     same = [Path("capture/images", name).read_bytes() == kept[name] for name in kept]
-    # But for a few that are doubted in the light of all.
+    # The others judge a few of them wrong.
     assert sum(same) >= 15
     assert not Path("capture.partial").exists()
 
@@ -323,7 +323,7 @@ def test_a_damaged_frame_is_taken_again() -> None:
     file.write_bytes(file.read_bytes()[:100])
     steps: list[int] = []
     assert _capture(progress=lambda step: steps.append(step.done)).count == 32
-    # And a few that are doubted in the light of all.
+    # The others judge a few of them wrong.
     assert 13 <= len(steps) < 18
     _right_frames("")
 
@@ -346,24 +346,24 @@ def test_frames_of_another_capture_are_not_mixed_in() -> None:
         ({"words": ",bits=10,black=16"}, {}, "the camera: bits was 10, is 12"),
     ],
 )
-def test_what_was_changed_meanwhile_is_said(
+def test_changed_settings_are_named(
     first: dict[str, Any], then: dict[str, Any], words: str
 ) -> None:
     common = {"settle": 0.05, "keep": None}
     with pytest.raises(_StopError):
         _capture(progress=_stop_after(2), **{**common, **first})
-    with pytest.raises(lm.OutputError, match="holds frames of another capture") as told:
+    with pytest.raises(lm.OutputError, match="holds frames of another capture") as caught:
         _capture(**{**common, **then})
-    assert f"({words})" in told.value.message
-    assert "those settings" in str(told.value.hint)
+    assert f"({words})" in caught.value.message
+    assert "those settings" in str(caught.value.hint)
 
 
-def test_a_rig_that_was_moved_meanwhile() -> None:
+def test_a_moved_rig_is_refused() -> None:
     with pytest.raises(_StopError):
         _capture(progress=_stop_after(20))
-    with pytest.raises(lm.DeviceError, match="since the first 20 frames") as told:
+    with pytest.raises(lm.DeviceError, match="since the first 20 frames") as caught:
         _capture(",seed=8", settle=0.05)
-    assert "--overwrite" in str(told.value.hint)
+    assert "--overwrite" in str(caught.value.hint)
     assert _capture().count == 32
 
 
@@ -374,7 +374,7 @@ def test_a_capture_that_failed_at_once_leaves_nothing() -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "message"),
     [
         ("", "there is no rig"),
         ("--rig virtual:metal --camera aravis", "one or the other"),
@@ -394,19 +394,21 @@ def test_a_capture_that_failed_at_once_leaves_nothing() -> None:
         (f"--rig {QUIET} --patience 0", "a patience of 0"),
     ],
 )
-def test_bad_words(words: str, told: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_wrong_options_are_refused(
+    words: str, message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["capture", "-o", "capture", *words.split()]) == 2
     error = capsys.readouterr().err
-    assert told in error
+    assert message in error
     assert not list(Path().glob("*capture*"))
 
 
-def test_the_whole_way_by_one_command(capsys: pytest.CaptureFixture[str]) -> None:
+def test_one_command_photographs_and_estimates(capsys: pytest.CaptureFixture[str]) -> None:
     line = f"capture --rig {QUIET} -k 32 -o capture --estimate scene.zarr --json"
     assert main(line.split()) == 0
-    told = json.loads(capsys.readouterr().out)
-    _are_trusted(told["checks"])
-    assert told["estimate"]["output"] == "scene.zarr"
+    summary = json.loads(capsys.readouterr().out)
+    _are_trusted(summary["checks"])
+    assert summary["estimate"]["output"] == "scene.zarr"
     assert main(["evaluate", "scene.zarr", "--truth", "capture/truth.npz"]) == 0
     assert main(line.split()) == 2
     assert "exists already" in capsys.readouterr().err
@@ -414,13 +416,13 @@ def test_the_whole_way_by_one_command(capsys: pytest.CaptureFixture[str]) -> Non
 
 @SIGNALS
 def test_ctrl_c_keeps_the_frames() -> None:
-    # What is known of the rig need not be measured in real time.
+    # Measuring the rig in real time would take long.
     with lm.open_rig(QUIET) as rig:
         lm.measure_rig(rig, ["settle", "flicker", "response", "linearity"], keep="rig.json")
-    # Slow enough not to be over before it is stopped, however busy the machine.
+    # The capture must be slow enough to be interrupted on any machine.
     started = (
         "import signal\n"
-        # Whatever started the tests may ignore it, as shells do for what is in their background.
+        # Shells ignore this signal for programs in their background.
         "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
         "from lightmatrix.cli import console\n"
         "console()"
@@ -434,9 +436,9 @@ def test_ctrl_c_keeps_the_frames() -> None:
     while not Path("capture.partial/image_0002.tif").exists() and time.monotonic() < deadline:
         time.sleep(0.05)
     process.send_signal(signal.SIGINT)
-    _, told = process.communicate(timeout=30)
+    _, errors = process.communicate(timeout=30)
     assert process.returncode == 130
-    assert told == "stopped; finished frames are kept, run again to continue\n"
+    assert errors == "stopped; finished frames are kept, run again to continue\n"
     with lm.open_rig(QUIET) as rig:
         settings = lm.CaptureSettings(exposure=0.01, settle=0.5)
         capture = lm.take_capture("capture", rig, count=40, settings=settings)

@@ -37,12 +37,12 @@ def _captured(scene: ShownScene, camera: str, capsys: pytest.CaptureFixture[str]
     words = f"capture --projector {projector} --camera {camera} -k {COUNT} -o capture"
     assert main(words.split()) == 0, capsys.readouterr().err
     capture = lm.Capture.open("capture")
-    told = capture.provenance
-    assert (capture.count, told["left_out"]) == (COUNT, {})
-    assert set(told["checks"]) <= {"matched", "confirmed"}
+    provenance = capture.provenance
+    assert (capture.count, provenance["left_out"]) == (COUNT, {})
+    assert set(provenance["checks"]) <= {"matched", "confirmed"}
     for k in range(COUNT):
         image = np.rint(255 * capture.patterns.images(k, k + 1)[0]).astype(np.uint8)
-        apart = capture.frame(k) - scene.light(image, told["exposure_1_in_seconds"])
+        apart = capture.frame(k) - scene.light(image, provenance["exposure_1_in_seconds"])
         assert np.sqrt((apart**2).mean()) < 3
     return capture
 
@@ -76,7 +76,7 @@ def test_a_capture_by_the_virtual_dslr(
     assert capture.camera_shape == CAMERA
     assert capture.provenance["rig"]["camera"]["name"] == "Nikon DSC D750"
     # Its memory was full after 26, and it was opened again.
-    assert scene.taken > 26
+    assert scene.photographs > 26
 
 
 def test_a_capture_by_the_gentl_simulator(

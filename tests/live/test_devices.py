@@ -71,10 +71,10 @@ def test_what_is_there_is_listed(
     # Its back end is not installed.
     monkeypatch.setitem(sys.modules, "gi", None)
     assert main(["rig", "list"]) == 0
-    told = capsys.readouterr().out
-    assert "window:1  DUMMY1, 800 x 600 at 85 Hz" in told
-    assert "aravis cannot be used" in told.replace("Aravis", "aravis")
-    assert ".[aravis]" in told
+    output = capsys.readouterr().out
+    assert "window:1  DUMMY1, 800 x 600 at 85 Hz" in output
+    assert "aravis cannot be used" in output.replace("Aravis", "aravis")
+    assert ".[aravis]" in output
     assert main(["rig", "list", "--json"]) == 0
     listed = json.loads(capsys.readouterr().out)["back_ends"]
     assert {(back["role"], back["kind"]) for back in listed} == {
@@ -95,9 +95,9 @@ def test_a_list_without_a_display(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_the_command_line_says_it_in_two_lines(capsys: pytest.CaptureFixture[str]) -> None:
     words = ["rig", "settle", "--projector", "beamer:1", "--camera", "watch:.,exposure=1"]
     assert main(words) == 2
-    told = capsys.readouterr().err
-    assert "beamer:1: no such projector" in told
-    assert "Traceback" not in told
+    errors = capsys.readouterr().err
+    assert "beamer:1: no such projector" in errors
+    assert "Traceback" not in errors
 
 
 def test_a_camera_that_gives_no_frames(
@@ -107,8 +107,8 @@ def test_a_camera_that_gives_no_frames(
     devices = "--projector folder:show,size=8x6 --camera watch:.,exposure=0.01"
     words = f"capture {devices} --patience 0.01 -o capture"
     assert main(words.split()) == 2
-    told = capsys.readouterr().err
-    assert "the camera gives no frames: watch:.,exposure=0.01: no frame within" in told
+    errors = capsys.readouterr().err
+    assert "the camera gives no frames: watch:.,exposure=0.01: no frame within" in errors
     # Its back end's own advice.
-    assert "does the other program write PNG" in told
+    assert "does the other program write PNG" in errors
     assert not list(tmp_path.glob("capture*"))

@@ -70,9 +70,9 @@ def test_no_exposure_began_before_it_was_asked_for(picture: Picture, exposure: f
 
 
 def test_cameras_are_found(picture: Picture) -> None:
-    (found,) = find_dslr()
-    assert (found.address, found.description) == ("dslr:usb:001,001", "Nikon DSC D750")
-    open_camera(found.address).close()
+    (device,) = find_dslr()
+    assert (device.address, device.description) == ("dslr:usb:001,001", "Nikon DSC D750")
+    open_camera(device.address).close()
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""A disk that is really full: what there is no room for is said, and nothing else is lost."""
+"""A full disk is reported, and no frame is lost."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ def test_a_capture_goes_on_when_a_full_disk_has_room_again(
         for room in (0, 40 << 10, 24 << 10):
             disk.leave(room)
             assert main(_words(tmp_path)) == 2
-            told = capsys.readouterr().err
-            assert "No space left on device" in told
-            assert "Traceback" not in told
+            errors = capsys.readouterr().err
+            assert "No space left on device" in errors
+            assert "Traceback" not in errors
             assert not (tmp_path / "capture").exists()
             kept.append(len(list(tmp_path.glob("capture.partial/image_*.tif"))))
         assert 0 == kept[0] < kept[1] <= kept[2]

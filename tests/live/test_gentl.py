@@ -58,8 +58,8 @@ def test_flush_throws_away_what_waits_in_the_driver() -> None:
 
 def test_cameras_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("GENICAM_GENTL64_PATH", str(PRODUCER.parent))
-    found = find_gentl()
-    assert [camera.address for camera in found] == [
+    devices = find_gentl()
+    assert [device.address for device in devices] == [
         f"gentl:VikyTL_DEV_{colour}" for colour in ("red", "green", "blue")
     ]
     # By its serial number, too.

@@ -51,22 +51,22 @@ def test_a_capture_over_gige_vision_is_as_good_as_a_simulated_one(
     finally:
         served.close()
     assert not served.errors
-    told = capture.provenance
-    assert (capture.count, told["left_out"]) == (64, {})
+    provenance = capture.provenance
+    assert (capture.count, provenance["left_out"]) == (64, {})
     # Kept with the rig; a virtual screen has none, or one that changes nothing.
     assert lm.RigMeasurements.load("rig.json").projector["gamma_ramp"] in (None, {"linear": True})
     # A few, near chance, by a second photograph.
-    assert set(told["checks"]) <= {"matched", "confirmed"}
-    assert told["checks"]["matched"] >= 40
+    assert set(provenance["checks"]) <= {"matched", "confirmed"}
+    assert provenance["checks"]["matched"] >= 40
     # All 64, but for the measuring of the rig, which is kept.
     assert times[-1] - times[0] < 60
-    scale = np.float32(told["exposure_1_in_seconds"] / UNIT_EXPOSURE)
+    scale = np.float32(provenance["exposure_1_in_seconds"] / UNIT_EXPOSURE)
     truth = replace(
         known,
         matrix=known.with_data(scale * known.matrix.data),
         direct_data=scale * known.direct_data,
     )
     simulated = lm.simulate(truth, capture.patterns, exposure=1.0, bits=16, noise=_NOISE)
-    found = lm.evaluate(lm.estimate(capture), truth).relighting_error
+    error = lm.evaluate(lm.estimate(capture), truth).relighting_error
     expected = lm.evaluate(lm.estimate(simulated), truth).relighting_error
-    assert found < 1.05 * expected
+    assert error < 1.05 * expected

@@ -1,4 +1,4 @@
-"""What is measured of a rig is what the rig is like."""
+"""Measurements of virtual rigs agree with their settings."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def test_the_settle_time_is_found_within_a_refresh(delay: int, fps: float) -> No
     assert settle.unsettled <= settle.seconds
 
 
-def test_pictures_that_are_late_now_and_then_are_no_part_of_the_settle_time() -> None:
+def test_occasional_late_images_do_not_lengthen_the_settle_time() -> None:
     settle = lm.measure_settle(_rig(",fps=0,delay=2,late=0.07,seed=3"))
     assert 2 / 60 <= settle.seconds <= 3 / 60
 
@@ -44,7 +44,7 @@ def test_a_picture_that_never_settles() -> None:
 def test_the_projectors_gamma_is_found(gamma: float) -> None:
     response = lm.measure_response(_rig(f",gamma={gamma},seed=1"), settle=0.05)
     assert response.gamma == pytest.approx(gamma, rel=0.02)
-    # And turned round: what is asked for is what is shown, as well as 8 bits can.
+    # The inverse gives the light that is asked for, as well as 8 bits can.
     wanted = np.linspace(0, 1, 100)
     shown = (response.grey_for(wanted) / 255) ** gamma
     np.testing.assert_allclose(shown, wanted, atol=0.012)
@@ -98,11 +98,11 @@ def test_the_brightest_single_response_does_not_clip() -> None:
     assert 0.8 < np.quantile(white, 0.99) * min(advice.seconds) / rig.unit < 1.2
 
 
-@pytest.mark.parametrize(("curve", "linear"), [(1.0, True), (0.8, False), (1.25, False)])
-def test_a_camera_that_is_not_linear(curve: float, linear: bool) -> None:
-    found = lm.measure_linearity(_rig(f",curve={curve},black=0,fps=0"), settle=0.05)
-    assert found.linear is linear
-    assert found.exponent == pytest.approx(curve, rel=0.05)
+@pytest.mark.parametrize(("curve", "is_linear"), [(1.0, True), (0.8, False), (1.25, False)])
+def test_a_camera_that_is_not_linear(curve: float, is_linear: bool) -> None:
+    linearity = lm.measure_linearity(_rig(f",curve={curve},black=0,fps=0"), settle=0.05)
+    assert linearity.linear is is_linear
+    assert linearity.exponent == pytest.approx(curve, rel=0.05)
 
 
 def test_a_camera_that_does_not_see_the_projector() -> None:
@@ -116,22 +116,22 @@ def test_a_scene_that_is_too_bright() -> None:
         lm.measure_rig(_rig(",unit=0.000001"), ["exposure"])
 
 
-def test_what_is_known_is_kept_and_used(tmp_path: Path) -> None:
+def test_measurements_are_kept_and_used(tmp_path: Path) -> None:
     file = tmp_path / "rig.json"
     first = lm.measure_rig(_rig(), keep=file)
     assert lm.RigMeasurements.load(file) == first
-    # What is asked for is measured anew, the rest stays.
+    # Only what is asked for is measured again.
     second = lm.measure_rig(_rig(",seed=5"), ["exposure"], keep=file)
     assert second.response == first.response
     assert second.exposure != first.exposure
-    # That of another rig is no help.
+    # Measurements of another rig are not used.
     other = lm.measure_rig(lm.open_rig("virtual:procedural,size=10,real=0"), ["settle"], keep=file)
     assert other.response is None
     with pytest.raises(lm.InputError, match="measuring 'gamma'"):
         lm.measure_rig(_rig(), ["gamma"])
 
 
-def test_what_no_longer_holds_is_noticed() -> None:
+def test_outdated_parts_are_noticed() -> None:
     known = lm.measure_rig(_rig(",delay=2,fps=0"))
     assert outdated_parts(_rig(",delay=2,fps=0,noise=0.004"), known) == []
     assert outdated_parts(_rig(",delay=4,fps=0"), known) == ["settle"]
@@ -157,9 +157,9 @@ def test_a_damaged_file(key: str, value: object, tmp_path: Path) -> None:
     file = tmp_path / "rig.json"
     known = lm.measure_rig(_rig(), ["settle"])
     file.write_text(json.dumps({**known.as_dict(), key: value}))
-    with pytest.raises(lm.InputError, match=r"rig\.json: is damaged") as told:
+    with pytest.raises(lm.InputError, match=r"rig\.json: is damaged") as caught:
         lm.measure_rig(_rig(), ["settle"], keep=file)
-    assert "remove it" in str(told.value.hint)
+    assert "remove it" in str(caught.value.hint)
 
 
 def test_a_file_that_is_not_ours_is_not_replaced(tmp_path: Path) -> None:

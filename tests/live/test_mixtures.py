@@ -1,4 +1,4 @@
-"""A small share of the pattern shown before does not remain in a frame."""
+"""Frames do not keep a small share of the pattern shown before."""
 
 from __future__ import annotations
 
@@ -30,21 +30,21 @@ def test_a_share_is_found_with_its_error(share: float) -> None:
     error /= 9
 
     def frame() -> Any:
-        # Predictions are too strong, and the lamp is weaker.
+        # The prediction is too strong, and the lamp has become weaker.
         light = (1 - share) * own + share * other + error * random.standard_normal(400)
         return 0.98 * light - 0.2
 
     rows = np.repeat(np.arange(40), 10)
-    found = [fit_mixture(frame() - own, other, own, error, rows) for _ in range(300)]
-    shares = np.array([mix.share for mix in found])
+    mixtures = [fit_mixture(frame() - own, other, own, error, rows) for _ in range(300)]
+    shares = np.array([mix.share for mix in mixtures])
     assert shares.mean() == pytest.approx(share, abs=0.003)
-    assert shares.std() == pytest.approx(found[0].error, rel=0.15)
-    assert not any(mix.torn for mix in found)
+    assert shares.std() == pytest.approx(mixtures[0].error, rel=0.15)
+    assert not any(mix.torn for mix in mixtures)
     contrast = float(np.sqrt(((other - own) ** 2).mean()))
-    # Less than noise adds could not be seen; more than that is seen, or at least doubted.
-    assert not any(mix.excluded(0.05 * contrast) for mix in found)
-    told = np.mean([mix.excluded(0.07 * contrast) for mix in found])
-    assert told > 0.88 if not share else 0.1 < told < 0.5
+    # A share that adds less light than noise cannot be excluded. A larger one is seen or doubted.
+    assert not any(mix.excluded(0.05 * contrast) for mix in mixtures)
+    excluded = np.mean([mix.excluded(0.07 * contrast) for mix in mixtures])
+    assert excluded > 0.88 if not share else 0.1 < excluded < 0.5
 
 
 def test_two_photographs_that_share_a_little_of_white_or_a_pattern_do_not_agree() -> None:

@@ -1,4 +1,4 @@
-"""Numbers, times and pixels of cameras, in our own terms."""
+"""Frame numbers, timestamps and pixel formats of cameras."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ def test_a_frame_that_lay_in_a_queue_keeps_its_time() -> None:
     random = np.random.default_rng(0)
     offset = 1234.5
     for k in range(200):
-        taken = 10 + k / 50
+        exposed = 10 + k / 50
         # 1 ms on the way at least, and now and then half a second in a queue.
-        arrival = taken + 0.001 + random.exponential(0.002) + 0.5 * (k % 7 == 6)
-        told = stamps.time(taken + offset, arrival)
-        assert told <= arrival
+        arrival = exposed + 0.001 + random.exponential(0.002) + 0.5 * (k % 7 == 6)
+        timestamp = stamps.time(exposed + offset, arrival)
+        assert timestamp <= arrival
         if k > 20:
-            assert told == pytest.approx(taken + 0.001, abs=0.001)
+            assert timestamp == pytest.approx(exposed + 0.001, abs=0.001)
 
 
 def test_a_camera_whose_clock_begins_again() -> None:

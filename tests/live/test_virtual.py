@@ -1,4 +1,4 @@
-"""The virtual rig: what it shows is known, and its faults are those that were asked for."""
+"""The virtual rig shows what it should, and fails at the rates that it is given."""
 
 from __future__ import annotations
 
@@ -160,9 +160,9 @@ def test_time_passes_as_it_does_unless_it_is_simulated() -> None:
     ],
 )
 def test_what_is_no_virtual_rig(text: str, words: str) -> None:
-    with pytest.raises(InputError) as told:
+    with pytest.raises(InputError) as caught:
         open_rig(text)
-    assert words in str(told.value)
+    assert words in str(caught.value)
 
 
 def test_settings_are_read() -> None:

@@ -1,4 +1,4 @@
-"""The window shows what it is given, to the bit, on the monitor that was asked for."""
+"""The window shows images exact to the bit, on the monitor that was asked for."""
 
 from __future__ import annotations
 
@@ -64,9 +64,9 @@ class TestSecondScreen(ProjectorContract):
 
 
 def test_the_second_monitor_is_taken_where_there_is_one(two_screens: str) -> None:
-    found = find_windows()
-    assert [device.address for device in found] == ["window:0", "window:1"]
-    assert "DUMMY1, 800 x 600 at" in found[1].description
+    devices = find_windows()
+    assert [device.address for device in devices] == ["window:0", "window:1"]
+    assert "DUMMY1, 800 x 600 at" in devices[1].description
     for address in (Address("window"), Address("window", "DUMMY1")):
         window = open_window(address)
         assert (window.info()["monitor"], window.info()["name"]) == (1, "DUMMY1")
