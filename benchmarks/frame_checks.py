@@ -63,7 +63,7 @@ class Draw:
         return np.ascontiguousarray(raw.T).reshape(-1, *self.shape)
 
     def check(self, frames: Images) -> list[Finding]:
-        """What is found in frames, decoded as this camera's."""
+        """What is wrong with frames, decoded as this camera's."""
         decoder = self.sensor.decoder()
         if self.room.any():
             black = self.sensor.expose(self.room[:, None], seed=self.seed, first_frame=len(frames))
@@ -108,8 +108,8 @@ def swapped(draw: Draw, generator: np.random.Generator) -> tuple[list[Finding], 
     frames = draw.frames()
     a, b = sorted(int(k) for k in generator.choice(len(frames), 2, replace=False))
     frames[[a, b]] = frames[[b, a]]
-    found = draw.check(frames)
-    return found, any(f.kind == "order" and {a, b} == set(f.frames) for f in found)
+    findings = draw.check(frames)
+    return findings, any(f.kind == "order" and {a, b} == set(f.frames) for f in findings)
 
 
 def dropped(draw: Draw, generator: np.random.Generator) -> tuple[list[Finding], bool]:
@@ -129,17 +129,17 @@ def dropped_and_filled(draw: Draw, generator: np.random.Generator) -> tuple[list
     """One frame missing, and the last there twice."""
     frames = draw.frames()
     place = int(generator.integers(1, len(frames) - 3))
-    found = draw.check(np.concatenate([np.delete(frames, place, axis=0), frames[-1:]]))
-    near = [f for f in found if f.kind == "order" and abs(min(f.frames) - place) <= 1]
-    return found, bool(near)
+    findings = draw.check(np.concatenate([np.delete(frames, place, axis=0), frames[-1:]]))
+    near = [f for f in findings if f.kind == "order" and abs(min(f.frames) - place) <= 1]
+    return findings, bool(near)
 
 
 def blackened(draw: Draw, generator: np.random.Generator) -> tuple[list[Finding], bool]:
     place = int(generator.integers(draw.patterns.count))
     gain = np.ones(draw.patterns.count)
     gain[place] = 0
-    found = draw.check(draw.frames(gain))
-    return found, any(f.kind == "frame" and f.frames == (place,) for f in found)
+    findings = draw.check(draw.frames(gain))
+    return findings, any(f.kind == "frame" and f.frames == (place,) for f in findings)
 
 
 def coded(draw: Draw, generator: np.random.Generator) -> tuple[list[Finding], bool]:
@@ -147,15 +147,15 @@ def coded(draw: Draw, generator: np.random.Generator) -> tuple[list[Finding], bo
     black = float(np.rint(255 * (draw.sensor.black_level / 255) ** (1 / 2.2)))
     # Whoever measures the black level of such a camera measures it coded.
     camera = replace(draw, sensor=replace(draw.sensor, black_level=black))
-    found = (replace(camera, room=0 * draw.room) if draw.room.any() else camera).check(levels)
-    return found, any(f.kind == "response" for f in found)
+    findings = (replace(camera, room=0 * draw.room) if draw.room.any() else camera).check(levels)
+    return findings, any(f.kind == "response" for f in findings)
 
 
 def compressed(draw: Draw, generator: np.random.Generator) -> tuple[list[Finding], bool]:
     """Saved as JPEG at quality 60; the files' names do not say so."""
     coded = [imageio.imwrite("<bytes>", f, extension=".jpg", quality=60) for f in draw.frames()]
-    found = draw.check(np.stack([imageio.imread(each) for each in coded]))
-    return found, any(f.kind == "jpeg" for f in found)
+    findings = draw.check(np.stack([imageio.imread(each) for each in coded]))
+    return findings, any(f.kind == "jpeg" for f in findings)
 
 
 def shifted(draw: Draw, generator: np.random.Generator) -> tuple[list[Finding], bool]:
@@ -167,15 +167,15 @@ def shifted(draw: Draw, generator: np.random.Generator) -> tuple[list[Finding], 
     edge = [slice(None)] * 3
     edge[axis] = slice(0, SHIFT) if way > 0 else slice(-SHIFT, None)
     late[tuple(edge)] = frames[middle:][tuple(edge)]
-    found = draw.check(np.concatenate([frames[:middle], late]))
-    return found, any(f.kind == "motion" and abs(f.frames[0] - middle) <= 2 for f in found)
+    findings = draw.check(np.concatenate([frames[:middle], late]))
+    return findings, any(f.kind == "motion" and abs(f.frames[0] - middle) <= 2 for f in findings)
 
 
 def flickering(draw: Draw, generator: np.random.Generator) -> tuple[list[Finding], bool]:
     """The light goes up and down by 5 % in the beat of camera and lamp."""
     beat = generator.uniform(0.3, 3) * np.arange(draw.patterns.count) + generator.uniform(0, 6)
-    found = draw.check(draw.frames(1 + FLICKER * np.sin(beat)))
-    return found, any(f.kind == "flicker" for f in found)
+    findings = draw.check(draw.frames(1 + FLICKER * np.sin(beat)))
+    return findings, any(f.kind == "flicker" for f in findings)
 
 
 FAULTS: dict[str, Callable[[Draw, np.random.Generator], tuple[list[Finding], bool]]] = {
@@ -207,24 +207,24 @@ def main() -> None:
 
 
 def faulty(number: int, seed: int, verbose: bool = False) -> list[dict[str, object]]:
-    """What is found of captures with a fault."""
+    """The findings of captures with a fault."""
     generator = np.random.default_rng(seed)
     rows = []
     for draw in draws(number, seed):
         for fault, make in FAULTS.items():
-            found, named = make(draw, generator)
+            findings, named = make(draw, generator)
             row = {
                 "fault": fault,
                 "scene": draw.scene,
                 "frames": draw.patterns.count,
                 "exposure": draw.sensor.exposure,
-                "found": bool(found),
+                "found": bool(findings),
                 "named": named,
-                "kinds": [each.kind for each in found],
+                "kinds": [each.kind for each in findings],
             }
             rows.append(row)
-            if verbose and (not named or len(found) > 1):
-                print(row, [each.message for each in found], flush=True)
+            if verbose and (not named or len(findings) > 1):
+                print(row, [each.message for each in findings], flush=True)
     return rows
 
 
@@ -232,10 +232,10 @@ def intact(number: int, seed: int, verbose: bool = False) -> int:
     """How many intact captures are accused of something."""
     accused = 0
     for draw in draws(number, seed):
-        found = draw.check(draw.frames())
-        accused += bool(found)
-        if verbose and found:
-            print(draw.scene, draw.patterns.count, draw.sensor, found, flush=True)
+        findings = draw.check(draw.frames())
+        accused += bool(findings)
+        if verbose and findings:
+            print(draw.scene, draw.patterns.count, draw.sensor, findings, flush=True)
     return accused
 
 

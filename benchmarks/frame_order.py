@@ -102,8 +102,8 @@ def complaint(
     shape: tuple[int, ...],
     seed: int,
 ) -> str | None:
-    taken = Sensor(exposure[order] if renamed else exposure, read_noise=NOISE)
-    raw = taken.expose(np.ascontiguousarray(light[:, order]), seed=seed)
+    camera = Sensor(exposure[order] if renamed else exposure, read_noise=NOISE)
+    raw = camera.expose(np.ascontiguousarray(light[:, order]), seed=seed)
     frames = np.ascontiguousarray(raw.T).reshape(len(order), *shape)
     sensor = Sensor(exposure, read_noise=NOISE)
     try:
@@ -113,16 +113,16 @@ def complaint(
     return None
 
 
-def right(fault: str, order: Order, said: str) -> bool:
+def right(fault: str, order: Order, message: str) -> bool:
     """Whether the message names what is wrong."""
     wrong = np.flatnonzero(order != np.arange(len(order)))
     if fault == "swapped":
-        return f"frame {wrong[0]} and frame {wrong[1]} " in said
+        return f"frame {wrong[0]} and frame {wrong[1]} " in message
     if fault == "repeated":
-        return f"frame {wrong[0]} shows the pattern of frame {order[wrong[0]]}:" in said
+        return f"frame {wrong[0]} shows the pattern of frame {order[wrong[0]]}:" in message
     if fault == "backwards":
-        return "backwards" in said
-    return ("after its own" if order[wrong[0]] > wrong[0] else "before its own") in said
+        return "backwards" in message
+    return ("after its own" if order[wrong[0]] > wrong[0] else "before its own") in message
 
 
 def main() -> None:
@@ -134,16 +134,16 @@ def main() -> None:
     options = parser.parse_args()
     rows = [row for seed in range(options.seeds) for row in faulty_captures(options.draws, seed)]
     print(table(rows))
-    accused = [said for said in intact_captures(options.intact) if said is not None]
-    print(f"{len(accused)} of {options.intact} captures in order were accused")
-    for said in accused:
-        print(f"  {said}")
+    messages = [each for each in intact_captures(options.intact) if each is not None]
+    print(f"{len(messages)} of {options.intact} captures in order were accused")
+    for message in messages:
+        print(f"  {message}")
     if options.output:
-        options.output.write_text(json.dumps({"rows": rows, "accused": accused}, indent=2) + "\n")
+        options.output.write_text(json.dumps({"rows": rows, "accused": messages}, indent=2) + "\n")
 
 
 def faulty_captures(number: int, seed: int) -> Iterator[dict[str, object]]:
-    """What is said of captures out of order, drawn at random."""
+    """What the check states of captures out of order, drawn at random."""
     generator = np.random.default_rng(1001 + seed)
     for _ in range(number):
         name = str(generator.choice(library.BUNDLED))
@@ -158,7 +158,7 @@ def faulty_captures(number: int, seed: int) -> Iterator[dict[str, object]]:
             mixed = count >= 64 and bool(generator.integers(2))
             truth = library.truth(name)
             patterns = pattern_set("mix" if mixed else "Bernoulli 0.5", count, draw)
-            said = complaint(
+            message = complaint(
                 patterns,
                 irradiance(truth.matrix, patterns),
                 exposure_list(exposures, cameras(truth)[camera], patterns),
@@ -174,14 +174,14 @@ def faulty_captures(number: int, seed: int) -> Iterator[dict[str, object]]:
                 "exposures": exposures,
                 "fault": fault,
                 "renamed": renamed,
-                "noticed": said is not None,
-                "right": said is not None and right(fault, order, said),
-                "said": said,
+                "noticed": message is not None,
+                "right": message is not None and right(fault, order, message),
+                "message": message,
             }
 
 
 def intact_captures(number: int) -> Iterator[str | None]:
-    """What is said of captures in order, drawn at random."""
+    """What the check states of captures in order, drawn at random."""
     generator = np.random.default_rng(1)
     for seed in range(number):
         name = str(generator.choice(library.BUNDLED))
@@ -197,14 +197,14 @@ def intact_captures(number: int) -> Iterator[str | None]:
             # Three channels of one surface, coloured at random.
             colour = generator.uniform(0.1, 1, (len(light), 3, 1)).astype(np.float32)
             light, shape = (light[:, None] * colour).reshape(-1, count), (*shape, 3)
-        said = complaint(
+        message = complaint(
             patterns, light, exposure, np.arange(count), renamed=True, shape=shape, seed=seed
         )
-        yield said and f"{name}, {kind}, {count} frames, {exposures}, {shape}: {said}"
+        yield message and f"{name}, {kind}, {count} frames, {exposures}, {shape}: {message}"
 
 
 def table(rows: list[dict[str, object]]) -> str:
-    """Tried, noticed and named rightly, by fault and by exposures and number of frames."""
+    """Noticed (and named rightly) of all, by fault, exposures and number of frames."""
     columns = [(several, count) for several in (False, True) for count in COUNTS]
     lines = [
         "| fault | " + " | ".join(f"{'several' if s else 'one'}, {k}" for s, k in columns) + " |",

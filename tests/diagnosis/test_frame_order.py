@@ -253,11 +253,11 @@ def test_runs_need_support(gain: list[float], supported: bool) -> None:
 @pytest.mark.parametrize(("miss", "predictive"), [(0.7, True), (0.9, False)])
 def test_predictions_must_meet_most_frames(miss: float, predictive: bool) -> None:
     logarithms = np.full((5, 5), np.log(miss))
-    telling = np.ones(5, bool)
+    informative = np.ones(5, bool)
     # A frame that shows nothing known, and one that tells nothing, do not count.
     order = np.array([1, 0, 2, -1, 4])
-    logarithms[3], logarithms[4], telling[4] = 3, 3, False
-    misses = Misses(logarithms, np.zeros((5, 5), bool), telling)
+    logarithms[3], logarithms[4], informative[4] = 3, 3, False
+    misses = Misses(logarithms, np.zeros((5, 5), bool), informative)
     assert frame_order._predictive(misses, order) == predictive
 
 

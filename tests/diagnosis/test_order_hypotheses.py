@@ -49,9 +49,9 @@ def test_samples_read_at_another_exposure() -> None:
     assert raw.lowest.tolist() == [[1.0]]
     np.testing.assert_allclose(raw.light(np.arange(3)), [[0.5, 1, 1]])
     np.testing.assert_allclose(raw.light(np.array([1, 0, 0])), [[1, 1, 0.25]])
-    assert [group.tolist() for group in raw.alike()] == [[0], [1], [2]]
+    assert [group.tolist() for group in raw.exposure_groups()] == [[0], [1], [2]]
     equal = RawRows(shares, np.array([[1.0, 2.0, 1.001]], np.float32))
-    assert [group.tolist() for group in equal.alike()] == [[0, 2], [1]]
+    assert [group.tolist() for group in equal.exposure_groups()] == [[0, 2], [1]]
 
 
 def test_frames_in_order_need_no_hypothesis() -> None:
@@ -103,7 +103,7 @@ def test_misses_are_those_of_the_other_pattern() -> None:
     usual = np.delete(misses.own, [4, 9])
     assert np.median(usual) < -1
     assert misses.own[[4, 9]].min() > 0
-    assert misses.telling.all()
+    assert misses.informative.all()
     assert not misses.elsewhere.any()
     # As it is, once it is known which frame shows which pattern; or that one is unknown.
     right = find_misses(PATTERNS, rows(order), Hypothesis(order, FRAMES), scale)
@@ -143,7 +143,7 @@ def test_uniform_patterns_tell_nothing() -> None:
     light = (grey.forward(surface())[::4] / 10).astype(np.float32)
     raw = RawRows(light, np.full(light.shape, 10, np.float32))
     misses = find_misses(grey, raw, Hypothesis.in_order(K), column_scale(grey))
-    assert np.flatnonzero(~misses.telling).tolist() == [5]
+    assert np.flatnonzero(~misses.informative).tolist() == [5]
 
 
 def test_normalized_columns() -> None:

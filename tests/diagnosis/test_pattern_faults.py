@@ -16,7 +16,7 @@ K = 12
 RANDOM = BernoulliPatterns((10, 10), K).images()
 
 
-def said(images: NDArray[np.floating]) -> str:
+def message(images: NDArray[np.floating]) -> str:
     found = check_distinguishable(ImagePatterns(images.astype(np.float32)))
     assert len(found) < 2
     assert {each.kind for each in found} <= {"patterns"}
@@ -24,35 +24,35 @@ def said(images: NDArray[np.floating]) -> str:
 
 
 def test_random_patterns_reveal_all() -> None:
-    assert said(RANDOM) == ""
+    assert message(RANDOM) == ""
 
 
 def test_stripes_in_both_directions_do_not() -> None:
     rows = np.repeat(RANDOM[:, :, :1], 10, axis=2)
     cols = np.repeat(RANDOM[:, :1], 10, axis=1)
     for stripes in (rows, cols, np.concatenate([rows, cols])):
-        assert "along rows or along columns only" in said(stripes)
+        assert "along rows or along columns only" in message(stripes)
     # One pattern that varies along both is enough, but by more than 2 %.
     both = 0.9 * np.concatenate([rows, cols])
     both[5, 3, 3] += 0.01
-    assert "along rows or along columns only" in said(both)
+    assert "along rows or along columns only" in message(both)
     both[5, 3, 3] += 0.02
-    assert "along rows or along columns only" not in said(both)
+    assert "along rows or along columns only" not in message(both)
 
 
 def test_uniform_patterns_and_single_lines_are_no_stripes() -> None:
-    assert "cannot be told" in said(np.ones((K, 10, 10)))
-    assert said(np.random.default_rng(0).random((K, 1, 30))) == ""
+    assert "look like another" in message(np.ones((K, 10, 10)))
+    assert message(np.random.default_rng(0).random((K, 1, 30))) == ""
 
 
 def test_a_fifth_of_the_pixels_may_be_alike() -> None:
     for alike, fault in ((18, False), (24, True)):
         images = RANDOM.copy().reshape(K, -1)
         images[:, :alike:2] = images[:, 1:alike:2]
-        found = said(images.reshape(K, 10, 10))
+        found = message(images.reshape(K, 10, 10))
         assert bool(found) == fault
         if fault:
-            assert f"{alike} % of the projector pixels cannot be told" in found
+            assert f"{alike} % of the projector pixels look like another" in found
 
 
 def interchanged(patterns: lm.PatternSet, frames: NDArray[np.uint8]) -> bool:

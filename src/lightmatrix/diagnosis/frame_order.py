@@ -108,7 +108,7 @@ class _Judge:
         in_order = self.misses(Hypothesis.in_order(patterns.count))
         # A pattern that is one grey says nothing of which pixels were lit, while its photograph may
         # well vary: with stripes finer than a bin, or where white clips.
-        self.in_order = replace(in_order, telling=in_order.telling & _varied(patterns))
+        self.in_order = replace(in_order, informative=in_order.informative & _varied(patterns))
 
     def misses(self, hypothesis: Hypothesis) -> Misses:
         return find_misses(self.patterns, self.rows, hypothesis, self.scale)
@@ -136,7 +136,7 @@ class _Judge:
     def gain(self, misses: Misses, shown: NDArray[np.int64]) -> NDArray[np.float64]:
         """How much better each frame meets the pattern `shown` than its own, (K,)."""
         gain = np.minimum(self.in_order.own, misses.own) - misses.logarithms[self.frames, shown]
-        gain[self.alike[self.frames, shown] | ~self.in_order.telling] = 0
+        gain[self.alike[self.frames, shown] | ~self.in_order.informative] = 0
         return gain
 
     def displaced_run(self, hypothesis: Hypothesis) -> tuple[int, int, int] | None:
@@ -170,7 +170,9 @@ class _Judge:
         """Which frame shows the pattern of which other frame."""
         suspicion = self.in_order.own - self.others(self.in_order).min(axis=1)
         suspects = np.argsort(-suspicion)[: self.patterns.count // 6]
-        suspects = suspects[(suspicion[suspects] > _SUSPICIOUS) & self.in_order.telling[suspects]]
+        suspects = suspects[
+            (suspicion[suspects] > _SUSPICIOUS) & self.in_order.informative[suspects]
+        ]
         if not len(suspects):
             return {}
         # Judged by the frames that are not suspected.
@@ -217,7 +219,7 @@ def _supported(gain: NDArray[np.float64], start: int, stop: int) -> bool:
 def _predictive(misses: Misses, order: NDArray[np.int64]) -> bool:
     """Whether most frames meet the predictions for the patterns that they should show."""
     met = misses.logarithms[np.arange(len(order)), order]
-    return bool(np.median(met[(order >= 0) & misses.telling]) < np.log(_PREDICTIVE))
+    return bool(np.median(met[(order >= 0) & misses.informative]) < np.log(_PREDICTIVE))
 
 
 def _bright_rows(

@@ -50,7 +50,7 @@ class RawRows:
         """Samples (m, K), frame k read as exposed like frame exposed_as[k]; cut off at `lowest`."""
         return np.asarray(np.minimum(self.shares * self.levels[:, exposed_as], self.lowest))
 
-    def alike(self) -> list[NDArray[np.int64]]:
+    def exposure_groups(self) -> list[NDArray[np.int64]]:
         """Frames of the same clip level, group by group."""
         typical = np.median(self.levels, axis=0)
         _, kind = np.unique(np.round(np.log(typical), 2), return_inverse=True)
@@ -95,13 +95,13 @@ class Misses:
         by the hypothesis.
     elsewhere : (K, K) bool
         Whether the frame fits better as taken with the other frame's exposure.
-    telling : (K,) bool
+    informative : (K,) bool
         Whether its own pattern differs between pixels; white and very fine stripes do not.
     """
 
     logarithms: NDArray[np.float64]
     elsewhere: NDArray[np.bool_]
-    telling: NDArray[np.bool_]
+    informative: NDArray[np.bool_]
 
     @property
     def own(self) -> NDArray[np.float64]:
@@ -137,7 +137,7 @@ def find_misses(
     observed, expected = variation(rows.light(np.arange(count))), variation(predicted)
     here = _log_misses(observed, expected)
     there = here.copy()
-    for columns in rows.alike():
+    for columns in rows.exposure_groups():
         if len(columns) < count:
             moved = variation(rows.light(np.full(count, columns[0])))
             there[:, columns] = _log_misses(moved, expected[:, columns])
@@ -169,7 +169,7 @@ def likeliest_hypothesis(patterns: PatternSet, rows: RawRows) -> Hypothesis | No
     some = int(np.clip(_SCAN_WORK / (count * patterns.pixels), _FEWEST_ROWS, _MOST_ROWS))
     rows = RawRows(rows.shares[:some], rows.levels[:some])
     cuts = np.unique(np.linspace(0, count, _PLACES + 1).astype(int))
-    hypotheses = _hypotheses(count, len(rows.alike()) > 1)
+    hypotheses = _hypotheses(count, len(rows.exposure_groups()) > 1)
     centre = rows.light(frames).mean(axis=1, keepdims=True)
     values = []
     for each in hypotheses:

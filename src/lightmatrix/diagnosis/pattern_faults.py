@@ -38,7 +38,7 @@ def check_distinguishable(patterns: PatternSet) -> list[Finding]:
             Finding(
                 "patterns",
                 (),
-                f"{100 * alike:.0f} % of the projector pixels cannot be told from another: all "
+                f"{100 * alike:.0f} % of the projector pixels look like another: all "
                 "patterns show the same there",
                 "project more patterns, or finer ones, or bin the projector (--bin-projector)",
             )
