@@ -226,8 +226,7 @@ def test_help_tells_the_exit_codes_and_the_stages(capsys: pytest.CaptureFixture[
     assert main(["--help"]) == 0
     shown = " ".join(capsys.readouterr().out.split())
     assert (
-        "0 done, 1 `check` found a fault, 2 bad input or output, 3 out of memory, 70 a bug"
-        in shown
+        "0 done, 1 `check` found a fault, 2 bad input or output, 3 out of memory, 70 a bug" in shown
     )
     assert shown.index("Prepare:") < shown.index("Measure and use:") < shown.index("Simulate:")
     assert cli.console.__doc__

@@ -19,7 +19,7 @@ def demo(
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
-    """Simulate a scene, estimate it, and write a report with pictures."""
+    """Simulate and estimate a scene, and write a report."""
     with progress("demo", "steps") as report:
         result = lm.demo(output, overwrite=overwrite, progress=report)
     if as_json:

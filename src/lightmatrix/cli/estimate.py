@@ -29,22 +29,131 @@ from lightmatrix.transport.labels import labelled
 if TYPE_CHECKING:
     from lightmatrix import Capture, EstimateSettings, Finding, LightTransport, ResourceEstimate
 
+# The command says what an estimate takes if it takes longer than this many seconds, or more than
+# this share of the free memory. Chosen by hand: shorter and smaller ones need no warning.
+_LONG, _MUCH = 60, 0.25
+# The command advises to raise --iterations if a smaller share of the rows converged.
+_ENOUGH_CONVERGED = 0.99
+
+# Headings of the options in `--help`.
+_SOLVER, _RESOLUTION, _RESOURCES = "How to solve", "Resolution", "Memory and processes"
+
 SolverName = Literal["active-set", "saturation-admm", "admm", "romp"]
 FidelityName = Literal["linear", "one-sided", "clipped", "rejection", "likelihood"]
-# What an estimate takes is said from so many seconds on, or this share of the free memory.
-_LONG, _MUCH = 60, 0.25
-# The advice to raise --iterations is given where a smaller share of the rows converged.
-_FEW_CONVERGED = 0.99
-SOLVERS_HELP = (
-    "active-set (one-sided, rejection, linear; certifies a duality gap), "
-    "saturation-admm (clipped, one-sided, likelihood, rejection, linear), admm (linear), "
-    "romp (linear, rejection)."
-)
-FIDELITY_HELP = (
-    "How clipped samples count: one-sided (a lower bound, convex), clipped (the paper's Eq. 6), "
-    "likelihood (a lower bound with a soft edge), rejection (left out), "
-    "linear (taken at their value)."
-)
+Solver = Annotated[
+    SolverName,
+    typer.Option(
+        rich_help_panel=_SOLVER,
+        help="active-set (one-sided, rejection, linear; certifies a duality gap), "
+        "saturation-admm (clipped, one-sided, likelihood, rejection, linear), admm (linear), "
+        "romp (linear, rejection).",
+    ),
+]
+FidelityOption = Annotated[
+    FidelityName | None,
+    typer.Option(
+        rich_help_panel=_SOLVER,
+        help="How clipped samples count: one-sided (a lower bound, convex), clipped (the paper's "
+        "Eq. 6), likelihood (a lower bound with a soft edge), rejection (left out), linear (at "
+        "their value).",
+        show_default="one-sided; linear for admm, rejection for romp",
+    ),
+]
+Regularization = Annotated[
+    str,
+    typer.Option(
+        rich_help_panel=_SOLVER,
+        help="The paper's lambda, in units of camera sample; auto (from patterns and samples); "
+        "or path (row by row, the value that best predicts held-out photographs).",
+    ),
+]
+Coherent = Annotated[
+    bool | None,
+    typer.Option(
+        "--coherent/--no-coherent",
+        rich_help_panel=_SOLVER,
+        help="Let camera pixels learn from their neighbours. The default with the active-set "
+        f"solver and up to {COHERENT_UP_TO} patterns.",
+    ),
+]
+Iterations = Annotated[
+    int | None,
+    typer.Option(
+        rich_help_panel=_SOLVER,
+        help="Most iterations per row (rounds of romp, passes of active-set).",
+        min=1,
+        show_default=f"{PASSES}; {ADMM_ITERATIONS} for both ADMMs, "
+        "as many as its non-zeros for romp",
+    ),
+]
+Signed = Annotated[
+    bool, typer.Option(rich_help_panel=_SOLVER, help="Allow negative light, as the paper does.")
+]
+Background = Annotated[
+    bool,
+    typer.Option(
+        rich_help_panel=_SOLVER,
+        help="Estimate faint light from everywhere, as coarse cells per camera sample.",
+    ),
+]
+MultiScale = Annotated[
+    bool,
+    typer.Option(
+        "--multi-scale",
+        rich_help_panel=_SOLVER,
+        help="Solve for projector blocks first, then for the pixels that matter.",
+    ),
+]
+BinProjector = Annotated[
+    str, typer.Option(rich_help_panel=_RESOLUTION, help="Projector pixels per bin, 8 or 8x8.")
+]
+BinCamera = Annotated[
+    str, typer.Option(rich_help_panel=_RESOLUTION, help="Camera pixels per bin, 8 or 8x8.")
+]
+TileRows = Annotated[
+    int | None,
+    typer.Option(
+        rich_help_panel=_RESOURCES,
+        help="Camera samples to solve at a time.",
+        min=1,
+        show_default="as half a gigabyte holds",
+    ),
+]
+Memory = Annotated[
+    str | None,
+    typer.Option(
+        rich_help_panel=_RESOURCES,
+        help="Most memory to take, such as 4GiB. The estimate solves fewer camera samples at a "
+        "time to stay within it, and refuses before it starts if it cannot.",
+        show_default="what is free",
+    ),
+]
+Workers = Annotated[
+    int | None,
+    typer.Option(
+        rich_help_panel=_RESOURCES,
+        help="Processes on this machine that solve rows. They share its cores and --memory; the "
+        "result is the same. Needs the extra cluster.",
+        min=1,
+        show_default="this one",
+    ),
+]
+Cluster = Annotated[
+    str | None,
+    typer.Option(
+        rich_help_panel=_RESOURCES,
+        metavar="ADDRESS",
+        help="Let the workers of a Dask scheduler solve rows, such as tcp://10.0.0.1:8786. All "
+        "must see capture and output under the same paths. --memory is per worker.",
+    ),
+]
+Check = Annotated[
+    bool,
+    typer.Option(
+        help="Check the frames first, and refuse images that do not follow the patterns and "
+        "estimates that do not fit into memory."
+    ),
+]
 
 
 @with_source()
@@ -54,106 +163,39 @@ def estimate(
     ] = Path("scene.zarr"),
     *,
     source: Source,
-    solver: Annotated[SolverName, typer.Option(help=SOLVERS_HELP)] = "active-set",
-    fidelity: Annotated[
-        FidelityName | None,
-        typer.Option(
-            help=FIDELITY_HELP, show_default="one-sided; linear for admm, rejection for romp"
-        ),
-    ] = None,
-    regularization: Annotated[
-        str,
-        typer.Option(
-            help="The paper's lambda in units of camera sample; auto (from patterns and samples); "
-            "or path (row by row, the value that best predicts patterns held out)."
-        ),
-    ] = "auto",
-    coherent: Annotated[
-        bool | None,
-        typer.Option(
-            "--coherent/--no-coherent",
-            help="Learn from neighbouring camera pixels where light is likely; by default with the "
-            f"active-set solver and up to {COHERENT_UP_TO} patterns.",
-        ),
-    ] = None,
-    iterations: Annotated[
-        int | None,
-        typer.Option(
-            help="Most iterations (rounds for romp, passes for active-set).",
-            min=1,
-            show_default=f"{PASSES}; {ADMM_ITERATIONS} for both ADMMs, "
-            "as many as its non-zeros for romp",
-        ),
-    ] = None,
-    signed: Annotated[bool, typer.Option(help="Allow negative light, as the paper does.")] = False,
-    background: Annotated[
-        bool,
-        typer.Option(help="Diffuse light: a coefficient, or coarse cells, per camera sample."),
-    ] = True,
-    multi_scale: Annotated[
-        bool,
-        typer.Option("--multi-scale", help="Projector blocks first, then the pixels that matter."),
-    ] = False,
-    bin_projector: Annotated[str, typer.Option(help="Projector pixels per bin, 8 or 8x8.")] = "1",
-    bin_camera: Annotated[str, typer.Option(help="Camera pixels per bin, 8 or 8x8.")] = "1",
-    tile_rows: Annotated[
-        int | None,
-        typer.Option(
-            help="Camera samples solved at a time.", min=1, show_default="as half a gigabyte holds"
-        ),
-    ] = None,
-    memory: Annotated[
-        str | None,
-        typer.Option(
-            help="Memory that it may take at most, such as 4GiB; said before, and kept by solving "
-            "fewer camera samples at a time.",
-            show_default="what is free",
-        ),
-    ] = None,
-    workers: Annotated[
-        int | None,
-        typer.Option(
-            help="Processes on this machine that solve rows, and share its cores and --memory; the "
-            "result is the same. Needs the extra cluster.",
-            min=1,
-            show_default="this one",
-        ),
-    ] = None,
-    cluster: Annotated[
-        str | None,
-        typer.Option(
-            metavar="ADDRESS",
-            help="Let the workers of the Dask scheduler at this address solve rows, such as "
-            "tcp://10.0.0.1:8786; all see capture and output by the same paths. --memory is that "
-            "of each.",
-        ),
-    ] = None,
-    check: Annotated[
-        bool,
-        typer.Option(
-            help="Refuse images that do not follow the patterns, and what does not fit into "
-            "memory; say what else is wrong."
-        ),
-    ] = True,
+    solver: Solver = "active-set",
+    fidelity: FidelityOption = None,
+    regularization: Regularization = "auto",
+    coherent: Coherent = None,
+    iterations: Iterations = None,
+    signed: Signed = False,
+    background: Background = True,
+    multi_scale: MultiScale = False,
+    bin_projector: BinProjector = "1",
+    bin_camera: BinCamera = "1",
+    tile_rows: TileRows = None,
+    memory: Memory = None,
+    workers: Workers = None,
+    cluster: Cluster = None,
+    check: Check = True,
     report: Annotated[
         Path | None,
         typer.Option(
-            "--report",
             metavar="DIR",
-            help="Write a report as well, with photographs held out of a second estimate.",
+            help="Write a report too, which tests T on photographs that the estimate has not seen.",
         ),
     ] = None,
     dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Say what memory and time it will take, and stop.")
+        bool, typer.Option("--dry-run", help="Print the memory and time it would take, and stop.")
     ] = False,
     verbose: Verbose = False,
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
-    """Estimate T; interrupted runs go on.
+    """Estimate T from a capture.
 
-    Give a capture folder; or patterns and images, each a folder or a stack. A run that was
-    interrupted goes on where it stopped if given again.
+    Give a capture folder; or patterns and images, each as a folder or a stack. After an
+    interruption, the same command goes on where it stopped.
     """
     started = time.perf_counter()
     settings = lm.EstimateSettings(
@@ -174,9 +216,9 @@ def estimate(
         claim(output, STORE, overwrite=overwrite)
         if report is not None:
             claim(report, REPORT, overwrite=overwrite)
-    taken = source.open()
-    opened = taken.bin(projector=size(bin_projector), camera=size(bin_camera))
-    resources = lm.estimate_resources(opened, settings)
+    whole = source.open()
+    capture = whole.bin(projector=size(bin_projector), camera=size(bin_camera))
+    resources = lm.estimate_resources(capture, settings)
     if dry_run:
         _show_resources(resources, as_json)
         return
@@ -186,37 +228,40 @@ def estimate(
     with lm.open_workers(settings, resources) as pool:
         if pool is not None:
             warn(str(pool))
-        findings = _findings(opened, taken, check)
+        findings = _findings(capture, whole, check)
         with progress("estimating", "rows") as step:
-            transport = lm.choose_estimator(opened, settings, resources).estimate(
-                opened, output=output, overwrite=overwrite, progress=step, pool=pool
+            transport = lm.choose_estimator(capture, settings, resources).estimate(
+                capture, output=output, overwrite=overwrite, progress=step, pool=pool
             )
     seconds = round(time.perf_counter() - started, 2)
-    told = None
+    outcome: dict[str, Any] | None = None
     if report is not None:
-        # Photographs are held out of a part of the camera, which this process does by itself.
-        here = replace(settings, workers=None, cluster=None)
-        told = _report(report, output, source, transport, opened, here, findings, overwrite)
-    summary = transport.summary()
+        outcome = _report(report, output, source, transport, capture, settings, findings, overwrite)
     if as_json:
-        found = [finding.as_dict() for finding in findings]
-        more = {"findings": found} if told is None else {"findings": found, "report": told}
-        took = {"seconds": seconds, "needs": resources.as_dict()}
-        show_json({"output": str(output), **took, **summary, **more})
+        result = {"output": str(output), "seconds": seconds, "needs": resources.as_dict()}
+        result |= transport.summary() | {"findings": [finding.as_dict() for finding in findings]}
+        show_json(result if outcome is None else {**result, "report": outcome})
         return
-    if told is None:
-        say(str(lm.verdict(transport)))
+    if outcome is None:
+        judged = lm.verdict(transport)
     else:
-        say(str(lm.Verdict(told["verdict"], told["sentence"])))
-    show_table(str(output), labelled(summary, main_only=not verbose))
-    if summary["converged_rows"] < _FEW_CONVERGED:
-        say("some rows reached the iteration limit: raise it with --iterations", style="yellow")
+        judged = lm.Verdict(outcome["verdict"], outcome["sentence"])
+    say(str(judged))
+    _show_summary(output, transport, verbose)
     if report is not None:
         say(f"report: {(report / 'report.html').absolute()}")
 
 
+def _show_summary(output: Path, transport: LightTransport, verbose: bool) -> None:
+    """Print the numbers of an estimate, and advice if too few rows converged."""
+    summary = transport.summary()
+    show_table(str(output), labelled(summary, main_only=not verbose))
+    if summary["converged_rows"] < _ENOUGH_CONVERGED:
+        say("some rows reached the iteration limit: raise it with --iterations", style="yellow")
+
+
 def _show_resources(resources: ResourceEstimate, as_json: bool) -> None:
-    """Show the memory and time that the estimate would take, for --dry-run."""
+    """Print the memory and time that the estimate would take, for --dry-run."""
     if as_json:
         show_json(resources.as_dict())
         return
@@ -238,12 +283,14 @@ def _warn_of_resources(resources: ResourceEstimate, check: bool) -> None:
         warn(f"less: {resources.advice}", style="yellow")
 
 
-def _findings(opened: Capture, taken: Capture, check: bool) -> list[Finding]:
-    """What is wrong with the frames, told; what makes an estimate impossible is refused."""
-    refuse_unusable(opened)
-    findings = lm.check(taken) if check else []
+def _findings(capture: Capture, whole: Capture, check: bool) -> list[Finding]:
+    """Refuse a capture that no estimate can come from, and warn of its other faults.
+
+    `capture` is what the estimate reads; `whole` has all its pixels, which the check needs.
+    """
+    refuse_unusable(capture)
+    findings = lm.check(whole) if check else []
     refuse_disorder(findings)
-    # What else is wrong spoils less than all of it.
     for finding in findings:
         warn(f"{finding.kind}: {finding.message}\n  {finding.advice}", style="yellow")
     return findings
@@ -259,14 +306,15 @@ def _report(
     findings: list[Finding],
     overwrite: bool,
 ) -> dict[str, Any]:
-    """The report, with the truth where `simulate` left it beside the frames."""
-    with progress("predicting photographs held out", "rows") as step:
+    """Write the report, with the truth if `simulate` left it beside the frames."""
+    with progress("predicting held-out photographs", "rows") as step:
         return lm.report(
             folder,
             transport,
             capture,
             truth=_truth(source.folder, transport),
-            estimator=settings,
+            # The report solves a small part of the camera, for which this process suffices.
+            estimator=replace(settings, workers=None, cluster=None),
             title=store.name,
             findings=findings,
             overwrite=overwrite,
@@ -275,7 +323,7 @@ def _report(
 
 
 def _truth(folder: Path | None, transport: LightTransport) -> LightTransport | None:
-    """What was photographed, if it is known and was not binned since."""
+    """The true T, if `simulate` wrote it and the capture was not binned."""
     file = None if folder is None else folder / "truth.npz"
     if file is None or not file.is_file():
         return None
@@ -285,7 +333,7 @@ def _truth(folder: Path | None, transport: LightTransport) -> LightTransport | N
 
 
 def _regularization(text: str) -> str | float:
-    """A number, or the word as it is."""
+    """A number if the text is one, otherwise the text."""
     try:
         return float(text)
     except ValueError:
