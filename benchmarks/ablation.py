@@ -25,7 +25,7 @@ from lightmatrix.estimators.coherent.backgrounds import Backgrounds
 from lightmatrix.estimators.coherent.estimator import CoherentEstimator
 from lightmatrix.evaluation.metrics import relative_error
 from lightmatrix.experiments.measured_scene import SCENES
-from lightmatrix.experiments.rigs import RIGS, Case, photographed, rig_truth
+from lightmatrix.experiments.rigs import RIGS, Case, rig_capture, rig_truth
 
 # Those in which each part has its use.
 USUAL_RIGS = ("sharp", "blur 1", "camera 4x coarser")
@@ -83,7 +83,7 @@ WITHOUT: dict[str, tuple[Change, dict[str, Any]]] = {
 def errors(case: Case) -> Iterator[tuple[str, float]]:
     """Relative errors of a case with each part left out."""
     truth = rig_truth(case.scene, case.rig, case.side)
-    capture = photographed(case, truth)
+    capture = rig_capture(case, truth)
     for name, (change, parameters) in WITHOUT.items():
         with change():
             found = CoherentEstimator(**parameters).estimate(capture)

@@ -11,9 +11,9 @@ import pytest
 
 from lightmatrix.cli import main
 from lightmatrix.experiments import few_patterns
-from lightmatrix.experiments.few_patterns import THREE_EXPOSURES, Case, means, measure
+from lightmatrix.experiments.few_patterns import Case, means, measure
 from lightmatrix.experiments.harness import Measured
-from lightmatrix.experiments.measured_scene import MeasuredScene
+from lightmatrix.experiments.measured_scene import THREE_EXPOSURES, MeasuredScene
 from lightmatrix.experiments.run import EXPERIMENTS
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.simulation import library

@@ -17,7 +17,7 @@ from lightmatrix.evaluation.metrics import response_rmse
 from lightmatrix.experiments import fig6, fig7
 from lightmatrix.experiments.fig6 import Case
 from lightmatrix.experiments.harness import Measured
-from lightmatrix.experiments.measured_scene import captured, measured_scene
+from lightmatrix.experiments.measured_scene import bernoulli_capture, measured_scene
 from lightmatrix.experiments.methods import METHODS, Reach
 from lightmatrix.outputs.running import RunningResults
 from lightmatrix.patterns.blocks import sampled_pixels
@@ -72,7 +72,7 @@ def test_the_rmse_is_the_house_metric() -> None:
     """Judged on all rows it is `response_rmse`."""
     measured = fig6.measure(Case(SCENE, "coherent", 16, 64)).rows[0]
     scene = measured_scene(SCENE, 64)
-    capture = captured(SCENE, 64, 16)
+    capture = bernoulli_capture(SCENE, 64, 16)
     estimate = METHODS[[m.name for m in METHODS].index("coherent")].estimate(
         capture, 1 / scene.exposure
     )
@@ -83,7 +83,7 @@ def test_the_rmse_is_the_house_metric() -> None:
 
 
 def test_rows_as_a_camera_of_blocks() -> None:
-    capture = captured(SCENE, 64, 16)
+    capture = bernoulli_capture(SCENE, 64, 16)
     blocks, few = fig6.judged_rows(SCENE, 64)
     part = fig6.of_rows(capture, blocks)
     assert part.camera_shape == (128, 8)

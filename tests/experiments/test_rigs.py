@@ -15,7 +15,7 @@ from lightmatrix.cli import main
 from lightmatrix.estimators.coherent.estimator import CoherentEstimator
 from lightmatrix.evaluation.metrics import relative_error
 from lightmatrix.experiments import rigs
-from lightmatrix.experiments.rigs import Case, measure, photographed, rig_truth
+from lightmatrix.experiments.rigs import Case, measure, rig_capture, rig_truth
 from lightmatrix.experiments.run import EXPERIMENTS
 from lightmatrix.simulation.other_cameras import mapped, seen
 from lightmatrix.simulation.truth import Truth
@@ -28,7 +28,7 @@ SIDE = 32
 
 def error_of(case: Case, estimator: CoherentEstimator | None = None) -> float:
     truth = rig_truth(case.scene, case.rig, case.side)
-    found = (estimator or CoherentEstimator()).estimate(photographed(case, truth))
+    found = (estimator or CoherentEstimator()).estimate(rig_capture(case, truth))
     return relative_error(found, truth.transport())
 
 
@@ -62,7 +62,7 @@ def test_what_cannot_be_found_is_called_doubtful() -> None:
     truth = rig_truth("l_objects", "blur 2", SIDE)
     order = np.random.default_rng(0).permutation(SIDE * SIDE).reshape(SIDE, SIDE)
     shuffled = seen(truth, order)
-    found = lm.estimate(photographed(Case("l_objects", "blur 2", 16, side=SIDE), shuffled))
+    found = lm.estimate(rig_capture(Case("l_objects", "blur 2", 16, side=SIDE), shuffled))
     assert relative_error(found, shuffled.transport()) > 0.3
     judged = lm.verdict(found)
     assert judged.level == "doubtful"
@@ -96,7 +96,7 @@ def test_every_rig_can_be_photographed() -> None:
         truth = rig_truth("l_objects", rig, SIDE)
         assert truth.matrix.sum() > 0
         if rig in rigs.PHOTOGRAPHED:
-            capture = photographed(Case("l_objects", rig, 8, side=SIDE), truth)
+            capture = rig_capture(Case("l_objects", rig, 8, side=SIDE), truth)
             assert capture.samples(0, 4).values.shape == (4, 8)
 
 

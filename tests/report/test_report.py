@@ -125,7 +125,7 @@ def test_an_estimate_without_diagnostics_has_a_report_too(tmp_path: Path) -> Non
     assert numbers["clipped_samples"] == pytest.approx(capture.clipped_share)
     words = _words(tmp_path / "report" / "report.html")
     assert "6 photographs are too few" in words
-    assert "clipped, exposure 0.25" in words
+    assert "clip, exposure 0.25" in words
     assert "Problems of the frames Two frames look swapped (frames 2, 4). Swap them." in words
 
 

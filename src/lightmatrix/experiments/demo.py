@@ -1,8 +1,7 @@
-"""A first look: a scene with global light, a camera that clips, four estimators, one report.
+"""The demo: a simulated capture that clips, four estimates of it, and a report.
 
-A pile of white blocks is photographed at 32 x 32 under 256 Bernoulli patterns by an 8-bit camera
-with noise. So many pixels are lit together that samples clip although hardly any single response
-does.
+A noisy 8-bit camera photographs a pile of white blocks at 32 x 32 under 256 Bernoulli patterns. So
+many projector pixels are lit together that samples clip although hardly any single response does.
 """
 
 from __future__ import annotations
@@ -46,7 +45,9 @@ from lightmatrix.transport.matrix import LightTransport
 
 SCENE = "l_objects"
 PATTERNS = 256
-# The brightest single responses just reach the clip level: what clips is the sum of many.
+# The exposure puts this quantile of the strongest single responses at the clip level, so that
+# samples clip by sums of many responses.
+UNCLIPPED_QUANTILE = 0.98
 DEFAULT = "lightmatrix"
 ESTIMATORS: dict[str, Estimator | EstimateSettings] = {
     "ROMP": PlainEstimator(ROMP(fidelity=Fidelity.LINEAR)),
@@ -58,18 +59,12 @@ PICTURE = "methods"
 
 
 def run(out: Path, *, progress: Callable[[int, int], None] | None = None) -> dict[str, Any]:
-    """Run the demo: the report, a picture of all methods, demo.json and the capture.
-
-    Parameters
-    ----------
-    out : Path
-        An existing folder.
-    """
+    """Write the report, a picture of all methods, demo.json and the capture into a folder."""
     report = progress or (lambda done, total: None)
     steps = len(ESTIMATORS) + 2
     truth = coarse(library.truth(SCENE), 2)
     known = truth.transport()
-    exposure = 1 / float(np.quantile(row_maximum(known), 0.98))
+    exposure = 1 / float(np.quantile(row_maximum(known), UNCLIPPED_QUANTILE))
     patterns = BernoulliPatterns(truth.projector_shape, PATTERNS)
     sensor = Sensor(exposure, 0.0, USUAL_NOISE, 0.0, 8)
     frames = sensor.expose(irradiance(truth.matrix, patterns))
@@ -100,22 +95,21 @@ def run(out: Path, *, progress: Callable[[int, int], None] | None = None) -> dic
     with figure(8.6, 6.8) as drawing:
         _draw(drawing, stack, known, estimates, tests["disc"], exposure)
         save(drawing, out, PICTURE)
-    told = write_page(
+    result["report"] = write_page(
         out,
         estimates[DEFAULT],
         capture,
         truth=known,
         title="Demo: a pile of L-shaped blocks",
-        more=[_compared(result["methods"], out / f"{PICTURE}.png")],
+        more=[_comparison(result["methods"], out / f"{PICTURE}.png")],
     )
-    result["report"] = told
     (out / "demo.json").write_text(json.dumps(result, indent=2) + "\n")
     report(steps, steps)
     return result
 
 
-def _compared(methods: list[dict[str, Any]], picture: Path) -> Section:
-    """All methods side by side."""
+def _comparison(methods: list[dict[str, Any]], picture: Path) -> Section:
+    """The section of the report that compares all methods."""
     rows = tuple(
         (
             method["method"],
@@ -135,8 +129,8 @@ def _compared(methods: list[dict[str, Any]], picture: Path) -> Section:
     return Section(
         "methods",
         "Four methods on the same photographs",
-        "ROMP and ADMM take clipped samples at their value; Saturation ADMM (Chiba & Hashimoto, "
-        "BMVC 2018) and lightmatrix's own estimate, which this report is about, do not.",
+        "ROMP and ADMM take clipped samples at their value. Saturation ADMM (Chiba and Hashimoto, "
+        "BMVC 2018) and lightmatrix, whose estimate this report describes, treat them as clipped.",
         (Table("Errors against the truth, by method", heads, rows), Gallery((image,), "wide")),
     )
 
@@ -164,7 +158,7 @@ def _draw(
     pattern: NDArray[np.float32],
     exposure: float,
 ) -> None:
-    """Scene and capture, then a row of T and a relit image: the truth and each method."""
+    """Draw scene and capture, then a row of T and a relit image of the truth and each method."""
     panels = drawing.subplots(4, 1 + len(estimates))
     white = known.relight(np.ones(known.projector_shape, np.float32))
     frame = stack[0] / 255
@@ -175,22 +169,24 @@ def _draw(
     panel(panels[0, 3], often, "share of frames clipped", cmap=WHITE_TO_RED)
     panel(panels[0, 4], pattern, "unseen pattern")
 
-    place = _interesting_row(stack, known, exposure)
-    all_of_them = {"truth": known, **estimates}
+    place = _often_clipped_pixel(stack, known, exposure)
+    matrices = {"truth": known, **estimates}
     expected = known.relight(pattern)
-    for column, (name, transport) in enumerate(all_of_them.items()):
+    for column, (name, transport) in enumerate(matrices.items()):
         row = exposure * transport.row(*place)
         panel(panels[1, column], display(row, float(exposure * known.row(*place).max())), name)
         image = transport.relight(pattern)
         panel(panels[2, column], display(image, float(np.quantile(expected, 0.98))))
         error = (image - expected) / float(np.quantile(expected, 0.98))
         limits: dict[str, Any] = {"cmap": "RdBu_r", "vmin": -0.5, "vmax": 0.5}
-        shown = panel(panels[3, column], error, **limits)
+        error_panel = panel(panels[3, column], error, **limits)
         panels[2, column].set_xlabel("" if name == "truth" else _psnr(image, expected))
     panels[1, 0].set_ylabel(f"row of T, pixel {place[0]}, {place[1]}")
-    panels[2, 0].set_ylabel("relit with it")
+    panels[2, 0].set_ylabel("relit image")
     panels[3, 0].set_ylabel("error of relighting")
-    drawing.colorbar(shown, ax=panels[3, :].tolist(), shrink=0.8, label="error, share of white")
+    drawing.colorbar(
+        error_panel, ax=panels[3, :].tolist(), shrink=0.8, label="error, share of white"
+    )
 
 
 def _psnr(image: NDArray[np.float32], expected: NDArray[np.float32]) -> str:
@@ -198,10 +194,10 @@ def _psnr(image: NDArray[np.float32], expected: NDArray[np.float32]) -> str:
     return f"PSNR {20 * np.log10(float(expected.max()) / max(error, 1e-12)):.1f} dB"
 
 
-def _interesting_row(
+def _often_clipped_pixel(
     stack: NDArray[Any], known: LightTransport, exposure: float
 ) -> tuple[int, int]:
-    """A camera pixel well inside that clips often although its single responses do not."""
+    """An inner camera pixel that clips in about 40 % of the frames by sums of responses alone."""
     rows, cols = known.camera_shape[:2]
     share = (stack == 255).mean(axis=0)
     quiet = row_maximum(known).reshape(rows, cols) * exposure < 0.9

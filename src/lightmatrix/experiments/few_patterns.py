@@ -1,4 +1,4 @@
-"""How few patterns suffice: coherent estimates of the rendered scenes against row by row ones."""
+"""How few patterns suffice: coherent estimates of the rendered scenes and row-by-row ones."""
 
 from __future__ import annotations
 
@@ -16,10 +16,11 @@ from lightmatrix.capture.capture import Capture
 from lightmatrix.estimators.coherent.estimator import CoherentEstimator
 from lightmatrix.estimators.coherent.row_solver import DEFAULT_REGULARIZATION
 from lightmatrix.estimators.plain import PlainEstimator
-from lightmatrix.experiments.harness import Experiment, Measured
+from lightmatrix.experiments.harness import Experiment, Measured, all_rows
 from lightmatrix.experiments.measured_scene import (
     ONE_EXPOSURE,
     SCENES,
+    THREE_EXPOSURES,
     Exposures,
     MeasuredScene,
     measured_scene,
@@ -37,10 +38,9 @@ SIZE = (128, 128)
 SEEDS = (0, 1, 2)
 HALF_EXPOSURE: Exposures = ((0.5, 1.0),)
 TWO_EXPOSURES: Exposures = ((1.0, 0.75), (0.25, 0.25))
-THREE_EXPOSURES: Exposures = ((1.0, 0.5), (0.25, 0.25), (0.0625, 0.25))
-# Entries of the truth above this share of the clip level, where the support is taken as known.
+# "Known support" solves each row on the entries of the truth above this share of the clip level,
+# with this multiple of the coherent estimate's regularization. Chosen by hand.
 KNOWN_SUPPORT = 0.003
-# The penalty there, relative to the coherent estimate's.
 KNOWN_PENALTY = 0.01
 ERROR_TICKS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1)
 
@@ -66,7 +66,7 @@ class Case:
 
 
 def cases(quick: bool) -> Iterator[Case]:
-    """What is measured, the cheap and important first."""
+    """All cases, the cheap and important ones first."""
     if quick:
         for method in ("coherent", "row by row"):
             yield Case("l_objects", method, 32, 0, size=(64, 64))
@@ -89,7 +89,7 @@ def cases(quick: bool) -> Iterator[Case]:
         for count in (16, 32, 64, 256):
             yield Case(scene, "known support", count, 0)
             yield Case(scene, "not clipping", count, 0)
-    # No worse than row by row, on any bundled scene and at any number of patterns.
+    # These show that coherent is no worse than row by row at any number of patterns.
     for count in (32, 64, 128, 256, 512, 1024):
         for scene in library.BUNDLED:
             for seed in SEEDS:
@@ -102,7 +102,7 @@ def cases(quick: bool) -> Iterator[Case]:
 
 
 def means(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Mean over the seeds of every other combination."""
+    """The means over the seeds."""
     groups: dict[str, list[dict[str, Any]]] = {}
     for row in rows:
         key = json.dumps([row[name] for name in asdict(Case("", "", 0, 0)) if name != "seed"])
@@ -126,7 +126,7 @@ def measure(case: Case) -> Measured:
     started = time.perf_counter()
     estimate = _estimate(case, scene, capture)
     seconds = time.perf_counter() - started
-    # The same rows count at every exposure.
+    # At every exposure the errors cover the same rows.
     usual = capture if case.exposures == ONE_EXPOSURE else scene.capture(patterns, case.seed)
     certified = estimate.diagnostics.get("converged", np.array([np.nan]))
     row = {
@@ -150,7 +150,7 @@ def _estimate(case: Case, scene: MeasuredScene, capture: Capture) -> LightTransp
 
 
 def _with_known_support(scene: MeasuredScene, capture: Capture) -> LightTransport:
-    """Rows solved on the pixels that hold light in truth."""
+    """Solve each row on the pixels that hold light in the truth."""
     level = capture.reference_level
     support = scene.truth.matrix.copy()
     support.data[support.data < KNOWN_SUPPORT * level] = 0
@@ -163,15 +163,15 @@ def _with_known_support(scene: MeasuredScene, capture: Capture) -> LightTranspor
         support.indices.astype(np.int32),
         np.ones(support.nnz, np.float32),
     )
-    found = solve_weighted(
+    solved = solve_weighted(
         problem, candidates, Cells.none(capture.patterns), ActiveSet(tolerance=1e-3)
     )
     return LightTransport(
-        csr_array(found.coefficients, dtype=np.float32),
-        found.background.astype(np.float32)[:, None],
+        csr_array(solved.coefficients, dtype=np.float32),
+        solved.background.astype(np.float32)[:, None],
         capture.camera_shape,
         capture.projector_shape,
-        diagnostics={"converged": found.converged},
+        diagnostics={"converged": solved.converged},
     )
 
 
@@ -183,9 +183,9 @@ def _patterns(case: Case) -> PatternSet:
     return BernoulliPatterns(case.size, case.patterns, seed=case.seed)
 
 
-def _draw(out: Path, found: list[tuple[Case, Measured]]) -> None:
-    """The full run's curves; a quick one has none."""
-    rows = means([row for _, measured in found for row in measured.rows])
+def _draw(out: Path, results: list[tuple[Case, Measured]]) -> None:
+    """Draw the curves of a full run; a quick one has none."""
+    rows = means(all_rows(results))
     if {row["scene"] for row in rows} != set(SCENES):
         return
     kinds = (
@@ -197,11 +197,11 @@ def _draw(out: Path, found: list[tuple[Case, Measured]]) -> None:
     with figure(7.2, 4.7) as drawing:
         panels = drawing.subplots(2, len(SCENES), sharex=True, sharey="row")
         for column, (scene, title) in enumerate(SCENES.items()):
-            for line, what in enumerate(("relative_error", "relighting_error")):
+            for line, error in enumerate(("relative_error", "relighting_error")):
                 axes = panels[line, column]
                 for method, label, colour, style in kinds:
                     points = sorted(
-                        (row["patterns"], row[what])
+                        (row["patterns"], row[error])
                         for row in rows
                         if row["scene"] == scene
                         and row["method"] == method

@@ -1,9 +1,9 @@
-"""The paper's numerical simulation (Section 4.1, Fig. 4), with two more curves.
+"""Fig. 4: the paper's numerical simulation (Section 4.1), with two more methods.
 
-100 unknowns, exactly 10 of them not zero and uniform in [0, 1]; A uniform in [0, 1]; 10 to 100
-observations, unclipped and clipped at 3; the mean and standard deviation over the trials of each
-trial's RMSE. Beside ROMP, ADMM and Saturation ADMM stand the convex one-sided variant and the
-rejection of clipped samples. As in the paper, nothing is held to be non-negative.
+Of 100 unknowns, 10 are not zero and uniform in [0, 1]; A is uniform in [0, 1]; there are 10 to 100
+observations, unclipped or clipped at 3. The figure shows the mean and standard deviation of the
+RMSE over the trials. Besides ROMP, ADMM and Saturation ADMM, it shows the convex one-sided variant
+and the rejection of clipped samples. As in the paper, unknowns may be negative.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.camera.samples import Samples
-from lightmatrix.experiments.harness import Experiment, Measured
+from lightmatrix.experiments.harness import Experiment, Measured, all_rows
 from lightmatrix.experiments.trials import TrialPatterns
 from lightmatrix.patterns.pattern_set import ImagePatterns
 from lightmatrix.pictures.style import COLOURS, figure, save
@@ -27,19 +27,19 @@ UNKNOWNS = 100
 NON_ZERO = 10
 CLIP_LEVEL = 3.0
 OBSERVATIONS = tuple(range(10, 101, 10))
-# Draws for each number of observations.
+# Trials for each number of observations.
 TRIALS = 100
 QUICK_TRIALS = 20
 
-# Not stated in the paper. lambda is small because there is no noise; mu and nu change the speed
-# but not what is found.
+# The paper does not state these. lambda is small because there is no noise; mu and nu change the
+# speed but not the solution.
 REGULARIZATION = 0.01
 PENALTY_X = 30.0
 PENALTY_U = 3.0
 ITERATIONS = 500
-# Top of the drawing; what lies above is marked there with its value.
+# The axis ends here; larger values are marked at its top. Chosen by eye.
 _TOP = 0.45
-# Trials share a batch, so no row may stop before the others.
+# No row of a batch may stop before the others, so the tolerance is never reached.
 _NEVER = 1e-300
 
 _ADMM: dict[str, Any] = {"penalty_x": PENALTY_X, "max_iterations": ITERATIONS, "tolerance": _NEVER}
@@ -50,7 +50,7 @@ METHODS: dict[str, Solver] = {
     "one-sided": SaturationADMM(Fidelity.ONE_SIDED, penalty_u=PENALTY_U, **_ADMM),
     "rejection": SaturationADMM(Fidelity.REJECTION, penalty_u=PENALTY_U, **_ADMM),
 }
-# Curves that coincide stay visible: wide and hollow below, thin and small above.
+# Coinciding curves stay visible: wide and hollow ones lie below thin and small ones.
 _STYLES: dict[str, dict[str, Any]] = {
     "romp": {"marker": "o", "markersize": 3},
     "admm": {"marker": "s", "markersize": 6, "markerfacecolor": "white", "linewidth": 2.6},
@@ -89,7 +89,7 @@ def cases(quick: bool) -> Iterator[Case]:
 
 
 def parameters(quick: bool) -> dict[str, Any]:
-    """What the table was made with."""
+    """The parameters of the table."""
     return {
         "trials": QUICK_TRIALS if quick else TRIALS,
         "seed": 0,
@@ -109,19 +109,19 @@ def measure(case: Case) -> Measured:
     matrices, x = draw(case.trials, case.observations, case.seed)
     rows = []
     for condition, level in (("unclipped", np.inf), ("clipped", CLIP_LEVEL)):
-        found: dict[str, NDArray[np.float64]] = {}
+        rmse: dict[str, NDArray[np.float64]] = {}
         for method in METHODS:
-            # Without clipped samples they differ from Saturation ADMM in no operation.
+            # Without clipped samples these perform the same operations as Saturation ADMM.
             same = condition == "unclipped" and method in SAME_WHERE_UNCLIPPED
-            known = found.get("saturation-admm") if same else None
-            found[method] = errors(method, matrices, x, level) if known is None else known
+            known = rmse.get("saturation-admm") if same else None
+            rmse[method] = errors(method, matrices, x, level) if known is None else known
             rows.append(
                 {
                     "method": method,
                     "condition": condition,
                     "observations": case.observations,
-                    "rmse_mean": float(found[method].mean()),
-                    "rmse_std": float(found[method].std()),
+                    "rmse_mean": float(rmse[method].mean()),
+                    "rmse_std": float(rmse[method].std()),
                 }
             )
     return Measured(rows)
@@ -147,12 +147,12 @@ def errors(
     y = np.minimum(linear, clip_level)
     solver = METHODS[method]
     if isinstance(solver, ROMP):
-        # Its supports differ, so that trials gain nothing from a batch.
-        found = [
+        # The supports of trials differ, so a batch would gain nothing.
+        solutions = [
             _solve(ImagePatterns(a[:, None, :].astype(np.float32)), row[None], clip_level, solver)
             for a, row in zip(matrices, y, strict=True)
         ]
-        estimate = np.concatenate(found)
+        estimate = np.concatenate(solutions)
     else:
         estimate = _solve(TrialPatterns(matrices), y, clip_level, solver)
     return np.sqrt(np.mean((estimate - x) ** 2, axis=1))
@@ -175,8 +175,8 @@ def _solve(
     return solve(problem, solver).coefficients.toarray()
 
 
-def _draw(out: Path, found: list[tuple[Case, Measured]]) -> None:
-    measured = [row for _, case in found for row in case.rows]
+def _draw(out: Path, results: list[tuple[Case, Measured]]) -> None:
+    measured = all_rows(results)
     with figure(6.8, 3.0) as drawing:
         panels = drawing.subplots(1, 2)
         for axes, condition in zip(panels, ("unclipped", "clipped"), strict=True):
@@ -206,7 +206,7 @@ def _draw(out: Path, found: list[tuple[Case, Measured]]) -> None:
         panels[0].set_title("(a) unclipped")
         panels[1].set_title(f"(b) clipped at Y = {CLIP_LEVEL:g}")
         panels[0].legend(loc="upper right")
-        note = f"mean and standard deviation of {found[0][0].trials} trials, "
+        note = f"mean and standard deviation of {results[0][0].trials} trials, "
         note += rf"$\lambda$ = {REGULARIZATION}, $\mu$ = {PENALTY_X:g}, "
         note += rf"$\nu$ = {PENALTY_U:g}, {ITERATIONS} iterations, ROMP n = {NON_ZERO}"
         drawing.supxlabel(note, fontsize=7, color="0.4")

@@ -1,4 +1,4 @@
-"""The scenes (the paper's Fig. 5) and what clipping does to a capture (its Figs. 1 and 2)."""
+"""Fig. 5: the scenes; Figs. 1 and 2: what clipping does to a capture."""
 
 from __future__ import annotations
 
@@ -23,6 +23,7 @@ from lightmatrix.simulation.scene_statistics import clipped_share, direct_share,
 from lightmatrix.simulation.thumbnails import white_image, white_level
 from lightmatrix.simulation.truth import Truth
 
+# The table states the clipped share of samples under random patterns at these exposures.
 EXPOSURES = (0.1, 0.2, 0.4, 0.8, 1.0)
 FORMATS = ("png", "svg")
 
@@ -48,12 +49,12 @@ def cases(quick: bool) -> Iterator[Case]:
 
 
 def parameters(quick: bool) -> dict[str, Any]:
-    """At which exposures the clipped share of random patterns' samples is told."""
+    """The exposures of the clipped shares."""
     return {"exposures": EXPOSURES}
 
 
 def measure(case: Case) -> Measured:
-    """A scene's line of the table, and its photograph where the figure shows it."""
+    """A scene's row of the table, and its photograph if the figure shows it."""
     truth = library.truth(case.scene)
     photos = {"photograph": _photograph(case, truth)} if case.scene in SCENES else {}
     return Measured([statistics(case.scene, truth)], photos)
@@ -67,7 +68,7 @@ def _photograph(case: Case, truth: Truth) -> NDArray[np.float32]:
 
 
 def statistics(name: str, truth: Truth) -> dict[str, Any]:
-    """One line of the table of scenes."""
+    """One row of the table of scenes."""
     return {
         "scene": name,
         "size": list(truth.camera_shape),
@@ -83,9 +84,9 @@ def _white(truth: Truth) -> NDArray[np.float32]:
     return np.asarray(truth.matrix.sum(axis=1), np.float32).reshape(truth.camera_shape)
 
 
-def _draw(out: Path, found: list[tuple[Case, Measured]]) -> None:
+def _draw(out: Path, results: list[tuple[Case, Measured]]) -> None:
     truth = library.truth("l_objects")
-    _draw_scenes(out, {case.scene: measured.arrays for case, measured in found})
+    _draw_scenes(out, {case.scene: measured.arrays for case, measured in results})
     _draw_capture(out, truth)
     _draw_formulation(out, truth)
 
@@ -100,24 +101,24 @@ def _draw_scenes(out: Path, images: dict[str, Mapping[str, NDArray[Any]]]) -> No
 
 
 def _draw_capture(out: Path, truth: Truth) -> None:
-    """Patterns and what a clipping camera sees of them, clipped pixels in red (Fig. 1)."""
+    """Draw patterns and what a clipping camera sees under them, clipped pixels in red (Fig. 1)."""
     patterns = BernoulliPatterns(truth.projector_shape, 3, seed=1)
     light = irradiance(truth.matrix, patterns)
     with figure(6.4, 6.6) as drawing:
         panels = drawing.subplots(3, 3)
-        for k, (show, photo, marked) in enumerate(panels):
+        for k, (left, middle, right) in enumerate(panels):
             frame = light[:, k].reshape(truth.camera_shape)
-            panel(show, patterns.images(k, k + 1)[0], "projection pattern" if k == 0 else "")
-            panel(photo, display(frame, 1.0), "camera image" if k == 0 else "")
+            panel(left, patterns.images(k, k + 1)[0], "projection pattern" if k == 0 else "")
+            panel(middle, display(frame, 1.0), "camera image" if k == 0 else "")
             red = mark_clipped(display(frame, 1.0), frame >= 1)
             share = 100 * float((frame >= 1).mean())
-            panel(marked, red, "clipped pixels in red" if k == 0 else "")
-            marked.set_xlabel(f"{share:.0f} % clipped")
+            panel(right, red, "clipped pixels in red" if k == 0 else "")
+            right.set_xlabel(f"{share:.0f} % clipped")
         save(drawing, out, "fig1", FORMATS)
 
 
 def _draw_formulation(out: Path, truth: Truth) -> None:
-    """C = C_Y(T P') as matrices (Fig. 2), from the middle of the scene."""
+    """Draw C = C_Y(T P') as matrices, for a row of camera pixels in the middle (Fig. 2)."""
     patterns = BernoulliPatterns(truth.projector_shape, 24, seed=1)
     side = truth.camera_shape[1]
     rows = (side // 2) * side + np.arange(side)
@@ -133,9 +134,9 @@ def _draw_formulation(out: Path, truth: Truth) -> None:
         panel(right, lit, "$P'$")
         left.set_ylabel("64 camera pixels")
         left.set_xlabel("24 patterns")
-        shown, all_of_them = len(columns), matrix.shape[1]
+        shown, pixels = len(columns), matrix.shape[1]
         middle.set_ylabel("64 camera pixels")
-        middle.set_xlabel(f"{shown} of {all_of_them:,} projector pixels, the others not shown")
+        middle.set_xlabel(f"{shown} of {pixels:,} projector pixels, the others not shown")
         right.set_ylabel(f"the same {shown} projector pixels")
         right.set_xlabel("24 patterns")
         drawing.suptitle(r"$C = C_Y(T P')$: a clipped sample is only a lower bound", fontsize=9)

@@ -1,13 +1,14 @@
-"""RMSE against one-pixel responses on rendered scenes (the paper's Section 4.2, Fig. 6).
+"""Fig. 6: RMSE against one-pixel responses on rendered scenes (the paper's Section 4.2).
 
-128 x 128 projector and camera, Bernoulli patterns, an 8-bit camera with noise of 0.003 of its range
-at the exposure at which a fifth of the camera pixels clip under their strongest projector pixel.
+Projector and camera have 128 x 128 pixels and the patterns are Bernoulli. The 8-bit camera has
+noise of 0.003 of its range, at the exposure at which a fifth of the camera pixels clip under their
+strongest projector pixel.
 
-What is compared where: 64 of the 256 sampled projector pixels are the middles of camera blocks of
-8 x 8 pixels, every other block in both directions. All methods are judged on these 4,096 camera
-pixels against the responses to all 256 projector pixels. ADMM and Saturation ADMM would take hours
-for them. Their curves are the minima of what they minimise (of the convex form, for Saturation
-ADMM), found by the active-set solver to a duality gap of 1e-4; they themselves run, for a limited
+All methods are judged on 4,096 camera pixels, which form 64 blocks of 8 x 8: every other block in
+both directions. They are compared with the responses to 256 projector pixels, 64 of which are the
+middles of these blocks. ADMM and Saturation ADMM would take hours for all of them. Their curves are
+therefore the minima of their objectives (of the convex form, for Saturation ADMM), which the
+active-set solver finds to a duality gap of 1e-4. The two methods themselves run, for a limited
 number of iterations, on 128 of the camera pixels: in each block the pixel that the sampled
 projector pixel lights most, and a random one.
 """
@@ -28,8 +29,14 @@ from numpy.typing import NDArray
 from lightmatrix.camera.noise import USUAL_NOISE
 from lightmatrix.capture.capture import Capture
 from lightmatrix.estimators.coherent.estimator import WORTH_IT_UP_TO
-from lightmatrix.experiments.harness import Experiment, Measured
-from lightmatrix.experiments.measured_scene import BITS, LETTERED, SCENES, captured, measured_scene
+from lightmatrix.experiments.harness import Experiment, Measured, all_rows
+from lightmatrix.experiments.measured_scene import (
+    BITS,
+    LETTERED,
+    SCENES,
+    bernoulli_capture,
+    measured_scene,
+)
 from lightmatrix.experiments.methods import (
     BY_NAME,
     ITERATIONS,
@@ -41,12 +48,12 @@ from lightmatrix.experiments.methods import (
 from lightmatrix.patterns.blocks import sampled_pixels
 from lightmatrix.pictures.style import figure, save
 
-# In the order in which they are measured, so that a run in progress spans the whole range.
+# Numbers of patterns in the order of measurement, so that a run in progress spans the whole range.
 OBSERVATIONS = (16, 64, 256, 1024, 32, 128, 512)
 QUICK_OBSERVATIONS = (16, 64)
 # Pixels per side of camera and projector.
 SIZE, QUICK_SIZE = 128, 64
-# Camera blocks, and the distance of sampled projector pixels.
+# The side of camera blocks, and the distance of sampled projector pixels.
 BLOCK = 8
 
 
@@ -66,7 +73,7 @@ class Case:
 
 
 def cases(quick: bool) -> Iterator[Case]:
-    """What is measured."""
+    """All cases, method by method."""
     counts, size = (QUICK_OBSERVATIONS, QUICK_SIZE) if quick else (OBSERVATIONS, SIZE)
     for count in counts:
         for reach in Reach:
@@ -78,7 +85,7 @@ def cases(quick: bool) -> Iterator[Case]:
 
 
 def parameters(quick: bool) -> dict[str, Any]:
-    """What the table was made with."""
+    """The parameters of the table."""
     return {
         "size": QUICK_SIZE if quick else SIZE,
         "noise": USUAL_NOISE,
@@ -91,9 +98,9 @@ def parameters(quick: bool) -> dict[str, Any]:
 
 
 def measure(case: Case) -> Measured:
-    """RMSE of one case over all judged pixels and over the few, in units of the clip level."""
+    """RMSE in clip levels of one case, over all judged pixels and over the few."""
     scene = measured_scene(case.scene, case.size)
-    capture = captured(case.scene, case.size, case.observations)
+    capture = bernoulli_capture(case.scene, case.size, case.observations)
     method = BY_NAME[case.method]
     blocks, few = judged_rows(case.scene, case.size)
     rows = {Reach.CAMERA: None, Reach.BLOCKS: blocks, Reach.ROWS: few}[method.reach]
@@ -102,11 +109,11 @@ def measure(case: Case) -> Measured:
     estimate = method.estimate(part, 1 / scene.exposure)
     seconds = time.perf_counter() - started
     columns = sampled_pixels(scene.known.projector_shape, BLOCK, BLOCK // 2)
-    found = estimate.dense_columns(columns)
+    responses = estimate.dense_columns(columns)
     known = scene.truth.matrix[:, columns].toarray()
     if rows is None:
-        found, rows = found[blocks], blocks
-    squares = np.square((found - known[rows]) * scene.exposure, dtype=np.float64)
+        responses, rows = responses[blocks], blocks
+    squares = np.square((responses - known[rows]) * scene.exposure, dtype=np.float64)
     whole = method.reach is not Reach.ROWS
     row = {
         **asdict(case),
@@ -121,7 +128,7 @@ def measure(case: Case) -> Measured:
 
 
 def of_rows(capture: Capture, rows: NDArray[np.integer]) -> Capture:
-    """Some camera pixels, (n,) or blocks (n, side, side) one below the other, as a camera."""
+    """A capture of some camera pixels only, arranged as blocks below each other or as a column."""
     frames = np.stack([capture.frames.read(k).ravel()[rows] for k in range(capture.count)])
     side = BLOCK if len(rows) % BLOCK**2 == 0 and len(rows) > BLOCK**2 else 1
     stack = np.ascontiguousarray(frames).reshape(capture.count, -1, side)
@@ -130,7 +137,7 @@ def of_rows(capture: Capture, rows: NDArray[np.integer]) -> Capture:
 
 @lru_cache(maxsize=1)
 def judged_rows(name: str, size: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Camera pixels of every other block, block after block, and the few among them."""
+    """The camera pixels of every other block, block by block, and the few among them."""
     scene = measured_scene(name, size)
     index = np.arange(size * size).reshape(size // BLOCK, BLOCK, size // BLOCK, BLOCK)
     blocks = index.swapaxes(1, 2)[::2, ::2].reshape(-1, BLOCK * BLOCK)
@@ -144,19 +151,19 @@ def judged_rows(name: str, size: int) -> tuple[NDArray[np.int64], NDArray[np.int
     return blocks.ravel(), np.sort(np.array(few))
 
 
-def _draw(out: Path, found: list[tuple[Case, Measured]]) -> None:
-    rows = [row for _, measured in found for row in measured.rows]
+def _draw(out: Path, results: list[tuple[Case, Measured]]) -> None:
+    rows = all_rows(results)
     with figure(7.2, 4.9) as drawing:
         panels = drawing.subplots(2, len(SCENES), sharex=True, sharey="row")
         for column, (scene, title) in enumerate(LETTERED.items()):
-            for line, what in enumerate(("rmse", "rmse_few")):
+            for line, error in enumerate(("rmse", "rmse_few")):
                 axes = panels[line, column]
                 for method in METHODS:
                     points = sorted(
-                        (row["observations"], row[what])
+                        (row["observations"], row[error])
                         for row in rows
                         if (row["scene"], row["method"]) == (scene, method.name)
-                        and row[what] is not None
+                        and row[error] is not None
                     )
                     if not points or (line == 1 and _left_out(method.name)):
                         continue
@@ -165,7 +172,7 @@ def _draw(out: Path, found: list[tuple[Case, Measured]]) -> None:
                         "color": method.colour,
                         "linestyle": method.style or "none",
                         "marker": method.marker,
-                        # Open squares and large crosses show what lies under them.
+                        # Open squares and large crosses do not hide the markers under them.
                         "markersize": {"s": 6, "x": 5, "+": 7}.get(method.marker, 3),
                         "markerfacecolor": "none" if method.marker == "s" else method.colour,
                         "label": method.label,
@@ -193,7 +200,7 @@ def _draw(out: Path, found: list[tuple[Case, Measured]]) -> None:
 
 
 def _left_out(name: str) -> bool:
-    """The lower panels show what the upper ones do not: the iterated solvers and their minima."""
+    """Whether the lower panels, of the iterated solvers and their minima, leave a method out."""
     return not name.startswith(("admm", "saturation-admm")) or name.endswith("multi-scale")
 
 

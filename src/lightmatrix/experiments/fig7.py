@@ -1,9 +1,9 @@
-"""Relighting with a logo that no pattern resembles (the paper's Section 4.3, Fig. 7).
+"""Fig. 7: relighting with a logo that no pattern resembles (the paper's Section 4.3).
 
-All camera pixels, 256 Bernoulli patterns, the exposure and camera of Fig. 6. Each method's T is
-multiplied with the logo; under the image stands its difference from the true one. Two more columns
-show the coherent estimate from 64 frames: of the same kind, and with some coarse patterns and
-half of the frames shorter, as `lightmatrix plan` advises for highlights.
+All camera pixels are estimated from 256 Bernoulli patterns with the exposure and camera of Fig. 6.
+Each method relights the scene with the logo; below stands the error of the image. Two more columns
+show the coherent estimate from 64 frames: of the same kind, and with some coarse patterns and half
+of the frames at shorter exposures, as `lightmatrix plan` advises for highlights.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from lightmatrix.experiments.harness import Experiment, Measured
 from lightmatrix.experiments.measured_scene import (
     LETTERED,
     SCENES,
-    Exposures,
-    captured,
+    THREE_EXPOSURES,
+    bernoulli_capture,
     measured_scene,
 )
 from lightmatrix.experiments.methods import BY_NAME, REGULARIZATION
@@ -32,7 +32,6 @@ from lightmatrix.patterns.mix import MixedPatterns, default_mix
 from lightmatrix.pictures.style import display, figure, panel, save
 
 OBSERVATIONS = 256
-EXPOSURES: Exposures = ((1.0, 0.5), (0.25, 0.25), (0.0625, 0.25))
 METHODS = (
     "romp-multi-scale",
     "admm-multi-scale",
@@ -40,11 +39,11 @@ METHODS = (
     "saturation-admm-multi-scale",
     "coherent",
 )
-# Frames of the last columns.
+# The last columns have this many frames.
 FEW = 64
-# Errors are drawn up to this share of the image's white.
+# The colours of errors end at this share of the image's white.
 ERROR_RANGE = 0.25
-# Rows of the letters L and M, a pixel each 1/16 of the projector.
+# The letters L and M; each character is 1/16 of the projector.
 LOGO = (
     "................",
     "................",
@@ -67,7 +66,7 @@ LOGO = (
 
 @dataclass(frozen=True)
 class Case:
-    """A method and the frames it is given: fine patterns at one exposure, or both mixed."""
+    """A method, and fine patterns at one exposure or mixed patterns at three."""
 
     scene: str
     method: str
@@ -83,19 +82,19 @@ class Case:
 
     @property
     def label(self) -> str:
-        """What stands above the images."""
+        """The title of the column."""
         name = BY_NAME[self.method].label.replace(" (", "\n(").replace(" multi", "\nmulti")
         frames = f"K = {self.observations}"
         return f"{name}\n{frames}, mixed" if self.mixed else f"{name}\n{frames}"
 
     def capture(self) -> Capture:
-        """Its frames."""
+        """The capture of this case."""
         if not self.mixed:
-            return captured(self.scene, self.size, self.observations)
+            return bernoulli_capture(self.scene, self.size, self.observations)
         shape = (self.size, self.size)
         mix = default_mix(shape, self.observations)
         patterns = MixedPatterns(shape, self.observations, mix)
-        return measured_scene(self.scene, self.size).capture(patterns, 0, EXPOSURES)
+        return measured_scene(self.scene, self.size).capture(patterns, 0, THREE_EXPOSURES)
 
 
 def cases(quick: bool) -> Iterator[Case]:
@@ -110,17 +109,17 @@ def cases(quick: bool) -> Iterator[Case]:
 
 
 def parameters(quick: bool) -> dict[str, Any]:
-    """What the table was made with."""
+    """The parameters of the table."""
     return {
         "size": 64 if quick else 128,
         "lambda": REGULARIZATION,
         "seed": 0,
-        "mixed exposures and shares": EXPOSURES,
+        "mixed exposures and shares": THREE_EXPOSURES,
     }
 
 
 def measure(case: Case) -> Measured:
-    """The relit image of a case and how good it is."""
+    """The relit image of a case and its quality."""
     scene, capture = measured_scene(case.scene, case.size), case.capture()
     started = time.perf_counter()
     estimate = BY_NAME[case.method].estimate(capture, 1 / scene.exposure)
@@ -148,9 +147,8 @@ def quality(image: NDArray[Any], expected: NDArray[Any]) -> dict[str, float]:
     """Peak signal-to-noise ratios in dB, structural similarity and relative L2 error.
 
     The peak is the 99th percentile of the expected image, so that a few highlights do not set the
-    scale. `psnr` and `relative_error` count them as they are; for `psnr_shown` and `ssim` (Wang et
-    al. 2004, windows of 7 x 7 pixels, uniform) both images are clipped at the peak, as a screen
-    shows them.
+    scale. `psnr` and `relative_error` include highlights. For `psnr_shown` and `ssim` (Wang et al.
+    2004, uniform windows of 7 x 7 pixels) both images are clipped at the peak, as on a screen.
     """
     peak = max(float(np.quantile(expected, 0.99)), 1e-12)
     error = np.asarray(image, np.float64) - expected
@@ -173,9 +171,9 @@ def quality(image: NDArray[Any], expected: NDArray[Any]) -> dict[str, float]:
     }
 
 
-def _draw(out: Path, found: list[tuple[Case, Measured]]) -> None:
-    """Two lines a scene: relit images, and their errors under them."""
-    size, width = found[0][0].size, 1 + len(found) // len(SCENES)
+def _draw(out: Path, results: list[tuple[Case, Measured]]) -> None:
+    """Draw two lines of panels per scene: relit images, and their errors."""
+    size, width = results[0][0].size, 1 + len(results) // len(SCENES)
     with figure(1.25 * width, 2.85 * len(SCENES)) as drawing:
         panels = drawing.subplots(2 * len(SCENES), width)
         for line, scene in enumerate(SCENES):
@@ -188,18 +186,18 @@ def _draw(out: Path, found: list[tuple[Case, Measured]]) -> None:
             upper[0].set_ylabel(LETTERED[scene])
             panel(lower[0], logo(size))
             lower[0].set_xlabel("projected", fontsize=7)
-            mine = [(case, measured) for case, measured in found if case.scene == scene]
-            for place, (case, measured) in enumerate(mine, start=1):
+            columns = [(case, measured) for case, measured in results if case.scene == scene]
+            for place, (case, measured) in enumerate(columns, start=1):
                 image, row = measured.arrays["image"], measured.rows[0]
                 panel(upper[place], display(image, white))
                 if line == 0:
                     upper[place].set_title(case.label, fontsize=7)
                 limits: dict[str, Any] = {"vmin": -ERROR_RANGE, "vmax": ERROR_RANGE}
-                shown = panel(lower[place], (image - expected) / white, cmap="RdBu_r", **limits)
+                errors = panel(lower[place], (image - expected) / white, cmap="RdBu_r", **limits)
                 text = f"{row['psnr_shown']:.1f} dB, {row['ssim']:.2f}"
                 lower[place].set_xlabel(text, fontsize=7)
         drawing.colorbar(
-            shown,
+            errors,
             ax=panels.ravel().tolist(),
             location="bottom",
             shrink=0.4,

@@ -1,4 +1,4 @@
-"""One harness for all experiments: cases measured one by one, kept, tabulated and drawn."""
+"""The harness of all experiments: it measures case by case, keeps results, tabulates and draws."""
 
 from __future__ import annotations
 
@@ -22,24 +22,16 @@ C = TypeVar("C", bound="Case")
 
 
 class Case(Protocol):
-    """What is measured at once: a frozen dataclass of parameters."""
+    """The parameters of one measurement, a frozen dataclass."""
 
     @property
     def name(self) -> str:
-        """A file name that no other case of the experiment has."""
+        """A file name that is unique among the cases of the experiment."""
 
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """What a case gave.
-
-    Parameters
-    ----------
-    rows : list of dict
-        Lines of the table, JSON-ready.
-    arrays : mapping of str to array
-        Images that the figure shows.
-    """
+    """The result of a case: JSON-ready rows of the table, and arrays that the figure shows."""
 
     rows: list[Row]
     arrays: Mapping[str, NDArray[Any]] = field(default_factory=dict)
@@ -47,29 +39,18 @@ class Measured:
 
 @dataclass(frozen=True)
 class Experiment(Generic[C]):
-    """What a figure shows and how it is measured.
+    """A figure: its cases, how to measure one, and how to draw the results."""
 
-    Parameters
-    ----------
-    name : str
-        Of the command and of the files that are written.
-    cases : callable
-        The cases of a quick or a full run, in the order in which they are measured.
-    measure : callable
-        A case's rows of the table, and images.
-    draw : callable
-        Draws into a folder, from all that was measured: case by case, in order.
-    parameters : callable, optional
-        What the table was made with, from whether the run is quick; JSON-ready.
-    summary : callable, optional
-        A shorter table, from all rows, such as their means over seeds: the one written as CSV.
-    """
-
+    # The name of the command and of the output files.
     name: str
+    # The cases of a quick (True) or a full run, in the order of measurement.
     cases: Callable[[bool], Iterable[C]]
     measure: Callable[[C], Measured]
+    # Draws all results, in the order of the cases, into a folder.
     draw: Callable[[Path, list[tuple[C, Measured]]], None]
+    # The parameters of a quick or a full run, JSON-ready.
     parameters: Callable[[bool], Mapping[str, Any]] | None = None
+    # Makes the shorter table that is written as CSV, such as means over seeds.
     summary: Callable[[list[Row]], list[Row]] | None = None
 
     def run(
@@ -80,31 +61,18 @@ class Experiment(Generic[C]):
         progress: Callable[[int, int], None] | None = None,
         kept: RunningResults | None = None,
     ) -> dict[str, Any]:
-        """Measure all cases and write the table as JSON and CSV, and the figure.
+        """Measure all cases; write the table as JSON and CSV, and the figure, into a folder.
 
-        Parameters
-        ----------
-        out : Path
-            An existing folder.
-        quick : bool
-            Few small cases, for a first look.
-        progress : callable, optional
-            Called with (done, all) cases.
-        kept : RunningResults, optional
-            Where finished cases are kept, for a run that goes on.
-
-        Returns
-        -------
-        dict
-            What the JSON file holds: ``parameters``, ``rows`` and, with a summary, ``means``.
+        `kept` holds the results of an interrupted run. Returns the content of the JSON file:
+        ``parameters``, ``rows`` and, with a summary, ``means``.
         """
-        chosen = list(self.cases(quick))
-        found = []
-        for done, case in enumerate(chosen, start=1):
-            found.append((case, self._measured(case, kept)))
+        cases = list(self.cases(quick))
+        results = []
+        for done, case in enumerate(cases, start=1):
+            results.append((case, self._measured(case, kept)))
             if progress is not None:
-                progress(done, len(chosen))
-        rows = [row for _, measured in found for row in measured.rows]
+                progress(done, len(cases))
+        rows = all_rows(results)
         result: dict[str, Any] = {}
         if self.parameters is not None:
             result["parameters"] = dict(self.parameters(quick))
@@ -113,7 +81,7 @@ class Experiment(Generic[C]):
             result["means"] = table = self.summary(rows)
         (out / f"{self.name}.json").write_text(json.dumps(result, indent=1) + "\n")
         write_table(out / f"{self.name}.csv", table)
-        self.draw(out, found)
+        self.draw(out, results)
         return result
 
     def _measured(self, case: C, kept: RunningResults | None) -> Measured:
@@ -125,6 +93,11 @@ class Experiment(Generic[C]):
                 with kept.keep(name) as part:
                     _write(part, known)
         return known
+
+
+def all_rows(results: Iterable[tuple[Any, Measured]]) -> list[Row]:
+    """The rows of all cases."""
+    return [row for _, measured in results for row in measured.rows]
 
 
 def write_table(file: Path, rows: Sequence[Row]) -> None:
@@ -141,7 +114,7 @@ def _write(file: Path, measured: Measured) -> None:
 
 
 def _read(file: Path) -> Measured | None:
-    """What was kept of a case; None where there is nothing, or nothing whole."""
+    """A kept result; None if it is missing or damaged."""
     try:
         arrays = read_npz(file)
         rows = parse_json(str(arrays.pop("rows")), f"{file}: rows", finite=False)

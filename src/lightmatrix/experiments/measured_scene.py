@@ -1,4 +1,4 @@
-"""A rendered scene at its benchmark exposure: captures of it, groups of its rows, and errors."""
+"""`MeasuredScene`: captures of a rendered scene at its benchmark exposure, and errors by rows."""
 
 from __future__ import annotations
 
@@ -30,23 +30,24 @@ from lightmatrix.simulation.truth import Truth
 from lightmatrix.transport.matrix import LightTransport
 
 BITS = 8
-# Neighbouring camera pixels whose strongest projector pixels are further apart than this lie on
-# two sides of a depth edge.
+# Neighbouring camera pixels lie on two sides of a depth edge if their strongest projector pixels
+# are further apart than this many pixels. Chosen by hand.
 EDGE_STEP = 3
-# How far beyond its clip level a camera would reach that does not clip: a power of two.
+# A camera that does not clip reaches this power of two beyond the clip level.
 HEADROOM_BITS = 8
 
-# Scenes of the paper's figures, and what stands above their panels.
+# The scenes of the paper's figures, with the titles of their panels.
 SCENES = {"l_objects": "L objects", "gripper": "gripper", "metal": "metallic objects"}
 LETTERED = {name: f"({'abc'[k]}) {title}" for k, (name, title) in enumerate(SCENES.items())}
 
 Exposures = tuple[tuple[float, float], ...]
 ONE_EXPOSURE: Exposures = ((1.0, 1.0),)
+THREE_EXPOSURES: Exposures = ((1.0, 0.5), (0.25, 0.25), (0.0625, 0.25))
 
 
 @dataclass(frozen=True, eq=False)
-class _FarReaching(Capture):
-    """A capture whose regularization follows a level below the one at which it would clip."""
+class _UnclippedCapture(Capture):
+    """A capture that never clips, but whose regularization follows the usual clip level."""
 
     nominal_level: float = 1.0
 
@@ -57,13 +58,7 @@ class _FarReaching(Capture):
 
 @dataclass(frozen=True)
 class MeasuredScene:
-    """A scene whose T is known, as an 8-bit camera with noise of 0.003 of its range sees it.
-
-    Parameters
-    ----------
-    truth : Truth
-        With T at exposure 1.
-    """
+    """A scene with known T (at exposure 1), seen by an 8-bit camera with noise of 0.003."""
 
     truth: Truth
 
@@ -74,7 +69,7 @@ class MeasuredScene:
 
     @cached_property
     def exposure(self) -> float:
-        """A fifth of the rows have a single response that clips."""
+        """The exposure at which a fifth of the rows have a single response that clips."""
         return benchmark_exposure(self.known)
 
     def capture(
@@ -85,9 +80,9 @@ class MeasuredScene:
         *,
         clipping: bool = True,
     ) -> Capture:
-        """Frames of the scene, in multiples of the benchmark exposure and their shares.
+        """Photograph the scene; exposures are multiples of the benchmark exposure, with shares.
 
-        Without `clipping` the camera has the same noise and steps, but reaches much further.
+        Without `clipping` the camera has the same noise and steps, but a much higher clip level.
         """
         reach = 1 if clipping else 2**HEADROOM_BITS
         bits = BITS if clipping else BITS + HEADROOM_BITS
@@ -101,7 +96,9 @@ class MeasuredScene:
         if clipping:
             return capture
         level = 1 / (self.exposure * np.max(exposure))
-        return _FarReaching(patterns, capture.frames, capture.decoder, nominal_level=float(level))
+        return _UnclippedCapture(
+            patterns, capture.frames, capture.decoder, nominal_level=float(level)
+        )
 
     @cached_property
     def unclipped_responses(self) -> NDArray[np.bool_]:
@@ -115,7 +112,7 @@ class MeasuredScene:
 
     @cached_property
     def mostly_global(self) -> NDArray[np.bool_]:
-        """Rows less than half of whose light is direct, (M,)."""
+        """Rows with less direct than global light, (M,)."""
         whole = np.asarray(self.truth.matrix.sum(axis=1)).ravel()
         return np.asarray(self.truth.direct.sum(axis=1)).ravel() < 0.5 * whole
 
@@ -133,10 +130,10 @@ class MeasuredScene:
         return edge.ravel()
 
     def errors(self, estimate: LightTransport, capture: Capture) -> dict[str, float]:
-        """Relative error of each group of rows, and relighting of the well-exposed ones.
+        """Relative error of each group of rows, and relighting error of the well-exposed ones.
 
-        The well-exposed rows are those whose single responses do not clip at the benchmark
-        exposure and at most half of whose samples clip.
+        A row is well exposed if its single responses do not clip at the benchmark exposure, and at
+        most half of its samples clip.
         """
         wrong, total = squared_errors(estimate, self.known)
         half = capture.samples().clipped.mean(axis=1) <= 0.5
@@ -174,6 +171,6 @@ def measured_scene(name: str, size: int) -> MeasuredScene:
 
 
 @lru_cache(maxsize=1)
-def captured(name: str, size: int, count: int) -> Capture:
-    """Its frames under so many Bernoulli patterns, at the benchmark exposure."""
+def bernoulli_capture(name: str, size: int, count: int) -> Capture:
+    """A capture of a scene under `count` Bernoulli patterns, at the benchmark exposure."""
     return measured_scene(name, size).capture(BernoulliPatterns((size, size), count), 0)

@@ -14,15 +14,16 @@ from lightmatrix.pictures.style import COLOURS
 from lightmatrix.solvers import ADMM, ROMP, ActiveSet, Fidelity, SaturationADMM, Solver
 from lightmatrix.transport.matrix import LightTransport
 
-# The paper states none of these. lambda is 0.16 clip levels for all, n of ROMP as in Fig. 4. The
-# iterated solvers take mu and nu by rule and stop after so many iterations.
+# The paper states none of these. All methods take this regularization lambda, in clip levels; ROMP
+# takes the n of Fig. 4; the iterated solvers choose mu and nu by rule and stop after this many
+# iterations. Chosen by hand.
 REGULARIZATION = 0.16
 ROMP_SPARSITY = 10
 ITERATIONS = 400
 
 
 class Reach(StrEnum):
-    """Which camera pixels a method can afford."""
+    """The camera pixels that a method is fast enough for."""
 
     CAMERA = "all camera pixels"
     BLOCKS = "camera blocks"
@@ -31,21 +32,11 @@ class Reach(StrEnum):
 
 @dataclass(frozen=True)
 class Method:
-    """A way from a capture to T.
-
-    Parameters
-    ----------
-    name, label : str
-        In tables, and in figures.
-    make : callable
-        From the regularization, in units of the samples, to something with `estimate`.
-    colour, style, marker : str
-        Of its curve.
-    reach : Reach
-    """
+    """An estimator with its name in tables, its label in figures and the style of its curve."""
 
     name: str
     label: str
+    # Makes the estimator from the regularization, in units of the samples.
     make: Callable[[float], PlainEstimator | MultiScaleEstimator | CoherentEstimator]
     colour: str
     style: str = "-"
@@ -58,7 +49,7 @@ class Method:
 
 
 def _pair(name: str, label: str, solver: Solver, colour: str, marker: str) -> list[Method]:
-    """A solver row by row, and from coarse to fine."""
+    """A solver row by row, and multi-scale."""
     return [
         Method(name, label, lambda value: PlainEstimator(solver, value), colour, "-", marker),
         Method(

@@ -1,4 +1,4 @@
-"""Rigs as they are, out of focus, turned, coarser, noisier: what the default estimate reaches."""
+"""The default estimate on imperfect rigs: out of focus, turned, coarser, noisier."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from lightmatrix.capture.frames import ArrayStack
 from lightmatrix.estimators.estimate import estimate
 from lightmatrix.evaluation.metrics import relighting_error, squared_errors, unseen_patterns
 from lightmatrix.evaluation.verdict import estimated_error
-from lightmatrix.experiments.harness import Experiment, Measured
+from lightmatrix.experiments.harness import Experiment, Measured, all_rows
 from lightmatrix.experiments.measured_scene import SCENES
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.pictures.style import COLOURS, figure, fix_ticks, save
@@ -33,13 +33,15 @@ from lightmatrix.simulation.truth import Truth
 SIDE = 128
 COUNTS = (16, 32, 64)
 SEEDS = (0, 1, 2)
-# Rigs whose errors are means over the seeds; of the others one is measured.
+# These rigs are measured with all seeds, the others with the first one.
 SEVERAL = ("sharp", "blur 1", "blur 2", "blur 0 to 2", "camera 2x coarser", "camera 4x coarser")
-# Of the figure's axis.
+# The error axis of the figure.
 ERRORS = (0.005, 2.0)
 ERROR_TICKS = (0.01, 0.03, 0.1, 0.3, 1)
-# Rows of about no light have no relative error.
+# Rows darker than this share of the brightest row (in norm) are left out of the comparison of
+# estimated and true errors.
 LEAST_LIGHT = 1e-3
+# A wrong response bends the samples by at most this share of the clip level.
 RESPONSE_ERROR = 0.05
 
 
@@ -66,7 +68,7 @@ def _turned(shape: Shape, degrees: float) -> NDArray[np.int64]:
     return mapped(shape, turn)
 
 
-# Cameras that look elsewhere: which camera pixel of the scene's T each of theirs is.
+# Cameras that see the scene differently: the camera pixel of the scene's T that each pixel is.
 VIEWS: dict[str, Callable[[Shape], NDArray[np.int64]]] = {
     "cut-out": _cut_out,
     "quarter turn": lambda shape: np.rot90(_places(shape)),
@@ -74,7 +76,7 @@ VIEWS: dict[str, Callable[[Shape], NDArray[np.int64]]] = {
     "10 degrees": lambda shape: _turned(shape, 10),
     "keystone": lambda shape: mapped(shape, np.array([[1, 0, 0], [0, 1, 0], [0.2, 0.1, 1]])),
 }
-# What is changed of the scene's T, by name.
+# Changes of the scene's T.
 CHANGED: dict[str, Callable[[Truth], Truth]] = {
     "sharp": lambda truth: truth,
     "blur 0.7": lambda truth: defocus(truth, 0.7),
@@ -85,7 +87,7 @@ CHANGED: dict[str, Callable[[Truth], Truth]] = {
     "camera 4x coarser": lambda truth: binned(truth, 4, 1),
     "camera 2x finer": lambda truth: binned(truth, 1, 2),
 }
-# What is changed of the photographs: arguments of `simulate`.
+# Changes of the photographs, as arguments of `simulate`.
 PHOTOGRAPHED: dict[str, dict[str, Any]] = {
     "room light 0.2": {"ambient": 0.2},
     "leak 0.005": {"leak": 0.005},
@@ -115,7 +117,7 @@ class Case:
 
 
 def cases(quick: bool) -> Iterator[Case]:
-    """What is measured, one seed of all of it first."""
+    """All cases, the first seed of all of them first."""
     if quick:
         for rig in ("sharp", "blur 1"):
             yield Case("l_objects", rig, 32, side=64)
@@ -132,21 +134,21 @@ def cases(quick: bool) -> Iterator[Case]:
 
 
 def measure(case: Case) -> Measured:
-    """Errors of one case, and what the estimate states of them."""
+    """Errors of one case, and the estimated ones."""
     truth = rig_truth(case.scene, case.rig, case.side)
-    capture = photographed(case, truth)
+    capture = rig_capture(case, truth)
     started = time.perf_counter()
-    found = estimate(capture)
+    transport = estimate(capture)
     seconds = time.perf_counter() - started
     known = truth.transport()
-    wrong, total = squared_errors(found, known)
+    wrong, total = squared_errors(transport, known)
     tests = np.stack(list(unseen_patterns(known.projector_shape).values()))
     row = {
         **asdict(case),
         "relative_error": float(np.sqrt(wrong.sum() / total.sum())),
-        "relighting_error": relighting_error(found, known, tests),
-        "stated_error": estimated_error(found),
-        "footprint": float(np.median(found.diagnostics["footprint"])),
+        "relighting_error": relighting_error(transport, known, tests),
+        "stated_error": estimated_error(transport),
+        "footprint": float(np.median(transport.diagnostics["footprint"])),
         "seconds": seconds,
         "full_frame": float("nan"),
     }
@@ -154,20 +156,20 @@ def measure(case: Case) -> Measured:
         row["full_frame"] = _same_rows(case)
     lit = total > LEAST_LIGHT**2 * total.max()
     errors = np.sqrt(wrong[lit] / total[lit])
-    arrays = {"errors": errors, "stated": found.diagnostics["estimated_error"][lit]}
+    arrays = {"errors": errors, "stated": transport.diagnostics["estimated_error"][lit]}
     return Measured([row], {name: values.astype(np.float32) for name, values in arrays.items()})
 
 
 @lru_cache(maxsize=2)
 def rig_truth(scene: str, rig: str, side: int) -> Truth:
-    """The T that is photographed."""
+    """T of a scene as a rig sees it."""
     truth = library.truth(scene, (side, side))
     if rig in VIEWS:
         return seen(truth, VIEWS[rig](_sides(truth)))
     return CHANGED[rig](truth) if rig in CHANGED else truth
 
 
-def photographed(case: Case, truth: Truth) -> Capture:
+def rig_capture(case: Case, truth: Truth) -> Capture:
     """The capture of a case, exposed as the planner advises."""
     options = dict(PHOTOGRAPHED.get(case.rig, {}))
     noise = options.get("noise", 0.003)
@@ -188,21 +190,21 @@ def _same_rows(case: Case) -> float:
     sharp = replace(case, rig="sharp")
     wrong, total = _full_frame(sharp)
     place = VIEWS[case.rig](_sides(rig_truth(sharp.scene, sharp.rig, sharp.side)))
-    rows = place[place >= 0]  # as often as the view shows them
+    # Each row counts as often as the view shows it.
+    rows = place[place >= 0]
     return float(np.sqrt(wrong[rows].sum() / total[rows].sum()))
 
 
-# All views are held to the same full frames.
+# The cache serves all views, which are compared with the same full frames.
 @lru_cache(maxsize=len(SCENES) * len(COUNTS))
 def _full_frame(case: Case) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Squared errors and energies of all rows of a rig that sees all."""
+    """Squared errors and energies of all rows of the unchanged rig."""
     truth = rig_truth(case.scene, case.rig, case.side)
-    found = estimate(photographed(case, truth))
-    return squared_errors(found, truth.transport())
+    return squared_errors(estimate(rig_capture(case, truth)), truth.transport())
 
 
 def _summary(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Means over seeds."""
+    """The means over the seeds."""
     groups: dict[tuple[str, str, int], list[dict[str, Any]]] = {}
     for row in rows:
         groups.setdefault((row["rig"], row["scene"], row["patterns"]), []).append(row)
@@ -226,26 +228,27 @@ def _summary(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     ]
 
 
-def _draw(out: Path, found: list[tuple[Case, Measured]]) -> None:
-    """Errors of all rigs, and stated against true errors of rows."""
-    rows = _summary([row for _, measured in found for row in measured.rows])
+def _draw(out: Path, results: list[tuple[Case, Measured]]) -> None:
+    """Draw the errors of all rigs, and the estimated against the true errors of rows."""
+    _draw_errors(out, _summary(all_rows(results)))
+    true, estimated = (
+        np.concatenate([measured.arrays[name] for _, measured in results])
+        for name in ("errors", "stated")
+    )
+    _draw_confidence(out, true, estimated)
+
+
+def _draw_errors(out: Path, rows: list[dict[str, Any]]) -> None:
     rigs = list(dict.fromkeys(row["rig"] for row in rows))
     with figure(7.2, 0.24 * len(rigs) + 1.6) as drawing:
         panels = np.atleast_1d(drawing.subplots(1, len(SCENES), sharex=True, sharey=True))
         for axes, (scene, title) in zip(panels, SCENES.items(), strict=True):
             for number, count in enumerate(COUNTS):
-                some = [r for r in rows if r["scene"] == scene and r["patterns"] == count]
-                errors = [r["relative_error"] for r in some]
-                places = [rigs.index(r["rig"]) for r in some]
-                marker = "os^"[number]
-                axes.plot(
-                    errors,
-                    places,
-                    marker,
-                    color=COLOURS[number],
-                    markersize=4,
-                    label=f"K = {count}",
-                )
+                points = [r for r in rows if r["scene"] == scene and r["patterns"] == count]
+                errors = [r["relative_error"] for r in points]
+                places = [rigs.index(r["rig"]) for r in points]
+                style = {"color": COLOURS[number], "markersize": 4, "label": f"K = {count}"}
+                axes.plot(errors, places, "os^"[number], **style)
             axes.set_xscale("log")
             axes.set_xlim(*ERRORS)
             fix_ticks(axes.xaxis, ERROR_TICKS)
@@ -257,16 +260,17 @@ def _draw(out: Path, found: list[tuple[Case, Measured]]) -> None:
         handles, labels = panels[0].get_legend_handles_labels()
         drawing.legend(handles, labels, loc="outside lower center", ncols=len(COUNTS))
         save(drawing, out, "rigs", ("png", "svg"))
-    true = np.concatenate([measured.arrays["errors"] for _, measured in found])
-    stated = np.concatenate([measured.arrays["stated"] for _, measured in found])
+
+
+def _draw_confidence(out: Path, true: NDArray[np.float32], estimated: NDArray[np.float32]) -> None:
     with figure(3.6, 3.4) as drawing:
         axes = drawing.subplots()
-        known = np.isfinite(stated) & (stated > 0) & (true > 0)
-        follows = spearmanr(true[known], stated[known]).statistic
-        axes.set_title(f"rank correlation {follows:.2f}")
+        known = np.isfinite(estimated) & (estimated > 0) & (true > 0)
+        correlation = spearmanr(true[known], estimated[known]).statistic
+        axes.set_title(f"rank correlation {correlation:.2f}")
         limits = (-3.0, 1.0)
         counts = axes.hexbin(
-            np.log10(true[known]), np.log10(stated[known]), gridsize=50, bins="log",
+            np.log10(true[known]), np.log10(estimated[known]), gridsize=50, bins="log",
             extent=(*limits, *limits), cmap="viridis", linewidths=0,
         )  # fmt: skip
         axes.plot(limits, limits, color="0.5", linewidth=0.8)
@@ -274,7 +278,7 @@ def _draw(out: Path, found: list[tuple[Case, Measured]]) -> None:
         axes.set_xticks(ticks, [f"{10.0**t:g}" for t in ticks])
         axes.set_yticks(ticks, [f"{10.0**t:g}" for t in ticks])
         axes.set_xlabel("relative error of a row")
-        axes.set_ylabel("what the estimate states")
+        axes.set_ylabel("estimated error of the row")
         drawing.colorbar(counts, label="rows")
         save(drawing, out, "confidence", ("png", "svg"))
 

@@ -1,4 +1,4 @@
-"""The demo and the experiments, each into a folder that is whole or absent."""
+"""`lm.demo` and `lm.experiment`."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ EXPERIMENTS: dict[str, Experiment[Any]] = {
 def demo(
     folder: str | Path, *, overwrite: bool = False, progress: Progress | None = None
 ) -> dict[str, Any]:
-    """Simulate a scene, estimate its T by four methods, and write a report of the default one.
+    """Simulate a capture, estimate T by four methods, and write a report of the default one.
 
     Parameters
     ----------
     folder : str or Path
-        The report to make: report.html, a picture of all methods, demo.json, and the capture.
+        The folder to make: report.html, a picture of all methods, demo.json, and the capture.
     overwrite : bool
         Whether an existing report may be replaced.
     progress : callable, optional
@@ -46,8 +46,8 @@ def demo(
     Returns
     -------
     dict
-        What demo.json holds: the setting, the errors of each method, and, as ``report``, what
-        `report` gives.
+        The content of demo.json: the settings, the errors of each method, and, as ``report``,
+        the result of `report`.
 
     Raises
     ------
@@ -71,15 +71,16 @@ def experiment(
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> dict[str, Any]:
-    """Reproduce a figure of the paper, or a claim of ours: picture, CSV and JSON.
+    """Reproduce a figure of the paper or a claim of this project: picture, CSV and JSON.
 
     Parameters
     ----------
     figure : {"fig4", "fig5", "fig6", "fig7", "few-patterns", "rigs"}
+        The experiment.
     folder : str or Path
-        The folder to make. A run that was interrupted goes on where it stopped.
+        The folder to make. An interrupted run continues where it stopped.
     quick : bool
-        Fewer trials, for a first look; otherwise it takes up to an hour.
+        Whether to run fewer trials, for a first look. A full run takes up to an hour.
     overwrite : bool
         Whether an existing folder may be replaced.
     progress : callable, optional
@@ -88,14 +89,14 @@ def experiment(
     Returns
     -------
     dict
-        What the JSON file holds.
+        The content of the JSON file.
 
     Raises
     ------
     InputError
         On an unknown figure.
     MissingExtraError
-        If scenes have to be rendered and Mitsuba is not installed.
+        If scenes must be rendered and Mitsuba is not installed.
     OutputError
         If the folder exists or cannot be written.
 

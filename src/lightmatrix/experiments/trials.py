@@ -1,4 +1,4 @@
-"""Many small problems at once: each group of rows has a pattern matrix of its own."""
+"""Patterns of many small problems: each group of rows has its own pattern matrix."""
 
 from __future__ import annotations
 
@@ -14,17 +14,13 @@ from lightmatrix.patterns.pattern_set import PatternSet
 
 @dataclass(frozen=True, eq=False)
 class TrialPatterns(PatternSet):
-    """Pattern matrices of several trials, for solvers that take all rows at every step.
+    """One matrix A per trial, for solvers that process all rows at every step.
 
-    Rows must come in trial order, equally many per trial; they cannot be taken apart, so the
-    solver must not stop rows one by one.
-
-    Parameters
-    ----------
-    stack : (trials, K, N) float
-        One matrix A per trial.
+    Rows come in the order of the trials, equally many per trial. A solver must not stop single
+    rows, because the remaining ones would no longer match their matrices.
     """
 
+    # (trials, K, N)
     stack: NDArray[Any]
 
     @property
@@ -37,7 +33,7 @@ class TrialPatterns(PatternSet):
 
     @cached_property
     def gram(self) -> NDArray[np.float64]:
-        """A A' of every trial, (trials, K, K) float64."""
+        """A A' of each trial, (trials, K, K)."""
         stack = self.stack.astype(np.float64)
         return stack @ stack.transpose(0, 2, 1)
 

@@ -122,8 +122,8 @@ class Facts:
             count = len(self.validation.frames)
             photographs = "1 unseen photograph" if count == 1 else f"{count} unseen photographs"
             sentences.append(
-                f"Prediction error on {photographs}: {percent(error)} (mean of the other "
-                f"photographs: {percent(baseline)})."
+                f"Prediction error on {photographs}: {percent(error)} "
+                f"({percent(baseline)} for the mean photograph)."
             )
         if self.relative_error is not None:
             errors.append(self.relative_error)

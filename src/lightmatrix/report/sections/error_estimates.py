@@ -22,7 +22,7 @@ def error_estimates(facts: Facts) -> Section:
     """The summary of the estimate, maps of its errors, and predictions beside photographs."""
     summary = labelled(facts.transport.summary())
     rows = tuple((name, shown_value(value)) for name, value in summary.items())
-    table = Table("The estimate", ("what", "value"), rows)
+    table = Table("The estimate", ("property", "value"), rows)
     maps = tuple(image_of_map(shown, caption) for shown, caption in _maps(facts))
     elements = [Columns((table,), (Gallery(maps),) if maps else ()), *_unseen_photographs(facts)]
     lead = (
@@ -61,9 +61,9 @@ def _unseen_photographs(facts: Facts) -> list[Element]:
     count = min(_COMPARED, len(validation.frames))
     return [
         Text(
-            f"Prediction error on unseen photographs: {percent(validation.error)}. (For the mean "
-            f"of the other photographs, which ignores the pattern: {percent(validation.mean_error)}"
-            ".)"
+            f"Prediction error on unseen photographs: {percent(validation.error)}. For comparison: "
+            f"the mean of the other photographs, which ignores the pattern, misses them by "
+            f"{percent(validation.mean_error)}."
         ),
         Text(
             f"{_named(validation)} left out, T was estimated again from the other "

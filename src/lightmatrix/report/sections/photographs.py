@@ -35,7 +35,7 @@ def photographs(facts: Facts) -> Section:
         )
         maps.append(Gallery((image_of_map(clipping_map(facts.transport), caption),)))
     rows = tuple((name, str(value)) for name, value in _settings(facts).items())
-    table = Table("The capture", ("what", "value"), rows)
+    table = Table("The capture", ("property", "value"), rows)
     charts = (
         _bars("Clipped samples per frame", frames.clipped),
         _bars("Mean level per frame, relative to the clip level", frames.level),
@@ -73,7 +73,7 @@ def _settings(facts: Facts) -> dict[str, object]:
 def _pair(facts: Facts, index: int) -> Pair:
     capture = facts.capture
     pattern = capture.patterns.images(index, index + 1)[0]
-    note = f"{percent(float(facts.frames.clipped[index]))} clipped"
+    note = f"{percent(float(facts.frames.clipped[index]))} clip"
     if np.ptp(capture.exposures) > 0:
         note += f", exposure {capture.exposures[index]:g}"
     image = photograph(

@@ -44,7 +44,7 @@ def _against_truth(facts: Facts) -> Columns:
     if facts.errors is not None:
         values = labelled(facts.errors.as_dict())
     rows = tuple((name, shown_value(value)) for name, value in values.items())
-    return Columns((Table("Errors against the truth", ("what", "value"), rows),), (errors,))
+    return Columns((Table("Errors against the truth", ("error", "value"), rows),), (errors,))
 
 
 def _images(facts: Facts, name: str, pattern: np.ndarray) -> Gallery:

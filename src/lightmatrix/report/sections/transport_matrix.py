@@ -39,7 +39,7 @@ def transport_matrix(facts: Facts) -> Section:
         ),
         Gallery(_rows_and_columns(facts)),
     ]
-    lead = "How light travels from projector to camera pixels, directly and by other surfaces."
+    lead = "How light travels from the projector to the camera, directly and via other surfaces."
     return Section("matrix", "The light transport matrix", lead, tuple(elements))
 
 
