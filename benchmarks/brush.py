@@ -1,9 +1,9 @@
-"""How long the light of a brush stroke takes on a stored matrix.
+"""Measures how long the light of a brush stroke takes on a stored matrix.
 
-The matrix needs an index of its columns (`lm.index_columns`). First the light of some strokes is
-held against relighting the whole. Then an index that has read nothing yet gives that of squares of
-projector pixels anywhere, one after the other, and of a square that moves by a pixel each time, as
-a hand paints. Relighting stands beside, whose first image reads the matrix.
+The matrix needs an index of its columns (`lm.index_columns`). First, some strokes are compared with
+relighting the whole matrix, whose first image reads it. Then a new index, which has read nothing
+yet, computes the light of squares of projector pixels anywhere, and of a square that moves by one
+pixel each time, as a painting hand does.
 
     python -m benchmarks.brush scene.zarr [--side 21] [--strokes 120]
 """
@@ -20,8 +20,10 @@ from numpy.typing import NDArray
 
 import lightmatrix as lm
 
-# Of the brightest sample: both are sums of float32 values, in another order.
-_AGREE = 1e-5
+# Both ways agree within this share of the brightest sample: they add float32 values in different
+# orders.
+_TOLERANCE = 1e-5
+# Strokes that are compared with relighting.
 _COMPARED = 4
 
 
@@ -33,32 +35,32 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--strokes", type=int, default=120)
     options = parser.parse_args(arguments)
     matrix = lm.StoredTransport.open(options.matrix)
-    corners = anywhere(matrix.projector_shape, options.side, options.strokes)
-    relit = compared(matrix, lm.ColumnIndex.open(options.matrix), corners, options.side)
+    corners = random_corners(matrix.projector_shape, options.side, options.strokes)
+    relit = relighting_times(matrix, lm.ColumnIndex.open(options.matrix), corners, options.side)
     index = lm.ColumnIndex.open(options.matrix)
-    strokes = timed(index, corners, options.side)
-    # Through the middle of the projector, where four cells of the background meet.
+    strokes = stroke_times(index, corners, options.side)
+    # The hand paints through the middle of the projector, where four background cells meet.
     row, col = ((n - options.side) // 2 for n in matrix.projector_shape)
-    painted = timed(index, [(row, col + k) for k in range(options.side // 2)], options.side)
-    found = {
+    painted = stroke_times(index, [(row, col + k) for k in range(options.side // 2)], options.side)
+    milliseconds = {
         "relit": {"first": relit[0], "further": float(np.median(relit[1:]))},
-        "stroke_anywhere": told(strokes),
-        "stroke_moved_by_a_pixel": told(painted),
+        "stroke_anywhere": summary(strokes),
+        "stroke_moved_by_a_pixel": summary(painted),
     }
-    print(json.dumps({**vars(options), "entries": matrix.entries, **found}))
+    print(json.dumps({**vars(options), "entries": matrix.entries, **milliseconds}))
 
 
-def anywhere(shape: tuple[int, int], side: int, count: int) -> list[tuple[int, int]]:
-    """Upper left corners of squares within a projector, drawn at random."""
+def random_corners(shape: tuple[int, int], side: int, count: int) -> list[tuple[int, int]]:
+    """Upper left corners of random squares within a projector."""
     generator = np.random.default_rng(0)
     rows, cols = (generator.integers(0, n - side + 1, count).tolist() for n in shape)
     return list(zip(rows, cols, strict=True))
 
 
-def compared(
+def relighting_times(
     matrix: lm.StoredTransport, index: lm.ColumnIndex, corners: list[tuple[int, int]], side: int
 ) -> list[float]:
-    """Milliseconds of relighting under some squares, of which the index must give the same."""
+    """Milliseconds of relighting under some squares, whose light the index must give too."""
     took = []
     for corner in corners[:_COMPARED]:
         pixels = square(matrix.projector_shape, corner, side)
@@ -68,12 +70,14 @@ def compared(
         whole = matrix.relight(shown.reshape(matrix.projector_shape))
         took.append(1e3 * (time.perf_counter() - started))
         light = index.light(pixels, np.ones(len(pixels)))
-        if np.abs(light - whole).max() > _AGREE * np.abs(whole).max():
+        if np.abs(light - whole).max() > _TOLERANCE * np.abs(whole).max():
             raise SystemExit(f"the index and relighting differ in the light of {corner}")
     return took
 
 
-def timed(index: lm.ColumnIndex, corners: Iterable[tuple[int, int]], side: int) -> list[float]:
+def stroke_times(
+    index: lm.ColumnIndex, corners: Iterable[tuple[int, int]], side: int
+) -> list[float]:
     """Milliseconds of each stroke, one after the other."""
     took = []
     for corner in corners:
@@ -85,17 +89,17 @@ def timed(index: lm.ColumnIndex, corners: Iterable[tuple[int, int]], side: int) 
 
 
 def square(shape: tuple[int, int], corner: tuple[int, int], side: int) -> NDArray[np.int64]:
-    """The pixels of a square."""
+    """The projector pixels of a square."""
     rows, cols = (first + np.arange(side) for first in corner)
     return (rows[:, None] * shape[1] + cols).ravel()
 
 
-def told(took: list[float]) -> dict[str, float]:
-    """What there is to say of some times."""
+def summary(took: list[float]) -> dict[str, float]:
+    """The first, the median, the 0.9 quantile and the longest of some times."""
     return {
         "first": took[0],
         "median": float(np.median(took)),
-        "of_ten_nine_within": float(np.quantile(took, 0.9)),
+        "quantile_90": float(np.quantile(took, 0.9)),
         "longest": max(took),
     }
 
