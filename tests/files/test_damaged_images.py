@@ -63,13 +63,13 @@ def test_a_flipped_bit_is_noticed_or_does_not_matter(
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             try:
-                found = read_image(file)
+                read = read_image(file)
             except InputError:
                 continue
         if suffix == ".png":
-            np.testing.assert_array_equal(found, image)
+            np.testing.assert_array_equal(read, image)
         else:
-            assert found.size * found.itemsize == image.size * image.itemsize
+            assert read.size * read.itemsize == image.size * image.itemsize
 
 
 def a_png(header: bytes, pixels: bytes, **more: bytes) -> bytes:

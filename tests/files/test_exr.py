@@ -41,10 +41,10 @@ def test_files_of_other_programs(tmp_path: Path) -> None:
     planes = {name: RANDOM.random((5, 7)).astype(np.float16) for name in "RGB"}
     colour = np.stack([planes[name] for name in "RGB"], axis=-1).astype(np.float32)
     opaque = {"A": np.ones((5, 7), np.float16)}
-    found = lm.read_image(write(tmp_path / "half.exr", {**planes, **opaque}))
-    np.testing.assert_array_equal(found, colour)
-    found = lm.read_image(write(tmp_path / "z.exr", {"luminance": planes["G"]}))
-    np.testing.assert_array_equal(found, colour[..., 1])
+    image = lm.read_image(write(tmp_path / "half.exr", {**planes, **opaque}))
+    np.testing.assert_array_equal(image, colour)
+    image = lm.read_image(write(tmp_path / "z.exr", {"luminance": planes["G"]}))
+    np.testing.assert_array_equal(image, colour[..., 1])
 
 
 def broken(how: str, file: Path) -> None:
@@ -96,8 +96,8 @@ def test_photographs_and_views(tmp_path: Path) -> None:
     line = f"estimate {tmp_path}/patterns {tmp_path}/photos --no-check -o {tmp_path}/scene.zarr"
     assert main(line.split()) == 0
     assert main(f"show {tmp_path}/scene.zarr --dual -o {tmp_path}/dual.exr".split()) == 0
-    found = lm.open(tmp_path / "scene.zarr")
-    np.testing.assert_array_equal(lm.read_image(tmp_path / "dual.exr"), found.dual_image())
+    estimate = lm.open(tmp_path / "scene.zarr")
+    np.testing.assert_array_equal(lm.read_image(tmp_path / "dual.exr"), estimate.dual_image())
 
 
 def test_without_the_library_the_extra_is_named(

@@ -230,8 +230,8 @@ def test_natural_order_and_passed_over_files(tmp_path: Path) -> None:
     for name in [*names, ".hidden.png"]:
         write_image(tmp_path / name, noise((2, 2), np.uint8))
     (tmp_path / "notes.txt").write_text("passed over")
-    found = [path.name for path in list_images(tmp_path)]
-    assert found == ["frame_1.png", "frame_2.png", "Frame_3.png", "frame_10.png"]
+    names = [path.name for path in list_images(tmp_path)]
+    assert names == ["frame_1.png", "frame_2.png", "Frame_3.png", "frame_10.png"]
 
 
 def test_folders_that_are_no_stacks(tmp_path: Path) -> None:

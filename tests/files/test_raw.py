@@ -95,7 +95,7 @@ def test_colours_are_interpolated_linearly(tmp_path: Path) -> None:
 def test_files_as_nikon_and_sony_lay_them_out(
     write: Callable[..., Path], name: str, clip: int, tmp_path: Path
 ) -> None:
-    """Their four black levels are told apart, once each."""
+    """Each of the four black levels is subtracted from its own pixels."""
     blacks = (512, 520, 530, 540)
     black = black_image((48, 64), blacks)
     electrons = np.random.default_rng(0).integers(-40, 9000, (48, 64))
@@ -138,8 +138,8 @@ def test_a_capture_of_raw_files(mosaic: bool, tmp_path: Path) -> None:
         expected = light.clip(0, 1).reshape(20, -1).T
         np.testing.assert_allclose(samples.values, expected, atol=2e-4)
         np.testing.assert_array_equal(samples.clipped, expected >= 1 - 1e-4)
-    told = {"format": "lightmatrix-capture", "version": 1, "mosaic": mosaic}
-    (place / "capture.json").write_text(json.dumps(told))
+    content = {"format": "lightmatrix-capture", "version": 1, "mosaic": mosaic}
+    (place / "capture.json").write_text(json.dumps(content))
     again = lm.Capture.open(place)
     np.testing.assert_array_equal(again.samples().values, samples.values)
 
@@ -162,10 +162,10 @@ def test_responses_know_how_long_raw_files_were_exposed(tmp_path: Path) -> None:
     times = [0.005, 0.01, 0.02, 0.04, 0.08]
     for k, time in enumerate(times):
         write_dng(tmp_path / f"{k}.dng", levels(scene * time / 0.01), time)
-    found = lm.camera_response(tmp_path)
-    np.testing.assert_allclose(found.exposures, times, rtol=1e-3)
-    # A raw file is linear, and that is found.
-    assert found.gamma == pytest.approx(1, abs=0.03)
+    response = lm.camera_response(tmp_path)
+    np.testing.assert_allclose(response.exposures, times, rtol=1e-3)
+    # A raw file is linear, so its gamma is 1.
+    assert response.gamma == pytest.approx(1, abs=0.03)
 
 
 def test_what_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -135,7 +135,7 @@ def test_the_command_line_takes_two_places(
 
 
 def broken(how: str, folder: Path) -> tuple[str, str]:
-    """A stack that is wrong, and what is said of it."""
+    """A stack that is wrong, and what is words of it."""
     images = photographs().reshape(12, 9, 10)
     file = folder / "wrong.tif"
     if how == "count":
@@ -189,12 +189,12 @@ def broken(how: str, folder: Path) -> tuple[str, str]:
 def test_what_is_wrong_with_a_stack_is_named(
     how: str, folders: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    name, said = broken(how, folders)
+    name, words = broken(how, folders)
     assert main(f"estimate {folders}/patterns {folders}/{name} -o {folders}/x.zarr".split()) == 2
-    told = capsys.readouterr().err
-    assert said in told
-    assert name in told
-    assert "Traceback" not in told
+    message = capsys.readouterr().err
+    assert words in message
+    assert name in message
+    assert "Traceback" not in message
 
 
 def test_patterns_of_zeros_and_ones_in_integers_are_refused(tmp_path: Path) -> None:
@@ -204,6 +204,6 @@ def test_patterns_of_zeros_and_ones_in_integers_are_refused(tmp_path: Path) -> N
 
 
 def test_a_page_is_named_by_its_number(tmp_path: Path) -> None:
-    found = pages(save(tmp_path / "s.tif", noise(np.uint8)))
-    assert str(found[3]) == f"{tmp_path}/s.tif, image 3"
+    stack = pages(save(tmp_path / "s.tif", noise(np.uint8)))
+    assert str(stack[3]) == f"{tmp_path}/s.tif, image 3"
     assert ImageStack.open(tmp_path / "s.tif").name(3) == "s.tif, image 3"

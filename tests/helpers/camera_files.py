@@ -1,4 +1,4 @@
-"""Raw files of tests: TIFF as Nikon (NEF) and Sony (ARW) lay it out, not compressed, RGGB."""
+"""Writes raw files for tests: uncompressed TIFF with an RGGB mosaic, as two makers do."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 # Tags by number, each a kind and its values; kinds are struct's, and `text`, `bytes`, `rational`,
-# `place` (bytes elsewhere, of which the tag holds the place) and `folder` (a directory elsewhere).
+# `place` (bytes elsewhere, whose place the tag holds) and `folder` (a directory elsewhere).
 Directory = dict[int, tuple[str, Any]]
 _CODES = {"B": 1, "text": 2, "H": 3, "I": 4, "rational": 5, "bytes": 7}
 SECONDS = (1, 50)
 
 
 def write_nef(file: Path, levels: NDArray[Any], blacks: tuple[int, ...]) -> Path:
-    """A Nikon's: 16 bits, four black levels in the maker's note."""
+    """Write a Nikon file (NEF): 16 bits, four black levels in the maker note."""
     note = b"Nikon\0\x02\x10\0\0" + _tiff({0x1: ("bytes", b"0210"), 0x3D: ("H", blacks)})
     exif: Directory = {33434: ("rational", SECONDS), 37500: ("bytes", note)}
     return _write(file, b"NIKON CORPORATION\0", b"NIKON T1\0", _mosaic(levels), exif)
 
 
 def write_arw(file: Path, levels: NDArray[Any], blacks: tuple[int, ...]) -> Path:
-    """A Sony's: 14 of 16 bits, four black levels beside the image."""
+    """Write a Sony file (ARW): 14 of 16 bits, four black levels beside the image."""
     exif: Directory = {33434: ("rational", SECONDS)}
     mosaic = _mosaic(levels) | {0x7310: ("H", blacks)}
     return _write(file, b"SONY\0", b"ILCE-T1\0", mosaic, exif)
@@ -32,8 +32,8 @@ def write_arw(file: Path, levels: NDArray[Any], blacks: tuple[int, ...]) -> Path
 
 def _write(file: Path, make: bytes, model: bytes, mosaic: Directory, exif: Directory) -> Path:
     thumbnail = _image((8, 16), bytes(128), 8)
-    told = {271: ("text", make), 272: ("text", model), 330: ("folder", mosaic)}
-    file.write_bytes(_tiff(thumbnail | told | {34665: ("folder", exif)}))
+    camera = {271: ("text", make), 272: ("text", model), 330: ("folder", mosaic)}
+    file.write_bytes(_tiff(thumbnail | camera | {34665: ("folder", exif)}))
     return file
 
 
@@ -57,7 +57,7 @@ def _tiff(directory: Directory) -> bytes:
 
 
 def _laid_out(directory: Directory, place: int) -> bytes:
-    """A directory that begins at a place of the file, and behind it all that it points to."""
+    """A directory that begins at a place of the file, followed by everything that it points to."""
     behind = place + 2 + 12 * len(directory) + 4
     entries, body = b"", b""
     for tag, (kind, value) in sorted(directory.items()):

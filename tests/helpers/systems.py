@@ -1,4 +1,4 @@
-"""Marks of tests that need what not every system has; skipped elsewhere, with the reason said."""
+"""Marks for tests that need something that Windows lacks; they are skipped there with a reason."""
 
 from __future__ import annotations
 

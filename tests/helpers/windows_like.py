@@ -1,12 +1,12 @@
-"""The command line on what Linux can pretend of Windows, in a process of its own.
+"""Runs the command line or tests in a process that behaves like Windows, as far as Linux can.
 
     python -m tests.helpers.windows_like FOLDER
-    python -m tests.helpers.windows_like pytest tests/outputs/test_outputs.py
+    python -m tests.helpers.windows_like pytest tests/outputs/test_writing.py
 
-The first writes every kind of output into a folder; the second runs tests, but for those that are
+The first writes every kind of output into a folder. The second runs tests, except those that are
 marked as needing more than Windows has (`systems.py`).
 
-What Windows lacks is taken away (modules and functions of POSIX only), and files behave as there:
+Modules and functions that Windows lacks are removed, and files behave as on Windows:
 nothing is renamed onto what exists, folders are not replaced, and what is open or mapped into
 memory is neither removed nor renamed, nor is a folder that holds it. Libraries are loaded
 before, since they ask for the system too; filelock keeps its locks of POSIX, but removes a lock
@@ -41,15 +41,15 @@ OF_SIGNAL = ("SIGKILL", "SIGHUP", "SIGALRM", "SIGUSR1", "SIGUSR2", "SIGPIPE", "p
 
 
 def _open_files() -> set[str]:
-    """What this process holds open or mapped."""
-    found = set()
+    """The files that this process has open or mapped into memory."""
+    files = set()
     for entry in os.listdir("/proc/self/fd"):
         try:
-            found.add(os.readlink(f"/proc/self/fd/{entry}"))
+            files.add(os.readlink(f"/proc/self/fd/{entry}"))
         except FileNotFoundError:
             continue
     lines = Path("/proc/self/maps").read_text().splitlines()
-    return found | {line.split(None, 5)[5] for line in lines if line.count("/")}
+    return files | {line.split(None, 5)[5] for line in lines if line.count("/")}
 
 
 def _check_closed(path: Any) -> None:
@@ -94,7 +94,7 @@ def _filelock_as_on_windows() -> None:
 
 
 def pretend() -> None:
-    """Make this process as much like one of Windows as it can be."""
+    """Make this process behave like one on Windows."""
     for name in LIBRARIES:
         importlib.import_module(name)
     known: Any = sys.modules
@@ -132,13 +132,13 @@ def main(folder: str) -> None:
     for seed in range(2):
         scene = ProceduralScene((8, 8), (8, 8), seed)
         scene.truth().save(Path(f"{seed}.npz"))
-    Path("out").mkdir()  # An empty folder is taken as it is.
+    Path("out").mkdir()  # An empty folder may be replaced.
     for more in ("", " --overwrite"):
         for line in (
             f"patterns bernoulli -k 8 --size 8 -o out{more}",
-            f"simulate {int(bool(more))}.npz --patterns out -o taken{more}",
-            f"estimate taken -o scene.zarr --no-coherent --no-check{more}",
-            f"pack taken -o taken.zarr{more}",
+            f"simulate {int(bool(more))}.npz --patterns out -o captured{more}",
+            f"estimate captured -o scene.zarr --no-coherent --no-check{more}",
+            f"pack captured -o captured.zarr{more}",
             f"relight scene.zarr out/pattern_0000.png -o relit.tiff{more}",
             f"export scene.zarr T.npz{more}",
             "info scene.zarr --json",
@@ -151,7 +151,7 @@ def main(folder: str) -> None:
 
 
 def test(*words: str) -> int:
-    """Run pytest, without what it asks of Windows itself."""
+    """Run pytest, without its own code for Windows."""
     import hypothesis.extra.numpy
     import pytest
 

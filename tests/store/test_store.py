@@ -43,12 +43,12 @@ def test_a_matrix_comes_back_from_disk(
 ) -> None:
     written = transport(camera, density=density)
     store.save(tmp_path / "scene.zarr", written)
-    found = store.open(tmp_path / "scene.zarr")
-    assert_same(found, written)
-    assert set(found.diagnostics) == {"gap", "converged"}
+    read = store.open(tmp_path / "scene.zarr")
+    assert_same(read, written)
+    assert set(read.diagnostics) == {"gap", "converged"}
     for name, values in written.diagnostics.items():
-        np.testing.assert_array_equal(found.diagnostics[name], values)
-        assert found.diagnostics[name].dtype == values.dtype
+        np.testing.assert_array_equal(read.diagnostics[name], values)
+        assert read.diagnostics[name].dtype == values.dtype
     assert [entry.name for entry in tmp_path.iterdir()] == ["scene.zarr"]
 
 
@@ -174,8 +174,8 @@ def test_npz_of_others(tmp_path: Path) -> None:
     scipy.sparse.save_npz(tmp_path / "plain.npz", matrix)
     with pytest.raises(InputError, match="does not say the shapes"):
         store.import_npz(tmp_path / "plain.npz")
-    found = store.import_npz(tmp_path / "plain.npz", (5, 4), (6, 7))
-    assert (found.sparse != matrix).nnz == 0
+    read = store.import_npz(tmp_path / "plain.npz", (5, 4), (6, 7))
+    assert (read.sparse != matrix).nnz == 0
     with pytest.raises(InputError, match="its shape must be"):
         store.import_npz(tmp_path / "plain.npz", (5, 5), (6, 7))
     np.savez(tmp_path / "other.npz", values=np.zeros(3))
@@ -193,7 +193,7 @@ def test_npz_of_others(tmp_path: Path) -> None:
 # ---- running results
 
 
-def test_an_interrupted_estimate_goes_on_where_it_stopped(tmp_path: Path) -> None:
+def test_an_interrupted_estimate_continues_where_it_stopped(tmp_path: Path) -> None:
     path = tmp_path / "scene.zarr"
     with pytest.raises(KeyboardInterrupt):
         run(path, fail_at=16)
@@ -298,7 +298,7 @@ def test_another_tiling_keeps_what_is_there_and_a_damaged_tile_is_computed_again
         ("background", lambda values: values.astype(np.float64)),
     ],
 )
-def test_a_tile_is_taken_only_as_it_was_kept(
+def test_a_changed_tile_is_computed_again(
     tmp_path: Path, key: str, change: Callable[[NDArray[Any]], NDArray[Any]] | None
 ) -> None:
     path = tmp_path / "scene.zarr"

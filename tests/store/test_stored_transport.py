@@ -1,4 +1,4 @@
-"""Matrices that stay on disk: the same rows, columns and light, of which only parts are read."""
+"""Matrices that stay on disk: their parts equal those of the matrix in memory."""
 
 from __future__ import annotations
 
@@ -39,42 +39,42 @@ def _small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.parametrize("camera", [(9, 8), (4, 5, 3), (1, 1)])
 @pytest.mark.parametrize("memory", [0, 2000, 1 << 30])
-def test_it_gives_what_the_whole_gives(
+def test_parts_equal_those_of_the_whole_matrix(
     tmp_path: Path, camera: tuple[int, ...], memory: int
 ) -> None:
     whole = transport(camera)
     lm.save(tmp_path / "s.zarr", whole)
-    found = lm.StoredTransport.open(tmp_path / "s.zarr", memory=memory)
+    stored = lm.StoredTransport.open(tmp_path / "s.zarr", memory=memory)
     generator = np.random.default_rng(1)
     lit = generator.random((3, 6, 7))
     lights = generator.random(camera).astype(np.float32)
-    # Twice, since blocks may be kept.
+    # The second time, blocks may come from memory.
     for _ in range(2):
-        np.testing.assert_allclose(found.relight(lit), whole.relight(lit), rtol=1e-6)
-        np.testing.assert_allclose(found.relight(lit[0]), whole.relight(lit[0]), rtol=1e-6)
-        np.testing.assert_allclose(found.dual(lights), whole.dual(lights), rtol=1e-5)
-        np.testing.assert_allclose(found.column(3, 5), whole.column(3, 5), rtol=1e-6)
+        np.testing.assert_allclose(stored.relight(lit), whole.relight(lit), rtol=1e-6)
+        np.testing.assert_allclose(stored.relight(lit[0]), whole.relight(lit[0]), rtol=1e-6)
+        np.testing.assert_allclose(stored.dual(lights), whole.dual(lights), rtol=1e-5)
+        np.testing.assert_allclose(stored.column(3, 5), whole.column(3, 5), rtol=1e-6)
     last = tuple(n - 1 for n in camera)
-    np.testing.assert_array_equal(found.row(*last), whole.row(*last))
-    some = found.rows(0, found.shape[0])
-    assert (some.coefficients != whole.sparse).nnz == 0
-    np.testing.assert_array_equal(some.diagnostics["gap"], whole.diagnostics["gap"])
-    loaded = found.load()
+    np.testing.assert_array_equal(stored.row(*last), whole.row(*last))
+    rows = stored.rows(0, stored.shape[0])
+    assert (rows.coefficients != whole.sparse).nnz == 0
+    np.testing.assert_array_equal(rows.diagnostics["gap"], whole.diagnostics["gap"])
+    loaded = stored.load()
     assert (loaded.sparse != whole.sparse).nnz == 0
     assert loaded.camera_shape == camera
-    assert "42 entries" not in repr(found)
-    assert sum(map(stored_transport._bytes, found._kept.values())) <= memory
+    assert "42 entries" not in repr(stored)
+    assert sum(map(stored_transport._bytes, stored._kept.values())) <= memory
 
 
 def test_a_region_is_a_matrix_of_its_own(tmp_path: Path) -> None:
     whole = transport()
     lm.save(tmp_path / "s.zarr", whole)
-    found = lm.StoredTransport.open(tmp_path / "s.zarr").region(slice(2, 5), slice(3, 8))
+    region = lm.StoredTransport.open(tmp_path / "s.zarr").region(slice(2, 5), slice(3, 8))
     rows = np.arange(72).reshape(9, 8)[2:5, 3:8].ravel()
-    assert (found.sparse != whole.sparse[rows]).nnz == 0
-    np.testing.assert_array_equal(found.background, whole.background[rows])
-    np.testing.assert_array_equal(found.diagnostics["gap"], whole.diagnostics["gap"][rows])
-    assert found.camera_shape == (3, 5)
+    assert (region.sparse != whole.sparse[rows]).nnz == 0
+    np.testing.assert_array_equal(region.background, whole.background[rows])
+    np.testing.assert_array_equal(region.diagnostics["gap"], whole.diagnostics["gap"][rows])
+    assert region.camera_shape == (3, 5)
     with pytest.raises(InputError, match="a region of 2:5, 3:9 of a camera of 9 x 8"):
         lm.StoredTransport.open(tmp_path / "s.zarr").region(slice(2, 5), slice(3, 9))
 
@@ -101,9 +101,9 @@ def test_others_read_the_format_as_it_is_documented(
     code = re.findall(r"```python\n(.*?)```", page.read_text(), flags=re.DOTALL)
     assert len(code) == 1
     assert "lightmatrix" not in code[0]
-    found: dict[str, Any] = {}
-    exec(code[0], found)
-    assert (found["rows"] != whole.sparse[200:202]).nnz == 0
+    names: dict[str, Any] = {}
+    exec(code[0], names)
+    assert (names["rows"] != whole.sparse[200:202]).nnz == 0
     # A projector of 3 x 5 in tiles of 2 x 2, by what the page says of their order.
     monkeypatch.setattr(column_index, "_TILE", 2)
     order = [0, 1, 5, 6, 2, 3, 7, 8, 4, 9, 10, 11, 12, 13, 14]
@@ -118,13 +118,13 @@ def test_only_the_chunks_that_are_asked_for_are_read_and_damage_is_named(tmp_pat
     # The end of the matrix is damaged in two ways.
     chunks[-1].write_bytes(chunks[-1].read_bytes()[:-1])
     chunks[-5].unlink()
-    found = lm.StoredTransport.open(tmp_path / "s.zarr")
-    np.testing.assert_array_equal(found.row(1, 2), whole.row(1, 2))
+    stored = lm.StoredTransport.open(tmp_path / "s.zarr")
+    np.testing.assert_array_equal(stored.row(1, 2), whole.row(1, 2))
     last = len(chunks) - 1
     with pytest.raises(InputError, match=rf"is damaged .*data/c/{last}\b"):
-        found.row(8, 7)
+        stored.row(8, 7)
     with pytest.raises(InputError, match=rf"is damaged .*data/c/{last - 4} is missing"):
-        found.relight(np.ones((6, 7)))
+        stored.relight(np.ones((6, 7)))
 
 
 def test_where_rows_begin_is_checked_at_once(tmp_path: Path) -> None:
@@ -151,7 +151,7 @@ def test_relighting_from_files_reads_blocks(
 
 
 @pytest.mark.parametrize("kept_cells", [0, 2, 6])
-def test_an_index_of_columns_gives_the_light_of_some_pixels(
+def test_an_index_of_columns_gives_the_light_of_single_pixels(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kept_cells: int
 ) -> None:
     monkeypatch.setattr(column_index, "_CHUNK", 25)
@@ -171,19 +171,19 @@ def test_an_index_of_columns_gives_the_light_of_some_pixels(
         pixels = np.array(listed, int)
         change = generator.normal(size=len(pixels))
         wanted = whole.dense_columns(pixels) @ change
-        found = index.light(pixels, change)
-        np.testing.assert_allclose(found.ravel(), wanted, atol=1e-6)
+        light = index.light(pixels, change)
+        np.testing.assert_allclose(light.ravel(), wanted, atol=1e-6)
         assert len(index._kept_cells) <= max(1, kept_cells)
     with pytest.raises(InputError, match="pixels up to 42"):
         index.light(np.array([42]), np.ones(1))
     with pytest.raises(InputError, match="has an index already"):
         lm.index_columns(path)
     lm.index_columns(path, overwrite=True)
-    # What runs that were killed leave is swept.
+    # Leftovers of killed runs are removed.
     (path / ".columns.part").mkdir()
     (path / ".columns.part" / "half").touch()
     lm.index_columns(path, overwrite=True)
-    # Still the same matrix, which may be replaced, index and all.
+    # The matrix is the same, and may be replaced together with its index.
     assert (lm.open(path).sparse != whole.sparse).nnz == 0
     lm.save(path, whole, overwrite=True)
     assert not (path / "columns").exists()

@@ -249,8 +249,8 @@ def test_npz_that_contradicts_itself(npz: Path, name: str) -> None:
 @pytest.mark.parametrize("name", [name for name in WRONG if "/" not in WRONG[name][0]])
 def test_npz_with_the_faults_of_stores(npz: Path, name: str) -> None:
     array, change, _ = WRONG[name]
-    found = content(npz)
-    save(npz, found | {array: change(found[array].copy())})
+    arrays = content(npz)
+    save(npz, arrays | {array: change(arrays[array].copy())})
     with pytest.raises(InputError):
         store.import_npz(npz)
 
@@ -259,8 +259,8 @@ def test_npz_with_the_faults_of_stores(npz: Path, name: str) -> None:
 def test_forms_of_scipy(tmp_path: Path, form: str) -> None:
     matrix = transport().sparse
     scipy.sparse.save_npz(tmp_path / "T.npz", matrix.asformat(form))
-    found = store.import_npz(tmp_path / "T.npz", (5, 4), (6, 7)).sparse
-    np.testing.assert_array_equal(found.toarray(), matrix.toarray())
+    matrix_read = store.import_npz(tmp_path / "T.npz", (5, 4), (6, 7)).sparse
+    np.testing.assert_array_equal(matrix_read.toarray(), matrix.toarray())
     changed = content(tmp_path / "T.npz")
     changed["col" if form == "coo" else "indices"][3] = 1000
     save(tmp_path / "T.npz", changed)
@@ -288,7 +288,7 @@ def test_archives_that_numpy_never_wrote(npz: Path) -> None:
     ):
         npz.write_bytes(whole)
         with zipfile.ZipFile(npz, "a") as archive, warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of a name that stands there twice
+            warnings.simplefilter("ignore")  # of a name that appears twice
             archive.writestr(name, data)
         with pytest.raises(InputError, match="cannot be read as npz"):
             store.import_npz(npz)
@@ -298,11 +298,11 @@ def test_archives_that_numpy_never_wrote(npz: Path) -> None:
 def test_a_zip_bomb_is_refused_by_what_it_announces(
     npz: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    found = content(npz)
+    arrays = content(npz)
     wanted = memory.available_bytes() + (1 << 30)
     monkeypatch.setattr(memory, "available_bytes", lambda: 10 << 20)
     big = np.zeros(4 << 20, np.float32)
-    save(npz, found | {"data": big, "indices": big.astype(np.int32)})
+    save(npz, arrays | {"data": big, "indices": big.astype(np.int32)})
     assert npz.stat().st_size < 100_000 < wanted
     with pytest.raises(InputError, match=r"announces 0\.0\d+ GiB"):
         store.import_npz(npz)
@@ -325,10 +325,10 @@ def test_any_damage_to_npz_is_refused_or_harmless(
         data[at] = generator.integers(256)
     path.write_bytes(data)
     try:
-        found = store.import_npz(path)
+        matrix_read = store.import_npz(path)
     except InputError:
         return
-    found.relight(np.ones((6, 7)))
+    matrix_read.relight(np.ones((6, 7)))
 
 
 @given(st.integers(0, 2**31))
@@ -405,7 +405,7 @@ def test_flipped_bits_in_tiles_and_what_is_remembered(tmp_path: Path) -> None:
 
 
 @PIPES
-def test_files_that_are_no_tiles_are_not_taken_for_some(tmp_path: Path) -> None:
+def test_files_that_are_no_tiles_are_ignored(tmp_path: Path) -> None:
     path = tmp_path / "scene.zarr"
     with pytest.raises(KeyboardInterrupt):
         run(path, fail_at=16)
