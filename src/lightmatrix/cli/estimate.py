@@ -22,7 +22,6 @@ from lightmatrix.cli.options import (
 )
 from lightmatrix.cli.source import Source, with_source
 from lightmatrix.cli.terminal import progress, say, show_json, show_table, warn
-from lightmatrix.diagnosis.refusals import refuse_disorder, refuse_unusable
 from lightmatrix.outputs.kinds import REPORT, STORE
 from lightmatrix.transport.labels import labelled
 
@@ -288,6 +287,9 @@ def _findings(capture: Capture, whole: Capture, check: bool) -> list[Finding]:
 
     `capture` is what the estimate reads; `whole` has all its pixels, which the check needs.
     """
+    # Imported here, since it loads NumPy, which --help does not need.
+    from lightmatrix.diagnosis.refusals import refuse_disorder, refuse_unusable
+
     refuse_unusable(capture)
     findings = lm.check(whole) if check else []
     refuse_disorder(findings)
