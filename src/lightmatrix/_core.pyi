@@ -1,4 +1,4 @@
-"""The compiled core: pattern products on packed bits, a fast transform, the active-set solver."""
+"""The compiled core: pattern products, the active-set solver and the coherent estimate."""
 
 from collections.abc import Callable
 from typing import Any, Protocol
@@ -20,7 +20,7 @@ def likely_pixels(
     rows: SparseRows,
     camera: tuple[int, int, int],
     projector: tuple[int, int, int],
-    movement: NDArray[np.float32],
+    jacobian: NDArray[np.float32],
     spots: list[NDArray[np.float32]],
     within: float,
     wider: NDArray[np.float32],
@@ -50,17 +50,17 @@ def solve_weighted(
     candidates: SparseRows,
     *,
     cells: Cells | None = None,
-    expected: tuple[PreparedPatterns, Expected] | None = None,
+    expected: tuple[PreparedPatterns, PseudoSamples] | None = None,
     background: NDArray[np.float32] | None = None,
     start: Start | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> tuple[Solved, NDArray[np.float64]]: ...
 
-# What the core reads of the objects that it is given. Arrays in another order than C are copied;
-# a TypeError or ValueError names the attribute that does not fit.
+# The attributes that the core reads from its arguments. Arrays that are not in C order are copied. A
+# TypeError or ValueError names the attribute that does not fit.
 
 class Samples(Protocol):
-    """(M, K) float32 or float64, (M, K) bool, and None, (K,) or (M, K) float32 or float64."""
+    """Values (M, K), clipped (M, K) bool, weights None, (K,) or (M, K); float32 or float64."""
 
     @property
     def values(self) -> NDArray[Any]: ...
@@ -70,7 +70,7 @@ class Samples(Protocol):
     def weights(self) -> NDArray[Any] | None: ...
 
 class SparseRows(Protocol):
-    """The parts of a CSR matrix: int32 or int64, int32 or int64, float32 or float64."""
+    """The parts of a CSR matrix: int32 or int64 indices, float32 or float64 data."""
 
     @property
     def indptr(self) -> Any: ...
@@ -80,7 +80,7 @@ class SparseRows(Protocol):
     def data(self) -> Any: ...
 
 class Start(Protocol):
-    """(M, N) sparse rows, none with a pixel twice, and (M, 1 + C): background and cells."""
+    """Sparse rows (M, N), no pixel twice in a row; background and cells (M, 1 + C)."""
 
     @property
     def coefficients(self) -> SparseRows: ...
@@ -88,15 +88,15 @@ class Start(Protocol):
     def background(self) -> NDArray[Any]: ...
 
 class Cells(Protocol):
-    """(C, K + E) in [0, 1] and (C,) > 0."""
+    """Means (C, K + E) in [0, 1], penalties (C,) > 0."""
 
     @property
     def means(self) -> NDArray[np.float32]: ...
     @property
     def penalties(self) -> NDArray[np.float32]: ...
 
-class Expected(Protocol):
-    """(M, K + E) and (M, K + E) >= 0."""
+class PseudoSamples(Protocol):
+    """Pseudo-samples (M, K + E) and their weights (M, K + E) >= 0."""
 
     @property
     def values(self) -> NDArray[np.float32]: ...
@@ -104,7 +104,7 @@ class Expected(Protocol):
     def weights(self) -> NDArray[np.float32]: ...
 
 class Neighbourhood(Protocol):
-    """Rows with (M, N) coefficients, the two grids, and (M, 4)."""
+    """Rows with (M, N) coefficients, the two grids, and the Jacobian (M, 4)."""
 
     @property
     def rows(self) -> Start: ...
@@ -113,10 +113,10 @@ class Neighbourhood(Protocol):
     @property
     def projector(self) -> tuple[int, int, int]: ...
     @property
-    def movement(self) -> NDArray[np.float32]: ...
+    def jacobian(self) -> NDArray[np.float32]: ...
 
 class Settings:
-    """How rows are solved; the core checks each value and names the one that is wrong."""
+    """Settings of the solver. A message names the value that is out of range."""
 
     regularization: float
     fidelity: str
@@ -139,7 +139,7 @@ class Settings:
     ) -> None: ...
 
 class PreparedPatterns:
-    """Patterns prepared for the solver: packed columns and what the correlation pass needs."""
+    """Patterns prepared for the solver: columns, and the tables of the correlation pass."""
 
     instructions: str
 
@@ -174,13 +174,13 @@ class PreparedPatterns:
         planes: list[tuple[NDArray[np.float32], float]],
         narrow: bool = False,
     ) -> PreparedPatterns:
-        """The atoms of planes (kernel, gain); `narrow` keeps columns to within 1e-5."""
+        """Atoms with a (kernel, gain) for each plane; `narrow` stores columns to within 1e-5."""
 
     def columns(self, index: NDArray[np.integer]) -> NDArray[np.float32]:
-        """The columns of some pixels or atoms, (m, K)."""
+        """The columns of the pixels or atoms `index`, (m, K)."""
 
     def pass_only(self, e: NDArray[np.float64]) -> None:
-        """One correlation pass on one thread whose scores are thrown away: for timing."""
+        """One correlation pass on one thread that discards the scores, for timing."""
 
     def solve(
         self,
@@ -192,7 +192,7 @@ class PreparedPatterns:
     ) -> Solved: ...
 
 class Solved:
-    """Rows as the parts of a CSR matrix, and what is known of each."""
+    """Solved rows: the parts of a CSR matrix, and the diagnostics of each row."""
 
     indptr: NDArray[np.int64]
     indices: NDArray[np.int32]

@@ -215,7 +215,7 @@ def test_any_arguments_give_an_ordinary_exception_or_a_result(values: list[Any])
         lambda: weighted(candidates=SimpleNamespace(indptr=a, indices=b, data=c)),
         lambda: weighted(cells=cells(means=d, penalties=e)),
         lambda: weighted(background=f, start=start(background=g), cells=cells()),
-        lambda: expected(neighbourhood=neighbourhood(movement=h)),
+        lambda: expected(neighbourhood=neighbourhood(jacobian=h)),
         lambda: expected(background=i, reach=a),
         lambda: likely(camera=a, projector=b, reach=(c, d), most=e, range=(f, g)),
         lambda: likely(doubts=a),

@@ -233,7 +233,7 @@ INVALID: list[tuple[Callable[..., Any], dict[str, Any]]] = [
         "reach": [-1, 2**63],
         "neighbourhood": [
             neighbourhood(rows=start(coefficients=MATRIX.toarray())),
-            neighbourhood(movement=f4(ROWS, 4, fill=NAN)), neighbourhood(movement=f4(ROWS - 1, 4)),
+            neighbourhood(jacobian=f4(ROWS, 4, fill=NAN)), neighbourhood(jacobian=f4(ROWS - 1, 4)),
             *(neighbourhood(camera=camera)
               for camera in ((HUGE, HUGE, 3), (1, 1, 1), (3, 4), "3x4")),
         ],
@@ -244,7 +244,7 @@ INVALID: list[tuple[Callable[..., Any], dict[str, Any]]] = [
         "rows": sparse_rows_that_do_not_fit(),
         "camera": [[HUGE, HUGE, 3], [2**31 - 1] * 3, (3, 0, 1), (-3, -4, 1)],
         "projector": [(1, 2**20, 2**20), (1, 1, 1), (4, 6), (1, 4.0, 6.5)],
-        "movement": [f4(1, 4), f4(ROWS, 4, fill=NAN)],
+        "jacobian": [f4(1, 4), f4(ROWS, 4, fill=NAN)],
         "spots": [[], [f4(0)], [f4(2, fill=3)]],
         "within": [0.0, NAN],
         "wider": [f4(3), -f4(1), f4(1, fill=NAN)],

@@ -68,7 +68,7 @@ def neighbourhood(**changes: Any) -> Any:
         "rows": start(),
         "camera": CAMERA,
         "projector": (1, *SHAPE),
-        "movement": np.zeros((ROWS, 4), np.float32),
+        "jacobian": np.zeros((ROWS, 4), np.float32),
     }
     return SimpleNamespace(**valid | changes)
 
@@ -107,7 +107,7 @@ def likely(**changes: Any) -> Any:
         "rows": sparse_rows(),
         "camera": CAMERA,
         "projector": (1, *SHAPE),
-        "movement": np.zeros((ROWS, 4), np.float32),
+        "jacobian": np.zeros((ROWS, 4), np.float32),
         "spots": [np.ones(1, np.float32)],
         "within": 0.1,
         "wider": np.ones(1, np.float32),

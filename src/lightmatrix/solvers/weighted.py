@@ -54,7 +54,7 @@ class Cells:
 
 @dataclass(frozen=True)
 class PseudoSamples:
-    """Samples that M rows probably have: further samples of little weight, which were not taken.
+    """Expected samples of M rows, which count as additional samples of little weight.
 
     `unseen` are E patterns that were not shown. `values` and `weights`, (M, K + E), are under the K
     patterns shown, whose own samples may clip, then under the unseen ones. A weight of 0 omits one.

@@ -60,7 +60,7 @@ pub(super) fn expected_samples<'py>(
     let largest = camera[0].max(camera[1]);
     let reach = whole(reach, "reach", 0..=LARGEST)?.min(largest);
 
-    let jacobian = checks::jacobian(&part("movement")?, "neighbourhood.movement", total)?;
+    let jacobian = checks::jacobian(&part("jacobian")?, "neighbourhood.jacobian", total)?;
 
     // The rows of the windows around the first and the last selected row.
     let halo = reach

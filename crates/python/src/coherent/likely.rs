@@ -19,7 +19,7 @@ type Csr<'py> = (
 /// penalties: the parts of a CSR matrix.
 #[pyfunction]
 #[pyo3(signature = (
-    rows, camera, projector, movement, spots, within, wider, singles, reach, most, doubts, range,
+    rows, camera, projector, jacobian, spots, within, wider, singles, reach, most, doubts, range,
     index=None
 ))]
 #[allow(clippy::too_many_arguments)]
@@ -28,7 +28,7 @@ pub(super) fn likely_pixels<'py>(
     rows: &Bound<'py, PyAny>,
     camera: &Bound<'py, PyAny>,
     projector: &Bound<'py, PyAny>,
-    movement: &Bound<'py, PyAny>,
+    jacobian: &Bound<'py, PyAny>,
     spots: Vec<Bound<'py, PyAny>>,
     within: &Bound<'py, PyAny>,
     wider: &Bound<'py, PyAny>,
@@ -41,7 +41,7 @@ pub(super) fn likely_pixels<'py>(
 ) -> PyResult<Csr<'py>> {
     let (camera, count) = grid(camera, "camera")?;
     let (projector, pixels) = grid(projector, "projector")?;
-    let jacobian = checks::jacobian(movement, "movement", count)?;
+    let jacobian = checks::jacobian(jacobian, "jacobian", count)?;
     let spots = spots
         .iter()
         .map(|spot| Values::<f32>::reals(spot, "a spot"))
