@@ -56,8 +56,8 @@ def solve_weighted(
     progress: Callable[[int, int], None] | None = None,
 ) -> tuple[Solved, NDArray[np.float64]]: ...
 
-# The attributes that the core reads from its arguments. Arrays that are not in C order are copied. A
-# TypeError or ValueError names the attribute that does not fit.
+# The attributes that the core reads from its arguments. Arrays that are not in C order are copied.
+# A TypeError or ValueError names the attribute that does not fit.
 
 class Samples(Protocol):
     """Values (M, K), clipped (M, K) bool, weights None, (K,) or (M, K); float32 or float64."""
