@@ -21,14 +21,13 @@ from lightmatrix.errors import DeviceError, InputError, LightMatrixWarning
 from lightmatrix.live.devices.exposures import exposure_limits
 from lightmatrix.live.frames.drift import Drift, measure_drift
 from lightmatrix.live.frames.photograph import Photographer
-from lightmatrix.live.frames.repeats import take_average
 from lightmatrix.live.frames.same_light import References
 from lightmatrix.live.measurements.outdated import outdated_parts
+from lightmatrix.live.measurements.references import take_references
 from lightmatrix.live.measurements.rig_measurements import PARTS, RigMeasurements, measure_rig
-from lightmatrix.live.measurements.white_and_black import FIRST_SETTLE, plain_images
 from lightmatrix.live.projected_patterns import ProjectedPatterns
 from lightmatrix.live.record import CaptureFacts, CaptureRecord
-from lightmatrix.live.rig import Rig, UnfitRigError
+from lightmatrix.live.rig import Rig
 from lightmatrix.live.session import Session, Step
 from lightmatrix.outputs.kinds import LIVE_CAPTURE
 from lightmatrix.outputs.writing import claimed
@@ -39,11 +38,6 @@ from lightmatrix.patterns.pattern_set import PatternSet
 USUAL_COUNT = 64
 USUAL_REFERENCE = 32
 RIG_FILE = "rig.json"
-# Frames that are averaged for the black frame, whose noise enters all samples alike, for black at
-# the shortest exposure, and for white. Chosen by hand.
-_BLACK_FRAMES, _SHORT_BLACK_FRAMES, _WHITE_FRAMES = 8, 3, 5
-# The rig is unfit if white is not above black by this share of the clip level.
-_VISIBLE = 0.01
 # A warning says that the room's light varies by more than this share of white.
 _ROOM = 0.02
 # Seconds; longer exposures and settle times are refused as mistakes.
@@ -244,7 +238,7 @@ def _begin(
     projected = ProjectedPatterns(patterns, rig.projector.shape, settings.cell, known.response)
     seconds = _exposures(record, patterns, settings.exposure, known)
     photographer = Photographer(rig, known.settle.seconds)
-    references = rig.persistently(lambda: _take_references(photographer, seconds))
+    references = rig.persistently(lambda: take_references(photographer, seconds))
     photographer.changing = references.black.changing
     _check_unchanged(record, references)
     return Session(
@@ -276,26 +270,6 @@ def _exposures(
     record.state.exposures = [float(each) for each in seconds]
     record.save()
     return seconds
-
-
-def _take_references(photographer: Photographer, seconds: NDArray[np.float64]) -> References:
-    black, white = plain_images(photographer.rig)
-    long, short = float(seconds.max()), float(seconds.min())
-    # The first frames wait longer, so that nothing of an earlier image is left.
-    waiting = replace(photographer, settle=FIRST_SETTLE)
-    dark = dark_short = take_average(waiting, black, long, _BLACK_FRAMES)
-    if short != long:
-        dark_short = take_average(photographer, black, short, _SHORT_BLACK_FRAMES)
-    waiting = replace(photographer, settle=FIRST_SETTLE)
-    bright = take_average(waiting, white, short, _WHITE_FRAMES)
-    references = References(dark, bright, dark_short.mean)
-    if np.quantile(references.light, 0.99) < _VISIBLE * bright.clip_level:
-        raise UnfitRigError(
-            f"at {short:g} s, a white picture looks like a black one",
-            hint="leave --exposure to be measured, or choose one at which white neither clips nor "
-            "is dark",
-        )
-    return references
 
 
 def _check_unchanged(record: CaptureRecord, now: References) -> None:

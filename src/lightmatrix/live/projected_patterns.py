@@ -15,23 +15,15 @@ from lightmatrix.patterns.projector_curve import ProjectorResponse
 
 @dataclass(frozen=True, eq=False)
 class ProjectedPatterns:
-    """A pattern set on a projector's screen; an InputError if it does not fit.
+    """A pattern set on a projector's screen; an InputError if it does not fit."""
 
-    Parameters
-    ----------
-    patterns : PatternSet
-        K patterns.
-    screen : (rows, cols)
-        The projector's pixels.
-    cell : int
-        Projector pixels along a side of each pattern pixel.
-    response : ProjectorResponse, optional
-        Chooses grey values that give the patterns' light; black-and-white patterns need none.
-    """
-
+    # K patterns.
     patterns: PatternSet
+    # (rows, cols): the projector's pixels.
     screen: tuple[int, int]
+    # Projector pixels along a side of each pattern pixel.
     cell: int = 1
+    # Chooses grey values that give the patterns' light; black-and-white patterns need none.
     response: ProjectorResponse | None = None
 
     def __post_init__(self) -> None:

@@ -32,78 +32,51 @@ FORMAT, VERSION = "lightmatrix-session", 1
 
 @dataclass
 class FrameRecord:
-    """What is known of a frame.
+    """What is known of a frame."""
 
-    Parameters
-    ----------
-    exposure : float
-        Seconds, as the camera reported them.
-    id : int
-        The camera's number of the frame.
-    delay : float
-        Seconds from the pattern being shown to the start of the exposure.
-    before : int
-        Number of the pattern shown before it; -1 for black, -2 for white.
-    tries : int
-        Photographs that were taken for it.
-    check : {"matched", "confirmed", "unchecked"}
-        Whether it meets what the other frames predict, agrees with a second photograph, or has not
-        been checked yet.
-    still : bool
-        Whether a photograph straight after it agrees: no image came within its exposure.
-    """
-
+    # Seconds, as the camera reported them.
     exposure: float
+    # The camera's number of the frame.
     id: int
+    # Seconds from the pattern being shown to the start of the exposure.
     delay: float
+    # Number of the pattern shown before it; -1 for black, -2 for white.
     before: int
+    # Photographs that were taken for it.
     tries: int
+    # Whether it meets what the other frames predict, agrees with a second photograph, or has not
+    # been checked yet. One of "matched", "confirmed", "unchecked".
     check: str
+    # Whether a photograph straight after it agrees: no image came within its exposure.
     still: bool = False
 
 
 @dataclass
 class SessionState:
-    """What is known of all frames, JSON-ready.
+    """What is known of all frames, JSON-ready."""
 
-    Parameters
-    ----------
-    frames : dict
-        Number of a pattern -> its frame's record.
-    faults : dict
-        Reason for repeating photographs -> how often.
-    unmended : dict
-        Number of a pattern that was given up -> why.
-    drift : list of dict
-        For each look at the references: frames taken before, gain, change, room.
-    exposures : list of float
-        Seconds that each frame is asked for.
-    """
-
+    # Number of a pattern -> its frame's record.
     frames: dict[int, FrameRecord] = field(default_factory=dict)
+    # Reason for repeating photographs -> how often.
     faults: dict[str, int] = field(default_factory=dict)
+    # Number of a pattern that was given up -> why.
     unmended: dict[int, str] = field(default_factory=dict)
+    # For each look at the references: frames taken before, gain, change, room.
     drift: list[dict[str, float]] = field(default_factory=list)
+    # Seconds that each frame is asked for.
     exposures: list[float] = field(default_factory=list)
 
 
 @dataclass(frozen=True, eq=False)
 class CaptureFacts:
-    """What the finished capture states besides its frames; see `write_capture`.
+    """What the finished capture states besides its frames; see `write_capture`."""
 
-    Parameters
-    ----------
-    exposures : (frames,) float64
-        Relative exposures of the frames that were taken, in their order.
-    black : (rows, cols[, channels]) float32
-        The black frame, and its relative exposure.
-    clip_level, black_level : float
-        Raw levels at which the camera clips, and without any light.
-    """
-
+    # (frames,): relative exposures of the frames that were taken, in their order.
     exposures: NDArray[np.float64]
+    # (rows, cols[, channels]): the black frame, and its relative exposure.
     black: NDArray[np.float32]
     black_exposure: float
+    # Raw levels at which the camera clips, and without any light.
     clip_level: float
     black_level: float
     response: str

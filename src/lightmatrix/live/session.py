@@ -44,56 +44,36 @@ Doubted = tuple[NDArray[np.generic], int]
 
 @dataclass(frozen=True)
 class Step:
-    """Progress of a session after a frame.
+    """Progress of a session after a frame."""
 
-    Parameters
-    ----------
-    done, total : int
-        Frames.
-    clipped : float
-        Share of the last frame's samples that clip.
-    check : str
-        How the last frame was checked.
-    """
-
+    # Frames.
     done: int
     total: int
+    # Share of the last frame's samples that clip.
     clipped: float
+    # How the last frame was checked.
     check: str
 
 
 @dataclass(eq=False)
 class Session:
-    """Photographs all patterns.
-
-    Parameters
-    ----------
-    photographer : Photographer
-    record : CaptureRecord
-        Holds the frames so far, and receives new ones.
-    patterns : PatternSet
-        K patterns.
-    image : callable
-        The image (rows, cols) uint8 that the projector is given for a pattern.
-    exposures : (K,) float64
-        Seconds of each frame.
-    references : References
-    check : bool
-        Whether frames have to be shown to be right.
-    reference_every : int
-        Frames between two looks at the references; 0 for none.
-    progress : callable, optional
-        Called with a `Step` after each frame.
-    """
+    """Photographs all patterns."""
 
     photographer: Photographer
+    # Holds the frames so far, and receives new ones.
     record: CaptureRecord
+    # K patterns.
     patterns: PatternSet
+    # The image (rows, cols) uint8 that the projector is given for a pattern.
     image: Callable[[int], NDArray[np.uint8]]
+    # (K,): seconds of each frame.
     exposures: NDArray[np.float64]
     references: References
+    # Whether frames have to be shown to be right.
     check: bool = True
+    # Frames between two looks at the references; 0 for none.
     reference_every: int = 32
+    # Called with a `Step` after each frame.
     progress: Callable[[Step], None] | None = None
     _matcher: PatternMatcher = field(init=False)
     _samples: NDArray[np.int64] = field(init=False)

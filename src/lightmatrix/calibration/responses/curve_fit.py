@@ -35,17 +35,11 @@ _BINS, _FEWEST_IN_BIN = 16, 30
 
 @dataclass(frozen=True, eq=False)
 class Residuals:
-    """How far the light of pixels departs from growing with the exposure.
+    """How far the light of pixels departs from growing with the exposure."""
 
-    Parameters
-    ----------
-    light : (n,) float64
-        Middle of each range of light.
-    off : (n,) float64
-        Mean over its pixels, as a share of full light.
-    """
-
+    # (n,): middle of each range of light.
     light: NDArray[np.float64]
+    # (n,): mean over its pixels, as a share of full light.
     off: NDArray[np.float64]
 
     @property

@@ -27,20 +27,13 @@ _SAME_EXPOSURE = 1.01
 
 @dataclass(frozen=True, eq=False)
 class PixelSeries:
-    """Levels of M pixels at K exposures.
+    """Levels of M pixels at K exposures."""
 
-    Parameters
-    ----------
-    values : (K, M) uint8
-        Levels, 255 being the clip level; pixels from dark to bright.
-    exposures : (K,) float64
-        Relative to the longest.
-    black : float
-        Level without light, on the same scale.
-    """
-
+    # (K, M): levels, 255 being the clip level; pixels from dark to bright.
     values: NDArray[np.uint8]
+    # (K,): relative to the longest.
     exposures: NDArray[np.float64]
+    # Level without light, on the same scale.
     black: float
 
     @property

@@ -15,20 +15,13 @@ _OPTION = re.compile(r",(?=[A-Za-z_][A-Za-z0-9_]*=)")
 
 @dataclass(frozen=True)
 class Address:
-    """The parts of a device's address.
+    """The parts of a device's address."""
 
-    Parameters
-    ----------
-    kind : str
-        The back end, such as "window" or "aravis".
-    argument : str
-        Which of its devices; "" for the first one.
-    options : dict
-        Settings by name, as text.
-    """
-
+    # The back end, such as "window" or "aravis".
     kind: str
+    # Which of its devices; "" for the first one.
     argument: str = ""
+    # Settings by name, as text.
     options: dict[str, str] = field(default_factory=dict)
 
     @classmethod

@@ -54,27 +54,19 @@ CAMERAS: dict[str, BackEnd[Camera]] = {
 
 @dataclass(frozen=True)
 class BackEndStatus:
-    """What is known of one back end on this computer.
+    """What is known of one back end on this computer."""
 
-    Parameters
-    ----------
-    role : {"projector", "camera"}
-    kind, summary, form : str
-        Its name, what it is, and the form of its addresses.
-    finds : bool
-        Whether its devices can be listed at all.
-    found : tuple of AvailableDevice
-        Devices that are present.
-    problem, hint : str, optional
-        Why it cannot be used now, and what to do.
-    """
-
+    # One of "projector", "camera".
     role: str
+    # Its name, what it is, and the form of its addresses.
     kind: str
     summary: str
     form: str
+    # Whether its devices can be listed at all.
     finds: bool
+    # Devices that are present.
     found: tuple[AvailableDevice, ...] = ()
+    # Why it cannot be used now, and what to do.
     problem: str | None = None
     hint: str | None = None
 

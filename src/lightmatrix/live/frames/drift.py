@@ -19,20 +19,13 @@ _NOISE = 1.5
 
 @dataclass(frozen=True)
 class Drift:
-    """How far a rig is from its state at the start.
+    """How far a rig is from its state at the start."""
 
-    Parameters
-    ----------
-    gain : float
-        Its light now, as a share of that at the start.
-    change : float
-        What remains after that, relative to the light (L2): the scene, camera or projector moved.
-    room : float
-        Change of the room's light, as a share of the clip level.
-    """
-
+    # Its light now, as a share of that at the start.
     gain: float
+    # What remains after that, relative to the light (L2): the scene, camera or projector moved.
     change: float
+    # Change of the room's light, as a share of the clip level.
     room: float
 
     def warning(self) -> str | None:

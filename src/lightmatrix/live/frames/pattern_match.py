@@ -60,23 +60,15 @@ _MEDIAN_TO_DEVIATION = 1.48
 
 @dataclass(eq=False)
 class PatternMatcher:
-    """Compares what some camera samples show with what they should show.
+    """Compares what some camera samples show with what they should show."""
 
-    Parameters
-    ----------
-    patterns : PatternSet
-        K patterns.
-    rows : (m,) int
-        The image row of each sample.
-    ceiling : (m,) float
-        Light at which samples clip at the longest exposure; samples and predictions end there.
-    group : int
-        Samples come in groups of so many neighbours; see `choose_samples`.
-    """
-
+    # K patterns.
     patterns: PatternSet
+    # (m,): the image row of each sample.
     rows: NDArray[np.int64]
+    # (m,): light at which samples clip at the longest exposure; samples and predictions end there.
     ceiling: NDArray[np.float32]
+    # Samples come in groups of so many neighbours; see `choose_samples`.
     group: int = 1
     _values: NDArray[np.float32] = field(init=False)
     _predicted: NDArray[np.float32] | None = None

@@ -56,20 +56,13 @@ class Shot:
 
 @dataclass(eq=False)
 class Photographer:
-    """Takes single photographs with a rig.
-
-    Parameters
-    ----------
-    rig : Rig
-    settle : float
-        Seconds between an image being shown and the earliest start of an exposure.
-    changing : (rows,) float, optional
-        Share of the samples of each row that noise changes from frame to frame. If it is known,
-        copied rows are recognized.
-    """
+    """Takes single photographs with a rig."""
 
     rig: Rig
+    # Seconds between an image being shown and the earliest start of an exposure.
     settle: float
+    # Share of the samples of each row that noise changes from frame to frame. If it is known,
+    # copied rows are recognized.
     changing: NDArray[np.float64] | None = None
     # The exposure that was last asked for, and what the camera made of it.
     _exposure: tuple[float, float] = (0.0, 0.0)

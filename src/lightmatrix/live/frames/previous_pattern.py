@@ -31,21 +31,14 @@ _FEWEST_TORN = 4
 
 @dataclass(frozen=True)
 class Mixture:
-    """Share of another pattern in a frame.
+    """Share of another pattern in a frame."""
 
-    Parameters
-    ----------
-    share, error : float
-        The share over the whole frame, and its standard error.
-    torn : bool
-        Whether some rows at the top or bottom show the other pattern.
-    contrast : float
-        Difference between the light of both patterns (root mean square), in levels.
-    """
-
+    # The share over the whole frame, and its standard error.
     share: float
     error: float
+    # Whether some rows at the top or bottom show the other pattern.
     torn: bool
+    # Difference between the light of both patterns (root mean square), in levels.
     contrast: float
 
     def excluded(self, noise: float) -> bool:

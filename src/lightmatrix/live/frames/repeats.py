@@ -29,23 +29,15 @@ _MEDIAN_DISTANCE = 0.67
 
 @dataclass(frozen=True, eq=False)
 class AveragedFrame:
-    """The mean of frames of one image.
+    """The mean of frames of one image."""
 
-    Parameters
-    ----------
-    mean : (rows, cols[, channels]) float32
-        Raw levels.
-    shots : list of Shot
-        The frames that agree.
-    noise : float
-        Standard deviation of a sample from frame to frame, in raw levels.
-    gain : float
-        Standard deviation of the frames' brightness, as a share of it.
-    """
-
+    # (rows, cols[, channels]): raw levels.
     mean: NDArray[np.float32]
+    # The frames that agree.
     shots: list[Shot]
+    # Standard deviation of a sample from frame to frame, in raw levels.
     noise: float
+    # Standard deviation of the frames' brightness, as a share of it.
     gain: float
 
     @property

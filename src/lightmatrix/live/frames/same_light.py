@@ -18,30 +18,21 @@ class _Tolerances:
 
     Chosen by hand. `python -m tests.live.rig_mixtures` measures what they let pass on virtual rigs
     whose images come late.
-
-    Parameters
-    ----------
-    bands : int
-        Parts of the image from top to bottom, each of which has to agree.
-    noise : float
-        Difference that noise explains, in standard deviations of a difference.
-    light : float
-        Further difference, as a share of the light of a white frame in the same band.
-    rounding : float
-        Further difference in raw levels.
-    gain, gain_errors : float
-        Difference of brightness: as a share of it, or in standard deviations of what flickers.
-    mixed, mixed_errors : float
-        Share of the image that was shown before: harmless up to the first, or up to so many of its
-        standard errors.
     """
 
+    # Parts of the image from top to bottom, each of which has to agree.
     bands: int = 8
+    # Difference that noise explains, in standard deviations of a difference.
     noise: float = 1.3
+    # Further difference, as a share of the light of a white frame in the same band.
     light: float = 0.005
+    # Further difference in raw levels.
     rounding: float = 0.3
+    # Difference of brightness: as a share of it, or in standard deviations of what flickers.
     gain: float = 0.01
     gain_errors: float = 4.0
+    # Share of the image that was shown before: harmless up to the first, or up to so many of its
+    # standard errors.
     mixed: float = 0.005
     mixed_errors: float = 4.0
 
@@ -51,18 +42,12 @@ _TOLERANCES = _Tolerances()
 
 @dataclass(frozen=True, eq=False)
 class References:
-    """The black and the white frame of a rig at the start of a capture.
+    """The black and the white frame of a rig at the start of a capture."""
 
-    Parameters
-    ----------
-    black, white : AveragedFrame
-        Black at the longest exposure, white at the shortest.
-    dark : (rows, cols[, channels]) float32
-        The black frame at the white one's exposure.
-    """
-
+    # Black at the longest exposure, white at the shortest.
     black: AveragedFrame
     white: AveragedFrame
+    # (rows, cols[, channels]): the black frame at the white one's exposure.
     dark: NDArray[np.float32]
 
     @property

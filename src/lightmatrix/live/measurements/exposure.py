@@ -34,32 +34,21 @@ _BRIEF, _NOT_BRIEF = 1 / 8, 0.6
 
 @dataclass(frozen=True)
 class ExposureAdvice:
-    """How to expose a rig's frames.
+    """How to expose a rig's frames."""
 
-    Parameters
-    ----------
-    seconds : tuple of float
-        From the longest to the shortest, in equal shares of the frames.
-    density : float
-        Share of projector pixels to light in random patterns.
-    clipped : tuple of float
-        Share of the samples that will clip at each exposure.
-    noise : float
-        Standard deviation of a sample, as a share of the clip level.
-    pedestal : float
-        Raw level without any light.
-    period : float
-        Seconds that each exposure is a multiple of, where something flickers; 0 for none.
-    warnings : tuple of str
-        What the camera cannot do.
-    """
-
+    # From the longest to the shortest, in equal shares of the frames.
     seconds: tuple[float, ...]
+    # Share of projector pixels to light in random patterns.
     density: float
+    # Share of the samples that will clip at each exposure.
     clipped: tuple[float, ...]
+    # Standard deviation of a sample, as a share of the clip level.
     noise: float
+    # Raw level without any light.
     pedestal: float
+    # Seconds that each exposure is a multiple of, where something flickers; 0 for none.
     period: float = 0.0
+    # What the camera cannot do.
     warnings: tuple[str, ...] = field(default=())
 
 

@@ -47,23 +47,15 @@ _Series = tuple[NDArray[np.float64], NDArray[np.float64]]
 
 @dataclass(frozen=True)
 class Flicker:
-    """Light that varies although the picture stays.
+    """Light that varies although the picture stays."""
 
-    Parameters
-    ----------
-    amplitude : float
-        Amplitude of the projector's light, as a share of it; 0 if none was noticed.
-    frequency : float
-        Hz, one of those that were tried; 0 if none was noticed.
-    spread : float
-        Standard deviation of the brightness of short frames, as a share of it.
-    room : float
-        Standard deviation of the black frames' mean, as a share of white.
-    """
-
+    # Amplitude of the projector's light, as a share of it; 0 if none was noticed.
     amplitude: float
+    # Hz, one of those that were tried; 0 if none was noticed.
     frequency: float
+    # Standard deviation of the brightness of short frames, as a share of it.
     spread: float
+    # Standard deviation of the black frames' mean, as a share of white.
     room: float
 
     @property

@@ -33,22 +33,15 @@ class CameraLinearity:
     """Levels of a white picture at several exposures.
 
     A camera with a single exposure counts as linear, since nothing is known of it.
-
-    Parameters
-    ----------
-    exposures : tuple of float
-        Seconds, from the shortest to the longest.
-    levels : tuple of float
-        Mean level above black of the lit samples, as a share of the clip level.
-    deviation : float
-        The largest distance of a level from the straight line, as a share of the longest one's.
-    exponent : float
-        Exponent of the power law that fits best; 1 is linear.
     """
 
+    # Seconds, from the shortest to the longest.
     exposures: tuple[float, ...]
+    # Mean level above black of the lit samples, as a share of the clip level.
     levels: tuple[float, ...]
+    # The largest distance of a level from the straight line, as a share of the longest one's.
     deviation: float
+    # Exponent of the power law that fits best; 1 is linear.
     exponent: float
 
     @property

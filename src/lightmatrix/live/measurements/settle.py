@@ -52,23 +52,15 @@ _TOO_LATE = 0.8
 
 @dataclass(frozen=True)
 class SettleTime:
-    """How long to wait between showing and exposing.
+    """How long to wait between showing and exposing."""
 
-    Parameters
-    ----------
-    seconds : float
-        From the moment at which the image is shown to the earliest start of an exposure.
-    unsettled : float
-        The latest start of an exposure, after the same moment, that still saw the change.
-    changes : int
-        Number of changes between black and white.
-    late : int
-        Number of changes that came much later than the others.
-    """
-
+    # From the moment at which the image is shown to the earliest start of an exposure.
     seconds: float
+    # The latest start of an exposure, after the same moment, that still saw the change.
     unsettled: float
+    # Number of changes between black and white.
     changes: int
+    # Number of changes that came much later than the others.
     late: int
 
 

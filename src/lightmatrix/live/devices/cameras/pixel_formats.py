@@ -14,23 +14,15 @@ from lightmatrix.errors import DeviceError
 
 @dataclass(frozen=True)
 class PixelFormat:
-    """How a camera's bytes become an image.
+    """How a camera's bytes become an image."""
 
-    Parameters
-    ----------
-    name : str
-        By the naming convention of GenICam (PFNC).
-    bits : int
-        Bits of a value that carry light.
-    channels : int
-        1 or 3; a colour filter's mosaic is one channel, each pixel a sample of its own.
-    reverse : bool
-        Whether blue comes first.
-    """
-
+    # By the naming convention of GenICam (PFNC).
     name: str
+    # Bits of a value that carry light.
     bits: int
+    # 1 or 3; a colour filter's mosaic is one channel, each pixel a sample of its own.
     channels: int = 1
+    # Whether blue comes first.
     reverse: bool = False
 
     @property

@@ -19,22 +19,14 @@ _REMEMBERED = 10.0
 
 @dataclass(eq=False)
 class Light:
-    """Irradiance of the camera's M samples.
+    """Irradiance of the camera's M samples."""
 
-    Parameters
-    ----------
-    truth : Truth
-        T, including the blur of the projector.
-    room : (M,) float32
-        Irradiance by the room's light.
-    settings : VirtualSettings
-    begun : float
-        When the lamp had its full brightness.
-    """
-
+    # T, including the blur of the projector.
     truth: Truth
+    # (M,): irradiance by the room's light.
     room: NDArray[np.float32]
     settings: VirtualSettings
+    # When the lamp had its full brightness.
     begun: float = 0.0
     # Times from which on the projector gave an irradiance, in ascending order.
     _shown: deque[tuple[float, NDArray[np.float32]]] = field(default_factory=deque)

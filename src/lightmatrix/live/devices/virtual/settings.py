@@ -18,91 +18,63 @@ class VirtualSettings:
     """A virtual projector and camera, their room and their faults.
 
     Times are in seconds; rates are shares of the frames from 0 to 1.
-
-    Parameters
-    ----------
-    scene : str
-        A scene (see `scenes`), a truth file (T.npz), or "procedural".
-    size : int
-        Pixels along a side of projector and camera; the bundled scenes have 64.
-    refresh : float
-        Refresh rate of the projector in Hz.
-    delay : float
-        Refreshes between `show` and the light.
-    gamma : float
-        Exponent of the projector: light = (grey value / 255) ** gamma.
-    leak : float
-        Light of a black projector pixel, as a share of a white one's.
-    blur : float
-        Projector defocus, standard deviation in projector pixels.
-    room : float
-        Room light, as a share of the mean white image.
-    flicker, flicker_hz : float
-        Amplitude of the flicker of the projector's lamp, as a share of its light; its frequency.
-    room_flicker : float
-        Amplitude of the flicker of the room's light, as a share of it, at the same frequency.
-    fading : float
-        Share of its light that the lamp loses in each minute.
-    fps : float
-        Frames a second of a free-running camera; 0: one frame for each trigger.
-    buffers : int
-        Frames that a free-running camera keeps; further ones are lost until one is fetched.
-    latency : float
-        Time from the end of the exposure until the frame is ready.
-    unit : float
-        Exposure time at which a sample is T p, that is exposure 1 of `simulate`.
-    bits : int
-        Bit depth: 8, 10, 12 or 16.
-    black : float
-        Raw level of a sample without light.
-    noise, shot : float
-        Read noise and, at the clip level, shot noise, as shares of the clip level.
-    curve : float
-        Exponent of the camera: 1 is linear.
-    late : float
-        Rate of images that the projector shows three to eight refreshes late.
-    dropped, duplicate, torn : float
-        Rates of frames that are lost, replaced by the one before, or contain its lower rows.
-    unplugged, unplugged_at : float
-        How long the camera is gone, and how long after the start that begins.
-    meddled, meddled_at : float
-        Factor by which another program changes the exposure (0: none does), and when.
-    seed : int
-        Seed of the noise and the faults.
-    real : int
-        1: real time; 0: the clock of the rig jumps instead of waiting.
     """
 
+    # A scene (see `scenes`), a truth file (T.npz), or "procedural".
     scene: str
+    # Pixels along a side of projector and camera; the bundled scenes have 64.
     size: int = 64
+    # Refresh rate of the projector in Hz.
     refresh: float = 60.0
+    # Refreshes between `show` and the light.
     delay: float = 2.0
+    # Exponent of the projector: light = (grey value / 255) ** gamma.
     gamma: float = 2.2
+    # Light of a black projector pixel, as a share of a white one's.
     leak: float = 0.001
+    # Projector defocus, standard deviation in projector pixels.
     blur: float = 0.0
+    # Room light, as a share of the mean white image.
     room: float = 0.02
+    # Amplitude of the flicker of the projector's lamp, as a share of its light; its frequency.
     flicker: float = 0.0
     flicker_hz: float = 100.0
+    # Amplitude of the flicker of the room's light, as a share of it, at the same frequency.
     room_flicker: float = 0.0
+    # Share of its light that the lamp loses in each minute.
     fading: float = 0.0
+    # Frames a second of a free-running camera; 0: one frame for each trigger.
     fps: float = 30.0
+    # Frames that a free-running camera keeps; further ones are lost until one is fetched.
     buffers: int = 4
+    # Time from the end of the exposure until the frame is ready.
     latency: float = 0.004
+    # Exposure time at which a sample is T p, that is exposure 1 of `simulate`.
     unit: float = 0.02
+    # Bit depth: 8, 10, 12 or 16.
     bits: int = 12
+    # Raw level of a sample without light.
     black: float = 64.0
+    # Read noise and, at the clip level, shot noise, as shares of the clip level.
     noise: float = 0.003
     shot: float = 0.0
+    # Exponent of the camera: 1 is linear.
     curve: float = 1.0
+    # Rate of images that the projector shows three to eight refreshes late.
     late: float = 0.02
+    # Rates of frames that are lost, replaced by the one before, or contain its lower rows.
     dropped: float = 0.02
     duplicate: float = 0.01
     torn: float = 0.01
+    # How long the camera is gone, and how long after the start that begins.
     unplugged: float = 0.0
     unplugged_at: float = 5.0
+    # Factor by which another program changes the exposure (0: none does), and when.
     meddled: float = 0.0
     meddled_at: float = 5.0
+    # Seed of the noise and the faults.
     seed: int = 0
+    # 1: real time; 0: the clock of the rig jumps instead of waiting.
     real: int = 1
 
     def __post_init__(self) -> None:
