@@ -57,6 +57,8 @@ def test_files_that_do_not_fit_together_are_findings(
     assert code == 1
     assert [each["kind"] for each in found] == ["files", "files"]
     assert [each["frames"] for each in found] == [[5, 6], [8]]
+    assert str(found[0]["message"]).endswith(", and 1 more like it")
+    assert "more like it" not in str(found[1]["message"])
 
 
 def test_no_capture_is_an_error(capsys: pytest.CaptureFixture[str]) -> None:

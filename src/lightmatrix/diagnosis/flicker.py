@@ -32,10 +32,10 @@ def brightness_changes(
     They are 0 and infinity for frames with hardly a lit sample.
     """
     noise, expected = prediction.noise, prediction.expected
-    weight = prediction.trusted / noise**2
+    lit = expected > _LIT * expected.max(axis=1, keepdims=True)
+    weight = (prediction.trusted & lit) / noise**2
     deviations = (prediction.observed - expected) / noise
     left = np.clip(deviations, -_MOST_DEVIATIONS, _MOST_DEVIATIONS) * noise
-    weight = np.where(expected > _LIT * expected.max(axis=1, keepdims=True), weight, 0)
     power = np.maximum((weight * expected**2).sum(axis=0), 1e-12)
     change = (weight * left * expected).sum(axis=0) / power
     rest = weight * expected * (left - change * expected)

@@ -36,10 +36,10 @@ from lightmatrix.patterns.pattern_set import PatternSet
 # A single frame is out of place if another prediction misses it by less than 45 % of what its own
 # prediction does, and by less than 60 % of what the mean of each row does. Two frames that meet
 # each other's predictions need 60 % and 70 % each. Frames are suspected from a gain of 0.2 on, in
-# the logarithm of the miss.
+# the logarithm of the miss, but at most one in 6: the others must predict them.
 _DECISIVE, _INFORMATIVE = 0.45, 0.6
 _DECISIVE_OF_TWO, _INFORMATIVE_OF_TWO = 0.6, 0.7
-_SUSPICIOUS = 0.2
+_SUSPICIOUS, _SUSPECTS = 0.2, 6
 # Frames displaced alike support each other. A run of them has at least 3 frames, whose gain is
 # above 0.25 in the mean and 2.5 in sum. No frame counts for more than 1.5, and each must gain more
 # than 0.1 to make a run richer.
@@ -169,7 +169,7 @@ class _Judge:
     def displaced_singly(self) -> dict[int, int]:
         """Which frame shows the pattern of which other frame."""
         suspicion = self.in_order.own - self.others(self.in_order).min(axis=1)
-        suspects = np.argsort(-suspicion)[: self.patterns.count // 6]
+        suspects = np.argsort(-suspicion)[: self.patterns.count // _SUSPECTS]
         suspects = suspects[
             (suspicion[suspects] > _SUSPICIOUS) & self.in_order.informative[suspects]
         ]
