@@ -48,7 +48,7 @@ def holder(tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
         assert process.stdout.readline() == "ready\n"
         yield process
         with suppress(ProcessLookupError):
-            process.kill()
+            process.terminate()
 
 
 def test_two_processes_do_not_write_one_output(

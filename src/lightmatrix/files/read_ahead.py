@@ -45,5 +45,5 @@ def read_ahead(
         while waiting:
             yield waiting.popleft().result()
     finally:
-        # What nobody waits for any more is not begun.
+        # Items that nobody waits for any more are not begun.
         pool.shutdown(wait=True, cancel_futures=True)

@@ -32,7 +32,7 @@ FORMAT, VERSION = "lightmatrix-lock", 1
 _PATIENCE, _POLL = 0.2, 0.01
 # A lock file of ours takes less than 1000 bytes. No more than this is read of any.
 _MOST_BYTES = 1 << 16
-# What file systems without locks answer, some network file systems among them.
+# The errors of file systems without locks, some network file systems among them.
 _UNSUPPORTED = {errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP, errno.EINVAL}
 # Neither follow a link nor wait for a pipe. Windows has neither flag.
 _OPEN_FLAGS = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)

@@ -1,7 +1,7 @@
 """Running results: finished parts of an output, kept in a folder beside it until it is whole.
 
 The tiles of an estimate, the frames of a live capture and the cases of a figure are kept this way,
-so that a run that was stopped goes on. The folder has a marker of lines: the first says what the
+so that a run that was stopped continues. The folder has a marker of lines: the first says what the
 folder is, each further one is the name of a file that was kept in it. Only those files are ever
 read, replaced or removed. Other processes may write files there too, once the process that holds
 the folder has written down their names.
@@ -42,7 +42,7 @@ class RunningResults:
 
     @classmethod
     def open(cls, target: Path, ending: str) -> Self:
-        """Begin, or go on with, the running results of an output.
+        """Begin, or continue, the running results of an output.
 
         Parameters
         ----------
@@ -78,7 +78,7 @@ class RunningResults:
         contents: str,
         overwrite: bool = False,
     ) -> Self:
-        """Go on with results that were kept under the same settings, or begin anew.
+        """Continue results that were kept under the same settings, or begin anew.
 
         Parameters
         ----------
@@ -202,7 +202,7 @@ def write_whole(file: Path) -> Iterator[Path]:
     """Write a file of running results at a temporary path, which is renamed on success.
 
     The path has the same ending, and is this writer's alone: two processes may write the same
-    file, if one of them was taken for dead. Only the process that holds the folder may list names
+    file, if one of them seemed dead. Only the process that holds the folder may list names
     (`RunningResults.place`); this may be called in any.
 
     Raises

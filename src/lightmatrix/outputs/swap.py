@@ -11,7 +11,7 @@ from pathlib import Path
 # Arguments of Linux's renameat2: paths count from the current folder, and change places.
 _AT_FDCWD = -100
 _RENAME_EXCHANGE = 2
-# What kernels and file systems answer that cannot exchange paths.
+# The errors of kernels and file systems that cannot exchange paths.
 _UNSUPPORTED = {errno.ENOSYS, errno.EINVAL, errno.ENOTSUP, errno.EOPNOTSUPP}
 
 

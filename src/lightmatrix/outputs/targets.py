@@ -36,24 +36,24 @@ def final_target(path: str | Path) -> Path:
         If a link leads nowhere, or there is a device, pipe, socket, mount point, the root, the home
         folder, the current folder, or a folder that holds one of these.
     """
-    given = Path(path)
-    with as_output_error(given):
-        for part in (given, *given.parents):
+    output = Path(path)
+    with as_output_error(output):
+        for part in (output, *output.parents):
             if part.is_symlink() and not part.exists():
                 raise OutputError(
                     f"{part}: is a link that leads nowhere ({os.readlink(part)})",
                     hint="mend or remove the link, or choose another name for the output",
                 )
-        target = Path(os.path.realpath(given))
+        target = Path(os.path.realpath(output))
         try:
-            status = os.stat(given)
+            status = os.stat(output)
         except FileNotFoundError:
             # A path such as new/.. exists once new has been made.
             if not os.path.lexists(target):
                 return target
             status = os.lstat(target)
-        _check_kind(given, target, status)
-        _check_place(given, target)
+        _check_kind(output, target, status)
+        _check_place(output, target)
     return target
 
 
@@ -89,17 +89,17 @@ def mount_points() -> list[Path]:
     return places
 
 
-def _check_kind(given: Path, target: Path, status: os.stat_result) -> None:
+def _check_kind(output: Path, target: Path, status: os.stat_result) -> None:
     kind = stat.S_IFMT(status.st_mode)
     if kind not in (stat.S_IFREG, stat.S_IFDIR):
         what = _SPECIAL_FILES.get(kind, "no file or folder")
-        raise OutputError(f"{given}: is {what}, which is never replaced", hint=ANOTHER_NAME)
+        raise OutputError(f"{output}: is {what}, which is never replaced", hint=ANOTHER_NAME)
     # Links of /proc lead to files without a name, such as those that were deleted.
     if not (os.path.lexists(target) and os.path.samestat(os.lstat(target), status)):
-        raise OutputError(f"{given}: leads to a file without a name", hint=ANOTHER_NAME)
+        raise OutputError(f"{output}: leads to a file without a name", hint=ANOTHER_NAME)
 
 
-def _check_place(given: Path, target: Path) -> None:
+def _check_place(output: Path, target: Path) -> None:
     protected = [
         ("the current folder", Path(os.path.realpath(Path.cwd()))),
         ("the home folder", Path(os.path.realpath(os.path.expanduser("~")))),
@@ -111,5 +111,5 @@ def _check_place(given: Path, target: Path) -> None:
         if target == place or target in place.parents:
             verb = "is" if target == place else "holds"
             raise OutputError(
-                f"{given}: {verb} {words}, which is never replaced", hint=ANOTHER_NAME
+                f"{output}: {verb} {words}, which is never replaced", hint=ANOTHER_NAME
             )

@@ -51,23 +51,23 @@ def check_output(path: str | Path, kind: OutputKind, *, overwrite: bool = False)
         If its name ends otherwise, what exists there may not be replaced, another process is
         writing it, or its folder cannot be written to.
     """
-    given = Path(path)
-    if kind.suffixes and given.suffix.lower() not in kind.suffixes:
+    output = Path(path)
+    if kind.suffixes and output.suffix.lower() not in kind.suffixes:
         raise OutputError(
-            f"{given}: the name of the output ends in {given.suffix or 'nothing'}",
+            f"{output}: the name of the output ends in {output.suffix or 'nothing'}",
             hint=f"end it in {' or '.join(kind.suffixes)}",
         )
-    target = final_target(given)
-    with as_output_error(given):
+    target = final_target(output)
+    with as_output_error(output):
         check_unlocked(target)
-        if os.path.lexists(target) and kind.check_replaceable(given, target) and not overwrite:
+        if os.path.lexists(target) and kind.check_replaceable(output, target) and not overwrite:
             raise OutputError(
-                f"{given}: exists already",
+                f"{output}: exists already",
                 hint="add --overwrite to replace it, or choose a new name",
             )
         if kind.running:
             check_running(target, kind.running)
-        _check_parent(given, target)
+        _check_parent(output, target)
     return target
 
 
@@ -202,14 +202,14 @@ def _temporary_folder(target: Path) -> Path:
     return target.with_name(f".{target.name}.part")
 
 
-def _check_parent(given: Path, target: Path) -> None:
+def _check_parent(output: Path, target: Path) -> None:
     """Check that the first folder that exists above an output can be written to."""
     parent = next(folder for folder in target.parents if os.path.lexists(folder))
     if not parent.is_dir():
-        raise OutputError(f"{given}: cannot be written ({parent} is not a folder)")
+        raise OutputError(f"{output}: cannot be written ({parent} is not a folder)")
     if not os.access(parent, os.W_OK | os.X_OK):
         raise OutputError(
-            f"{given}: cannot be written (no permission to write in {parent})",
+            f"{output}: cannot be written (no permission to write in {parent})",
             hint="choose another folder, or change its permissions",
         )
 

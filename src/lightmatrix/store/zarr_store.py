@@ -111,7 +111,7 @@ def save_rows(
                 diagnostics[name].add(values)
         for array in (*arrays.values(), *diagnostics.values()):
             array.close()
-        # Last, so that a group without attributes is never taken for a whole one.
+        # The attributes come last, so that a group without them is recognized as incomplete.
         group.attrs.update(
             {
                 "format": FORMAT,
