@@ -27,7 +27,7 @@ from lightmatrix.evaluation.metrics import relative_error
 from lightmatrix.experiments.measured_scene import SCENES
 from lightmatrix.experiments.rigs import RIGS, Case, rig_capture, rig_truth
 
-# Those in which each part has its use.
+# In each of these rigs another part of the estimate matters.
 USUAL_RIGS = ("sharp", "blur 1", "camera 4x coarser")
 
 
@@ -47,7 +47,7 @@ def _likely_atoms(**values: float) -> AbstractContextManager[Any]:
 
 Change = Callable[[], AbstractContextManager[Any]]
 
-# How each part is left out, and with which parameters.
+# How each part is left out, and with which parameters of the estimator.
 WITHOUT: dict[str, tuple[Change, dict[str, Any]]] = {
     "all of it": (nullcontext, {}),
     "without neighbours (windows of one camera pixel)": (
@@ -86,8 +86,8 @@ def errors(case: Case) -> Iterator[tuple[str, float]]:
     capture = rig_capture(case, truth)
     for name, (change, parameters) in WITHOUT.items():
         with change():
-            found = CoherentEstimator(**parameters).estimate(capture)
-        yield name, relative_error(found, truth.transport())
+            estimate = CoherentEstimator(**parameters).estimate(capture)
+        yield name, relative_error(estimate, truth.transport())
 
 
 def main() -> None:

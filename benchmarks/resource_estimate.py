@@ -1,4 +1,4 @@
-"""What an estimate takes of memory and time: the numbers of `lightmatrix.estimators.cost_model`.
+"""The memory and time of estimates: the coefficients of `lightmatrix.estimators.cost_model`.
 
     python -m benchmarks.resource_estimate [--quick] [-o resources.json]
 
@@ -98,16 +98,16 @@ def _peak() -> int:
 
 def measure(case: Case) -> dict[str, Any]:
     """One case, in processes of its own."""
-    found: dict[str, float] = {}
+    costs: dict[str, float] = {}
     with tempfile.TemporaryDirectory() as place:
         for step in ("make", "estimate"):
-            told = subprocess.run(
+            ran = subprocess.run(
                 [sys.executable, "-m", MODULE, "--step", step, json.dumps(case), place],
                 check=True, capture_output=True, text=True,
                 env={**os.environ, "RAYON_NUM_THREADS": "1"},
             )  # fmt: skip
-            found = json.loads(told.stdout or "{}")
-    return dict(zip(("method", "camera", "projector", "count", "grey"), case, strict=True)) | found
+            costs = json.loads(ran.stdout or "{}")
+    return dict(zip(("method", "camera", "projector", "count", "grey"), case, strict=True)) | costs
 
 
 def fit(rows: list[dict[str, Any]], method: str) -> None:
@@ -119,13 +119,13 @@ def fit(rows: list[dict[str, Any]], method: str) -> None:
         columns = [terms(method, *size) for size in sizes]
         names = list(columns[0])
         matrix = np.array([[column[name] for name in names] for column in columns])
-        found, _ = nnls(matrix / measured[:, None], np.ones(len(some)))
+        fitted, _ = nnls(matrix / measured[:, None], np.ones(len(some)))
         now = cost_model.COEFFICIENTS[method][what]
         print(f"\n{method}, {what}:")
-        for name, value in zip(names, found, strict=True):
+        for name, value in zip(names, fitted, strict=True):
             print(f"  {name:<20} {value:12.4g}   in the code {now.get(name, 0):.4g}")
-        for row, told, own in zip(some, matrix @ found, measured, strict=True):
-            print(f"    {_words(row):<44} measured {own:10.4g}, model {told / own:5.2f} of it")
+        for row, model, own in zip(some, matrix @ fitted, measured, strict=True):
+            print(f"    {_words(row):<44} measured {own:10.4g}, model {model / own:5.2f} of it")
 
 
 def _words(row: dict[str, Any]) -> str:

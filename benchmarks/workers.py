@@ -1,11 +1,10 @@
 """How much faster two workers are than one: `python -m benchmarks.workers`.
 
-Workers have one thread each. First both give the same bits as no worker does; then each estimates
-in turn, so that other work on the machine meets both alike, and the best of the repeats counts.
-Starting the workers does not count; reading, solving, writing and joining do. Beside the clock's
-time stands the processors', of workers and of the process that hands out tiles: on a machine that
-is busy with other work the clock tells little, and how much more of the processors two workers take
-bounds what they would gain on two idle cores.
+Workers have one thread each. Both must give the same bits as an estimate without workers. One and
+two workers estimate in turn, so that other work on the machine affects both alike, and the best of
+the repeats counts. The time includes reading, solving, writing and joining, but not the workers'
+start. The processor time of the workers and of this process stands beside the clock's: on a busy
+machine it bounds what two workers would gain on two idle cores.
 
     python -m benchmarks.workers [--camera 256] [--projector 256] [--count 64] [--repeats 3]
 """
@@ -42,8 +41,8 @@ def main(arguments: list[str] | None = None) -> None:
         scene = lm.ProceduralScene((options.camera, options.camera), projector)
         lm.simulate_procedural(place, scene, lm.BernoulliPatterns(projector, options.count))
         for coherent in (False, True):
-            found = measured(place, coherent, options.repeats)
-            print(json.dumps({"coherent": coherent, **vars(options), **found}), flush=True)
+            figures = measured(place, coherent, options.repeats)
+            print(json.dumps({"coherent": coherent, **vars(options), **figures}), flush=True)
 
 
 def measured(place: Path, coherent: bool, repeats: int) -> dict[str, Any]:
@@ -56,10 +55,10 @@ def measured(place: Path, coherent: bool, repeats: int) -> dict[str, Any]:
         for _ in range(repeats):
             for number, pool in ((1, one), (2, two)):
                 before, started = spent(pool), time.perf_counter()
-                found = estimated(capture, coherent, pool)
+                estimate = estimated(capture, coherent, pool)
                 clock[number].append(time.perf_counter() - started)
                 processors[number].append(spent(pool) - before)
-                if not same(found, alone):
+                if not same(estimate, alone):
                     raise SystemExit(f"{number} workers give another result than none")
     best = {number: min(times) for number, times in clock.items()}
     work = {number: min(times) for number, times in processors.items()}

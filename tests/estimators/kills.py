@@ -77,23 +77,23 @@ def estimated(
 ) -> None:
     """Begin an estimate, or go on with it."""
     estimator = CoherentEstimator(windows=windows, tile_rows=200, threads=1)
-    taken = Capture.open(capture)
+    opened = Capture.open(capture)
     with dask_pool(workers) if workers else nullcontext() as pool:
-        estimator.estimate(taken, output=target, overwrite=overwrite, progress=progress, pool=pool)
+        estimator.estimate(opened, output=target, overwrite=overwrite, progress=progress, pool=pool)
 
 
-def kill_later(victim: str, seconds: float, told: Path) -> Callable[[int, int], None]:
+def kill_later(victim: str, seconds: float, killed: Path) -> Callable[[int, int], None]:
     """Progress that kills this process or one of its workers, so long after it was called first.
 
-    A worker that was killed is told in a file.
+    The file `killed` then exists if a worker was killed.
     """
     timers: list[threading.Timer] = []
 
     def kill() -> None:
-        found = workers_of(psutil.Process()) if victim == "worker" else [psutil.Process()]
-        if found:
-            found[0].kill()
-            told.touch()
+        victims = workers_of(psutil.Process()) if victim == "worker" else [psutil.Process()]
+        if victims:
+            victims[0].kill()
+            killed.touch()
 
     def progress(done: int, total: int) -> None:
         if not timers:
@@ -117,40 +117,40 @@ def outlived(workers: list[psutil.Process]) -> int:
 
 
 def killed_with_workers(
-    draw: random.Random, work: Callable[..., None], usual: float, told: Path
+    draw: random.Random, work: Callable[..., None], usual: float, killed: Path
 ) -> bool:
     """Start an estimate with workers and kill one of these, or the estimate; whether it was."""
     victim = draw.choice(["worker", "client"])
-    progress = kill_later(victim, draw.uniform(0, usual), told)
+    progress = kill_later(victim, draw.uniform(0, usual), killed)
     seen: dict[int, psutil.Process] = {}
     child = os.fork()
     if child == 0:
         _do(partial(work, progress=progress))
-    while (found := os.waitpid(child, os.WNOHANG)) == (0, 0):
+    while (ended := os.waitpid(child, os.WNOHANG)) == (0, 0):
         with suppress(psutil.Error):
             seen |= {one.pid: one for one in workers_of(psutil.Process(child))}
         time.sleep(0.05)
-    if not os.WIFSIGNALED(found[1]) and os.waitstatus_to_exitcode(found[1]):
+    if not os.WIFSIGNALED(ended[1]) and os.waitstatus_to_exitcode(ended[1]):
         raise RuntimeError("an estimate failed")
     if outlived(list(seen.values())):
         raise RuntimeError("workers outlived the estimate")
-    worker = told.exists()
-    told.unlink(missing_ok=True)
-    return worker or os.WIFSIGNALED(found[1])
+    worker = killed.exists()
+    killed.unlink(missing_ok=True)
+    return worker or os.WIFSIGNALED(ended[1])
 
 
 def digest(target: Path) -> str:
-    """Of all that a store says of its rows."""
-    found = store.open(target)
+    """A hash of all rows of a store."""
+    matrix = store.open(target)
     hasher = hashlib.sha256()
-    parts = [found.sparse.indptr, found.sparse.indices, found.sparse.data, found.background]
-    for values in (*parts, *(found.diagnostics[name] for name in sorted(found.diagnostics))):
+    parts = [matrix.sparse.indptr, matrix.sparse.indices, matrix.sparse.data, matrix.background]
+    for values in (*parts, *(matrix.diagnostics[name] for name in sorted(matrix.diagnostics))):
         hasher.update(np.ascontiguousarray(values).tobytes())
     return hasher.hexdigest()
 
 
 def main() -> int:
-    """Run many, and tell what became of them."""
+    """Run many estimates, and print what became of them."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--count", type=int, default=50)
     parser.add_argument("--first", type=int, default=0)
@@ -184,7 +184,7 @@ def main() -> int:
                     break
                 if options.workers:
                     helped = partial(work, workers=options.workers)
-                    killed += killed_with_workers(draw, helped, usual, place / "told")
+                    killed += killed_with_workers(draw, helped, usual, place / "killed")
                 else:
                     killed += in_child(work, draw.uniform(0, usual))
             # Killed between its last renaming and tidying up, an estimate is whole, and the next

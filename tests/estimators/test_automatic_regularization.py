@@ -72,9 +72,9 @@ def test_dark_captures_are_shrunk_less_than_by_their_clip_level() -> None:
     by_clip_level = default_regularization(capture.patterns, 1.0)
     errors = []
     for regularization in (None, by_clip_level):
-        found = PlainEstimator(ActiveSet(), regularization).estimate(capture)
+        estimate = PlainEstimator(ActiveSet(), regularization).estimate(capture)
         scaled = replace(
-            found, sparse=found.sparse / exposure, background=found.background / exposure
+            estimate, sparse=estimate.sparse / exposure, background=estimate.background / exposure
         )
         errors.append(relative_error(scaled, known))
     assert errors[0] < 0.7 * errors[1]
@@ -90,8 +90,10 @@ def test_hold_out_chooses_among_values_around_the_automatic_one(noise: float) ->
     # What it picks without knowing T is about what gives the least error of T.
     errors = {}
     for value in path.values:
-        found = PlainEstimator(ActiveSet(), float(value)).estimate(capture)
-        scaled = replace(found, sparse=found.sparse / 0.6, background=found.background / 0.6)
+        estimate = PlainEstimator(ActiveSet(), float(value)).estimate(capture)
+        scaled = replace(
+            estimate, sparse=estimate.sparse / 0.6, background=estimate.background / 0.6
+        )
         errors[float(value)] = relative_error(scaled, TRUTH.transport())
     assert errors[path.best] < 1.1 * min(errors.values())
     assert max(errors.values()) > 1.5 * min(errors.values())
@@ -114,5 +116,5 @@ def test_the_command_takes_the_value_held_out_patterns_ask_for(
     assert main([*words, "--coherent"]) == 2
     assert "coherent" in capsys.readouterr().err
     assert main([*words, "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)["regularization"]
-    assert found == pytest.approx(held_out_path(Capture.open(folder)).best)
+    estimate = json.loads(capsys.readouterr().out)["regularization"]
+    assert estimate == pytest.approx(held_out_path(Capture.open(folder)).best)

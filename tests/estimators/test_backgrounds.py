@@ -31,13 +31,13 @@ def test_halos_are_the_kernel_summed_over_cells(
     pixels = shape[0] * shape[1]
     rows = np.where(random.random((4, pixels)) < 0.3, random.random((4, pixels)), 0)
     rows[3] = 0
-    found = backgrounds(shape, grid).spread(csr_array(rows.astype(np.float32)))
+    shares = backgrounds(shape, grid).spread(csr_array(rows.astype(np.float32)))
     place = np.indices(shape).reshape(2, -1).astype(float)
     distance = ((place[:, :, None] - place[:, None, :]) ** 2).sum(axis=0)
     inside = cell_means(shape, grid).toarray() > 0
     light = rows @ (distance + (WALL * max(shape)) ** 2) ** -2.0 @ inside.T
     light[~rows.any(axis=1)] = inside.sum(axis=1)
-    np.testing.assert_allclose(found, light / light.sum(axis=1, keepdims=True), rtol=2e-4)
+    np.testing.assert_allclose(shares, light / light.sum(axis=1, keepdims=True), rtol=2e-4)
 
 
 def test_most_of_a_halo_is_near() -> None:
@@ -73,5 +73,5 @@ def test_a_cell_costs_the_less_the_larger_it_is() -> None:
     made = backgrounds((9, 7), (3, 2))
     sizes = cell_means((9, 7), (3, 2)).toarray().astype(bool).sum(axis=1)
     assert len(np.unique(sizes)) > 1
-    found = made.cells(10.0, unseen=False).penalties
-    np.testing.assert_allclose(found, 0.05 * 10 / np.sqrt(sizes), rtol=1e-6)
+    shares = made.cells(10.0, unseen=False).penalties
+    np.testing.assert_allclose(shares, 0.05 * 10 / np.sqrt(sizes), rtol=1e-6)

@@ -69,21 +69,21 @@ def test_few_patterns_do_what_row_by_row_takes_many_for(name: str, most: float) 
     capture, known, rows = rendered(name)
     plain = relative_error(PlainEstimator(ActiveSet()).estimate(capture), known, rows)
     coherent = CoherentEstimator().estimate(capture)
-    found = relative_error(coherent, known, rows)
-    assert found < most
-    assert found < 0.2 * plain
+    error = relative_error(coherent, known, rows)
+    assert error < most
+    assert error < 0.2 * plain
     assert (coherent.diagnostics["gap"][coherent.diagnostics["converged"]] <= 1e-3).all()
     assert coherent.diagnostics["converged"].mean() > 0.99
 
 
-def test_expected_samples_and_halos_are_worth_something(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_pseudo_samples_and_halos_lower_the_error(monkeypatch: pytest.MonkeyPatch) -> None:
     """Left out, the error is 1.14 and 1.05 times what it is with them."""
     capture, known, rows = rendered("l_objects")
     whole = relative_error(CoherentEstimator().estimate(capture), known, rows)
     with monkeypatch.context() as patch:
         patch.setattr(schedule, "PSEUDO_SAMPLES_FROM", 99)
-        unexpecting = relative_error(CoherentEstimator().estimate(capture), known, rows)
-    assert whole < 0.9 * unexpecting
+        without = relative_error(CoherentEstimator().estimate(capture), known, rows)
+    assert whole < 0.9 * without
 
     def evenly(backgrounds: Backgrounds, rows: csr_array) -> NDArray[np.float32]:
         blocks = backgrounds.grid[0] * backgrounds.grid[1]
@@ -156,9 +156,9 @@ def test_a_damaged_round_is_done_again(scene: Truth, tmp_path: Path, name: str) 
 
 def test_the_background_is_kept_in_cells(scene: Truth) -> None:
     capture = photographed(scene, 64)
-    found = CoherentEstimator(background_grid=(3, 4)).estimate(capture)
-    assert found.background_grid == (3, 4)
-    assert found.background.shape == (360, 12)
+    estimate = CoherentEstimator(background_grid=(3, 4)).estimate(capture)
+    assert estimate.background_grid == (3, 4)
+    assert estimate.background.shape == (360, 12)
     single = CoherentEstimator(background_grid=(1, 1)).estimate(capture)
     assert single.background.shape == (360, 1)
     # Cells no finer than pixels.
@@ -188,11 +188,11 @@ def test_masked_camera_pixels_stay_empty(scene: Truth) -> None:
     mask = np.ones((20, 18), bool)
     mask[5:8, 6] = False
     capture = Capture.from_arrays(grey.patterns, frames, grey.decoder, mask=mask)
-    found = CoherentEstimator().estimate(capture)
+    estimate = CoherentEstimator().estimate(capture)
     masked = np.flatnonzero(~mask.ravel())
-    assert found.sparse[masked].nnz == 0
-    assert not found.background[masked].any()
-    assert (np.diff(found.sparse.indptr)[mask.ravel()] > 0).mean() > 0.9
+    assert estimate.sparse[masked].nnz == 0
+    assert not estimate.background[masked].any()
+    assert (np.diff(estimate.sparse.indptr)[mask.ravel()] > 0).mean() > 0.9
 
 
 def test_a_finer_projector_widens_the_windows() -> None:
@@ -207,12 +207,12 @@ def test_dark_and_clipped_captures() -> None:
     patterns = BernoulliPatterns((8, 8), 12)
     sensor = Sensor(1.0, 0.0, 0.003, 0.0, 8)
     dark = np.zeros((12, 6, 6), np.uint8)
-    found = CoherentEstimator().estimate(Capture.from_arrays(patterns, dark, sensor))
-    assert found.sparse.nnz == 0
-    assert not found.background.any()
+    estimate = CoherentEstimator().estimate(Capture.from_arrays(patterns, dark, sensor))
+    assert estimate.sparse.nnz == 0
+    assert not estimate.background.any()
     full = np.full((12, 6, 6), 255, np.uint8)
-    found = CoherentEstimator().estimate(Capture.from_arrays(patterns, full, sensor))
-    relit = found.relight(patterns.images())
+    estimate = CoherentEstimator().estimate(Capture.from_arrays(patterns, full, sensor))
+    relit = estimate.relight(patterns.images())
     assert (relit > 0.95).all()
 
 
@@ -235,10 +235,10 @@ def test_parameters_out_of_range(parameters: dict[str, object], what: str) -> No
 
 def test_progress_counts_rows_once_and_ends(scene: Truth) -> None:
     """Of all rounds together, never back; the frames held out have a round of their own."""
-    told: list[tuple[int, int]] = []
+    reported: list[tuple[int, int]] = []
     estimator = CoherentEstimator(windows=((2, 1), (1, 1), (1, 1)), tile_rows=100)
-    estimator.estimate(photographed(scene, 24), progress=lambda *step: told.append(step))
-    done, total = np.array(told).T
+    estimator.estimate(photographed(scene, 24), progress=lambda *step: reported.append(step))
+    done, total = np.array(reported).T
     assert set(total) == {360}
     assert (np.diff(done) >= 0).all()
     assert done[-1] in (359, 360)

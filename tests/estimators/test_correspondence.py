@@ -40,8 +40,8 @@ def footprints(matrix: Any, wrong: float, seed: int = 0) -> csr_array:
 @pytest.mark.parametrize("wrong", [0.0, 0.7])
 @pytest.mark.parametrize("rig", RIGS)
 def test_it_is_found_at_any_scale_and_angle(rig: str, wrong: float) -> None:
-    found = measure_jacobian(footprints(RIGS[rig], wrong), CAMERA, PROJECTOR)
-    inside = found.reshape(*CAMERA[:2], 2, 2)[6:-6, 6:-6]
+    jacobian = measure_jacobian(footprints(RIGS[rig], wrong), CAMERA, PROJECTOR)
+    inside = jacobian.reshape(*CAMERA[:2], 2, 2)[6:-6, 6:-6]
     off = np.abs(np.median(inside, axis=(0, 1)) - np.asarray(RIGS[rig]))
     # Finer than the steps of single pixels, of which a quarter is the least between two rows.
     assert off.max() <= 0.02
@@ -51,9 +51,9 @@ def test_two_surfaces_move_each_in_its_own_way() -> None:
     near, far = footprints(((1, 0), (0, 1)), 0.1), footprints(((1, 0), (0, 2)), 0.1, seed=1)
     left = (np.arange(48 * 56) % 56) < 28
     rows = csr_array(np.where(left[:, None], near.toarray(), far.toarray()))
-    found = measure_jacobian(rows, CAMERA, PROJECTOR).reshape(48, 56, 4)
-    assert abs(np.median(found[:, 6:22, 3]) - 1) <= 0.02
-    assert abs(np.median(found[:, 34:50, 3]) - 2) <= 0.02
+    jacobian = measure_jacobian(rows, CAMERA, PROJECTOR).reshape(48, 56, 4)
+    assert abs(np.median(jacobian[:, 6:22, 3]) - 1) <= 0.02
+    assert abs(np.median(jacobian[:, 34:50, 3]) - 2) <= 0.02
 
 
 def test_nothing_lit_does_not_move() -> None:

@@ -102,9 +102,9 @@ def test_interrupted_runs_go_on(
         return solve(problem, solver, progress=progress)
 
     monkeypatch.setattr(plain, "solve", counted)
-    found = estimator.estimate(capture, output=output)
+    estimate = estimator.estimate(capture, output=output)
     assert again == [40]
-    assert abs(found.sparse - expected.sparse).max() == 0
+    assert abs(estimate.sparse - expected.sparse).max() == 0
     assert [entry.name for entry in tmp_path.iterdir()] == ["scene.zarr"]
     stored = store.open(output)
     assert abs(stored.sparse - expected.sparse).max() == 0
@@ -114,9 +114,9 @@ def test_interrupted_runs_go_on(
 
 def test_regularization_defaults_to_the_rule(rig: tuple[Path, Truth]) -> None:
     capture = Capture.open(rig[0])
-    found = PlainEstimator(SaturationADMM(max_iterations=1)).estimate(capture)
+    estimate = PlainEstimator(SaturationADMM(max_iterations=1)).estimate(capture)
     # This capture clips, so its samples reach the clip level.
-    assert found.provenance["regularization"] == pytest.approx(0.16 / EXPOSURE)
+    assert estimate.provenance["regularization"] == pytest.approx(0.16 / EXPOSURE)
     chosen = replace(PlainEstimator(SaturationADMM(max_iterations=1)), regularization=0.7)
     assert chosen.estimate(capture).provenance["regularization"] == 0.7
 

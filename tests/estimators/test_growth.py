@@ -1,4 +1,4 @@
-"""Large frames: few rows look everywhere, light grows from them, and the result is as good."""
+"""Large frames: few rows search, light grows from them, and the result is as good."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def same(one: LightTransport, other: LightTransport) -> bool:
     )
 
 
-def test_small_frames_look_everywhere_and_large_ones_grow() -> None:
+def test_all_rows_of_small_frames_search_and_large_ones_grow() -> None:
     usual = schedule.schedule((128, 128, 3), 128 * 128, WINDOWS)
     assert [stage.window for stage in usual] == [None, *WINDOWS]
     assert {stage.spacing for stage in usual} == {1}
@@ -97,7 +97,7 @@ def grown(scene: Truth) -> LightTransport:
         return CoherentEstimator().estimate(photographed(scene))
 
 
-def test_grown_rows_are_as_good_and_say_what_they_looked_at(
+def test_grown_rows_are_as_good_and_say_whether_they_searched(
     scene: Truth, grown: LightTransport
 ) -> None:
     usual, known = CoherentEstimator().estimate(photographed(scene)), scene.transport()
@@ -126,9 +126,9 @@ def test_what_no_seed_sees_is_found(scene: Truth) -> None:
         changed[row, place] = 0.5
     matrix = csr_array(changed.tocsr())
     truth = Truth(matrix, matrix.data, CAMERA, scene.projector_shape, {})
-    found = CoherentEstimator().estimate(photographed(truth))
-    assert found.diagnostics[SEARCHED][odd].any()
-    strongest = np.asarray(found.sparse[odd].argmax(axis=1)).ravel()
+    estimate = CoherentEstimator().estimate(photographed(truth))
+    assert estimate.diagnostics[SEARCHED][odd].any()
+    strongest = np.asarray(estimate.sparse[odd].argmax(axis=1)).ravel()
     assert np.array_equal(strongest, places.ravel())
 
 
@@ -164,10 +164,10 @@ def test_a_grid_has_every_so_manieth_pixel(channels: tuple[int, ...]) -> None:
     grid, whole = CameraGrid(capture, 4), CameraGrid(capture)
     index = np.arange(whole.count).reshape(11, 10, -1)[::4, ::4].ravel()
     assert grid.camera == (3, 3, *(channels or (1,)))
-    wanted, found = whole.samples(0, whole.count).rows(index), grid.samples(0, grid.count)
+    wanted, estimate = whole.samples(0, whole.count).rows(index), grid.samples(0, grid.count)
     for name in ("values", "clipped"):
-        assert np.array_equal(getattr(wanted, name), getattr(found, name))
-    assert np.array_equal(wanted.weights_of_all(), found.weights_of_all())
+        assert np.array_equal(getattr(wanted, name), getattr(estimate, name))
+    assert np.array_equal(wanted.weights_of_all(), estimate.weights_of_all())
     entries = csr_array(random.random((grid.count, 5)) * (random.random((grid.count, 5)) > 0.5))
     facts = {"number": np.arange(grid.count)}
     grown = whole.spread(grid, SparseRows(entries, random.random((grid.count, 1)), facts))
@@ -204,12 +204,12 @@ def test_rows_that_left_something_out_do_not_hold(scene: Truth) -> None:
     alone = solving.everywhere(samples).rows.single()
     rows = np.arange(5, count, 97)
     stage = Round(1, (1, 1), 4, last=True)
-    # All rows are told that light is in the first corner, which it is not.
+    # The neighbours of all rows wrongly have their light in the first corner.
     corner = csr_array((np.ones(count, np.float32), np.zeros(count, int), np.arange(count + 1)))
     corner.resize(alone.coefficients.shape)
     for coefficients, hold in ((alone.coefficients, True), (corner, False)):
-        found = SparseRows(coefficients, alone.background, alone.diagnostics)
-        known = Neighbourhood(found, (*CAMERA, 1), solving.atoms)
+        estimate = SparseRows(coefficients, alone.background, alone.diagnostics)
+        known = Neighbourhood(estimate, (*CAMERA, 1), solving.atoms)
         solved, weighing = solving.near(samples, np.arange(count), stage, known)
         held = holds_everywhere(solving, weighing, solved, rows)
         # By the definition: the gradient of the weighted problem.

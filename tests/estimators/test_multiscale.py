@@ -1,4 +1,4 @@
-"""Coarse to fine: equal to the plain estimate where nothing is given up, and what is kept else."""
+"""Coarse to fine: equal to the plain estimate if everything is kept, and what is kept otherwise."""
 
 from __future__ import annotations
 
@@ -68,12 +68,12 @@ def capture(truth: Truth) -> Capture:
 def test_keeping_everything_gives_the_plain_estimate(capture: Capture, solver: Solver) -> None:
     plain = PlainEstimator(solver, 0.05).estimate(capture)
     whole = MultiScaleEstimator(solver, 0.05, active=0, coarse_solver=ADMM(max_iterations=2))
-    found = whole.estimate(capture)
-    assert (found.diagnostics["candidates"] == 1024).all()
-    difference = np.linalg.norm((found.sparse - plain.sparse).data)
+    estimate = whole.estimate(capture)
+    assert (estimate.diagnostics["candidates"] == 1024).all()
+    difference = np.linalg.norm((estimate.sparse - plain.sparse).data)
     assert difference < 2e-3 * np.linalg.norm(plain.sparse.data)
-    np.testing.assert_allclose(found.background, plain.background, atol=0.02)
-    clipped = found.diagnostics["clipped_share"]
+    np.testing.assert_allclose(estimate.background, plain.background, atol=0.02)
+    clipped = estimate.diagnostics["clipped_share"]
     np.testing.assert_array_equal(clipped, plain.diagnostics["clipped_share"])
 
 
@@ -86,27 +86,27 @@ def test_sparse_unclipped_rows_are_recovered(truth: Truth, solver: Solver) -> No
     known = Truth(sparse, sparse.data, truth.camera_shape, truth.projector_shape)
     unclipped = photographed(known, 0.9 / float(sparse.sum(axis=1).max()), 128, noise=0)
     assert unclipped.clipped_share == 0
-    found = MultiScaleEstimator(solver, 0.01).estimate(unclipped)
-    error = relative_error(found, known.transport())
+    estimate = MultiScaleEstimator(solver, 0.01).estimate(unclipped)
+    error = relative_error(estimate, known.transport())
     plain = relative_error(PlainEstimator(solver, 0.01).estimate(unclipped), known.transport())
     assert error < plain + 0.01
     # ROMP takes in wrong pixels too, and so gives up few blocks.
     if not isinstance(solver, ROMP):
         assert error < 0.01
-        assert found.diagnostics["candidates"].mean() < 0.8 * 1024
+        assert estimate.diagnostics["candidates"].mean() < 0.8 * 1024
 
 
 def test_nothing_is_found_outside_the_candidates(capture: Capture) -> None:
     """Rows of a camera block share their candidates, dilated blocks of 2 x 2 pixels."""
-    found = MultiScaleEstimator(ActiveSet(), 0.05, camera_block=6).estimate(capture)
-    counts = found.diagnostics["candidates"].reshape(capture.camera_shape)
+    estimate = MultiScaleEstimator(ActiveSet(), 0.05, camera_block=6).estimate(capture)
+    counts = estimate.diagnostics["candidates"].reshape(capture.camera_shape)
     for top in range(0, 18, 6):
         for left in range(0, 13, 6):
             assert np.ptp(counts[top : top + 6, left : left + 6]) == 0
     assert counts.max() < 1024
-    assert (np.diff(found.sparse.indptr) <= counts.ravel()).all()
+    assert (np.diff(estimate.sparse.indptr) <= counts.ravel()).all()
     again = MultiScaleEstimator(ActiveSet(), 0.05, camera_block=6).estimate(capture)
-    np.testing.assert_array_equal(found.sparse.toarray(), again.sparse.toarray())
+    np.testing.assert_array_equal(estimate.sparse.toarray(), again.sparse.toarray())
 
 
 def test_the_strongest_blocks_and_their_neighbours_stay() -> None:
@@ -129,8 +129,8 @@ def test_the_strongest_blocks_and_their_neighbours_stay() -> None:
 def test_blocks_split_into_the_pixels_they_cover() -> None:
     active = np.zeros((3, 2), bool)
     active[2, 1] = active[0, 0] = True
-    found = split(active, (5, 3))
-    np.testing.assert_array_equal(found, [0, 1, 3, 4, 4 * 3 + 2])
+    estimate = split(active, (5, 3))
+    np.testing.assert_array_equal(estimate, [0, 1, 3, 4, 4 * 3 + 2])
 
 
 def test_scales_end_at_single_pixels_and_keep_their_distance_to_noise() -> None:
@@ -214,12 +214,12 @@ def test_interrupted_runs_go_on(
     assert not output.exists()
     calls[:] = [0] * 20
     seen: list[tuple[int, int]] = []
-    found = estimator.estimate(
+    estimate = estimator.estimate(
         capture, output=output, progress=lambda done, total: seen.append((done, total))
     )
     assert seen[0] == (8 * 13 + 8 * 8, 18 * 13)
     assert seen[-1] == (18 * 13, 18 * 13)
-    assert abs(found.sparse - expected.sparse).max() == 0
+    assert abs(estimate.sparse - expected.sparse).max() == 0
     stored = store.open(output)
     assert abs(stored.sparse - expected.sparse).max() == 0
     assert stored.provenance["estimator"] == "multi-scale"
@@ -233,9 +233,9 @@ def test_colour_channels_of_a_pixel_share_their_block(truth: Truth) -> None:
     colour = Capture.from_arrays(
         grey.patterns, np.repeat(frames[..., None], 3, axis=-1), grey.decoder
     )
-    found = MultiScaleEstimator(ActiveSet(), 0.05).estimate(colour)
-    assert found.camera_shape == (18, 13, 3)
-    rows = found.sparse.toarray().reshape(18 * 13, 3, -1)
+    estimate = MultiScaleEstimator(ActiveSet(), 0.05).estimate(colour)
+    assert estimate.camera_shape == (18, 13, 3)
+    rows = estimate.sparse.toarray().reshape(18 * 13, 3, -1)
     np.testing.assert_allclose(rows[:, 0], rows[:, 2], atol=2e-3)
 
 
@@ -274,6 +274,6 @@ def test_parameters_out_of_range_are_refused(options: dict[str, Any], message: s
 
 
 def test_a_coarsest_scale_of_one_pixel_is_the_plain_estimate(capture: Capture) -> None:
-    found = MultiScaleEstimator(ActiveSet(), 0.05, coarsest=1).estimate(capture)
+    estimate = MultiScaleEstimator(ActiveSet(), 0.05, coarsest=1).estimate(capture)
     plain = PlainEstimator(ActiveSet(), 0.05).estimate(capture)
-    np.testing.assert_allclose(found.sparse.toarray(), plain.sparse.toarray(), atol=2e-3)
+    np.testing.assert_allclose(estimate.sparse.toarray(), plain.sparse.toarray(), atol=2e-3)

@@ -126,30 +126,30 @@ def all_of(samples: Samples) -> NDArray[np.int64]:
     st.integers(1, 70),
     st.integers(0, 2**16),
 )
-# Movement at the very edge of what is taken for whole.
+# A Jacobian at the very edge of what counts as whole.
 @example((5, 5, 3), (2, 5), 1, 1)
 def test_they_are_the_mean_of_the_guesses(camera: Any, projector: Any, k: int, seed: int) -> None:
     shown, unseen = BernoulliPatterns(projector, k, seed=seed), unseen_patterns(projector)
     around = neighbourhood(camera, shown, seed)
     samples = samples_of(shown, around.rows.count, seed)
     background = backgrounds_of(around.rows.count, k + unseen.count, seed)
-    found = around.pseudo_samples(
+    pseudo = around.pseudo_samples(
         single(unseen), samples, samples.clipped, LEVEL, all_of(samples), background
     )
     for row in range(around.rows.count):
         mean, variance = by_definition(around, shown, unseen, samples, background, row)
         if mean is None:
-            assert not found.weights[row].any()
+            assert not pseudo.weights[row].any()
             continue
         mean[:k] = np.where(samples.clipped[row], np.maximum(mean[:k], LEVEL), mean[:k])
-        np.testing.assert_allclose(found.values[row], mean, rtol=1e-3, atol=1e-5)
+        np.testing.assert_allclose(pseudo.values[row], mean, rtol=1e-3, atol=1e-5)
         weights = 1 / (1 + (variance + (0.02 * mean) ** 2) / (0.0033 * LEVEL) ** 2)
         weights[:k] *= samples.clipped[row]
         assert samples.weights is not None
         used = samples.weights[row] > 0
         weights *= used.any() * min(1, 32 / max(1, (used & ~samples.clipped[row]).sum())) ** 2
         weights[weights < 1e-4] = 0
-        near = np.isclose(found.weights[row], weights, rtol=0.02, atol=2e-4)
+        near = np.isclose(pseudo.weights[row], weights, rtol=0.02, atol=2e-4)
         assert near.all()
 
 
@@ -165,9 +165,9 @@ def test_rows_asked_for_apart_are_the_same() -> None:
         some = samples.rows(part)
         first, last = around.around(17, 30)
         near = background[first:last].copy()
-        found = around.pseudo_samples(single(unseen), some, some.clipped, LEVEL, part, near)
-        assert np.array_equal(found.values, whole.values[part])
-        assert np.array_equal(found.weights, whole.weights[part])
+        pseudo = around.pseudo_samples(single(unseen), some, some.clipped, LEVEL, part, near)
+        assert np.array_equal(pseudo.values, whole.values[part])
+        assert np.array_equal(pseudo.weights, whole.weights[part])
 
 
 @pytest.mark.parametrize("turn", range(4))
@@ -190,13 +190,15 @@ def test_footprints_are_followed_however_the_projector_is_turned(turn: int, fine
     seen = np.where(clipped, LEVEL, values)
     samples = Samples(seen, clipped, np.full(30, LEVEL, np.float32), None)
     dark = np.zeros((side**2, 30 + unseen.count), np.float32)
-    found = around.pseudo_samples(single(unseen), samples, clipped, LEVEL, all_of(samples), dark)
+    pseudo = around.pseudo_samples(single(unseen), samples, clipped, LEVEL, all_of(samples), dark)
     inside = np.zeros((side, side), bool)
     inside[5:-5, 5:-5] = True
     middle = inside.ravel()
-    np.testing.assert_allclose(found.values[middle][:, 30:], unseen.forward(rows.toarray())[middle])
-    np.testing.assert_allclose(found.values[middle][:, :30][clipped[middle]], 1)
-    assert (found.weights[middle][:, :30][clipped[middle]] > 0).all()
+    np.testing.assert_allclose(
+        pseudo.values[middle][:, 30:], unseen.forward(rows.toarray())[middle]
+    )
+    np.testing.assert_allclose(pseudo.values[middle][:, :30][clipped[middle]], 1)
+    assert (pseudo.weights[middle][:, :30][clipped[middle]] > 0).all()
 
 
 def test_neighbours_that_know_nothing_are_not_asked() -> None:
@@ -205,8 +207,8 @@ def test_neighbours_that_know_nothing_are_not_asked() -> None:
     dark = replace(around, rows=without_background(csr_array((16, 25), dtype=np.float32)))
     samples = samples_of(shown, 16, 0)
     background = backgrounds_of(16, 9 + unseen.count, 0)
-    found = dark.pseudo_samples(
+    pseudo = dark.pseudo_samples(
         single(unseen), samples, samples.clipped, LEVEL, all_of(samples), background
     )
-    assert not found.weights.any()
-    assert np.isfinite(found.values).all()
+    assert not pseudo.weights.any()
+    assert np.isfinite(pseudo.values).all()

@@ -1,4 +1,4 @@
-"""What an estimate will take is told before it starts; what cannot fit is refused, with advice."""
+"""The estimate of memory and time, and the refusal of what cannot fit, with advice."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ GIB = 2**30
 
 @dataclass(frozen=True)
 class Unread:
-    """Frames that nobody may read."""
+    """Frames that must not be read."""
 
     count: int
     shape: tuple[int, ...]
@@ -67,15 +67,15 @@ def test_what_cannot_fit_is_refused_before_any_frame_is_read(large: lm.Capture) 
 
 
 def test_what_is_proposed_fits(large: lm.Capture) -> None:
-    told = lm.estimate_resources(large).advice
-    assert "--crop" in told
+    advice = lm.estimate_resources(large).advice
+    assert "--crop" in advice
     for cut in (large, large.crop((500, 1000), (3000, 4000))):
         for words, size in lm.estimate_resources(cut).options:
             smaller = cut
-            if found := re.search(r"--crop (\S+)", words):
-                smaller = large.crop(*rectangle(found[1]))
-            if found := re.search(r"--bin-camera (\d+)", words):
-                smaller = smaller.bin(camera=int(found[1]))
+            if match := re.search(r"--crop (\S+)", words):
+                smaller = large.crop(*rectangle(match[1]))
+            if match := re.search(r"--bin-camera (\d+)", words):
+                smaller = smaller.bin(camera=int(match[1]))
             assert smaller.rows == size.rows
             if "--bin-projector" not in words:  # Takes a while at this size.
                 again = lm.estimate_resources(smaller)
@@ -100,11 +100,11 @@ def test_a_proposal_bins_both_camera_and_projector() -> None:
 def test_more_of_everything_takes_more() -> None:
     for kind in COEFFICIENTS:
         for terms, what in ((memory_terms, "bytes"), (time_terms, "seconds")):
-            told = COEFFICIENTS[kind][what]
+            coefficients = COEFFICIENTS[kind][what]
 
             def total(rows: int, pixels: int, count: int, grey: bool) -> float:
-                found = terms(kind, rows, pixels, count, grey)  # noqa: B023
-                return sum(told[name] * found[name] for name in told)  # noqa: B023
+                quantities = terms(kind, rows, pixels, count, grey)  # noqa: B023
+                return sum(coefficients[name] * quantities[name] for name in coefficients)  # noqa: B023
 
             usual = total(4096, 4096, 64, False)
             assert usual > 0
@@ -114,7 +114,7 @@ def test_more_of_everything_takes_more() -> None:
             assert total(4096, 4096, 64, True) >= usual
 
 
-def test_the_command_tells_and_refuses(
+def test_the_command_reports_and_refuses(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder, store = tmp_path / "capture", tmp_path / "scene.zarr"
@@ -129,7 +129,7 @@ def test_the_command_tells_and_refuses(
     assert main(words) == 2
     assert "are free" in capsys.readouterr().err
     assert not store.exists()
-    # A model may err: who knows better may try.
+    # --no-check tries what the model refuses.
     assert main([*words, "--no-check", "--no-coherent", "--iterations", "2", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["needs"]["fits"] is False
 
@@ -153,13 +153,13 @@ def test_photographs_are_binned_in_strips(
     whole = lm.Capture(capture.patterns, capture.frames, capture.decoder, mask)
     expected = whole.bin(camera=block).samples()
     monkeypatch.setattr("lightmatrix.capture.reader._STRIP", 500)
-    found = whole.bin(camera=block).samples()
+    binned = whole.bin(camera=block).samples()
     assert expected.clipped.any()
     for name in ("values", "clipped", "clip_level", "weights"):
-        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
+        np.testing.assert_array_equal(getattr(binned, name), getattr(expected, name))
 
 
-def test_a_bound_of_memory_makes_tiles_smaller_and_is_kept() -> None:
+def test_a_memory_limit_makes_tiles_smaller_and_is_kept() -> None:
     patterns = lm.BernoulliPatterns((256, 256), 64)
     capture = lm.Capture(patterns, Unread(64, (512, 512), np.dtype(np.uint8)), lm.Decoder(255, 255))
     usual = lm.estimate_resources(capture)
@@ -175,7 +175,7 @@ def test_a_bound_of_memory_makes_tiles_smaller_and_is_kept() -> None:
     with pytest.raises(lm.InputError, match=r"0\.2 GiB are allowed") as refused:
         lm.estimate(capture, memory="0.2GiB")
     assert refused.value.hint
-    # More than there is does not help.
+    # A limit above the free memory does not help.
     settings = lm.EstimateSettings(memory="1TiB")
     assert lm.estimate_resources(capture, settings).available == 16 * GIB
 
@@ -190,12 +190,12 @@ def test_a_bound_of_memory_makes_tiles_smaller_and_is_kept() -> None:
         ({"memory": "4GiB", "multi_scale": True}, "multi-scale"),
     ],
 )
-def test_bounds_that_are_none(settings: dict[str, Any], what: str) -> None:
+def test_bad_memory_limits(settings: dict[str, Any], what: str) -> None:
     with pytest.raises(lm.InputError, match=what):
         lm.EstimateSettings(**settings)
 
 
-def test_large_frames_take_less_than_looking_everywhere_would(large: lm.Capture) -> None:
+def test_large_frames_take_less_than_a_search_by_all_rows(large: lm.Capture) -> None:
     small = lm.Capture(large.patterns, Unread(64, (32, 32), large.frames.dtype), large.decoder)
     assert lm.estimate_resources(small).size.kind == "coherent"
     assert lm.estimate_resources(large).size.kind == "growing"
@@ -205,8 +205,8 @@ def test_large_frames_take_less_than_looking_everywhere_would(large: lm.Capture)
     assert seconds[1] / large.rows < 0.1 * seconds[0] / small.rows
 
 
-def test_small_cameras_under_huge_projectors_are_told_what_they_take() -> None:
-    """They have too few camera pixels for seeds, so that all look everywhere."""
+def test_small_cameras_under_huge_projectors() -> None:
+    """They have too few camera pixels for seeds, so that all of them search."""
 
     def capture(rows: int, cols: int, *channels: int) -> lm.Capture:
         patterns = lm.BernoulliPatterns((1024, 1024), 32)
@@ -215,9 +215,9 @@ def test_small_cameras_under_huge_projectors_are_told_what_they_take() -> None:
 
     seconds = {}
     for shape in ((48, 48), (48, 500), (64, 64), (64, 64, 3), (128, 128), (256, 256)):
-        taken = capture(*shape)
-        resources = lm.estimate_resources(taken)
-        steps = spacings(taken.camera_shape, taken.patterns.pixels, lm.CoherentEstimator.windows)
+        case = capture(*shape)
+        resources = lm.estimate_resources(case)
+        steps = spacings(case.camera_shape, case.patterns.pixels, lm.CoherentEstimator.windows)
         assert resources.size.kind == ("growing" if len(steps) > 1 else "coherent"), shape
         assert resources.seconds is not None
         seconds[shape] = resources.seconds
@@ -225,7 +225,7 @@ def test_small_cameras_under_huge_projectors_are_told_what_they_take() -> None:
     # The fewer rows are seeds, the less each row takes.
     each = [seconds[side, side] / side**2 for side in (48, 64, 128, 256)]
     assert each == sorted(each, reverse=True)
-    # What is proposed instead is told by its own sides.
+    # A proposal is judged by its own sides.
     proposed = dict(lm.estimate_resources(capture(40_000, 70)).options)
     binned = next(size for words, size in proposed.items() if words.startswith("--bin-camera"))
     assert binned.kind == "coherent"

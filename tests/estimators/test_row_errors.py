@@ -35,8 +35,8 @@ def test_the_misfit_measures_the_error_of_the_row() -> None:
     held = np.arange(0, 400, 2)
     predicted = patterns.forward(error)[:, held].astype(np.float32)
     samples = Samples(values, np.zeros(values.shape, bool), np.ones(400, np.float32))
-    found = squared_misfit(samples, predicted, held)
-    np.testing.assert_allclose(np.sqrt(found) / 0.5, np.linalg.norm(error, axis=1), rtol=0.15)
+    misfit = squared_misfit(samples, predicted, held)
+    np.testing.assert_allclose(np.sqrt(misfit) / 0.5, np.linalg.norm(error, axis=1), rtol=0.15)
 
 
 def test_clipped_samples_count_only_below_their_bound() -> None:
@@ -55,9 +55,9 @@ def test_clipped_samples_beyond_their_bound_do_not_hide_what_others_show() -> No
     clipped[:, 3:] = True
     predicted[:, 3:] = 5
     held = np.arange(8)
-    found = squared_misfit(Samples(values, clipped, np.ones(8, np.float32)), predicted, held)
+    misfit = squared_misfit(Samples(values, clipped, np.ones(8, np.float32)), predicted, held)
     few = Samples(values[:, :3], clipped[:, :3], np.ones(3, np.float32))
-    np.testing.assert_allclose(found, squared_misfit(few, predicted[:, :3], held[:3]))
+    np.testing.assert_allclose(misfit, squared_misfit(few, predicted[:, :3], held[:3]))
 
 
 def test_masked_frames_say_nothing() -> None:
@@ -70,8 +70,8 @@ def test_masked_frames_say_nothing() -> None:
     assert masked.weights is not None
     assert not masked.weights[:, held].any()
     assert masked.weights[0].sum() == 6
-    found = squared_misfit(samples, np.zeros((2, 2), np.float32), held)
-    assert np.isfinite(found[0])
-    assert np.isnan(found[1])
-    assert np.isfinite(smooth_misfit(found, (1, 2, 1))).all()
+    misfit = squared_misfit(samples, np.zeros((2, 2), np.float32), held)
+    assert np.isfinite(misfit[0])
+    assert np.isnan(misfit[1])
+    assert np.isfinite(smooth_misfit(misfit, (1, 2, 1))).all()
     assert np.isnan(smooth_misfit(np.full(4, np.nan, np.float32), (2, 2, 1))).all()

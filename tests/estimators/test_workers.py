@@ -1,4 +1,4 @@
-"""Estimates by several processes: the same to the last bit, whoever dies; and what is refused."""
+"""Estimates by several processes: the same bits, whichever process dies; and refusals."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ WINDOWS = ((2, 1), (1, 1))
 
 @pytest.fixture(scope="module")
 def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
-    """Two workers that somebody else started."""
+    """Two workers that the estimate did not start."""
     # On a busy machine Dask warns of slow disks and slow ends.
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -73,7 +73,7 @@ def capture(tmp_path_factory: pytest.TempPathFactory) -> lm.Capture:
 
 
 def place_of(capture: lm.Capture) -> Path:
-    """Where it lies."""
+    """The folder of a packed capture."""
     assert isinstance(capture.frames, PackedFrames)
     return capture.frames.array.place.parent
 
@@ -102,25 +102,25 @@ ESTIMATORS: dict[str, Any] = {
 
 
 @pytest.mark.parametrize("name", list(ESTIMATORS))
-def test_workers_find_the_same(
+def test_workers_give_the_same(
     name: str, capture: lm.Capture, cluster: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if name == "growing":
         large_frames = replace(schedule.GROWTH, large=0, fewest_seeds=3)
         monkeypatch.setattr(schedule, "GROWTH", large_frames)
-    estimator, told = ESTIMATORS[name], list[int]()
+    estimator, reported = ESTIMATORS[name], list[int]()
     alone = estimator.estimate(capture)
     with dask_pool(cluster=cluster.scheduler_address) as workers:
-        found = estimator.estimate(
+        estimate = estimator.estimate(
             capture,
             output=tmp_path / "s.zarr",
-            progress=lambda done, total: told.append(done),
+            progress=lambda done, total: reported.append(done),
             pool=workers,
         )
-    assert same(found, alone)
+    assert same(estimate, alone)
     assert same(store.open(tmp_path / "s.zarr"), alone)
-    assert told == sorted(told)
-    assert told[-1] == capture.rows
+    assert reported == sorted(reported)
+    assert reported[-1] == capture.rows
     assert os.listdir(tmp_path) == ["s.zarr"]
 
 
@@ -136,26 +136,28 @@ def test_a_worker_that_dies_costs_its_tile_only(
     capture: lm.Capture, cluster: Any, tmp_path: Path
 ) -> None:
     estimator = ESTIMATORS["coherent"]
-    killed, told = list[int](), list[int]()
+    killed, reported = list[int](), list[int]()
 
     def kill(done: int, total: int) -> None:
-        told.append(done)
+        reported.append(done)
         if not killed and done > total / 4:
             pids = workers.client.run(os.getpid)
             killed.append(next(iter(pids.values())))
             os.kill(killed[0], signal.SIGKILL)
 
     with dask_pool(cluster=cluster.scheduler_address) as workers:
-        found = estimator.estimate(capture, output=tmp_path / "s.zarr", progress=kill, pool=workers)
+        estimate = estimator.estimate(
+            capture, output=tmp_path / "s.zarr", progress=kill, pool=workers
+        )
     assert killed
-    # No tile twice: done is told once for each.
-    assert told == sorted(told)
-    assert same(found, estimator.estimate(capture))
+    # No tile is solved twice: each is reported once.
+    assert reported == sorted(reported)
+    assert same(estimate, estimator.estimate(capture))
     assert os.listdir(tmp_path) == ["s.zarr"]
 
 
 @SIGNALS
-def test_a_tile_whose_worker_dies_before_it_is_asked_ends_later(cluster: Any) -> None:
+def test_a_tile_whose_worker_dies_before_its_status_is_read_ends_later(cluster: Any) -> None:
     with dask_pool(cluster=cluster.scheduler_address) as workers:
 
         def slowly() -> int:
@@ -189,7 +191,7 @@ with dask_pool(cluster=sys.argv[2]) as workers:
 
 
 @SIGNALS
-def test_a_killed_estimate_goes_on_with_its_workers(
+def test_a_killed_estimate_continues_with_its_workers(
     capture: lm.Capture, cluster: Any, tmp_path: Path
 ) -> None:
     address, target = cluster.scheduler_address, tmp_path / "s.zarr"
@@ -197,37 +199,37 @@ def test_a_killed_estimate_goes_on_with_its_workers(
     killed = subprocess.run(command, cwd=Path(__file__).parent, check=False)
     assert killed.returncode == -signal.SIGKILL
     assert not target.exists()
-    told = list[int]()
+    reported = list[int]()
     with dask_pool(cluster=address) as workers:
-        found = ESTIMATORS["coherent"].estimate(
+        estimate = ESTIMATORS["coherent"].estimate(
             capture,
             output=target,
-            progress=lambda done, total: told.append(done),
+            progress=lambda done, total: reported.append(done),
             pool=workers,
         )
-    assert min(told) > 0.4 * capture.rows
-    assert same(found, ESTIMATORS["coherent"].estimate(capture))
+    assert min(reported) > 0.4 * capture.rows
+    assert same(estimate, ESTIMATORS["coherent"].estimate(capture))
     assert os.listdir(tmp_path) == ["s.zarr"]
 
 
-def test_with_workers_and_without_runs_go_on_where_they_stopped(
+def test_runs_with_and_without_workers_continue_each_other(
     capture: lm.Capture, cluster: Any, tmp_path: Path
 ) -> None:
     address = cluster.scheduler_address
     target = tmp_path / "s.zarr"
 
     def run(with_workers: bool, stop_at: float | None) -> list[int]:
-        told = list[int]()
+        reported = list[int]()
 
         def stop(done: int, total: int) -> None:
-            told.append(done)
+            reported.append(done)
             if stop_at is not None and done > stop_at * total:
                 raise KeyboardInterrupt
 
         estimator = CoherentEstimator(windows=WINDOWS, tile_rows=60)
         with dask_pool(cluster=address) if with_workers else nullcontext() as workers:
             estimator.estimate(capture, output=target, progress=stop, pool=workers)
-        return told
+        return reported
 
     for with_workers, share in ((True, 0.3), (False, 0.6), (True, 0.8)):
         with pytest.raises(KeyboardInterrupt):
@@ -238,7 +240,7 @@ def test_with_workers_and_without_runs_go_on_where_they_stopped(
     assert os.listdir(tmp_path) == ["s.zarr"]
 
 
-def test_the_command_starts_workers_of_its_own(
+def test_the_command_starts_its_own_workers(
     capture: lm.Capture, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     output = tmp_path / "s.zarr"
@@ -256,7 +258,7 @@ def test_the_command_starts_workers_of_its_own(
     assert same(store.open(output), lm.estimate(capture, coherent=False))
 
 
-# ---- what is refused, before any work
+# ---- refusals before any work
 
 
 def refused(address: str, capture: lm.Capture, output: Path) -> ClusterError:
@@ -336,7 +338,9 @@ def _impatient() -> None:
     worker.FILE_PATIENCE = 0.1
 
 
-def test_what_does_not_go_together(capture: lm.Capture, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_settings_that_exclude_one_another(
+    capture: lm.Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
     with pytest.raises(InputError, match="workers here and a cluster"):
         lm.EstimateSettings(workers=2, cluster="tcp://127.0.0.1:9")
     with pytest.raises(InputError, match="needs an output"):
@@ -372,7 +376,7 @@ def test_workers_started_here_have_their_threads_and_the_usual_malloc(
     monkeypatch.setenv("RAYON_NUM_THREADS", "2")
     monkeypatch.setenv("OMP_NUM_THREADS", "7")
     monkeypatch.delenv("MKL_NUM_THREADS", raising=False)
-    # Workers that Dask starts by itself leave it behind.
+    # Other tests start workers through Dask, which sets the variable.
     monkeypatch.delenv("MALLOC_TRIM_THRESHOLD_", raising=False)
     before = dict(os.environ)
     with dask_pool(1) as workers:
@@ -391,27 +395,27 @@ def test_tiles_of_a_step(rows: int, most: int, parts: int, shrinking: bool) -> N
     assert sizes == sorted(sizes, reverse=True)
     if shrinking and parts > 1:
         assert len(spans) >= parts or rows < 2 * parts * LEAST_TILE
-        # The last one keeps nobody waiting for longer than half of what an equal part would.
+        # The last tile takes at most half as long as an equal part would.
         assert sizes[-1:] <= [max(LEAST_TILE, -(-rows // parts) // 2 + 1)]
     else:
         assert len(set(sizes[:-1])) <= 1
         assert max(sizes, default=0) <= max(LEAST_TILE, -(-rows // parts))
 
 
-def test_workers_do_not_read_the_script_that_starts_them(monkeypatch: pytest.MonkeyPatch) -> None:
-    # As of a script; what runs the tests may be none.
+def test_workers_do_not_import_the_script_that_starts_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    # The test runner may not be a script, so that this one is made up.
     monkeypatch.setattr(spawn, "get_preparation_data", lambda name: {"init_main_from_path": name})
 
-    def told(name: str) -> set[str]:
+    def script_keys(name: str) -> set[str]:
         return {key for key in spawn.get_preparation_data(name) if key.startswith("init_main")}
 
     with startup._without_script():
-        assert not told("Dask Worker process (from Nanny)")
-        assert told("another's")
-    assert told("Dask Worker process (from Nanny)")
+        assert not script_keys("Dask Worker process (from Nanny)")
+        assert script_keys("another's")
+    assert script_keys("Dask Worker process (from Nanny)")
 
 
-def test_what_travels_leaves_behind_what_was_worked_out(
+def test_a_packed_estimate_leaves_cached_values_behind(
     capture: lm.Capture, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
