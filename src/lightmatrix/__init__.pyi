@@ -77,6 +77,10 @@ from .live.rig import (
 
 # What is wrong with a capture.
 from .diagnosis.finding import Finding as Finding
+from .diagnosis.refusals import (
+    refuse_disorder as refuse_disorder,
+    refuse_unusable as refuse_unusable,
+)
 from .diagnosis.folders import check as check
 
 # Responses, measured from photographs.

@@ -288,11 +288,10 @@ def _findings(capture: Capture, whole: Capture, check: bool) -> list[Finding]:
     `capture` is what the estimate reads; `whole` has all its pixels, which the check needs.
     """
     # Imported here, since it loads NumPy, which --help does not need.
-    from lightmatrix.diagnosis.refusals import refuse_disorder, refuse_unusable
 
-    refuse_unusable(capture)
+    lm.refuse_unusable(capture)
     findings = lm.check(whole) if check else []
-    refuse_disorder(findings)
+    lm.refuse_disorder(findings)
     for finding in findings:
         warn(f"{finding.kind}: {finding.message}\n  {finding.advice}", style="yellow")
     return findings

@@ -30,12 +30,25 @@ _SAME = 1e-6
 def refuse_unusable(capture: Capture) -> None:
     """Refuse a capture that no estimate can come from, whatever the order of its frames.
 
+    `estimate` does this by itself; call it before you use an estimator directly.
+
+    Parameters
+    ----------
+    capture : Capture
+        The capture, binned as the estimate uses it.
+
     Raises
     ------
     InputError
         With one frame only, a projector of one pixel, no pattern that varies, nothing but dark or
         clipped samples, all pixels masked, or 16-bit files of fewer bits without a stated clip
         level.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> capture = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 32))
+    >>> lm.refuse_unusable(capture)
     """
     _refuse_useless_patterns(capture.patterns)
     check_depth(capture.frames, capture.decoder)
@@ -56,7 +69,24 @@ def refuse_unordered(capture: Capture) -> None:
 
 
 def refuse_disorder(findings: Sequence[Finding]) -> None:
-    """Refuse frames that are out of order, which spoil all of an estimate."""
+    """Refuse a capture whose frames are out of order, which spoils all of an estimate.
+
+    Parameters
+    ----------
+    findings : sequence of Finding
+        The result of `check`.
+
+    Raises
+    ------
+    InputError
+        With the first finding about the order of the frames.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> capture = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 32))
+    >>> lm.refuse_disorder(lm.check(capture))
+    """
     for finding in findings:
         if finding.kind == "order":
             hint = f"{finding.advice}; --no-check takes them as they are"
