@@ -18,7 +18,7 @@ from lightmatrix.estimators.coherent.estimator import CoherentEstimator
 from lightmatrix.estimators.plain import PlainEstimator
 from lightmatrix.evaluation.metrics import relative_error
 from lightmatrix.patterns.bits import BernoulliPatterns
-from lightmatrix.planning.advice import WhiteFrame
+from lightmatrix.planning.exposure_advice import WhiteFrame
 from lightmatrix.simulation.library import truth
 from lightmatrix.solvers import ActiveSet
 

@@ -33,7 +33,7 @@ from lightmatrix.evaluation.metrics import (
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.mix import MixedPatterns, default_mix
 from lightmatrix.patterns.pattern_set import PatternSet
-from lightmatrix.planning.advice import WhiteFrame, advise_exposures
+from lightmatrix.planning.exposure_advice import WhiteFrame, advise_exposures
 from lightmatrix.simulation.irradiance import irradiance
 from lightmatrix.simulation.library import truth
 from lightmatrix.simulation.truth import Truth

@@ -27,7 +27,7 @@ def drawn(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any
     out = tmp_path_factory.mktemp("fig5")
     steps: list[tuple[int, int]] = []
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(fig5, "photograph", photograph)
+        patch.setattr(fig5, "white_image", photograph)
         result = fig5.FIG5.run(out, quick=True, progress=lambda *step: steps.append(step))
     assert steps[-1][0] == steps[-1][1]
     return out, result
@@ -39,7 +39,7 @@ def test_without_the_renderer_the_bundled_matrices_are_drawn(
     def photograph(*_: Any, **__: Any) -> NDArray[np.float32]:
         raise MissingExtraError("no renderer")
 
-    monkeypatch.setattr(fig5, "photograph", photograph)
+    monkeypatch.setattr(fig5, "white_image", photograph)
     image = fig5.measure(fig5.Case("gripper", 128)).arrays["photograph"]
     white = library.truth("gripper").matrix.sum(axis=1).reshape(64, 64)
     np.testing.assert_array_equal(image, white.astype(np.float32))

@@ -1,4 +1,4 @@
-"""The whole advice: exposures, patterns and frames, the error to expect, and what to type."""
+"""`lm.plan`: advised exposures, patterns and frames, the expected error, and the commands."""
 
 from __future__ import annotations
 
@@ -19,7 +19,8 @@ from lightmatrix.errors import InputError
 from lightmatrix.patterns.making import make_patterns
 from lightmatrix.patterns.mix import FEWEST_MIXED, Mix, MixedPatterns, default_mix
 from lightmatrix.patterns.pattern_set import PatternSet
-from lightmatrix.planning.advice import (
+from lightmatrix.planning.error_table import ExpectedErrors, counts, expectations, frames_for
+from lightmatrix.planning.exposure_advice import (
     DENSITY,
     GLINTS,
     WhiteFrame,
@@ -29,15 +30,15 @@ from lightmatrix.planning.advice import (
     clipped_share,
     single_clipped_share,
 )
-from lightmatrix.planning.table import ExpectedErrors, counts, expectations, frames_for
 from lightmatrix.ranges import check_number
 from lightmatrix.reprs import html_table, text_table
 from lightmatrix.simulation import library
 from lightmatrix.simulation.scenes import names
 from lightmatrix.simulation.truth import Truth
 
+# The projector size that is assumed if none is stated.
 USUAL_SIZE = (128, 128)
-# Estimating from a folder whose capture.json says what two plain folders cannot.
+# The command for a capture folder; its capture.json holds what options of two folders cannot say.
 ESTIMATE_FOLDER = "lightmatrix estimate capture/ -o scene.zarr"
 
 
@@ -50,11 +51,11 @@ class AdvisedExposure:
     exposure : float
         In the unit of the white frame's exposure.
     share : float
-        Of the frames.
+        Share of the frames.
     frames : int
-        As a number.
+        Number of frames.
     clipped_share : float
-        Share of its samples that will clip.
+        Share of the samples that will clip.
     """
 
     exposure: float
@@ -70,10 +71,11 @@ class Advice:
     Parameters
     ----------
     source : str
-        The white frame, scene or truth that it was told from.
+        The white frame, scene or truth.
     simulated : bool
-        Whether that is a scene or a truth, to be simulated, instead of a photograph.
+        Whether the source is a scene or a truth, to be simulated, instead of a photograph.
     projector : (rows, cols)
+        Pixels of the projector.
     frames : int
         Number of frames K.
     patterns : {"mix", "bernoulli"}
@@ -81,19 +83,19 @@ class Advice:
     density : float
         Share of lit pixels.
     mix : sequence of ((rows, cols), share)
-        Grids of cells lit as a whole, and their shares of the patterns.
+        Grids whose cells are lit as a whole, and their shares of the patterns.
     exposures : tuple of AdvisedExposure
-        From the longest to the shortest.
+        Exposures, from the longest to the shortest.
     exposure_of_frames : (K,) float64
-        Which frame gets which.
+        Exposure of each frame.
     white_clipped_share : float
         Share of the white frame's lit pixels that clipped.
     rows_that_clip_singly : float
-        Share of the lit camera pixels that will clip under a single projector pixel even so.
+        Share of the lit camera pixels that will clip under a single projector pixel.
     expected : tuple of ExpectedErrors
-        Errors measured with this and with other numbers of frames.
+        Errors to expect with this and with other numbers of frames.
     commands : tuple of str
-        What to type.
+        Commands to run.
 
     Examples
     --------
@@ -125,7 +127,7 @@ class Advice:
 
     @property
     def white_is_clipped(self) -> bool:
-        """Whether more of the white frame clips than single glints, so that it tells too little."""
+        """Whether more than single glints of the white frame clip."""
         return self.white_clipped_share > GLINTS
 
     @property
@@ -136,7 +138,7 @@ class Advice:
         return ",".join(f"{e.exposure:g}:{e.share:.6g}" for e in self.exposures)
 
     def as_dict(self) -> dict[str, Any]:
-        """All of it, JSON-ready: what `lightmatrix plan --json` prints."""
+        """The content of `lightmatrix plan --json`."""
         return {
             "source": self.source,
             "projector": list(self.projector),
@@ -153,27 +155,27 @@ class Advice:
         }
 
     def __repr__(self) -> str:
-        return text_table("Advice", self._told)
+        return text_table("Advice", self._summary)
 
     def _repr_html_(self) -> str:
-        return html_table("Advice", self._told)
+        return html_table("Advice", self._summary)
 
     @property
-    def _told(self) -> dict[str, Any]:
+    def _summary(self) -> dict[str, Any]:
         kind = "fine and coarse mixed" if self.patterns == "mix" else "all fine"
-        told: dict[str, Any] = {
+        summary: dict[str, Any] = {
             "projector": " x ".join(map(str, self.projector)),
             "patterns": f"{self.frames}, random, {kind}, {100 * self.density:g} % lit",
         }
         for e in self.exposures:
-            told[f"exposure {e.exposure:g}"] = (
+            summary[f"exposure {e.exposure:g}"] = (
                 f"{e.frames} frames, {100 * e.clipped_share:.1f} % of their samples will clip"
             )
         for errors in self.expected:
             if errors.frames == self.frames:
                 low, high = errors.relative_error
-                told[f"error to expect, {errors.estimator}"] = f"{low:.3f} to {high:.3f}"
-        return told
+                summary[f"error to expect, {errors.estimator}"] = f"{low:.3f} to {high:.3f}"
+        return summary
 
 
 def plan(
@@ -197,15 +199,16 @@ def plan(
     white : str, Path, Truth or WhiteFrame
         Photograph of a white pattern; or a scene, a truth file (T.npz) or a truth, to simulate.
     size : (rows, cols), optional
-        Projector pixels. None: 128 x 128; of a truth, its own.
+        Projector pixels. None: 128 x 128, or those of a truth.
     frames : int, optional
-        Number of frames, at least 2. None: as many as `error` asks for.
+        Number of frames, at least 2. None: as many as `error` needs.
     error : float
-        Relative error of T that is good enough, in (0, 1).
+        Wanted relative error of T, in (0, 1).
     noise : float
         Standard deviation of a sample's noise, as a share of the clip level.
     exposure : float, optional
-        Exposure of the white photograph in any unit, such as ms; the answer's too. None: 1.
+        Exposure of the white photograph in any unit, such as ms, which the advice uses too.
+        None: 1.
     shortest : float, optional
         The camera's shortest exposure, in the same unit.
     black : str, Path or float, optional
@@ -215,17 +218,18 @@ def plan(
     response : str, optional
         See `Response.parse`. None: linear.
     progress : callable, optional
-        Called with (done, total) paths where a scene has to be rendered.
+        Called with (done, total) paths while a scene is rendered.
 
     Returns
     -------
     Advice
+        Exposures, patterns and frames, with the errors to expect and the commands to run.
 
     Raises
     ------
     InputError
-        On numbers out of range, on photographs that cannot be read or tell nothing, and on what
-        is for photographs given with a scene.
+        On numbers out of range, unreadable, dark or clipped photographs, and settings of
+        photographs with a scene.
 
     Examples
     --------
@@ -246,62 +250,56 @@ def plan(
     if frames is not None and not 2 <= frames <= 1_000_000:
         raise InputError(f"{frames} frames", hint="use 2 to 1000000")
     check_camera(noise, shortest)
-    simulated = (
-        isinstance(white, Truth) or str(white).lower().endswith(".npz") or str(white) in names()
-    )
+    photograph = _Photograph(exposure, black, clip, response)
+    simulated = not isinstance(white, WhiteFrame) and _is_simulated(white)
     if isinstance(white, WhiteFrame):
         frame, projector = white, size or USUAL_SIZE
     elif simulated:
-        given = {"exposure": exposure, "black": black, "clip": clip, "response": response}
-        odd = [name for name, value in given.items() if value is not None]
-        if odd:
-            raise InputError(
-                f"{', '.join(odd)} with a scene", hint="they are for photographs; leave them out"
-            )
-        frame, projector = _known(white, size, progress)
+        photograph.check_unset()
+        frame, projector = _simulated(white, size, progress)
     else:
-        unit = 1.0 if exposure is None else exposure
-        hint = "use a number above 0, such as 20"
-        check_number("an exposure", unit, most=1e9, above=True, hint=hint)
-        frame, projector = _photograph(white, black, clip, response, unit), size or USUAL_SIZE
-    source = str(white) if isinstance(white, str | Path) else type(white).__name__
-    wanted = frames_for(error) if frames is None else frames
-    exposures = advise_exposures(frame, noise, shortest, wanted)
+        assert not isinstance(white, Truth)
+        frame, projector = photograph.read(white), size or USUAL_SIZE
+    count = frames_for(error) if frames is None else frames
+    exposures = advise_exposures(frame, noise, shortest, count)
     density = advise_density(frame, exposures)
-    mix = default_mix(projector, wanted)
-    per_frame = np.broadcast_to(
-        exposure_sequence(exposures, MixedPatterns(projector, wanted, mix)), wanted
-    )
-    advised = tuple(
-        AdvisedExposure(e, share, int((per_frame == e).sum()), clipped_share(frame, e, density))
-        for e, share in exposures
-    )
+    mix = default_mix(projector, count)
+    sequence = exposure_sequence(exposures, MixedPatterns(projector, count, mix))
+    per_frame = np.broadcast_to(sequence, count)
     advice = Advice(
-        source,
-        simulated,
-        projector,
-        wanted,
-        "mix" if wanted >= FEWEST_MIXED else "bernoulli",
-        density,
-        mix,
-        advised,
-        per_frame,
-        frame.clipped_share,
-        single_clipped_share(frame, exposures),
-        tuple(e for count in sorted({wanted, *counts()}) for e in expectations(count)),
-        (),
+        source=str(white) if isinstance(white, str | Path) else type(white).__name__,
+        simulated=simulated,
+        projector=projector,
+        frames=count,
+        patterns="mix" if count >= FEWEST_MIXED else "bernoulli",
+        density=density,
+        mix=mix,
+        exposures=tuple(
+            AdvisedExposure(e, share, int((per_frame == e).sum()), clipped_share(frame, e, density))
+            for e, share in exposures
+        ),
+        exposure_of_frames=per_frame,
+        white_clipped_share=frame.clipped_share,
+        rows_that_clip_singly=single_clipped_share(frame, exposures),
+        expected=tuple(e for k in sorted({count, *counts()}) for e in expectations(k)),
+        commands=(),
     )
-    return _with_commands(advice, black, clip, response)
+    return replace(advice, commands=_commands(advice, photograph))
 
 
-def _known(
-    source: str | Path | Truth | WhiteFrame,
-    wanted: tuple[int, int] | None,
+def _is_simulated(white: str | Path | Truth) -> bool:
+    """Whether a source is a truth or a scene instead of a photograph."""
+    return isinstance(white, Truth) or str(white).lower().endswith(".npz") or str(white) in names()
+
+
+def _simulated(
+    source: str | Path | Truth,
+    size: tuple[int, int] | None,
     progress: Callable[[int, int], None] | None,
 ) -> tuple[WhiteFrame, tuple[int, int]]:
-    assert not isinstance(source, WhiteFrame)
-    known = library.truth(source, wanted or USUAL_SIZE, progress=progress)
-    if wanted not in (None, known.projector_shape):
+    """The white frame of a scene or truth, and its projector."""
+    known = library.truth(source, size or USUAL_SIZE, progress=progress)
+    if size not in (None, known.projector_shape):
         raise InputError(
             f"{source if isinstance(source, str | Path) else 'the truth'} has a projector of "
             f"{known.projector_shape[0]} x {known.projector_shape[1]}",
@@ -311,49 +309,65 @@ def _known(
     return WhiteFrame(levels, np.zeros(len(levels), bool)), known.projector_shape
 
 
-def _photograph(
-    source: str | Path | Truth | WhiteFrame,
-    black: str | Path | float | None,
-    clip: float | None,
-    response: str | None,
-    exposure: float,
-) -> WhiteFrame:
-    assert isinstance(source, str | Path)
-    frame = read_white_frame(source, ReadSettings(black=black, clip=clip, response=response))
-    values = frame.values[:, 0].astype(np.float64) / exposure
-    return WhiteFrame(values, frame.clipped[:, 0])
+@dataclass(frozen=True)
+class _Photograph:
+    """How to read the photograph of a white pattern."""
+
+    exposure: float | None
+    black: str | Path | float | None
+    clip: float | None
+    response: str | None
+
+    def check_unset(self) -> None:
+        """Raise InputError if any of the settings is given, because a scene needs none."""
+        present = [name for name, value in vars(self).items() if value is not None]
+        if present:
+            raise InputError(
+                f"{', '.join(present)} with a scene",
+                hint="these settings are for photographs; leave them out",
+            )
+
+    def read(self, file: str | Path) -> WhiteFrame:
+        """The white frame at exposure 1, in the unit of the exposure."""
+        exposure = 1.0 if self.exposure is None else self.exposure
+        hint = "use a number above 0, such as 20"
+        check_number("an exposure", exposure, most=1e9, above=True, hint=hint)
+        settings = ReadSettings(black=self.black, clip=self.clip, response=self.response)
+        frame = read_white_frame(file, settings)
+        values = frame.values[:, 0].astype(np.float64) / exposure
+        return WhiteFrame(values, frame.clipped[:, 0])
 
 
-def _with_commands(
-    advice: Advice, black: str | Path | float | None, clip: float | None, response: str | None
-) -> Advice:
+def _commands(advice: Advice, photograph: _Photograph) -> tuple[str, ...]:
+    """The commands that make the patterns, simulate if there is no rig, and estimate."""
     size = "x".join(map(str, advice.projector))
     patterns = f"lightmatrix patterns {advice.patterns} -k {advice.frames} --size {size}"
     if advice.density != DENSITY:
         patterns += f" --density {advice.density:g}"
-    lines = [f"{patterns} -o patterns/"]
-    if advice.simulated:
-        exposure = advice.exposure
-        shown = exposure if isinstance(exposure, str) else f"{exposure:g}"
-        scene = shlex.quote(advice.source)
-        lines.append(
-            f"lightmatrix simulate {scene} --patterns patterns/ --exposure {shown} -o capture/"
-        )
-        lines.append(ESTIMATE_FOLDER)
-    else:
-        lines.append(_estimate_photographs(advice, black, clip, response))
-    return replace(advice, commands=tuple(lines))
+    patterns += " -o patterns/"
+    if not advice.simulated:
+        return patterns, _estimate_command(advice, photograph)
+    exposure = advice.exposure if isinstance(advice.exposure, str) else f"{advice.exposure:g}"
+    simulate = (
+        f"lightmatrix simulate {shlex.quote(advice.source)} --patterns patterns/ "
+        f"--exposure {exposure} -o capture/"
+    )
+    return patterns, simulate, ESTIMATE_FOLDER
 
 
-def _estimate_photographs(
-    advice: Advice, black: str | Path | float | None, clip: float | None, response: str | None
-) -> str:
-    """From two folders; from a capture folder where only capture.json can say all."""
+def _estimate_command(advice: Advice, photograph: _Photograph) -> str:
+    """Estimate from two folders, or from a capture folder if only capture.json can say it all."""
+    black = photograph.black
     if len(advice.exposures) > 1 or isinstance(black, int | float):
         return ESTIMATE_FOLDER
     line = "lightmatrix estimate --patterns patterns/ --images photos/"
-    for option, value in (("--black", black), ("--clip", clip), ("--response", response)):
+    options = (
+        ("--black", black),
+        ("--clip", photograph.clip),
+        ("--response", photograph.response),
+    )
+    for option, value in options:
         if value is not None:
-            given = f"{value:g}" if isinstance(value, float) else shlex.quote(str(value))
-            line += f" {option} {given}"
+            text = f"{value:g}" if isinstance(value, float) else shlex.quote(str(value))
+            line += f" {option} {text}"
     return f"{line} -o scene.zarr"

@@ -16,7 +16,7 @@ from lightmatrix.live.measurements.white_and_black import (
     plain_images,
 )
 from lightmatrix.live.rig import Rig
-from lightmatrix.planning.advice import (
+from lightmatrix.planning.exposure_advice import (
     WhiteFrame,
     advise_density,
     advise_exposures,

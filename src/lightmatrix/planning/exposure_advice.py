@@ -1,8 +1,8 @@
-"""What to photograph: exposures, patterns and their number, advised from a white frame.
+"""Exposures and density of patterns, advised from a white frame.
 
-The white level w of a camera pixel, the sum of its row of T, bounds each of its entries. Most rows
-hold most of w in one spot, lit in half of the random patterns: their samples are near w then, and
-near the rest of w otherwise. So what a set of exposures will clip can be told from w alone.
+The white level w of a camera pixel is the sum of its row of T and bounds each of its entries. Most
+rows hold most of w in one spot, which is lit in half of the random patterns. Their samples are near
+w if it is lit and near the rest of w otherwise. So w alone predicts what will clip.
 """
 
 from __future__ import annotations
@@ -17,49 +17,43 @@ from numpy.typing import NDArray
 from lightmatrix.camera.noise import USUAL_NOISE
 from lightmatrix.errors import InputError
 
-# Share of a row's sum in its strongest spot: medians of 0.85, 0.98, 0.89 and 0.43 on the scenes.
+# The strongest spot of a row is assumed to hold this share of its sum. The medians on the four
+# bundled scenes are 0.85, 0.98, 0.89 and 0.43.
 SPOT_SHARE = 0.85
-# The same of rows that must not clip: they hold more of it where a camera pixel sees no more than
-# one projector pixel. (With 0.85 such a rig errs by twice as much, at 1 rows of global light by a
-# twentieth more.)
+# Rows that must not clip are assumed to hold this share in their spot. It is higher where a camera
+# pixel sees no more than one projector pixel: with 0.85 such a rig has twice the error. With 1,
+# rows of global light have a twentieth more error.
 BRIGHT_SPOT_SHARE = 0.9
-# Camera pixels below this share of a bright one are not reached by the projector.
+# The projector does not reach camera pixels below this share of a bright one (0.99 quantile).
+# Chosen by hand.
 _LIT = 0.02
-# The brightest pixels that may clip: glints of single pixels must not darken all frames.
+# This share of the lit pixels, the brightest, may clip: glints must not darken all frames. Chosen
+# by hand.
 GLINTS = 0.001
-# Of the light of a typical pixel: noise above it asks for a longer exposure as well.
+# If the noise exceeds this share of a typical pixel's light, longer exposures are added, each by
+# this factor. Chosen by hand; `python -m benchmarks.exposures` compares exposures.
 NOISE_LIMIT = 0.015
-# From one exposure to the next.
 STEP = 4.0
-# Where there are several, the shortest is there for few rows, so that it gets few frames; but with
-# less than eight of it bright rows are lost (measured at 16 frames: 4 are too few, 8 suffice).
+# The shortest of several exposures serves few rows and gets this share of the frames, but at least
+# this many. Measured at 16 frames: with 4 of them bright rows are lost, 8 suffice.
 SHORTEST_SHARE = 0.25
 SHORTEST_FRAMES = 8
-# Of the white frame's pixels: above, the scene's range is unknown and nothing can be advised.
+# If more than this share of the lit pixels of a white frame clip, the scene's range is unknown.
 _MOST_CLIPPED = 0.5
+# Patterns light this share of the projector pixels, or the second one if the strongest response of
+# more than the third, a share of the lit camera pixels, clips. Measured there: 0.25 is better than
+# 0.5 and 0.1.
 DENSITY = 0.5
-# Measured better than 0.5 and 0.1 where single responses clip.
 DENSITY_WHERE_CLIPPED = 0.25
-# Share of lit camera pixels with a strongest response that clips: above, fewer pixels are lit.
 _CLIPPED_SINGLY = 0.01
 
 
 @dataclass(frozen=True, eq=False)
 class WhiteFrame:
-    """Camera samples under a white pattern.
+    """Camera samples under a white pattern; refuses dark frames and those that clip mostly.
 
-    Parameters
-    ----------
-    levels : (M,) float
-        Linear, black subtracted, in units of the clip level, at exposure 1; where clipped, a
-        lower bound.
-    clipped : (M,) bool
-        Which of them clipped.
-
-    Raises
-    ------
-    InputError
-        On a frame that is dark, or clipped in more than half of its lit pixels.
+    `levels` (M,) are linear, black subtracted, in units of the clip level at exposure 1, and lower
+    bounds where `clipped`.
     """
 
     levels: NDArray[np.floating]
@@ -74,7 +68,7 @@ class WhiteFrame:
         if self.clipped[self.lit].mean() > _MOST_CLIPPED:
             raise InputError(
                 f"{100 * self.clipped[self.lit].mean():.0f} % of the white frame is clipped, so "
-                "the light of the scene is not known",
+                "the light of the scene is unknown",
                 hint="photograph the white pattern with a quarter of the exposure",
             )
 
@@ -90,7 +84,7 @@ class WhiteFrame:
 
     @property
     def brightest(self) -> float:
-        """White level of the brightest pixels, single glints apart."""
+        """White level of the brightest pixels, except for glints."""
         return float(np.quantile(self.levels[self.lit], 1 - GLINTS))
 
     @property
@@ -105,35 +99,18 @@ def advise_exposures(
     shortest: float | None = None,
     frames: int | None = None,
 ) -> list[tuple[float, float]]:
-    """Exposures and their shares of the frames.
+    """Exposures (in the white frame's unit, the longest first) and their shares of the frames.
 
-    The shortest puts 90 % of the brightest white level, what a row has in its spot, at the clip
-    level, so that no single response and few sums of them clip; these are estimated as clipped
-    samples, and what is dim gains more by it than the brightest rows lose. If its noise exceeds
-    1.5 % of a typical pixel's light, longer ones follow, four times each, until it does not. Where
-    the white frame itself clips, the brightest level is not known; one more exposure, a quarter of
-    the shortest, is there for it. Of several exposures the shortest gets a quarter of the frames,
-    but 8 at least, and never more than the others.
+    The shortest exposure puts 90 % of the brightest white level, the spot of that row, at the clip
+    level, so that no single response and few sums of them clip. Clipped sums are estimated as
+    clipped samples; dim rows gain more from this exposure than the brightest rows lose. While the
+    noise exceeds 1.5 % of a typical pixel's light, longer exposures are added, four times each.
+    Where the white frame itself clips, its brightest level is unknown, and one exposure of a
+    quarter of the shortest is added. Of several exposures the shortest gets a quarter of the
+    frames, but at least 8, and never more than the others.
 
-    Parameters
-    ----------
-    white : WhiteFrame
-    noise : float
-        Standard deviation of a sample's noise, as a share of the clip level; >= 0.
-    shortest : float, optional
-        The camera's shortest exposure, in the unit of the white frame's; > 0.
-    frames : int, optional
-        Number of frames, for the share of the shortest exposure. None: many.
-
-    Returns
-    -------
-    list of (exposure, share)
-        From the longest to the shortest; in the unit of the white frame's exposure.
-
-    Raises
-    ------
-    InputError
-        On a noise or a shortest exposure out of range.
+    `noise` is the standard deviation of a sample as a share of the clip level, `shortest` the
+    camera's shortest exposure, and `frames` the number of frames (None: many).
     """
     check_camera(noise, shortest)
     ladder = [1 / (BRIGHT_SPOT_SHARE * white.brightest)]
@@ -152,19 +129,13 @@ def advise_exposures(
 
 
 def _three_digits(exposure: float) -> float:
-    """An exposure, > 0, rounded down to three digits, so that nothing clips for its rounding."""
+    """An exposure > 0 rounded down to three digits, so that rounding makes nothing clip."""
     unit = 10.0 ** (math.floor(math.log10(exposure)) - 2)
     return float(f"{math.floor(exposure / unit * (1 + 1e-12)) * unit:.3g}")
 
 
 def check_camera(noise: float, shortest: float | None) -> None:
-    """Refuse what no camera is like, before a scene is rendered for it.
-
-    Raises
-    ------
-    InputError
-        On a noise outside of [0, 1), or a shortest exposure that is not above 0.
-    """
+    """Raise InputError on an impossible camera, before a scene is rendered for it."""
     if not (np.isfinite(noise) and 0 <= noise < 1):
         raise InputError(f"a noise of {noise}", hint="use a share of the clip level, such as 0.003")
     if shortest is not None and not (np.isfinite(shortest) and shortest > 0):
@@ -172,18 +143,10 @@ def check_camera(noise: float, shortest: float | None) -> None:
 
 
 def clipped_share(white: WhiteFrame, exposure: float, density: float = DENSITY) -> float:
-    """Share of samples that will clip under random patterns, told from white levels alone.
+    """Share of samples that will clip under random patterns, predicted from white levels alone.
 
-    Each row is taken for one spot of 85 % of its sum, lit in a share `density` of the patterns,
+    Each row is modelled as one spot of 85 % of its sum, lit in a share `density` of the patterns,
     and a broad rest of which the same share is always lit.
-
-    Parameters
-    ----------
-    white : WhiteFrame
-    exposure : float
-        In the unit of the white frame's.
-    density : float
-        Probability that a projector pixel is lit.
     """
     light = exposure * white.levels[white.lit]
     rest = (1 - SPOT_SHARE) * density
@@ -198,6 +161,6 @@ def single_clipped_share(white: WhiteFrame, exposures: Sequence[tuple[float, flo
 
 
 def advise_density(white: WhiteFrame, exposures: Sequence[tuple[float, float]]) -> float:
-    """Share of projector pixels to light: a half, but a quarter where the camera must clip."""
+    """Share of projector pixels to light: a half, or a quarter if single responses clip."""
     clipping = single_clipped_share(white, exposures) > _CLIPPED_SINGLY
     return DENSITY_WHERE_CLIPPED if clipping else DENSITY

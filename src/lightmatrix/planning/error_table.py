@@ -1,6 +1,6 @@
-"""The error to expect from so many frames: measured on rendered scenes, not promised for others.
+"""The errors to expect from a number of frames, measured on rendered scenes.
 
-The table is `table.json`; its own entry `made_by` is the command that makes it again.
+The entry `made_by` of table.json is the command that measures the table.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from lightmatrix.patterns.mix import FEWEST_MIXED
 
 @dataclass(frozen=True)
 class ExpectedErrors:
-    """Errors measured on the rendered scenes under one plan.
+    """Errors of one estimator at one number of frames, from the least to the largest of the scenes.
 
     Parameters
     ----------
@@ -27,11 +27,11 @@ class ExpectedErrors:
     frames : int
         Number of frames K.
     relative_error, relighting_error : (float, float)
-        Least and largest of the scenes: of T over all rows, and of images under unseen patterns.
+        Smallest and largest error of the scenes: of T over all rows, and of relit images.
     scenes : tuple of str
-        On which they were measured.
+        The scenes.
     measured : bool
-        Whether with this number of frames, or between or beyond those that were measured.
+        Whether this number of frames was measured; otherwise the errors are interpolated.
     """
 
     estimator: str
@@ -43,18 +43,11 @@ class ExpectedErrors:
 
 
 def expectations(frames: int, *, exposures: str = "advised") -> list[ExpectedErrors]:
-    """What each estimator reached with so many frames, patterns mixed from 64 on.
+    """The errors of each estimator at a number of frames, with mixed patterns from 64 frames on.
 
-    Between numbers of frames that were measured errors follow a power law; beyond them the
-    nearest one is given.
-
-    Parameters
-    ----------
-    frames : int
-        Number of frames K.
-    exposures : {"advised", "long"}
-        Those of `advise_exposures`, or the benchmarks' single one, at which a fifth of the rows
-        have a single response that clips.
+    Errors between measured numbers of frames follow a power law; beyond them they are constant.
+    `exposures` is "advised", those of `advise_exposures`, or "long", the single one of the
+    benchmarks, at which a fifth of the rows have a single response that clips.
     """
     rows = [
         row
@@ -65,30 +58,30 @@ def expectations(frames: int, *, exposures: str = "advised") -> list[ExpectedErr
     ]
     result = []
     for estimator in sorted({row["estimator"] for row in rows}, reverse=True):
-        mine = [row for row in rows if row["estimator"] == estimator]
-        scenes = tuple(sorted({row["scene"] for row in mine}))
+        measured = [row for row in rows if row["estimator"] == estimator]
+        scenes = tuple(sorted({row["scene"] for row in measured}))
         result.append(
             ExpectedErrors(
                 estimator,
                 frames,
-                _range(mine, scenes, frames, "relative_error"),
-                _range(mine, scenes, frames, "relighting_error"),
+                _range(measured, scenes, frames, "relative_error"),
+                _range(measured, scenes, frames, "relighting_error"),
                 scenes,
-                any(row["frames"] == frames for row in mine),
+                any(row["frames"] == frames for row in measured),
             )
         )
     return result
 
 
 def counts() -> list[int]:
-    """Numbers of frames that were measured."""
+    """The measured numbers of frames."""
     return sorted({int(row["frames"]) for row in table()})
 
 
 def frames_for(error: float) -> int:
-    """The least measured number of frames whose relative error is expected to be at most this.
+    """The smallest measured number of frames that reaches a relative error on the worst scene.
 
-    By the better estimator and the worst scene; the largest number measured if none suffices.
+    The better estimator counts. If no number suffices, it is the largest one measured.
     """
     for count in counts():
         if min(e.relative_error[1] for e in expectations(count)) <= error:
@@ -98,7 +91,7 @@ def frames_for(error: float) -> int:
 
 @cache
 def table() -> list[dict[str, Any]]:
-    """All measured rows."""
+    """All rows of the table."""
     text = (files("lightmatrix.planning") / "table.json").read_text()
     rows: list[dict[str, Any]] = json.loads(text)["rows"]
     return rows
