@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
@@ -139,9 +139,9 @@ def solve(problem: Problem, solver: Solver, *, progress: Progress | None = None)
 def state_of_rows(state: S, rows: NDArray[np.integer]) -> S:
     """The state of some rows: arrays are indexed, all other fields are shared."""
     arrays = {
-        field.name: getattr(state, field.name)[rows]
-        for field in fields(state)  # type: ignore[arg-type]
-        if isinstance(getattr(state, field.name), np.ndarray)
+        one.name: getattr(state, one.name)[rows]
+        for one in fields(state)  # type: ignore[arg-type]
+        if isinstance(getattr(state, one.name), np.ndarray)
     }
     return replace(state, **arrays)  # type: ignore[type-var]
 
@@ -152,10 +152,8 @@ class _Finished:
 
     problem: Problem
     solver: IterativeSolver
-
-    def __post_init__(self) -> None:
-        self.order: list[NDArray[np.integer]] = []
-        self.parts: list[SparseRows] = []
+    order: list[NDArray[np.integer]] = field(default_factory=list)
+    parts: list[SparseRows] = field(default_factory=list)
 
     @property
     def count(self) -> int:

@@ -91,20 +91,16 @@ class ROMP:
         if not parts:
             return Result(no_rows(problem), Status.CONVERGED)
         dtype = problem.samples.values.dtype
-        solved = SparseRows.joined(parts)
-        coefficients = csr_array(solved.coefficients, dtype=dtype)
-        background = solved.background[:, 0].astype(dtype)
-        objective, _ = relative_gap(problem, coefficients, background, self.fidelity)
-        converged = solved.diagnostics["converged"]
+        rows = SparseRows.joined(parts)
+        coefficients = csr_array(rows.coefficients, dtype=dtype)
+        background = rows.background.astype(dtype)
+        objective, _ = relative_gap(problem, coefficients, background[:, 0], self.fidelity)
+        gap = np.full(problem.rows, np.nan)
         rows = solved_rows(
-            coefficients,
-            background,
-            iterations=solved.diagnostics["iterations"],
-            converged=converged,
-            gap=np.full(problem.rows, np.nan),
-            objective=objective,
+            coefficients, background, **rows.diagnostics, gap=gap, objective=objective
         )
-        return Result(rows, Status.CONVERGED if converged.all() else Status.ITERATION_LIMIT)
+        converged = diagnostics["converged"].all()
+        return Result(rows, Status.CONVERGED if converged else Status.ITERATION_LIMIT)
 
     def _solve_chunk(self, problem: Problem, n: int) -> SparseRows:
         """The rows of a chunk, with the number of rounds and convergence as diagnostics."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -19,6 +19,18 @@ from lightmatrix.transport.labels import labelled
 
 # The entries of the provenance that a summary repeats.
 _SUMMARY_KEYS = ("estimator", "solver", "regularization", "certificate", "pattern_digest", "scene")
+
+# The statistics of diagnostics in a summary. Unknown values are NaN and do not count.
+_STATISTICS: dict[str, tuple[str, Callable[[NDArray[Any]], Any]]] = {
+    "clipped_samples": ("clipped_share", np.mean),
+    "rows_half_clipped": ("clipped_share", lambda shares: np.mean(shares > 0.5)),
+    "iterations_median": ("iterations", np.median),
+    "converged_rows": ("converged", np.mean),
+    "gap_median": ("gap", np.nanmedian),
+    "gap_max": ("gap", np.nanmax),
+    "rows_looked_everywhere": ("looked_everywhere", np.mean),
+    "rows_that_hold_everywhere": ("holds_everywhere", np.nanmean),
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -233,23 +245,10 @@ class LightTransport:
             "background_grid": " x ".join(map(str, self.background_grid)),
             "background_share": self.background_share,
         }
-        diagnostics = self.diagnostics
-        if "clipped_share" in diagnostics:
-            shares = diagnostics["clipped_share"]
-            result["clipped_samples"] = float(np.mean(shares))
-            result["rows_half_clipped"] = float(np.mean(shares > 0.5))
-        if "iterations" in diagnostics:
-            result["iterations_median"] = float(np.median(diagnostics["iterations"]))
-        if "converged" in diagnostics:
-            result["converged_rows"] = float(np.mean(diagnostics["converged"]))
-        if "gap" in diagnostics and np.isfinite(diagnostics["gap"]).any():
-            result["gap_median"] = float(np.nanmedian(diagnostics["gap"]))
-            result["gap_max"] = float(np.nanmax(diagnostics["gap"]))
-        if "looked_everywhere" in diagnostics:
-            result["rows_looked_everywhere"] = float(np.mean(diagnostics["looked_everywhere"]))
-        if "holds_everywhere" in diagnostics and np.isfinite(diagnostics["holds_everywhere"]).any():
-            held = float(np.nanmean(diagnostics["holds_everywhere"]))
-            result["rows_that_hold_everywhere"] = held
+        for name, (diagnostic, statistic) in _STATISTICS.items():
+            values = self.diagnostics.get(diagnostic)
+            if values is not None and np.isfinite(values).any():
+                result[name] = float(statistic(values))
         result |= {name: self.provenance[name] for name in _SUMMARY_KEYS if name in self.provenance}
         parameters = self.provenance.get("solver_parameters")
         if isinstance(parameters, Mapping) and "fidelity" in parameters:

@@ -18,7 +18,7 @@ class Linear(DataTerm):
     least_squares = True
 
     def value(self, u: NDArray[Any], observed: Observed) -> NDArray[Any]:
-        return (observed.values - u) ** 2 / 2
+        return self.residual(u, observed) ** 2 / 2
 
     def residual(self, u: NDArray[Any], observed: Observed) -> NDArray[Any]:
         return observed.values - u
@@ -30,13 +30,12 @@ class Linear(DataTerm):
         return t**2 / 2
 
 
-class OneSided(DataTerm):
+class OneSided(Linear):
     """f(u) = (y - u)^2 / 2, and max(0, y - u)^2 / 2 for clipped samples (Rencker et al. 2018)."""
 
     name = "one-sided"
-
-    def value(self, u: NDArray[Any], observed: Observed) -> NDArray[Any]:
-        return self.residual(u, observed) ** 2 / 2
+    clip_aware = True
+    least_squares = False
 
     def residual(self, u: NDArray[Any], observed: Observed) -> NDArray[Any]:
         difference = observed.values - u
@@ -53,14 +52,11 @@ class OneSided(DataTerm):
         return ~observed.clipped
 
 
-class Rejection(DataTerm):
+class Rejection(Linear):
     """f(u) = (y - u)^2 / 2, and 0 for clipped samples (Laska et al. 2009)."""
 
     name = "rejection"
-    least_squares = True
-
-    def value(self, u: NDArray[Any], observed: Observed) -> NDArray[Any]:
-        return self.residual(u, observed) ** 2 / 2
+    clip_aware = True
 
     def residual(self, u: NDArray[Any], observed: Observed) -> NDArray[Any]:
         return np.where(observed.clipped, 0, observed.values - u)
