@@ -196,7 +196,7 @@ def test_a_killed_estimate_continues_with_its_workers(
 ) -> None:
     address, target = cluster.scheduler_address, tmp_path / "s.zarr"
     command = [sys.executable, "-c", KILLED, str(place_of(capture)), address, str(target)]
-    killed = subprocess.run(command, cwd=Path(__file__).parent, check=False)
+    killed = subprocess.run(command, cwd=Path(__file__).parents[2], check=False)
     assert killed.returncode == -signal.SIGKILL
     assert not target.exists()
     reported = list[int]()
