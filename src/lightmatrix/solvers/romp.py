@@ -95,11 +95,9 @@ class ROMP:
         coefficients = csr_array(rows.coefficients, dtype=dtype)
         background = rows.background.astype(dtype)
         objective, _ = relative_gap(problem, coefficients, background[:, 0], self.fidelity)
-        gap = np.full(problem.rows, np.nan)
-        rows = solved_rows(
-            coefficients, background, **rows.diagnostics, gap=gap, objective=objective
-        )
-        converged = diagnostics["converged"].all()
+        diagnostics = {**rows.diagnostics, "gap": np.full(problem.rows, np.nan)}
+        rows = solved_rows(coefficients, background, **diagnostics, objective=objective)
+        converged = rows.diagnostics["converged"].all()
         return Result(rows, Status.CONVERGED if converged else Status.ITERATION_LIMIT)
 
     def _solve_chunk(self, problem: Problem, n: int) -> SparseRows:
