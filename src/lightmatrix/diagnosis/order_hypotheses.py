@@ -123,7 +123,8 @@ def find_misses(
     values = np.full(light.shape, np.nan, np.float32)
     values[:, shown] = (light - common)[:, known]
     fold = np.random.default_rng(0).permutation(count) % fold_count(count)
-    predicted = predict_by_pursuit(patterns, scale, values, fold)
+    # For some tens of rows a search of all pixels is quicker than making shortlists.
+    predicted = predict_by_pursuit(patterns, scale, values, fold, shortlist=False)
     brightness = np.full(count, common.mean(), np.float32)
     brightness[shown] = common[0, known]
     predicted = np.minimum(predicted + brightness, rows.lowest)

@@ -6,10 +6,10 @@ predicts what the sample should be under the other patterns. Frames never predic
 even through the choice of pixels: that is what judging the order of frames needs
 (`frame_order.py`), and what the live rig asks after each frame.
 
-Small projectors are searched whole, once a fold. On large ones each frame is correlated once: the
-correlation over all folds but one is that over all folds minus that over the one. Pixels are then
-chosen from a shortlist: the best ones, and the neighbours of the very best, where most of what else
-a camera pixel sees lies.
+Small projectors are searched whole, once a fold. On large ones the live rig follows many rows, and
+correlates each frame once: the correlation over all folds but one is that over all folds minus that
+over the one. Pixels are then chosen from a shortlist: the best ones, and the neighbours of the very
+best, where most of what else a camera pixel sees lies.
 """
 
 from __future__ import annotations
@@ -69,6 +69,8 @@ def predict_by_pursuit(
     values: NDArray[np.float32],
     fold: NDArray[np.int64],
     group: int = 1,
+    *,
+    shortlist: bool = True,
 ) -> NDArray[np.float32]:
     """Predict m rows under each of K patterns from the frames of the other folds, (m, K).
 
@@ -86,13 +88,15 @@ def predict_by_pursuit(
     group : int
         Rows come in groups of this many neighbours in the image. On large projectors all pixels
         are searched for the first of a group only, and the others look around its best pixel.
+    shortlist : bool
+        Whether to choose from shortlists where the projector is large.
     """
     seen = np.isfinite(values[0])
     folds = [
         (np.flatnonzero(seen & (fold != p)), np.flatnonzero(fold == p)) for p in np.unique(fold)
     ]
     predicted = np.empty(values.shape, np.float32)
-    if patterns.pixels <= SEARCHED_WHOLE:
+    if not shortlist or patterns.pixels <= SEARCHED_WHOLE:
         for train, held in folds:
             choose = _search_all(patterns, scale, train)
             predicted[:, held] = _pursue(patterns, values, train, held, choose)
@@ -161,10 +165,13 @@ def best_pixels(
     size = max(1, _SEARCH_BYTES // (4 * patterns.pixels))
     best = np.empty(len(residual), np.int64)
     for start in range(0, len(residual), size):
-        scores = patterns.adjoint(residual[start : start + size].astype(np.float32)) * scale
-        for row, score in enumerate(scores, start):
-            first = row * 7919 % patterns.pixels
-            best[row] = (score if lots is None else score * lots[first:][: len(score)]).argmax()
+        some = residual[start : start + size].astype(np.float32)
+        for row, scores in enumerate(patterns.adjoint(some), start):
+            score = scores * scale
+            if lots is not None:
+                first = row * 7919 % patterns.pixels
+                score *= lots[first : first + patterns.pixels]
+            best[row] = score.argmax()
     return best
 
 
