@@ -287,8 +287,6 @@ def _findings(capture: Capture, whole: Capture, check: bool) -> list[Finding]:
 
     `capture` is what the estimate reads; `whole` has all its pixels, which the check needs.
     """
-    # Imported here, since it loads NumPy, which --help does not need.
-
     lm.refuse_unusable(capture)
     findings = lm.check(whole) if check else []
     lm.refuse_disorder(findings)
