@@ -256,7 +256,8 @@ def test_predictions_must_meet_most_frames(miss: float, predictive: bool) -> Non
     informative = np.ones(5, bool)
     # A frame that shows nothing known, and one that tells nothing, do not count.
     order = np.array([1, 0, 2, -1, 4])
-    logarithms[3], logarithms[4], informative[4] = 3, 3, False
+    logarithms[2:], informative[4] = 3, False
+    logarithms[2, 2] = np.log(miss)
     misses = Misses(logarithms, np.zeros((5, 5), bool), informative)
     assert frame_order._predictive(misses, order) == predictive
 

@@ -8,6 +8,7 @@ import imageio.v3 as imageio
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from PIL import Image
 from scipy.fft import dctn, idctn
 
 import lightmatrix as lm
@@ -38,6 +39,13 @@ def test_the_quality_is_measured(quality: int) -> None:
     measured = jpeg.likely_quality(blocks_of(compressed(smooth(), quality)))
     assert measured is not None
     assert abs(measured - quality) <= 2
+
+
+def test_the_table_is_that_of_libjpeg() -> None:
+    saved = imageio.imwrite("<bytes>", smooth(1)[0], extension=".jpg", quality=50)
+    with Image.open(io.BytesIO(saved)) as image:
+        table = image.quantization[0]  # type: ignore[attr-defined]
+    np.testing.assert_array_equal(np.reshape(table, (8, 8)), jpeg._TABLE)
 
 
 def test_lossless_photographs_have_no_quality() -> None:

@@ -27,7 +27,7 @@ _FEWEST_FRAMES, _FEWEST_ROWS = 12, 24
 # The scan over all places uses 24 to 96 rows, as many as 4e9 multiplications allow (about two
 # seconds), and 512 projector pixels at a time, so that sums stay in the processor's cache.
 _WORK, _MOST_ROWS = 4e9, 96
-_PIXELS_AT_ONCE = 512
+_PIXELS_AT_ONCE = 1 << 9
 # Places up to 3 from the likeliest one are compared by predictions. The best is named if the median
 # row misses less than exp(-1) = 37 % of its variance.
 _NEAR, _MOST_MISSED = 3, -1.0

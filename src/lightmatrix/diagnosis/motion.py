@@ -48,7 +48,7 @@ def check_motion(
     if survey.count < _FEWEST_FRAMES or len(rows) < _FEWEST_ROWS:
         return []
     follower = _Follower(survey, rows[:: max(1, len(rows) // _ROWS)], doubted)
-    if float(np.median(follower.miss((0, 0), 0))) < np.log(_STILL):
+    if float(np.median(follower.miss())) < np.log(_STILL):
         return []
     known = survey.statistics
     shift = find_shift(survey, known.first, known.last) or follower.likeliest_shift()
@@ -76,7 +76,7 @@ class _Follower:
         self.survey, self.rows, self.doubted = survey, rows, doubted
         self.here = survey.samples(rows)
 
-    def miss(self, shift: Shift, start: int) -> NDArray[np.float64]:
+    def miss(self, shift: Shift = (0, 0), start: int = 0) -> NDArray[np.float64]:
         """The logarithm of what the prediction of each followed row misses, (m,)."""
         samples = self.here
         if shift != (0, 0):
@@ -119,7 +119,7 @@ class _Follower:
         best = min(misses, key=misses.__getitem__)
         # Compared with rows that stay where they are, at either end of the shift: one of the two
         # may just be easier to predict.
-        still = np.minimum(self.miss((0, 0), 0), self.miss(shift, 0))
+        still = np.minimum(self.miss(), self.miss(shift))
         gain = still - self.miss(shift, best)
         error = float(gain.std() / np.sqrt(len(gain)))
         certain = gain.mean() > _BETTER and gain.mean() > _CERTAIN * error

@@ -23,7 +23,7 @@ from lightmatrix.patterns.pattern_set import PatternSet
 _FEWEST_ROWS, _MOST_ROWS, _SCAN_WORK = 24, 96, 2.5e9
 _PLACES = 16
 # Projector pixels at a time, so that sums stay in the processor's cache.
-_PIXELS_AT_ONCE = 512
+_PIXELS_AT_ONCE = 1 << 9
 
 
 @dataclass(frozen=True, eq=False)

@@ -103,8 +103,9 @@ def predict_by_pursuit(
         return predicted
     draw = np.random.default_rng(0)
     lots = [scale * (1 + _LOT * draw.random(len(scale), np.float32)) for _ in range(_LOTS)]
-    size = 4 * patterns.pixels * (len(folds) + 1)
-    block = group * int(np.clip(_LISTING_BYTES // size, 1, _MOST_ROWS))
+    block = group * int(
+        np.clip(_LISTING_BYTES // (4 * patterns.pixels * (len(folds) + 1)), 1, _MOST_ROWS)
+    )
     reach = _NEIGHBOURS if group == 1 else _NEIGHBOURS_OF_GROUP
     for start in range(0, len(values), block):
         rows = values[start : start + block]
