@@ -68,7 +68,7 @@ def test_relight(work: Path, capsys: pytest.CaptureFixture[str]) -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "message"),
     [
         ("-o out.png", "no views are given"),
         ("--dual --gap -o out.png", "2 views are given"),
@@ -83,16 +83,16 @@ def test_relight(work: Path, capsys: pytest.CaptureFixture[str]) -> None:
     ],
 )
 def test_show_refuses(
-    words: str, told: str, work: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    words: str, message: str, work: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:  # fmt: skip
     monkeypatch.chdir(tmp_path)
     assert main(["show", str(work / "scene.zarr"), *words.split()]) == 2
-    assert told in capsys.readouterr().err
+    assert message in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
 
 
-def test_rows_by_themselves_do_not_know_their_footprint(
+def test_an_estimate_row_by_row_has_no_footprints(
     work: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     plain, out = str(tmp_path / "plain.zarr"), tmp_path / "out.png"
@@ -103,7 +103,7 @@ def test_rows_by_themselves_do_not_know_their_footprint(
     assert main(["show", str(work / "scene.zarr"), "--footprint", "-o", str(out)]) == 0
 
 
-def test_numbers_of_a_picture_replace_nothing_else(
+def test_overwrite_replaces_only_numbers_of_a_picture(
     work: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     scene, numbers = str(work / "scene.zarr"), str(tmp_path / "map.npz")
@@ -116,20 +116,20 @@ def test_numbers_of_a_picture_replace_nothing_else(
     assert list(np.load(numbers)) == ["mine"]
 
 
-def test_relight_says_how_to_keep_what_a_png_cuts_off(
+def test_relight_advises_an_exposure_that_a_png_holds(
     work: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     write_image(work / "P.png", np.full((8, 8), 255, np.uint8), overwrite=True)
     assert main(_placed("relight scene.zarr P.png -o out.png --exposure 3 --overwrite", work)) == 0
-    told = re.search(r"and cut off; --exposure (\S+) keeps it all", capsys.readouterr().out)
-    assert told
-    again = f"relight scene.zarr P.png -o out.png --exposure {told[1]} --overwrite"
+    advice = re.search(r"and cut off; --exposure (\S+) keeps it all", capsys.readouterr().out)
+    assert advice
+    again = f"relight scene.zarr P.png -o out.png --exposure {advice[1]} --overwrite"
     assert main(_placed(again, work)) == 0
     assert "full scale" not in capsys.readouterr().out
     assert read_image(work / "out.png").max() > 225
 
 
-def test_names_to_read_instead_of_keys(work: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_info_has_labels_instead_of_keys(work: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(_placed("info scene.zarr --verbose", work)) == 0
     shown = capsys.readouterr().out
     assert "duality gap (largest)" in shown
@@ -163,7 +163,7 @@ def test_export(work: Path, capsys: pytest.CaptureFixture[str]) -> None:
 def test_two_folders_and_a_capture_give_the_same_up_to_the_exposure(
     work: Path, tmp_path: Path
 ) -> None:
-    """Bare folders do not tell the exposure of 1.2: T, and the regularization, are 1.2 times."""
+    """Folders do not state the exposure of 1.2: T and the regularization are 1.2 times larger."""
     first = store.open(work / "scene.zarr")
     estimate = ["estimate", str(work / "capture"), "-o", str(tmp_path / "again.zarr")]
     assert main([*estimate, "--regularization", "0.05"]) == 0
@@ -181,7 +181,7 @@ def test_two_folders_and_a_capture_give_the_same_up_to_the_exposure(
     np.testing.assert_allclose(bare.background / 1.2, first.background, atol=1e-3 * scale)
 
 
-# What each kind of patterns is asked for, and how many it makes of 8 x 8 pixels.
+# Options of each kind of patterns, and how many patterns of 8 x 8 pixels it makes.
 KINDS = {
     "bernoulli": ("-k 5", 5),
     "hadamard": ("-k 5", 5),
@@ -201,7 +201,7 @@ def test_patterns_of_every_kind(tmp_path: Path, capsys: pytest.CaptureFixture[st
         assert main([*line.split(), str(tmp_path / kind)]) == 0
         assert json.loads(capsys.readouterr().out)["count"] == count
         assert len(list((tmp_path / kind).glob("*.png"))) == count
-        # What the description says is what the images show.
+        # The description and the images agree.
         opened = read_patterns(tmp_path / kind)
         shown = np.stack([read_image(f) for f in sorted((tmp_path / kind).glob("*.png"))])
         np.testing.assert_array_equal(opened.images(), shown > 0)

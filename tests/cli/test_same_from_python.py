@@ -1,4 +1,4 @@
-"""Each command and the function of the door that it calls give the same, bit for bit."""
+"""Each command and its Python function give the same result, bit for bit."""
 
 from __future__ import annotations
 
@@ -47,8 +47,8 @@ def work(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def _run(line: str, capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
     assert main([*line.split(), "--json"]) == 0
-    found: dict[str, Any] = json.loads(capsys.readouterr().out)
-    return found
+    printed: dict[str, Any] = json.loads(capsys.readouterr().out)
+    return printed
 
 
 def _same_matrix(one: csr_array, other: csr_array) -> None:
@@ -83,11 +83,11 @@ def _same_files(one: Path, other: Path) -> None:
 @pytest.mark.parametrize("kind", making.KINDS)
 def test_patterns(kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     line = f"patterns {kind} -k 12 --size 16x8 --block 4x2 --seed 3 -o {tmp_path}/shown"
-    told = _run(line, capsys)
+    printed = _run(line, capsys)
     made = lm.make_patterns(kind, (16, 8), 12, block=(4, 2), seed=3)
     lm.write_patterns(tmp_path / "written", made)
     _same_files(tmp_path / "shown", tmp_path / "written")
-    assert told["digest"] == made.digest
+    assert printed["digest"] == made.digest
 
 
 def test_scenes(capsys: pytest.CaptureFixture[str]) -> None:
@@ -123,22 +123,22 @@ def test_simulate(
     capsys: pytest.CaptureFixture[str],
 ) -> None:  # fmt: skip
     line = f"simulate {work}/T.npz --patterns {work}/patterns {words} -o {tmp_path}/shown"
-    told = _run(line, capsys)
+    printed = _run(line, capsys)
     capture = lm.simulate(f"{work}/T.npz", lm.read_patterns(work / "patterns"), **settings)
     capture.save(tmp_path / "saved")
     _same_files(tmp_path / "shown", tmp_path / "saved")
-    # In memory it is what is read back, so that an estimate needs no folder.
+    # The capture in memory equals the one that is read back, so that an estimate needs no folder.
     read = lm.Capture.open(tmp_path / "shown")
     assert read.digest == capture.digest
     assert read.description == capture.description
-    assert told["frames"] == 48
-    assert sum(told["exposures"].values()) == 48
+    assert printed["frames"] == 48
+    assert sum(printed["exposures"].values()) == 48
     known = lm.truth(str(tmp_path / "shown" / "truth.npz"))
     _same_matrix(known.matrix, capture.truth.matrix)
 
 
-def test_the_truth_that_was_photographed_is_what_the_frames_show(work: Path) -> None:
-    """Once black and exposure are taken off, the frames are T p, of the T beside them."""
+def test_the_frames_show_the_truth_beside_them(work: Path) -> None:
+    """Without black and exposure, the frames are T p of the T beside them."""
     patterns = lm.read_patterns(work / "patterns")
     capture = lm.simulate(
         f"{work}/T.npz", patterns, exposure=0.1, bits=16, noise=0,
@@ -171,14 +171,14 @@ def test_estimate(
     words: str, settings: dict[str, Any], work: Path, tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:  # fmt: skip
-    told = _run(f"estimate {work}/capture {words} -o {tmp_path}/shown.zarr", capsys)
+    printed = _run(f"estimate {work}/capture {words} -o {tmp_path}/shown.zarr", capsys)
     made = lm.estimate(work / "capture", output=tmp_path / "made.zarr", **settings)
     shown = lm.open(tmp_path / "shown.zarr")
     _same_transport(shown, made)
     _same_transport(shown, lm.open(tmp_path / "made.zarr"))
     assert shown.provenance == lm.open(tmp_path / "made.zarr").provenance
     summary = shown.summary()
-    assert {name: told[name] for name in summary} == summary
+    assert {name: printed[name] for name in summary} == summary
 
 
 def test_estimate_from_two_binned_folders(
@@ -195,10 +195,10 @@ def test_estimate_from_two_binned_folders(
 
 
 def test_info(work: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    told = _run(f"info {work}/scene.zarr", capsys)
+    printed = _run(f"info {work}/scene.zarr", capsys)
     transport = lm.open(work / "scene.zarr")
     judged = lm.verdict(transport)
-    assert told == {
+    assert printed == {
         "verdict": judged.level, "sentence": judged.sentence,
         **transport.summary(), "provenance": transport.provenance,
     }  # fmt: skip
@@ -207,10 +207,10 @@ def test_info(work: Path, capsys: pytest.CaptureFixture[str]) -> None:
 def test_info_writes_the_pictures_of_the_door(
     work: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    told = _run(f"info {work}/scene.zarr --pictures {tmp_path}/shown", capsys)
+    printed = _run(f"info {work}/scene.zarr --pictures {tmp_path}/shown", capsys)
     made = lm.write_pictures(tmp_path / "made", work / "scene.zarr")
     _same_files(tmp_path / "shown", tmp_path / "made")
-    assert [Path(name).name for name in told["pictures"]] == [path.name for path in made]
+    assert [Path(name).name for name in printed["pictures"]] == [path.name for path in made]
     shown = {"correspondence", "clipping", "gap", "footprint", "stated-error"}
     assert {path.stem for path in made} == shown
 
@@ -235,8 +235,8 @@ def test_show(
     for folder in ("shown", "made"):
         (tmp_path / folder).mkdir()
     monkeypatch.chdir(tmp_path / "shown")
-    told = _run(f"show {work}/scene.zarr {words}", capsys)
-    assert told == {"output": words.split()[-1], "view": view}
+    printed = _run(f"show {work}/scene.zarr {words}", capsys)
+    assert printed == {"output": words.split()[-1], "view": view}
     made = tmp_path / "made" / words.split()[-1]
     lm.show(work / "scene.zarr", view, *index, output=made, raw="--raw" in words)
     _same_files(tmp_path / "shown", tmp_path / "made")
@@ -250,11 +250,11 @@ def test_relight(name: str, work: Path, tmp_path: Path, capsys: pytest.CaptureFi
     gamma = 2.2 if name.lower().endswith("png") else 1.0
     (tmp_path / "shown").mkdir()
     line = f"relight {work}/scene.zarr {pattern} --exposure 0.7 --gamma {gamma}"
-    told = _run(f"{line} -o {tmp_path}/shown/{name}", capsys)
+    printed = _run(f"{line} -o {tmp_path}/shown/{name}", capsys)
     output = tmp_path / "made" / name
     image = lm.relight(work / "scene.zarr", pattern, exposure=0.7, gamma=gamma, output=output)
     _same_files(tmp_path / "shown", tmp_path / "made")
-    assert told["mean"] == float(image.mean())
+    assert printed["mean"] == float(image.mean())
     written = lm.read_image(output)
     if gamma == 2.2:
         expected = np.rint(255 * np.clip(image, 0, 1) ** (1 / 2.2))
@@ -264,10 +264,10 @@ def test_relight(name: str, work: Path, tmp_path: Path, capsys: pytest.CaptureFi
 
 
 def test_evaluate(work: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    told = _run(f"evaluate {work}/scene.zarr --truth {work}/T.npz --exposure 1.2", capsys)
+    printed = _run(f"evaluate {work}/scene.zarr --truth {work}/T.npz --exposure 1.2", capsys)
     estimate, known = lm.open(work / "scene.zarr"), lm.truth(f"{work}/T.npz")
-    assert told == lm.evaluate(estimate, known, 1.2).as_dict()
-    assert told == lm.evaluate(work / "scene.zarr", f"{work}/capture/truth.npz", 1.2).as_dict()
+    assert printed == lm.evaluate(estimate, known, 1.2).as_dict()
+    assert printed == lm.evaluate(work / "scene.zarr", f"{work}/capture/truth.npz", 1.2).as_dict()
 
 
 @pytest.mark.parametrize("words", ["", "--dense-background"])
@@ -290,15 +290,17 @@ def _as_json(advice: lm.Advice) -> dict[str, Any]:
 
 
 def test_plan(work: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    told = _run("plan metal --size 64 -k 40", capsys)
-    assert told == _as_json(lm.plan("metal", size=(64, 64), frames=40))
+    printed = _run("plan metal --size 64 -k 40", capsys)
+    assert printed == _as_json(lm.plan("metal", size=(64, 64), frames=40))
     by_truth = _as_json(lm.plan(lm.truth("metal"), frames=40))
-    assert all(by_truth[key] == told[key] for key in told if key not in ("source", "commands"))
+    assert all(
+        by_truth[key] == printed[key] for key in printed if key not in ("source", "commands")
+    )
     light = np.random.default_rng(0).integers(20, 200, (20, 30)).astype(np.uint8)
     lm.write_image(tmp_path / "white.png", light)
-    told = _run(f"plan {tmp_path}/white.png --black 3 --exposure 20 --size 32x48", capsys)
+    printed = _run(f"plan {tmp_path}/white.png --black 3 --exposure 20 --size 32x48", capsys)
     made = lm.plan(tmp_path / "white.png", black=3.0, exposure=20, size=(32, 48))
-    assert told == _as_json(made)
+    assert printed == _as_json(made)
     assert made.make_patterns().count == made.frames
 
 
@@ -316,11 +318,11 @@ def test_the_advised_patterns_are_those_of_the_advised_command(
 
 
 @pytest.mark.parametrize("command", ["demo", "experiment"])
-def test_what_runs_long_is_passed_on_as_it_was_said(
+def test_long_commands_pass_their_options_on(
     command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:  # fmt: skip
-    """The demo and the experiments, which other tests run, here by a stand-in."""
+    """The demo and the experiments take long; other tests run them, and this one replaces them."""
     asked: list[dict[str, Any]] = []
 
     def stand_in(folder: Path, **options: Any) -> dict[str, Any]:
@@ -333,7 +335,7 @@ def test_what_runs_long_is_passed_on_as_it_was_said(
     drawn = SimpleNamespace(run=stand_in)
     monkeypatch.setitem(run.EXPERIMENTS, "fig4", drawn)
     words = "demo" if command == "demo" else "experiment fig4 --quick"
-    told = _run(f"{words} -o {tmp_path}/shown", capsys)
+    printed = _run(f"{words} -o {tmp_path}/shown", capsys)
     if command == "demo":
         lm.demo(tmp_path / "made")
     else:
@@ -341,7 +343,7 @@ def test_what_runs_long_is_passed_on_as_it_was_said(
     for options_given in asked:
         del options_given["progress"]
     assert asked[0] == asked[1]
-    assert told["rows"] == [1, None]
+    assert printed["rows"] == [1, None]
     _same_files(tmp_path / "shown", tmp_path / "made")
 
 
@@ -366,7 +368,7 @@ def test_capture(
     words: str, arguments: dict[str, Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     rig = "virtual:procedural,size=16,real=0,late=0.1"
-    told = _run(
+    printed = _run(
         f"capture --rig {rig} {words} --rig-file {tmp_path}/shown.json -o {tmp_path}/shown", capsys
     )
     with lm.open_rig(rig) as opened:
@@ -374,16 +376,16 @@ def test_capture(
             tmp_path / "made", opened, keep=tmp_path / "made.json", **arguments
         )
     _same_files(tmp_path / "shown", tmp_path / "made")
-    assert told["frames"] == arguments["count"] == capture.count
+    assert printed["frames"] == arguments["count"] == capture.count
 
 
 @pytest.mark.parametrize("part", PARTS)
 def test_rig(part: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rig = "virtual:procedural,size=16,real=0"
-    told = _run(f"rig {part} --rig {rig} --rig-file {tmp_path}/rig.json", capsys)
+    printed = _run(f"rig {part} --rig {rig} --rig-file {tmp_path}/rig.json", capsys)
     with lm.open_rig(rig) as opened:
         made = lm.measure_rig(opened, [part], keep=tmp_path / "made.json")
-    assert told[part] == json.loads(json.dumps(made.as_dict()[part]))
+    assert printed[part] == json.loads(json.dumps(made.as_dict()[part]))
     shown = lm.RigMeasurements.load(tmp_path / "rig.json")
     assert {**shown.as_dict(), "measured": ""} == {
         **lm.RigMeasurements.load(tmp_path / "made.json").as_dict(), "measured": ""
@@ -400,20 +402,20 @@ def test_response(device: str, tmp_path: Path, capsys: pytest.CaptureFixture[str
     np.save(tmp_path / "s.npy", levels.astype(np.uint8))
     for name in ("shown", "made"):
         (tmp_path / name).mkdir()
-    said = "--exposure 0.125,0.25,0.5,1,2,4 --clip 200" if device == "camera" else "--projector"
+    options = "--exposure 0.125,0.25,0.5,1,2,4 --clip 200" if device == "camera" else "--projector"
     made, shown = tmp_path / "made", tmp_path / "shown"
-    line = f"response {tmp_path}/s.npy {said} -o {shown}/c.json --picture {shown}/c.png"
-    told = _run(line, capsys)
+    line = f"response {tmp_path}/s.npy {options} -o {shown}/c.json --picture {shown}/c.png"
+    printed = _run(line, capsys)
     files: dict[str, Any] = {"output": made / "c.json", "picture": made / "c.png"}
     if device == "camera":
-        found = lm.camera_response(tmp_path / "s.npy", np.array(times), clip=200, **files)
-        assert told["misfit"] == found.as_dict()["misfit"]
+        curve = lm.camera_response(tmp_path / "s.npy", np.array(times), clip=200, **files)
+        assert printed["misfit"] == curve.as_dict()["misfit"]
     else:
-        assert told["gamma"] == lm.projector_response(tmp_path / "s.npy", **files).gamma
+        assert printed["gamma"] == lm.projector_response(tmp_path / "s.npy", **files).gamma
     _same_files(shown, made)
 
 
-def test_every_command_is_held_to_its_function() -> None:
+def test_every_command_is_compared_with_its_function() -> None:
     commands = {command.__name__ for members in STAGES.values() for command in members}
     # The folders of these names are not in the way of the functions take_capture and make_patterns.
     # One command for cameras and projectors, which are two functions.
@@ -421,7 +423,7 @@ def test_every_command_is_held_to_its_function() -> None:
     assert commands == {name for name in dir(lm) if name in commands} | named_otherwise
 
 
-def test_help_texts_say_what_the_code_does() -> None:
+def test_defaults_in_help_texts_are_those_of_the_code() -> None:
     assert options.USUAL_NOISE == USUAL_NOISE
     assert options.USUAL_COUNT == making.USUAL_COUNT
     assert options.USUAL_FRAMES == capturing.USUAL_COUNT

@@ -1,4 +1,4 @@
-"""What is printed and how the program ends, whatever names, streams and stops do to it."""
+"""What commands print and how they end: odd names, narrow terminals, Ctrl-C, lack of memory."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ def test_ctrl_c_while_modules_are_loaded(
     assert capsys.readouterr().err == "stopped\n"
 
 
-def test_ctrl_c_that_a_library_took_for_its_own(
+def test_ctrl_c_that_a_library_turned_into_its_own_error(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def load(path: Path) -> None:
@@ -113,7 +113,7 @@ def test_ctrl_c_that_a_library_took_for_its_own(
 
 
 @pytest.mark.parametrize("finished", [0, 1])
-def test_finished_tiles_are_promised_only_where_there_are_some(
+def test_a_stop_promises_finished_tiles_only_if_there_are_some(
     finished: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     capture = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 8))
@@ -129,16 +129,16 @@ def test_finished_tiles_are_promised_only_where_there_are_some(
     monkeypatch.setattr("lightmatrix.estimators.plain.solve", stopped)
     line = "estimate capture -o s.zarr --solver romp --iterations 1 --tile-rows 2048"
     assert main(line.split()) == 130
-    told = capsys.readouterr().err
-    assert ("finished tiles are kept" in told) == bool(finished)
+    message = capsys.readouterr().err
+    assert ("finished tiles are kept" in message) == bool(finished)
     assert Path("s.zarr.partial").exists() == bool(finished)
 
 
-def test_ctrl_c_once_the_output_is_there_says_so(
+def test_ctrl_c_after_the_output_says_that_it_is_finished(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def stopped(transport: Any) -> None:
-        # As a library may make its own of it.
+        # Some libraries turn the stop into an exception of their own.
         try:
             raise KeyboardInterrupt
         except KeyboardInterrupt as stop:
@@ -159,7 +159,7 @@ def test_ctrl_c_once_the_output_is_there_says_so(
 @pytest.mark.parametrize(
     "error", [MemoryError(), RuntimeError("can't start new thread"), InputError("s.zarr: 9 GiB")]
 )
-def test_memory_that_ends_once_the_output_is_there_costs_its_words_only(
+def test_lack_of_memory_after_the_output_is_no_failure(
     where: str,
     error: Exception,
     monkeypatch: pytest.MonkeyPatch,
@@ -178,7 +178,7 @@ def test_memory_that_ends_once_the_output_is_there_costs_its_words_only(
     assert lm.open("s.zarr").camera_shape == (64, 64)
 
 
-def test_memory_that_ends_before_all_was_told_is_a_failure(
+def test_lack_of_memory_before_the_json_is_a_failure(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def failing(*_: Any) -> None:
@@ -194,7 +194,7 @@ def test_memory_that_ends_before_all_was_told_is_a_failure(
 
 
 @pytest.mark.parametrize(
-    ("error", "code", "told"),
+    ("error", "code", "message"),
     [
         (MemoryError(), 3, "error: not enough memory"),
         (RuntimeError("can't start new thread"), 3, "error: not enough memory"),
@@ -206,7 +206,7 @@ def test_memory_that_ends_before_all_was_told_is_a_failure(
     ],
 )
 def test_every_end_has_one_message_and_a_code(
-    error: BaseException, code: int, told: str,
+    error: BaseException, code: int, message: str,
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
 ) -> None:  # fmt: skip
     def fail(path: Path) -> None:
@@ -215,14 +215,14 @@ def test_every_end_has_one_message_and_a_code(
     monkeypatch.setattr(lm, "open", fail)
     assert main(["info", "x.zarr"]) == code
     shown = capsys.readouterr().err
-    assert shown.startswith(told)
+    assert shown.startswith(message)
     assert "Traceback" not in shown
     monkeypatch.setenv("LIGHTMATRIX_DEBUG", "1")
     assert main(["info", "x.zarr"]) == code
     assert ("Traceback" in capsys.readouterr().err) == (code == 70)
 
 
-def test_help_tells_the_exit_codes_and_the_stages(capsys: pytest.CaptureFixture[str]) -> None:
+def test_help_lists_the_exit_codes_and_the_stages(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["--help"]) == 0
     shown = " ".join(capsys.readouterr().out.split())
     assert (
@@ -233,10 +233,10 @@ def test_help_tells_the_exit_codes_and_the_stages(capsys: pytest.CaptureFixture[
 
 
 @SIGNALS
-def test_destructors_met_by_a_stop_say_nothing() -> None:
+def test_destructors_print_nothing_after_a_stop() -> None:
     script = (
         "import os, signal\n"
-        # Background jobs of a shell start with interrupts ignored, and so would this child.
+        # Background jobs of a shell ignore interrupts, and this child would inherit that.
         "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
         "from lightmatrix.cli.stops import quiet_stops\n"
         "class Half:\n"
@@ -254,12 +254,12 @@ def test_destructors_met_by_a_stop_say_nothing() -> None:
     )
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
     assert done.stdout == "stopped\n"
-    assert done.stderr.count("half made") == 1  # of the first, before the stop
+    assert done.stderr.count("half made") == 1  # the first one, before the stop
 
 
 @SIGNALS
 @pytest.mark.parametrize("stopped", [False, True])
-def test_a_task_left_by_a_stop_is_not_told(stopped: bool) -> None:
+def test_an_event_loop_prints_nothing_after_a_stop(stopped: bool) -> None:
     script = (
         "import asyncio, os, signal, sys\n"
         "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
@@ -282,7 +282,7 @@ def test_a_task_left_by_a_stop_is_not_told(stopped: bool) -> None:
 
 
 @SIGNALS
-def test_a_stop_met_by_a_module_that_catches_everything_is_not_lost(tmp_path: Path) -> None:
+def test_a_stop_survives_a_module_that_catches_everything(tmp_path: Path) -> None:
     (tmp_path / "greedy.py").write_text(
         "import os, signal, time\n"
         "try:\n"
@@ -332,7 +332,7 @@ def test_completion_installs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv("HOME", str(tmp_path))
-    # Which is looked for among the parents of the process, and tests may run without one.
+    # shellingham looks for a shell among the parents of the process; tests may run without one.
     monkeypatch.setattr("shellingham.detect_shell", lambda *_: ("bash", "/bin/bash"))
     assert main(["--install-completion", "bash"]) == 0
     assert "installed" in capfd.readouterr().out

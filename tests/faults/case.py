@@ -1,4 +1,4 @@
-"""One case of the table: what is put, what is run, what must hold; and the verdict on a run."""
+"""A case of the table: the fault, the command, and what must hold; and the verdict on a run."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pathlib import Path
 
 from .snapshot import Snapshot, differences
 
-# What a command may take before it counts as hanging; nothing here needs a tenth of it.
+# Seconds after which a command counts as hanging. None needs a tenth of that.
 USUAL_SECONDS = 20.0
 # Exit codes of the command line.
 REFUSED, OUT_OF_MEMORY, INTERRUPTED = 2, 3, 130
@@ -37,7 +37,7 @@ GOOD = frozenset({Outcome.REFUSED_WELL, Outcome.FINE, Outcome.SKIPPED})
 
 
 class SkipError(Exception):
-    """The system cannot make this fault, for the reason given."""
+    """The system cannot make this fault, with the reason."""
 
 
 @dataclass(frozen=True)
@@ -72,11 +72,11 @@ class Limits:
     environment: tuple[tuple[str, str], ...] = ()
 
 
-# What it gives back is of no matter.
+# Puts a fault into the work folder; its result is ignored.
 Prepare = Callable[[Path], object]
-# Looks at the work folder after the run; says what is wrong, or None.
+# Checks the work folder after the run: what is wrong, or None.
 Check = Callable[[Path, Ran], str | None]
-# Runs whatever it likes in the work folder, by the given runner of one command.
+# Runs commands in the work folder, through a runner of one command.
 Command = Callable[[str], Ran]
 Scenario = Callable[[Path, Command], Ran]
 
@@ -92,11 +92,11 @@ class Case:
     Parameters
     ----------
     name : str
-        Unique; what is wrong, in words.
+        The fault, in unique words.
     command : str
         The command line after `lightmatrix`, split as a shell does.
     says : str or tuple of str
-        What the message must hold (any case, of several: each); a `|` parts alternatives.
+        Words that the message must hold, in any case; all of several. A `|` separates alternatives.
     prepare : callable
         Puts the fault into a fresh work folder.
     code : int or tuple of int
@@ -115,7 +115,7 @@ class Case:
     limits, seconds : Limits, float
         What it gets.
     needs : tuple of str
-        What of the work folder it is given besides what its subject is.
+        What it needs of the work folder, besides what its subject needs.
     """
 
     name: str
@@ -148,9 +148,9 @@ class Case:
         if self.makes is not None:
             return self.makes
         words = shlex.split(self.command)
-        given = [words[i + 1] for i, word in enumerate(words[:-1]) if word in ("-o", "--output")]
-        if given:
-            return tuple(given)
+        outputs = [words[i + 1] for i, word in enumerate(words[:-1]) if word in ("-o", "--output")]
+        if outputs:
+            return tuple(outputs)
         if words[:1] == ["export"]:
             return tuple(words[2:3])
         return ("scene.zarr",) if words[:1] == ["estimate"] else ()
@@ -201,7 +201,7 @@ def _said(phrase: str, words: str) -> bool:
 
 
 def _has_traceback(err: str) -> bool:
-    # The command line prints an exception that nobody foresaw in one line.
+    # The command line prints an unforeseen exception in one line.
     signs = ("Traceback (most", "Exception ignored", "panicked at", "internal error: ")
     return any(sign in err for sign in signs)
 

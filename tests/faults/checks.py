@@ -30,10 +30,10 @@ def same_matrix(store: str, other: str) -> Check:
 
     def check(folder: Path, ran: Ran) -> str | None:
         try:
-            found, wanted = whole_matrix(folder / store), whole_matrix(folder / other)
+            actual, wanted = whole_matrix(folder / store), whole_matrix(folder / other)
         except ValueError as error:
             return str(error)
-        if found.shape != wanted.shape or not np.array_equal(found, wanted):
+        if actual.shape != wanted.shape or not np.array_equal(actual, wanted):
             return f"{store} holds another T than {other}"
         return None
 
@@ -45,12 +45,12 @@ def near_matrix(store: str, other: str, tolerance: float = 1e-3) -> Check:
 
     def check(folder: Path, ran: Ran) -> str | None:
         try:
-            found, wanted = whole_matrix(folder / store), whole_matrix(folder / other)
+            actual, wanted = whole_matrix(folder / store), whole_matrix(folder / other)
         except ValueError as error:
             return str(error)
-        if found.shape != wanted.shape:
-            return f"{store} has {found.shape}, {other} {wanted.shape}"
-        off = float(np.linalg.norm(found - wanted) / np.linalg.norm(wanted))
+        if actual.shape != wanted.shape:
+            return f"{store} has {actual.shape}, {other} {wanted.shape}"
+        off = float(np.linalg.norm(actual - wanted) / np.linalg.norm(wanted))
         return None if off <= tolerance else f"{store} is {100 * off:.1f} % off {other}"
 
     return check
@@ -62,7 +62,7 @@ def if_accepted(check: Check) -> Check:
 
 
 def says_not(phrase: str) -> Check:
-    """Words that must not be said."""
+    """Words that the command must not print."""
 
     def check(folder: Path, ran: Ran) -> str | None:
         return f"says {phrase!r}" if phrase in ran.err + ran.out else None
@@ -117,5 +117,5 @@ def every(*checks: Check) -> Check:
 
 def result(ran: Ran) -> dict[str, Any]:
     """The JSON object that a command printed."""
-    found: dict[str, Any] = json.loads(ran.out)
-    return found
+    printed: dict[str, Any] = json.loads(ran.out)
+    return printed

@@ -21,8 +21,8 @@ def reads(name: str, wanted: Callable[[Path], np.ndarray]) -> Callable[[Path, Ra
     """The picture was read as it should be."""
 
     def check(folder: Path, ran: Ran) -> str | None:
-        found = np.load(folder / "out.npy")
-        error = float(np.abs(found - wanted(folder)).max())
+        image = np.load(folder / "out.npy")
+        error = float(np.abs(image - wanted(folder)).max())
         return None if error < 0.01 else f"{name} was read wrong by {error:.2g} of the range"
 
     return check

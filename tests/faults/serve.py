@@ -114,10 +114,14 @@ def serve(home: Path) -> None:
     gc.freeze()
     for line in sys.stdin:
         try:
-            said = answer(json.loads(line), home)
+            result = answer(json.loads(line), home)
         except Exception as error:
-            said = {"outcome": "broken", "detail": f"{type(error).__name__}: {error}", "seconds": 0}
-        answers.write(json.dumps(said) + "\n")
+            result = {
+                "outcome": "broken",
+                "detail": f"{type(error).__name__}: {error}",
+                "seconds": 0,
+            }
+        answers.write(json.dumps(result) + "\n")
         answers.flush()
 
 

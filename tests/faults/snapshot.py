@@ -12,7 +12,7 @@ Snapshot = dict[str, tuple[str, bytes]]
 
 def snapshot(root: Path) -> Snapshot:
     """Every file, folder, link, pipe, socket and device below a folder."""
-    found: Snapshot = {}
+    entries: Snapshot = {}
     pending = [root]
     while pending:
         for entry in os.scandir(pending.pop()):
@@ -20,17 +20,17 @@ def snapshot(root: Path) -> Snapshot:
             path = Path(entry.path)
             name = str(path.relative_to(root))
             if stat.S_ISDIR(state.st_mode):
-                found[name] = ("folder", b"")
+                entries[name] = ("folder", b"")
                 pending.append(path)
             elif stat.S_ISLNK(state.st_mode):
-                found[name] = ("link", os.fsencode(os.readlink(path)))
+                entries[name] = ("link", os.fsencode(os.readlink(path)))
             elif stat.S_ISREG(state.st_mode):
                 # The start tells bombs apart as well as the whole does.
                 with path.open("rb") as opened:
-                    found[name] = ("file", opened.read(1 << 20) + state.st_size.to_bytes(8))
+                    entries[name] = ("file", opened.read(1 << 20) + state.st_size.to_bytes(8))
             else:
-                found[name] = (oct(stat.S_IFMT(state.st_mode)), str(state.st_rdev).encode())
-    return found
+                entries[name] = (oct(stat.S_IFMT(state.st_mode)), str(state.st_rdev).encode())
+    return entries
 
 
 def differences(

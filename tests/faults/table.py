@@ -50,17 +50,17 @@ def main() -> int:
     parser.add_argument("--only", default="", help="a word that names must hold")
     parser.add_argument("--workers", type=int, default=2, help="cases at a time")
     parser.add_argument("-v", action="store_true", help="print every case that is not well")
-    given = parser.parse_args()
-    if given.read is not None:
-        answers = [json.loads(line) for line in given.read.read_text().splitlines()]
+    arguments = parser.parse_args()
+    if arguments.read is not None:
+        answers = [json.loads(line) for line in arguments.read.read_text().splitlines()]
     else:
-        answers = list(_run(given.only, given.workers, given.json, told=given.v))
+        answers = list(_run(arguments.only, arguments.workers, arguments.json, verbose=arguments.v))
     outcomes = {answer["name"]: answer["outcome"] for answer in answers}
     sys.stdout.write(as_text(counted(outcomes)) + "\n")
     return int(any(outcome not in GOOD for outcome in outcomes.values()))
 
 
-def _run(word: str, workers: int, file: Path | None, *, told: bool) -> Iterator[dict[str, Any]]:
+def _run(word: str, workers: int, file: Path | None, *, verbose: bool) -> Iterator[dict[str, Any]]:
     """The answers to all cases whose names hold a word; kept in a file as they come."""
     names = [name for cases in GROUPS.values() for name in cases if word in name]
     with Pool(workers) as pool, open(file or os.devnull, "w") as kept:
@@ -68,7 +68,7 @@ def _run(word: str, workers: int, file: Path | None, *, told: bool) -> Iterator[
             named = {"name": request["name"], **answer}
             kept.write(json.dumps(named) + "\n")
             kept.flush()
-            if told and answer["outcome"] not in GOOD:
+            if verbose and answer["outcome"] not in GOOD:
                 sys.stderr.write(f"{answer['outcome']:17} {named['name']}: {answer['detail']}\n")
             yield named
 

@@ -65,14 +65,14 @@ def run_command(
     os.close(to_out)
     os.close(to_err)
     try:
-        code, said, words_err = _wait(child, seconds, out, err)
+        code, words_out, words_err = _wait(child, seconds, out, err)
     finally:
         os.close(out)
         os.close(err)
     passed = time.perf_counter() - started
     if code == _ESCAPED and words_err.startswith("skip: "):
         raise SkipError(words_err.removeprefix("skip: ").strip())
-    return Ran(code, said, words_err, passed)
+    return Ran(code, words_out, words_err, passed)
 
 
 def _wait(child: int, seconds: float, out: int, err: int) -> tuple[int | None, str, str]:
@@ -99,8 +99,10 @@ def _wait(child: int, seconds: float, out: int, err: int) -> tuple[int | None, s
             os.kill(child, signal.SIGKILL)
             os.waitpid(child, 0)
             break
-    said, told = (b"".join(words[stream]).decode("utf-8", "replace") for stream in (out, err))
-    return code, said, told
+    words_out, words_err = (
+        b"".join(words[stream]).decode("utf-8", "replace") for stream in (out, err)
+    )
+    return code, words_out, words_err
 
 
 def _child(

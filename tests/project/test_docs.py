@@ -1,4 +1,4 @@
-"""The documentation: it builds as a site without a warning, and what it says to type works."""
+"""The documentation: the site builds without warnings, and the commands on its pages work."""
 
 from __future__ import annotations
 
@@ -28,15 +28,15 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("site")
     # Not --quiet, which would leave warnings uncounted.
     command = [sys.executable, "-m", "mkdocs", "build", "--site-dir", str(folder)]
-    told = subprocess.run(
+    built = subprocess.run(
         command, cwd=ROOT, capture_output=True, text=True,
         env={**os.environ, "NO_MKDOCS_2_WARNING": "1"},
     )  # fmt: skip
-    assert told.returncode == 0, told.stderr
+    assert built.returncode == 0, built.stderr
     return folder
 
 
-def test_every_page_is_there_and_asks_for_nothing_from_elsewhere(site: Path) -> None:
+def test_no_page_loads_anything_from_elsewhere(site: Path) -> None:
     pages = sorted(site.rglob("*.html"))
     assert len(pages) > 20
     for page in pages:
@@ -48,12 +48,12 @@ def test_every_page_is_there_and_asks_for_nothing_from_elsewhere(site: Path) -> 
         assert not re.search(r"<img(?![^>]*\salt=)", text), f"{page.name}: a picture without words"
 
 
-def test_the_reference_has_every_name_of_the_door(site: Path) -> None:
-    told = "".join(page.read_text() for page in (site / "reference").glob("*.html"))
+def test_the_reference_has_every_public_name(site: Path) -> None:
+    reference = "".join(page.read_text() for page in (site / "reference").glob("*.html"))
     for name in dir(lm):
         if not name.startswith("_"):
             home = getattr(lm, name).__module__
-            assert f'id="{home}.{name}"' in told or f'.{name}"' in told, name
+            assert f'id="{home}.{name}"' in reference or f'.{name}"' in reference, name
     commands = (site / "commands.html").read_text()
     for members in STAGES.values():
         for member in members:
@@ -63,9 +63,9 @@ def test_the_reference_has_every_name_of_the_door(site: Path) -> None:
             for option in re.findall(r"--[a-z-]+", _help_of(member.__name__)):
                 assert option in manual or option == "--help"
     assert "--rig-file" in (site / "commands" / "rig-settle.html").read_text()
-    # Its examples come from the README; colours stand between their words.
+    # Its examples come from the README.
     assert "l_objects" in (site / "commands" / "simulate.html").read_text()
-    # Formulas are there, and none of them is left as it was written.
+    # Formulas are MathML, and none is left as source.
     mathematics = (site / "mathematics.html").read_text()
     assert mathematics.count("<math") > 40
     assert "arithmatex" not in mathematics
@@ -78,7 +78,7 @@ def _help_of(name: str) -> str:
 
 
 @pytest.mark.parametrize("name", ["report", "other-programs", "colour"])
-def test_what_a_page_says_to_type_works(
+def test_the_commands_of_a_page_work(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -102,7 +102,7 @@ def test_what_a_page_says_to_type_works(
 
 
 def _of_each_colour(line: str) -> list[str]:
-    """A line of a loop over the colours, smaller than it is shown; green tells enough of some."""
+    """The commands of a line in a loop over colours, with smaller sizes; some for green only."""
     if "$colour" not in line:
         return [line]
     line = line.replace("-k 64 --size 64", "-k 16 --size 32")
@@ -115,7 +115,7 @@ def _of_each_colour(line: str) -> list[str]:
 
 
 def _in_colour(capture: lm.SimulatedCapture) -> None:
-    """Photographs of three channels, in place of the grey ones."""
+    """Replace the grey photographs by some of three channels."""
     lm.write_patterns("patterns", capture.patterns)
     for k in range(capture.count):
         frame = capture.frame(k)

@@ -1,4 +1,4 @@
-"""The front door: `import lightmatrix as lm`, what it offers, and how fast it opens."""
+"""`import lightmatrix as lm`: its names, their examples, and how fast they load."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from lightmatrix.patterns import making
 
 HEAVY = ("numpy", "scipy", "matplotlib", "zarr", "rich", "typer", "PIL", "imageio")
 NAMES = sorted(name for name in dir(lm) if not name.startswith("_"))
-# Errors are told apart by their names and documented by their base.
+# Errors have no example: their names say what they are.
 PLAIN = {"InputError", "OutputError", "SolverError", "MissingExtraError", "LightMatrixWarning"}
 PLAIN |= {"ClusterError", "DeviceError", "FrameTimeoutError"}
 
@@ -48,7 +48,7 @@ def test_help_loads_no_more_than_it_needs() -> None:
 
 
 def test_an_estimate_loads_no_more_than_it_needs() -> None:
-    """Half of its start were statistics and signals that it does not use."""
+    """Statistics and signal processing would take half of its start."""
     loaded = _loaded("import lightmatrix as lm; lm.EstimateSettings, lm.Capture")
     assert "scipy.sparse" in loaded
     assert not loaded.intersection({"scipy.signal", "scipy.stats", "scipy.optimize"})
@@ -60,7 +60,7 @@ def test_help_is_shown_in_no_time() -> None:
     after, wall = os.times(), time.perf_counter() - started
     spent = after.children_user + after.children_system
     spent -= before.children_user + before.children_system
-    # A tenth of what it was; on a busy machine the processor's time says more than the clock.
+    # On a busy machine the processor's time says more than the clock.
     assert min(spent, wall) < 1.0
 
 
@@ -83,9 +83,9 @@ def test_every_name_has_an_example_that_runs(name: str) -> None:
     test = parser.get_doctest(thing.__doc__, {"np": np}, name, None, 0)
     assert test.examples
     runner = doctest.DocTestRunner(verbose=False)
-    told: list[str] = []
-    runner.run(test, out=told.append)
-    assert runner.failures == 0, "".join(told)
+    output: list[str] = []
+    runner.run(test, out=output.append)
+    assert runner.failures == 0, "".join(output)
 
 
 def test_nothing_dumps_its_arrays() -> None:
@@ -153,10 +153,10 @@ def test_raw_levels_are_no_pattern() -> None:
     ],
 )
 def test_settings_are_refused_before_anything_is_read(settings: dict[str, object]) -> None:
-    with pytest.raises(lm.LightMatrixError) as told:
+    with pytest.raises(lm.LightMatrixError) as error:
         lm.estimate("no such folder", **settings)  # type: ignore[arg-type]
-    assert "no such folder" not in told.value.message
-    assert told.value.hint
+    assert "no such folder" not in error.value.message
+    assert error.value.hint
     assert not list(Path().iterdir())
 
 
@@ -171,9 +171,9 @@ def test_settings_are_refused_before_anything_is_read(settings: dict[str, object
     ],
 )  # fmt: skip
 def test_no_photograph_with_numbers_out_of_range(name: str, value: object) -> None:
-    with pytest.raises(lm.InputError) as told:
+    with pytest.raises(lm.InputError) as error:
         lm.simulate("wall", lm.BernoulliPatterns((16, 16), 4), **{name: value})  # type: ignore[arg-type]
-    assert told.value.hint
+    assert error.value.hint
 
 
 def test_a_chosen_estimator_is_the_one_that_was_asked_for() -> None:
@@ -191,22 +191,22 @@ def test_a_chosen_estimator_is_the_one_that_was_asked_for() -> None:
 
 def test_pictures_are_drawn(tmp_path: Path) -> None:
     capture = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 8), exposure=2)
-    found = lm.estimate(capture, coherent=False, iterations=2)
+    transport = lm.estimate(capture, coherent=False, iterations=2)
     pictures = [
-        lm.show_row(found, 3, 4),
-        lm.show_column(found, 3, 4),
-        lm.show_relit(found, np.ones((64, 64)), exposure=2),
-        lm.show_dual(found),
-        lm.show_clipping(found),
-        lm.show_gaps(found),
+        lm.show_row(transport, 3, 4),
+        lm.show_column(transport, 3, 4),
+        lm.show_relit(transport, np.ones((64, 64)), exposure=2),
+        lm.show_dual(transport),
+        lm.show_clipping(transport),
+        lm.show_gaps(transport),
     ]
     for picture in pictures:
         assert picture._repr_png_().startswith(b"\x89PNG")
         assert picture.axes[0].get_title()
     with pytest.raises(lm.InputError, match="no camera sample"):
-        lm.show_row(found, 3)
+        lm.show_row(transport, 3)
     with pytest.raises(lm.InputError, match="no projector pixel"):
-        lm.show_column(found, 3, 64)
+        lm.show_column(transport, 3, 64)
     with pytest.raises(lm.InputError, match="this matrix has no gap"):
         lm.show_gaps(capture.truth.transport())
 

@@ -1,4 +1,4 @@
-"""Every example runs, does what it says, and makes the pictures of the gallery."""
+"""Every example runs and makes its pictures of the gallery."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ EXAMPLES = ROOT / "examples"
 
 
 def _run(name: str, out: Path) -> Any:
-    """What an example finds; its pictures are those of the gallery, of the same size."""
-    found = runpy.run_path(str(EXAMPLES / f"{name}.py"))["main"](out)
+    """Run an example; its pictures must have the sizes of those in the gallery."""
+    result = runpy.run_path(str(EXAMPLES / f"{name}.py"))["main"](out)
     for picture in pictures_of(name):
         kept = ROOT / "docs" / GALLERY_FOLDER / f"{name}-{picture}"
         assert lm.read_image(out / picture).shape == lm.read_image(kept).shape, "make gallery"
-    return found
+    return result
 
 
 def test_every_example_is_tested_and_in_the_gallery() -> None:
@@ -58,6 +58,6 @@ def test_correspondence(tmp_path: Path) -> None:
 
 
 def test_own_photographs(tmp_path: Path) -> None:
-    told = _run("own_photographs", tmp_path)
-    assert told["verdict"] == "good"
+    report = _run("own_photographs", tmp_path)
+    assert report["verdict"] == "good"
     assert (tmp_path / "report" / "report.html").exists()

@@ -1,4 +1,4 @@
-"""The page on the first capture: its commands run, and it knows every option of a virtual rig."""
+"""The page on the first capture: its commands run, and it lists every option of a virtual rig."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def test_its_commands_run(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     lines = [line for block in _blocks("sh") for line in block.splitlines()]
-    # Those for devices need them.
+    # Commands for devices need devices.
     virtual = [
         line for line in lines if "--projector" not in line and line != "lightmatrix rig list"
     ]
@@ -38,25 +38,25 @@ def test_its_commands_run(
         words = shlex.split(_without_waiting(line))
         assert words[0] == "lightmatrix"
         assert main(words[1:]) == 0, line
-    told = capsys.readouterr().out
-    assert "64 frames in capture" in told
-    assert "the projector's gamma is 2.20" in told
+    shown = capsys.readouterr().out
+    assert "64 frames in capture" in shown
+    assert "the projector's gamma is 2.20" in shown
     (python,) = _blocks("python")
     exec(compile(_without_waiting(python), "first-capture.md", "exec"), {})
-    told = capsys.readouterr().out
-    # Some near chance are photographed twice.
-    counts = [int(number) for number in re.findall(r"'(?:matched|confirmed)': (\d+)", told)]
+    shown = capsys.readouterr().out
+    # Frames that nothing predicts are photographed twice.
+    counts = [int(number) for number in re.findall(r"'(?:matched|confirmed)': (\d+)", shown)]
     assert sum(counts) == 64
     assert max(counts) > 40
 
 
-def test_it_knows_every_option_of_a_virtual_rig() -> None:
+def test_it_lists_every_option_of_a_virtual_rig() -> None:
     table = dict(re.findall(r"^\| (`[a-z_`, ]+`) \|.*\| (.*) \|$", PAGE, flags=re.MULTILINE))
-    told = {}
+    defaults_by_name = {}
     for names, defaults in table.items():
         values = defaults.split(", ")
         for name, value in zip(re.findall(r"`(\w+)`", names), values, strict=False):
-            told[name] = value
+            defaults_by_name[name] = value
     for field in fields(VirtualSettings):
         if field.name != "scene":
-            assert float(told[field.name]) == field.default, field.name
+            assert float(defaults_by_name[field.name]) == field.default, field.name

@@ -52,18 +52,18 @@ def _modules() -> list[Path]:
 
 def _imports(tree: ast.AST) -> set[str]:
     """Names of our own modules that a file imports, such as 'rig.truth'; not the door's names."""
-    found = set()
+    modules = set()
     for node in ast.walk(tree):
         assert not (isinstance(node, ast.ImportFrom) and node.level), "imports are written in full"
         if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("lightmatrix"):
             inner = (node.module or "").removeprefix("lightmatrix").lstrip(".")
             for alias in node.names:
                 whole = f"{inner}.{alias.name}".lstrip(".")
-                found.add(whole if _is_module(whole) else inner)
+                modules.add(whole if _is_module(whole) else inner)
         elif isinstance(node, ast.Import):
             names = {alias.name for alias in node.names if alias.name.startswith("lightmatrix.")}
-            found |= {name.removeprefix("lightmatrix.") for name in names}
-    return found - {""}
+            modules |= {name.removeprefix("lightmatrix.") for name in names}
+    return modules - {""}
 
 
 def _is_module(name: str) -> bool:

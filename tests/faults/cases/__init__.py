@@ -39,7 +39,7 @@ def _grouped() -> dict[str, dict[str, Case]]:
     return groups
 
 
-# Subject -> what of the work folder its cases are given.
+# What the cases of each subject need of the work folder.
 NEEDS: dict[str, tuple[str, ...]] = {
     module.__name__.rpartition(".")[2]: module.NEEDS for module in _MODULES
 }

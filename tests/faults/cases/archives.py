@@ -188,7 +188,7 @@ def _files() -> list[Case]:
             code=0,
         ),
         Case(
-            "an export taken for a truth, its background apart",
+            "an export as a truth, with its background apart",
             "evaluate scene.zarr --truth plain.npz",
             "plain.npz",
         ),
@@ -227,7 +227,7 @@ def _files() -> list[Case]:
     ]
 
 
-# What of the work folder its cases are given.
+# What its cases need of the work folder.
 NEEDS = ("T.npz", "patterns", "scene.zarr", "plain.npz")
 
 CASES = [*_changes(), *_files()]

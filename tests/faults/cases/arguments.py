@@ -1,4 +1,4 @@
-"""C and D4: arguments are checked before anything is made, and odd ones are told of."""
+"""Arguments are checked before anything is written, and odd ones have a message."""
 
 from __future__ import annotations
 
@@ -108,11 +108,13 @@ def _refused() -> list[Case]:
                 words = WORDS.get(option, option.lstrip("-"))
                 if value.startswith(("nowhere", "photos", "holiday")):
                     words = value
-                given = f"{option}={value}" if option.startswith("--") else f"{option} {value}"
+                words_of_option = (
+                    f"{option}={value}" if option.startswith("--") else f"{option} {value}"
+                )
                 if option == "-k" and " -k " in command:
                     line = command.replace(" -k 4", f" -k {value}")
                 else:
-                    line = f"{command} {given}"
+                    line = f"{command} {words_of_option}"
                 cases.append(Case(f"{_named(command)} {option} {value}", line, words))
     for line in (
         # Useless, but what is asked for can be done: all rows in one tile, any seed, much light.
@@ -232,7 +234,7 @@ def _odd_but_fine() -> list[Case]:
         ),
         Case("a missing x[/y].png planned from", "plan 'x[/y].png' --size 8x8", "x[/y].png"),
         Case(
-            "a store called [b].zarr told of",
+            "a store called [b].zarr is named",
             "info '[b].zarr'",
             (),
             copy("scene.zarr", "[b].zarr"),
@@ -240,7 +242,7 @@ def _odd_but_fine() -> list[Case]:
             check=prints("[b].zarr"),
         ),
         Case(
-            "a store called :b:.zarr told of",
+            "a store called :b:.zarr is named",
             "info :boom:.zarr",
             (),
             copy("scene.zarr", ":boom:.zarr"),
@@ -342,7 +344,7 @@ def _names() -> list[Case]:
     ]
 
 
-# What of the work folder its cases are given.
+# What its cases need of the work folder.
 NEEDS = (
     *(),
     *(

@@ -95,7 +95,7 @@ def _curves() -> list[Case]:
 
 
 def _black() -> list[Case]:
-    """A black frame that is there must be used, or its absence from the words be told."""
+    """A black frame must be used, or the message must say that it is not."""
     lone = both(copy("lit", "bare"), remove("bare/capture.json"))
     command = "estimate bare --no-coherent -o new.zarr"
     # Either it is refused with its name, or the estimate is that with the black frame.
@@ -261,7 +261,7 @@ def _frames() -> list[Case]:
     ]
 
 
-# What of the work folder its cases are given.
+# What its cases need of the work folder.
 NEEDS = ("capture", "lit", "plain.zarr", "photos", "projected", "black.png", "holiday.jpg")
 
 CASES = [*_curves(), *_black(), *_patterns(), *_frames()]

@@ -155,7 +155,7 @@ def _bombs() -> list[Case]:
     return cases
 
 
-# What of the work folder its cases are given.
+# What its cases need of the work folder.
 NEEDS = ("one.zarr", "scene.zarr", "photos", "projected")
 
 CASES = [*_damaged(), *_bombs()]

@@ -192,7 +192,7 @@ def _paths() -> list[Case]:
     return cases
 
 
-# What of the work folder its cases are given.
+# What its cases need of the work folder.
 NEEDS = ("capture", "lit", "plain.zarr", "photos", "projected", "black.png", "holiday.jpg")
 
 CASES = [*_values(), *_file(), *_paths()]

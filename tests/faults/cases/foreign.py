@@ -9,7 +9,7 @@ from ..checks import every, holds, prints
 from ..put import both, copy, folder_at, link, text
 from .outputs import ESTIMATE, PATTERNS, SIMULATE
 
-# The files by whose names a folder was once taken for ours.
+# Files of ours; their names alone must not make a folder one of ours.
 NAMES = ("capture.json", "patterns.json", "zarr.json", "scenes.json", "demo.json", "fig4.json")
 HAND_WRITTEN = '{"format": "lightmatrix-capture", "version": 1, "exposure": 0.5}\n'
 
@@ -175,7 +175,7 @@ def _siblings() -> list[Case]:
     ]
 
 
-# What of the work folder its cases are given.
+# What its cases need of the work folder.
 NEEDS = (
     *(
         "T.npz",

@@ -66,7 +66,7 @@ def _kinds() -> list[Case]:
             text("a.png", png((8, 8), 8, 3, scanned(index), chunk(b"PLTE", palette[:30]))),
             code=2,
         ),
-        case("PNG said to be interlaced", "a.png", text("a.png", bytes(interlaced)), code=2),
+        case("PNG that claims to be interlaced", "a.png", text("a.png", bytes(interlaced)), code=2),
         case("TIFF, plain", "a.tif", _written("a.tif"), code=0),
         case("TIFF, deflated", "a.tif", _written("a.tif", compression="zlib"), code=0),
         case("TIFF, big-endian", "a.tif", _written("a.tif", byteorder=">"), code=0),
@@ -245,17 +245,17 @@ def _meaning() -> list[Case]:
             file.write_bytes(imageio.imwrite("<bytes>", bright, extension=".png"))
 
     def not_empty(folder: Path, ran: Ran) -> str | None:
-        told = run_command("info new.zarr --json", folder)
-        return None if '"entries": 0,' not in told.out else "the estimate has 0 entries"
+        shown = run_command("info new.zarr --json", folder)
+        return None if '"entries": 0,' not in shown.out else "the estimate has 0 entries"
 
     def unit(folder: Path, ran: Ran) -> str | None:
         """T in the camera's unit, whatever the room's light: the norm is that of the truth."""
         from ..checks import whole_matrix
         from ..work import matrix
 
-        found = whole_matrix(folder / "new.zarr").sum()
+        total = whole_matrix(folder / "new.zarr").sum()
         wanted = float(matrix().sum()) * 0.8 * 0.95
-        ratio = found / wanted
+        ratio = total / wanted
         return None if abs(ratio - 1) < 0.02 else f"T is {ratio:.3f} times what it should be"
 
     folders = "estimate --patterns projected --no-coherent"
@@ -270,7 +270,7 @@ def _meaning() -> list[Case]:
         ),
         Case(
             "the unit of T under room light",
-            # The frames are just dark, which is refused until it is said.
+            # The frames look dark, which is refused unless the clip level is stated.
             f"{folders} --images lit/images --black lit/black.png --clip 65535 -o new.zarr",
             code=0,
             needs=("lit",),
@@ -279,7 +279,7 @@ def _meaning() -> list[Case]:
     ]
 
 
-# What of the work folder its cases are given.
+# What its cases need of the work folder.
 NEEDS = ("one.zarr", "scene.zarr", "photos", "projected", "shown.png")
 
 CASES = [*_kinds(), *_arrays(), *_meaning()]

@@ -59,7 +59,7 @@ def _not_files() -> list[Case]:
 
 def _places() -> list[Case]:
     cases = []
-    # The folder we stand in, and those above it, each said in several ways.
+    # The current folder and those above it, each written in several ways.
     places = (".", "./", "..", "../..", "../work", "patterns/..", "../../outer", "''")
     for place in places:
         for overwrite in ("", " --overwrite"):
@@ -248,7 +248,7 @@ def _links() -> list[Case]:
     ]
 
 
-# What of the work folder its cases are given.
+# What its cases need of the work folder.
 NEEDS = (
     *(
         "T.npz",

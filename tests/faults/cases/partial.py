@@ -228,7 +228,7 @@ def _honest(folder: Path, ran: Ran) -> str | None:
     )
 
 
-# What of the work folder its cases are given.
+# What its cases need of the work folder.
 NEEDS = ("capture", "dense.zarr")
 
 CASES = [*_tiles(), *_headers()]

@@ -210,7 +210,7 @@ def _rights() -> list[Case]:
     ]
 
 
-# What of the work folder its cases are given.
+# What its cases need of the work folder.
 NEEDS = (
     *(),
     *(

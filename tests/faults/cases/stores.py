@@ -1,4 +1,4 @@
-"""D1: stores are not trusted."""
+"""Damaged stores."""
 
 from __future__ import annotations
 
@@ -257,7 +257,7 @@ def _chunks() -> list[Case]:
 
 
 def _consolidated() -> list[Case]:
-    """Metadata said twice: only the arrays' own counts, and none of it runs code."""
+    """Metadata that stands twice: only that of the arrays counts, and none of it runs code."""
 
     def lie(folder: Path) -> None:
         BAD(folder)
@@ -324,7 +324,7 @@ def _consolidated() -> list[Case]:
     ]
 
 
-# What of the work folder its cases are given.
+# What its cases need of the work folder.
 NEEDS = ("T.npz", "scene.zarr", "shown.png")
 
 CASES = [*_arrays(), *_attributes(), *_header(), *_chunks(), *_consolidated()]

@@ -1,4 +1,4 @@
-"""D4: Ctrl-C at once, and standard output closed, full, broken or ASCII."""
+"""Ctrl-C at once, and standard output that is closed, full, broken or ASCII."""
 
 from __future__ import annotations
 
@@ -258,7 +258,7 @@ def _interrupts() -> list[Case]:
     ]
 
 
-# What of the work folder its cases are given.
+# What its cases need of the work folder.
 NEEDS: tuple[str, ...] = ("scene.zarr",)
 
 CASES = [*_streams(), *_interrupts()]

@@ -164,7 +164,7 @@ def _of_lit(folder: Path) -> None:
 SAME = same_matrix("new.zarr", "slow.zarr")
 MADE = ("new.zarr", PARTIAL)
 
-# What of the work folder its cases are given.
+# What its cases need of the work folder.
 NEEDS = ("T.npz", "patterns", "capture", "lit", "slow.zarr", "scene.zarr")
 
 CASES = [

@@ -19,8 +19,9 @@ from .subjects import SUBJECTS
 
 # Images and captures are read most often, and in most ways.
 ORDER = ("image", "store", "capture", "archive", "image", "store", "partial", "capture", "archive")
+# Seconds and bytes that a small input may take. An accidental decompression bomb exceeds the memory
+# and ends with exit code 3.
 _SECONDS = 20.0
-# More than any of these small things may take; a bomb by chance is told by its code.
 _MEMORY = 2 << 30
 
 

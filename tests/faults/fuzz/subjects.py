@@ -57,8 +57,8 @@ class Subject:
 
 
 def _pick(draw: Generator, items: Any) -> Any:
-    found = sorted(items)
-    return found[int(draw.integers(len(found)))]
+    ordered = sorted(items)
+    return ordered[int(draw.integers(len(ordered)))]
 
 
 # ---- results
@@ -178,10 +178,10 @@ def _same_store(folder: Path, words: str) -> str | None:
     if complaint or "/c/" not in words or "diagnostics" in words or "doubled" in words:
         return complaint
     try:
-        found, wanted = (whole_matrix(folder / name) for name in ("scene.zarr", "sound.zarr"))
+        read, wanted = (whole_matrix(folder / name) for name in ("scene.zarr", "sound.zarr"))
     except ValueError as error:
         return f"accepted by one command, not by another: {error}"
-    return None if np.array_equal(found, wanted) else "a damaged chunk was read with other numbers"
+    return None if np.array_equal(read, wanted) else "a damaged chunk was read with other numbers"
 
 
 # ---- archives
@@ -231,7 +231,7 @@ def _whole(folder: Path, words: str) -> str | None:
     if not _WANTED:
         _WANTED.append(whole_matrix(folder / "dense.zarr"))
     same = np.array_equal(whole_matrix(folder / "new.zarr"), _WANTED[0])
-    return None if same else "a damaged tile was taken as it is"
+    return None if same else "a damaged tile was used as it is"
 
 
 SUBJECTS: dict[str, Subject] = {
