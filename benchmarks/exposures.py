@@ -1,9 +1,10 @@
-"""How the exposure of a capture decides the error of T: the tables of docs/planning.md.
+"""The error of T at several exposures: the tables of docs/planning.md.
 
     python -m benchmarks.exposures [--noise 0.003] [--misfit 0.03] [--estimator plain] ...
 
-Exposures are relative to s, at which the brightest white level just does not clip. 64 fine
-patterns of 128 x 128, row by row (every fifth row) or coherently (whole frames), 8 bits, one seed.
+Exposures are relative to s, at which the brightest white level just does not clip. The captures
+have 64 fine patterns of 128 x 128 pixels and 8 bits, with one seed. Estimates are row by row (of
+every fifth row) or coherent (of whole frames).
 """
 
 from __future__ import annotations
@@ -45,7 +46,7 @@ def main() -> None:
     parser.add_argument("--size", type=int, default=SIZE[0])
     parser.add_argument("--misfit", type=float, default=noise.MISFIT)
     arguments = parser.parse_args()
-    # 0 weighs frames by noise alone, e^2; a large value weighs all alike.
+    # With 0 the weights follow the noise alone, e^2; with a large value all weights are equal.
     noise.MISFIT = arguments.misfit
     size, scenes = (arguments.size, arguments.size), arguments.scenes
     patterns = BernoulliPatterns(size, 64)
@@ -61,8 +62,8 @@ def main() -> None:
             exposures = [(factor * shortest, share) for factor, share in PLANS[name]]
             capture, clipped = photograph(known, patterns, exposures, arguments.noise)
             plain = PlainEstimator(ActiveSet(tolerance=1e-3))
-            made = plain if arguments.estimator == "plain" else CoherentEstimator()
-            error = relative_error(made.estimate(capture), known.transport())
+            estimator = plain if arguments.estimator == "plain" else CoherentEstimator()
+            error = relative_error(estimator.estimate(capture), known.transport())
             cells.append(f"{error:.3f} ({100 * clipped:.1f} %)")
         print(f"| {name} | " + " | ".join(cells) + " |", flush=True)
 

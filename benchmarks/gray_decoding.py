@@ -1,8 +1,8 @@
-r"""Strongest entries of a matrix against Gray decoding: `python -m benchmarks.gray_decoding`.
+r"""Compare the strongest entries of T with Gray decoding: `python -m benchmarks.gray_decoding`.
 
-Of a capture of Gray code stripes and their inverses, 20 frames along columns, 20 along rows, a
-white and a black one (kamino410/procam-calibration), every bit of a lit camera pixel's projector
-pixel is the brighter of two frames: an answer that has nothing to do with ours.
+The capture (kamino410/procam-calibration) has 20 frames of Gray code stripes and their inverses
+along columns, 20 along rows, a white and a black one. The brighter of two frames decodes each bit
+of the projector pixel that a lit camera pixel sees, independently of T.
 
     lightmatrix estimate --patterns BOARD/graycode_pattern --images BOARD/capture_0 \
         --black BOARD/capture_0/graycode_41.png -o board.zarr
@@ -23,17 +23,18 @@ import lightmatrix as lm
 from lightmatrix.estimators.coherent.correspondence import strongest_entries
 from lightmatrix.files.image_stack import ImageStack
 
-# Frames 0 to 19: ten column bits, most significant first, each with its inverse; 20 to 39: ten row
-# bits.
+# Frames 0 to 19 are ten column bits, the most significant first, each followed by its inverse;
+# frames 20 to 39 are ten row bits.
 COLUMN_BITS, ROW_BITS, BITS = 0, 20, 10
 WHITE, BLACK, CLIP = 40, 41, 255
-# Of the clip level, white above black.
+# A camera pixel is lit if white exceeds black by this share of the clip level. Chosen by hand.
 LIT = 0.1
+# A place counts as near within this many projector pixels.
 NEAR = 2
 
 
 def decoded(photographs: NDArray[np.float32], first: int) -> NDArray[np.float32]:
-    """Projector coordinate that each camera pixel sees, from the bits from frame `first` on."""
+    """The projector coordinate that each camera pixel sees, decoded from frame `first` on."""
     ends = first + 2 * BITS
     code = photographs[first:ends:2] > photographs[first + 1 : ends : 2]
     bit = np.zeros(code.shape[1:], bool)
@@ -45,20 +46,18 @@ def decoded(photographs: NDArray[np.float32], first: int) -> NDArray[np.float32]
 
 
 def strongest(matrix: csr_array) -> NDArray[np.int64]:
-    """The column of each row's largest entry, (rows,); -1 where there is none."""
+    """The column of each row's largest entry, (rows,); -1 for empty rows."""
     return np.where(np.diff(matrix.indptr) > 0, strongest_entries(matrix), -1)
 
 
 def compared(stored: lm.StoredTransport, photographs: NDArray[np.float32]) -> dict[str, Any]:
-    """Shares of the lit camera pixels whose strongest entry lies where Gray decoding says."""
+    """Shares of the lit camera pixels whose strongest entry agrees with Gray decoding."""
     lit = (photographs[WHITE] - photographs[BLACK] > LIT * CLIP).ravel()
     places = [decoded(photographs, first).ravel() for first in (ROW_BITS, COLUMN_BITS)]
-    found = np.concatenate([strongest(rows.coefficients) for _, rows in stored.blocks()])
-    apart = [
-        np.abs(here - there)
-        for here, there in zip(np.divmod(found, stored.projector_shape[1]), places, strict=True)
-    ]
-    distance = np.where(found < 0, np.inf, np.maximum(*apart))[lit]
+    columns = np.concatenate([strongest(rows.coefficients) for _, rows in stored.blocks()])
+    coordinates = np.divmod(columns, stored.projector_shape[1])
+    apart = [np.abs(ours - gray) for ours, gray in zip(coordinates, places, strict=True)]
+    distance = np.where(columns < 0, np.inf, np.maximum(*apart))[lit]
     return {
         "lit camera pixels": int(lit.sum()),
         f"within {NEAR} pixels": float((distance <= NEAR).mean()),
@@ -68,7 +67,7 @@ def compared(stored: lm.StoredTransport, photographs: NDArray[np.float32]) -> di
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Compare, and print what was found."""
+    """Compare, and print the shares."""
     parser = argparse.ArgumentParser(
         prog="python -m benchmarks.gray_decoding",
         description=__doc__,

@@ -1,10 +1,11 @@
-"""Errors to expect, for `lightmatrix plan`: estimates of the rendered scenes as it advises them.
+"""Measure the errors that `lightmatrix plan` states, on the rendered scenes.
 
     python -m benchmarks.plan_calibration            makes src/lightmatrix/planning/table.json
 
-Scenes of 128 x 128 pixels (rendered on first use), an 8-bit camera with noise of 0.003 of its clip
-level, one seed. Row by row every fifth camera row counts; coherent estimates need whole frames.
-Each finished run is kept in the output, so that an interrupted calibration goes on.
+The scenes have 128 x 128 pixels (rendered on first use), the camera 8 bits and noise of 0.003 of
+its clip level, with one seed. Row by row, every fifth camera row is estimated; coherent estimates
+need whole frames. Each finished run is kept in the output, so that an interrupted calibration
+continues.
 """
 
 from __future__ import annotations
@@ -47,7 +48,7 @@ ROW_STEP = 5
 
 
 def main() -> None:
-    """Run what is missing and write the table."""
+    """Run the missing cases and write the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--output", type=Path, default=TABLE)
     parser.add_argument("--scenes", nargs="+", default=SCENES)
@@ -96,14 +97,14 @@ def _write(path: Path, rows: list[dict[str, Any]]) -> None:
 
 
 def show(rows: list[dict[str, Any]]) -> None:
-    """Print what was measured, in Markdown: a row for each plan, a column for each scene."""
+    """Print the table in Markdown: a row for each plan, a column for each scene."""
     plans = ("estimator", "frames", "patterns", "exposures", "density")
     print("| " + " | ".join((*plans, *SCENES)) + " |\n" + "|---" * (len(plans) + 3) + "|")
-    found: dict[tuple[Any, ...], dict[str, str]] = {}
+    table: dict[tuple[Any, ...], dict[str, str]] = {}
     for row in rows:
         cell = f"{row['relative_error']:.3f} / {row['relighting_error']:.3f}"
-        found.setdefault(tuple(row[key] for key in plans), {})[row["scene"]] = cell
-    for plan, cells in sorted(found.items()):
+        table.setdefault(tuple(row[key] for key in plans), {})[row["scene"]] = cell
+    for plan, cells in sorted(table.items()):
         values = [str(value) for value in plan] + [cells.get(scene, "") for scene in SCENES]
         print("| " + " | ".join(values) + " |")
 
@@ -120,19 +121,19 @@ def run(
         chosen = [(benchmark_exposure(known.transport()), 1.0)]
     if estimator == "plain":
         known = some_rows(known)
-    shown: PatternSet = BernoulliPatterns(SIZE, frames, density)
+    pattern_set: PatternSet = BernoulliPatterns(SIZE, frames, density)
     if patterns == "mix":
-        shown = MixedPatterns(SIZE, frames, default_mix(SIZE, frames), density)
-    capture, share = photograph(known, shown, chosen)
-    made = PlainEstimator(ActiveSet()) if estimator == "plain" else CoherentEstimator()
+        pattern_set = MixedPatterns(SIZE, frames, default_mix(SIZE, frames), density)
+    capture, share = photograph(known, pattern_set, chosen)
+    coherent = estimator == "coherent"
     started = time.perf_counter()
-    estimate = made.estimate(capture)
+    estimate = (CoherentEstimator() if coherent else PlainEstimator(ActiveSet())).estimate(capture)
     seconds = time.perf_counter() - started
-    right = known.transport()
+    expected = known.transport()
     unseen = np.stack(list(unseen_patterns(SIZE).values()))
     return {
-        "relative_error": round(relative_error(estimate, right), 4),
-        "relighting_error": round(relighting_error(estimate, right, unseen), 4),
+        "relative_error": round(relative_error(estimate, expected), 4),
+        "relighting_error": round(relighting_error(estimate, expected, unseen), 4),
         "clipped_share": round(share, 4),
         "seconds": round(seconds, 1),
     }

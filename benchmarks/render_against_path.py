@@ -1,11 +1,11 @@
-"""T p of the rendered matrices against the renderer's own path integrator, at full size.
+"""Compare T p of rendered matrices with the renderer's own path integrator, at full size.
 
     python benchmarks/render_against_path.py [--size 128] [--spp 1024] [-o render_against_path.json]
 
-The matrix comes from the cache (rendered at 16,384 paths a pixel on first use). The reference is
-path traced with the pattern as the projector's texture, twice with other seeds: their mean is
-compared, their difference is its noise. The matrix passes if its images differ from the reference
-by at most 1.5 times the reference's noise, and their sums by at most 0.1 %.
+The matrix comes from the cache (rendered at 16,384 paths per pixel on first use). The reference is
+path traced twice, with different seeds, and the pattern as the projector's texture. The mean of the
+two is the reference, and their difference shows its noise. The matrix passes if its images differ
+from the reference by at most 1.5 times that noise, and their sums by at most 0.1 %.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ from lightmatrix.simulation.mitsuba_scene import mitsuba_scene
 from lightmatrix.simulation.scenes import scene
 from lightmatrix.simulation.truth import Truth
 
+# The limits stated above.
 MOST_NOISE, MOST_SUM = 1.5, 1e-3
 
 

@@ -1,8 +1,8 @@
-"""What kind of matrix each scene has: the table of docs/simulation.md, and a picture of all scenes.
+"""Statistics of each scene's matrix, the table of docs/simulation.md, and a picture of all scenes.
 
     python benchmarks/scene_statistics.py [--size 64] [-o statistics.json] [--picture scenes.png]
 
-The bundled scenes come at 64 x 64; everything else is rendered at 16,384 paths a pixel and cached.
+Bundled scenes have 64 x 64 pixels; others are rendered at 16,384 paths per pixel and cached.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
-"""Which projector pixel each camera pixel sees: structured light from 32 random patterns.
+"""The projector pixel that each camera pixel sees: structured light from 32 random patterns.
 
     python examples/correspondence.py OUT_FOLDER
 
-A Gray code needs 26 photographs of 64 x 64 pixels with their inverses, and fails where light
-arrives by several paths. T tells such pixels apart: the confidence is the share of their light that
-comes from one place.
+A Gray code with inverses needs 26 photographs for 64 x 64 pixels, and fails where light arrives by
+several paths. T shows where that happens: the confidence is the share of a pixel's light that comes
+from one place.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 import lightmatrix as lm
 
 PICTURES = {
-    "map.png": "Projector row and column that each camera pixel sees, and how sure that is",
+    "map.png": "Projector row and column that each camera pixel sees, and the confidence",
 }
 
 
@@ -28,14 +28,12 @@ def main(out: Path) -> float:
     estimate = lm.estimate(lm.simulate(truth, patterns, exposure=0.3))
     lm.show_correspondence(estimate).savefig(out / "map.png")
 
-    found = lm.correspondence(estimate)
+    matches = lm.correspondence(estimate)
     known = lm.correspondence(truth.transport())
-    away = np.abs(found.place - known.place).max(axis=2)
-    sure = found.confidence > 0.5
-    right = float(np.mean(away[sure] < 0.5))
-    print(
-        f"{100 * sure.mean():.0f} % of the pixels are confident, {100 * right:.1f} % of them right"
-    )
+    distance = np.abs(matches.place - known.place).max(axis=2)
+    confident = matches.confidence > 0.5
+    right = float(np.mean(distance[confident] < 0.5))
+    print(f"{100 * confident.mean():.0f} % of the pixels are confident, {100 * right:.1f} % right")
     return right
 
 

@@ -1,8 +1,8 @@
-"""The whole way in Python: patterns, a simulated capture, an estimate, its error.
+"""Patterns, a simulated capture, three estimates and their errors, all in Python.
 
     python examples/estimate_in_python.py OUT_FOLDER
 
-The same as the README's commands, on a scene made up in a moment instead of rendered.
+The scene is procedural, so it needs no renderer.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 import lightmatrix as lm
 from lightmatrix.simulation.procedural_scene import ProceduralScene
 
-PICTURES = {"row.png": "One row of T: the truth, and what three estimators make of it"}
-# A camera pixel whose samples often clip, although it does not clip under a single pixel.
+PICTURES = {"row.png": "One row of T: the truth and three estimates"}
+# The samples of this camera pixel often clip, although no single projector pixel clips it.
 ROW, COLUMN = 6, 11
 
 
@@ -44,19 +44,19 @@ def main(out: Path) -> dict[str, float]:
     _draw(panels[0], known, known, "the truth")
     errors = {}
     for axes, (name, (solver, fidelity)) in zip(panels[1:], solvers.items(), strict=True):
-        found = lm.estimate(
+        estimate = lm.estimate(
             capture, solver=solver, fidelity=fidelity, regularization=0.05 / exposure
         )
-        # Of the rows that do not clip under a single projector pixel: the others no one can know.
-        errors[name] = lm.evaluate(found, truth, exposure).relative_error_unclipped_responses
+        # Rows that clip under a single projector pixel cannot be recovered, so they are left out.
+        errors[name] = lm.evaluate(estimate, truth, exposure).relative_error_unclipped_responses
         print(f"{name}: relative error {errors[name]:.3f}")
-        _draw(axes, found.row(ROW, COLUMN), known, f"{name}\nerror of T {errors[name]:.3f}")
+        _draw(axes, estimate.row(ROW, COLUMN), known, f"{name}\nerror of T {errors[name]:.3f}")
     drawing.savefig(out / "row.png")
     return errors
 
 
 def _draw(axes: Axes, row: NDArray[np.float32], known: NDArray[np.float32], title: str) -> None:
-    """A row as the projector sees it; faint light is raised."""
+    """Draw a row as an image over the projector, with faint light brightened."""
     axes.imshow((row.clip(0) / known.max()) ** 0.35, cmap="inferno", vmin=0, vmax=1)
     axes.set_title(title, fontsize=9)
     axes.set_axis_off()

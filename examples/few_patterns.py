@@ -1,10 +1,9 @@
-"""32 photographs of a rendered scene, row by row and with neighbours, in two exposures.
+"""Estimates from 32 photographs: row by row, coherent, and coherent with two exposures.
 
     python examples/few_patterns.py OUT_FOLDER
 
-Neighbouring camera pixels look at neighbouring projector pixels. The coherent estimate, which is
-the default, lets them learn from each other; a second, shorter exposure brings back what clips
-under a single projector pixel.
+Neighbouring camera pixels see neighbouring projector pixels. The coherent estimate, the default,
+uses that. A second, shorter exposure recovers rows that clip under a single projector pixel.
 """
 
 from __future__ import annotations
@@ -24,11 +23,11 @@ PICTURES = {"errors.png": "Relative error of each row of T, by three estimates"}
 
 def main(out: Path) -> dict[str, float]:
     """Estimate T three times, draw their errors and return the relative ones over all rows."""
-    truth = lm.truth("gripper")  # 64 x 64, comes with the package
+    truth = lm.truth("gripper")  # 64 x 64, bundled with the package
     patterns = lm.BernoulliPatterns(truth.projector_shape, 32)
 
-    # At this exposure a fifth of the single responses clip: those cannot be had back. Every
-    # fourth frame at a quarter of it brings them in.
+    # At this exposure a fifth of the single responses clip and cannot be recovered. A quarter of
+    # the frames at a quarter of the exposure captures them.
     exposure = benchmark_exposure(truth.transport())
     one = lm.simulate(truth, patterns, exposure=exposure)
     two = lm.simulate(truth, patterns, exposure=f"{exposure}:0.75,{exposure / 4}:0.25")
@@ -44,11 +43,11 @@ def main(out: Path) -> dict[str, float]:
         errors[name] = lm.evaluate(estimate, truth).relative_error
         print(f"{name:24s} relative error {errors[name]:.3f}")
         wrong, whole = squared_errors(estimate, truth.transport())
-        of_rows = np.sqrt(wrong / whole).reshape(truth.camera_shape)
-        shown = axes.imshow(of_rows.clip(1e-3), cmap="magma", norm=LogNorm(1e-3, 1))
+        row_errors = np.sqrt(wrong / whole).reshape(truth.camera_shape)
+        image = axes.imshow(row_errors.clip(1e-3), cmap="magma", norm=LogNorm(1e-3, 1))
         axes.set_title(f"{name}: {errors[name]:.3f}", fontsize=10)
         axes.set_axis_off()
-    drawing.colorbar(shown, ax=panels, label="relative error of a row")
+    drawing.colorbar(image, ax=panels, label="relative error of a row")
     drawing.savefig(out / "errors.png")
     return errors
 

@@ -1,9 +1,9 @@
-"""From two plain folders of images to T, with a report of how well that went.
+"""T from two folders of images, with a report.
 
     python examples/own_photographs.py OUT_FOLDER
 
-The folders are what a projector and a camera leave behind: patterns as they were projected, and
-photographs in the same order. Here the photographs are simulated; put your own in their place.
+One folder holds the projected patterns, the other the photographs in the same order. Here the
+photographs are simulated; replace them by your own.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 import lightmatrix as lm
 
 PICTURES = {
-    "clipping.png": "How many of each camera pixel's samples clipped",
+    "clipping.png": "Share of each camera pixel's samples that clipped",
     "white.png": "The scene under a white pattern, computed from T",
 }
 
@@ -25,20 +25,20 @@ def main(out: Path) -> dict[str, object]:
     """Write patterns and photographs, estimate T from them, and write the report."""
     patterns = lm.BernoulliPatterns((64, 64), 32)
     lm.write_patterns(out / "patterns", patterns)
-    photographed = lm.simulate("metal", patterns, exposure=0.3)
-    for k in range(photographed.count):
-        lm.write_image(out / "photos" / f"photo_{k:04d}.png", photographed.frame(k))
+    simulated = lm.simulate("metal", patterns, exposure=0.3)
+    for k in range(simulated.count):
+        lm.write_image(out / "photos" / f"photo_{k:04d}.png", simulated.frame(k))
 
-    # Your own work begins here.
+    # With photographs of your own, begin here.
     capture = lm.Capture.from_folders(out / "patterns", out / "photos")
     estimate = lm.estimate(capture, output=out / "scene.zarr")
-    told = lm.report(out / "report", estimate, capture)
-    print(f"{told['verdict']}: {told['sentence']}")
+    report = lm.report(out / "report", estimate, capture)
+    print(lm.Verdict(report["verdict"], report["sentence"]))
 
     lm.show_clipping(estimate).savefig(out / "clipping.png")
     white = np.ones(estimate.projector_shape)
     lm.show_relit(estimate, white).savefig(out / "white.png")
-    return told
+    return report
 
 
 if __name__ == "__main__":

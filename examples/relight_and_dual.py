@@ -1,9 +1,9 @@
-"""Relight a scene and look at it from the projector, with an exactly known T.
+"""Relight a scene, and see it from the projector, with an exactly known T.
 
     python examples/relight_and_dual.py OUT_FOLDER
 
-Light adds up, so an image under any pattern is a product with T; its transpose shows the scene as
-the projector would photograph it, lit from the camera (dual photography, Sen et al. 2005).
+The image under any pattern is a product with T. The transpose of T gives the scene as the projector
+would photograph it, lit from the camera (dual photography, Sen et al. 2005).
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import lightmatrix as lm
 PICTURES = {
     "relit.png": "The scene under stripes that were never projected",
     "dual.png": "The scene as the projector sees it",
-    "row.png": "How each projector pixel reaches one camera pixel",
+    "row.png": "How much light each projector pixel sends to one camera pixel",
 }
 
 
@@ -30,7 +30,7 @@ def main(out: Path) -> None:
     stripes[:, ::8] = 1
     lm.show_relit(transport, stripes).savefig(out / "relit.png")
 
-    # Every camera pixel a light: the dual image shows what the projector would photograph.
+    # In the dual image, every camera pixel is a light.
     lm.show_dual(transport).savefig(out / "dual.png")
     lm.show_row(transport, 40, 30).savefig(out / "row.png")
 

@@ -1,4 +1,4 @@
-"""Run the examples and keep the pictures that they make for the gallery.
+"""Run the examples and copy their pictures into the gallery.
 
 python tools/gallery.py
 """
@@ -14,7 +14,7 @@ from docs_site import EXAMPLES, GALLERY, GALLERY_FOLDER, ROOT, pictures_of
 
 
 def main() -> None:
-    """Make all pictures anew."""
+    """Make all pictures again."""
     folder = ROOT / "docs" / GALLERY_FOLDER
     folder.mkdir(parents=True, exist_ok=True)
     for name in GALLERY:

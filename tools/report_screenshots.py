@@ -1,4 +1,4 @@
-"""Make the screenshots of the demo's report that stand in the docs: wide, and on a phone.
+"""Make the screenshots of the demo's report for the docs: on a wide screen and on a phone.
 
 python tools/report_screenshots.py
 """
@@ -13,12 +13,12 @@ from browser import opened
 import lightmatrix as lm
 
 IMAGES = Path(__file__).parent.parent / "docs" / "images"
-# Width of the window, and as much of the page as tells what it is like.
+# Widths of the window, with the height of the part of the page that is shown.
 WINDOWS = {1440: 2300, 360: 1500}
 
 
 def main() -> None:
-    """Run the demo and photograph its report."""
+    """Run the demo and take screenshots of its report."""
     with tempfile.TemporaryDirectory() as place, opened() as browser:
         lm.demo(Path(place) / "report")
         for width, height in WINDOWS.items():

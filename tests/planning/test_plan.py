@@ -1,4 +1,4 @@
-"""The planner: what it advises for a white frame, that it comes true, and what it refuses."""
+"""The planner: its advice for a white frame, that the advice comes true, and refusals."""
 
 from __future__ import annotations
 
@@ -71,9 +71,9 @@ def test_clipped_highlights_get_a_shorter_exposure() -> None:
     assert advise_density(_white(levels), known) == 0.5
 
 
-# Shares of samples that clip at 1, 2, 4 and 8 times the shortest advised exposure, as told from the
-# white frame; how far from the real ones, at most, and at twice the exposure (measured: .133, .015,
-# .007, .097, .009, .007 and .036, .015, .004, .033, .009, .003).
+# The shares of clipped samples at 1, 2, 4 and 8 times the shortest advised exposure, as predicted from
+# the white frame. `most` is the largest error allowed, `at_twice` that at twice the exposure
+# (measured: .133, .015, .007, .097, .009, .007 and .036, .015, .004, .033, .009, .003).
 @pytest.mark.parametrize(
     ("scene", "density", "most", "at_twice"),
     [
@@ -85,7 +85,7 @@ def test_clipped_highlights_get_a_shorter_exposure() -> None:
         ("metal", 0.25, 0.01, 0.005),
     ],
 )
-def test_clipping_is_told_from_the_white_frame(
+def test_the_white_frame_predicts_clipping(
     scene: str, density: float, most: float, at_twice: float
 ) -> None:
     known = truth(scene)
@@ -93,14 +93,14 @@ def test_clipping_is_told_from_the_white_frame(
     light = irradiance(known.matrix, BernoulliPatterns((64, 64), 32, density))[white.lit]
     shortest = advise_exposures(white)[-1][0]
     factors = (1, 2, 4, 8)
-    told = np.array([clipped_share(white, factor * shortest, density) for factor in factors])
+    predicted = np.array([clipped_share(white, factor * shortest, density) for factor in factors])
     real = np.array([float((factor * shortest * light >= 1).mean()) for factor in factors])
-    # Only the brightest sums: .1 % of the samples of `l_objects`, .3 % as told.
+    # Only the brightest sums clip: .1 % of the samples of `l_objects`, .3 % as predicted.
     assert real[0] < 0.002
-    assert told[0] < 0.004
-    assert abs(told[1] - real[1]) < at_twice
-    assert np.abs(told - real).max() < most
-    assert (np.diff(told) >= 0).all()
+    assert predicted[0] < 0.004
+    assert abs(predicted[1] - real[1]) < at_twice
+    assert np.abs(predicted - real).max() < most
+    assert (np.diff(predicted) >= 0).all()
 
 
 def test_the_shortest_of_several_exposures_gets_few_frames_but_enough() -> None:
@@ -117,7 +117,7 @@ def test_pixels_the_projector_does_not_reach_do_not_count() -> None:
     assert advise_exposures(_white(levels)) == advise_exposures(_white(levels[9000:]))
 
 
-def test_the_table_is_whole_and_improves_with_frames() -> None:
+def test_the_table_is_complete_and_improves_with_frames() -> None:
     assert counts()[0] <= 32
     assert counts()[-1] >= 256
     for estimator in {row["estimator"] for row in table()}:
@@ -201,16 +201,16 @@ def test_a_photograph_is_read_with_its_black_and_clip(
     assert "patterns bernoulli -k 40 --size 48x64" in text
     assert "Error to expect" in text
     assert "128x128" not in text
-    # A black level can only be said in capture.json.
+    # Only capture.json can hold a black level.
     assert "estimate capture/ -o" in text
-    assert "capture.json that says" in text
+    assert "a capture.json with the" in text
     assert main([*arguments, "--exposure", "20", "--json"]) == 0
     milliseconds = json.loads(capsys.readouterr().out)["exposures"][-1]["exposure"]
     assert milliseconds == pytest.approx(20 * advice["exposures"][-1]["exposure"], rel=0.01)
     assert main([*arguments, "--shortest", "40"]) == 0
     text = " ".join(capsys.readouterr().out.split())
     assert "--density 0.25" in text
-    assert "dim the projector" in text
+    assert "Dim the projector" in text
 
 
 def test_two_folders_are_enough_for_photographs_of_one_exposure(
@@ -255,7 +255,7 @@ def test_a_partly_clipped_frame_is_warned_about(
         (1, "white frame is dark: its bright pixels are at 0.4 %"),
     ],
 )
-def test_frames_that_tell_nothing_are_refused(
+def test_dark_and_clipped_white_frames_are_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], level: int, message: str
 ) -> None:
     write_image(tmp_path / "white.png", np.full((8, 8), level, np.uint8))

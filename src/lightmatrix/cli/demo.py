@@ -44,5 +44,6 @@ def demo(
             for method in result["methods"]
         ],
     )
-    say(f"the default estimate is {result['report']['verdict']}: {result['report']['sentence']}")
+    verdict = lm.Verdict(result["report"]["verdict"], result["report"]["sentence"])
+    say(f"default estimate: {verdict}")
     say(f"report: {(output / 'report.html').absolute()}")

@@ -96,7 +96,7 @@ def _show_exposures(advice: Advice, in_own_unit: bool) -> None:
     if advice.white_is_clipped:
         say(
             f"{100 * advice.white_clipped_share:.1f} % of the white frame is clipped, so its "
-            "brightest light is not known: better take it again, darker",
+            "brightest light is unknown. Better take it again with a shorter exposure.",
             style="yellow",
         )
     unit = "exposure" if in_own_unit else "exposure (white frame = 1)"
@@ -111,8 +111,8 @@ def _show_exposures(advice: Advice, in_own_unit: bool) -> None:
     if advice.rows_that_clip_singly > 0.01:
         say(
             f"{100 * advice.rows_that_clip_singly:.0f} % of the lit camera pixels will clip "
-            "under a single projector pixel even so, and the errors will be several times those "
-            "below: dim the projector or close the aperture",
+            "under a single projector pixel, and the errors will be several times those below. "
+            "Dim the projector or close the aperture.",
             style="yellow",
         )
 
@@ -134,9 +134,9 @@ def _show_errors(advice: Advice) -> None:
     )
     scenes = ", ".join(advice.expected[0].scenes)
     say(
-        f"* as advised. Measured on {scenes} at 128 x 128, all rows, exposures chosen this way, "
-        "with the projector in focus. Blurred by 1 or 2 of its pixels, coherent estimates err "
-        "about 2 or 4 times as much"
+        f"* as advised. Measured on {scenes} at 128 x 128, over all rows, with advised exposures "
+        "and the projector in focus. If it is blurred by 1 or 2 of its pixels, expect about 2 or 4 "
+        "times the error of coherent estimates."
     )
 
 
@@ -148,13 +148,13 @@ def _show_commands(advice: Advice) -> None:
         return
     if " capture/ " in advice.commands[-1]:
         say(
-            "capture/ holds patterns/, your photographs as images/, and a capture.json that says "
-            "the black level and each frame's exposure (docs/captures.md)"
+            "capture/ holds patterns/, your photographs as images/, and a capture.json with the "
+            "black level and the exposure of each frame (docs/captures.md)."
         )
     elif "--black" in advice.commands[-1]:
-        say("take the black frame at the exposure of the others")
+        say("Take the black frame at the exposure of the others.")
     if len(advice.exposures) > 1:
-        say("which frame gets which exposure: --json, exposure_of_frames")
+        say("The exposure of each frame: exposure_of_frames in --json.")
 
 
 def _range(pair: tuple[float, float]) -> str:

@@ -56,6 +56,6 @@ def relight(
 
 
 def _rounded_down(value: float) -> float:
-    """The number of two digits that is not above a positive one."""
+    """A positive number rounded down to two digits."""
     unit = 10.0 ** (math.floor(math.log10(value)) - 1)
     return float(f"{math.floor(value / unit) * unit:.2g}")

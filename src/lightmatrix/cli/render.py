@@ -59,8 +59,8 @@ def render(
     entries = truth.matrix.nnz / truth.matrix.shape[0]
     share = float(truth.direct_data.sum() / max(truth.matrix.sum(), 1e-30))
     if as_json:
-        found = {"output": output, "entries_per_row": entries, "direct_share": share}
-        show_json({**truth.metadata, **found})
+        result = {"output": output, "entries_per_row": entries, "direct_share": share}
+        show_json({**truth.metadata, **result})
         return
     say(
         f"{output}: {truth.matrix.shape[0]} x {truth.matrix.shape[1]}, "

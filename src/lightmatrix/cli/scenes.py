@@ -1,4 +1,4 @@
-"""`lightmatrix scenes`: what the simulated rig can show."""
+"""`lightmatrix scenes`: the scenes of the simulator."""
 
 from __future__ import annotations
 

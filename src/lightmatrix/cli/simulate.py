@@ -119,7 +119,12 @@ def simulate(
     }
     rig: dict[str, Any] = {"blur": blur, "leak": leak, "ambient": ambient, "vignetting": vignetting}
     rig["primary"] = primary
-    made_up = {"--camera": camera, "--size": projector, "-k": count, "--truth": keep_truth or None}
+    only_procedural: dict[str, object] = {
+        "--camera": camera,
+        "--size": projector,
+        "-k": count,
+        "--truth": keep_truth or None,
+    }
     capture: Capture
     with progress("simulating", "rows") as report:
         if scene == PROCEDURAL:
@@ -136,12 +141,12 @@ def simulate(
             )
             clipped = capture.clipped_share
         else:
-            _refuse(made_up, scene)
+            _refuse(only_procedural, scene)
             if pattern_folder is None:
                 raise InputError("--patterns is missing", hint="make some: lightmatrix patterns")
-            taken = lm.simulate(scene, pattern_folder, progress=report, **common, **rig)
-            taken.save(output, overwrite=overwrite)
-            capture, clipped = taken, taken.raw_clipped_share
+            simulated = lm.simulate(scene, pattern_folder, progress=report, **common, **rig)
+            simulated.save(output, overwrite=overwrite)
+            capture, clipped = simulated, simulated.raw_clipped_share
     if as_json:
         show_json(
             {
@@ -168,9 +173,10 @@ def _patterns(
 
 
 def _refuse(options: Mapping[str, object], scene: str) -> None:
-    given = [name for name, value in options.items() if value is not None]
-    if given:
+    """Raise InputError if any of these options has a value."""
+    present = [name for name, value in options.items() if value is not None]
+    if present:
         raise InputError(
-            f"{', '.join(given)} for {scene}",
-            hint="leave it out; lightmatrix simulate --help says what goes with what",
+            f"{', '.join(present)} for {scene}",
+            hint="leave it out; lightmatrix simulate --help says which options go together",
         )
