@@ -71,8 +71,8 @@ def test_clipped_highlights_get_a_shorter_exposure() -> None:
     assert advise_density(_white(levels), known) == 0.5
 
 
-# The shares of clipped samples at 1, 2, 4 and 8 times the shortest advised exposure, as predicted from
-# the white frame. `most` is the largest error allowed, `at_twice` that at twice the exposure
+# The shares of clipped samples at 1, 2, 4 and 8 times the shortest advised exposure, as predicted
+# from the white frame. `most` is the largest error allowed, `at_twice` that at twice the exposure
 # (measured: .133, .015, .007, .097, .009, .007 and .036, .015, .004, .033, .009, .003).
 @pytest.mark.parametrize(
     ("scene", "density", "most", "at_twice"),
