@@ -1,4 +1,4 @@
-"""The active-set solver against definitions and against an independent solver."""
+"""The active-set solver against its definition and against an independent solver."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def draw(
     nonnegative: bool = True,
     background: bool = True,
 ) -> Problem:
-    """Rows of a few responses each, with noise, clipped at a level (a little different each)."""
+    """Rows of a few responses each, with noise, clipped at slightly different levels."""
     rng = np.random.default_rng(seed)
     truth = np.zeros((rows, patterns.pixels))
     for row in truth:
@@ -60,7 +60,7 @@ def draw(
 
 
 def dense_gap(problem: Problem, result: Result, fidelity: Fidelity) -> NDArray[np.float64]:
-    """Objective and gap from their definitions, row by row, with no code of the package's."""
+    """Objective and gap by definition, row by row, without code of the package."""
     p = problem.patterns.dense().astype(np.float64)
     m = p.mean(axis=1)
     lam = problem.regularization
@@ -84,7 +84,7 @@ def dense_gap(problem: Problem, result: Result, fidelity: Fidelity) -> NDArray[n
             assert result.background[i] == 0
         theta = w * r
         if problem.background:
-            # Any feasible point will do: take what is left of m out of the two-sided samples.
+            # Make the point feasible: subtract its part along m on the two-sided samples.
             excess = theta @ m
             excess = max(excess, 0) if problem.nonnegative else excess
             free = (w > 0) & ~one_sided
@@ -105,7 +105,7 @@ def dense_gap(problem: Problem, result: Result, fidelity: Fidelity) -> NDArray[n
 
 
 def reference(problem: Problem, row: int, fidelity: Fidelity) -> float:
-    """The optimal objective of one row by SciPy's bound-constrained quasi-Newton method."""
+    """The optimal objective of one row, by SciPy's bound-constrained quasi-Newton method."""
     p = problem.patterns.dense().astype(np.float64)
     y, clipped = problem.samples.values[row], problem.samples.clipped[row]
     w = problem.samples.weights_of_all()[row].astype(np.float64)
@@ -145,7 +145,7 @@ def sets() -> list[PatternSet]:
         HadamardPatterns((7, 5), 30, order="sequency"),
         ImagePatterns(rng.random((30, 6, 7)).astype(np.float32)),
         BlockPatterns((6, 8), (2, 3)),
-        # Twice the same pattern, a white and a black one.
+        # Two equal patterns, a white and a black one.
         ImagePatterns(
             np.stack([*([rng.random((5, 6)) < 0.5] * 2), np.ones((5, 6)), np.zeros((5, 6))]).astype(
                 np.float32
@@ -169,7 +169,7 @@ def test_every_row_is_certified(
         assert result.converged.all()
         assert result.gap.max() <= 1e-4
         gaps = dense_gap(problem, result, fidelity)
-        # The certified gap is that of the final point, and nothing is better than optimal.
+        # The certified gap belongs to the final point, and no objective is below the optimum.
         np.testing.assert_allclose(gaps, result.gap, atol=1e-7)
         assert gaps.min() >= -1e-9
 
@@ -217,7 +217,7 @@ def test_any_size_and_any_clipping(
 
 
 def degenerate(kind: str, shape: tuple[int, int], count: int, seed: int) -> PatternSet:
-    """Patterns that leave much undetermined, as images of zeros and ones or of any values."""
+    """Patterns with dependent columns, as images of zeros and ones or of any values."""
     rng = np.random.default_rng(seed)
     images = (rng.random((count, *shape)) < 0.5).astype(np.float32)
     if kind == "duplicates":
@@ -242,7 +242,7 @@ def degenerate(kind: str, shape: tuple[int, int], count: int, seed: int) -> Patt
     background=st.booleans(),
 )
 @settings(max_examples=150, deadline=None)
-def test_what_patterns_cannot_tell_apart(
+def test_patterns_with_dependent_columns(
     kind: str,
     shape: tuple[int, int],
     count: int,
@@ -281,14 +281,14 @@ def test_dark_and_fully_clipped_rows() -> None:
     assert result.converged.all()
     assert result.coefficients.nnz == 0
     assert result.background[0] == 0
-    # All clipped: any b that reaches the level everywhere costs nothing.
+    # With all samples clipped, a b that reaches the level everywhere costs nothing.
     assert (result.background[1] * patterns.means >= 1 - 1e-6).all()
     assert result.background[2] == pytest.approx(1, rel=1e-6)
 
 
 @pytest.mark.parametrize(
     ("shape", "count", "rows", "tile"),
-    # Of the second patterns passes read more than caches keep: many rows share one.
+    # The second patterns exceed the caches, so that many rows share a pass.
     [((20, 30), 64, 300, 47), ((512, 520), 400, 40, 9)],
 )
 def test_results_do_not_depend_on_threads_or_tiles(
@@ -329,7 +329,7 @@ def test_every_instruction_set_gives_the_same_solution(
         solutions.append(solve(problem, ActiveSet()))
     portable, other = solutions
     np.testing.assert_array_equal(other.coefficients.indices, portable.coefficients.indices)
-    # Sweeps are in float32: where they end differs by what rounding did.
+    # Sweeps run in float32, so rounding changes where they end.
     np.testing.assert_allclose(
         other.coefficients.data, portable.coefficients.data, rtol=1e-9, atol=1e-10
     )
@@ -345,7 +345,7 @@ def test_hadamard_by_transform_agrees_with_the_same_patterns_as_images() -> None
     np.testing.assert_allclose(a.objective, b.objective, rtol=2e-7)
 
 
-def test_a_start_saves_passes_and_changes_nothing_else() -> None:
+def test_a_start_saves_passes_only() -> None:
     problem = draw(BernoulliPatterns((20, 20), 90), 30, regularization=0.02)
     cold = solve(problem, ActiveSet(tolerance=1e-6))
     again = ActiveSet(tolerance=1e-6).solve(problem, start=cold.rows)
@@ -368,12 +368,12 @@ def test_a_start_of_another_shape_or_with_invalid_values() -> None:
     assert restarted.coefficients.data.min() >= 0
 
 
-def test_gives_up_after_max_passes_and_says_so() -> None:
+def test_rows_stop_at_the_limit_of_passes() -> None:
     problem = draw(BernoulliPatterns((20, 20), 90), 30, regularization=0.005)
     result = solve(problem, ActiveSet(max_passes=1, tolerance=1e-8))
     assert not result.converged.all()
     assert "raise the limit" in result.status
-    # What it has is still feasible, and its gap still true.
+    # The result is still feasible, and its gap is correct.
     np.testing.assert_allclose(
         dense_gap(problem, result, Fidelity.ONE_SIDED), result.gap, atol=1e-7
     )
@@ -386,7 +386,7 @@ def test_progress_reaches_the_end() -> None:
     assert calls[-1] == (20, 20)
 
 
-def test_refuses_what_it_cannot_do() -> None:
+def test_unsupported_settings_are_refused() -> None:
     with pytest.raises(SolverError, match="not convex"):
         ActiveSet(Fidelity.CLIPPED)
     for wrong in ({"tolerance": 0.0}, {"max_passes": 0}, {"threads": 0}):
@@ -405,10 +405,10 @@ def test_an_error_in_progress_stops_the_solver() -> None:
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="signals of another kind")
-def test_ctrl_c_answers_within_a_second() -> None:
-    # A problem of minutes: a tiny regularization on noise.
+def test_ctrl_c_stops_within_a_second() -> None:
+    # A problem that takes minutes: noise with a tiny regularization.
     script = (
-        # Background jobs of a shell start with interrupts ignored, and so would this child.
+        # Shells start background jobs with interrupts ignored, which this child would inherit.
         "import signal\n"
         "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
         "import numpy as np\n"
@@ -434,5 +434,5 @@ def test_ctrl_c_answers_within_a_second() -> None:
         _, errors = process.communicate(timeout=30)
         waited = time.monotonic() - sent
     assert "KeyboardInterrupt" in errors
-    # Half a second of it is the interpreter's own way out on a busy machine.
+    # On a busy machine the interpreter itself takes half a second to exit.
     assert waited < 1.5

@@ -18,12 +18,13 @@ from lightmatrix.solvers.system import System
 from tests.helpers.problems import clipping_problem, with_samples
 
 CONVEX = [Fidelity.LINEAR, Fidelity.ONE_SIDED, Fidelity.REJECTION, Fidelity.LIKELIHOOD]
-# Rows that are solved to the last digit: at 9 x 11 some take 13,000 iterations, here 1,800.
+# Projector size for rows that are solved to the last digit. That takes 1,800 iterations here, but
+# up to 13,000 at 9 x 11.
 QUICK: dict[str, Any] = {"rows": 4, "shape": (6, 7), "count": 24}
 
 
 def _augmented(problem: Problem, scale: float) -> np.ndarray[Any, Any]:
-    """Columns of the unknowns: pixels x, and c / scale = (sum x + b) / scale if there is a b."""
+    """Columns of the unknowns: pixels x and, with a background, c / scale = (sum x + b) / scale."""
     dense = problem.patterns.dense().astype(np.float64)
     if not problem.background:
         return dense
@@ -32,14 +33,14 @@ def _augmented(problem: Problem, scale: float) -> np.ndarray[Any, Any]:
 
 
 def _brute_force(cost: Any, size: int) -> np.ndarray[Any, Any]:
-    found = minimize(
+    optimum = minimize(
         cost,
         np.zeros(size),
         jac=True,
         method="L-BFGS-B",
         options={"maxiter": 5000, "ftol": 1e-15, "gtol": 1e-10},
     )
-    return found.x
+    return optimum.x
 
 
 @pytest.mark.parametrize("nonnegative", [False, True])
@@ -95,7 +96,7 @@ def test_saturation_admm_updates_minimise_their_own_subproblems(
 
         np.testing.assert_allclose(after.x[row], _brute_force(cost, len(z)), atol=1e-5)
         _assert_z_is_best(after.z[row], after.x[row] + h / mu, mu, problem, scale)
-        # The u-update itself is held against a grid in test_fidelity; here: it saw the right v.
+        # test_fidelity checks the u-update itself; this checks that it gets the right v.
         v = matrix @ state.x[row] + g / nu
         free = ~problem.samples.clipped[row] & (v < 0.9)
         lam_nu = problem.regularization * nu
@@ -104,7 +105,7 @@ def test_saturation_admm_updates_minimise_their_own_subproblems(
 
 
 def _assert_z_is_best(z: Any, q: Any, mu: float, problem: Problem, scale: float) -> None:
-    """z minimises its subproblem: brute force over z = positive - negative part, and c."""
+    """Assert that z minimises its subproblem, by brute force over z = positive - negative and c."""
     pixels, signed = problem.patterns.pixels, not problem.nonnegative
     extra = len(z) - pixels
 
@@ -118,7 +119,7 @@ def _assert_z_is_best(z: Any, q: Any, mu: float, problem: Problem, scale: float)
     bounds = [(0, None)] * pixels + [(0, None if signed else 0)] * pixels + [(None, None)] * extra
     room = np.concatenate([-np.ones(pixels), np.zeros(pixels), np.full(extra, scale)])
     capped = [{"type": "ineq", "fun": lambda v: room @ v, "jac": lambda _: room}]
-    found = minimize(
+    optimum = minimize(
         cost,
         np.zeros(len(room)),
         jac=True,
@@ -127,7 +128,8 @@ def _assert_z_is_best(z: Any, q: Any, mu: float, problem: Problem, scale: float)
         constraints=capped if extra and not signed else [],
         options={"maxiter": 1000, "ftol": 1e-15},
     )
-    best = np.concatenate([found.x[:pixels] - found.x[pixels : 2 * pixels], found.x[2 * pixels :]])
+    x = optimum.x
+    best = np.concatenate([x[:pixels] - x[pixels : 2 * pixels], x[2 * pixels :]])
     np.testing.assert_allclose(z, best, atol=1e-5)
 
 
@@ -138,11 +140,11 @@ def test_two_solvers_one_problem(nonnegative: bool, background: bool) -> None:
     unclipped = with_samples(problem, clipped=np.zeros_like(problem.samples.clipped))
     solvers = [ADMM(max_iterations=20_000, tolerance=1e-8)]
     solvers += [SaturationADMM(f, max_iterations=20_000, tolerance=1e-8) for f in CONVEX]  # type: ignore[misc]
-    found = [solve(unclipped, solver) for solver in solvers]
-    for solver, result in zip(solvers, found, strict=True):
+    results = [solve(unclipped, solver) for solver in solvers]
+    for solver, result in zip(solvers, results, strict=True):
         again = objective(unclipped, result.coefficients, result.background, Fidelity.LINEAR)
         np.testing.assert_allclose(again, result.objective, rtol=1e-9)
-        np.testing.assert_allclose(again, found[0].objective, rtol=1e-9, err_msg=str(solver))
+        np.testing.assert_allclose(again, results[0].objective, rtol=1e-9, err_msg=str(solver))
 
 
 @pytest.mark.parametrize("fidelity", CONVEX)
@@ -200,7 +202,7 @@ def test_no_dual_value_is_above_any_primal_one(fidelity: Fidelity, nonnegative: 
     solver = SaturationADMM(fidelity, max_iterations=20_000, tolerance=1e-9)
     best = solve(problem, solver)
     x, b = best.coefficients.toarray(), best.background
-    # Its residual would bound too high, were it not made orthogonal to the means.
+    # The residual gives too high a bound unless it is orthogonal to the means.
     alone = solve(replace(problem, background=False), solver)
     points = [(alone.coefficients.toarray(), alone.background)]
     random = np.random.default_rng(0)
@@ -220,7 +222,7 @@ def test_no_dual_value_is_above_any_primal_one(fidelity: Fidelity, nonnegative: 
     optimum = best.objective
     assert (highest <= optimum * (1 + 1e-9)).all()
     assert (lowest >= optimum * (1 - 1e-9)).all()
-    # And the bound is worth something: from points nearby it comes near the optimum.
+    # Near the optimum the bound is tight.
     np.testing.assert_allclose(highest, optimum, rtol=1e-4)
 
 
@@ -289,7 +291,7 @@ def test_system_solves_wide_and_tall_problems_alike() -> None:
 
 
 def test_background_is_the_light_that_pixels_do_not_explain() -> None:
-    """What the system's unknowns predict is P x + b m, with m the patterns' means."""
+    """The system's unknowns predict P x + b m, with m the patterns' means."""
     random = np.random.default_rng(2)
     patterns = BernoulliPatterns((5, 6), 12)
     system = System(patterns, 1.0, patterns.means)
@@ -314,7 +316,7 @@ def test_bound_of_the_background_does_not_stall() -> None:
 
 
 def test_rows_stop_by_themselves() -> None:
-    """A row's answer depends on no other row of its batch."""
+    """A row's solution does not depend on the other rows of its batch."""
     problem, _ = clipping_problem(rows=12)
     solver = SaturationADMM(tolerance=1e-4)
     together = solve(problem, solver)
@@ -338,7 +340,7 @@ def test_weights_mask_and_scale() -> None:
     one = solve(masked, exact)
     two = solve(with_samples(masked, values=spoiled, clipped=problem.samples.clipped), exact)
     np.testing.assert_allclose(one.objective, two.objective, rtol=1e-6)
-    # Four times the weight and four times the regularization is the same problem.
+    # Four times the weight with four times the regularization is the same problem.
     strong = replace(
         with_samples(problem, weights=np.full(problem.patterns.count, 4.0)), regularization=0.2
     )

@@ -21,7 +21,7 @@ def test_the_tail_decides_at_low_noise_and_the_noise_at_high() -> None:
     noisy = default_regularization(patterns, 1.0, noise=0.02)
     assert noisy > TAIL_SHARE
     assert default_regularization(patterns, 1.0, noise=0.04) == pytest.approx(2 * noisy)
-    # Twice the patterns, the square root of two times the threshold.
+    # With twice the patterns the threshold is sqrt(2) times as large.
     more = default_regularization(BernoulliPatterns((64, 64), 512), 1.0, noise=0.02)
     assert more == pytest.approx(noisy * np.sqrt(2), rel=0.01)
 

@@ -1,4 +1,4 @@
-"""The loop all iterative solvers share: limits, status, history, progress, memory."""
+"""The loop of all iterative solvers: limits, status, history, progress, memory."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from tests.helpers.problems import clipping_problem, with_samples
 
 
 def test_rows_of_the_result_are_rows_of_the_problem() -> None:
-    """Rows stop in any order and are put back into place."""
+    """Rows stop in any order, but results keep the order of the problem."""
     problem, _ = clipping_problem(rows=30)
     result = solve(problem, SaturationADMM())
     assert (np.diff(result.iterations) < 0).any()
@@ -57,7 +57,7 @@ def test_history_progress_and_iterations() -> None:
     assert result.history["rows"] == running
 
 
-def test_iteration_limit_is_reported_and_what_was_found_is_kept() -> None:
+def test_the_iteration_limit_is_reported_and_rows_are_kept() -> None:
     problem, _ = clipping_problem(rows=12)
     steps = int(np.median(solve(problem, SaturationADMM()).iterations))
     result = solve(problem, SaturationADMM(max_iterations=steps))
@@ -71,7 +71,7 @@ def test_iteration_limit_is_reported_and_what_was_found_is_kept() -> None:
 
 @dataclass(frozen=True)
 class _Breaking(SaturationADMM):
-    """Leaves the finite numbers in the row of the brightest samples, at the third step."""
+    """The row with the brightest samples becomes infinite at the third step."""
 
     def step(self, problem: Problem, state: Any) -> Any:
         after = super().step(problem, state)
@@ -81,7 +81,7 @@ class _Breaking(SaturationADMM):
         return replace(after, x=broken)
 
 
-def test_a_row_that_leaves_the_finite_numbers_stops_alone() -> None:
+def test_a_row_that_is_not_finite_stops_alone() -> None:
     problem, _ = clipping_problem(rows=6)
     samples, clipped = problem.samples.values.copy(), problem.samples.clipped.copy()
     samples[2], clipped[2] = 99.0, False
@@ -99,7 +99,7 @@ def test_a_row_that_leaves_the_finite_numbers_stops_alone() -> None:
     )
 
 
-def test_a_solver_with_its_own_loop_is_left_to_it() -> None:
+def test_a_solver_may_have_its_own_loop() -> None:
     problem, _ = clipping_problem()
     expected = ROMP().solve(problem)
 
@@ -148,7 +148,7 @@ def test_rows_of_the_compiled_solver_take_no_more_memory_than_it_says() -> None:
 
 @pytest.mark.parametrize("solver", [ADMM(), SaturationADMM(), ROMP()])
 def test_rows_take_no_more_memory_than_the_solver_says(solver: Any) -> None:
-    """The difference between many rows and few, so that what all rows share does not count."""
+    """Compares many rows with few, so that shared memory does not count."""
     peaks = {}
     for rows in (40, 400):
         problem, _ = clipping_problem(rows=rows, shape=(64, 64), count=96, dtype=np.float32)

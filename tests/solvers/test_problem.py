@@ -1,4 +1,4 @@
-"""A problem refuses what no solver could treat, and says what would work."""
+"""`Problem` refuses invalid input, with a hint."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def test_bad_regularization(regularization: float) -> None:
         replace(problem, regularization=regularization)
 
 
-def test_status_tells_the_remedy() -> None:
+def test_the_status_names_the_remedy() -> None:
     problem, _ = clipping_problem()
     result = solve(problem, SaturationADMM(max_iterations=2))
     assert result.status is Status.ITERATION_LIMIT
@@ -62,7 +62,7 @@ def test_history_is_kept() -> None:
     assert result.history["rows"][0] == problem.rows
 
 
-def test_the_column_of_the_background_is_the_means_unless_it_is_given() -> None:
+def test_the_default_background_column_is_the_means() -> None:
     problem, _ = clipping_problem()
     means = problem.patterns.means
     np.testing.assert_array_equal(problem.column, means)
@@ -71,7 +71,7 @@ def test_the_column_of_the_background_is_the_means_unless_it_is_given() -> None:
         one, other = solve(problem, solver), solve(same, solver)
         np.testing.assert_array_equal(one.objective, other.objective)
         np.testing.assert_array_equal(one.background, other.background)
-        # Twice the column takes half the coefficient.
+        # Twice the column has half the coefficient.
         double = solve(replace(problem, background_column=2 * means), solver)
         np.testing.assert_allclose(2 * double.background, one.background, rtol=0.05, atol=5e-3)
 

@@ -1,4 +1,4 @@
-"""Closed forms against a grid that never starts from their own answer."""
+"""Soft thresholds against a grid search."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ positive = st.floats(0.01, 30)
 def test_soft_threshold_minimises_its_own_problem(
     q: float, threshold: float, nonnegative: bool
 ) -> None:
-    found = float(soft_threshold(np.array([q]), threshold, nonnegative=nonnegative)[0])
+    shrunk = float(soft_threshold(np.array([q]), threshold, nonnegative=nonnegative)[0])
     grid = np.linspace(0 if nonnegative else -40, 40, 160_001)
 
     def cost(z: np.ndarray) -> np.ndarray:
         return threshold * np.abs(z) + (q - z) ** 2 / 2
 
-    assert not (nonnegative and found < 0)
-    assert cost(np.array([found]))[0] <= cost(grid).min() + 1e-7
+    assert not (nonnegative and shrunk < 0)
+    assert cost(np.array([shrunk]))[0] <= cost(grid).min() + 1e-7
 
 
 @given(q=st.tuples(values, values), total=values, threshold=positive, scale=st.floats(0.2, 5))
@@ -43,7 +43,7 @@ def test_capped_soft_threshold_minimises_its_own_problem(
         distance = (one - q[0]) ** 2 + (two - q[1]) ** 2 + (c - total) ** 2
         return threshold * (one + two) + distance / 2
 
-    # For given z the best c is the total, or what the cap asks for.
+    # For a fixed z, the best c is the total, or the smallest that the cap allows.
     best = cost(one, two, np.maximum(total, (one + two) / scale)).min()
     assert cost(z[0, 0], z[0, 1], c[0]) <= best + 1e-9
 

@@ -19,9 +19,9 @@ def test_the_path_finds_the_scale_of_the_noise() -> None:
     path = regularization_path(problem, factors=(100, 1, 0.1), share=0.2)
     assert (np.diff(path.values) < 0).all()
     assert len(path.held_out) == 16
-    # At 100 times the regularization nothing is left of the rows.
+    # At 100 times the regularization all rows are zero.
     assert path.errors[0] > 2 * path.errors.min()
-    # The errors are those of samples that were not used, computed from nothing but the definition.
+    # The errors are those of the held-out samples, computed from the definition.
     kept = np.setdiff1d(np.arange(80), path.held_out)
     dense = problem.patterns.dense().astype(np.float64)
     fit = replace(
@@ -30,13 +30,13 @@ def test_the_path_finds_the_scale_of_the_noise() -> None:
     seen, clipped = problem.samples.values, problem.samples.clipped
     errors = []
     for value in path.values:
-        found = ActiveSet(tolerance=1e-6).solve(replace(fit, regularization=float(value)))
-        x, b = found.coefficients.toarray(), found.background
+        result = ActiveSet(tolerance=1e-6).solve(replace(fit, regularization=float(value)))
+        x, b = result.coefficients.toarray(), result.background
         u = x @ dense.T + np.outer(b, dense.mean(axis=1))
         wrong = np.where(clipped, np.maximum(seen - u, 0), seen - u)[:, path.held_out]
         errors.append(np.sqrt(np.mean(wrong**2)))
     np.testing.assert_allclose(path.errors, errors, rtol=0.02)
-    # The largest value within 1 % of the least error.
+    # `best` is the largest value whose error is within 1 % of the least one.
     assert path.best == next(
         v for v, e in zip(path.values, path.errors, strict=True) if e <= 1.01 * min(path.errors)
     )
@@ -63,10 +63,10 @@ def test_one_pattern_may_be_held_out() -> None:
 def test_rows_are_spread_evenly_and_the_seed_draws_the_patterns() -> None:
     problem, _ = clipping_problem(rows=9, count=40)
     few = regularization_path(problem.take(np.array([0, 4, 8])), factors=(1,))
-    found = regularization_path(problem, factors=(1,), rows=3)
-    np.testing.assert_array_equal(found.errors, few.errors)
+    path = regularization_path(problem, factors=(1,), rows=3)
+    np.testing.assert_array_equal(path.errors, few.errors)
     other = regularization_path(problem, factors=(1,), rows=3, seed=1)
-    assert (other.held_out != found.held_out).any()
+    assert (other.held_out != path.held_out).any()
 
 
 @pytest.mark.parametrize(

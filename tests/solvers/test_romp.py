@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -125,6 +126,18 @@ def test_the_default_sparsity_is_an_eighth_of_the_patterns_and_32_at_most() -> N
         np.testing.assert_array_equal(default.coefficients.toarray(), same.coefficients.toarray())
         other = solve(problem, ROMP(sparsity=sparsity + 1))
         assert (default.coefficients != other.coefficients).nnz > 0
+
+
+def test_removed_pixels_leave_the_others_at_their_least_squares() -> None:
+    problem, _ = clipping_problem(rows=8, clip_level=50.0)
+    result = solve(problem, ROMP(12, Fidelity.LINEAR))
+    x, b = result.coefficients.toarray(), result.background
+    signed = solve(replace(problem, nonnegative=False), ROMP(12, Fidelity.LINEAR))
+    assert (signed.coefficients.data < 0).any()
+    residual = problem.samples.values - predictions(problem, result.coefficients, b)
+    correlations = problem.patterns.adjoint(residual)
+    assert (x >= 0).all()
+    np.testing.assert_allclose(correlations[x > 0], 0, atol=1e-6)
 
 
 def test_chunks_change_nothing_and_report_progress(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,4 +1,4 @@
-"""Weighted rows on given pixels: optimal by the definition; equal weights are the plain case."""
+"""The weighted problem: optimality by definition, and the plain problem."""
 
 from __future__ import annotations
 
@@ -42,10 +42,10 @@ def objective(
 
 def test_equal_weights_are_the_plain_problem() -> None:
     problem, _ = clipping_problem()
-    found = solve_weighted(problem, every_pixel(problem), Cells.none(problem.patterns), SOLVER)
+    solved = solve_weighted(problem, every_pixel(problem), Cells.none(problem.patterns), SOLVER)
     plain = SOLVER.solve(problem)
-    assert found.converged.all()
-    np.testing.assert_allclose(found.objective, plain.objective, rtol=1e-6)
+    assert solved.converged.all()
+    np.testing.assert_allclose(solved.objective, plain.objective, rtol=1e-6)
 
 
 @settings(max_examples=25, deadline=None)
@@ -66,19 +66,19 @@ def test_no_change_improves_the_objective(
     weights = candidates.data.reshape(weights.shape).astype(np.float64)
     means = random.random((cells_count, count)).astype(np.float32)
     cells = Cells(means, random.uniform(0.1, 2, cells_count).astype(np.float32))
-    found = solve_weighted(problem, candidates, cells, SOLVER)
-    x = found.coefficients.toarray()
-    given = (weights, cells)
-    best = objective(problem, x, *given, found.cells.astype(float), found.background)
-    np.testing.assert_allclose(best, found.objective, rtol=1e-4, atol=1e-9)
+    solved = solve_weighted(problem, candidates, cells, SOLVER)
+    x = solved.coefficients.toarray()
+    terms = (weights, cells)
+    best = objective(problem, x, *terms, solved.cells.astype(float), solved.background)
+    np.testing.assert_allclose(best, solved.objective, rtol=1e-4, atol=1e-9)
     for _ in range(20):
         step = 10.0 ** random.uniform(-4, 0)
         other = np.maximum(
             x + step * random.normal(size=x.shape) * (random.random(x.shape) < 0.2), 0
         )
-        g = np.maximum(found.cells + step * random.normal(size=found.cells.shape), 0)
-        b = np.maximum(found.background + step * random.normal(size=3), 0)
-        changed = objective(problem, other, *given, g, b)
+        g = np.maximum(solved.cells + step * random.normal(size=solved.cells.shape), 0)
+        b = np.maximum(solved.background + step * random.normal(size=3), 0)
+        changed = objective(problem, other, *terms, g, b)
         assert (changed >= best * (1 - 1e-4) - 1e-9).all()
 
 
@@ -89,22 +89,22 @@ def test_only_candidates_are_used() -> None:
     for row in truth[:3]:
         pixels.extend(np.flatnonzero(row))
         indptr.append(len(pixels))
-    indptr.append(len(pixels))  # The last row has none.
+    indptr.append(len(pixels))  # The last row has no candidates.
     candidates = Candidates(
         np.array(indptr, np.int64), np.array(pixels, np.int32), np.ones(len(pixels), np.float32)
     )
-    found = solve_weighted(problem, candidates, Cells.none(problem.patterns), SOLVER)
-    x = found.coefficients.toarray()
+    solved = solve_weighted(problem, candidates, Cells.none(problem.patterns), SOLVER)
+    x = solved.coefficients.toarray()
     assert not x[truth == 0].any()
     assert not x[3].any()
-    # With the support known, forty samples suffice for any row.
+    # With a known support, forty samples are enough for any row.
     error = np.linalg.norm(x[:3] - truth[:3]) / np.linalg.norm(truth[:3])
     assert error < 0.1
-    assert found.background[3] > 0
+    assert solved.background[3] > 0
 
 
 @pytest.mark.parametrize("packed", [False, True])
-def test_expected_samples_are_further_samples(packed: bool) -> None:
+def test_pseudo_samples_count_as_samples(packed: bool) -> None:
     problem, truth = clipping_problem(rows=5)
     shape, count = problem.patterns.shape, problem.patterns.count
     unseen: PatternSet = BernoulliPatterns(shape, 7, seed=5)
@@ -118,14 +118,14 @@ def test_expected_samples_are_further_samples(packed: bool) -> None:
     weights[0] = 0
     means = np.ascontiguousarray(flat[:, :20].mean(axis=1)[None], np.float32)
     penalties = np.array([0.3], np.float32)
-    found = solve_weighted(
+    solved = solve_weighted(
         problem,
         every_pixel(problem),
         Cells(means, penalties),
         SOLVER,
         pseudo_samples=PseudoSamples(unseen, values, weights),
     )
-    # The same with the patterns shown twice.
+    # The same as showing the patterns twice.
     twice = np.concatenate([problem.patterns.images(), both])
     extended = Problem(
         ImagePatterns(twice),
@@ -139,18 +139,18 @@ def test_expected_samples_are_further_samples(packed: bool) -> None:
     )
     again = np.concatenate([means[:, :count], means], axis=1)
     plain = solve_weighted(extended, every_pixel(extended), Cells(again, penalties), SOLVER)
-    assert found.converged.all()
-    np.testing.assert_allclose(found.objective, plain.objective, rtol=1e-6)
+    assert solved.converged.all()
+    np.testing.assert_allclose(solved.objective, plain.objective, rtol=1e-6)
 
 
-def test_a_background_of_its_own_replaces_the_means() -> None:
+def test_a_background_of_each_row_replaces_the_means() -> None:
     problem, _ = clipping_problem(rows=4)
     random = np.random.default_rng(3)
     own = random.random(problem.samples.values.shape).astype(np.float32)
     none = Cells.none(problem.patterns)
-    found = solve_weighted(problem, every_pixel(problem), none, SOLVER, background=own)
-    x, b = found.coefficients.toarray(), found.background
-    assert found.converged.all()
+    solved = solve_weighted(problem, every_pixel(problem), none, SOLVER, background=own)
+    x, b = solved.coefficients.toarray(), solved.background
+    assert solved.converged.all()
     assert (b > 0).any()
 
     def value(x: Any, b: Any) -> Any:
@@ -168,7 +168,7 @@ def test_a_background_of_its_own_replaces_the_means() -> None:
         return np.array(rows)
 
     best = value(x, b)
-    np.testing.assert_allclose(best, found.objective, rtol=1e-5)
+    np.testing.assert_allclose(best, solved.objective, rtol=1e-5)
     for _ in range(20):
         step = 10.0 ** random.uniform(-4, -1)
         other = np.maximum(x + step * random.normal(size=x.shape) * (x > 0), 0)
@@ -188,9 +188,9 @@ def test_starting_at_the_solution_leaves_only_the_certificate() -> None:
     np.testing.assert_allclose(again.objective, first.objective, rtol=1e-6)
 
 
-def test_threads_do_not_matter() -> None:
+def test_results_do_not_depend_on_threads() -> None:
     problem, _ = clipping_problem(rows=70)
-    found = [
+    solved = [
         solve_weighted(
             problem,
             every_pixel(problem),
@@ -199,7 +199,7 @@ def test_threads_do_not_matter() -> None:
         ).coefficients
         for threads in (1, 3)
     ]
-    assert (found[0] != found[1]).nnz == 0
+    assert (solved[0] != solved[1]).nnz == 0
 
 
 def test_signed_light_and_foreign_candidates_are_refused() -> None:

@@ -10,7 +10,7 @@ import pytest
 from scipy.sparse import csr_array
 
 from lightmatrix.errors import InputError
-from lightmatrix.transport.sparse_rows import SparseRows
+from lightmatrix.transport.sparse_rows import SparseRows, footprint_sizes, row_blocks
 
 
 def rows(count: int = 7, pixels: int = 9, background: int = 2) -> SparseRows:
@@ -101,3 +101,22 @@ def test_missing_arrays_are_refused() -> None:
     del arrays["indptr"]
     with pytest.raises(InputError, match="indptr"):
         SparseRows.from_arrays(arrays)
+
+
+def test_blocks_of_rows_have_about_equally_many_entries() -> None:
+    entries = np.array([3, 0, 5, 1, 4, 2, 6, 3])
+    ends = np.concatenate([[0], np.cumsum(entries)])
+    cuts = row_blocks(ends, 8)
+    assert (cuts[0], cuts[-1]) == (0, 8)
+    assert (np.diff(cuts) > 0).all()
+    # 24 entries in blocks of 8, give or take a row.
+    assert len(cuts) == 4
+    assert (np.diff(ends[cuts]) < 8 + entries.max()).all()
+    np.testing.assert_array_equal(row_blocks(ends, 100), [0, 8])
+    np.testing.assert_array_equal(row_blocks(ends, 23), [0, 5, 8])
+
+
+def test_footprint_sizes_count_equal_entries() -> None:
+    dense = np.array([[2.0, 2, 2, 0], [0, 0, 0, 0], [5, 0, 0, 0], [3, 1, 0, 0]])
+    sizes = footprint_sizes(csr_array(dense))
+    np.testing.assert_allclose(sizes, [3, 0, 1, 1.6])
