@@ -99,6 +99,8 @@ def test_the_luminance_of_colour() -> None:
     colour = np.zeros((1, 1, 2, 2, 3))
     colour[..., 1] = 100
     np.testing.assert_allclose(jpeg._luminance(colour), 58.7)
+    colour[..., 0], colour[..., 2] = 10, 50
+    np.testing.assert_allclose(jpeg._luminance(colour), 2.99 + 58.7 + 5.7)
     assert jpeg._luminance(colour[..., :1]).shape == (1, 1, 2, 2)
 
 
@@ -117,5 +119,8 @@ def test_words_and_which_frames_are_looked_at() -> None:
     ]
     assert check(frames, "A.JPG") == ["the photographs went through JPEG of quality 60"]
     assert check(frames.astype(np.uint16)) == []
+    other_table = rounded(11).reshape(4, 10, 10, 8, 8).swapaxes(2, 3).reshape(4, 80, 80)
+    (message,) = check(other_table.astype(np.uint8))
+    assert message.startswith("the photographs went through JPEG with steps of about 1")
     assert check(frames[:, :7]) == []
     assert check(smooth()) == []
