@@ -67,6 +67,8 @@ def test_rows_are_spread_evenly_and_the_seed_draws_the_patterns() -> None:
     np.testing.assert_array_equal(path.errors, few.errors)
     other = regularization_path(problem, factors=(1,), rows=3, seed=1)
     assert (other.held_out != path.held_out).any()
+    # By default an eighth of the patterns is held out.
+    assert len(path.held_out) == problem.patterns.count // 8
 
 
 @pytest.mark.parametrize(
