@@ -6,23 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.sparse import csr_array, random_array
 
 import lightmatrix as lm
 from lightmatrix.pictures import maps
-
-ROWS, COLS = 9, 7
+from tests.helpers.transports import random_transport
 
 
 @pytest.fixture
 def transport() -> lm.LightTransport:
-    """Random rows over a projector of 9 x 7, one of them dark, with a background."""
-    generator = np.random.default_rng(3)
-    sparse = random_array((30, ROWS * COLS), density=0.2, rng=generator, format="csr")
-    dense = sparse.toarray().astype(np.float32)
-    dense[4] = 0
-    background = generator.random((30, 2)).astype(np.float32)
-    return lm.LightTransport(csr_array(dense), background, (5, 6), (ROWS, COLS), (2, 1))
+    return random_transport()
 
 
 def test_maps_are_read_without_colour(transport: lm.LightTransport) -> None:

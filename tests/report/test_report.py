@@ -7,7 +7,6 @@ import re
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -116,11 +115,9 @@ def test_an_estimate_without_diagnostics_has_a_report_too(tmp_path: Path) -> Non
     capture = lm.Capture.from_arrays(patterns, frames, sensor, mask=mask).bin(camera=2)
     estimate = lm.estimate(capture, solver="romp", iterations=2)
     bare = replace(estimate, diagnostics={}, provenance={})
-    finding = SimpleNamespace(
-        kind="swapped", frames=(2, 4), message="two frames look swapped", advice="swap them"
-    )
+    finding = lm.Finding("order", (2, 4), "two frames look swapped", "swap them")
     numbers = lm.report(tmp_path / "report", bare, capture, findings=[finding])
-    assert numbers["findings"] == ["swapped"]
+    assert numbers["findings"] == ["order"]
     assert numbers["verdict"] == "not tested"
     assert numbers["clipped_samples"] == pytest.approx(capture.clipped_share)
     words = _words(tmp_path / "report" / "report.html")

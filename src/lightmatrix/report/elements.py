@@ -34,7 +34,7 @@ class Gallery:
     """Pictures side by side, as many as fit the screen."""
 
     images: tuple[Image, ...]
-    size: Literal["small", "medium", "wide"] = "medium"
+    size: Literal["medium", "wide"] = "medium"
     kind: ClassVar[str] = "gallery"
 
 

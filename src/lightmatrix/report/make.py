@@ -5,10 +5,11 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from lightmatrix._version import __version__
 from lightmatrix.capture.capture import Capture
+from lightmatrix.diagnosis.finding import Finding
 from lightmatrix.errors import InputError
 from lightmatrix.estimators.settings import EstimateSettings
 from lightmatrix.estimators.work import Progress
@@ -27,27 +28,6 @@ from lightmatrix.report.sections.transport_matrix import transport_matrix
 from lightmatrix.report.validation import Estimator, Validation, validate
 from lightmatrix.simulation.truth import Truth
 from lightmatrix.transport.matrix import LightTransport
-
-
-class Finding(Protocol):
-    """A problem of a capture, as `check` finds it."""
-
-    @property
-    def kind(self) -> str:
-        """The kind of problem, in a word."""
-
-    @property
-    def frames(self) -> Sequence[int]:
-        """The affected frames; empty if all are."""
-
-    @property
-    def message(self) -> str:
-        """What is wrong."""
-
-    @property
-    def advice(self) -> str:
-        """What to do."""
-
 
 # The files of a report folder.
 PAGE, NUMBERS = "report.html", "report.json"
@@ -87,7 +67,7 @@ def report(
         Whether to hold out a few photographs, estimate T again from the others, and predict the
         unseen ones. That takes as long as the estimate itself, on at most 16,384 camera samples.
     findings : sequence of Finding
-        Problems of the frames: each has a kind, frames, a message and an advice.
+        Problems of the frames, as `check` finds them.
     title : str
         Title of the page.
     overwrite : bool
