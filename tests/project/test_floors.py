@@ -25,7 +25,7 @@ FLOORS = [
     {"capture", "solvers", "store"},
     {"diagnosis", "simulation", "pictures"},
     {"estimators", "evaluation", "calibration"},
-    {"planning", "report"},
+    {"planning", "report", "uses"},
     {"experiments", "live"},
     {"cli"},
     {"__main__"},

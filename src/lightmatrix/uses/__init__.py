@@ -1,0 +1,1 @@
+"""What T is for: a file a use."""
