@@ -38,13 +38,13 @@ TARGETS = [
     PACKAGE / name
     for name in ("solvers", "estimators", "capture", "diagnosis", "transport", "evaluation")
 ]
-# Folders of tests that run the code of TARGETS in their own process. The tests of the live rig, the
-# renderer and the table of faults would double the time of the record: they wait for devices, or
-# run the command line in other processes, whose lines are not recorded.
+# Tests that run the code of TARGETS in their own process. Others would double the time of the record:
+# those of the live rig wait for devices, those of the faults run the command line in processes whose
+# lines are not recorded, and those of stores and plans run few of these lines.
 SUITES = [
     *("tests/solvers", "tests/estimators", "tests/capture", "tests/diagnosis", "tests/transport"),
-    *("tests/evaluation", "tests/core", "tests/camera", "tests/planning", "tests/report"),
-    *("tests/store", "tests/cli"),
+    *("tests/evaluation", "tests/core", "tests/camera"),
+    *("tests/cli/test_bad_input.py", "tests/cli/test_same_from_python.py"),
 ]
 # Modules that are imported once, before the children are forked: a mutant then takes one second
 # instead of five.
@@ -89,14 +89,18 @@ def main() -> int:
 
 def sample(tree: Path, paths: list[Path], count: int, seed: int) -> list[Mutant]:
     """Some mutants of the files in `paths`, all if `count` is 0."""
-    places = [tree / path for path in paths]
-    files = sorted(f for p in places for f in ([p] if p.is_file() else p.rglob("*.py")))
+    files = python_files([tree / path for path in paths], "*.py")
     mutants = [m for f in files for m in mutants_of(f.relative_to(tree), f.read_text())]
     chosen = mutants
     if 0 < count < len(mutants):
         chosen = random.Random(seed).sample(mutants, count)
     print(f"{len(chosen)} of {len(mutants)} mutants", flush=True)
     return chosen
+
+
+def python_files(places: list[Path], pattern: str) -> list[Path]:
+    """The files among `places`, and those in its folders whose names match."""
+    return sorted(f for p in places for f in ([p] if p.is_file() else p.rglob(pattern)))
 
 
 def copied(to: Path) -> Path:
@@ -127,7 +131,7 @@ def recording(copies: list[Path]) -> dict[str, Any]:
         if earlier["digest"] == digest:
             return earlier
     print("recording which test runs which line", flush=True)
-    files = sorted(f for suite in SUITES for f in (tree / suite).glob("test_*.py"))
+    files = python_files([tree / suite for suite in SUITES], "test_*.py")
     # The largest files first, in turn to each process: about the same time for all.
     files.sort(key=lambda file: -file.stat().st_size)
     started = []

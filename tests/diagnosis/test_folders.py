@@ -30,7 +30,7 @@ def run(words: str, capsys: pytest.CaptureFixture[str]) -> tuple[int, list[dict[
 def test_the_command(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(str(folder), capsys) == (0, [])
     assert main(["check", str(folder)]) == 0
-    assert "nothing wrong" in capsys.readouterr().out
+    assert "nothing is wrong" in capsys.readouterr().out
     images = sorted((folder / "images").iterdir())
     images[3].write_bytes(images[4].read_bytes())
     code, found = run(str(folder), capsys)
