@@ -38,9 +38,9 @@ TARGETS = [
     PACKAGE / name
     for name in ("solvers", "estimators", "capture", "diagnosis", "transport", "evaluation")
 ]
-# Tests that run the code of TARGETS in their own process. Others would double the time of the record:
-# those of the live rig wait for devices, those of the faults run the command line in processes whose
-# lines are not recorded, and those of stores and plans run few of these lines.
+# Tests that run the code of TARGETS in their own process. Others would double the time of the
+# record: those of the live rig wait for devices, those of the faults run the command line in
+# processes whose lines are not recorded, and those of stores and plans run few of these lines.
 SUITES = [
     *("tests/solvers", "tests/estimators", "tests/capture", "tests/diagnosis", "tests/transport"),
     *("tests/evaluation", "tests/core", "tests/camera"),
