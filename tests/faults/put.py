@@ -10,12 +10,17 @@ import stat
 import struct
 import zlib
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import zarr
 from numpy.typing import NDArray
+from zarr.codecs import Crc32cCodec
+
+from lightmatrix.files.zarr_arrays import SMALL
+from lightmatrix.store.zarr_store import seal_store
 
 from .case import Prepare, SkipError
 
@@ -224,7 +229,7 @@ def endless_zeros(count: int) -> bytes:
 
 
 def stored(name: str, array_name: str, change: Callable[[NDArray[Any]], NDArray[Any]]) -> Prepare:
-    """One array of a Zarr store written anew, with sound checksums."""
+    """One array of a Zarr store written anew, with sound checksums and a sound seal."""
 
     def fault(folder: Path) -> None:
         group = zarr.open_group(folder / name, mode="r+", use_consolidated=False)
@@ -237,9 +242,13 @@ def stored(name: str, array_name: str, change: Callable[[NDArray[Any]], NDArray[
             shape=values.shape,
             chunks=tuple(max(1, n) for n in values.shape),
             dtype=values.dtype,
+            compressors=[SMALL, Crc32cCodec()],
             config={"write_empty_chunks": True},
         )
         made[...] = values
+        # Arrays that no store may hold cannot be sealed either.
+        with suppress(ValueError):
+            seal_store(folder / name)
 
     return fault
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shutil
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -137,6 +138,55 @@ def test_where_rows_begin_is_checked_at_once(tmp_path: Path) -> None:
         lm.StoredTransport.open(tmp_path / "none.zarr")
 
 
+def test_a_chunk_of_another_matrix_is_named_when_it_is_read(tmp_path: Path) -> None:
+    whole = transport()
+    lm.save(tmp_path / "s.zarr", whole)
+    lm.save(tmp_path / "other.zarr", replace(whole, sparse=whole.sparse * np.float32(2)))
+    chunks = sorted((tmp_path / "s.zarr" / "data" / "c").iterdir(), key=lambda file: int(file.name))
+    last = chunks[-1].name
+    shutil.copy(tmp_path / "other.zarr" / "data" / "c" / last, chunks[-1])
+    stored = lm.StoredTransport.open(tmp_path / "s.zarr")
+    np.testing.assert_array_equal(stored.row(1, 2), whole.row(1, 2))
+    with pytest.raises(InputError, match=rf"data/c/{last} is not the one that was written"):
+        stored.row(8, 7)
+
+
+@pytest.mark.parametrize("how", ["saved anew", "removed", "exchanged", "the same again"])
+def test_a_store_that_is_replaced_while_it_is_open_is_noticed(tmp_path: Path, how: str) -> None:
+    whole, path = transport(), tmp_path / "s.zarr"
+    lm.save(path, whole)
+    lm.index_columns(path)
+    stored, index = lm.StoredTransport.open(path, memory=0), lm.ColumnIndex.open(path)
+    brighter = replace(whole, sparse=whole.sparse * np.float32(1.3))
+    if how == "removed":
+        shutil.rmtree(path)
+    elif how == "exchanged":
+        lm.save(tmp_path / "new.zarr", brighter)
+        lm.index_columns(tmp_path / "new.zarr")
+        path.rename(tmp_path / "old.zarr")
+        (tmp_path / "new.zarr").rename(path)
+    else:
+        lm.save(path, brighter if how == "saved anew" else whole, overwrite=True)
+        lm.index_columns(path)
+    reads: dict[str, Callable[[], object]] = {
+        "row": lambda: stored.row(1, 2),
+        "rows": lambda: stored.rows(0, 9),
+        "column": lambda: stored.column(3, 4),
+        "relight": lambda: stored.relight(np.ones((6, 7))),
+        "dual": lambda: stored.dual(np.ones((9, 8), np.float32)),
+        "load": stored.load,
+        "light": lambda: index.light(np.array([3]), np.ones(1)),
+    }
+    for read in reads.values():
+        if how == "the same again":
+            read()
+            continue
+        with pytest.raises(InputError, match=r"s\.zarr: was replaced or removed since"):
+            read()
+    if how == "the same again":
+        np.testing.assert_array_equal(stored.row(8, 7), whole.row(8, 7))
+
+
 def test_relighting_from_files_reads_blocks(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -198,6 +248,17 @@ def test_the_index_of_another_matrix_is_refused(tmp_path: Path) -> None:
         lm.index_columns(tmp_path / name)
     shutil.rmtree(tmp_path / "s.zarr" / "columns")
     shutil.copytree(tmp_path / "finer.zarr" / "columns", tmp_path / "s.zarr" / "columns")
+    with pytest.raises(InputError, match="the index of another matrix"):
+        lm.ColumnIndex.open(tmp_path / "s.zarr")
+
+
+def test_the_index_of_a_matrix_of_the_same_shape_is_refused(tmp_path: Path) -> None:
+    whole = transport()
+    for name, matrix in (("s.zarr", whole), ("b.zarr", replace(whole, sparse=whole.sparse * 2))):
+        lm.save(tmp_path / name, matrix)
+        lm.index_columns(tmp_path / name)
+    shutil.rmtree(tmp_path / "s.zarr" / "columns")
+    shutil.copytree(tmp_path / "b.zarr" / "columns", tmp_path / "s.zarr" / "columns")
     with pytest.raises(InputError, match="the index of another matrix"):
         lm.ColumnIndex.open(tmp_path / "s.zarr")
 

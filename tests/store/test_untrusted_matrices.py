@@ -26,6 +26,7 @@ from lightmatrix.errors import InputError
 from lightmatrix.resources import memory
 from lightmatrix.simulation.truth import Truth
 from lightmatrix.store.matrix_checks import checked_matrix
+from lightmatrix.store.zarr_store import seal_store
 from lightmatrix.transport.sparse_rows import SparseRows
 from tests.helpers.stores import FINGERPRINT, TILES, assert_same, run, transport
 from tests.helpers.systems import PIPES
@@ -45,6 +46,7 @@ def rewrite(place: Path, name: str, change: Callable[[NDArray[Any]], NDArray[Any
         config={"write_empty_chunks": True},
     )
     array[...] = values
+    seal_store(place)
 
 
 def put(index: int, value: float) -> Callable[[NDArray[Any]], NDArray[Any]]:
@@ -59,17 +61,17 @@ WRONG: dict[str, tuple[str, Callable[[NDArray[Any]], NDArray[Any]], str]] = {
     "index of the first column too many": ("indices", put(3, 42), "lies outside the 42 columns"),
     "index far away": ("indices", put(-1, 2**31 - 1), "lies outside"),
     "negative index": ("indices", put(0, -1), "lies outside"),
-    "float indices": ("indices", lambda v: v.astype(float), "not whole numbers"),
+    "float indices": ("indices", lambda v: v.astype(float), "indices holds float64"),
     "indptr falls": ("indptr", put(5, 10**6), "indptr does not rise"),
     "indptr beyond the end": ("indptr", put(-1, 10**6), "indptr does not rise"),
     "indptr below the end": ("indptr", put(-1, 3), "indptr does not rise"),
-    "indptr of unsigned numbers": ("indptr", lambda v: v[::-1].astype(np.uint64), "not rise"),
+    "indptr of unsigned numbers": ("indptr", lambda v: v[::-1].astype(np.uint64), "holds uint64"),
     "indptr from 1": ("indptr", put(0, 1), "indptr does not rise"),
     "indptr too short": ("indptr", lambda v: v[:-1], "indptr"),
     "fewer values": ("data", lambda v: v[:-1], "indices has shape"),
     "not a number": ("data", put(2, np.nan), "data holds values that are not finite"),
     "infinite": ("data", put(2, np.inf), "data holds values that are not finite"),
-    "beyond float32": ("data", lambda v: v.astype(float) * 1e300, "not finite"),
+    "beyond float32": ("data", lambda v: v.astype(float) * 1e300, "data holds float64"),
     "background not a number": ("background", put(7, np.nan), "not finite"),
     "background of other blocks": ("background", lambda v: v[:, :5], "background has shape"),
     "background of other rows": ("background", lambda v: v[:-1], "background has shape"),

@@ -156,7 +156,8 @@ def read_packed(place: Path) -> CaptureParts:
             f"{place}: is not a {PACKED_CAPTURE.name}",
             hint="give a capture folder, or what `lightmatrix pack` made of one",
         )
-    if attributes.get("version") != VERSION:
+    # True and 1.0 equal 1, but are no versions.
+    if type(attributes.get("version")) is not int or attributes["version"] != VERSION:
         raise InputError(
             f"{place}: has format version {str(attributes.get('version'))[:20]}, this lightmatrix "
             f"reads {VERSION}",

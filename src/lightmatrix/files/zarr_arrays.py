@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import operator
 import os
 import struct
 from collections.abc import Iterator, Mapping
@@ -36,6 +37,8 @@ _CODECS = ("bytes", "blosc", "crc32c")
 _KEYS = {"name": "default", "configuration": {"separator": "/"}}
 # The header of a Blosc chunk: version and flags, then three sizes, first that of its content.
 _BLOSC = struct.Struct("<4xIII")
+# Digits of the CRC-32C with which each chunk ends.
+_CHECKSUM_DIGITS = 8
 # Python's words where there is no memory left for a thread, which is no damage.
 _NO_THREAD = "can't start new thread"
 
@@ -165,19 +168,27 @@ class StoredArray:
     chunks: tuple[int, ...]
     dtype: np.dtype[Any]
     array: zarr.Array[Any]
+    expected: str | None = None
 
     @classmethod
-    def open(cls, place: Path, most_chunk: int = CHUNK) -> StoredArray:
+    def open(
+        cls, place: Path, most_chunk: int = CHUNK, *, checksums: str | None = None
+    ) -> StoredArray:
         """Read the header of an array; a ValueError says if we would not store it this way.
 
-        A chunk may hold `most_chunk` values, even if the array has fewer.
+        A chunk may hold `most_chunk` values, even if the array has fewer. `checksums` are those of
+        its chunks, as `checksums` returns them; a chunk with another one is not read.
         """
         shape, chunks, dtype = _checked_header(place, read_metadata(place), most_chunk)
         # Only version 3 is opened: other versions permit other codecs.
         array = zarr.open_array(place, mode="r", zarr_format=3)
         if (array.shape, array.dtype) != (shape, dtype):
             raise ValueError(f"{place.name} is not an array")
-        return cls(place, shape, chunks, dtype, array)
+        made = cls(place, shape, chunks, dtype, array, checksums)
+        wanted = _CHECKSUM_DIGITS * math.prod(made._grid)
+        if checksums is not None and (type(checksums) is not str or len(checksums) != wanted):
+            raise ValueError(f"{place.name} has not as many chunks as were written")
+        return made
 
     @property
     def bytes(self) -> int:
@@ -208,6 +219,14 @@ class StoredArray:
                 self._decode(index)
             raise ValueError(f"{self.place.name} cannot be read ({error})") from error
 
+    def checksums(self) -> str:
+        """The checksums of its chunks in their order, eight hexadecimal digits each."""
+        parts = []
+        for index in itertools.product(*map(range, self._grid)):
+            self._check_chunk(index)
+            parts.append(_checksum(self.chunk_file(index)))
+        return "".join(parts)
+
     def chunk_file(self, index: tuple[int, ...]) -> Path:
         """The file of a chunk, by its number along each axis."""
         return self.place.joinpath("c", *map(str, index))
@@ -223,6 +242,20 @@ class StoredArray:
             header = stream.read(_BLOSC.size)
         if len(header) < _BLOSC.size or _BLOSC.unpack(header)[0] > most:
             raise ValueError(f"the chunk {self._named(index)} is not what the array needs")
+        if self.expected is not None:
+            first = _CHECKSUM_DIGITS * sum(map(operator.mul, index, self._strides))
+            if _checksum(file) != self.expected[first : first + _CHECKSUM_DIGITS]:
+                raise ValueError(f"the chunk {self._named(index)} is not the one that was written")
+
+    @property
+    def _grid(self) -> tuple[int, ...]:
+        """Chunks along each axis."""
+        return tuple(-(-n // chunk) for n, chunk in zip(self.shape, self.chunks, strict=True))
+
+    @property
+    def _strides(self) -> tuple[int, ...]:
+        """How many chunks further the next one along each axis is."""
+        return tuple(math.prod(self._grid[axis + 1 :]) for axis in range(len(self._grid)))
 
     def _decode(self, index: tuple[int, ...]) -> None:
         cuts = zip(index, self.chunks, strict=True)
@@ -234,6 +267,13 @@ class StoredArray:
 
     def _named(self, index: tuple[int, ...]) -> str:
         return str(self.chunk_file(index).relative_to(self.place.parent))
+
+
+def _checksum(file: Path) -> str:
+    """The checksum with which a chunk ends, in hexadecimal digits."""
+    with file.open("rb") as stream:
+        stream.seek(-_CHECKSUM_DIGITS // 2, os.SEEK_END)
+        return stream.read().hex()
 
 
 def _checked_header(

@@ -10,6 +10,8 @@ from __future__ import annotations
 import itertools
 import os
 import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -37,12 +39,15 @@ from lightmatrix.patterns.grids import grid_cells
 from lightmatrix.reprs import short_repr
 from lightmatrix.resources.disk import check_disk_space
 from lightmatrix.store.matrix_checks import check_indptr, checked_float32
+from lightmatrix.store.seal import sealed, sealed_arrays
 from lightmatrix.store.stored_transport import StoredTransport
 from lightmatrix.transport.sparse_rows import row_blocks
 
 COLUMNS = "columns"
 # The folder of an index that is not whole yet. The next run removes what a killed run left there.
 _PART = ".columns.part"
+# The attribute that holds the digest of the indexed matrix.
+_MATRIX = "matrix"
 _ENTRIES = {"indptr": np.int64, "rows": np.int32, "data": np.float32}
 # Entries that are sorted by columns at once. Each takes 12 bytes, and 12 more while it is sorted.
 _PASS_ENTRIES = 1 << 26
@@ -158,6 +163,8 @@ def _write(part: Path, matrix: StoredTransport) -> None:
     for array in arrays.values():
         array.close()
     _write_background(group, matrix)
+    facts = {_MATRIX: matrix.header.digest}
+    group.attrs.update({**facts, **sealed(part, [*_ENTRIES, "background"], facts)})
 
 
 def _write_background(group: zarr.Group, matrix: StoredTransport) -> None:
@@ -217,7 +224,11 @@ class ColumnIndex:
             entries, pixels = (matrix.entries,), (matrix.shape[1] + 1,)
             by_cells = matrix.header.arrays["background"].shape[::-1]
             wanted = {"indptr": pixels, "rows": entries, "data": entries, "background": by_cells}
-            arrays = {name: StoredArray.open(place / name) for name in wanted}
+            facts = {_MATRIX: matrix.header.digest}
+            attributes = read_attributes(place)
+            if attributes.get(_MATRIX, matrix.header.digest) != matrix.header.digest:
+                raise ValueError("it is the index of another matrix")
+            arrays = sealed_arrays(place, wanted, attributes, facts)
             if any(arrays[name].shape != shape for name, shape in wanted.items()):
                 raise ValueError("it is the index of another matrix")
         index = cls(matrix, arrays)
@@ -293,7 +304,7 @@ class ColumnIndex:
 
     def _read(self, first: int, last: int) -> None:
         span = slice(first * _CHUNK, last * _CHUNK)
-        with as_damage_error(self.matrix.header.place / COLUMNS, _REMEDY):
+        with self._whole():
             rows = self.arrays["rows"].read(span)
             if len(rows) and not (rows.min() >= 0 and rows.max() < self.matrix.shape[0]):
                 raise ValueError("a row lies outside the matrix")
@@ -309,10 +320,17 @@ class ColumnIndex:
             if len(self._kept_cells) >= max(1, room):
                 # The cell that was read first goes.
                 del self._kept_cells[next(iter(self._kept_cells))]
-            with as_damage_error(self.matrix.header.place / COLUMNS, _REMEDY):
+            with self._whole():
                 values = self.arrays["background"].read(slice(cell, cell + 1))
                 self._kept_cells[cell] = checked_float32(values, "background")[0]
         return self._kept_cells[cell]
+
+    @contextmanager
+    def _whole(self) -> Iterator[None]:
+        """Refuse what was read within if it is damaged or belongs to another store by now."""
+        place = self.matrix.header.place / COLUMNS
+        with self.matrix.header.unreplaced(), as_damage_error(place, _REMEDY):
+            yield
 
     @cached_property
     def _cells(self) -> NDArray[np.int64]:
@@ -325,7 +343,7 @@ class ColumnIndex:
 
     @cached_property
     def _ends(self) -> NDArray[np.int64]:
-        with as_damage_error(self.matrix.header.place / COLUMNS, _REMEDY):
+        with self._whole():
             ends = self.arrays["indptr"].read()
             check_indptr(ends, self.matrix.entries)
         return ends.astype(np.int64)

@@ -24,8 +24,10 @@ def checked_shape(value: Any, lengths: Sequence[int], name: str) -> tuple[int, .
 
     `name` is what the message calls it.
     """
+    # True counts as 1 in an array, but is no number of pixels.
+    exact = not isinstance(value, list) or all(type(n) is int for n in value)
     array = np.asarray(value)
-    if array.ndim != 1 or len(array) not in lengths or array.dtype.kind not in "iu":
+    if not exact or array.ndim != 1 or len(array) not in lengths or array.dtype.kind not in "iu":
         raise ValueError(f"{name} is no shape")
     shape = tuple(int(n) for n in array)
     if min(shape) < 1 or math.prod(shape) >= _MOST_PIXELS:

@@ -147,7 +147,7 @@ class StoredTransport:
                 f"rows {start} to {stop} of a matrix of {self.shape[0]}", hint="ask for its rows"
             )
         arrays = self.header.diagnostics
-        with as_damage_error(self.header.place, RESTORE):
+        with self.header.unreplaced(), as_damage_error(self.header.place, RESTORE):
             read = {name: array.read(slice(start, stop)) for name, array in arrays.items()}
             diagnostics = checked_diagnostics(read, stop - start)
         return replace(self._rows(start, stop), diagnostics=diagnostics)
@@ -157,7 +157,7 @@ class StoredTransport:
         arrays = self.header.arrays
         ends = self._indptr[start : stop + 1]
         entries = slice(int(ends[0]), int(ends[-1]))
-        with as_damage_error(self.header.place, RESTORE):
+        with self.header.unreplaced(), as_damage_error(self.header.place, RESTORE):
             matrix = checked_matrix(
                 arrays["data"].read(entries),
                 arrays["indices"].read(entries),
@@ -168,7 +168,7 @@ class StoredTransport:
 
     def background(self, start: int, stop: int) -> NDArray[np.float32]:
         """Some rows of the background, (stop - start, B) float32."""
-        with as_damage_error(self.header.place, RESTORE):
+        with self.header.unreplaced(), as_damage_error(self.header.place, RESTORE):
             values = self.header.arrays["background"].read(slice(start, stop))
             return checked_float32(values, "background")
 
@@ -270,7 +270,7 @@ class StoredTransport:
 
     @cached_property
     def _indptr(self) -> NDArray[np.int64]:
-        with as_damage_error(self.header.place, RESTORE):
+        with self.header.unreplaced(), as_damage_error(self.header.place, RESTORE):
             indptr = self.header.arrays["indptr"].read()
             check_indptr(indptr, self.header.arrays["data"].shape[0])
         return indptr.astype(np.int64)

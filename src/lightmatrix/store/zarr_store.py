@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ import zarr
 
 from lightmatrix.errors import InputError
 from lightmatrix.files.zarr_arrays import (
+    HEADER,
     GrowingArray,
     StoredArray,
     as_damage_error,
@@ -32,6 +34,7 @@ from lightmatrix.store.matrix_checks import (
     checked_matrix,
     checked_shape,
 )
+from lightmatrix.store.seal import DIGEST, sealed, sealed_arrays
 from lightmatrix.store.sparse_npz import import_npz
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.transport.sparse_rows import SparseRows
@@ -40,6 +43,8 @@ FORMAT, VERSION = "lightmatrix-transport", 1
 _DIAGNOSTICS = "diagnostics"
 # The arrays of the group and the types of their values.
 _ARRAYS = {"indptr": np.int64, "indices": np.int32, "data": np.float32, "background": np.float32}
+# The attributes that the seal covers.
+_SHAPES = ("camera_shape", "projector_shape", "background_grid")
 RESTORE = "restore it from a copy, or run `lightmatrix estimate --overwrite` again"
 
 
@@ -122,6 +127,14 @@ def save_rows(
                 "provenance": json.loads(json.dumps(dict(provenance), default=str)),
             }
         )
+        seal_store(part)
+
+
+def seal_store(place: Path) -> None:
+    """Add the seal to the attributes of a store whose arrays are written."""
+    group = zarr.open_group(place, mode="r+", zarr_format=3, use_consolidated=False)
+    facts = {name: group.attrs[name] for name in _SHAPES}
+    group.attrs.update(sealed(place, _members(place), facts))
 
 
 def open(path: str | Path) -> LightTransport:
@@ -156,6 +169,19 @@ def open(path: str | Path) -> LightTransport:
     return read_whole(read_store_header(path))
 
 
+# Inode, time of the last change in nanoseconds, and size of a file.
+Stamp = tuple[int, int, int]
+
+
+def _stamp(place: Path) -> Stamp | None:
+    """The stamp of a store's metadata; None if there is none."""
+    try:
+        facts = (place / HEADER).stat()
+    except OSError:
+        return None
+    return facts.st_ino, facts.st_mtime_ns, facts.st_size
+
+
 @dataclass(frozen=True, eq=False)
 class StoreHeader:
     """What a store announces, with its arrays, whose values are not read yet.
@@ -170,6 +196,28 @@ class StoreHeader:
     background_grid: tuple[int, int]
     provenance: Mapping[str, Any]
     arrays: Mapping[str, StoredArray]
+    digest: str
+    # What the system said of the metadata's file before it was read.
+    stamp: Stamp | None = None
+
+    @contextmanager
+    def unreplaced(self) -> Iterator[None]:
+        """Refuse what was read within if another store has taken the place of this one."""
+        try:
+            yield
+        except InputError as error:
+            self._check_digest(error)
+            raise
+        self._check_digest()
+
+    def _check_digest(self, cause: Exception | None = None) -> None:
+        # The file is written anew when the columns of the store are indexed, too.
+        if self.stamp is not None and _stamp(self.place) == self.stamp:
+            return
+        if read_attributes(self.place).get(DIGEST) != self.digest:
+            raise InputError(
+                f"{self.place}: was replaced or removed since it was opened", hint="open it again"
+            ) from cause
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -194,6 +242,7 @@ def read_store_header(path: str | Path) -> StoreHeader:
                 hint="run the same `lightmatrix estimate` again; it continues where it stopped",
             )
         raise InputError(f"{place}: no such file", hint="check the name")
+    stamp = _stamp(place)
     attributes = read_attributes(place)
     if attributes.get("format") != FORMAT:
         output = attributes.get("output")
@@ -205,20 +254,26 @@ def read_store_header(path: str | Path) -> StoreHeader:
         raise InputError(
             f"{place}: is not a {STORE.name}", hint="give a .zarr folder from `estimate`"
         )
-    if attributes.get("version") != VERSION:
+    # True and 1.0 equal 1, but are no versions.
+    if type(attributes.get("version")) is not int or attributes["version"] != VERSION:
         raise InputError(
             f"{place}: has format version {str(attributes.get('version'))[:20]}, this lightmatrix "
             f"reads {VERSION}",
             hint="update lightmatrix",
         )
+    if DIGEST not in attributes:
+        raise InputError(
+            f"{place}: has no digest of its chunks, which an earlier lightmatrix did not write",
+            hint="run `lightmatrix estimate --overwrite` again",
+        )
     with as_damage_error(place, RESTORE):
-        return _header(place, attributes)
+        return replace(_header(place, attributes), stamp=stamp)
 
 
 def read_whole(header: StoreHeader) -> LightTransport:
     """Read all of a store into memory; an error says if it does not fit, or names the damage."""
     check_memory(header.place, sum(array.bytes for array in header.arrays.values()))
-    with as_damage_error(header.place, RESTORE):
+    with header.unreplaced(), as_damage_error(header.place, RESTORE):
         read = {name: array.read() for name, array in header.arrays.items()}
         diagnostics = {name: read[f"{_DIAGNOSTICS}/{name}"] for name in header.diagnostics}
         return LightTransport(
@@ -238,9 +293,11 @@ def _header(place: Path, attributes: Mapping[str, Any]) -> StoreHeader:
     rows, cols = checked_shape(attributes["projector_shape"], (2,), "projector_shape")
     grid_rows, grid_cols = checked_shape(attributes["background_grid"], (2,), "background_grid")
     samples = math.prod(camera)
-    names = sorted(entry.name for entry in (place / _DIAGNOSTICS).iterdir() if entry.is_dir())
-    members = [*_ARRAYS, *(f"{_DIAGNOSTICS}/{name}" for name in names)]
-    arrays = {name: StoredArray.open(place / name) for name in members}
+    facts = {name: attributes[name] for name in _SHAPES}
+    arrays = sealed_arrays(place, _members(place), attributes, facts)
+    for name, dtype in _ARRAYS.items():
+        if arrays[name].dtype != dtype:
+            raise ValueError(f"{name} holds {arrays[name].dtype}, not {np.dtype(dtype)}")
     wanted = {
         "indptr": (samples + 1,),
         "indices": arrays["data"].shape,
@@ -253,4 +310,12 @@ def _header(place: Path, attributes: Mapping[str, Any]) -> StoreHeader:
     provenance = attributes["provenance"]
     if not isinstance(provenance, dict):
         raise ValueError("its provenance is not an object")
-    return StoreHeader(place, camera, (rows, cols), (grid_rows, grid_cols), provenance, arrays)
+    grid = (grid_rows, grid_cols)
+    digest = attributes[DIGEST]
+    return StoreHeader(place, camera, (rows, cols), grid, provenance, arrays, digest)
+
+
+def _members(place: Path) -> list[str]:
+    """The names of a store's arrays."""
+    names = sorted(entry.name for entry in (place / _DIAGNOSTICS).iterdir() if entry.is_dir())
+    return [*_ARRAYS, *(f"{_DIAGNOSTICS}/{name}" for name in names)]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -106,10 +107,11 @@ def _attributes() -> list[Case]:
             [],
             [[8]],
             [64],
+            [True, 64],
         ),
         "projector_shape": ([4, 8], [0, 8], [8], [8, 8, 1], [2**62, 2], "8x8", None),
         "background_grid": ([8, 9], [0, 0], [-1, -64], [99, 99], "1x1", None, [1]),
-        "version": (2, "1", None, 1.5, [1], 0),
+        "version": (2, "1", None, 1.5, [1], 0, 1.0, True),
         "format": ("zarr", None, 5),
         "provenance": ("text", ["a"], 5, None),
     }
@@ -256,6 +258,56 @@ def _chunks() -> list[Case]:
     return cases
 
 
+def _foreign_parts() -> list[Case]:
+    """Parts that are sound in themselves but were not written together."""
+
+    def other_matrix(folder: Path) -> None:
+        BAD(folder)
+        stored("bad.zarr", "data", lambda held: 2 * held)(folder)
+
+    def chunk_of_another(folder: Path) -> None:
+        other_matrix(folder)
+        chunk = (folder / _chunk_of(folder, "data")).read_bytes()
+        shutil.rmtree(folder / "bad.zarr")
+        BAD(folder)
+        (folder / _chunk_of(folder, "data")).write_bytes(chunk)
+
+    def array_of_another(folder: Path) -> None:
+        other_matrix(folder)
+        shutil.move(folder / "bad.zarr" / "data", folder / "other")
+        shutil.rmtree(folder / "bad.zarr")
+        BAD(folder)
+        shutil.rmtree(folder / "bad.zarr" / "data")
+        shutil.move(folder / "other", folder / "bad.zarr" / "data")
+
+    def indices_over_data(folder: Path) -> None:
+        BAD(folder)
+        shutil.copyfile(folder / _chunk_of(folder, "indices"), folder / _chunk_of(folder, "data"))
+
+    def turned(held: dict[str, Any]) -> None:
+        rows, cols = held["attributes"]["camera_shape"]
+        held["attributes"]["camera_shape"] = [rows * 2, cols // 2]
+
+    def unsealed(held: dict[str, Any]) -> None:
+        del held["attributes"]["digest"]
+
+    whole, inner = "bad.zarr/zarr.json", "bad.zarr/data/zarr.json"
+    as_integers = json_edit(inner, lambda held: held.update(data_type="uint32"))
+    faults: dict[str, tuple[Prepare, tuple[str, ...]]] = {
+        "a chunk of another store": (chunk_of_another, ("bad.zarr", "data/c/0")),
+        "an array of another store": (array_of_another, ("bad.zarr", "data/c/0")),
+        "the indices as data": (indices_over_data, ("bad.zarr", "data/c/0")),
+        "data read as whole numbers": (both(BAD, as_integers), ("bad.zarr", "together")),
+        "a camera of another shape": (both(BAD, json_edit(whole, turned)), ("bad.zarr",)),
+        "no digest": (both(BAD, json_edit(whole, unsealed)), ("bad.zarr", "has no digest")),
+    }
+    return [
+        Case(f"{words}: {reader}", READERS[reader], says, put)
+        for words, (put, says) in faults.items()
+        for reader in ("info", "relight", "export npz")
+    ]
+
+
 def _consolidated() -> list[Case]:
     """Metadata that stands twice: only that of the arrays counts, and none of it runs code."""
 
@@ -327,4 +379,4 @@ def _consolidated() -> list[Case]:
 # What its cases need of the work folder.
 NEEDS = ("T.npz", "scene.zarr", "shown.png")
 
-CASES = [*_arrays(), *_attributes(), *_header(), *_chunks(), *_consolidated()]
+CASES = [*_arrays(), *_attributes(), *_header(), *_chunks(), *_foreign_parts(), *_consolidated()]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,10 @@ import tifffile
 import zarr
 from numpy.typing import NDArray
 from scipy import sparse
+from zarr.codecs import Crc32cCodec
+
+from lightmatrix.files.zarr_arrays import SMALL
+from lightmatrix.store.zarr_store import seal_store
 
 from ..cases.partial import PARTIAL, interrupted
 from ..checks import whole_matrix
@@ -161,8 +166,18 @@ def _store(draw: Generator, folder: Path) -> str:
             return f"{name} as it was"
         del group[name]
         chunks = tuple(max(1, n) for n in values.shape)
-        made = group.create_array(name, shape=values.shape, chunks=chunks, dtype=values.dtype)
+        made = group.create_array(
+            name,
+            shape=values.shape,
+            chunks=chunks,
+            dtype=values.dtype,
+            compressors=[SMALL, Crc32cCodec()],
+            config={"write_empty_chunks": True},
+        )
         made[...] = values
+        # Arrays that no store may hold cannot be sealed either.
+        with suppress(ValueError):
+            seal_store(place)
         return f"{name} {words}"
     if how < 7:
         file = _pick(draw, [place / "zarr.json", *place.rglob("zarr.json")])
