@@ -1,4 +1,4 @@
-"""The experiment on few patterns: its claims at small size; it goes on where it stopped."""
+"""The experiment on few patterns: its claims at small size, and that it continues after a stop."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ SMALL = Case("gripper", "coherent", 64, 0, size=(32, 32))
 
 
 def test_coherent_is_nearly_as_good_as_knowing_where_the_light_is() -> None:
-    found, row_by_row, known = (
+    coherent, row_by_row, known = (
         measure(replace(SMALL, method=method)).rows[0]["relative_error"]
         for method in ("coherent", "row by row", "known support")
     )
-    assert found < 0.2 * row_by_row
-    assert found < 1.25 * known
+    assert coherent < 0.2 * row_by_row
+    assert coherent < 1.25 * known
 
 
-def test_mixed_exposures_bring_back_clipped_responses() -> None:
+def test_mixed_exposures_recover_clipped_responses() -> None:
     one = measure(SMALL).rows[0]["all_rows"]
     three = measure(replace(SMALL, exposures=THREE_EXPOSURES)).rows[0]["all_rows"]
     assert three < 0.3 * one
@@ -55,14 +55,16 @@ def test_means_over_seeds() -> None:
     row = {**SMALL.__dict__, "relative_error": 1.0, "rows": 3}
     other = {**row, "seed": 1, "relative_error": 2.0}
     third = {**row, "patterns": 32}
-    found = means([row, other, third])
-    assert [(r["patterns"], r["relative_error"], r["seeds"]) for r in found] == [
+    table = means([row, other, third])
+    assert [(r["patterns"], r["relative_error"], r["seeds"]) for r in table] == [
         (64, 1.5, 2),
         (32, 1.0, 1),
     ]
 
 
-def test_an_interrupted_experiment_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_interrupted_experiment_continues(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     measured = []
 
     def record(case: Case) -> Measured:

@@ -54,13 +54,11 @@ def test_the_order_of_methods_does_not_matter(monkeypatch: pytest.MonkeyPatch) -
     case = fig4.Case(30, trials=3)
     expected = {(row["method"], row["condition"]): row for row in fig4.measure(case).rows}
     monkeypatch.setattr(fig4, "METHODS", dict(reversed(fig4.METHODS.items())))
-    found = {(row["method"], row["condition"]): row for row in fig4.measure(case).rows}
-    assert found == expected
+    results = {(row["method"], row["condition"]): row for row in fig4.measure(case).rows}
+    assert results == expected
 
 
-def test_files_hold_what_the_house_promises(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_files_hold_the_promised_keys(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(fig4, "OBSERVATIONS", (10, 20))
     monkeypatch.setattr(fig4, "QUICK_TRIALS", 2)
     seen: list[tuple[int, int]] = []

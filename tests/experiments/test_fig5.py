@@ -53,7 +53,7 @@ def test_all_figures_are_drawn(drawn: tuple[Path, dict[str, Any]]) -> None:
     assert json.loads((out / "fig5.json").read_text()) == json.loads(json.dumps(result))
 
 
-def test_the_table_says_what_kind_of_matrices_these_are(
+def test_the_table_holds_the_statistics_of_the_scenes(
     drawn: tuple[Path, dict[str, Any]],
 ) -> None:
     rows = {row["scene"]: row for row in drawn[1]["rows"]}

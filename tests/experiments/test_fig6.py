@@ -41,7 +41,7 @@ def test_clip_aware_beats_clip_blind_and_coherence_beats_both(
 
 
 @pytest.mark.parametrize("name", ["admm", "saturation-admm"])
-def test_the_iterated_solver_comes_to_the_minimum_that_stands_for_it(
+def test_the_iterated_solver_reaches_the_minimum_of_its_objective(
     rows: dict[str, dict[str, Any]], name: str
 ) -> None:
     """To 0.02 % for ADMM; 0.5 % for Saturation ADMM, whose stand-in is the convex form."""
@@ -68,7 +68,7 @@ def test_every_other_block_and_two_pixels_of_each_are_judged() -> None:
         assert strongest in few
 
 
-def test_the_rmse_is_the_house_metric() -> None:
+def test_the_rmse_is_response_rmse() -> None:
     """Judged on all rows it is `response_rmse`."""
     measured = fig6.measure(Case(SCENE, "coherent", 16, 64)).rows[0]
     scene = measured_scene(SCENE, 64)
@@ -97,7 +97,7 @@ def forbidden(case: Case) -> Measured:
     raise AssertionError(f"{case.name} was kept")
 
 
-def test_files_and_going_on(tmp_path: Path) -> None:
+def test_files_and_continuing(tmp_path: Path) -> None:
     chosen = [Case(SCENE, "admm", 16, 64), Case(SCENE, "admm-iterated", 16, 64)]
     experiment = replace(fig6.FIG6, cases=lambda quick: chosen)
     out, kept = tmp_path / "out", RunningResults.open(tmp_path / "out", ".cases")
@@ -150,10 +150,10 @@ def test_the_structural_similarity_is_that_of_scikit_image(noise: float) -> None
     expected = ndimage.gaussian_filter(random.random((40, 30)), 2)
     expected[5:9, 6:20] += 0.5
     image = np.maximum(expected + noise * random.standard_normal(expected.shape), 0)
-    shown = [np.clip(part / np.quantile(expected, 0.99), 0, 1) for part in (image, expected)]
+    displayed = [np.clip(part / np.quantile(expected, 0.99), 0, 1) for part in (image, expected)]
     # The mean of the whole map, margins too, which scikit-image leaves out.
     _, similarity = structural_similarity(  # type: ignore[no-untyped-call]
-        *shown, win_size=7, data_range=1, use_sample_covariance=False, full=True
+        *displayed, win_size=7, data_range=1, use_sample_covariance=False, full=True
     )
     assert fig7.quality(image, expected)["ssim"] == pytest.approx(similarity.mean(), rel=1e-9)
 

@@ -1,4 +1,4 @@
-"""Rigs as they are: footprints of any size, any geometry, and what estimates say of themselves."""
+"""The experiment on imperfect rigs: footprints, camera geometry and estimated errors."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ SIDE = 32
 
 def error_of(case: Case, estimator: CoherentEstimator | None = None) -> float:
     truth = rig_truth(case.scene, case.rig, case.side)
-    found = (estimator or CoherentEstimator()).estimate(rig_capture(case, truth))
-    return relative_error(found, truth.transport())
+    transport = (estimator or CoherentEstimator()).estimate(rig_capture(case, truth))
+    return relative_error(transport, truth.transport())
 
 
 def test_blur_costs_no_patterns() -> None:
@@ -39,34 +39,34 @@ def test_blur_costs_no_patterns() -> None:
     assert error_of(case, CoherentEstimator(sizes=(0.0,))) > 2.5 * 0.035
 
 
-def test_it_does_not_matter_how_the_camera_is_held() -> None:
+def test_the_orientation_of_the_camera_does_not_matter() -> None:
     straight = error_of(Case("gripper", "sharp", 32, side=SIDE))
     assert error_of(Case("gripper", "quarter turn", 32, side=SIDE)) < 1.1 * straight
 
 
-def test_a_row_states_its_error_and_its_footprint() -> None:
+def test_rows_have_an_estimated_error_and_a_footprint() -> None:
     measured = {rig: measure(Case("l_objects", rig, 32, side=SIDE)) for rig in ("sharp", "blur 2")}
     sizes = {rig: one.rows[0]["footprint"] for rig, one in measured.items()}
     assert sizes["sharp"] < 4
     # 4 pi sigma^2, and some more where several blurred footprints meet.
     assert 35 < sizes["blur 2"] < 70
-    true, stated = (
+    true, estimated = (
         np.concatenate([one.arrays[name] for one in measured.values()])
         for name in ("errors", "stated")
     )
-    assert spearmanr(true, stated)[0] > 0.6
+    assert spearmanr(true, estimated)[0] > 0.6
 
 
-def test_what_cannot_be_found_is_called_doubtful() -> None:
-    """Camera pixels in random order: no neighbour knows anything."""
+def test_an_impossible_estimate_is_called_doubtful() -> None:
+    """Camera pixels in random order have no useful neighbours."""
     truth = rig_truth("l_objects", "blur 2", SIDE)
     order = np.random.default_rng(0).permutation(SIDE * SIDE).reshape(SIDE, SIDE)
     shuffled = seen(truth, order)
-    found = lm.estimate(rig_capture(Case("l_objects", "blur 2", 16, side=SIDE), shuffled))
-    assert relative_error(found, shuffled.transport()) > 0.3
-    judged = lm.verdict(found)
+    estimate = lm.estimate(rig_capture(Case("l_objects", "blur 2", 16, side=SIDE), shuffled))
+    assert relative_error(estimate, shuffled.transport()) > 0.3
+    judged = lm.verdict(estimate)
     assert judged.level == "doubtful"
-    assert "more patterns" in judged.sentence
+    assert "More patterns" in judged.sentence
 
 
 def test_views_show_the_same_rows() -> None:

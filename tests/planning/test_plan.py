@@ -149,14 +149,14 @@ def test_the_table_is_what_the_calibration_measures(monkeypatch: pytest.MonkeyPa
         case: dict[str, Any] = {"estimator": "plain", "scene": "gripper", "frames": 64}
         case |= {"patterns": patterns, "exposures": exposures, "density": 0.5}
         (row,) = [r for r in table() if case.items() <= r.items()]
-        found = plan_calibration.run(**case)
+        result = plan_calibration.run(**case)
         for name in ("relative_error", "relighting_error", "clipped_share"):
             # The noise of the rendering: 1 to 4.4 %.
-            assert found[name] == pytest.approx(row[name], rel=0.055, abs=2e-4)
+            assert result[name] == pytest.approx(row[name], rel=0.055, abs=2e-4)
 
 
 def test_advice_comes_true(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The advised commands, run: the error is about what was said, at a quarter of the size too."""
+    """The advised commands reach about the expected error, at a quarter of the size too."""
     assert main(["plan", "metal", "--size", "64", "--frames", "64", "--json"]) == 0
     advice = json.loads(capsys.readouterr().out)
     assert advice["projector"] == [64, 64]
@@ -173,14 +173,14 @@ def test_advice_comes_true(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
     save = tmp_path / "T.npz"
     truth("metal").save(save)
     assert main(["evaluate", plain, "--truth", str(save), "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)["relative_error"]
+    error = json.loads(capsys.readouterr().out)["relative_error"]
     (least, worst) = next(
         e["relative_error"]
         for e in advice["expected"]
         if e["frames"] == 64 and e["estimator"] == "coherent"
     )
     # .0207, and .0100 to .0236 are expected.
-    assert 0.9 * least < found < 1.05 * worst
+    assert 0.9 * least < error < 1.05 * worst
 
 
 def test_a_photograph_is_read_with_its_black_and_clip(
@@ -297,9 +297,11 @@ def test_bad_numbers_are_refused() -> None:
             advise_exposures(white, **arguments)
 
 
-def test_what_is_no_photograph_is_named(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_unreadable_photographs_are_named(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
     for place, problem in ((tmp_path / "nowhere.png", "no such file"), (tmp_path, "is a folder")):
         assert main(["plan", str(place)]) == 2
-        shown = " ".join(capsys.readouterr().err.split())
-        assert problem in shown
-        assert "a photograph of a white pattern, a scene, or a T.npz" in shown
+        message = " ".join(capsys.readouterr().err.split())
+        assert problem in message
+        assert "a photograph of a white pattern, a scene, or a T.npz" in message

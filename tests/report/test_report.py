@@ -184,10 +184,10 @@ class _Known:
 
 
 def test_the_second_estimate_does_not_see_the_frames(capture: lm.SimulatedCapture) -> None:
-    knowing = _Known(capture.truth.transport())
-    tested = validation.validate(capture, knowing)
+    estimator = _Known(capture.truth.transport())
+    tested = validation.validate(capture, estimator)
     assert isinstance(tested, validation.Validation)
-    seen = knowing.seen[0]
+    seen = estimator.seen[0]
     assert seen.count == capture.count - len(tested.frames) == tested.others
     for index in tested.frames:
         frame = capture.frame(int(index))
@@ -278,6 +278,13 @@ def test_each_problem_has_a_recommendation(
     assert "(80)" in inaccurate
     wide = {**estimate.diagnostics, "footprint": np.full(rows, 40, np.float32)}
     assert "Footprints cover 40" in advice(replace(estimate, diagnostics=wide))
+    lit = (np.arange(rows) % 10 > 2).astype(np.float32)[:, None]
+    half_dark = replace(
+        estimate, sparse=estimate.sparse.multiply(lit).tocsr(), background=lit * estimate.background
+    )
+    assert "30 % of the camera pixels hardly see the projector" in advice(half_dark)
+    diffuse = replace(estimate, background=100 * np.maximum(estimate.background, 0.01))
+    assert "is in the faint background" in advice(diffuse)
 
 
 # ---- in a browser

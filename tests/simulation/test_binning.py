@@ -27,8 +27,8 @@ def test_images_under_coarse_patterns_are_the_binned_images(truth: Truth, factor
     fine = np.kron(patterns, np.ones((1, factor, factor), np.float32))
     for wide, narrow in ((truth.matrix, small.matrix), (truth.direct, small.direct)):
         images = (wide @ fine.reshape(5, -1).T).T.reshape(5, 12, 8)
-        found = (narrow @ patterns.reshape(5, -1).T).T.reshape(5, *small.camera_shape)
-        np.testing.assert_allclose(found, block_mean(images, (factor, factor)), rtol=1e-5)
+        binned_images = (narrow @ patterns.reshape(5, -1).T).T.reshape(5, *small.camera_shape)
+        np.testing.assert_allclose(binned_images, block_mean(images, (factor, factor)), rtol=1e-5)
 
 
 def test_direct_light_stays_a_part_of_all_light(truth: Truth) -> None:
@@ -65,7 +65,7 @@ def test_factors_that_do_not_divide_are_refused(truth: Truth, factor: int) -> No
         coarse(truth, factor)
 
 
-def test_camera_and_projector_are_binned_each_for_itself(truth: Truth) -> None:
+def test_camera_and_projector_are_binned_independently(truth: Truth) -> None:
     both = coarse(truth, 2)
     one_after_the_other = binned(binned(truth, 2, 1), 1, 2)
     assert binned(truth, 2, 1).projector_shape == truth.projector_shape

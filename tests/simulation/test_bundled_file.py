@@ -24,7 +24,7 @@ from lightmatrix.simulation.truth import Truth
     st.tuples(st.integers(1, 12), st.integers(1, 12)),
     st.integers(0, 100),
 )
-def test_packing_loses_little(
+def test_a_bundled_file_loses_little(
     tmp_path_factory: pytest.TempPathFactory,
     camera: tuple[int, int],
     projector: tuple[int, int],

@@ -1,4 +1,4 @@
-"""Made-up scenes photographed block by block: the frames of `simulate`, and their truth again."""
+"""Procedural captures: the same frames as `simulate`, and the same truth."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ def test_blocks_are_the_frames_of_the_whole(
     monkeypatch.setattr(procedural_capture, "_SAMPLES", 1)
     monkeypatch.setattr(procedural_capture, "_PATTERN_BYTES", 1)
     monkeypatch.setattr(packing, "_CHUNK_BYTES", 1000)
-    told: list[tuple[int, int]] = []
+    steps: list[tuple[int, int]] = []
     made = lm.simulate_procedural(
-        tmp_path / name, SCENE, PATTERNS, **settings, progress=lambda *step: told.append(step)
+        tmp_path / name, SCENE, PATTERNS, **settings, progress=lambda *step: steps.append(step)
     )
     whole = lm.simulate(SCENE.truth(), PATTERNS, **settings)
     assert made.digest == whole.digest
-    assert told[-1] == (143, 143)
-    assert len(told) > 5
+    assert steps[-1] == (143, 143)
+    assert len(steps) > 5
     assert scene_of(made.provenance) == SCENE
     known = lm.truth(tmp_path / name)
     assert (known.matrix != SCENE.truth().matrix).nnz == 0
@@ -50,12 +50,12 @@ def test_the_command_and_its_truth(tmp_path: Path, capsys: pytest.CaptureFixture
     made = lm.simulate_procedural(tmp_path / "d", scene, lm.BernoulliPatterns((8, 8), 24))
     assert made.digest == lm.Capture.open(tmp_path / "c.zarr").digest
     assert main(f"estimate {tmp_path}/c.zarr -o {tmp_path}/s.zarr --solver romp".split()) == 0
-    found = []
+    outputs = []
     for truth in ("c.zarr", "d"):
         capsys.readouterr()
         assert main(f"evaluate {tmp_path}/s.zarr --truth {tmp_path}/{truth} --json".split()) == 0
-        found.append(json.loads(capsys.readouterr().out))
-    assert found[0] == found[1]
+        outputs.append(json.loads(capsys.readouterr().out))
+    assert outputs[0] == outputs[1]
 
 
 @pytest.mark.parametrize(
@@ -68,7 +68,7 @@ def test_the_command_and_its_truth(tmp_path: Path, capsys: pytest.CaptureFixture
         ("procedural --size 8", "exists already"),
     ],
 )
-def test_what_does_not_go_together(
+def test_conflicting_options_are_refused(
     tmp_path: Path, words: str, message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     lm.write_patterns(tmp_path / "p", PATTERNS)
@@ -79,7 +79,7 @@ def test_what_does_not_go_together(
     assert message in capsys.readouterr().err
 
 
-def test_a_truth_that_does_not_fit_is_said_before_it_is_made(
+def test_a_truth_that_does_not_fit_is_refused_before_it_is_computed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("lightmatrix.resources.memory.available_bytes", lambda: 1000)

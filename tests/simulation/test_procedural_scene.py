@@ -1,4 +1,4 @@
-"""The made-up matrix: the same whatever the blocks, with the parts it promises."""
+"""The procedural matrix: the same for all blocks, with all its parts."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Blur, leak, vignetting and ambient light as operations on T."""
+"""Blur, leaking black, vignetting and room light."""
 
 from __future__ import annotations
 
@@ -59,9 +59,9 @@ def test_blur_may_differ_from_row_to_row(truth: Truth) -> None:
     for sigma in (0.0, 1.3):
         rows = np.flatnonzero(sigmas == sigma)
         whole = realism.defocus(truth, sigma)
-        for found, expected in ((mixed.matrix, whole.matrix), (mixed.direct, whole.direct)):
+        for actual, expected in ((mixed.matrix, whole.matrix), (mixed.direct, whole.direct)):
             np.testing.assert_allclose(
-                found[rows].toarray(), expected[rows].toarray(), rtol=1e-3, atol=2e-3
+                actual[rows].toarray(), expected[rows].toarray(), rtol=1e-3, atol=2e-3
             )
 
 

@@ -139,7 +139,7 @@ def test_impossible_renderings_are_refused(options: dict[str, object], message: 
 
 
 @needs_llvm
-def test_memory_is_foreseen_from_a_few_rows(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_memory_is_estimated_from_a_few_rows(monkeypatch: pytest.MonkeyPatch) -> None:
     room = needed_bytes((16, 16), entries=2000)
     for module in (render_memory, renderer):
         monkeypatch.setattr(module, "available_bytes", lambda: room)
@@ -155,7 +155,7 @@ def test_memory_is_foreseen_from_a_few_rows(monkeypatch: pytest.MonkeyPatch) -> 
     assert thin.matrix.nnz < 256 * 300
 
 
-def test_foreseen_memory_is_bounded_but_for_the_result() -> None:
+def test_estimated_memory_grows_only_with_the_result() -> None:
     assert needed_bytes((64, 64)) < 1.3 * 2**30
     assert needed_bytes((512, 512)) < 1.3 * 2**30
     more = needed_bytes((512, 512), entries=1001)

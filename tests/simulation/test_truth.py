@@ -41,7 +41,7 @@ def test_direct_and_global_light_make_the_whole(truth: Truth) -> None:
     np.testing.assert_allclose(whole, truth.matrix.toarray(), rtol=1e-6)
 
 
-def test_an_existing_file_is_kept_unless_told_otherwise(truth: Truth, tmp_path: Path) -> None:
+def test_an_existing_file_needs_overwrite(truth: Truth, tmp_path: Path) -> None:
     path = tmp_path / "T.npz"
     path.write_bytes(b"precious")
     for overwrite in (False, True):
