@@ -60,8 +60,7 @@ class RunningResults:
         with as_output_error(folder):
             folder.mkdir(exist_ok=True)
             if not (folder / MARKER).exists() or not (folder / MARKER).stat().st_size:
-                header = {"format": FORMAT, "version": VERSION, "output": target.name}
-                (folder / MARKER).write_text(json.dumps(header))
+                _write_header(folder, target.name)
         running = cls(folder)
         running._sweep()
         return running
@@ -237,6 +236,19 @@ def check_running(target: Path, ending: str) -> Path:
         f"{folder}: stands where the running results would go, and was not written by lightmatrix",
         hint="move it elsewhere, or choose another name for the output",
     )
+
+
+def _write_header(folder: Path, output: str) -> None:
+    """Write the first line of the marker; on a full disk leave nothing behind."""
+    try:
+        (folder / MARKER).write_text(
+            json.dumps({"format": FORMAT, "version": VERSION, "output": output})
+        )
+    except OSError:
+        with suppress(OSError):
+            (folder / MARKER).unlink(missing_ok=True)
+            folder.rmdir()
+        raise
 
 
 def setting_differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> str:
