@@ -151,6 +151,7 @@ from .transport.correspondence import (
 from .evaluation.estimate_errors import ColourErrors as ColourErrors
 from .evaluation.estimate_errors import Errors as Errors
 from .transport.matrix import LightTransport as LightTransport
+from .transport.singular_values import singular_values as singular_values
 from .evaluation.verdict import (
     Verdict as Verdict,
     verdict as verdict,

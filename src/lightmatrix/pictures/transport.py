@@ -12,7 +12,6 @@ from matplotlib.colors import PowerNorm
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from lightmatrix.errors import InputError
 from lightmatrix.outputs.kinds import PICTURE
 from lightmatrix.outputs.writing import atomic_file
 from lightmatrix.patterns.pattern_set import to_grey
@@ -76,7 +75,7 @@ def show_row(transport: LightTransport, *camera_index: int) -> Picture:
     >>> import lightmatrix as lm
     >>> lm.show_row(lm.truth("metal").transport(), 20, 30).savefig("row.png")
     """
-    _check_index(camera_index, transport.camera_shape, "camera sample")
+    transport.row_number(camera_index)  # Refuses a pixel that the camera does not have.
     place = ", ".join(map(str, camera_index)) + _photograph_pixel(transport, camera_index)
     return _faint(transport.row(*camera_index), f"Row of T: the light of camera pixel {place}")
 
@@ -106,7 +105,6 @@ def show_column(transport: LightTransport, row: int, col: int) -> Picture:
     >>> import lightmatrix as lm
     >>> lm.show_column(lm.truth("metal").transport(), 20, 30).savefig("column.png")
     """
-    _check_index((row, col), transport.projector_shape, "projector pixel")
     image = _grey(transport.column(row, col))
     return _faint(image, f"Column of T: projector pixel {row}, {col} alone")
 
@@ -235,12 +233,3 @@ def _marked(shown: NDArray[np.float64], clipped: NDArray[np.bool_]) -> NDArray[n
     marked = shown.copy()
     marked[clipped.any(axis=2)] = CLIPPED_COLOUR
     return marked
-
-
-def _check_index(index: tuple[int, ...], shape: tuple[int, ...], kind: str) -> None:
-    fits = len(index) == len(shape)
-    if not fits or not all(0 <= i < n for i, n in zip(index, shape, strict=True)):
-        raise InputError(
-            f"there is no {kind} {index}",
-            hint=f"the shape is {' x '.join(map(str, shape))}; indices count from 0",
-        )

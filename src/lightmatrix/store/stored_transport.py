@@ -24,6 +24,7 @@ from lightmatrix.store.matrix_checks import (
 )
 from lightmatrix.store.zarr_store import RESTORE, StoreHeader, read_store_header, read_whole
 from lightmatrix.transport.matrix import LightTransport, cell_means, checked_patterns
+from lightmatrix.transport.operator import TransportOperator
 from lightmatrix.transport.sparse_rows import SparseRows, row_blocks
 
 # Entries of T in a block of rows: eight chunks, so that few chunks are read twice because a block
@@ -34,7 +35,7 @@ KEPT = 1 << 30
 
 
 @dataclass(frozen=True, eq=False)
-class StoredTransport:
+class StoredTransport(TransportOperator):
     """A light transport matrix on disk, of which as much is read as is asked for.
 
     Made by `open`. Blocks of rows that were read are kept, up to a gigabyte, so that a matrix that
@@ -118,6 +119,11 @@ class StoredTransport:
     def shape(self) -> tuple[int, int]:
         """Camera samples and projector pixels (M, N)."""
         return self.header.shape
+
+    @property
+    def image_shapes(self) -> tuple[tuple[int, ...], tuple[int, ...]]:
+        """The shapes of the camera and of the projector."""
+        return self.camera_shape, self.projector_shape
 
     @property
     def entries(self) -> int:
@@ -218,16 +224,30 @@ class StoredTransport:
         """All of it in memory, as `lightmatrix.open` returns it."""
         return read_whole(self.header)
 
+    def multiplied(self, vectors: NDArray[Any]) -> NDArray[Any]:
+        """T p for (N, k) vectors, read block by block."""
+        pooled = self.pooling @ vectors
+        light = np.empty((self.shape[0], vectors.shape[1]), vectors.dtype)
+        for start, block in self.blocks():
+            part = block.coefficients @ vectors + block.background @ pooled
+            light[start : start + block.count] = part
+        return light
+
+    def multiplied_transposed(self, vectors: NDArray[Any]) -> NDArray[Any]:
+        """T' c for (M, k) vectors, read block by block."""
+        image = np.zeros((self.shape[1], vectors.shape[1]), vectors.dtype)
+        diffuse = np.zeros((math.prod(self.background_grid), vectors.shape[1]), vectors.dtype)
+        for start, block in self.blocks():
+            part = vectors[start : start + block.count]
+            image += block.coefficients.T @ part
+            diffuse += block.background.T @ part
+        return np.asarray(image + self.pooling.T @ diffuse)
+
     def relight(self, patterns: NDArray[Any]) -> NDArray[np.float32]:
         """Camera images under patterns; see `LightTransport.relight`."""
         stack = checked_patterns(patterns, self.projector_shape)
-        lit = stack.reshape(-1, self.shape[1]).T
-        pooled = self.pooling @ lit
-        images = np.empty((lit.shape[1], self.shape[0]), np.float32)
-        for start, block in self.blocks():
-            light = block.coefficients @ lit + block.background @ pooled
-            images[:, start : start + block.count] = light.T
-        images = images.reshape(-1, *self.camera_shape)
+        light = self.multiplied(stack.reshape(-1, self.shape[1]).T)
+        images = np.asarray(light.T, np.float32).reshape(-1, *self.camera_shape)
         return images if stack.ndim == 3 else images[0]
 
     def dual(self, lights: NDArray[Any]) -> NDArray[np.float32]:
@@ -237,26 +257,19 @@ class StoredTransport:
             raise InputError(
                 f"camera lights of shape {light.shape}", hint=f"give shape {self.camera_shape}"
             )
-        flat = light.ravel()
-        image = np.zeros(self.shape[1])
-        diffuse = np.zeros(math.prod(self.background_grid))
-        for start, block in self.blocks():
-            part = flat[start : start + block.count]
-            image += block.coefficients.T @ part
-            diffuse += block.background.T @ part
-        image += self.pooling.T @ diffuse
+        image = self.multiplied_transposed(light.reshape(-1, 1).astype(np.float64))
         return image.astype(np.float32).reshape(self.projector_shape)
 
     def row(self, *camera_index: int) -> NDArray[np.float32]:
         """How each projector pixel reaches one camera sample, as a projector image."""
-        index = int(np.ravel_multi_index(camera_index, self.camera_shape))
+        index = self.row_number(camera_index)
         row = self._rows(index, index + 1)
         values = row.coefficients.toarray() + row.background @ self.pooling
         return np.asarray(values, np.float32).reshape(self.projector_shape)
 
     def column(self, row: int, col: int) -> NDArray[np.float32]:
         """The camera image when one projector pixel is lit."""
-        index = int(np.ravel_multi_index((row, col), self.projector_shape))
+        index = self.column_number(row, col)
         return self.dense_columns(np.array([index]))[:, 0].reshape(self.camera_shape)
 
     def dense_columns(self, index: NDArray[np.integer]) -> NDArray[np.float32]:

@@ -16,6 +16,7 @@ from lightmatrix.patterns.grids import check_grid, grid_cells
 from lightmatrix.regions import Region
 from lightmatrix.reprs import html_table
 from lightmatrix.transport.labels import labelled
+from lightmatrix.transport.operator import TransportOperator
 
 # The entries of the provenance that a summary repeats.
 _SUMMARY_KEYS = ("estimator", "solver", "regularization", "certificate", "pattern_digest", "scene")
@@ -34,7 +35,7 @@ _STATISTICS: dict[str, tuple[str, Callable[[NDArray[Any]], Any]]] = {
 
 
 @dataclass(frozen=True, eq=False)
-class LightTransport:
+class LightTransport(TransportOperator):
     """T = S + B m: a sparse part and a low-resolution background, in camera full scale.
 
     ``T p = S p + B m(p)``, where m(p) are the means of the pattern p over the cells of a coarse
@@ -72,6 +73,14 @@ class LightTransport:
     ((64, 64), (64, 64))
     >>> transport.row(20, 30).shape, transport.column(10, 10).shape
     ((64, 64), (64, 64))
+
+    It is a linear operator, also for SciPy's iterative methods:
+
+    >>> (transport @ np.ones(4096)).shape, (transport.T @ np.ones((64, 64))).shape
+    ((4096,), (64, 64))
+    >>> from scipy.sparse.linalg import aslinearoperator
+    >>> aslinearoperator(transport).shape
+    (4096, 4096)
     """
 
     sparse: csr_array
@@ -140,10 +149,24 @@ class LightTransport:
         """Camera samples and projector pixels (M, N)."""
         return int(self.sparse.shape[0]), int(self.sparse.shape[1])
 
+    @property
+    def image_shapes(self) -> tuple[tuple[int, ...], tuple[int, ...]]:
+        """The shapes of the camera and of the projector."""
+        return self.camera_shape, self.projector_shape
+
     @cached_property
     def pooling(self) -> csr_array:
         """The operator m: means over the cells of the background grid, (B, N)."""
         return cell_means(self.projector_shape, self.background_grid)
+
+    def multiplied(self, vectors: NDArray[Any]) -> NDArray[Any]:
+        """T p for vectors p, (N,) or (N, k)."""
+        return np.asarray(self.sparse @ vectors + self.background @ (self.pooling @ vectors))
+
+    def multiplied_transposed(self, vectors: NDArray[Any]) -> NDArray[Any]:
+        """T' c for vectors c, (M,) or (M, k)."""
+        diffuse = self.pooling.T @ (self.background.T @ vectors)
+        return np.asarray(self.sparse.T @ vectors + diffuse)
 
     def relight(self, patterns: NDArray[Any]) -> NDArray[np.float32]:
         """Camera images under patterns: c = T p, linear, not clipped.
@@ -153,8 +176,7 @@ class LightTransport:
         """
         stack = checked_patterns(patterns, self.projector_shape)
         p = stack.reshape(-1, self.shape[1]).T
-        camera = self.sparse @ p + self.background @ (self.pooling @ p)
-        images = np.asarray(camera.T, np.float32).reshape(-1, *self.camera_shape)
+        images = np.asarray(self.multiplied(p).T, np.float32).reshape(-1, *self.camera_shape)
         return images if stack.ndim == 3 else images[0]
 
     def dual(self, lights: NDArray[Any]) -> NDArray[np.float32]:
@@ -169,8 +191,7 @@ class LightTransport:
                 f"camera lights of shape {light.shape}",
                 hint=f"give shape {self.camera_shape}",
             )
-        flat = light.ravel()
-        image = self.sparse.T @ flat + self.pooling.T @ (self.background.T @ flat)
+        image = self.multiplied_transposed(light.ravel())
         return np.asarray(image, np.float32).reshape(self.projector_shape)
 
     def dual_image(self) -> NDArray[np.float32]:
@@ -189,15 +210,19 @@ class LightTransport:
     def row(self, *camera_index: int) -> NDArray[np.float32]:
         """One row of T as a projector image: how much each pixel lights one camera sample.
 
-        `camera_index` is the row, the column and, for a colour camera, the channel.
+        `camera_index` is the row, the column and, for a colour camera, the channel. Raises
+        InputError if the camera has no such sample.
         """
-        index = int(np.ravel_multi_index(camera_index, self.camera_shape))
+        index = self.row_number(camera_index)
         values = self.dense_rows(np.array([index]))[0]
         return values.reshape(self.projector_shape)
 
     def column(self, row: int, col: int) -> NDArray[np.float32]:
-        """One column of T as a camera image: the response to one lit projector pixel."""
-        index = int(np.ravel_multi_index((row, col), self.projector_shape))
+        """One column of T as a camera image: the response to one lit projector pixel.
+
+        Raises InputError if the projector has no such pixel.
+        """
+        index = self.column_number(row, col)
         return self.dense_columns(np.array([index]))[:, 0].reshape(self.camera_shape)
 
     def dense_rows(self, index: NDArray[np.integer]) -> NDArray[np.float32]:
