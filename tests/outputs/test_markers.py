@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import socket
 import stat
@@ -14,6 +15,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import lightmatrix as lm
 from lightmatrix.errors import OutputError
 from lightmatrix.outputs import targets
 from lightmatrix.outputs.kinds import IMAGE, MAT, NPZ
@@ -79,6 +81,45 @@ def test_a_folder_with_anything_foreign_in_it_is_left_alone(
         with pytest.raises(OutputError, match="lightmatrix"):
             write(target, "new", overwrite=True)
         assert snapshot(Path(folder)) == before
+
+
+@pytest.mark.parametrize("name", ["capture.json", "images/0.png"])
+def test_an_edit_that_keeps_the_size_is_not_lost(tmp_path: Path, name: str) -> None:
+    target = tmp_path / "capture"
+    write(target)
+    (target / name).write_text("new")
+    before = snapshot(tmp_path)
+    with pytest.raises(OutputError, match=f"{name} in it was changed since lightmatrix wrote it"):
+        write(target, "won", overwrite=True)
+    assert snapshot(tmp_path) == before
+    (target / name).write_text("old")
+    write(target, "won", overwrite=True)
+
+
+def test_folders_whose_marker_has_no_digests_are_replaced(tmp_path: Path) -> None:
+    target = tmp_path / "capture"
+    write(target)
+    marker = target / ".lightmatrix"
+    content = json.loads(marker.read_text())
+    del content["digests"]
+    marker.write_text(json.dumps(content))
+    write(target, "new", overwrite=True)
+    assert (target / "capture.json").read_text() == "new"
+
+
+def test_an_edited_attribute_of_a_packed_capture_is_not_lost(tmp_path: Path) -> None:
+    path = tmp_path / "capture.zarr"
+    capture = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 2), exposure=0.8)
+    lm.pack(capture, path)
+    header = path / "zarr.json"
+    text = header.read_text()
+    assert text.count("0.8") > 0
+    header.write_text(text.replace("0.8", "0.7"))
+    with pytest.raises(OutputError, match=r"zarr\.json in it was changed"):
+        lm.pack(capture, path, overwrite=True)
+    assert "0.7" in header.read_text()
+    header.write_text(text)
+    lm.pack(capture, path, overwrite=True)
 
 
 def test_a_file_that_comes_while_the_new_folder_is_made_is_not_lost(tmp_path: Path) -> None:

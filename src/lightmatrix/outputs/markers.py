@@ -1,13 +1,14 @@
 """How lightmatrix recognizes outputs that it wrote.
 
 A folder of ours carries a marker: a JSON object that holds the name of the format, the kind of the
-output, and every file in it with its size. A folder without a marker, with a file that is not
-listed, or with one of another size (edited since) is not ours alone and is never replaced. A single
-file is recognized by its content.
+output, and every file in it with its size and its digest. A folder without a marker, with a file
+that is not listed, or with one of another content (edited since) is not ours alone and is never
+replaced. A single file is recognized by its content.
 """
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import zipfile
@@ -23,6 +24,10 @@ MARKER = ".lightmatrix"
 FORMAT, VERSION = "lightmatrix-output", 1
 # Bytes of the largest JSON file that is read in search of a marker, far more than any marker takes.
 _MOST_BYTES = 1 << 28
+# Digests of files by what the system says of them, because an output is checked before the work
+# and again after it. At most so many are kept.
+_digests: dict[tuple[int, ...], str] = {}
+_MOST_DIGESTS = 1 << 17
 
 
 @dataclass(frozen=True)
@@ -67,18 +72,16 @@ class FolderKind:
                 "(or before folders were marked)",
                 hint=f"{ANOTHER_NAME}, or remove the folder yourself",
             )
-        kind, files = marker
+        kind, files, digests = marker
         if kind != self.name:
             raise OutputError(
                 f"{shown}: holds a {kind}, the output is a {self.name}",
                 hint=f"{ANOTHER_NAME}, or remove the folder yourself",
             )
         for name, size in sizes_below(target):
-            if name == self.marker[0]:
-                continue
-            if name not in files:
+            if name != self.marker[0] and name not in files:
                 problem = f"holds {printable(name)}, which was not written by lightmatrix"
-            elif size != files[name]:
+            elif size != files.get(name, size) or self._is_edited(target, name, digests):
                 problem = f"{printable(name)} in it was changed since lightmatrix wrote it"
             else:
                 continue
@@ -90,11 +93,19 @@ class FolderKind:
     def mark(self, folder: Path) -> None:
         """Write the marker of a finished folder."""
         files = {name: size for name, size in sizes_below(folder) if name != self.marker[0]}
-        content = {"format": FORMAT, "version": VERSION, "kind": self.name, "files": files}
+        digests = {name: _digest(folder / name) for name, size in files.items() if size >= 0}
+        content: dict[str, Any] = {
+            "format": FORMAT,
+            "version": VERSION,
+            "kind": self.name,
+            "files": files,
+            "digests": digests,
+        }
         file = folder / self.marker[0]
         whole: Any = content
         if len(self.marker) > 1:
             inner = whole = json.loads(file.read_text(encoding="utf-8"))
+            digests[self.marker[0]] = self._digest_beside_marker(whole)
             for key in self.marker[1:-1]:
                 inner = inner[key]
             inner[self.marker[-1]] = content
@@ -103,15 +114,36 @@ class FolderKind:
         written.write_text(json.dumps(whole, indent=1) + "\n")
         os.replace(written, file)
 
-    def _read(self, folder: Path) -> tuple[str, dict[str, Any]] | None:
-        """The kind and the files that a folder's marker names; None if it has none of ours."""
+    def _is_edited(self, folder: Path, name: str, digests: dict[str, Any]) -> bool:
+        """Whether a file has another content than was written; outputs of old have no digests."""
+        if name not in digests:
+            return False
+        if name == self.marker[0]:
+            return digests[name] != self._digest_beside_marker(read_object(folder / name))
+        return digests[name] != _digest(folder / name)
+
+    def _digest_beside_marker(self, content: Any) -> str:
+        """The digest of what else the JSON file with the marker holds."""
+        copy = inner = json.loads(json.dumps(content))
+        for key in self.marker[1:-1]:
+            inner = inner[key]
+        inner.pop(self.marker[-1], None)
+        return hashlib.sha256(json.dumps(copy, sort_keys=True).encode()).hexdigest()
+
+    def _read(self, folder: Path) -> tuple[str, dict[str, Any], dict[str, Any]] | None:
+        """The kind, the files and their digests by a folder's marker; None if it has none of ours.
+
+        The marker of an older version has no digests.
+        """
         content = read_object(folder / self.marker[0])
         for key in self.marker[1:]:
             content = content.get(key) if isinstance(content, dict) else None
         if not isinstance(content, dict) or content.get("format") != FORMAT:
             return None
-        files = content.get("files")
-        return (printable(str(content.get("kind"))), files) if isinstance(files, dict) else None
+        files, digests = content.get("files"), content.get("digests", {})
+        if not isinstance(files, dict) or not isinstance(digests, dict):
+            return None
+        return printable(str(content.get("kind"))), files, digests
 
 
 @dataclass(frozen=True)
@@ -196,6 +228,18 @@ def read_object(file: Path) -> dict[str, Any] | None:
     except (OSError, ValueError, RecursionError):
         return None
     return content if isinstance(content, dict) else None
+
+
+def _digest(file: Path) -> str:
+    """The SHA-256 of a file, which is read only if it was changed since it was last asked for."""
+    with file.open("rb") as stream:
+        facts = os.fstat(stream.fileno())
+        key = (facts.st_dev, facts.st_ino, facts.st_size, facts.st_mtime_ns, facts.st_ctime_ns)
+        if key not in _digests:
+            if len(_digests) >= _MOST_DIGESTS:
+                _digests.clear()
+            _digests[key] = hashlib.file_digest(stream, "sha256").hexdigest()
+    return _digests[key]
 
 
 def printable(text: str) -> str:
