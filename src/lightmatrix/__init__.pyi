@@ -152,6 +152,19 @@ from .evaluation.estimate_errors import ColourErrors as ColourErrors
 from .evaluation.estimate_errors import Errors as Errors
 from .transport.matrix import LightTransport as LightTransport
 from .transport.singular_values import singular_values as singular_values
+from .uses.compensated_video import (
+    CompensatedVideo as CompensatedVideo,
+    compensate_video as compensate_video,
+)
+from .uses.compensation import (
+    Compensation as Compensation,
+    Reach as Reach,
+    compensate as compensate,
+)
+from .live.closed_loop import (
+    RefinedCompensation as RefinedCompensation,
+    refine_compensation as refine_compensation,
+)
 from .evaluation.verdict import (
     Verdict as Verdict,
     verdict as verdict,

@@ -263,6 +263,114 @@ def test_relight(name: str, work: Path, tmp_path: Path, capsys: pytest.CaptureFi
         np.testing.assert_array_equal(written, image)
 
 
+def _wanted(work: Path) -> Path:
+    """A picture of the camera's size."""
+    picture = work / "wanted.png"
+    if not picture.exists():
+        rows, cols = lm.open(work / "scene.zarr").camera_shape
+        ramp = np.rint(np.tile(np.linspace(60, 255, cols), (rows, 1))).astype(np.uint8)
+        lm.write_image(picture, ramp)
+    return picture
+
+
+@pytest.mark.parametrize(
+    ("words", "settings"),
+    [
+        ("-o x.png", {}),
+        ("-o x.npy --brightness 0.4 --gamma 2.2", {"brightness": 0.4, "gamma": 2.2}),
+        (
+            "-o x.tiff --mask {wanted} --black {black} --exposure 0.5",
+            {"mask": "{wanted}", "ambient": "{black}", "exposure": 0.5},
+        ),
+    ],
+)
+def test_compensate(
+    words: str, settings: dict[str, Any], work: Path, tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    wanted = _wanted(work)
+    black = tmp_path / "black.png"
+    lm.write_image(black, np.full(lm.open(work / "scene.zarr").camera_shape, 3, np.uint8))
+    names = {"wanted": wanted, "black": black}
+    for folder in ("shown", "made"):
+        (tmp_path / folder).mkdir()
+    monkeypatch.chdir(tmp_path / "shown")
+    told = _run(f"compensate {work}/scene.zarr {wanted} {words.format(**names)}", capsys)
+    settings = {k: v.format(**names) if isinstance(v, str) else v for k, v in settings.items()}
+    output = tmp_path / "made" / words.split()[1]
+    found = lm.compensate(work / "scene.zarr", wanted, output=output, **settings)
+    _same_files(tmp_path / "shown", tmp_path / "made")
+    assert told == {"output": output.name, **found.as_dict()}
+
+
+def test_compensate_with_two_projectors(
+    work: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene, wanted = work / "scene.zarr", _wanted(work)
+    for folder in ("shown", "made"):
+        (tmp_path / folder).mkdir()
+    _run(f"compensate {scene} {wanted} --beside {scene} -o {tmp_path}/shown/x.png", capsys)
+    lm.compensate([scene, scene], wanted, output=tmp_path / "made" / "x.png")
+    _same_files(tmp_path / "shown", tmp_path / "made")
+    assert (tmp_path / "made" / "x-2.png").exists()
+
+
+def test_compensate_a_video(work: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    scene, frames = work / "scene.zarr", tmp_path / "frames"
+    frames.mkdir()
+    picture = lm.read_image(_wanted(work))
+    for k in range(3):
+        lm.write_image(frames / f"{k}.png", np.roll(picture, k, axis=1))
+    told = _run(f"compensate {scene} --video {frames} -o {tmp_path}/shown", capsys)
+    video = lm.compensate_video(scene, frames, output=tmp_path / "made")
+    _same_files(tmp_path / "shown", tmp_path / "made")
+    assert told == {"output": f"{tmp_path}/shown", **video.as_dict()}
+
+
+def test_compensate_on_a_rig(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:  # fmt: skip
+    rig = "virtual:procedural,size=16,real=0"
+    known = lm.ProceduralScene((16, 16), (16, 16), 0).truth().transport()
+    lm.save(tmp_path / "scene.zarr", known)
+    lm.write_image(tmp_path / "wanted.png", np.full((16, 16), 150, np.uint8))
+    for folder in ("shown", "made"):
+        (tmp_path / folder).mkdir()
+    told = _run(
+        f"compensate {tmp_path}/scene.zarr {tmp_path}/wanted.png --rig {rig} --refine 2 "
+        f"--rig-file {tmp_path}/rig.json -o {tmp_path}/shown/x.png",
+        capsys,
+    )
+    with lm.open_rig(rig) as opened:
+        found = lm.refine_compensation(
+            opened, known, tmp_path / "wanted.png", steps=2, output=tmp_path / "made" / "x.png"
+        )
+    _same_files(tmp_path / "shown", tmp_path / "made")
+    assert told["photographed_psnr"] == found.as_dict()["photographed_psnr"]
+    assert len(told["photographed_psnr"]) == 3
+
+
+@pytest.mark.parametrize(
+    ("words", "reason"),
+    [
+        ("", "no picture"),
+        ("{wanted} --video frames", "both a picture and a video"),
+        ("{wanted} --refine 2", "--refine without a rig"),
+        ("{wanted} --rig virtual:metal --black b.png", "a rig and --black"),
+        ("{wanted} --rig virtual:metal --beside x.zarr", "several matrices"),
+        ("--video frames --green g.zarr --blue b.zarr", "several matrices"),
+        ("{wanted} --brightness bright", "a brightness of 'bright'"),
+        ("{wanted} --green g.zarr", "--blue is missing"),
+    ],
+)
+def test_what_compensate_refuses(
+    words: str, reason: str, work: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    line = f"compensate {work}/scene.zarr {words} -o {tmp_path}/new.png"
+    assert main(line.format(wanted=_wanted(work)).split()) == 2
+    assert reason in capsys.readouterr().err
+
+
 def test_evaluate(work: Path, capsys: pytest.CaptureFixture[str]) -> None:
     printed = _run(f"evaluate {work}/scene.zarr --truth {work}/T.npz --exposure 1.2", capsys)
     estimate, known = lm.open(work / "scene.zarr"), lm.truth(f"{work}/T.npz")

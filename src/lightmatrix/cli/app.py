@@ -18,6 +18,7 @@ import lightmatrix as lm
 from lightmatrix.cli.capture import capture
 from lightmatrix.cli.check import check
 from lightmatrix.cli.claims import outputs
+from lightmatrix.cli.compensate import compensate
 from lightmatrix.cli.demo import demo
 from lightmatrix.cli.estimate import estimate
 from lightmatrix.cli.evaluate import evaluate
@@ -44,7 +45,7 @@ COMPLETION = "_LIGHTMATRIX_COMPLETE"
 STAGES: dict[str, tuple[Callable[..., None], ...]] = {
     "Prepare": (plan, patterns),
     "Photograph": (capture, response),
-    "Measure and use": (check, pack, estimate, info, show, relight, evaluate, export),
+    "Measure and use": (check, pack, estimate, info, show, relight, compensate, evaluate, export),
     "Simulate": (scenes, render, simulate),
     "Show": (demo, experiment),
 }

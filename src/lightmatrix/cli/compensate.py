@@ -1,0 +1,177 @@
+"""`lightmatrix compensate`: the pattern under which the camera sees a wanted picture."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+import lightmatrix as lm
+from lightmatrix.cli.options import (
+    RIG_FILE,
+    USUAL_PATIENCE,
+    Blue,
+    CameraName,
+    Green,
+    Json,
+    Overwrite,
+    Patience,
+    ProjectorName,
+    RigFile,
+    RigName,
+    Store,
+    primaries,
+)
+from lightmatrix.cli.stages import stages
+from lightmatrix.cli.terminal import progress, say, show_json
+from lightmatrix.errors import InputError
+
+
+def compensate(
+    scene: Store,
+    output: Annotated[
+        Path, typer.Option("-o", "--output", help="Image of the pattern; a folder with --video.")
+    ],
+    wanted: Annotated[
+        Path | None,
+        typer.Argument(metavar="WANTED", help="The picture that the camera is to see."),
+    ] = None,
+    brightness: Annotated[
+        str,
+        typer.Option(
+            metavar="auto|0.7", help="Light of wanted white, as a share of that of a white pattern."
+        ),
+    ] = "auto",
+    black: Annotated[
+        Path | None, typer.Option(help="Photograph of a black pattern: the room's light.")
+    ] = None,
+    mask: Annotated[
+        Path | None, typer.Option(help="Image that is 0 where the picture does not matter.")
+    ] = None,
+    gamma: Annotated[
+        float, typer.Option(help="Display gamma of the picture, 2.2 for most photographs.")
+    ] = 1.0,
+    resize: Annotated[
+        bool, typer.Option("--resize", help="Resize the picture to the camera.")
+    ] = False,
+    exposure: Annotated[
+        float, typer.Option(help="Exposure e at which samples are counted that clip.")
+    ] = 1.0,
+    green: Green = None,
+    blue: Blue = None,
+    beside: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="OTHER.zarr", help="T of a further projector on the same scene; repeatable."
+        ),
+    ] = None,
+    video: Annotated[
+        Path | None, typer.Option(help="Folder of frames to compensate instead of one picture.")
+    ] = None,
+    refine: Annotated[
+        int | None,
+        typer.Option(help="Photographs on a rig that correct the pattern.", show_default="none"),
+    ] = None,
+    rig: RigName = None,
+    projector: ProjectorName = None,
+    camera: CameraName = None,
+    patience: Patience = USUAL_PATIENCE,
+    rig_file: RigFile = Path(RIG_FILE),
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+) -> None:
+    """Find the pattern that makes the scene look as wanted.
+
+    It takes into account what light does on its way from surface to surface. Pixels that cannot be
+    reached are counted. With a rig, photographs of the pattern correct it.
+    """
+    common: dict[str, Any] = {
+        "mask": mask,
+        "brightness": _brightness(brightness),
+        "gamma": gamma,
+        "resize": resize,
+        "output": output,
+        "overwrite": overwrite,
+    }
+    with_rig = rig is not None or projector is not None or camera is not None
+    _check(wanted, video, with_rig, refine, several=bool(green or blue or beside), black=black)
+    summary: dict[str, Any] = {"output": output}
+    if video is not None:
+        with progress("compensating", "frames") as report:
+            frames = lm.compensate_video(scene, video, ambient=black, progress=report, **common)
+        summary |= frames.as_dict()
+    elif with_rig:
+        opened = lm.open_rig(rig, projector=projector, camera=camera, patience=patience)
+        with opened, stages() as shown:
+            if refine is not None:
+                common["steps"] = refine
+            assert wanted is not None
+            refined = lm.refine_compensation(
+                opened, scene, wanted, keep=rig_file, measuring=shown.measured, **common
+            )
+        summary |= refined.as_dict()
+    else:
+        matrices = [*(primaries(scene, green, blue) or (scene,)), *(beside or ())]
+        assert wanted is not None
+        found = lm.compensate(matrices, wanted, ambient=black, exposure=exposure, **common)
+        summary |= found.as_dict()
+    if as_json:
+        show_json(summary)
+    else:
+        _show(summary)
+
+
+def _brightness(text: str) -> float | None:
+    if text == "auto":
+        return None
+    try:
+        return float(text)
+    except ValueError:
+        raise InputError(f"a brightness of {text!r}", hint="write auto, or a number") from None
+
+
+def _check(
+    wanted: Path | None,
+    video: Path | None,
+    with_rig: bool,
+    refine: int | None,
+    *,
+    several: bool,
+    black: Path | None,
+) -> None:
+    """Refuse combinations that make no sense."""
+    if (wanted is None) == (video is None):
+        both = "both a picture and a video" if wanted else "no picture"
+        raise InputError(both, hint="give the wanted picture, or --video and a folder of frames")
+    if refine is not None and not with_rig:
+        raise InputError(
+            "--refine without a rig", hint="add --rig virtual:SCENE, or --projector and --camera"
+        )
+    if several and (video is not None or with_rig):
+        raise InputError(
+            "several matrices for a video or a rig",
+            hint="compensate single pictures with several projectors or in colour",
+        )
+    if with_rig and (video is not None or black is not None):
+        raise InputError(
+            f"a rig and --{'video' if video is not None else 'black'}",
+            hint="a rig takes a picture, and photographs black by itself",
+        )
+
+
+def _show(summary: dict[str, Any]) -> None:
+    say(
+        f"{summary['output']}: wanted white is {100 * summary['brightness']:.0f} % of what a white "
+        "pattern gives"
+    )
+    if "frames" in summary:
+        say(f"{summary['frames']} frames; {100 * summary['reached']:.1f} % of the pixels reached")
+        return
+    reasons = {"too_dark": "too dark", "too_bright": "too bright", "shadow": "in shadow"}
+    rest = ", ".join(f"{100 * summary[key]:.1f} % {text}" for key, text in reasons.items())
+    say(f"{100 * summary['reached']:.1f} % of the camera pixels are reached; {rest}")
+    for step, decibels in enumerate(summary.get("photographed_psnr", ())):
+        say(f"photograph {step}: {decibels:.1f} dB")
+    if summary["clipped"]:
+        say(f"{100 * summary['clipped']:.1f} % of the pixels would clip", style="yellow")

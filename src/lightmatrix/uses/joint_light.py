@@ -1,0 +1,115 @@
+"""The light of one or several projectors in one camera, c = T1 p1 + T2 p2 + ...: one operator."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightmatrix import store
+from lightmatrix.errors import InputError
+from lightmatrix.resources.memory import available_bytes
+from lightmatrix.transport.matrix import LightTransport
+
+Transport = LightTransport | store.StoredTransport | str | Path
+
+
+@dataclass(frozen=True, eq=False)
+class JointLight:
+    """[T1 T2 ...] in single precision; patterns of all projectors are one vector, (N,)."""
+
+    # One projector each, or one primary of a colour projector.
+    matrices: tuple[LightTransport, ...]
+
+    @property
+    def camera_shape(self) -> tuple[int, ...]:
+        """(rows, cols) or (rows, cols, channels)."""
+        return self.matrices[0].camera_shape
+
+    @property
+    def pixels(self) -> int:
+        """Projector pixels N of all projectors."""
+        return sum(matrix.shape[1] for matrix in self.matrices)
+
+    def split(self, light: NDArray[np.float32]) -> tuple[NDArray[np.float32], ...]:
+        """The patterns, (rows, cols) each, of a vector (N,)."""
+        ends = np.cumsum([matrix.shape[1] for matrix in self.matrices])
+        parts = np.split(light, ends[:-1])
+        return tuple(
+            part.reshape(matrix.projector_shape)
+            for part, matrix in zip(parts, self.matrices, strict=True)
+        )
+
+    @cached_property
+    def without_signs(self) -> JointLight:
+        """The operator of the magnitudes of all entries; itself, unless T was estimated signed."""
+        if all((m.sparse.data >= 0).all() and (m.background >= 0).all() for m in self.matrices):
+            return self
+        magnitudes = [
+            replace(matrix, sparse=abs(matrix.sparse), background=abs(matrix.background))
+            for matrix in self.matrices
+        ]
+        return JointLight(tuple(magnitudes))
+
+    def forward(self, light: NDArray[np.float32]) -> NDArray[np.float32]:
+        """T p: camera samples (M,) of patterns (N,)."""
+        result = np.zeros(self.matrices[0].shape[0], np.float32)
+        for pattern, matrix in zip(self.split(light), self.matrices, strict=True):
+            flat = pattern.ravel()
+            result += matrix.sparse @ flat
+            result += matrix.background @ (matrix.pooling @ flat)
+        return result
+
+    def adjoint(self, samples: NDArray[np.float32]) -> NDArray[np.float32]:
+        """T' c: projector pixels (N,) of camera samples (M,)."""
+        parts = [
+            sparse @ samples + pooling @ (samples @ matrix.background)
+            for (sparse, pooling), matrix in zip(self._transposed, self.matrices, strict=True)
+        ]
+        return np.concatenate(parts)
+
+    @cached_property
+    def _transposed(self) -> list[tuple[Any, Any]]:
+        """Views of S' and m' of each projector, which share the arrays of S and m."""
+        return [(matrix.sparse.T, matrix.pooling.T) for matrix in self.matrices]
+
+
+def joint_light(transport: Transport | Sequence[Transport]) -> JointLight:
+    """The operator of one matrix, or of several of one camera, loaded if they are on disk.
+
+    An InputError says that they do not fit into memory, or that their cameras differ.
+    """
+    single = isinstance(transport, LightTransport | store.StoredTransport | str | Path)
+    sources: list[Any] = [transport] if single else [*transport]  # type: ignore[misc]
+    if not sources:
+        raise InputError("no light transport matrix", hint="give one, or one for each projector")
+    matrices = tuple(_loaded(source) for source in sources)
+    shapes = sorted({matrix.camera_shape for matrix in matrices})
+    if len(shapes) > 1:
+        raise InputError(
+            f"matrices of cameras of shapes {' and '.join(map(str, shapes))}",
+            hint="give matrices that one camera measured, with the same binning",
+        )
+    return JointLight(matrices)
+
+
+def _loaded(source: Transport) -> LightTransport:
+    if isinstance(source, str | Path):
+        return store.open(source)
+    if isinstance(source, LightTransport):
+        return source
+    needed = sum(array.bytes for array in source.header.arrays.values())
+    free = available_bytes()
+    if needed > free:
+        raise InputError(
+            f"{source.header.place}: takes {needed / 2**30:.3g} GiB of memory, "
+            f"{free / 2**30:.3g} GiB are free, and every step needs all of it",
+            hint="take a region of the camera (`region`), estimate with binning, or use a machine "
+            "with more memory",
+        )
+    return source.load()

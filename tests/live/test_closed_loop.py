@@ -1,0 +1,49 @@
+"""A compensation on a virtual rig gets better by its photographs, and names what does not fit."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import lightmatrix as lm
+
+RIG = "virtual:l_objects,real=0"
+WANTED = np.tile(np.linspace(0.2, 1, 64), (64, 1))
+
+
+def test_photographs_correct_a_wrong_matrix(tmp_path: Path) -> None:
+    """T lacks its weak entries, the global light: photographs bring it back."""
+    with lm.open_rig(RIG) as rig:
+        assert rig.truth is not None
+        known = rig.truth.transport()
+        sparse = known.sparse.copy()
+        sparse.data[sparse.data < 0.02 * sparse.data.max()] = 0
+        wrong = lm.LightTransport.from_matrix(sparse, (64, 64), (64, 64))
+        found = lm.refine_compensation(
+            rig, wrong, WANTED, steps=3, output=tmp_path / "shown.png", keep=tmp_path / "rig.json"
+        )
+    psnr = found.photographed_psnr
+    assert len(psnr) == 4
+    assert psnr.max() > psnr[0] + 3
+    # The photograph that was kept is that of the pattern, in the units of T up to one factor.
+    light = known.relight(found.pattern)
+    factor = float((light * found.photograph).sum() / (light**2).sum())
+    apart = np.abs(found.photograph - factor * light) / found.compensation.scale
+    assert apart.mean() < 0.01
+    assert apart.max() < 0.1
+    assert lm.read_image(tmp_path / "shown.png").shape == (64, 64)
+
+
+def test_a_matrix_of_another_rig_is_refused() -> None:
+    other = lm.ProceduralScene((16, 16), (64, 64)).truth().transport()
+    with lm.open_rig(RIG) as rig, pytest.raises(lm.InputError, match="camera of shape"):
+        lm.refine_compensation(rig, other, np.ones((16, 16)), keep=None)
+
+
+@pytest.mark.parametrize("steps", [-1, 101, 1.5])
+def test_the_number_of_steps_is_checked(steps: int) -> None:
+    known = lm.truth("l_objects").transport()
+    with lm.open_rig(RIG) as rig, pytest.raises(lm.InputError, match="corrections"):
+        lm.refine_compensation(rig, known, WANTED, steps=steps)

@@ -1,0 +1,333 @@
+"""Compensation: optimal by its definition, within [0, 1], honest about what cannot be reached."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.optimize import lsq_linear
+from scipy.sparse import csr_array
+
+import lightmatrix as lm
+from lightmatrix.uses import joint_light as joint_light_file
+from lightmatrix.uses.bounded_fit import BoundedFit
+from lightmatrix.uses.compensation import TOLERANCE, compensator
+from lightmatrix.uses.joint_light import JointLight, joint_light
+
+
+def _scene(
+    camera: tuple[int, ...] = (6, 7), projector: tuple[int, int] = (5, 8), seed: int = 0
+) -> lm.LightTransport:
+    """A random scene: sharp direct light, some more anywhere, and a smooth background."""
+    random = np.random.default_rng(seed)
+    samples, pixels = int(np.prod(camera)), int(np.prod(projector))
+    dense = random.random((samples, pixels)) * (random.random((samples, pixels)) < 0.1) * 0.05
+    dense[np.arange(samples), random.integers(0, pixels, samples)] += 0.3 + random.random(samples)
+    background = random.random((samples, 4)).astype(np.float32) * 0.1
+    return lm.LightTransport(
+        csr_array(dense.astype(np.float32)), background, camera, projector, (2, 2)
+    )
+
+
+def _dense(transport: lm.LightTransport) -> Any:
+    return transport.to_matrix(dense_background=True).toarray().astype(np.float64)
+
+
+@pytest.fixture(scope="module")
+def known() -> lm.LightTransport:
+    return lm.truth("l_objects").transport()
+
+
+def _ramp(shape: tuple[int, int] = (64, 64)) -> Any:
+    return np.tile(np.linspace(0.2, 1, shape[1]), (shape[0], 1))
+
+
+@pytest.mark.parametrize("projectors", [1, 2, 3])
+@pytest.mark.parametrize("camera", [(6, 7), (1, 1), (4, 3, 3)])
+def test_the_operator_has_its_adjoint(camera: tuple[int, ...], projectors: int) -> None:
+    sizes = [(5, 8), (3, 2), (4, 4)][:projectors]
+    light = joint_light([_scene(camera, size, seed) for seed, size in enumerate(sizes)])
+    random = np.random.default_rng(0)
+    p = random.random(light.pixels, np.float32)
+    c = random.random(int(np.prod(camera)), np.float32)
+    assert light.forward(p) @ c == pytest.approx(p @ light.adjoint(c), rel=1e-5)
+    dense = np.hstack([_dense(matrix) for matrix in light.matrices])
+    np.testing.assert_allclose(light.forward(p), dense @ p, rtol=1e-5)
+    assert [part.shape for part in light.split(p)] == sizes
+
+
+@settings(max_examples=15, deadline=None)
+@given(seed=st.integers(0, 1000), level=st.floats(0.1, 2))
+def test_it_is_the_bounded_least_squares_solution(seed: int, level: float) -> None:
+    """Held against SciPy's active-set solver on the dense matrix with the ridge as more rows."""
+    transport = _scene(seed=seed)
+    random = np.random.default_rng(seed)
+    weights = (random.random(42) < 0.8).astype(np.float32)
+    samples = (level * random.random(42)).astype(np.float32)
+    fit = BoundedFit(JointLight((transport,)), weights)
+    pattern = fit.solve(samples, np.full(40, 0.5, np.float32), 3000)
+    root = np.sqrt(weights.astype(np.float64))[:, None]
+    rows = np.vstack([root * _dense(transport), np.sqrt(fit.ridge) * np.eye(40)])
+    right = np.concatenate([root[:, 0] * samples, np.zeros(40)])
+    best = lsq_linear(rows, right, (0, 1), method="bvls", tol=1e-12)
+
+    def cost(p: Any) -> float:
+        return 0.5 * float(np.sum((rows @ p - right) ** 2))
+
+    assert pattern.min() >= 0
+    assert pattern.max() <= 1
+    assert cost(pattern.astype(np.float64)) <= best.cost + 1e-5 * max(best.cost, 1e-3)
+
+
+def test_negative_entries_keep_the_steps_safe() -> None:
+    transport = _scene()
+    signs = np.where(np.random.default_rng(1).random(transport.sparse.nnz) < 0.3, -1, 1)
+    sparse = csr_array(
+        (transport.sparse.data * signs, transport.sparse.indices, transport.sparse.indptr),
+        shape=transport.shape,
+    )
+    signed = lm.LightTransport(
+        sparse.astype(np.float32), transport.background, (6, 7), (5, 8), (2, 2)
+    )
+    fit = BoundedFit(JointLight((signed,)), np.ones(42, np.float32))
+    samples = np.full(42, 0.3, np.float32)
+    few, many = (fit.solve(samples, np.full(40, 0.5, np.float32), n) for n in (3000, 6000))
+    np.testing.assert_allclose(few, many, atol=1e-3)
+    # Optimal: a step along the gradient leads nowhere within the bounds.
+    moved = np.clip(many - fit.gradient(many, samples), 0, 1)
+    np.testing.assert_allclose(moved, many, atol=1e-3)
+
+
+def test_the_usual_iterations_are_enough(known: lm.LightTransport) -> None:
+    few = lm.compensate(known, _ramp())
+    many = lm.compensate(known, _ramp(), iterations=300)
+    assert many.psnr - few.psnr < 0.3
+    assert few.pattern.dtype == np.float32
+    assert few.pattern.min() >= 0
+    assert few.pattern.max() <= 1
+
+
+def test_it_is_better_than_gains_of_single_pixels(known: lm.LightTransport) -> None:
+    shared = compensator(known)
+    found = lm.compensate(known, _ramp())
+    gains = known.relight(shared.start(found.target.ravel()).reshape(64, 64))
+    lit = shared.lit.reshape(64, 64)
+
+    def squares(image: Any) -> float:
+        return float(np.mean((image - found.target)[lit] ** 2))
+
+    np.testing.assert_allclose(known.relight(found.pattern), found.predicted, rtol=1e-4, atol=1e-6)
+    assert squares(found.predicted) < 0.6 * squares(gains)
+    near = found.reachable
+    missed = [np.mean((image - found.target)[near] ** 2) for image in (found.predicted, gains)]
+    assert missed[0] < 0.25 * missed[1]
+    assert found.psnr == pytest.approx(-10 * np.log10(squares(found.predicted) / found.scale**2))
+
+
+def test_the_map_says_what_is_not_reached() -> None:
+    """Four camera pixels: one in shadow, one masked, one that wants too much, one that is right."""
+    matrix = csr_array(np.diag([0.0, 1.0, 1.0, 1.0, 1.0, 1.0]).astype(np.float32))
+    transport = lm.LightTransport.from_matrix(matrix, (2, 3), (2, 3))
+    wanted = np.array([[0.5, 0.5, 1.0], [0.5, 0.5, 0.2]])
+    ambient = np.array([[0, 0, 0], [0, 0, 0.9]])
+    mask = np.array([[1, 0, 1], [1, 1, 1]])
+    found = lm.compensate(transport, wanted, mask=mask, ambient=ambient, brightness=1.5)
+    reach = lm.Reach
+    expected = [
+        [reach.SHADOW, reach.MASKED, reach.TOO_DARK],
+        [reach.REACHED, reach.REACHED, reach.TOO_BRIGHT],
+    ]
+    np.testing.assert_array_equal(found.reach, expected)
+    np.testing.assert_array_equal(found.reachable, np.array(expected) == reach.REACHED)
+    np.testing.assert_allclose(found.predicted[1], [0.75, 0.75, 0.9], atol=0.01)
+    assert found.scale == pytest.approx(1.5)
+    # White gives 1, which clips at exposure 1 and not at half of it.
+    assert found.clipped[0, 2]
+    shorter = lm.compensate(transport, wanted, ambient=ambient, brightness=1.5, exposure=0.5)
+    assert not shorter.clipped.any()
+    shares = found.as_dict()
+    assert sum(shares[each.name.lower()] for each in reach) == pytest.approx(1)
+    assert shares["too_dark"] == pytest.approx(1 / 6)
+
+
+def test_reached_is_within_a_twentieth_of_wanted_white(known: lm.LightTransport) -> None:
+    found = lm.compensate(known, _ramp(), brightness=1.2)
+    near = np.abs(found.predicted - found.target) <= TOLERANCE * found.scale * (1 + 1e-5)
+    lit = compensator(known).lit.reshape(64, 64)
+    np.testing.assert_array_equal(found.reachable, near & lit)
+    assert 0.2 < found.reachable.mean() < 1
+
+
+def test_automatic_brightness_lets_one_in_50_ask_for_more_than_white(
+    known: lm.LightTransport,
+) -> None:
+    found = lm.compensate(known, _ramp())
+    white = known.relight(np.ones((64, 64)))
+    lit = compensator(known).lit.reshape(64, 64)
+    assert (found.target > white)[lit].mean() == pytest.approx(0.02, abs=0.002)
+    given = lm.compensate(known, _ramp(), brightness=found.brightness)
+    np.testing.assert_allclose(given.pattern, found.pattern, atol=1e-6)
+    bright, dim = (lm.compensate(known, _ramp(), brightness=b) for b in (1.0, 0.3))
+    assert bright.scale == pytest.approx(dim.scale / 0.3)
+    assert dim.psnr > bright.psnr
+
+
+def test_ambient_light_is_taken_off(known: lm.LightTransport) -> None:
+    room = np.full((64, 64), 0.05 * known.relight(np.ones((64, 64))).mean(), np.float32)
+    without = lm.compensate(known, _ramp(), brightness=0.5)
+    with_room = lm.compensate(known, _ramp(), brightness=0.5, ambient=room)
+    assert with_room.pattern.mean() < without.pattern.mean()
+    light = known.relight(with_room.pattern) + room
+    np.testing.assert_allclose(light, with_room.predicted, rtol=1e-4, atol=1e-6)
+    assert with_room.psnr > without.psnr - 1
+
+
+def test_colour_is_compensated_jointly() -> None:
+    """Overlapping filters: each primary reaches all channels of the camera."""
+    truth = lm.truth("l_objects")
+    filters = np.array([[0.9, 0.2, 0.05], [0.15, 0.8, 0.2], [0.05, 0.25, 0.9]], np.float32)
+    grey = truth.matrix
+    matrices = []
+    for primary in range(3):
+        stacked = csr_array(
+            (
+                (grey.data[:, None] * filters[:, primary]).T.ravel(),
+                np.tile(grey.indices, 3),
+                np.concatenate([[0], *(k * grey.nnz + grey.indptr[1:] for k in range(3))]),
+            ),
+            shape=(3 * grey.shape[0], grey.shape[1]),
+        )
+        order = np.arange(3 * grey.shape[0]).reshape(3, -1).T.ravel()
+        matrices.append(lm.LightTransport.from_matrix(stacked[order], (64, 64, 3), (64, 64)))
+    wanted = np.stack([_ramp(), _ramp()[:, ::-1], np.full((64, 64), 0.5)], axis=-1)
+    joint = lm.compensate(matrices, wanted, brightness=0.5)
+    assert joint.pattern.shape == (64, 64, 3)
+    np.testing.assert_allclose(
+        lm.relight(matrices, joint.pattern), joint.predicted, rtol=1e-3, atol=1e-5
+    )
+    # Each primary by itself, as if it reached its own channel only.
+    alone = np.stack(
+        [
+            lm.compensate(
+                matrices[c], wanted, brightness=0.5, mask=np.tile(np.arange(3) == c, (64, 64, 1))
+            ).pattern
+            for c in range(3)
+        ],
+        axis=-1,
+    )
+    missed = (lm.relight(matrices, alone) - joint.target) / joint.scale
+    assert joint.psnr > -10 * np.log10(np.mean(missed**2)) + 4
+    # Grey is the colour of the scene under white light.
+    plain = lm.compensate(matrices, np.full((64, 64), 0.5), brightness=0.5)
+    ratios = np.median(plain.target, axis=(0, 1)) / np.median(
+        lm.relight(matrices, np.ones((64, 64))), axis=(0, 1)
+    )
+    np.testing.assert_allclose(ratios, ratios[0], rtol=0.05)
+
+
+def test_two_projectors_blend_into_each_other(tmp_path: Path) -> None:
+    """Two projectors of different sizes, each on two thirds of a wall."""
+    wall = np.zeros((12, 12, 4, 8), np.float32)
+    other = np.zeros((12, 12, 3, 8), np.float32)
+    for col in range(8):
+        wall[:, col, :, col] = 0.5 / 4
+        other[:, col + 4, :, col] = 0.4 / 3
+    first = lm.LightTransport.from_matrix(csr_array(wall.reshape(144, -1)), (12, 12), (4, 8))
+    second = lm.LightTransport.from_matrix(csr_array(other.reshape(144, -1)), (12, 12), (3, 8))
+    output = tmp_path / "shown.png"
+    found = lm.compensate(
+        [first, second], np.full((12, 12), 0.8), brightness=0.9, iterations=300, output=output
+    )
+    assert [pattern.shape for pattern in found.patterns] == [(4, 8), (3, 8)]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["shown-1.png", "shown-2.png"]
+    seen = first.relight(found.patterns[0]) + second.relight(found.patterns[1])
+    np.testing.assert_allclose(seen, found.target, atol=0.02)
+    with pytest.raises(lm.InputError, match="differ in size"):
+        _ = found.pattern
+
+
+def test_a_store_is_loaded_or_refused(
+    known: lm.LightTransport, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lm.save(tmp_path / "scene.zarr", known)
+    stored = lm.StoredTransport.open(tmp_path / "scene.zarr")
+    expected = lm.compensate(known, _ramp()).pattern
+    for source in (stored, tmp_path / "scene.zarr", str(tmp_path / "scene.zarr")):
+        np.testing.assert_array_equal(lm.compensate(source, _ramp()).pattern, expected)
+    monkeypatch.setattr(joint_light_file, "available_bytes", lambda: 1000)
+    with pytest.raises(lm.InputError, match=r"scene\.zarr: takes .* GiB of memory"):
+        lm.compensate(stored, _ramp())
+
+
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        ({"wanted": np.ones((32, 64))}, "shape .32, 64., for a camera of 64 x 64"),
+        ({"wanted": np.ones((64, 64, 3)) * [1, 1, 0.5]}, "shape .64, 64, 3."),
+        ({"wanted": np.zeros((64, 64))}, "all black"),
+        ({"wanted": np.full((64, 64), 255)}, "values from 255 to 255"),
+        ({"wanted": np.full((64, 64), np.nan)}, "values from nan"),
+        ({"wanted": np.full((64, 64), "x")}, "values"),
+        ({"mask": np.zeros((64, 64))}, "mask leaves no camera pixel"),
+        ({"mask": np.ones((3, 3))}, "mask has shape"),
+        ({"ambient": np.full((64, 64), -1.0)}, "ambient light has values from -1"),
+        ({"ambient": np.ones((3, 3))}, "ambient light has shape"),
+        ({"brightness": 0}, "brightness of 0"),
+        ({"brightness": float("nan")}, "brightness of nan"),
+        ({"gamma": 0}, "gamma of 0"),
+        ({"exposure": -1}, "exposure of -1"),
+        ({"iterations": 0}, "0 iterations"),
+        ({"transport": []}, "no light transport matrix"),
+        ({"transport": [_scene(), _scene((4, 4))]}, "cameras of shapes"),
+        (
+            {"transport": lm.LightTransport.from_matrix(csr_array((4096, 4)), (64, 64), (2, 2))},
+            "lights no camera pixel",
+        ),
+    ],
+)
+def test_bad_input_is_refused(
+    changed: dict[str, Any], words: str, known: lm.LightTransport
+) -> None:
+    arguments: dict[str, Any] = {"transport": known, "wanted": _ramp(), **changed}
+    with pytest.raises(lm.InputError, match=words):
+        lm.compensate(**arguments)
+
+
+def test_a_picture_that_is_black_where_there_is_light_is_refused() -> None:
+    matrix = csr_array(np.diag([0.0, 1.0]).astype(np.float32))
+    transport = lm.LightTransport.from_matrix(matrix, (1, 2), (1, 2))
+    with pytest.raises(lm.InputError, match="black where the projector lights"):
+        lm.compensate(transport, np.array([[1.0, 0.0]]))
+
+
+def test_pictures_are_read_resized_and_made_linear(
+    known: lm.LightTransport, tmp_path: Path
+) -> None:
+    grey = np.rint(255 * np.kron(_ramp(), np.ones((2, 2)))).astype(np.uint8)
+    lm.write_image(tmp_path / "wanted.png", np.stack([grey] * 3, axis=-1))
+    found = lm.compensate(known, tmp_path / "wanted.png", resize=True, gamma=2.2, brightness=0.5)
+    expected = found.scale * (np.rint(255 * _ramp()) / 255) ** 2.2
+    np.testing.assert_allclose(found.target, expected, rtol=1e-4)
+    with pytest.raises(lm.InputError, match="--resize"):
+        lm.compensate(known, tmp_path / "wanted.png")
+
+
+def test_a_video_keeps_its_brightness_and_its_errors_low(
+    known: lm.LightTransport, tmp_path: Path
+) -> None:
+    frames = np.stack([np.roll(_ramp(), 3 * k, axis=1) for k in range(4)])
+    frames[2] = 0
+    video = lm.compensate_video(known, frames, output=tmp_path / "patterns")
+    for k in (0, 1, 3):
+        single = lm.compensate(known, frames[k], brightness=video.brightness)
+        assert video.predicted_psnr[k] > single.psnr - 0.2
+    # What is left of the frame before a black one lights nothing that the camera sees.
+    assert known.relight(video.patterns[2]).mean() < 0.002 * video.scale
+    written = lm.read_patterns(tmp_path / "patterns")
+    np.testing.assert_allclose(written.images(0, 4), video.patterns, atol=0.5 / 255 + 1e-6)
+    with pytest.raises(lm.InputError, match="without frames"):
+        lm.compensate_video(known, [])
