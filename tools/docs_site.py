@@ -28,6 +28,7 @@ GALLERY = (
     "few_patterns",
     "estimate_in_python",
     "own_photographs",
+    "compensation",
 )
 GALLERY_FOLDER = "images/gallery"
 

@@ -61,3 +61,8 @@ def test_own_photographs(tmp_path: Path) -> None:
     report = _run("own_photographs", tmp_path)
     assert report["verdict"] == "good"
     assert (tmp_path / "report" / "report.html").exists()
+
+
+def test_compensation(tmp_path: Path) -> None:
+    uncompensated, compensated = _run("compensation", tmp_path)
+    assert compensated > uncompensated + 20

@@ -11,7 +11,7 @@ import lightmatrix as lm
 from lightmatrix.cli.options import Json, Overwrite
 from lightmatrix.cli.terminal import progress, say, show_json
 
-Figure = Literal["fig4", "fig5", "fig6", "fig7", "few-patterns", "rigs"]
+Figure = Literal["fig4", "fig5", "fig6", "fig7", "few-patterns", "rigs", "uses"]
 
 
 def experiment(
@@ -19,7 +19,7 @@ def experiment(
         Figure,
         typer.Argument(
             metavar="FIGURE",
-            help="A figure of the paper; the error of few patterns; or that of other rigs.",
+            help="A figure of the paper; errors of few patterns or of other rigs; uses of T.",
         ),
     ],
     output: Annotated[Path, typer.Option("-o", "--output", help="Folder for the figure.")],
@@ -30,7 +30,7 @@ def experiment(
     """Reproduce a figure as a picture, CSV and JSON.
 
     Without --quick it takes up to an hour. After an interruption, the same command goes on where it
-    stopped. fig6, fig7, few-patterns and rigs need the extra `render`, except with --quick.
+    stopped. fig6, fig7, few-patterns, rigs and uses need the extra `render`, except with --quick.
     """
     with progress(figure, "steps") as report:
         result = lm.experiment(figure, output, quick=quick, overwrite=overwrite, progress=report)

@@ -1,0 +1,117 @@
+"""What T is for: how well the uses of an estimate work on the bundled scenes, with their peers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lightmatrix.estimators.estimate import estimate
+from lightmatrix.experiments.harness import Experiment, Measured, Row, all_rows
+from lightmatrix.experiments.uses_compensation import compensation_rows
+from lightmatrix.patterns.bits import BernoulliPatterns
+from lightmatrix.pictures.style import COLOURS, figure, save
+from lightmatrix.planning.plan import plan
+from lightmatrix.simulation import library
+from lightmatrix.simulation.simulate import simulate
+from lightmatrix.simulation.truth import Truth
+from lightmatrix.transport.matrix import LightTransport
+
+SCENES = ("l_objects", "gripper", "metal", "corner")
+SIDES = (64, 128)
+SEEDS = (0, 1, 2)
+PATTERNS, NOISE = 32, 0.003
+# Each use judges an estimate by the truth: rows with use, scene, size, method, metric, value.
+USES: tuple[Callable[[LightTransport, Truth, str], list[Row]], ...] = (compensation_rows,)
+# The metrics that the figure shows, with the label of their axis.
+_DRAWN = {("compensate", "PSNR"): "PSNR of the photograph (dB)"}
+
+
+@dataclass(frozen=True)
+class Case:
+    """One estimate of one scene."""
+
+    scene: str
+    side: int
+    seed: int
+
+    @property
+    def name(self) -> str:
+        """A file name."""
+        return f"{self.scene}-{self.side}-s{self.seed}"
+
+
+def cases(quick: bool) -> Iterator[Case]:
+    """All cases; a quick run measures each scene once at 64 x 64."""
+    for side in SIDES[:1] if quick else SIDES:
+        for seed in SEEDS[:1] if quick else SEEDS:
+            for scene in SCENES:
+                yield Case(scene, side, seed)
+
+
+def measure(case: Case) -> Measured:
+    """The rows of all uses for one case."""
+    truth = library.truth(case.scene, (case.side, case.side))
+    exposure = plan(truth, frames=PATTERNS, noise=NOISE).exposure
+    patterns = BernoulliPatterns(truth.projector_shape, PATTERNS, seed=case.seed)
+    capture = simulate(truth, patterns, exposure=exposure, noise=NOISE, seed=case.seed)
+    transport = estimate(capture)
+    rows = [row for use in USES for row in use(transport, truth, case.scene)]
+    return Measured([{**row, "seed": case.seed} for row in rows])
+
+
+def _summary(rows: list[Row]) -> list[Row]:
+    """The means over the seeds."""
+    groups: dict[tuple[Any, ...], list[float]] = {}
+    for row in rows:
+        key = tuple(row[name] for name in ("use", "scene", "size", "method", "metric"))
+        groups.setdefault(key, []).append(row["value"])
+    return [
+        {
+            **dict(zip(("use", "scene", "size", "method", "metric"), key, strict=True)),
+            "seeds": len(values),
+            "value": float(np.mean(values)),
+        }
+        for key, values in groups.items()
+    ]
+
+
+def _draw(out: Path, results: list[tuple[Case, Measured]]) -> None:
+    """One panel for each metric and size: bars by scene and method."""
+    means = _summary(all_rows(results))
+    sizes = sorted({row["size"] for row in means})
+    drawn = [metric for metric in _DRAWN if any(_of(row) == metric for row in means)]
+    with figure(3.6 * len(sizes), 2.6 * len(drawn)) as drawing:
+        panels = drawing.subplots(len(drawn), len(sizes), squeeze=False, sharey="row")
+        for line, metric in zip(panels, drawn, strict=True):
+            for axes, size in zip(line, sizes, strict=True):
+                rows = [row for row in means if _of(row) == metric and row["size"] == size]
+                _draw_bars(axes, rows)
+                axes.set_title(f"{metric[0]}, {size} x {size}")
+            line[0].set_ylabel(_DRAWN[metric])
+            line[0].legend(loc="lower right", frameon=True)
+        save(drawing, out, "uses", ("png", "svg"))
+
+
+def _of(row: Row) -> tuple[str, str]:
+    return row["use"], row["metric"]
+
+
+def _draw_bars(axes: Any, rows: list[Row]) -> None:
+    scenes = list(dict.fromkeys(row["scene"] for row in rows))
+    methods = list(dict.fromkeys(row["method"] for row in rows))
+    width = 0.8 / max(1, len(methods))
+    for number, method in enumerate(methods):
+        own = [row for row in rows if row["method"] == method]
+        places = [
+            scenes.index(row["scene"]) + (number - (len(methods) - 1) / 2) * width for row in own
+        ]
+        values = [row["value"] for row in own]
+        axes.bar(places, values, width, color=COLOURS[number], label=method)
+    axes.set_xticks(range(len(scenes)), scenes)
+
+
+USES_EXPERIMENT = Experiment("uses", cases, measure, _draw, summary=_summary)
