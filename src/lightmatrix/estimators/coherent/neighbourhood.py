@@ -192,11 +192,6 @@ class Neighbourhood:
             return self.known_jacobian
         return measure_jacobian(self.rows.coefficients, self.camera, self.atoms.shape, self.spacing)
 
-    @property
-    def movement(self) -> NDArray[np.float32]:
-        """The Jacobian, by the name under which the compiled core reads it."""
-        return self.jacobian
-
     @cached_property
     def centres(self) -> csr_array:
         """The rows with the light of each spot at its centre, (M, N)."""
