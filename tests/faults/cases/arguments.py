@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from ..case import Case
+import numpy as np
+
+from ..case import Case, nothing
 from ..checks import every, holds, prints
-from ..put import copy, link, move, remove, text
-from ..work import PLAIN
+from ..put import array, both, copy, link, move, remove, text
+from ..work import PLAIN, SHAPE
 
 SIMULATE = "simulate T.npz --patterns patterns -o new"
 ESTIMATE = "estimate capture --no-coherent -o new.zarr"
 PATTERNS = "patterns bernoulli -k 4 --size 8x8 -o new"
 RELIGHT = "relight scene.zarr shown.png -o new.png"
+COMPENSATE = "compensate scene.zarr shown.png --resize -o new.png"
 PLAN = "plan white.png --size 8x8"
 FOLDERS = "estimate --patterns projected --images photos --no-coherent -o new.zarr"
 
@@ -59,6 +62,13 @@ REFUSED: dict[str, dict[str, tuple[str, ...]]] = {
     RELIGHT: {
         "--exposure": ("nan", "inf", "0", "-1", "1e308"),
         "--gamma": ("nan", "inf", "0", "-1", "1e-308"),
+    },
+    COMPENSATE: {
+        "--brightness": ("nan", "inf", "0", "-1", "bright"),
+        "--exposure": ("nan", "inf", "0", "-1", "1e308"),
+        "--gamma": ("nan", "inf", "0", "-1", "1e-308"),
+        "--black": ("nowhere.png", "photos", "holiday.jpg"),
+        "--mask": ("nowhere.png", "photos"),
     },
     "evaluate scene.zarr --truth T.npz": {"--exposure": ("nan", "inf", "0")},
     PLAN: {
@@ -155,11 +165,32 @@ def _first_wrong_then_right() -> list[Case]:
             "black8.png|size|shape|no such file",
             "relight scene.zarr shown.png -o deep/new.png",
         ),
+        "a wanted picture of another size": (
+            "compensate scene.zarr wide.npy -o new.png",
+            "wide.npy has shape",
+            COMPENSATE,
+        ),
+        "a wanted picture that is all black": (
+            "compensate scene.zarr dark.npy -o new.png --resize",
+            "dark.npy is all black",
+            COMPENSATE,
+        ),
+        "a mask that leaves nothing": (
+            "compensate scene.zarr shown.png --resize --mask none.npy -o new.png",
+            "none.npy leaves no camera pixel",
+            COMPENSATE,
+        ),
         "patterns of an unknown kind": ("patterns noise -o new", "noise", PATTERNS),
     }
     cases = []
+    pictures = both(
+        array("wide.npy", np.ones((3, 5), np.float32)),
+        array("dark.npy", np.zeros((4, 4), np.float32)),
+        array("none.npy", np.zeros(SHAPE, np.float32)),
+    )
     for name, (command, words, then) in wrong.items():
-        cases.append(Case(f"{name}, then the right command", command, words, then=then))
+        prepare = pictures if command.startswith("compensate") else nothing
+        cases.append(Case(f"{name}, then the right command", command, words, prepare, then=then))
     return cases
 
 
