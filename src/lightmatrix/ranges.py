@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import math
+from typing import Any
+
+import numpy as np
 
 from lightmatrix.errors import InputError
 
@@ -51,3 +54,18 @@ def check_at_least_one(**values: int | None) -> None:
     for name, value in values.items():
         if value is not None and value < 1:
             raise InputError(f"{name} is {value}", hint="use at least 1")
+
+
+def check_unmasked(what: str, values: Any) -> None:
+    """Refuse a NumPy array with masked values, whose mask would be dropped. `what` names it."""
+    if isinstance(values, np.ma.MaskedArray) and np.ma.is_masked(values):
+        raise InputError(
+            f"{what} with {int(np.ma.getmaskarray(values).sum())} masked values",
+            hint="give a plain array; which camera pixels count is said by the mask of a capture",
+        )
+
+
+def check_finite(what: str, values: Any) -> None:
+    """Refuse numbers that are NaN or infinite; `what` names them in the message."""
+    if not np.isfinite(values).all():
+        raise InputError(f"{what} that are not all finite", hint="replace NaN and infinite values")

@@ -26,6 +26,7 @@ from lightmatrix.capture.settings import ReadSettings
 from lightmatrix.errors import InputError
 from lightmatrix.patterns.grids import block_size
 from lightmatrix.patterns.pattern_set import PatternSet
+from lightmatrix.ranges import check_unmasked
 from lightmatrix.regions import Region
 from lightmatrix.reprs import html_table
 
@@ -201,6 +202,8 @@ class Capture:
         InputError
             On frames that do not fit the patterns.
         """
+        check_unmasked("frames", frames)
+        check_unmasked("a mask", mask)
         decoder = sensor.decoder() if isinstance(sensor, Sensor) else sensor
         capture = cls(patterns, ArrayStack(frames), decoder, mask, provenance=provenance or {})
         capture.decoder.check_count(capture.count)

@@ -18,11 +18,11 @@ from lightmatrix.capture.frames import Frames, level_blocks
 from lightmatrix.capture.settings import ReadSettings
 from lightmatrix.errors import InputError, LightMatrixWarning
 from lightmatrix.files.image_stack import ImageStack, nonlinear_tag
-from lightmatrix.files.images import is_grey, read_image
+from lightmatrix.files.images import HIGHEST_LEVELS, is_grey, read_image
 from lightmatrix.patterns.pattern_set import PatternSet
 
-# The highest levels of cameras of 8, 10, 12 and 14 bits, whose files may have 16.
-_HIGHEST_LEVELS = (255, 1023, 4095, 16383)
+# Endings of JPEG files.
+JPEG = (".jpg", ".jpeg")
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,9 +119,9 @@ def check_depth(frames: Frames, decoder: Decoder) -> None:
     top = 0
     for block in level_blocks(frames):
         top = max(top, int(block.max()))
-        if top > _HIGHEST_LEVELS[-1]:
+        if top > HIGHEST_LEVELS[-1]:
             return
-    likely = next(level for level in _HIGHEST_LEVELS if level >= top)
+    likely = next(level for level in HIGHEST_LEVELS if level >= top)
     raise InputError(
         f"the images have 16 bits, but no level above {top}: a camera that clips at {likely}?",
         hint=f'give --clip {likely}, or "clip" in capture.json; --clip 65535 if they are just dark',
@@ -139,6 +139,12 @@ def read_mask(mask: str | Path | None, shape: tuple[int, ...]) -> NDArray[np.boo
         raise InputError(
             f"{mask}: the mask has shape {image.shape}, the images {shape}",
             hint="make the mask as large as the images",
+        )
+    # Compression changes 0 beside brighter pixels, which would then count.
+    if Path(mask).suffix.lower() in JPEG and np.isin(image, (0, 255), invert=True).any():
+        raise InputError(
+            f"{mask}: is a JPEG, whose compression turns 0 into other values",
+            hint="save the mask as PNG, with 0 where camera pixels are left out",
         )
     return np.asarray(image > 0)
 

@@ -6,6 +6,7 @@ mean. Stacks of images are in `image_stack.py`.
 
 from __future__ import annotations
 
+import io
 import math
 import struct
 import threading
@@ -21,7 +22,7 @@ import tifffile
 from numpy.typing import NDArray
 from PIL import Image
 
-from lightmatrix.errors import InputError, LightMatrixError
+from lightmatrix.errors import InputError, LightMatrixError, LightMatrixWarning
 from lightmatrix.files import png
 from lightmatrix.files.colours import COLOURS
 from lightmatrix.files.exr import read_exr, write_exr
@@ -36,6 +37,8 @@ from lightmatrix.outputs.writing import atomic_file
 # The endings of files that are read, and their formats in words.
 READABLE = (".png", ".tif", ".tiff", ".npy", ".jpg", ".jpeg", ".bmp", ".pgm", ".exr", *RAW)
 FORMATS = "PNG, TIFF, npy, EXR, DNG and other raw files, JPEG, BMP or PGM"
+# The highest levels of images of 8, 10, 12 and 14 bits, whose files may have 16.
+HIGHEST_LEVELS = (255, 1023, 4095, 16383)
 # Filters of warnings belong to the whole process, in which several threads may read images.
 _filters = threading.Lock()
 
@@ -119,7 +122,9 @@ def read_grey(path: str | Path) -> NDArray[np.float32]:
     >>> lm.read_grey("grey.png")
     array([[0. , 0.2, 1. ]], dtype=float32)
     """
-    return as_grey(str(path), read_image(path))
+    image = read_image(path)
+    _warn_of_depth(str(path), image)
+    return as_grey(str(path), image)
 
 
 def as_grey(name: str, image: NDArray[Any]) -> NDArray[np.float32]:
@@ -143,7 +148,22 @@ def is_grey(image: NDArray[Any]) -> bool:
 
 def read_light(path: str | Path) -> NDArray[np.float32]:
     """Read one pattern: (rows, cols) or (rows, cols, 3) float32 in [0, 1]; see `read_grey`."""
-    return _as_light(str(path), read_image(path))
+    image = read_image(path)
+    _warn_of_depth(str(path), image)
+    return _as_light(str(path), image)
+
+
+def _warn_of_depth(name: str, image: NDArray[Any]) -> None:
+    """Warn of a pattern of fewer bits in a file of 16, which is shown nearly black."""
+    top = int(image.max())
+    if image.dtype == np.uint16 and top in HIGHEST_LEVELS:
+        warnings.warn(
+            f"{name}: has 16 bits, but no level above {top}, so that it is shown "
+            f"{65535 / top:.4g} times darker than a pattern of {top.bit_length()} bits; save it "
+            "over the full range if it is one",
+            LightMatrixWarning,
+            stacklevel=3,
+        )
 
 
 def _as_light(name: str, image: NDArray[Any]) -> NDArray[np.float32]:
@@ -277,6 +297,9 @@ def _read_signed(file: Path, signature: bytes, kind: str) -> NDArray[Any]:
         raise ValueError(f"not a {kind} file")
     shape = imageio.improps(data, plugin="pillow", index=0).shape
     check_image_size(file, shape)
+    with Image.open(io.BytesIO(data)) as opened:
+        if opened.mode == "CMYK":
+            raise InputError(f"{file}: has printing colours (CMYK)", hint="save it in grey or RGB")
     return _read_by_pillow(data, math.prod(shape[:2]))
 
 

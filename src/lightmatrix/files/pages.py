@@ -19,7 +19,7 @@ from lightmatrix.errors import InputError
 from lightmatrix.files.images import as_image_error, as_stored, read_image
 from lightmatrix.files.numpy_files import read_npy_header, read_npz
 from lightmatrix.files.reading import check_image_size, regular_file
-from lightmatrix.files.tiff import check_segments, read_page
+from lightmatrix.files.tiff import check_page, is_inverted, read_page, turned_back
 
 # Endings of files that may hold several images, and their formats in words.
 STACKS = (".tif", ".tiff", ".npy", ".npz")
@@ -127,6 +127,7 @@ class _Mapped:
     dtype: np.dtype[Any]
     offset: int
     fortran: bool = False
+    inverted: bool = False
 
     @property
     def count(self) -> int:
@@ -136,7 +137,8 @@ class _Mapped:
         order = "F" if self.fortran else "C"
         mapped = np.memmap(self.file, self.dtype, "r", self.offset, self.shape, order)  # type: ignore[call-overload]
         # A copy: the file must not stay open, and the image must not change with it.
-        return np.array(mapped[index])
+        image = np.array(mapped[index])
+        return turned_back(image) if self.inverted else image
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,7 +177,7 @@ def _contiguous(file: Path) -> _Mapped | None:
         series = tiff.series[0]
         if series.size == page.size:
             return None
-        check_segments(file, page)
+        check_page(file, page)
         count, left = divmod(series.size, page.size)
         if series.dataoffset is None or left or series.dtype is None:
             raise ValueError("images that do not follow one another")
@@ -184,7 +186,8 @@ def _contiguous(file: Path) -> _Mapped | None:
         _check_shape(file, shape)
         if series.dataoffset + series.size * dtype.itemsize > file.stat().st_size:
             raise ValueError("the file ends early")
-        return _Mapped(file, shape, dtype, series.dataoffset)
+        inverted = is_inverted(page)
+        return _Mapped(file, shape, dtype, series.dataoffset, inverted=inverted)
 
 
 def _single_array(file: Path) -> NDArray[Any]:

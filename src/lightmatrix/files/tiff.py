@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,17 @@ _UNCOMPRESSED, _DEFLATE = 1, (8, 32946)
 _INVERTED, _PALETTE, _YCBCR = 0, 3, 6
 # Grey either way, RGB, and the mosaics of raw files, in which every pixel is one sample.
 _PHOTOMETRIC = (_INVERTED, 1, 2, 32803, 34892)
+# The tag of the orientation, and what undoes each of them but the first, upright.
+_ORIENTATION = 274
+_TURNED_AGAIN: dict[int, Callable[[NDArray[Any]], NDArray[Any]]] = {
+    2: lambda image: image[:, ::-1],
+    3: lambda image: image[::-1, ::-1],
+    4: lambda image: image[::-1],
+    5: lambda image: image.swapaxes(0, 1),
+    6: lambda image: np.rot90(image),
+    7: lambda image: image[::-1, ::-1].swapaxes(0, 1),
+    8: lambda image: np.rot90(image, -1),
+}
 _BITS = (1, 8, 16, 32, 64)
 _ONE_IMAGE = "save one image a file, or give this file in place of the folder, as a stack"
 
@@ -42,23 +54,42 @@ def read_tiff(file: Path) -> NDArray[Any]:
 
 def read_page(file: Path, page: tifffile.TiffPage, index: int) -> NDArray[Any]:
     """Read page number `index` of an open TIFF file; see `read_tiff`."""
-    _check_page(file, page)
+    check_page(file, page)
     if _is_plain(page):
         image = np.asarray(page.asarray())
         if page.axes == "SYX":
             image = np.moveaxis(image, 0, -1)
     else:
         # Pillow reads other compressions, unless it would reduce their depth.
-        image = np.asarray(imageio.imread(file, plugin="pillow", index=index))
+        image = _as_it_lies(page, imageio.imread(file, plugin="pillow", index=index))
         if image.dtype != page.dtype:
             kind = int(page.compression)
             raise InputError(
                 f"{file}: {page.dtype} values with compression {kind} are not read",
                 hint="save it uncompressed or as PNG",
             )
-    if page.photometric == _INVERTED and image.dtype.kind == "u":
-        image = np.iinfo(image.dtype).max - image
-    return image
+    return turned_back(image) if is_inverted(page) else image
+
+
+def is_inverted(page: tifffile.TiffPage) -> bool:
+    """Whether 0 stands for white."""
+    return page.photometric == _INVERTED and page.dtype is not None and page.dtype.kind == "u"
+
+
+def turned_back(image: NDArray[Any]) -> NDArray[Any]:
+    """The levels of an inverted image, with 0 for black."""
+    return np.asarray(np.iinfo(image.dtype).max - image)
+
+
+def _as_it_lies(page: tifffile.TiffPage, image: NDArray[Any]) -> NDArray[Any]:
+    """The pixels in the order of the file, as other images are read.
+
+    Pillow turns an image by the tag of its orientation, tifffile does not. A camera that writes the
+    tag into some frames only would otherwise move them under the others.
+    """
+    tag = page.tags.get(_ORIENTATION)
+    turn = _TURNED_AGAIN.get(tag.value if tag is not None else 1)
+    return np.asarray(image if turn is None else np.ascontiguousarray(turn(np.asarray(image))))
 
 
 def check_segments(file: Path, page: tifffile.TiffPage) -> None:
@@ -92,7 +123,8 @@ def _is_plain(page: tifffile.TiffPage) -> bool:
     return page.compression in (_UNCOMPRESSED, *_DEFLATE)
 
 
-def _check_page(file: Path, page: tifffile.TiffPage) -> None:
+def check_page(file: Path, page: tifffile.TiffPage) -> None:
+    """Refuse a page whose colours, axes, depth or segments are not read."""
     check_image_size(file, page.shape)
     colours = int(page.photometric)
     # Pillow decodes the colours of JPEG in TIFF.

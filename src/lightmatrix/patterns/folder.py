@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from lightmatrix.errors import InputError, LightMatrixWarning
 from lightmatrix.files.colours import COLOURS
 from lightmatrix.files.image_stack import ImageStack, list_entries
-from lightmatrix.files.images import as_grey, colour_of, fill_image, read_image
+from lightmatrix.files.images import HIGHEST_LEVELS, as_grey, colour_of, fill_image, read_image
 from lightmatrix.files.json_files import errors_naming, read_json
 from lightmatrix.files.pages import Page
 from lightmatrix.files.read_ahead import read_ahead
@@ -161,7 +161,24 @@ def _from_images(place: Path, entries: list[Path | Page]) -> PatternSet:
             f"{place}: no pattern is brighter than 1 of {np.iinfo(stack.dtype).max}",
             hint="save zeros and ones as 0 and 255, or as bool or float",
         )
+    _check_depth(place, stack.dtype, brightest)
     return BitPatterns(shape, bits) if images is None else ImagePatterns(images)
+
+
+def _check_depth(place: Path, dtype: np.dtype[Any], brightest: float) -> None:
+    """Refuse 16-bit files of fewer bits, which would be shown nearly black.
+
+    T would be 257 times too large for patterns of 0 and 255. Frames are refused alike.
+    """
+    top = round(brightest * 65535)
+    if dtype == np.uint16 and 0 < top <= HIGHEST_LEVELS[-1]:
+        likely = next(level for level in HIGHEST_LEVELS if level >= top)
+        raise InputError(
+            f"{place}: the patterns have 16 bits, but no level above {top}: was {likely} shown as "
+            "white?",
+            hint=f"save them with 8 bits, or with {likely} as 65535; patterns that were this dark "
+            "can be saved as float, in [0, 1]",
+        )
 
 
 class _Colours:

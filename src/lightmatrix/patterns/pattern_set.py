@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from lightmatrix import _core
 from lightmatrix.errors import InputError
 from lightmatrix.patterns.grids import block_mean
+from lightmatrix.ranges import check_unmasked
 from lightmatrix.reprs import short_repr
 
 # Bytes of patterns that are unpacked at a time, as float32. Chosen by hand: little beside the
@@ -236,6 +237,7 @@ class ImagePatterns(PatternSet):
 
     def __post_init__(self) -> None:
         stack = self.stack
+        check_unmasked("patterns", stack)
         if stack.ndim != 3:
             raise InputError(
                 f"patterns of shape {stack.shape}", hint="give grey images as (K, rows, cols)"

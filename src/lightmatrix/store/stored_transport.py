@@ -23,7 +23,12 @@ from lightmatrix.store.matrix_checks import (
     checked_matrix,
 )
 from lightmatrix.store.zarr_store import RESTORE, StoreHeader, read_store_header, read_whole
-from lightmatrix.transport.matrix import LightTransport, cell_means, checked_patterns
+from lightmatrix.transport.matrix import (
+    LightTransport,
+    cell_means,
+    check_lights,
+    checked_patterns,
+)
 from lightmatrix.transport.operator import TransportOperator
 from lightmatrix.transport.sparse_rows import SparseRows, row_blocks
 
@@ -257,6 +262,7 @@ class StoredTransport(TransportOperator):
             raise InputError(
                 f"camera lights of shape {light.shape}", hint=f"give shape {self.camera_shape}"
             )
+        check_lights(lights)
         image = self.multiplied_transposed(light.reshape(-1, 1).astype(np.float64))
         return image.astype(np.float32).reshape(self.projector_shape)
 

@@ -13,6 +13,7 @@ from scipy.sparse import csr_array
 
 from lightmatrix.errors import InputError
 from lightmatrix.patterns.grids import check_grid, grid_cells
+from lightmatrix.ranges import check_finite, check_unmasked
 from lightmatrix.regions import Region
 from lightmatrix.reprs import html_table
 from lightmatrix.transport.labels import labelled
@@ -191,6 +192,7 @@ class LightTransport(TransportOperator):
                 f"camera lights of shape {light.shape}",
                 hint=f"give shape {self.camera_shape}",
             )
+        check_lights(lights)
         image = self.multiplied_transposed(light.ravel())
         return np.asarray(image, np.float32).reshape(self.projector_shape)
 
@@ -304,6 +306,7 @@ def checked_patterns(
     patterns: NDArray[Any], projector_shape: tuple[int, int]
 ) -> NDArray[np.float32]:
     """Patterns as float32; refuses other shapes than the projector's and values outside [0, 1]."""
+    check_unmasked("a pattern", patterns)
     values = np.asarray(patterns)
     if values.dtype.kind not in "bfiu":
         raise InputError(f"the pattern has {values.dtype} values", hint="give values in [0, 1]")
@@ -322,6 +325,12 @@ def checked_patterns(
             hint="resize the pattern to the projector",
         )
     return np.asarray(values, np.float32)
+
+
+def check_lights(lights: NDArray[Any]) -> None:
+    """Refuse camera lights that are masked or not finite."""
+    check_unmasked("camera lights", lights)
+    check_finite("camera lights", lights)
 
 
 def cell_means(projector_shape: tuple[int, int], grid: tuple[int, int]) -> csr_array:
