@@ -36,7 +36,7 @@ def _evenly(backgrounds: Backgrounds, rows: csr_array) -> NDArray[np.float32]:
     return np.full((rows.shape[0], cells), 1 / cells, np.float32)
 
 
-def _no_movement(rows: csr_array, *_: Any) -> NDArray[np.float32]:
+def _zero_jacobian(rows: csr_array, *_: Any) -> NDArray[np.float32]:
     return np.zeros((rows.shape[0], 4), np.float32)
 
 
@@ -68,7 +68,7 @@ WITHOUT: dict[str, tuple[Change, dict[str, Any]]] = {
         {},
     ),
     "without the Jacobian (votes where neighbours see them)": (
-        partial(patch.object, neighbourhood, "measure_jacobian", _no_movement),
+        partial(patch.object, neighbourhood, "measure_jacobian", _zero_jacobian),
         {},
     ),
     "without pseudo-samples": (partial(patch.object, schedule, "PSEUDO_SAMPLES_FROM", 99), {}),

@@ -77,7 +77,11 @@ def estimated(camera: Shape, projector: Shape, count: int) -> dict[str, float]:
 
 
 def powers(measured: NDArray[np.float64]) -> tuple[float, float]:
-    """Of camera and projector pixels, by least squares of logarithms; (n, 3) measured."""
+    """The powers of camera and of projector pixels with which a cost grows.
+
+    They are fitted by least squares of the logarithms of `measured`, (n, 3): camera pixels,
+    projector pixels, cost.
+    """
     logs = np.log(measured)
     terms = np.column_stack([logs[:, :2], np.ones(len(logs))])
     camera, projector, _ = np.linalg.lstsq(terms, logs[:, 2])[0]

@@ -104,7 +104,7 @@ def test_exposures_come_from_the_files(tmp_path: Path) -> None:
     np.testing.assert_allclose(measured.exposures, np.array(TIMES) / 100)
     assert np.abs(errors(measured, srgb, 0, 255)).max() < 0.03
     Image.fromarray(image).save(tmp_path / "3.jpg")
-    with pytest.raises(InputError, match=r"3\.jpg: how long the photographs were exposed"):
+    with pytest.raises(InputError, match=r"3\.jpg: the exposures of the photographs are unknown"):
         lm.camera_response(tmp_path)
 
 
@@ -157,7 +157,7 @@ def test_the_projectors_gamma_is_found_and_used(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ("{}/s.npy", "how long the photographs were exposed is not known"),
+        ("{}/s.npy", "the exposures of the photographs are unknown"),
         ("{}/s.npy --exposure 1,2", "2 exposures for 7 photographs"),
         ("{}/s.npy --exposure 1,1,1,2,2,2,2", "photographs of 2 exposures from 1 to 2"),
         ("{}/s.npy --exposure 8,4,2,1,0.5,0.25,0.125", "is darker than"),

@@ -121,7 +121,7 @@ def test_three_matrices_are_evaluated_together(
             np.testing.assert_allclose(parts[:, channel], FILTERS[channel, k] * grey, rtol=1e-5)
         light = scene.direct_data.sum() * FILTERS[:, k].sum()
         assert one.truth.direct_data.sum() == pytest.approx(light, rel=1e-5)
-    # Of a scene in colour each primary is reflected as its own channel.
+    # A scene in colour reflects each primary as its own channel of T says.
     colourful = lm.Truth(
         csr_array(np.repeat(grey, 3, axis=0) * np.tile([[1], [2], [4]], (256, 1))),
         np.zeros(np.count_nonzero(grey) * 3, np.float32), (16, 16, 3), (16, 16),

@@ -103,7 +103,7 @@ def test_the_strongest_entry_is_where_gray_decoding_says(
         seen = np.where(bright, bins(decoded(photographs, first))[rows], np.nan)
         near &= np.abs(place - np.nanmedian(seen, axis=1) // BIN) <= 1
     print(f"strongest entry within one bin of Gray decoding: {100 * near.mean():.2f} %")
-    # Of the window 100 and 99.91 %, of the whole board 99.0 %.
+    # Measured: 100 and 99.91 % in the window, 99.0 % on the whole board.
     assert near.mean() >= (0.998 if BOARD == WINDOW else 0.988)
 
 
@@ -124,7 +124,7 @@ RESOLVED = np.r_[0:14, 20:34, WHITE]
 def test_the_estimate_explains_the_frames_it_was_made_from(
     capture: Capture, photographs: NDArray[np.float32]
 ) -> None:
-    """Which says that it fits, not that it would fit other frames: see the test below."""
+    """This says that it fits, not that it would fit other frames: see the test below."""
     rows = lit(photographs)
     relit = CoherentEstimator().estimate(capture).relight(capture.patterns.images())
     coherent = residuals(capture, rows, relit.reshape(capture.count, -1).T[rows])
@@ -135,7 +135,7 @@ def test_the_estimate_explains_the_frames_it_was_made_from(
     predicted = result.coefficients @ shown.T + np.outer(result.background, shown.mean(axis=1))
     plain = residuals(capture, rows, predicted)
     print(f"coherent {coherent[RESOLVED].max():.4f}, plain {plain[RESOLVED].max():.4f} at most")
-    # Of the window: .0101 and .0517.
+    # Measured in the window: 0.0101 and 0.0517.
     assert coherent[RESOLVED].max() < 0.0125
     assert plain[RESOLVED].max() < 0.062
     # Finer stripes are grey to the binned projector, and not so to the camera.

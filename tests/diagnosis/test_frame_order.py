@@ -42,7 +42,7 @@ def capture(
 
 
 def follow(taken: Capture) -> None:
-    """Refuse a capture as `Capture.check` does, by the order of its frames alone."""
+    """Refuse a capture for the order of its frames alone."""
     for finding in find_disorder(taken.patterns, taken.tiles(), taken.rows, taken.frames.name):
         raise InputError(finding.message)
 

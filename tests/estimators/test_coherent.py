@@ -234,7 +234,7 @@ def test_parameters_out_of_range(parameters: dict[str, object], what: str) -> No
 
 
 def test_progress_counts_rows_once_and_ends(scene: Truth) -> None:
-    """Of all rounds together, never back; the frames held out have a round of their own."""
+    """All rounds count together, and none counts back; held-out frames have their own round."""
     reported: list[tuple[int, int]] = []
     estimator = CoherentEstimator(windows=((2, 1), (1, 1), (1, 1)), tile_rows=100)
     estimator.estimate(photographed(scene, 24), progress=lambda *step: reported.append(step))

@@ -181,8 +181,8 @@ def test_footprints_are_followed_however_the_projector_is_turned(turn: int, fine
     shown, unseen = BernoulliPatterns(projector, 30), unseen_patterns(projector)
     around = Neighbourhood(without_background(rows), (side, side, 1), single(shown))
     turned = {0: (1, 0, 0, 1), 1: (0, 1, -1, 0), 2: (-1, 0, 0, -1), 3: (0, -1, 1, 0)}[turn]
-    movement = around.jacobian.reshape(side, side, 4)[3:-3, 3:-3]
-    assert np.array_equal(movement, np.broadcast_to(finer * np.array(turned), movement.shape))
+    jacobian = around.jacobian.reshape(side, side, 4)[3:-3, 3:-3]
+    assert np.array_equal(jacobian, np.broadcast_to(finer * np.array(turned), jacobian.shape))
     # All neighbours agree: clipped samples are as good as known, but for what neighbours share.
     values = shown.forward(rows.toarray())
     clipped = np.zeros(values.shape, bool)

@@ -36,7 +36,7 @@ if sys.platform != "win32":
     import resource
 
 RATES = {"late": 0.05, "dropped": 0.03, "duplicate": 0.02, "torn": 0.01}
-# Of a sample's noise: none of the frames' samples is farther from what it should be.
+# No sample of a frame may be off by more than this many standard deviations of its noise.
 _FARTHEST = 6.5
 _FULL, _DONE, _BROKEN = 3, 0, 4
 _PATIENCE = 120.0

@@ -29,12 +29,17 @@ from lightmatrix.patterns.making import make_patterns
 SETTLE, EXPOSURE = 0.05, 0.02
 NOISE = 0.003 * 4095
 _RIG = "virtual:procedural,real=0,late=0,dropped=0,duplicate=0,torn=0,fps=0"
-# Pictures before the first pattern: black and white ones.
+# Pictures before the first pattern, which are black or white.
 _FIRST = 40
+# The first share of the pictures comes late. The picture before it then has a share of the exposure
+# between the second and the third.
 _RATE, _LEAST, _MOST = 0.2, 0.001, 0.3
+# Patterns of each capture.
 _COUNT = 40
+# Limits of the classes of shares that are counted by themselves.
 _CLASSES = (0.001, 0.005, 0.01, 0.02, 1.0)
-# Of the noise: light as strong as it passes now and then, more does not.
+# Light of another picture may add up to this many standard deviations of the noise: as much as the
+# noise passes now and then, more must not.
 _HARM = 1.5
 
 
@@ -44,7 +49,7 @@ class Mixed(NamedTuple):
     Parameters
     ----------
     share : float
-        Of the exposure.
+        Share of the exposure that shows the other picture.
     light : float
         What it adds to a sample or takes away (root mean square), in standard deviations of the
         noise.

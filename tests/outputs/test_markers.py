@@ -177,7 +177,7 @@ def make_socket(path: Path) -> None:
 
 def make_device(path: Path) -> None:
     try:
-        # Of the null device's numbers, so that whatever happens to it does no harm.
+        # It has the null device's numbers, so that whatever happens to it does no harm.
         os.mknod(path, 0o600 | stat.S_IFCHR, os.makedev(1, 3))
     except PermissionError:
         pytest.skip("only root makes devices")

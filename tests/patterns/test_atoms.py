@@ -85,7 +85,7 @@ def test_a_spot_is_a_blurred_pixel() -> None:
     for row, size, gain in zip(atoms.expand(rows).toarray(), (1, 2), atoms.gains[1:], strict=True):
         spot = gaussian_filter(point, size, truncate=3)
         assert row.sum() == pytest.approx(gain, rel=1e-3)
-        # Of a spot's pixels below a thousandth of its middle nothing is kept.
+        # Pixels of a spot below a thousandth of its middle are left out.
         np.testing.assert_allclose(row.reshape(32, 40) / gain, spot, atol=4e-3 * spot.max())
     centres = atoms.centres(rows).toarray()
     np.testing.assert_allclose(centres[:, place], atoms.gains[1:], rtol=1e-6)

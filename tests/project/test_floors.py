@@ -51,7 +51,7 @@ def _modules() -> list[Path]:
 
 
 def _imports(tree: ast.AST) -> set[str]:
-    """Names of our own modules that a file imports, such as 'rig.truth'; not the door's names."""
+    """Names of our own modules that a file imports, such as 'simulation.truth'; not the door's."""
     modules = set()
     for node in ast.walk(tree):
         assert not (isinstance(node, ast.ImportFrom) and node.level), "imports are written in full"

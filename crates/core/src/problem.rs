@@ -117,7 +117,8 @@ pub struct Solution {
     pub x: Vec<f64>,
     pub background: f64,
     pub objective: f64,
-    /// (P - D) / max(P, 1e-6 ||y||^2 / 2)
+    /// The relative duality gap, (P - D) / max(P, 1e-6 ||y||^2 / 2), with the primal objective P and the
+    /// dual objective D.
     pub gap: f64,
     pub passes: u32,
     /// Whether the gap reached the tolerance.

@@ -128,7 +128,7 @@ def write_capture(
     black_exposure: float | None = None,
     response: str = "linear",
     provenance: Mapping[str, Any] | None = None,
-    beside: Callable[[Path], None] | None = None,
+    write_extras: Callable[[Path], None] | None = None,
     overwrite: bool = False,
 ) -> None:
     """Write a capture folder, whole or not at all.
@@ -141,9 +141,9 @@ def write_capture(
     black : (rows, cols[, channels]), optional
         Raw levels under a black pattern at `black_exposure`; the mean of several as float32.
     response : str
-        See `Response.parse`; `beside` writes a curve's file.
-    beside : callable, optional
-        Called with the folder before it is whole, writes further files into it.
+        See `Response.parse`; `write_extras` writes a curve's file.
+    write_extras : callable, optional
+        Called with the folder before it is whole, to write further files into it.
     """
     suffix = ".png" if sensor.bits else ".npy"
     digits = max(4, len(str(patterns.count - 1)))
@@ -188,8 +188,8 @@ def write_capture(
                 content["black"]["exposure"] = black_exposure
         text = json.dumps(content, indent=2, default=jsonable)
         (part / NAME).write_text(text + "\n")
-        if beside is not None:
-            beside(part)
+        if write_extras is not None:
+            write_extras(part)
 
 
 def _link(file: Path, image: Path) -> None:

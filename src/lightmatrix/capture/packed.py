@@ -61,8 +61,8 @@ _KEYS = _SHARED_KEYS | {
 class PackedFrames:
     """Frames of a packed capture, read a tile of camera pixels at a time.
 
-    Of the raw levels in `array`, (K, rows, cols[, channels]), these are the frames `index`, (K',),
-    and the pixels in `rows` and `cols`. A chunk holds all frames of some camera rows, or of a part
+    `array` holds raw levels, (K, rows, cols[, channels]). These are its frames `index`, (K',), and
+    its pixels in `rows` and `cols`. A chunk holds all frames of some camera rows, or of a part
     of one.
     """
 

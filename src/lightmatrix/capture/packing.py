@@ -82,8 +82,8 @@ def pack(
     InputError
         On a capture that is binned, or frames that cannot be read.
     OutputError
-        If the output exists, the disk is too small, which is checked before a frame is read, or
-        the output cannot be written.
+        If the output exists or cannot be written, or the disk is too small, which is checked before
+        a frame is read.
 
     Examples
     --------
@@ -97,12 +97,17 @@ def pack(
     opened = open_capture(capture)
     truth = None if isinstance(capture, Capture) else Path(capture) / TRUTH
 
-    def beside(part: Path) -> None:
+    def copy_truth(part: Path) -> None:
         if truth is not None and truth.is_file():
             shutil.copyfile(truth, part / TRUTH)
 
     pack_capture(
-        opened, output, beside=beside, memory=memory, overwrite=overwrite, progress=progress
+        opened,
+        output,
+        write_extras=copy_truth,
+        memory=memory,
+        overwrite=overwrite,
+        progress=progress,
     )
 
 
@@ -110,12 +115,12 @@ def pack_capture(
     capture: Capture,
     output: str | Path,
     *,
-    beside: Callable[[Path], None],
+    write_extras: Callable[[Path], None],
     memory: int = MEMORY,
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> None:
-    """Pack a capture as `pack` does; `beside` writes further files into the folder."""
+    """Pack a capture as `pack` does; `write_extras` writes further files into the folder."""
     if capture.bin_projector != (1, 1) or capture.bin_camera != (1, 1):
         raise InputError("a binned capture cannot be packed", hint="pack it first, then bin it")
     frames = capture.frames
@@ -135,7 +140,7 @@ def pack_capture(
         names=[frames.name(k) for k in range(frames.count)],
         mask=capture.mask,
         provenance=provenance,
-        beside=beside,
+        write_extras=write_extras,
         temporary=_bytes(frames) if spooled else 0,
         overwrite=overwrite,
     )
@@ -152,18 +157,18 @@ def write_packed(
     names: Sequence[str],
     mask: NDArray[np.bool_] | None = None,
     provenance: Mapping[str, Any] | None = None,
-    beside: Callable[[Path], None] | None = None,
+    write_extras: Callable[[Path], None] | None = None,
     temporary: int = 0,
     overwrite: bool = False,
 ) -> None:
     """Write a packed capture of K frames strip by strip, whole or not at all.
 
-    `shape` and `dtype` are those of a frame, `mask` has its shape. `beside` is called with the
-    folder before it is whole, and writes further files into it. `temporary` is the number of bytes
-    that are needed beside the output meanwhile.
+    `shape` and `dtype` are those of a frame, `mask` has its shape. `write_extras` is called with
+    the folder before it is whole, and writes further files into it. `temporary` is the number of
+    bytes that are needed beside the output meanwhile.
     """
     count, dtype = len(names), np.dtype(dtype)
-    rows, cols = _tile(count, shape, dtype)
+    rows, cols = _chunk_shape(count, shape, dtype)
     levels = count * math.prod(shape) * dtype.itemsize
     with atomic_folder(output, PACKED_CAPTURE, overwrite=overwrite) as part:
         # Noise hardly compresses, so the output may be as large as the levels.
@@ -197,11 +202,11 @@ def write_packed(
             content["black_exposure"] = decoder.black_exposure
         # The attributes come last: a group without them is not whole.
         group.attrs.update(json.loads(json.dumps(content, default=jsonable)))
-        if beside is not None:
-            beside(part)
+        if write_extras is not None:
+            write_extras(part)
 
 
-def _tile(count: int, shape: tuple[int, ...], dtype: np.dtype[Any]) -> tuple[int, int]:
+def _chunk_shape(count: int, shape: tuple[int, ...], dtype: np.dtype[Any]) -> tuple[int, int]:
     """Camera rows and columns of a chunk: whole camera rows, or a part of one."""
     pixel = count * math.prod(shape[2:]) * dtype.itemsize
     fitting = max(1, _CHUNK_BYTES // pixel)

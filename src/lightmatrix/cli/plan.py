@@ -22,6 +22,9 @@ from lightmatrix.cli.terminal import progress, say, show_columns, show_json
 if TYPE_CHECKING:
     from lightmatrix import Advice
 
+# The command warns if more than this share of the lit camera pixels will clip under a single
+# projector pixel. From the same share on, the planner lights fewer projector pixels at a time.
+_MANY_CLIP_SINGLY = 0.01
 _NAMES = {"plain": "row by row"}
 
 
@@ -108,7 +111,7 @@ def _show_exposures(advice: Advice, in_own_unit: bool) -> None:
             for e in advice.exposures
         ],
     )
-    if advice.rows_that_clip_singly > 0.01:
+    if advice.rows_that_clip_singly > _MANY_CLIP_SINGLY:
         say(
             f"{100 * advice.rows_that_clip_singly:.0f} % of the lit camera pixels will clip "
             "under a single projector pixel, and the errors will be several times those below. "

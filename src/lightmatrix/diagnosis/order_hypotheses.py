@@ -112,7 +112,7 @@ class Misses:
 def find_misses(
     patterns: PatternSet, rows: RawRows, hypothesis: Hypothesis, scale: NDArray[np.float32]
 ) -> Misses:
-    """Compare each frame with what is predicted for each pattern; of `scale` see `column_scale`."""
+    """Compare each frame with what is predicted for each pattern; `column_scale` gives `scale`."""
     count = patterns.count
     light = rows.light(hypothesis.exposed_as)
     # What all rows do together is the brightness of the frame (flicker, the mean of the pattern):
@@ -135,6 +135,8 @@ def find_misses(
         relative = ((samples - mean) / spread).astype(np.float64)
         return np.asarray(relative - relative.mean(axis=0, keepdims=True))
 
+    # `here` reads each frame at its own exposure, `there` at that of the frame whose pattern it may
+    # show.
     observed, expected = variation(rows.light(np.arange(count))), variation(predicted)
     here = _log_misses(observed, expected)
     there = here.copy()
@@ -162,13 +164,13 @@ def likeliest_hypothesis(patterns: PatternSet, rows: RawRows) -> Hypothesis | No
     """The hypothesis under which single projector pixels follow the samples best; None: in order.
 
     It tries frames in order, in reverse, and displaced by one up to or from some place on. All
-    frames count for all hypotheses, so that nothing needs to be predicted: the correlation of the
-    best pixel is larger by chance alike.
+    frames count for all hypotheses, so chance raises the correlation of the best pixel alike in
+    all, and nothing needs to be predicted.
     """
     count = patterns.count
     frames = np.arange(count)
-    some = int(np.clip(_SCAN_WORK / (count * patterns.pixels), _FEWEST_ROWS, _MOST_ROWS))
-    rows = RawRows(rows.shares[:some], rows.levels[:some])
+    scanned = int(np.clip(_SCAN_WORK / (count * patterns.pixels), _FEWEST_ROWS, _MOST_ROWS))
+    rows = RawRows(rows.shares[:scanned], rows.levels[:scanned])
     cuts = np.unique(np.linspace(0, count, _PLACES + 1).astype(int))
     hypotheses = _hypotheses(count, len(rows.exposure_groups()) > 1)
     centre = rows.light(frames).mean(axis=1, keepdims=True)

@@ -17,11 +17,11 @@ from lightmatrix.estimators.settings import EstimateSettings
 from lightmatrix.patterns.pattern_set import ImagePatterns
 from lightmatrix.resources.memory import available_bytes
 
-# The check of the photographs reads at most this many levels of them, and takes this many bytes
-# for each.
+# The check of the photographs reads at most this many levels of them (`_MOST_LEVELS` in
+# `diagnosis/survey.py`), and takes this many bytes of memory for each.
 _CHECKED_LEVELS, _CHECK_BYTES = 48 << 20, 12
 # Settings are proposed if they take at most this share of the free memory and this many seconds.
-# Chosen by hand: the estimates are right within a factor, and an hour is still waited for.
+# Chosen by hand: the estimate of the memory may be too low, and an hour is a bearable wait.
 _SHARE, _PATIENCE = 0.8, 3600.0
 # Bin sizes that are tried for a proposal, in pixels of the present bins.
 _BLOCKS = (2, 3, 4, 5, 6, 8, 10, 12, 16, 20, 24, 32)
@@ -247,7 +247,7 @@ def _block(present: tuple[int, int], times: int) -> str:
 
 
 def _rectangle(capture: Capture, part: list[int]) -> str:
-    """A rectangle of so many bins around the middle, as `--crop` writes it."""
+    """A rectangle of `part` (rows, columns) of bins around the middle, as `--crop` writes it."""
     whole, blocks = capture.frames.shape[:2], capture.bin_camera
     shape = [min(side * block, most) for side, block, most in zip(part, blocks, whole, strict=True)]
     corner = [

@@ -1,1 +1,1 @@
-"""The paper's figures, one file each."""
+"""The demo, the paper's figures (one file each), and claims of our own."""

@@ -198,8 +198,8 @@ def take_capture(
             session = _begin(rig, record, patterns, known, settings, progress)
             session.run()
             facts = _facts(session, known, settings)
-            beside = _files_beside(rig, float(session.exposures.max()), settings)
-            record.finish(patterns, facts, beside=beside, overwrite=overwrite)
+            write_extras = _extras_writer(rig, float(session.exposures.max()), settings)
+            record.finish(patterns, facts, write_extras=write_extras, overwrite=overwrite)
     _warn(record, known, settings.response)
     return Capture.open(output)
 
@@ -328,8 +328,8 @@ def _relative(seconds: NDArray[np.float64], longest: float) -> NDArray[np.float6
     return np.round(seconds / longest, 9)
 
 
-def _files_beside(rig: Rig, longest: float, settings: CaptureSettings) -> Callable[[Path], None]:
-    """Writes the response curve and, of a virtual rig, the true T into the capture folder."""
+def _extras_writer(rig: Rig, longest: float, settings: CaptureSettings) -> Callable[[Path], None]:
+    """A function that adds the response curve, and a virtual rig's true T, to a capture folder."""
     curve = curve_file(settings.response)
 
     def write(folder: Path) -> None:

@@ -185,12 +185,13 @@ class CaptureRecord:
         patterns: PatternSet,
         facts: CaptureFacts,
         *,
-        beside: Callable[[Path], None],
+        write_extras: Callable[[Path], None],
         overwrite: bool,
     ) -> None:
         """Make a capture folder of the frames and their patterns, and discard the record.
 
-        `beside` writes further files into the folder. The frames remain if it cannot be written.
+        `write_extras` writes further files into the folder. If the folder cannot be written, the
+        frames remain.
         """
         numbers = sorted(self.state.frames)
         if len(numbers) < patterns.count:
@@ -218,7 +219,7 @@ class CaptureRecord:
             black_exposure=facts.black_exposure,
             response=facts.response,
             provenance=facts.provenance,
-            beside=beside,
+            write_extras=write_extras,
             overwrite=overwrite,
         )
         self._results.discard()

@@ -47,9 +47,9 @@ class Rig:
     reopen : callable
         Opens the camera again after it was lost; raises a DeviceError while it is not there.
     clock : Clock
-        The time by which both live.
+        The clock of both devices.
     truth : Truth, optional
-        Of a virtual rig, the T that it shows, at an exposure of `unit` seconds.
+        The T that a virtual rig shows, at an exposure of `unit` seconds.
     unit : float
         Seconds.
     patience : float

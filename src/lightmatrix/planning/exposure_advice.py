@@ -41,8 +41,8 @@ SHORTEST_FRAMES = 8
 # If more than this share of the lit pixels of a white frame clip, the scene's range is unknown.
 _MOST_CLIPPED = 0.5
 # Patterns light this share of the projector pixels, or the second one if the strongest response of
-# more than the third, a share of the lit camera pixels, clips. Measured there: 0.25 is better than
-# 0.5 and 0.1.
+# more than the third, a share of the lit camera pixels, clips. Where a fifth of them clips so, 0.25
+# is better than 0.5 and 0.1 (docs/planning.md, "Density").
 DENSITY = 0.5
 DENSITY_WHERE_CLIPPED = 0.25
 _CLIPPED_SINGLY = 0.01

@@ -145,7 +145,7 @@ def simulate_procedural(
             dtype=sensor.dtype,
             names=[f"image_{k:0{digits}d}" for k in range(patterns.count)],
             provenance=provenance,
-            beside=save_truth,
+            write_extras=save_truth,
             overwrite=overwrite,
         )
     else:
@@ -156,7 +156,7 @@ def simulate_procedural(
             sensor=sensor,
             camera_shape=scene.camera_shape,
             provenance=provenance,
-            beside=save_truth,
+            write_extras=save_truth,
             overwrite=overwrite,
         )
     return Capture.open(output)

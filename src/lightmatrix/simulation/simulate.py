@@ -85,7 +85,7 @@ class SimulatedCapture(Capture):
             self.truth.save(part / TRUTH)
 
         if Path(folder).suffix.lower() == ".zarr":
-            pack_capture(self, folder, beside=save_truth, overwrite=overwrite)
+            pack_capture(self, folder, write_extras=save_truth, overwrite=overwrite)
             return
         decoder = self.decoder
         black = decoder.black_frame
@@ -98,7 +98,7 @@ class SimulatedCapture(Capture):
             black=None if black is None else black.reshape(self.frames.shape),
             black_exposure=decoder.black_exposure,
             provenance=self.provenance,
-            beside=save_truth,
+            write_extras=save_truth,
             overwrite=overwrite,
         )
 

@@ -21,7 +21,8 @@ from lightmatrix.transport.matrix import LightTransport
 # The version of exports and truth files. Files of a later one are refused.
 VERSION = 1
 _VERSIONS = (TRANSPORT_MARK, TRUTH_MARK)
-# Arrays of one value an entry. All others are small or have one value for each row and cell.
+# Arrays with one value for each entry. All others are small, or have one value for each row and
+# cell.
 _ENTRIES = ("data", "indices", "row", "col", "direct_data")
 # Bytes that any other array may take, such as the metadata. Chosen by hand, far above real files.
 _MOST_SMALL = 16 << 20
@@ -111,7 +112,7 @@ def _check_headers(headers: Mapping[str, NpyHeader]) -> None:
         raise ValueError(f"no sparse matrix: {', '.join(lacking)} missing")
     entries = headers["data"].shape
     if len(entries) != 1:
-        raise ValueError("data is not one value an entry")
+        raise ValueError("data does not have one value for each entry")
     for name, header in headers.items():
         if name in _ENTRIES:
             if header.shape != entries:
@@ -145,7 +146,7 @@ def _checked(file: Path, content: Mapping[str, NDArray[Any]]) -> SparseFile:
     direct = content.get("direct_data")
     if direct is not None:
         if _text(content["format"]) != "csr":
-            raise ValueError("direct parts without rows in order")
+            raise ValueError("direct parts belong to a matrix in the form csr")
         direct = checked_float32(direct, "the direct part")
     metadata: Any = {}
     if "metadata" in content:

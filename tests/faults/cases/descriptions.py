@@ -80,7 +80,7 @@ def _values() -> list[Case]:
                 )
             )
     for extra in BLACK:
-        # Of NaN, which is no JSON, the parser tells the file but not the key.
+        # NaN is no JSON, so the parser names the file but not the key.
         unknown = any(isinstance(value, float) and value != 0.8 for value in extra.values())
 
         def edit(held: dict[str, Any], extra: dict[str, Any] = extra) -> None:

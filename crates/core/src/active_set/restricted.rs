@@ -1,7 +1,7 @@
 //! The problem restricted to the working set, solved by Newton steps.
 //!
-//! The clip state of a one-sided sample says whether it counts: it does while the prediction lies below
-//! it. While no clip state changes, the restricted problem is a quadratic (`model`), which `descent`
+//! A one-sided sample counts while the prediction lies below its value; its clip state says whether it
+//! does. While no clip state changes, the restricted problem is a quadratic (`model`), which `descent`
 //! minimises. A line search makes sure that the objective falls even if a step changes clip states.
 
 use super::descent::Descent;

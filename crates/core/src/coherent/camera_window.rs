@@ -21,14 +21,14 @@ pub(super) fn neighbours(
     around(r, reach, rows).flat_map(move |other_r| {
         around(c, reach, cols).map(move |other_c| {
             let other = (other_r * cols + other_c) * channels + channel;
-            (other, moved(jacobian, [r, c], [other_r, other_c]))
+            (other, displacements(jacobian, [r, c], [other_r, other_c]))
         })
     })
 }
 
-/// The displacement of the footprint of camera pixel `to` from that of `from`, in whole projector rows and
+/// The displacements of the footprint of camera pixel `to` from that of `from`, in whole projector rows and
 /// columns: up to four possibilities with their shares. `jacobian` is that of `from`.
-fn moved(
+fn displacements(
     jacobian: &[f32],
     from: [usize; 2],
     to: [usize; 2],
@@ -50,15 +50,15 @@ fn whole(number: f32) -> [(isize, f32); 2] {
     [(below, 1.0 - beyond), (below + 1, beyond)]
 }
 
-/// The atom at the place of `atom` after moving it back by `moved`; None beyond the projector.
+/// The atom at the place of `atom` after moving it back by `displacement`; None beyond the projector.
 pub(super) fn moved_back(
     [_, rows, cols]: [usize; 3],
     atom: i32,
-    moved: [isize; 2],
+    displacement: [isize; 2],
 ) -> Option<usize> {
     let (plane, pixel) = (atom as usize / (rows * cols), atom as usize % (rows * cols));
-    let r = (pixel / cols) as isize - moved[0];
-    let c = (pixel % cols) as isize - moved[1];
+    let r = (pixel / cols) as isize - displacement[0];
+    let c = (pixel % cols) as isize - displacement[1];
     let inside = (0..rows as isize).contains(&r) && (0..cols as isize).contains(&c);
     inside.then(|| (plane * rows + r as usize) * cols + c as usize)
 }

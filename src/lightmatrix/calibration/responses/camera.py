@@ -53,13 +53,14 @@ class CameraResponse:
         Twice the standard error of the light of a level, at the level where it is largest, as a
         share of full light: four curves of different pixels are averaged.
     misfit : float
-        How far its light departs from growing with the exposure: the largest mean over 16 ranges
-        of light, as a share of full light. Above 0.02, something else has changed.
+        How far its light departs from being proportional to the exposure: the largest mean over 16
+        ranges of light, as a share of full light. Above 0.02, something else has changed.
     gamma : float
-        Exponent of the power of the level that is nearest to the curve.
+        Exponent g for which level^g is nearest to the curve.
     method : str
+        How the curve was fitted: "debevec" or "robertson".
     exposures : (K,) float64
-        Those that were used.
+        Exposure of each photograph, in the unit in which they were given.
     channels : float, optional
         For a colour camera, the largest difference between the curves of its channels, in light.
     residuals : Residuals
@@ -231,5 +232,5 @@ def _check_exposures(times: NDArray[np.float64], method: str) -> None:
         raise InputError(
             f"Robertson's curve from {len(steps)} exposures from {steps[0]:g} to {steps[-1]:g}",
             hint=f"it needs {_FEWEST_ROBERTSON} at least, each about twice the one before; "
-            "Debevec's does with fewer",
+            "Debevec's needs fewer",
         )

@@ -61,7 +61,7 @@ def _from_files(frames: Frames) -> NDArray[np.float64]:
     if not times or None in times:
         which = f"{paths[times.index(None)]}: " if None in times else ""
         raise InputError(
-            f"{which}how long the photographs were exposed is not known",
-            hint="say it, --exposure 1,2,4,8 in any unit, in the order of the photographs",
+            f"{which}the exposures of the photographs are unknown",
+            hint="state them with --exposure 1,2,4,8, in any unit, in the order of the photographs",
         )
     return np.array(times, np.float64)

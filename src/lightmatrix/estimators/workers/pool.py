@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 # A step is cut into this many tiles for each worker, so that none waits long for the last one.
 # Chosen by hand: more tiles cost more to hand out.
 TILES_EACH = 3
-# Each worker holds this many tiles, so that the next one is there as it ends one.
+# Each worker holds this many tiles, so that the next one is at hand when it finishes one.
 _AHEAD = 2
 # Seconds between two counts of the workers, and seconds without any worker after which the estimate
 # is given up. Chosen by hand: a nanny starts a dead worker again within seconds.
@@ -200,8 +200,8 @@ class DaskPool:
             raise error
         if type(error).__name__ == "KilledWorker":
             raise ClusterError(
-                f"rows {span[0]} to {span[1]}: {error.allowed_failures + 1} workers died of them, "
-                "one after the other",
+                f"rows {span[0]} to {span[1]}: {error.allowed_failures + 1} workers died while "
+                "solving them, one after the other",
                 hint=f"probably memory: use fewer workers, --memory or --tile-rows. {_CONTINUE}",
             ) from error
         raise _worker_error("a worker", error) from error

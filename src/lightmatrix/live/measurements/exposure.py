@@ -27,8 +27,8 @@ from lightmatrix.planning.exposure_advice import (
 _FAR_OFF = 2.0
 # A warning says that avoiding flicker makes more samples clip if the exposure grows by this factor.
 _LONGER = 1.2
-# The room's light is told from the pedestal by a black frame at this share of the white one's
-# exposure; a camera that exposes for more than the second share of it cannot tell them apart.
+# A black frame at this share of the white frame's exposure separates the room's light from the
+# pedestal. A camera whose shortest exposure is more than the second share of it cannot do that.
 _BRIEF, _NOT_BRIEF = 1 / 8, 0.6
 
 
