@@ -74,7 +74,7 @@ def test_relight(work: Path, capsys: pytest.CaptureFixture[str]) -> None:
         ("--dual --gap -o out.png", "2 views are given"),
         ("--row 3 -o out.png", "--row 3\n  write row,column"),
         ("--row 3,-1 -o out.png", "--row 3,-1"),
-        ("--row 3,99 -o out.png", "there is no camera sample (3, 99)"),
+        ("--row 3,99 -o out.png", "there is no camera sample 3, 99"),
         ("--column 1,2,3 -o out.png", "the view column with the index 1, 2, 3"),
         ("--row 3,4 --raw -o out.png", "raw numbers of the view row"),
         ("--correspondence --raw -o X.npz", "raw numbers of the view correspondence"),
