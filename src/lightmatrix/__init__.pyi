@@ -134,6 +134,8 @@ from .pictures.transport import (
     show_row as show_row,
 )
 from .report.make import report as report
+from .viewer.export import export_viewer as export_viewer
+from .viewer.server import serve_viewer as serve_viewer
 from .evaluation.evaluate import evaluate as evaluate
 from .evaluation.evaluate import evaluate_colour as evaluate_colour
 from .store import (

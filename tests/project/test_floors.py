@@ -26,13 +26,13 @@ FLOORS = [
     {"diagnosis", "simulation", "pictures"},
     {"estimators", "evaluation", "calibration"},
     {"planning", "report", "uses"},
-    {"experiments", "live"},
+    {"experiments", "live", "viewer"},
     {"cli"},
     {"__main__"},
 ]
 # Extras are imported inside the functions that need them, and nowhere else.
 EXTRAS = {"mitsuba", "drjit", "glfw", "moderngl", "gi", "harvesters", "genicam", "av", "gphoto2"}
-EXTRAS |= {"cv2", "OpenEXR", "rawpy", "distributed", "dask"}
+EXTRAS |= {"cv2", "OpenEXR", "rawpy", "distributed", "dask", "uvicorn", "websockets"}
 # The compiled core stands in the table by its crates.
 CORE = "_core"
 # Loads all else within the `try` that waits for a Ctrl-C.

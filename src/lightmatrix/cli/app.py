@@ -37,6 +37,7 @@ from lightmatrix.cli.scenes import scenes
 from lightmatrix.cli.show import show
 from lightmatrix.cli.simulate import simulate
 from lightmatrix.cli.terminal import say, warn
+from lightmatrix.cli.view import view
 from lightmatrix.errors import LightMatrixWarning
 
 # A shell sets this variable to ask for the words that can come next.
@@ -45,7 +46,18 @@ COMPLETION = "_LIGHTMATRIX_COMPLETE"
 STAGES: dict[str, tuple[Callable[..., None], ...]] = {
     "Prepare": (plan, patterns),
     "Photograph": (capture, response),
-    "Measure and use": (check, pack, estimate, info, show, relight, compensate, evaluate, export),
+    "Measure and use": (
+        check,
+        pack,
+        estimate,
+        info,
+        show,
+        view,
+        relight,
+        compensate,
+        evaluate,
+        export,
+    ),
     "Simulate": (scenes, render, simulate),
     "Show": (demo, experiment),
 }

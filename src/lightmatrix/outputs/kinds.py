@@ -22,6 +22,9 @@ TRANSPORT_MARK, TRUTH_MARK, PACKED_MARK, NUMBERS_MARK = (
 )
 # The text with which our mat files begin; readers of the format ignore it.
 MAT_MARK = "MATLAB 5.0 MAT-file, written by lightmatrix"
+# How a page of the viewer tells that it is one, within its first bytes.
+PAGE_MARK = '<meta name="generator" content="lightmatrix viewer">'
+_EARLY = 1024
 RIG_FORMAT, RESPONSE_FORMAT = "lightmatrix-rig", "lightmatrix-response"
 # The first bytes of PNG, npy, TIFF and EXR files.
 _IMAGES = (b"\x89PNG\r\n\x1a\n", b"\x93NUMPY", b"II*\0", b"MM\0*", b"v/1\x01")
@@ -30,6 +33,11 @@ _IMAGES = (b"\x89PNG\r\n\x1a\n", b"\x93NUMPY", b"II*\0", b"MM\0*", b"v/1\x01")
 def _begins_with(file: Path, *starts: bytes) -> bool:
     with file.open("rb") as opened:
         return opened.read(max(map(len, starts))).startswith(starts)
+
+
+def _holds_early(file: Path, mark: str) -> bool:
+    with file.open("rb") as opened:
+        return mark.encode() in opened.read(_EARLY)
 
 
 def _is_json(file: Path, name: str) -> bool:
@@ -56,6 +64,7 @@ PACKED = FileKind("packed scene", (".npz",), lambda file: holds_member(file, PAC
 NUMBERS = FileKind("numbers of a picture", (".npz",), lambda file: holds_member(file, NUMBERS_MARK))
 RIG = FileKind("measurements of a rig", (".json",), lambda file: _is_json(file, RIG_FORMAT))
 RESPONSE = FileKind("measured response", (".json",), lambda file: _is_json(file, RESPONSE_FORMAT))
+PAGE = FileKind("page of the viewer", (".html",), lambda file: _holds_early(file, PAGE_MARK))
 NPZ = FileKind("exported matrix", (".npz",), lambda file: holds_member(file, TRANSPORT_MARK))
 MAT = FileKind("exported matrix", (".mat",), lambda file: _begins_with(file, MAT_MARK.encode()))
 # Images do not say who wrote them, so any image may be replaced by another.

@@ -1,0 +1,62 @@
+"""`lm.export_viewer`: the viewer with one matrix as one file, which needs no server."""
+
+from __future__ import annotations
+
+import base64
+from pathlib import Path
+
+from lightmatrix.errors import InputError
+from lightmatrix.outputs.kinds import PAGE
+from lightmatrix.outputs.writing import atomic_file, check_output
+from lightmatrix.transport.matrix import LightTransport
+from lightmatrix.viewer.layers import available_layers
+from lightmatrix.viewer.page_files import frame
+from lightmatrix.viewer.scene import Scene
+
+# The largest matrix that goes into a page. As text it takes a third more, which can still be mailed
+# and which a phone can still open.
+_MOST_BYTES = 32 << 20
+
+
+def export_viewer(
+    path: str | Path, transport: LightTransport | str | Path, *, overwrite: bool = False
+) -> None:
+    """Write the viewer and one light transport matrix as one page, to send or to publish.
+
+    The page needs neither a server nor the network.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file to write, .html.
+    transport : LightTransport, str or Path
+        T, or where `open` finds it; at most 32 MiB as the page takes it: 4 bytes an entry, and 2
+        for each value of the background.
+    overwrite : bool
+        Whether an existing page of the viewer may be replaced.
+
+    Raises
+    ------
+    InputError
+        If there is no such matrix, or it is too large for a page.
+    OutputError
+        If the file exists or cannot be written.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> lm.export_viewer("metal.html", lm.truth("metal").transport())
+    """
+    check_output(path, PAGE, overwrite=overwrite)
+    scene = Scene(transport)
+    if scene.size > _MOST_BYTES:
+        raise InputError(
+            f"{scene.title}: takes {scene.size / 2**20:.0f} MiB in a page",
+            hint=f"at most {_MOST_BYTES >> 20} MiB fit: view it without --export, crop it with "
+            "LightTransport.crop, or estimate it with --bin-projector or --bin-camera",
+        )
+    parts = {"scene": scene.description, "matrix": scene.matrix}
+    parts |= {f"layer-{name}": scene.layer(name) for name in available_layers(scene.transport)}
+    data = {name: base64.b64encode(part).decode() for name, part in parts.items()}
+    with atomic_file(path, PAGE, overwrite=overwrite) as part:
+        part.write_text(frame(scene.title, data), encoding="utf-8")

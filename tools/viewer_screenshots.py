@@ -1,0 +1,125 @@
+"""Photograph the viewer for the docs, or measure how fast it paints.
+
+python tools/viewer_screenshots.py
+python tools/viewer_screenshots.py --times
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import psutil
+from browser import opened
+from playwright.sync_api import Browser, Page
+
+import lightmatrix as lm
+from lightmatrix.simulation.procedural_scene import ProceduralScene
+
+IMAGES = Path(__file__).parent.parent / "docs" / "images"
+Scheme = Literal["light", "dark"]
+WINDOWS: dict[int, tuple[int, Scheme]] = {
+    1440: (900, "light"),
+    390: (844, "dark"),
+}
+# Camera and projector of the matrices whose strokes are timed, and movements of the brush.
+SIZES = (((128, 128), (128, 128)), ((768, 1024), (1024, 1024)))
+MOVEMENTS = 120
+
+
+def main() -> None:
+    """Make the screenshots, or print a table of times."""
+    with tempfile.TemporaryDirectory() as place, opened() as browser:
+        if "--times" in sys.argv:
+            for camera, projector in SIZES:
+                # A dozen entries a row, so that the larger one fits the page.
+                scene = ProceduralScene(camera, projector, seed=1, bounces=8, background=0)
+                truth = scene.truth().transport()
+                print(_times(browser, Path(place) / "T.zarr", truth), flush=True)
+            return
+        file = Path(place) / "page.html"
+        lm.export_viewer(file, lm.truth("metal").transport())
+        for width, (height, scheme) in WINDOWS.items():
+            with _shown(browser, file.as_uri(), width, height, scheme) as page:
+                _letter(page)
+                page.screenshot(path=IMAGES / f"viewer-{width}.png")
+
+
+@contextmanager
+def _shown(
+    browser: Browser, address: str, width: int, height: int, scheme: Scheme = "light"
+) -> Iterator[Page]:
+    page = browser.new_page(viewport={"width": width, "height": height}, color_scheme=scheme)
+    page.set_default_timeout(120_000)
+    page.goto(address)
+    page.locator(".stage").first.wait_for()
+    yield page
+    page.close()
+
+
+def _letter(page: Page) -> None:
+    """Paint the letter that stands for wavelengths, with a fine brush on a black projector."""
+    page.get_by_role("button", name="Clear").click()
+    page.evaluate("scrollTo(0, 0)")
+    box = page.locator(".stage").first.bounding_box()
+    assert box is not None
+    side = min(box["width"], box["height"])
+    left, top = box["x"] + (box["width"] - side) / 2, box["y"] + (box["height"] - side) / 2
+    strokes = (((0.3, 0.2), (0.42, 0.2), (0.72, 0.82)), ((0.51, 0.4), (0.28, 0.82)))
+    for places in strokes:
+        x, y = places[0]
+        page.mouse.move(left + x * side, top + y * side)
+        page.mouse.down()
+        for x, y in places[1:]:
+            page.mouse.move(left + x * side, top + y * side, steps=10)
+        page.mouse.up()
+    page.get_by_role("button", name="Auto exposure").click()
+    page.evaluate("scrollTo(0, 0)")
+    page.wait_for_timeout(500)
+
+
+def _times(browser: Browser, store: Path, transport: lm.LightTransport) -> str:
+    """A row of the table in docs/viewer.md."""
+    lm.save(store, transport, overwrite=True)
+    command = [sys.executable, "-m", "lightmatrix", "view", str(store), "--no-browser"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server:
+        assert server.stdout is not None
+        address = server.stdout.readline().strip()
+        with _shown(browser, address, 1440, 900) as page:
+            times = _circle(page)
+        memory = psutil.Process(server.pid).memory_info().rss >> 20
+        server.terminate()
+    middle, most = np.quantile(times, (0.5, 0.9))
+    camera, projector = (
+        " x ".join(map(str, shape)) for shape in (transport.camera_shape, transport.projector_shape)
+    )
+    return (
+        f"| {projector} under {camera}, {transport.sparse.nnz:,} entries | {middle:.0f} ms "
+        f"| {most:.0f} ms | {memory} MiB |"
+    )
+
+
+def _circle(page: Page) -> list[float]:
+    """Draw a circle, and return the milliseconds that each movement took to be seen."""
+    box = page.locator(".stage").first.bounding_box()
+    assert box is not None
+    for k in range(MOVEMENTS):
+        angle = 2 * np.pi * k / MOVEMENTS
+        x = box["x"] + box["width"] * (0.5 + 0.25 * np.sin(angle))
+        y = box["y"] + box["height"] * (0.5 - 0.25 * np.cos(angle))
+        page.mouse.move(x, y)
+        if k == 0:
+            page.mouse.down()
+    page.mouse.up()
+    times: list[float] = page.evaluate("globalThis.lightmatrixViewer.latencies")
+    return times
+
+
+if __name__ == "__main__":
+    main()
