@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+import lightmatrix as lm
 from lightmatrix.camera.decoder import Decoder
 from lightmatrix.camera.samples import Samples
 from lightmatrix.camera.sensor import Sensor
@@ -445,3 +446,26 @@ def test_the_description_of_a_capture() -> None:
         "masked": 0,
     }
     assert masked.description == {**plain.description, "black_frame": True, "masked": 1}
+
+
+def test_grey_saved_as_equal_colours_is_grey_for_the_black_frame_too(tmp_path: Path) -> None:
+    patterns, grey = SETS[0], photographs(SETS[0], Sensor())
+    black = np.random.default_rng(1).integers(0, 9, (5, 7)).astype(np.uint8)
+    digests = set()
+    for channels in (1, 3):
+        place = tmp_path / str(channels)
+        frames, dark = (np.squeeze(np.stack([x] * channels, -1)) for x in (grey, black))
+        shown, photos = write_folders(place, patterns, frames)
+        write_image(place / "black.png", dark)
+        settings = ReadSettings(black=place / "black.png")
+        digests.add(Capture.from_folders(shown, photos, settings).digest)
+    assert len(digests) == 1
+
+
+def test_check_reads_nothing_outside_the_folder(tmp_path: Path) -> None:
+    write_capture(tmp_path / "capture", SETS[0], photographs(SETS[0], Sensor()), sensor=Sensor())
+    write_image(tmp_path / "mask.png", np.ones((5, 7), np.uint8))
+    file = tmp_path / "capture" / "capture.json"
+    file.write_text(json.dumps({**json.loads(file.read_text()), "mask": "../mask.png"}))
+    with pytest.raises(InputError, match="outside"):
+        lm.check(tmp_path / "capture")

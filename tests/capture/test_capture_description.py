@@ -62,6 +62,7 @@ WRONG = [
     {"provenance": "text"},
     {"provenance": [1]},
     {"camera_shape": "5x7"},
+    {"camera_shape": [0, 7]},
     {"camera_shape": [5.0, 7.0]},
     {"projector_shape": 48},
     {"black": []},

@@ -178,6 +178,9 @@ def test_packing_through_a_file_gives_the_same_capture(tmp_path: Path, small_chu
     assert_same(Capture.open(tmp_path / "c.zarr"), original)
     assert steps[-1] == (COUNT, COUNT)
     assert [entry.name for entry in tmp_path.iterdir()] == ["c.zarr"]
+    steps.clear()
+    lm.pack(original, tmp_path / "e.zarr", progress=lambda *step: steps.append(step))
+    assert steps == [(k + 1, COUNT) for k in range(COUNT)]
     # And packed once more, from tiles to tiles.
     lm.pack(tmp_path / "c.zarr", tmp_path / "d.zarr")
     assert_same(Capture.open(tmp_path / "d.zarr"), original)

@@ -229,3 +229,19 @@ def test_small_cameras_under_huge_projectors() -> None:
     proposed = dict(lm.estimate_resources(capture(40_000, 70)).options)
     binned = next(size for words, size in proposed.items() if words.startswith("--bin-camera"))
     assert binned.kind == "coherent"
+
+
+@pytest.mark.parametrize("estimator", ["coherent", "plain"])
+def test_a_tile_holds_as_many_rows_as_its_memory_does(estimator: str, large: lm.Capture) -> None:
+    settings = lm.EstimateSettings(coherent=estimator == "coherent")
+    size = lm.estimate_resources(large, settings).size
+    taken = size.tile_rows * size.solved_row_bytes
+    assert size.tile_bytes - size.solved_row_bytes < taken <= size.tile_bytes
+
+
+def test_the_coherent_estimate_has_pseudo_samples_beside_the_frames() -> None:
+    plain, coherent = (
+        memory_terms(kind, 100, 1000, 32, False)["value"] for kind in ("plain", "coherent")
+    )
+    assert plain == 1000 * 32
+    assert coherent > plain

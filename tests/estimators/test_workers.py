@@ -395,6 +395,10 @@ def test_tiles_of_a_step(rows: int, most: int, parts: int, shrinking: bool) -> N
     assert sizes == sorted(sizes, reverse=True)
     if shrinking and parts > 1:
         assert len(spans) >= parts or rows < 2 * parts * LEAST_TILE
+        # The first tile is about twice an equal part, where that fits.
+        assert sizes[:1] <= [max(LEAST_TILE, 2 * -(-rows // parts))]
+        if rows > 4 * parts * LEAST_TILE and parts > 3 and most >= rows:
+            assert sizes[0] >= 2 * rows // parts
         # The last tile takes at most half as long as an equal part would.
         assert sizes[-1:] <= [max(LEAST_TILE, -(-rows // parts) // 2 + 1)]
     else:
