@@ -25,6 +25,7 @@ EXAMPLES = ROOT / "examples"
 GALLERY = (
     "relight_and_dual",
     "correspondence",
+    "direct_and_global",
     "few_patterns",
     "estimate_in_python",
     "own_photographs",

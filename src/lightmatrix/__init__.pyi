@@ -167,6 +167,16 @@ from .live.closed_loop import (
     RefinedCompensation as RefinedCompensation,
     refine_compensation as refine_compensation,
 )
+from .uses.epipolar import EpipolarGeometry as EpipolarGeometry
+from .uses.probing import (
+    QuickLook as QuickLook,
+    max_min as max_min,
+    probe as probe,
+)
+from .uses.separation import (
+    Separation as Separation,
+    separate as separate,
+)
 from .evaluation.verdict import (
     Verdict as Verdict,
     verdict as verdict,

@@ -223,6 +223,8 @@ def test_info_writes_the_pictures_of_the_door(
         ("--dual -o x.tiff", "dual", ()),
         ("--correspondence -o x.png", "correspondence", ()),
         ("--correspondence --raw -o x.png", "correspondence", ()),
+        ("--spectrum -o x.png", "spectrum", ()),
+        ("--spectrum -o x.npz", "spectrum", ()),
         ("--correspondence -o x.npz", "correspondence", ()),
         ("--clipping -o x.npz", "clipping", ()),
         ("--gap -o x.png", "gap", ()),
@@ -552,3 +554,17 @@ def test_defaults_in_help_texts_are_those_of_the_code() -> None:
     assert set(get_args(estimate_command.FidelityName)) == set(lm.Fidelity)
     assert set(get_args(patterns_command.Kind)) == set(making.KINDS)
     assert set(get_args(experiment_command.Figure)) == set(run.EXPERIMENTS)
+
+
+def test_separate(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    lm.truth("l_objects").save(tmp_path / "T.npz")
+    lm.write_image(tmp_path / "p.png", np.tile(np.eye(8), (8, 8)))
+    words = f"separate {tmp_path}/T.npz --pattern {tmp_path}/p.png -o {tmp_path}/shown"
+    shown = _run(words, capsys)
+    parts = lm.separate(tmp_path / "T.npz", pattern=tmp_path / "p.png", output=tmp_path / "made")
+    assert shown["epipolar_direction"] == parts.geometry.direction
+    for name, part in (("direct", parts.direct), ("global", parts.global_)):
+        _same_transport(lm.open(tmp_path / "shown" / f"{name}.zarr"), part)
+        for kind in ("png", "npy"):
+            one, other = (tmp_path / folder / f"{name}.{kind}" for folder in ("shown", "made"))
+            assert one.read_bytes() == other.read_bytes()

@@ -57,6 +57,10 @@ def test_correspondence(tmp_path: Path) -> None:
     assert _run("correspondence", tmp_path) > 0.97
 
 
+def test_direct_and_global(tmp_path: Path) -> None:
+    assert 0.05 < _run("direct_and_global", tmp_path) < 0.25
+
+
 def test_own_photographs(tmp_path: Path) -> None:
     report = _run("own_photographs", tmp_path)
     assert report["verdict"] == "good"

@@ -34,6 +34,7 @@ from lightmatrix.cli.render import render
 from lightmatrix.cli.response import response
 from lightmatrix.cli.rig import app as rig
 from lightmatrix.cli.scenes import scenes
+from lightmatrix.cli.separate import separate
 from lightmatrix.cli.show import show
 from lightmatrix.cli.simulate import simulate
 from lightmatrix.cli.terminal import say, warn
@@ -54,6 +55,7 @@ STAGES: dict[str, tuple[Callable[..., None], ...]] = {
         show,
         view,
         relight,
+        separate,
         compensate,
         evaluate,
         export,

@@ -44,6 +44,9 @@ def show(
             "--correspondence", help="The projector pixel that each camera pixel sees most."
         ),
     ] = False,
+    spectrum: Annotated[
+        bool, typer.Option("--spectrum", help="Singular values: how low the rank of the light is.")
+    ] = False,
     clipping: Annotated[
         bool, typer.Option("--clipping", help="Share of clipped samples of each camera pixel.")
     ] = False,
@@ -71,6 +74,7 @@ def show(
     named = {
         "dual": dual,
         "correspondence": correspondence,
+        "spectrum": spectrum,
         "clipping": clipping,
         "gap": gap,
         "footprint": footprint,
@@ -82,7 +86,7 @@ def show(
         count = len(chosen) or "no"
         raise InputError(
             f"{count} views are given", hint="give one of --row R,C, --column R,C, --dual, "
-            "--correspondence, --clipping, --gap, --footprint, --stated-error",
+            "--correspondence, --spectrum, --clipping, --gap, --footprint, --stated-error",
         )  # fmt: skip
     view = chosen[0]
     index = _index(view, indexed.get(view))

@@ -55,6 +55,7 @@ STORE = FolderKind(
 )
 PACKED_CAPTURE = FolderKind("packed capture", (".zarr",), ("zarr.json", "attributes", "output"))
 PICTURES = FolderKind("folder of pictures")
+SEPARATION = FolderKind("separation")
 THUMBNAILS = FolderKind("folder of scene pictures")
 DEMO = FolderKind("demo report")
 REPORT = FolderKind("report")

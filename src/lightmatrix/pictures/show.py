@@ -17,6 +17,7 @@ from lightmatrix.outputs.kinds import IMAGE, NUMBERS, NUMBERS_MARK, PICTURES
 from lightmatrix.outputs.markers import FileKind
 from lightmatrix.outputs.writing import atomic_file, atomic_folder, check_output
 from lightmatrix.pictures import diagnostics, maps
+from lightmatrix.pictures.spectrum import show_spectrum, spectrum
 from lightmatrix.pictures.transport import DPI, Picture, show_column, show_dual, show_row
 from lightmatrix.transport.correspondence import correspondence
 from lightmatrix.transport.matrix import LightTransport
@@ -49,6 +50,7 @@ VIEWS: dict[str, _View] = {
     "column": _View(show_column, lambda transport, *index: {"values": transport.column(*index)}),
     "dual": _View(show_dual, lambda transport: {"values": transport.dual_image()}),
     "correspondence": _View(diagnostics.show_correspondence, _correspondence),
+    "spectrum": _View(show_spectrum, spectrum),
     "clipping": _View(diagnostics.show_clipping, _values(maps.clipping_map), needs="clipped_share"),
     "gap": _View(diagnostics.show_gaps, _values(maps.gap_map), needs="gap"),
     "footprint": _View(diagnostics.show_footprints, _values(maps.footprint_map), needs="footprint"),
@@ -59,7 +61,7 @@ VIEWS: dict[str, _View] = {
 # Views of one row or column, and how many numbers their index may have.
 _INDEXED = {"row": (2, 3), "column": (2,)}
 # Maps over the whole camera, which `lightmatrix info` writes.
-_OVERVIEW = tuple(name for name in VIEWS if name not in (*_INDEXED, "dual"))
+_OVERVIEW = tuple(name for name in VIEWS if name not in (*_INDEXED, "dual", "spectrum"))
 
 
 def show(
@@ -78,7 +80,8 @@ def show(
         T, or where `open` finds it.
     view : str
         "row" and "column" of T; "dual", the scene seen from the projector; "correspondence", the
-        projector pixel that each camera pixel sees most; or a diagnostic of an estimate:
+        projector pixel that each camera pixel sees most; "spectrum", the 50 largest singular
+        values; or a diagnostic of an estimate:
         "clipping", "gap", "footprint" or "stated-error" (the estimated error).
     index : int
         For a row: row and column of the camera pixel and, for a colour camera, channel. For a
@@ -186,10 +189,10 @@ def _check_format(view: str, output: Path, raw: bool) -> None:
             f"raw numbers of the view {view} in {output}",
             hint="only a correspondence has a raw PNG; write .npz for the numbers of any view",
         )
-    if view == "correspondence" and suffix not in (".png", ".npz"):
+    if view in ("correspondence", "spectrum") and suffix not in (".png", ".npz"):
         raise InputError(
-            f"a correspondence in {output}",
-            hint="end the output in .png (a picture; with --raw 16-bit numbers) or .npz",
+            f"a {view} in {output}",
+            hint="end the output in .png (a picture) or .npz (numbers)",
         )
 
 

@@ -86,7 +86,7 @@ def correspondence(transport: LightTransport) -> Correspondence:
     >>> [round(float(place), 1) for place in matches.place[20, 30]]
     [20.1, 29.8]
     """
-    matrix, background = _pixels(transport)
+    matrix, background = pixel_rows(transport)
     count, (_, width) = len(background), transport.projector_shape
     pixel = np.full((count, 2), -1, np.int32)
     place = np.full((count, 2), np.nan, np.float32)
@@ -103,7 +103,7 @@ def correspondence(transport: LightTransport) -> Correspondence:
     )
 
 
-def _pixels(transport: LightTransport) -> tuple[csr_array, NDArray[np.float64]]:
+def pixel_rows(transport: LightTransport) -> tuple[csr_array, NDArray[np.float64]]:
     """The sparse part of each camera pixel and the light of its background; channels are added."""
     background = transport.background.sum(axis=1, dtype=np.float64)
     if len(transport.camera_shape) == 2:

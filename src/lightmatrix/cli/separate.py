@@ -1,0 +1,47 @@
+"""`lightmatrix separate`: direct and global light."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+import lightmatrix as lm
+from lightmatrix.cli.claims import claim
+from lightmatrix.cli.options import Json, Overwrite, Store
+from lightmatrix.cli.terminal import say, show_json
+from lightmatrix.outputs.kinds import SEPARATION
+
+
+def separate(
+    scene: Store,
+    output: Annotated[
+        Path,
+        typer.Option("-o", "--output", help="Folder for both matrices, their images, and maps."),
+    ],
+    pattern: Annotated[
+        Path | None,
+        typer.Option(help="Pattern of the images.", show_default="white"),
+    ] = None,
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+) -> None:
+    """Split T into direct and global light.
+
+    Direct light met one surface, global light several. Writes direct.zarr and global.zarr, whose
+    sum is T; the images direct and global as .png and .npy; confidence.npy and parallax.npy.
+    """
+    claim(output, SEPARATION, overwrite=overwrite)
+    parts = lm.separate(scene, pattern=pattern, output=output, overwrite=overwrite)
+    direct, others = (
+        float(part.sparse.data.sum(dtype=float) + part.background.sum(dtype=float))
+        for part in (parts.direct, parts.global_)
+    )
+    share = others / max(direct + others, 1e-30)
+    if as_json:
+        result = {"output": output, "global_share": share}
+        angle, spread = parts.geometry.direction, parts.geometry.spread
+        show_json({**result, "epipolar_direction": angle, "epipolar_spread": spread})
+        return
+    say(f"{output}: {100 * share:.1f} % of the light is global")

@@ -1,0 +1,213 @@
+"""Which spots and entries of T are direct light, by epipolar geometry and by neighbours."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+
+from lightmatrix.errors import InputError
+from lightmatrix.transport.sparse_rows import row_blocks
+from lightmatrix.uses.epipolar import EpipolarGeometry, fit_epipolar, mean_plane
+from lightmatrix.uses.spots import ENTRIES, Spots, entries_of
+
+# All thresholds of this file were chosen on the four bundled scenes at 64 x 64, sharp and out of
+# focus by 1 pixel, with 32 patterns (`lightmatrix experiment uses` measures the same). Distances
+# are in projector pixels: a constant, and a part that grows with the standard deviation of a spot.
+#
+# A row fainter than this share of a bright row's light (the 0.9 quantile) is left without direct
+# light: it lies in the projector's shadow.
+_DARK, _BRIGHT_QUANTILE = 0.02, 0.9
+# Rows that the geometry is fitted to: their strongest spot holds this share of the light, and half
+# of their neighbours see light beside it.
+_STRONG, _HALF = 0.3, 0.5
+# A neighbour agrees if its spot lies this close to where the mean plane's motion puts it.
+_AGREEMENT = (1.0, 1.0)
+# Spots farther from the epipolar line, or beyond the parallax of good rows by more, are global.
+_FROM_LINE, _BEYOND_PARALLAX = (0.4, 0.5), (0.5, 0.5)
+# A spot is global if fewer of its 24 neighbours agree; the strongest one, and the others.
+_LEAST_AGREEMENT, _LEAST_AGREEMENT_OF_WEAK = 0.2, 0.05
+# A spot is global if it holds less of the row's light; the strongest one, and the others.
+_LEAST_SHARE, _LEAST_SHARE_OF_WEAK = 0.2, 0.02
+# Rounds in which spots that were rejected lose their vote on their neighbours.
+_VOTES = 3
+# Half width of the square of neighbours.
+_NEIGHBOURS = 2
+# The footprint: entries this close to a direct spot, and this close to the epipolar line.
+_FOOTPRINT, _BAND = (1.2, 2.0), (1.0, 2.0)
+# The ring around the footprint that shows the global light beneath it, and how much brighter global
+# light is beneath the footprint than in the ring: it peaks where surfaces touch.
+_RING_WIDTH, _RING_FACTOR = 1.5, 2.0
+# The fewest rows that can tell an epipolar geometry.
+_FEWEST = 16
+
+
+@dataclass(frozen=True, eq=False)
+class DirectSpots:
+    """Which spots are direct light: `direct` (P, SPOTS), and the `agreement` of neighbours."""
+
+    spots: Spots
+    direct: NDArray[np.bool_]
+    agreement: NDArray[np.float64]
+    lit: NDArray[np.bool_]
+    geometry: EpipolarGeometry
+    deviation: float
+
+
+def camera_pixels(shape: tuple[int, int]) -> NDArray[np.float64]:
+    """Row and column of each camera pixel, (P, 2)."""
+    return np.indices(shape, np.float64).reshape(2, -1).T
+
+
+def spot_radius(deviation: float) -> float:
+    """How far the light of a spot reaches from its peak, in projector pixels."""
+    return 1 + 2 * deviation
+
+
+def find_direct_spots(spots: Spots, shape: tuple[int, int], deviation: float) -> DirectSpots:
+    """Fit the epipolar geometry to the camera's spots, and reject those that are global light.
+
+    Raises InputError if too few rows have a spot that their neighbours agree on.
+    """
+    camera = camera_pixels(shape)
+    place, light, total = spots.place, spots.light, spots.total
+    bright = float(np.quantile(total, _BRIGHT_QUANTILE))
+    lit = (total > _DARK * bright) & (light[:, 0] > 0)
+    strong = lit & (light[:, 0] > _STRONG * total)
+    if strong.sum() < _FEWEST:
+        raise _no_direct_light(int(strong.sum()), len(lit))
+    motion = mean_plane(camera[strong], place[strong, 0])
+    tolerance = _scaled(_AGREEMENT, deviation)
+    first = np.zeros(light.shape, bool)
+    first[:, 0] = True
+    agreement = _agreement(place, first, shape, motion, tolerance)
+    good = strong & (agreement[:, 0] > _HALF)
+    if good.sum() < _FEWEST:
+        raise _no_direct_light(int(good.sum()), len(lit))
+    geometry = fit_epipolar(camera[good], place[good, 0], motion)
+    possible = _on_line(camera, place, geometry, deviation) & lit[:, None]
+    possible &= light > _LEAST_SHARE_OF_WEAK * total[:, None]
+    possible[:, 0] &= light[:, 0] >= _LEAST_SHARE * total
+    direct = possible
+    least = np.full(light.shape[1], _LEAST_AGREEMENT_OF_WEAK)
+    least[0] = _LEAST_AGREEMENT
+    for _ in range(_VOTES):
+        agreement = _agreement(place, direct, shape, motion, tolerance)
+        direct = possible & (agreement >= least)
+    return DirectSpots(spots, direct, agreement, lit, geometry, deviation)
+
+
+def direct_entries(
+    matrix: csr_array, found: DirectSpots, shape: tuple[int, int], width: int, channels: int
+) -> NDArray[np.float32]:
+    """The direct part of each entry of T, (nnz,), in [0, entry].
+
+    Entries within a footprint are direct, less the global light that the ring around it shows.
+    `channels` rows of T belong to each camera pixel.
+    """
+    camera = camera_pixels(shape)
+    direct = np.zeros(matrix.nnz, np.float32)
+    cuts = row_blocks(matrix.indptr, ENTRIES)
+    for start, stop in pairwise(cuts):
+        part = csr_array(matrix[int(start) : int(stop)])
+        pixels = np.arange(start, stop) // channels
+        ends = slice(int(matrix.indptr[start]), int(matrix.indptr[stop]))
+        direct[ends] = _direct_of_block(part, found, camera, pixels, width)
+    return direct
+
+
+def _direct_of_block(
+    matrix: csr_array,
+    found: DirectSpots,
+    camera: NDArray[np.float64],
+    pixels: NDArray[np.int64],
+    width: int,
+) -> NDArray[np.float64]:
+    """The direct part of each entry of some rows, which belong to these camera pixels."""
+    owner, projector = entries_of(matrix, width)
+    own = pixels[owner]
+    light = matrix.data.astype(np.float64)
+    radius = _scaled(_FOOTPRINT, found.deviation)
+    inside, around = np.zeros(len(own), bool), np.zeros(len(own), bool)
+    for number in range(found.direct.shape[1]):
+        offset = projector - found.spots.place[own, number]
+        distance = np.sqrt((offset**2).sum(axis=1))
+        is_direct = found.direct[own, number]
+        inside |= is_direct & (distance <= radius)
+        around |= is_direct & (distance <= radius + _RING_WIDTH)
+    off_line = np.abs(found.geometry.distance(camera[own], projector))
+    inside &= off_line <= _scaled(_BAND, found.deviation)
+    around &= ~inside
+    ring = np.bincount(owner, np.where(around, light, 0), matrix.shape[0])
+    area = np.pi * ((radius + _RING_WIDTH) ** 2 - radius**2)
+    area_of_row = area * np.maximum(found.direct[pixels].sum(axis=1), 1)
+    beneath = _RING_FACTOR * ring / area_of_row
+    return np.where(inside, np.maximum(light - beneath[owner], 0), 0)
+
+
+def _on_line(
+    camera: NDArray[np.float64],
+    place: NDArray[np.float64],
+    geometry: EpipolarGeometry,
+    deviation: float,
+) -> NDArray[np.bool_]:
+    """Which spots lie on the epipolar line and within the parallax of good rows, (P, SPOTS)."""
+    from_line = _scaled(_FROM_LINE, deviation)
+    low, high = geometry.parallax_range
+    beyond = _scaled(_BEYOND_PARALLAX, deviation)
+    fits = np.zeros(place.shape[:2], bool)
+    for number in range(place.shape[1]):
+        distance = np.abs(geometry.distance(camera, place[:, number]))
+        parallax = geometry.parallax(camera, place[:, number])
+        # Comparisons with NaN, where there is no spot, are False.
+        fits[:, number] = distance <= from_line
+        fits[:, number] &= (parallax >= low - beyond) & (parallax <= high + beyond)
+    return fits
+
+
+def _agreement(
+    place: NDArray[np.float64],
+    voters: NDArray[np.bool_],
+    shape: tuple[int, int],
+    motion: NDArray[np.float64],
+    tolerance: float,
+) -> NDArray[np.float64]:
+    """The share of each spot's neighbours with a voting spot where the mean plane puts it."""
+    rows, cols = shape
+    spots = place.shape[1]
+    own = np.where(np.isnan(place), np.inf, place).reshape(rows, cols, spots, 2)
+    votes = np.where(voters[..., None] & ~np.isnan(place), place, -np.inf)
+    votes = votes.reshape(rows, cols, spots, 2)
+    agreeing, neighbours = np.zeros((rows, cols, spots)), np.zeros((rows, cols, 1))
+    reach = range(-_NEIGHBOURS, _NEIGHBOURS + 1)
+    for down, right in ((d, r) for d in reach for r in reach if d or r):
+        here = _shifted(rows, -down), _shifted(cols, -right)
+        there = _shifted(rows, down), _shifted(cols, right)
+        moved = votes[there] - np.array([down, right]) @ motion[:2]
+        agrees = np.zeros(own[here].shape[:3], bool)
+        for number in range(spots):
+            away = own[here] - moved[:, :, number, None]
+            agrees |= (away**2).sum(axis=-1) <= tolerance**2
+        agreeing[here] += agrees
+        neighbours[here] += 1
+    return (agreeing / np.maximum(neighbours, 1)).reshape(-1, spots)
+
+
+def _shifted(size: int, by: int) -> slice:
+    """The part of an axis that still lies inside once it is moved back by so many pixels."""
+    return slice(max(0, by), size - max(0, -by))
+
+
+def _scaled(threshold: tuple[float, float], deviation: float) -> float:
+    """A distance for spots of this standard deviation."""
+    return threshold[0] + threshold[1] * deviation
+
+
+def _no_direct_light(count: int, pixels: int) -> InputError:
+    return InputError(
+        f"{count} of {pixels} camera pixels see a spot of light that their neighbours agree on",
+        hint="it needs direct light: surfaces that the projector lights and the camera sees",
+    )
