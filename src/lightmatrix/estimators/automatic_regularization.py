@@ -23,11 +23,10 @@ _BRIGHTER = 0.01
 
 
 def reached_level(capture: Capture) -> float:
-    """The level that samples reach, at exposure 1, at most that at which the longest frames clip.
+    """The level that samples reach at exposure 1, at most that at which the longest frames clip.
 
-    It is the 0.99 quantile over camera samples of the largest value under any pattern. An estimate
-    scales with its samples only if the regularization does: a dark capture, which reaches half of
-    its clip level, needs half the regularization.
+    It is the 0.99 quantile over camera samples of the largest value under any pattern. Estimates
+    scale with their samples only if the regularization does.
     """
     values, _, weights = _spread(capture)
     largest = np.where(weights > 0, values, 0).max(axis=1, initial=0)
@@ -37,25 +36,14 @@ def reached_level(capture: Capture) -> float:
 
 
 def automatic_regularization(capture: Capture) -> float:
-    """The paper's lambda for the level that samples reach and the noise of a usual camera.
-
-    In units of camera sample at exposure 1; see `default_regularization`.
-    """
+    """The paper's lambda for this level and a usual camera's noise, in samples at exposure 1."""
     noise = USUAL_NOISE * capture.reference_level
     level = max(reached_level(capture), noise)
     return default_regularization(capture.patterns, level, noise)
 
 
 def held_out_path(capture: Capture) -> RegularizationPath:
-    """Regularizations from twice to a quarter of the automatic one, tried on rows of the capture.
-
-    The best one predicts patterns held out best; see `regularization_path`.
-
-    Raises
-    ------
-    InputError
-        If there are too few patterns or rows to set any aside.
-    """
+    """Try regularizations from twice to a quarter of the automatic one on patterns held out."""
     values, clipped, weights = _spread(capture)
     level = np.broadcast_to(np.float32(capture.reference_level), values.shape)
     problem = Problem(

@@ -64,25 +64,24 @@ _ROUNDS = 9
 
 @dataclass(frozen=True)
 class EstimateSize:
-    """How large an estimate is, and the memory and time that this takes.
+    """How large an estimate is, and the memory and time that this takes."""
 
-    `method` is "coherent", "plain" (row by row with the active-set solver) or "other", whose time
-    is not known and whose rows take `row_bytes` each. `camera` is its shape, channels last; there
-    are `count` patterns of so many projector `pixels`, which may be `grey` and not only black and
-    white. `sample_bytes` are those of one kept sample of a frame: 1, 2 or 4; 5 once it is binned.
-    The check of the photographs takes `check_bytes` before the estimate, and one tile takes
-    `tile_bytes`. `windows` are those of the coherent estimate.
-    """
-
+    # "coherent", "plain" (row by row with the active set), or "other", of unknown time.
     method: str
+    # The camera's shape, channels last.
     camera: tuple[int, ...]
+    # Projector pixels of each of the `count` patterns, `grey` or only black and white.
     pixels: int
     count: int
     grey: bool
+    # Bytes of one kept sample of a frame: 1, 2 or 4; 5 once it is binned.
     sample_bytes: int = 1
+    # Bytes of a row by an "other" method.
     row_bytes: int = 0
+    # Memory that the check of the photographs takes before the estimate.
     check_bytes: int = 0
     tile_bytes: int = TILE_BYTES
+    # Windows of the coherent estimate's rounds.
     windows: tuple[tuple[int, int], ...] = ()
 
     @property
@@ -190,10 +189,7 @@ def time_terms(kind: str, rows: int, pixels: int, count: int, grey: bool) -> dic
 
 
 def first_round_cost(rows: int, pixels: int, count: int, grey: bool) -> float:
-    """Time of the first round of a coherent estimate, in units of a later round.
-
-    The first round searches all projector pixels.
-    """
+    """Time of a coherent estimate's first round, over all projector pixels, in later rounds."""
     terms = time_terms("coherent", rows, pixels, count, grey)
     coefficients = COEFFICIENTS["coherent"]["seconds"]
     whole = sum(coefficients[name] * terms[name] for name in coefficients)

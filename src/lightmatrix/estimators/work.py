@@ -140,11 +140,7 @@ def complete(
     step: str = ROWS,
     pool: WorkerPool | None = None,
 ) -> None:
-    """Solve the missing tiles of a step and of the steps before it, by a pool of workers or here.
-
-    Each tile is kept in `finished` as soon as it is solved. Steps that no other step needs any more
-    are thrown away.
-    """
+    """Solve the missing tiles of a step and of those before it; `finished` keeps each at once."""
     parts = 1 if pool is None else pool.parts
     missing = unfinished_spans(work.tiles(step, parts, shrinking=True), finished.spans(step))
     if not missing:

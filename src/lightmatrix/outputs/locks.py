@@ -40,23 +40,10 @@ _OPEN_FLAGS = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLO
 
 @contextmanager
 def locked(target: Path) -> Iterator[bool]:
-    """Hold the lock of an output; a thread that holds it already may take it again.
+    """Hold the lock of an output, not a link; a thread that holds it may take it again.
 
-    Parameters
-    ----------
-    target : Path
-        The output, not a link; its folder exists.
-
-    Yields
-    ------
-    bool
-        Whether the lock is new and works, so that what lies half-written beside the output
-        belongs to no living process.
-
-    Raises
-    ------
-    OutputError
-        If another process or thread holds it (saying which), or the lock cannot be made.
+    Yields whether the lock is new and works, so that what lies half-written beside the output
+    belongs to no living process. An OutputError says who else holds it.
     """
     lock = _lock(target)
     with as_output_error(target):

@@ -32,33 +32,19 @@ _MOST_DIGESTS = 1 << 17
 
 @dataclass(frozen=True)
 class FolderKind:
-    """A kind of output that is a folder.
+    """A kind of output that is a folder."""
 
-    Parameters
-    ----------
-    name : str
-        In words, such as "capture"; stands in the marker.
-    suffixes : tuple of str
-        Permitted endings, in lower case; empty permits any.
-    marker : tuple of str
-        The JSON file that holds the marker, then the keys that lead to it inside.
-    running : str
-        Ending of the folder beside the output that holds its running results; empty if none.
-    """
-
+    # In words, such as "capture"; stands in the marker.
     name: str
+    # Permitted endings, in lower case; empty permits any.
     suffixes: tuple[str, ...] = ()
+    # The JSON file that holds the marker, then the keys that lead to it inside.
     marker: tuple[str, ...] = (MARKER,)
+    # Ending of the folder beside the output for its running results; empty if none.
     running: str = ""
 
     def check_replaceable(self, shown: Path, target: Path) -> bool:
-        """Whether a folder may be replaced: True, or False if it is just empty.
-
-        Raises
-        ------
-        OutputError
-            If lightmatrix did not write all of it, or wrote another kind of output.
-        """
+        """Whether a folder of ours may be replaced; False if it is just empty."""
         if not target.is_dir():
             raise OutputError(
                 f"{shown}: is a file, the output is a folder ({self.name})", hint=ANOTHER_NAME
@@ -131,10 +117,7 @@ class FolderKind:
         return hashlib.sha256(json.dumps(copy, sort_keys=True).encode()).hexdigest()
 
     def _read(self, folder: Path) -> tuple[str, dict[str, Any], dict[str, Any]] | None:
-        """The kind, the files and their digests by a folder's marker; None if it has none of ours.
-
-        The marker of an older version has no digests.
-        """
+        """Kind, files and digests (none if older) by a folder's marker; None without our marker."""
         content = read_object(folder / self.marker[0])
         for key in self.marker[1:]:
             content = content.get(key) if isinstance(content, dict) else None
@@ -148,20 +131,11 @@ class FolderKind:
 
 @dataclass(frozen=True)
 class FileKind:
-    """A kind of output that is one file.
-
-    Parameters
-    ----------
-    name : str
-        In words, such as "rendered matrix".
-    suffixes : tuple of str
-        Permitted endings, in lower case; empty permits any.
-    recognize : callable
-        Whether a file is of this kind by its content. An exception counts as no.
-    """
+    """A kind of output that is one file."""
 
     name: str
     suffixes: tuple[str, ...]
+    # Whether a file is of this kind by its content. An exception counts as no.
     recognize: Callable[[Path], bool]
     running: str = ""
 
@@ -190,10 +164,7 @@ OutputKind = FolderKind | FileKind
 
 
 def holds_member(file: Path, name: str) -> bool:
-    """Whether an npz file has an array of that name.
-
-    We write that array first, so that a file that was cut off is still recognized.
-    """
+    """Whether an npz has an array of that name, which we write first: files may be cut off."""
     member = f"{name}.npy".encode()
     with file.open("rb") as opened:
         start = opened.read(30 + len(member))
@@ -205,10 +176,7 @@ def holds_member(file: Path, name: str) -> bool:
 
 
 def sizes_below(folder: Path) -> Iterator[tuple[str, int]]:
-    """Path and size of everything in a folder that is no folder; links are not followed.
-
-    The size of a link, a pipe or a device is -1.
-    """
+    """Path and size of all but folders in a folder; -1 for links, pipes and devices."""
     for place, folders, files in os.walk(folder, onerror=_raise):
         folders.sort()
         inner = Path(place)

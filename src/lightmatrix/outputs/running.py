@@ -31,10 +31,7 @@ _DIGEST = re.compile(r"[0-9a-f]{16,}")
 
 
 class RunningResults:
-    """Files that are kept while an output is made; opened by `open` or `resume`.
-
-    The caller holds the lock of the output (`lightmatrix.outputs.writing.claimed`).
-    """
+    """Files kept while an output is made, whose lock (`claimed`) the caller holds."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -79,24 +76,10 @@ class RunningResults:
     ) -> Self:
         """Continue results that were kept under the same settings, or begin anew.
 
-        Parameters
-        ----------
-        target, ending
-            See `open`.
-        settings : mapping
-            Everything that the results depend on, as JSON gives it back.
-        file, key : str
-            The JSON file that keeps the settings, and their key in it; "" where they are all of it.
-            It is missing when the results begin anew, and the caller keeps it before any other.
-        contents : str
-            What messages call the results, such as "frames of another capture".
-        overwrite : bool
-            Whether results of other settings may be thrown away.
-
-        Raises
-        ------
-        OutputError
-            If there are results of other settings, the folder is not ours, or the disk fails.
+        `settings` are all that the results depend on, as JSON. The JSON `file` keeps them under
+        `key` ("": they are all of it). It is missing when results begin anew, and the caller keeps
+        it before any other. Messages call the results `contents`. An OutputError refuses results of
+        other settings, unless `overwrite` throws them away.
         """
         running = cls.open(target, ending)
         before: Any = running.read_object(file)
@@ -141,13 +124,7 @@ class RunningResults:
 
     @contextmanager
     def keep(self, name: str) -> Iterator[Path]:
-        """Write a file at a temporary path with the same ending, kept as `name` on success.
-
-        Raises
-        ------
-        OutputError
-            If the disk fails, or a file that we did not write has that name.
-        """
+        """Write a file at a temporary path with the same ending, kept as `name` on success."""
         with write_whole(self.place(name)) as part:
             yield part
 
@@ -200,14 +177,8 @@ class RunningResults:
 def write_whole(file: Path) -> Iterator[Path]:
     """Write a file of running results at a temporary path, which is renamed on success.
 
-    The path has the same ending, and is this writer's alone: two processes may write the same
-    file, if one of them seemed dead. Only the process that holds the folder may list names
-    (`RunningResults.place`); this may be called in any.
-
-    Raises
-    ------
-    OutputError
-        If the disk fails.
+    The path is this writer's alone: two processes may write the same file, if one seemed dead. Any
+    process may call this, but only the one that holds the folder may list names (`place`).
     """
     part = file.with_name(f".{file.stem}.{secrets.token_hex(4)}.part{file.suffix}")
     with as_output_error(file):
@@ -221,13 +192,7 @@ def write_whole(file: Path) -> Iterator[Path]:
 
 
 def check_running(target: Path, ending: str) -> Path:
-    """The folder of an output's running results, if it is ours or missing; makes nothing.
-
-    Raises
-    ------
-    OutputError
-        If something else has its name.
-    """
+    """The folder of an output's running results, not made; an OutputError if it is not ours."""
     folder = target.with_name(target.name + ending)
     with as_output_error(folder):
         if not os.path.lexists(folder) or _is_ours(folder):

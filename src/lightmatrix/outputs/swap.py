@@ -16,10 +16,7 @@ _UNSUPPORTED = {errno.ENOSYS, errno.EINVAL, errno.ENOTSUP, errno.EOPNOTSUPP}
 
 
 def put_in_place(new: Path, target: Path, aside: Path) -> None:
-    """Let a whole folder take the place of a folder, or of nothing.
-
-    The old folder ends at `new` where the two can change places in one step, else at `aside`.
-    """
+    """Let a whole folder replace `target`, which ends at `new` if they can swap, else `aside`."""
     if not os.path.lexists(target):
         os.rename(new, target)
     elif not any(target.iterdir()):

@@ -23,18 +23,10 @@ ANOTHER_NAME = "choose another name for the output"
 
 
 def final_target(path: str | Path) -> Path:
-    """Follow the links of an output to their end, without making anything.
+    """Follow an output's links to the absolute path that would be written, without making it.
 
-    Returns
-    -------
-    Path
-        The absolute path that would be written, itself no link; nothing need exist there.
-
-    Raises
-    ------
-    OutputError
-        If a link leads nowhere, or there is a device, pipe, socket, mount point, the root, the home
-        folder, the current folder, or a folder that holds one of these.
+    An OutputError says if a link leads nowhere, or there is a device, pipe, socket, mount point, or
+    a folder that holds the home or current folder.
     """
     output = Path(path)
     with as_output_error(output):

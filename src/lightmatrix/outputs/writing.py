@@ -29,27 +29,11 @@ _OLD = "old"
 
 
 def check_output(path: str | Path, kind: OutputKind, *, overwrite: bool = False) -> Path:
-    """Check that an output may be written, without making anything.
+    """Check that an output may be written, make nothing, and return where its links lead.
 
-    Parameters
-    ----------
-    path : str or Path
-        The output, a file or a folder. Its parent folders need not exist.
-    kind : FolderKind or FileKind
-        What it is to be.
-    overwrite : bool
-        Whether an existing output of this kind may be replaced. An empty folder always may.
-
-    Returns
-    -------
-    Path
-        Where it would be written: links are followed to their end.
-
-    Raises
-    ------
-    OutputError
-        If its name ends otherwise, what exists there may not be replaced, another process is
-        writing it, or its folder cannot be written to.
+    An empty folder may always be replaced, other outputs of this kind with `overwrite`. An
+    OutputError refuses a wrong ending, anything else there, a locked output, and a folder without
+    write access.
     """
     output = Path(path)
     if kind.suffixes and output.suffix.lower() not in kind.suffixes:
@@ -75,8 +59,7 @@ def check_output(path: str | Path, kind: OutputKind, *, overwrite: bool = False)
 def claimed(path: str | Path, kind: OutputKind, *, overwrite: bool = False) -> Iterator[Path]:
     """Hold an output for this thread: checked, its parent folders made, locked.
 
-    What killed runs left of it is put back or removed. Parent folders that were made are removed
-    again if they are empty in the end. Parameters, errors and the path are those of `check_output`.
+    What killed runs left of it is put back or removed, and new parent folders that stay empty too.
     """
     target = check_output(path, kind, overwrite=overwrite)
     made: list[Path] = []
@@ -98,13 +81,7 @@ def claimed(path: str | Path, kind: OutputKind, *, overwrite: bool = False) -> I
 
 @contextmanager
 def atomic_file(path: str | Path, kind: OutputKind, *, overwrite: bool = False) -> Iterator[Path]:
-    """Write a file at a temporary path with the same ending, which becomes `path` on success.
-
-    Raises
-    ------
-    OutputError
-        As `check_output`, or on any failure of the disk.
-    """
+    """Write a file at a temporary path with the same ending, which becomes `path` on success."""
     with claimed(path, kind, overwrite=overwrite) as target, _temporary(path, target) as place:
         # In lower case, for writers that choose the format by it or append their own.
         part = place / f"new{Path(path).suffix.lower()}"
@@ -117,15 +94,7 @@ def atomic_file(path: str | Path, kind: OutputKind, *, overwrite: bool = False) 
 
 @contextmanager
 def atomic_folder(path: str | Path, kind: FolderKind, *, overwrite: bool = False) -> Iterator[Path]:
-    """Fill a temporary folder, which is marked as ours and becomes `path` on success.
-
-    A folder that is replaced stays in place until the new one is whole.
-
-    Raises
-    ------
-    OutputError
-        As `check_output`, or on any failure of the disk.
-    """
+    """Fill and mark a temporary folder, which replaces the folder at `path` once it is whole."""
     with claimed(path, kind, overwrite=overwrite) as target, _temporary(path, target) as place:
         part = place / "new"
         part.mkdir()

@@ -122,21 +122,18 @@ def shrink(q: NDArray[Any], penalty_x: float, problem: Problem, system: System) 
 
 
 def relative(difference: NDArray[Any], floor: float, *sizes: NDArray[Any]) -> NDArray[Any]:
-    """Row norms of a difference, divided by the largest row norm of `sizes`.
-
-    The divisor is at least `floor`, so that rows without light can stop.
-    """
+    """Row norms of a difference over the largest of `sizes`, at least `floor` to stop dark rows."""
     scale = np.max([np.linalg.norm(size, axis=1) for size in sizes], axis=0)
     return np.linalg.norm(difference, axis=1) / np.maximum(scale, floor)
 
 
 def automatic_penalty_x(problem: Problem) -> float:
-    """The penalty mu with lambda mu = a sixth of sqrt(r c).
+    """The penalty mu with lambda mu = sqrt(r c) / 6, by mean squared lengths of rows and columns.
 
-    r and c are the mean squared lengths of the rows and of the columns of the centred patterns; for
-    0/1 patterns of density 0.5, lambda mu = sqrt(K N) / 24. The sixth was chosen on rendered scenes
-    with K from 64 to 1,024 and lambda from 0.08 to 0.32. With half of it, dense rows converge
-    slowly; with twice of it, rows with large entries do, which grow by at most 1 / mu a step.
+    For 0/1 patterns of density 0.5, lambda mu = sqrt(K N) / 24. The sixth was chosen on rendered
+    scenes with K from 64 to 1,024 and lambda from 0.08 to 0.32. With half of it, dense rows
+    converge slowly; with twice of it, rows with large entries do, which grow by at most 1 / mu a
+    step.
     """
     patterns = problem.patterns
     total = float(centred_energy(patterns, problem.column).sum())

@@ -22,13 +22,10 @@ def default_regularization(
 ) -> float:
     """The paper's lambda in units of camera sample, from what is known of patterns and sensor.
 
-    It is the larger of `TAIL_SHARE` times the clip level and `NOISE_SHARE` times the universal
-    threshold sigma * |column| * sqrt(2 ln N) (Donoho & Johnstone 1994; for l1 minimisation Chen,
-    Donoho & Saunders 1998), which noise of standard deviation sigma makes the correlation of some
-    dark pixel reach. |column| is the length of a centred column, sqrt(K) / 2 for fair coins.
-
-    `clip_level` is in the units of the samples, > 0; where samples stay below it, the level that
-    they reach. `noise` is the standard deviation of a sample, >= 0; None means 0.003 clip levels.
+    It is the larger of `TAIL_SHARE` times `clip_level` (or the level that samples reach, if lower)
+    and `NOISE_SHARE` times the universal threshold sigma |column| sqrt(2 ln N) (Donoho & Johnstone
+    1994; for l1, Chen, Donoho & Saunders 1998), which `noise` sigma makes the correlation of some
+    dark pixel reach. |column| is the length of a centred column. None means 0.003 clip levels.
     """
     if not (np.isfinite(clip_level) and clip_level > 0):
         raise InputError(f"the clip level is {clip_level}", hint="use a positive camera sample")

@@ -56,10 +56,10 @@ def relative_gap(
     """Objective P and relative duality gap (P - D) / max(P, 1e-6 ||y||^2 / 2), each (M,) float64.
 
     The dual of min lambda ||x||_1 + sum w f(A x + b m) is: maximise sum y theta - w g(theta / w),
-    with g the fidelity's `conjugate` (w g = theta^2 / (2 w) for all but one fidelity), subject to
-    A' theta <= lambda (in absolute value if x may be negative), theta >= 0 where one-sided, and
-    m' theta <= 0 (= 0 if b may be negative). The dual point is the weighted residual, made feasible
-    by a shift along m and the best scaling. The gap is NaN where the fidelity is not convex.
+    with g the fidelity's `conjugate`, subject to A' theta <= lambda (in absolute value if x may be
+    negative), theta >= 0 where one-sided, and m' theta <= 0 (= 0 if b may be negative). The dual
+    point is the weighted residual, shifted along m and scaled to be feasible. A fidelity that is
+    not convex has the gap NaN.
     """
     term, observed = Fidelity(fidelity).term, problem.observed.astype(np.float64)
     u = predictions(problem, coefficients, background)

@@ -24,12 +24,11 @@ def soft_threshold(
 def capped_soft_threshold(
     q: NDArray[Any], total: NDArray[Any], threshold: float, scale: float
 ) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Soft threshold under a cap: Eq. 13 with the bound b >= 0.
+    """Minimise threshold sum z + ||q - z||^2 / 2 + (total - c)^2 / 2 over z >= 0 under a cap.
 
-    q and z are (M, N), total and c (M,).
-    Minimises threshold sum z + ||q - z||^2 / 2 + (total - c)^2 / 2 over z >= 0, sum z <= scale c.
-    Where the cap binds, the thresholds of a row rise by tau and c by scale tau. tau is the root of
-    a convex, piecewise linear function; Newton's steps from 0 rise to it without overshoot.
+    The cap is sum z <= scale c (Eq. 13 with the bound b >= 0); q and z are (M, N), total and c
+    (M,). Where it binds, thresholds rise by tau and c by scale tau. tau is the root of a convex,
+    piecewise linear function, to which Newton's steps from 0 rise without overshoot.
     """
     z, c = soft_threshold(q, threshold, nonnegative=True), total.copy()
     over = np.flatnonzero(z.sum(axis=1) > scale * total)

@@ -21,24 +21,14 @@ _TIE = 1.01
 
 @dataclass(frozen=True)
 class RegularizationPath:
-    """Prediction errors of several regularizations on patterns that were held out.
-
-    Parameters
-    ----------
-    values : (V,) float64
-        Regularization, decreasing.
-    errors : (V,) float64
-        Root mean square error of the predicted samples, in units of camera sample. A clipped sample
-        counts only where the prediction lies below it.
-    held_out : (H,) int64
-        The patterns that were held out.
-    best : float
-        The largest value whose error is within 1 % of the least one: larger values are faster.
-    """
+    """Prediction errors of several regularizations on patterns that were held out."""
 
     values: NDArray[np.float64]
+    # RMS error of the predictions, in camera samples. A clipped sample counts only where the
+    # prediction lies below it.
     errors: NDArray[np.float64]
     held_out: NDArray[np.int64]
+    # The largest value whose error is within 1 % of the least one: larger values are faster.
     best: float
 
 
@@ -51,14 +41,9 @@ def regularization_path(
     solver: ActiveSet | None = None,
     seed: int = 0,
 ) -> RegularizationPath:
-    """Choose the regularization by hold-out.
+    """Choose among `factors` times the problem's regularization by a `share` of held-out patterns.
 
-    Rows are estimated without some of the patterns at several values, each started from the
-    solution at the one before. The samples under the held-out patterns then decide.
-
-    The values are `factors` (> 0) times the problem's regularization. `share` (0 to 1) of the
-    patterns, chosen by `seed`, is held out. `rows` rows are used, evenly spread. The default solver
-    is one-sided with a gap of 1e-3.
+    The `rows`, evenly spread, are estimated at each value from the solution at the one before.
     """
     if not factors or min(factors) <= 0 or not np.isfinite(factors).all():
         raise InputError(

@@ -55,11 +55,7 @@ class System:
 
     @cached_property
     def _inverse(self) -> NDArray[np.float64]:
-        """(A A' + ridge I)^-1, or (A' A + ridge I)^-1 where that is smaller, in double precision.
-
-        With an explicit inverse each solve is one matrix product. Its error is far below that of
-        the products in single precision.
-        """
+        """(A A' + ridge I)^-1, or that of A' A if smaller, so that each solve is one product."""
         column = self.column
         rows = np.ones(self.patterns.count) if self.row_scale is None else self.row_scale
         if self._wide:

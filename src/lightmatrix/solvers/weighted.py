@@ -23,10 +23,9 @@ from lightmatrix.transport.sparse_rows import SparseRows
 
 @dataclass(frozen=True)
 class Candidates:
-    """The pixels that each of M rows may use, and their penalties: the parts of a CSR matrix.
+    """The ascending pixels that each of M rows may use: the parts of a CSR matrix of penalties.
 
-    Pixels (`indices`) ascend within a row. Penalties (`data`) are relative to the problem's
-    regularization, > 0.
+    Penalties are relative to the problem's regularization, > 0.
     """
 
     indptr: NDArray[np.int64]
@@ -36,10 +35,9 @@ class Candidates:
 
 @dataclass(frozen=True)
 class Cells:
-    """Coarse columns that all rows share: the means of the patterns over the cells of a grid.
+    """Columns that all rows share: the patterns' means over C cells, (C, K) or (C, K + E).
 
-    `means` are (C, K) in [0, 1], or (C, K + E) with the E unseen patterns of pseudo-samples.
-    `penalties` (C,) are relative to the problem's regularization, > 0.
+    Penalties (C,) are relative to the problem's regularization, > 0. E counts unseen patterns.
     """
 
     means: NDArray[np.float32]
@@ -56,8 +54,8 @@ class Cells:
 class PseudoSamples:
     """Expected samples of M rows, which count as additional samples of little weight.
 
-    `unseen` are E patterns that were not shown. `values` and `weights`, (M, K + E), are under the K
-    patterns shown, whose own samples may clip, then under the unseen ones. A weight of 0 omits one.
+    `values` and `weights`, (M, K + E), are under the K patterns shown and the E unseen ones. A
+    weight of 0 omits a sample.
     """
 
     unseen: PatternSet

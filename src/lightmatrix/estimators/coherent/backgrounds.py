@@ -38,10 +38,7 @@ WALL = 1 / 8
 
 @dataclass(frozen=True)
 class Backgrounds:
-    """Coarse cells of projector pixels, their means under all patterns, and halos on them.
-
-    There are B cells, at most one a pixel, K patterns shown and E unseen ones.
-    """
+    """B coarse cells of projector pixels, their means under all patterns, and halos on them."""
 
     grid: tuple[int, int]
     shown: PatternSet
@@ -63,10 +60,7 @@ class Backgrounds:
         return np.clip(under, 0, 1, out=under)
 
     def cells(self, cost: float, *, unseen: bool) -> Cells:
-        """The cells as columns, with the unseen patterns or without.
-
-        `cost` is the clip level over the regularization, which penalties are relative to.
-        """
+        """The cells as columns; `cost` is the clip level over the regularization."""
         if self.grid == (1, 1):
             return Cells.none(self.shown, self.unseen if unseen else None)
         penalties = CELL_PENALTY * cost / np.sqrt(self._sizes)

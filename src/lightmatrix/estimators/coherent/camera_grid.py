@@ -96,11 +96,7 @@ class CameraGrid:
 
 
 def mean_around(image: NDArray[Any], known: NDArray[np.bool_], side: int) -> NDArray[np.float64]:
-    """Means of the known values in a square around each camera pixel, (rows, cols, channels).
-
-    The square has `side` pixels per side. Each channel has its own mean, which is NaN where no
-    value is known.
-    """
+    """Means of the known values in squares around pixels, (rows, cols, channels), or NaN."""
     window = (side, side, 1)
     sums = uniform_filter(np.where(known, image, 0).astype(np.float64), window, mode="nearest")
     shares = uniform_filter(known.astype(np.float64), window, mode="nearest")

@@ -39,11 +39,10 @@ def sampled_rows(start: int, stop: int, count: int) -> NDArray[np.int64]:
 def holds_everywhere(
     solver: RowSolver, weighted: WeightedRows, solved: Result, rows: NDArray[np.int64]
 ) -> NDArray[np.bool_]:
-    """Whether no atom would enter a row, at the penalty of atoms that no neighbour holds, (n,).
+    """Whether no other atom, at the penalty 2 lambda, would enter each of the n `rows`, (n,).
 
-    This is the optimality condition of each row's weighted problem with the penalty 2 lambda on
-    every atom that is no candidate: the correlation of an atom with the row's residual does not
-    exceed it. `rows` are the n rows, of those of the problem, that are checked.
+    This is the optimality condition of a row's weighted problem: the correlation of an atom with
+    the row's residual does not exceed its penalty.
     """
     limit = 2 * weighted.problem.regularization * (1 + SLACK)
     shown, unseen = _residuals(solver, weighted, solved, rows)
@@ -66,10 +65,7 @@ def holds_everywhere(
 def _suspects(
     parts: list[tuple[_core.PreparedPatterns, NDArray[np.float64]]], limit: float
 ) -> Iterator[NDArray[np.int64]]:
-    """For each row the atoms whose correlation, summed over the parts, may exceed the limit.
-
-    The scores are 16-bit integers; their bounds say how far they may be off.
-    """
+    """For each row the atoms whose correlation may exceed the limit: 16-bit scores have errors."""
     scored = []
     for prepared, e in parts:
         scores, bounds = prepared.scores(np.ascontiguousarray(e))

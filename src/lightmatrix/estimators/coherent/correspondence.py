@@ -20,42 +20,30 @@ from lightmatrix.estimators.coherent.camera_grid import mean_around
 
 @dataclass(frozen=True)
 class JacobianConstants:
-    """How the Jacobian is measured.
+    """How the Jacobian is measured; all values are chosen by hand.
 
-    All values are chosen by hand. Together they find it to a fiftieth of a pixel
-    (`tests/estimators/test_correspondence.py`).
-
-    Parameters
-    ----------
-    fastest : int
-        The longest displacement between neighbours that is counted, in projector pixels.
-    farthest : int
-        The largest distance in camera pixels over which displacements are counted for the whole
-        frame. It starts at 1 and doubles: the longer, the finer the mean Jacobian.
-    long : int
-        A displacement in projector pixels that is long enough; the distance grows no further.
-    nearby : float
-        The peak at a distance lies this close to the one predicted from half the distance, in
-        projector pixels per camera pixel.
-    step : int
-        Camera pixels to both sides between which the local Jacobian is measured.
-    window : int
-        Side of the square of camera pixels whose median is the local Jacobian.
-    unlike : float
-        A local displacement is an outlier if it differs from that of the whole frame by more than
-        this many times its length: a row is wrong, or a depth edge lies between.
-    finer_window, alike : int, float
-        Medians of displacements of whole pixels are coarse. The final value is the mean, over a
-        square of this side, of the displacements within this distance of the median.
+    Together they find it to a fiftieth of a pixel (`tests/estimators/test_correspondence.py`).
     """
 
+    # The longest displacement between neighbours that is counted, in projector pixels.
     fastest: int = 12
+    # The largest distance in camera pixels over which displacements are counted for the whole
+    # frame. It starts at 1 and doubles: the longer, the finer the mean Jacobian.
     farthest: int = 16
+    # A displacement in projector pixels that is long enough; the distance grows no further.
     long: int = 8
+    # The peak at a distance lies this close to the one predicted from half the distance, in
+    # projector pixels per camera pixel.
     nearby: float = 0.75
+    # Camera pixels to both sides between which the local Jacobian is measured.
     step: int = 2
+    # Side of the square of camera pixels whose median is the local Jacobian.
     window: int = 9
+    # A local displacement is an outlier if it differs from that of the whole frame by more than
+    # this many times its length: a row is wrong, or a depth edge lies between.
     unlike: float = 2.0
+    # Medians of displacements of whole pixels are coarse. The final value is the mean, over a
+    # square of this side, of the displacements within the distance `alike` of the median.
     finer_window: int = 15
     alike: float = 0.5
 
@@ -66,11 +54,10 @@ JACOBIAN = JacobianConstants()
 def measure_jacobian(
     rows: csr_array, camera: tuple[int, int, int], projector: tuple[int, int], spacing: int = 1
 ) -> NDArray[np.float32]:
-    """Projector rows and columns that footprints move per camera row and per camera column.
+    """How footprints move per camera row and column, (M, 4), in projector rows and columns.
 
-    `rows` are coefficients of atoms, S planes of N projector pixels, (M, S N). They lie `spacing`
-    camera pixels apart, so that footprints may move this many times as far. The result is (M, 4):
-    rows by rows, rows by columns, columns by rows, columns by columns.
+    `rows` are coefficients of atoms, S planes of N pixels, (M, S N), `spacing` camera pixels apart.
+    The result is rows by rows, rows by columns, columns by rows, columns by columns.
     """
     pixel = strongest_entries(rows) % (projector[0] * projector[1])
     places = [place.reshape(camera) for place in np.divmod(pixel, projector[1])]

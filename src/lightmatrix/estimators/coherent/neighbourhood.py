@@ -38,33 +38,22 @@ class PseudoSampleConstants:
 
     Errors are flat around these values: 32 or 128 unseen patterns, or a common error of 0.01 or
     0.04, change them by about a tenth (docs/few-patterns.md).
-
-    Parameters
-    ----------
-    unseen : int
-        Random patterns, never shown, under which rows are predicted.
-    seed : int
-        Their seed. No user has it, so that none of them is shown by chance.
-    deviation : float
-        Standard deviation of a real sample, relative to the clip level. A pseudo-sample of standard
-        deviation d has the weight 1 / (1 + (d / deviation)^2).
-    common_error : float
-        The least standard deviation of a pseudo-sample, relative to its value: neighbours err
-        alike.
-    enough : int
-        Known samples of a row from which on pseudo-samples weigh less, by the square of their
-        number: what a row says of itself grows with its samples, but the errors that neighbours
-        share do not average out. In proportion from 16 on, `gripper` at blur 2 and 32 patterns
-        errs by .046 in place of .042.
-    least_weight : float
-        Pseudo-samples of less weight are left out. Chosen by hand.
     """
 
+    # Random patterns, never shown, under which rows are predicted.
     unseen: int = 64
+    # Their seed. No user has it, so that none of them is shown by chance.
     seed: int = 0x5EED_0F_64
+    # Standard deviation of a real sample, relative to the clip level. A pseudo-sample of standard
+    # deviation d has the weight 1 / (1 + (d / deviation)^2).
     deviation: float = 0.0033
+    # The least standard deviation of a pseudo-sample, relative to its value: neighbours err alike.
     common_error: float = 0.02
+    # From this number of known samples of a row on, pseudo-samples weigh less, by its square: a
+    # row's own information grows, but errors that neighbours share do not average out. In
+    # proportion from 16 on, `gripper` at blur 2 and 32 patterns errs by .046 in place of .042.
     enough: int = 32
+    # Pseudo-samples of less weight are left out. Chosen by hand.
     least_weight: float = 1e-4
 
 
@@ -73,37 +62,29 @@ class LikelyAtomConstants:
     """How neighbours make atoms likely.
 
     `python -m benchmarks.ablation` measures what the rules are worth (docs/few-patterns.md).
-
-    Parameters
-    ----------
-    within_at_first, within : float
-        A spot makes the single pixels within it likely by this share of its own likelihood, in the
-        first round and later. It is small at first, as single pixels explain everything, noise as
-        well; later rounds doubt single pixels by the light that they hold.
-    wider_pixel, wider_spot : float
-        A single pixel, or a spot, makes the next wider spot in its place likely by this factor:
-        several narrow spots are often one wider spot, which is cheaper.
-    pixels_believed, pixels_power, pixels_least : float
-        Single pixels count fully where they hold at least the first share of the light around.
-        Where they hold less, they count by this power of the proportion, at least the last value.
-        After the first round they hold a twentieth of the light where footprints are wide, from
-        which they must not grow, and a fifth or more where footprints are narrow.
-    pixels_around : int
-        Side in camera pixels of the square that counts as around.
-    spread : float
-        Neighbours must hold 1 + spread q^2 times as much of an atom, where the background holds the
-        share q of a row's light. Measured: rows of mostly global light err by 6 % less, others
-        hardly change.
     """
 
+    # A spot makes the single pixels within it likely by this share of its own likelihood, in the
+    # first round and later. It is small at first, as single pixels explain everything, noise as
+    # well; later rounds doubt single pixels by the light that they hold.
     within_at_first: float = 0.04
     within: float = 0.5
+    # A single pixel, or a spot, makes the next wider spot in its place likely by this factor:
+    # several narrow spots are often one wider spot, which is cheaper.
     wider_pixel: float = 0.25
     wider_spot: float = 2.0
+    # Single pixels count fully where they hold at least this share of the light around. Where they
+    # hold less, they count by `pixels_power` of the proportion, at least `pixels_least`. After the
+    # first round they hold a twentieth of the light where footprints are wide, from which they must
+    # not grow, and a fifth or more where footprints are narrow.
     pixels_believed: float = 0.25
     pixels_power: int = 6
     pixels_least: float = 0.001
+    # Side in camera pixels of the square that counts as around.
     pixels_around: int = 9
+    # Neighbours must hold 1 + spread q^2 times as much of an atom, where the background holds the
+    # share q of a row's light. Rows of mostly global light then err by 6 % less, others hardly
+    # change.
     spread: float = 6.0
 
 
@@ -118,10 +99,9 @@ def unseen_patterns(shape: tuple[int, int]) -> PatternSet:
 
 @dataclass(frozen=True)
 class Neighbourhood:
-    """All M rows after a round, on atoms and one background coefficient, and their Jacobian.
+    """All M rows after a round, on atoms and one background, and their Jacobian (M, 4).
 
-    They are every `spacing`-th pixel of the camera along both axes; `camera` has their rows,
-    columns and channels. The Jacobian, (M, 4), is measured unless it is known.
+    The rows are every `spacing`-th pixel of the `camera` (rows, columns, channels) along both axes.
     """
 
     rows: SparseRows
@@ -145,11 +125,11 @@ class Neighbourhood:
         rows: NDArray[np.int64],
         background: NDArray[np.float32],
     ) -> PseudoSamples:
-        """Pseudo-samples of some rows, in place of clipped samples and under unseen patterns.
+        """Pseudo-samples of m ascending rows in place of clipped samples and under unseen patterns.
 
-        `samples` are those of the `rows`, (m, K), in ascending order; the `clipped` ones are lower
-        bounds. Deviations are relative to `level`. `background` has the backgrounds of the rows
-        `around` the first to the last, under the K shown and E unseen patterns, (n, K + E).
+        `samples` are (m, K), `clipped` ones lower bounds; deviations are relative to `level`.
+        `background` has those of the rows `around`, under K shown and E unseen patterns, (n, K +
+        E).
         """
         values, variances = _core.expected_samples(
             self.atoms.prepared,
@@ -221,12 +201,11 @@ class Neighbourhood:
         *,
         first: bool = False,
     ) -> Candidates:
-        """The likeliest atoms of some rows, with penalties by the light of their neighbours.
+        """The likeliest atoms of some ascending rows, with penalties by the light of neighbours.
 
-        `reach` has the half widths of the windows, in camera and projector pixels. At most `most`
-        atoms are kept of each row. `trust` says how little light among the neighbours makes an atom
-        likely, for 32 known samples; `known` are those of each of the `rows`, which ascend. Single
-        pixels count fully in the `first` candidates.
+        `reach` has half widths of the windows in camera and projector pixels, `most` limits a row's
+        atoms, and `trust` is how little light among neighbours makes an atom likely for 32 `known`
+        samples.
         """
         constants = LIKELY_ATOMS
         wider = np.full(self.atoms.planes, constants.wider_spot, np.float32)
@@ -253,9 +232,9 @@ class Neighbourhood:
     ) -> NDArray[np.float64]:
         """How far rows can do without neighbours, (m,); 1 with `enough` known samples.
 
-        Less with fewer samples for each pixel that a row may see: where footprints move by some
-        pixels from one camera pixel to the next, they are about as large. More where most of the
-        light is in the background, where faint light of single pixels probably belongs too.
+        It is less with fewer samples for each pixel that a row may see: about as many pixels as
+        footprints move by from one camera pixel to the next. It is more where most light is in the
+        background, where faint light of single pixels probably belongs too.
         """
         step = self.jacobian[rows].astype(np.float64) / self.spacing
         size = np.maximum(np.hypot(step[:, 0], step[:, 2]), np.hypot(step[:, 1], step[:, 3]))

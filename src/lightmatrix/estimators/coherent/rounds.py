@@ -164,10 +164,7 @@ class Rounds:
         return replaced(rows, again.rows(lit), unexplained[lit]) if len(lit) else rows
 
     def _hold_out(self, neighbours: Neighbourhood, start: int, stop: int) -> SparseRows:
-        """Misfits of the rows start..stop under the frames held out of the last round.
-
-        They are diagnostics of rows without light.
-        """
+        """Misfits of the rows start..stop under the last round's held-out frames."""
         count = stop - start
         nothing = csr_array((count, self.solver.atoms.pixels), dtype=np.float32)
         diagnostics = {HELD_OUT: self._misfits(neighbours, start, stop)}

@@ -44,10 +44,7 @@ def without(samples: Samples, held: NDArray[np.int64]) -> Samples:
 def squared_misfit(
     samples: Samples, predicted: NDArray[np.float32], held: NDArray[np.int64]
 ) -> NDArray[np.float32]:
-    """Variance of each row's misfit at the frames held out, (M,); NaN where fewer than two count.
-
-    `samples` are all of them, (M, K); `predicted` is (M, H) for the H frames `held`.
-    """
+    """Variance of each row's misfit at the H frames `held`, (M,); NaN where fewer than 2 count."""
     off = samples.values[:, held] - predicted
     weights = samples.weights_of_all()[:, held]
     # A clipped sample that is predicted beyond its bound says nothing about the error.

@@ -56,10 +56,7 @@ class WeightedRows:
 
 @dataclass(frozen=True)
 class RowSolver:
-    """Solves rows of a capture; the parameters are those of `CoherentEstimator`.
-
-    `narrow` keeps the columns of the atoms in half the memory.
-    """
+    """Solves rows with `CoherentEstimator`'s parameters; `narrow` halves the memory of columns."""
 
     capture: Capture
     solver: ActiveSet

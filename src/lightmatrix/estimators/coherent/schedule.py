@@ -14,33 +14,23 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Growth:
-    """How light grows from seeds in large frames. All values are chosen by hand.
+    """How light grows from seeds in large frames. All values are chosen by hand."""
 
-    Parameters
-    ----------
-    large : int
-        A frame is large if camera samples times projector pixels exceed this. 128 x 128 pixels of
-        both, in colour too, stay below.
-    spacings : tuple of tuple of int
-        Spacings of the solved camera pixels, level by level. The first sequence applies for which
-        the camera has enough seeds. A spacing is at most four times the next one, since rows reach
-        only `reach` pixels to both sides and would leave gaps.
-    reach : int
-        The half width in camera pixels that the first window must have.
-    fewest_seeds : int
-        Seeds along the shorter side of the camera that a sequence needs. With fewer, seeds have
-        hardly any neighbours.
-    settling : int
-        Rounds at each finer level after the one in which light grows onto it.
-    search_after : int
-        Rounds at a level after which its unexplained rows search all projector pixels.
-    """
-
+    # A frame is large if camera samples times projector pixels exceed this. 128 x 128 pixels of
+    # both, in colour too, stay below.
     large: int = 1 << 30
+    # Spacings of the solved camera pixels, level by level. The first sequence applies for which the
+    # camera has enough seeds. A spacing is at most four times the next one, since rows reach only
+    # `reach` pixels to both sides and would leave gaps.
     spacings: tuple[tuple[int, ...], ...] = ((16, 4, 1), (8, 4, 1), (4, 1))
+    # The half width in camera pixels that the first window must have.
     reach: int = 2
+    # Seeds along the shorter side of the camera that a sequence needs. With fewer, seeds have
+    # hardly any neighbours.
     fewest_seeds: int = 16
+    # Rounds at each finer level after the one in which light grows onto it.
     settling: int = 4
+    # Rounds at a level after which its unexplained rows search all projector pixels.
     search_after: int = 2
 
 
@@ -52,19 +42,16 @@ PSEUDO_SAMPLES_FROM = 3
 
 @dataclass(frozen=True)
 class Round:
-    """One pass over every `spacing`-th camera pixel along both axes.
-
-    `window` has half widths in camera and in projector pixels; without one each row searches all
-    projector pixels by itself. `age` counts the rounds that the rows, or those that they grow from,
-    have behind them. The rows of the `last` round are the result. Unexplained rows may search all
-    projector pixels afterwards, and rows may stay as they are if nothing changed around them.
-    """
+    """One pass over every `spacing`-th camera pixel along both axes."""
 
     spacing: int
+    # Half widths in camera and projector pixels; None searches all projector pixels by row.
     window: tuple[int, int] | None
+    # Rounds that the rows, or those that they grow from, have behind them.
     age: int
     last: bool = False
     search_unexplained: bool = False
+    # Rows stay as they are if nothing changed around them.
     skip_settled: bool = False
 
     @property

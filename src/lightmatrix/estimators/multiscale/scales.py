@@ -34,12 +34,11 @@ class Scale:
 
 
 def scales(patterns: PatternSet, coarsest: int, regularization: float) -> list[Scale]:
-    """The scales from the coarsest to single pixels.
+    """The scales from blocks of `coarsest` pixels a side, a power of two, to single pixels.
 
-    The blocks of the first scale have `coarsest` pixels a side, a power of two, which is halved as
-    long as the projector has no 4 x 4 of them. `regularization` is that of single pixels. At
-    coarser scales it falls with the root mean square length of the patterns' centred columns, so
-    that it stands at the same height above noise.
+    `coarsest` is halved until the projector has 4 x 4 blocks. The `regularization` of single pixels
+    falls at coarser scales with the root mean square length of the patterns' centred columns, so
+    that it stays at the same height above noise.
     """
     length = column_length(patterns)
     block = coarsest
@@ -59,9 +58,8 @@ def active_blocks(
 ) -> NDArray[np.bool_]:
     """The projector blocks from which a camera block gets its light, and their neighbours.
 
-    `coefficients` are (m, n), of the rows of the camera block on n candidates, whose numbers in the
-    `grid` of projector blocks are `candidates`. A block is active if it has at least this `share`
-    of the highest score, in [0, 1). All candidates are active if no row has any light.
+    `coefficients` are (m, n) on the n `candidates`, numbered in the `grid`. A block is active if
+    its score is at least `share` of the highest; all candidates are if no row has any light.
     """
     size = abs(coefficients)
     total = np.asarray(size.sum(axis=1), np.float64).ravel()

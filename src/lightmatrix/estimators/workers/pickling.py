@@ -14,16 +14,7 @@ from lightmatrix.estimators.work import Work
 
 
 def pack_work(work: Work) -> bytes:
-    """An estimate as bytes.
-
-    Frames in files are named by their absolute paths; frames in memory are included. Cached values
-    (decoded samples, prepared patterns) stay behind: the other process computes its own.
-
-    Raises
-    ------
-    InputError
-        If something in it exists only in this process.
-    """
+    """An estimate as bytes: absolute paths of frames in files, frames in memory, no caches."""
     stream = io.BytesIO()
     try:
         _Pickler(stream, protocol=pickle.HIGHEST_PROTOCOL).dump(work.without_progress())

@@ -50,10 +50,7 @@ SAME_VERSIONS = "install the same version of lightmatrix, NumPy, SciPy and Pytho
 
 @dataclass(eq=False)
 class DaskPool:
-    """Checked workers of Dask that solve tiles and write them; made by `open_workers`.
-
-    They have `cores` threads together, and each is expected to take `memory` bytes.
-    """
+    """Checked Dask workers of `cores` threads together that take `memory` bytes each."""
 
     client: Client
     cores: int
@@ -157,8 +154,8 @@ class DaskPool:
     def _ended(self, running: dict[Any, Span]) -> Iterator[tuple[Any, str]]:
         """Tiles that ended and how ("finished" or "error"), after `_COUNT_INTERVAL` at most.
 
-        Tiles whose worker died are left out: Dask lets another worker solve them, though `wait`
-        counts them as done.
+        `wait` counts tiles whose worker died as done, but Dask lets another worker solve them:
+        skipped.
         """
         from distributed import wait
 

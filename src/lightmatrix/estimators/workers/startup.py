@@ -79,10 +79,7 @@ def open_workers(
 def dask_pool(
     workers: int | None = None, cluster: str | None = None, memory: int = 0
 ) -> Iterator[DaskPool]:
-    """A pool of `workers` new processes, or of the workers of the scheduler at `cluster`.
-
-    `memory` is what each worker will take, in bytes. Errors are those of `open_workers`.
-    """
+    """A pool of new processes or of the workers at `cluster`, which take `memory` bytes each."""
     try:
         import distributed  # noqa: F401
     except ImportError as error:
@@ -144,11 +141,7 @@ def _started(workers: int) -> Iterator[Client]:
 
 @contextmanager
 def _without_script() -> Iterator[None]:
-    """Start workers that do not import the user's script, as spawned processes do.
-
-    They need nothing of it, and a script that estimates with workers at its top level would start
-    more workers.
-    """
+    """Keep workers from importing the user's script, which might start more workers."""
     usual = spawn.get_preparation_data
 
     def prepared(name: str) -> dict[str, Any]:
@@ -167,11 +160,7 @@ def _without_script() -> Iterator[None]:
 
 @contextmanager
 def _without_monitoring(threads: str) -> Iterator[None]:
-    """Start workers without Dask's monitoring and without its malloc setting.
-
-    Two workers spend 7 to 9 % of a core on the monitoring, for a dashboard that nobody sees, and
-    6 % of their time on the malloc setting, which returns memory to the system at once.
-    """
+    """Start workers without Dask's monitoring (7 to 9 % of a core) and malloc setting (6 %)."""
     import dask
 
     blas = dict.fromkeys(_BLAS_THREADS, threads)

@@ -45,13 +45,10 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Job:
-    """An estimate in a folder of running results that all workers share.
-
-    `digest` is the hash of the packed estimate, `token` the fingerprint of the running results,
-    and `capture_hash` that of the capture.
-    """
+    """An estimate in a folder of running results that all workers share."""
 
     folder: str
+    # Hash of the packed estimate; `token` is the fingerprint of the running results.
     digest: str
     token: str
     capture_hash: str
@@ -114,13 +111,7 @@ def capture_hash(capture: Capture) -> str:
 
 
 def check_access(job: Job) -> None:
-    """Check that this worker sees the capture and the output, and may write there.
-
-    Raises
-    ------
-    ClusterError
-        If it does not.
-    """
+    """Check that this worker sees the capture and may write the output, or raise a ClusterError."""
     folder = Path(job.folder)
     if _wait_for(lambda: fingerprint_token(folder)) != job.token:
         raise ClusterError(f"does not see the running results in {folder}", hint=SHARE_OUTPUT)
@@ -143,11 +134,7 @@ def check_access(job: Job) -> None:
 def solve_tile(
     job: Job, step: str, span: Span, before: Mapping[str, list[Span]], threads: int
 ) -> None:
-    """Solve the rows `span` of a step and write them into the running results.
-
-    `before` has the finished tiles of the steps before. The `threads` of this worker start with its
-    first tile. It raises what an estimate in one process raises.
-    """
+    """Solve the rows `span` of a step, given finished tiles `before`, and write them."""
     if job.version != __version__:
         raise ClusterError(
             f"a worker has lightmatrix {__version__}, this is {job.version}",

@@ -42,9 +42,6 @@ class Clipped(DataTerm):
 
 
 def _level(observed: Observed) -> NDArray[Any]:
-    """The prediction from which on a sample counts as clipped.
-
-    A clipped sample is a lower bound of its own value, whatever the nominal clip level.
-    """
+    """The prediction from which a sample counts as clipped: its own value, a lower bound."""
     above = np.maximum(observed.clip_level, observed.values)
     return np.where(observed.clipped, observed.values, above)

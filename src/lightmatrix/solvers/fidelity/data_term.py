@@ -12,26 +12,16 @@ from numpy.typing import DTypeLike, NDArray
 
 @dataclass(frozen=True, eq=False)
 class Observed:
-    """Samples and what a data term needs to know of each.
+    """Samples and what a data term needs of each, (M, K), all of one float type but `clipped`."""
 
-    Parameters
-    ----------
-    values : (M, K) float32 or float64
-        y: linear samples; where clipped, a lower bound.
-    clipped : (M, K) bool
-        Whether the sample is clipped.
-    clip_level : (M, K), dtype of the values
-        Y: the value at which the sample clips.
-    weights : (M, K), dtype of the values
-        w >= 0; 0 masks a sample.
-    edge : (M, K), dtype of the values
-        s > 0: the width of the edge at the clip level (for ``likelihood``).
-    """
-
+    # y: linear samples; where clipped, a lower bound.
     values: NDArray[Any]
     clipped: NDArray[np.bool_]
+    # Y: the value at which the sample clips.
     clip_level: NDArray[Any]
+    # w >= 0; 0 masks a sample.
     weights: NDArray[Any]
+    # s > 0: the width of the edge at the clip level (for `Likelihood`).
     edge: NDArray[Any]
 
     def astype(self, dtype: DTypeLike) -> Observed:
@@ -46,10 +36,9 @@ class Observed:
 
 
 class DataTerm(ABC):
-    """How one sample y is compared with its prediction u: a function f of u and its relatives.
+    """A function f of the prediction u of a sample y, and its relatives, element by element.
 
-    Methods work element by element on arrays u, v or t of the samples' shape. Unless they say so,
-    they leave out the weight w of a sample.
+    Unless methods say so, they leave out the weight w of a sample.
     """
 
     # The name for users and for the compiled core.
@@ -73,23 +62,11 @@ class DataTerm(ABC):
 
     @abstractmethod
     def update(self, v: NDArray[Any], observed: Observed, coupling: float) -> NDArray[Any]:
-        """The u-update: argmin over u of w f(u) + coupling (v - u)^2 / 2, in the dtype of v.
-
-        Parameters
-        ----------
-        v : (M, K)
-            A x + g / nu.
-        observed : Observed
-        coupling : float
-            lambda times nu, > 0.
-        """
+        """The argmin over u of w f(u) + coupling (v - u)^2 / 2, with v = A x + g / nu."""
 
     @abstractmethod
     def conjugate(self, t: NDArray[Any], observed: Observed) -> NDArray[Any]:
-        """Maximum over u of t (y - u) - f(u), infinite where it is unbounded.
-
-        The dual value of a point theta is the sum of y theta - w conjugate(theta / w).
-        """
+        """The conjugate g(t): maximum over u of t (y - u) - f(u), infinite where unbounded."""
 
     def used(self, observed: Observed) -> NDArray[np.bool_]:
         """Which samples the data term uses."""

@@ -17,11 +17,7 @@ _CONVERGED = 1e-12
 
 
 class Likelihood(DataTerm):
-    """f(u) = (y - u)^2 / 2, and -s^2 log Phi((u - y) / s) for clipped samples.
-
-    Phi is the normal distribution function and s the width of the edge. As s goes to 0 this becomes
-    `OneSided`.
-    """
+    """f(u) = (y - u)^2 / 2, or -s^2 log Phi((u - y) / s) if clipped; `OneSided` as s goes to 0."""
 
     name = "likelihood"
     quadratic = False
@@ -68,8 +64,7 @@ def edge_update(
 ) -> NDArray[Any]:
     """argmin_u -w s^2 log Phi((u - y) / s) + coupling (v - u)^2 / 2, element by element.
 
-    The arrays are of clipped samples, (n,); `width` is s > 0; the result has the dtype of v. With
-    z = (u - y) / s, the slope over s is coupling (z - z_v) - w mills(z). It increases and is
+    With z = (u - y) / s, the slope over s is coupling (z - z_v) - w mills(z). It increases and is
     concave in z, since the Mills ratio is convex, so Newton's steps from below the root rise to it
     and never pass it. They start at the root for max(0, -z) <= mills(z), the one-sided solution.
     """
