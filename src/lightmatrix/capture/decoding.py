@@ -39,8 +39,8 @@ class CaptureParts:
 def make_decoder(stack: ImageStack, settings: ReadSettings) -> Decoder:
     """The decoder of a stack, with its black frame and its range of levels.
 
-    The black level, the camera's electronic pedestal, is 0 unless it is stated. It is not taken
-    from the black frame, whose room light must not change the unit of the samples.
+    The black level is 0 unless it is stated. It is not taken from the black frame, whose room light
+    must not change the unit of the samples.
     """
     top = range_end(stack.dtype)
     response = _stated_response(settings.response, stack)
@@ -111,8 +111,8 @@ def _read_black(
 def check_depth(frames: Frames, decoder: Decoder) -> None:
     """Refuse 16-bit files that hold fewer bits if no clip level is stated.
 
-    A camera of 12 bits clips at 4095. With 65535 in its place all samples are below 1/16 and none
-    is clipped: the estimate would be wrong without any sign of it.
+    A camera of 12 bits clips at 4095. With 65535 in its place no sample would count as clipped: the
+    estimate would be wrong without any sign of it.
     """
     if not decoder.clip_assumed or frames.dtype != np.uint16:
         return

@@ -52,11 +52,7 @@ def holds_capture(place: Path) -> bool:
 def read_capture(
     folder: str | Path, *, allow_outside: bool = False, counted: bool = True
 ) -> CaptureParts:
-    """Read a capture folder or a packed capture.
-
-    Files that capture.json names may lie outside the folder only with `allow_outside`. Patterns and
-    frames must be equal in number if `counted`.
-    """
+    """Read a folder or a packed capture, with outside files only if `allow_outside`."""
     place = Path(folder)
     if not place.is_dir():
         problem = "is a file, not a capture folder" if place.exists() else "no such folder"
@@ -101,10 +97,7 @@ def read_folders(
     *,
     counted: bool = True,
 ) -> CaptureParts:
-    """Read two plain folders of images, or stacks; see `Capture.from_folders`.
-
-    Patterns and frames must be equal in number if `counted`.
-    """
+    """Read two folders of images, or stacks, as many of each if `counted`."""
     projected = patterns if isinstance(patterns, PatternSet) else read_patterns(patterns)
     projected = _as_light(projected, settings)
     stack = ImageStack.open(images, mosaic=settings.mosaic)
@@ -133,17 +126,10 @@ def write_capture(
 ) -> None:
     """Write a capture folder, whole or not at all.
 
-    Parameters
-    ----------
-    frames : (K, rows, cols[, channels]) array or iterable of K images or files
-        Raw levels, written as PNG (uint8, uint16) or npy (float32). Files must hold images of
-        `camera_shape`; they are linked, or copied where the file system has no links.
-    black : (rows, cols[, channels]), optional
-        Raw levels under a black pattern at `black_exposure`; the mean of several as float32.
-    response : str
-        See `Response.parse`; `write_extras` writes a curve's file.
-    write_extras : callable, optional
-        Called with the folder before it is whole, to write further files into it.
+    `frames` are K raw images (rows, cols[, channels]) or files of them, which are linked where
+    possible; they become PNG, or npy if float32. `black` is at `black_exposure`; the mean of
+    several is float32. `write_extras` writes further files into the folder, such as the curve that
+    `response` names.
     """
     suffix = ".png" if sensor.bits else ".npy"
     digits = max(4, len(str(patterns.count - 1)))

@@ -77,10 +77,7 @@ def level_blocks(frames: Frames) -> Iterator[NDArray[Any]]:
 
 
 def levels_at(frames: Frames, places: NDArray[np.int64]) -> NDArray[Any]:
-    """Raw levels of the camera samples `places`, (S,), in all frames, (S, K).
-
-    Every frame is read once.
-    """
+    """Raw levels of the camera samples `places`, (S,), in all frames, (S, K), each read once."""
     levels = np.empty((len(places), frames.count), frames.dtype)
     if not isinstance(frames, PixelFrames):
         for k, frame in enumerate(in_order(frames)):

@@ -59,11 +59,10 @@ _KEYS = _SHARED_KEYS | {
 
 @dataclass(frozen=True, eq=False)
 class PackedFrames:
-    """Frames of a packed capture, read a tile of camera pixels at a time.
+    """Frames `index` (K',) of a packed capture, read a tile of camera pixels at a time.
 
-    `array` holds raw levels, (K, rows, cols[, channels]). These are its frames `index`, (K',), and
-    its pixels in `rows` and `cols`. A chunk holds all frames of some camera rows, or of a part
-    of one.
+    `array` has the raw levels, (K, rows, cols[, channels]), of which the pixels in `rows` and
+    `cols` count. A chunk holds all frames of some camera rows, or of a part of one.
     """
 
     array: StoredArray

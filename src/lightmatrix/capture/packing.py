@@ -163,9 +163,8 @@ def write_packed(
 ) -> None:
     """Write a packed capture of K frames strip by strip, whole or not at all.
 
-    `shape` and `dtype` are those of a frame, `mask` has its shape. `write_extras` is called with
-    the folder before it is whole, and writes further files into it. `temporary` is the number of
-    bytes that are needed beside the output meanwhile.
+    `shape` and `dtype` are those of a frame. `write_extras` writes further files into the folder,
+    and `temporary` bytes are needed beside the output meanwhile.
     """
     count, dtype = len(names), np.dtype(dtype)
     rows, cols = _chunk_shape(count, shape, dtype)

@@ -29,10 +29,7 @@ _GROUP_FRAMES, _GROUP_BYTES = 64, 256 << 20
 
 @dataclass(frozen=True, eq=False)
 class Reader:
-    """Linear samples of K frames, of which those in the mask, bool like a frame, count.
-
-    `block` has the rows and columns of the blocks of camera pixels that are averaged.
-    """
+    """Linear samples of K frames within a mask, averaged over blocks of (rows, cols)."""
 
     frames: Frames
     decoder: Decoder
@@ -162,10 +159,9 @@ class Reader:
         return Samples(values, clipped, np.broadcast_to(sample_levels, values.shape))
 
     def _columns(self) -> Iterator[tuple[slice, int, int, NDArray[Any]]]:
-        """Strips of the frames: of one frame after the other, or of all frames if that is faster.
+        """Strips of frames in the faster order: of one frame after the other, or of all frames.
 
-        Each has its rows of the binned samples, its first camera sample, the number of the frame,
-        and its raw levels, (n, 1).
+        Each has its rows of binned samples, first sample, frame number and raw levels (n, 1).
         """
         frames, down = self.frames, self.block[0]
         wide, narrow = (math.prod(shape[1:]) for shape in (frames.shape, self.camera_shape))

@@ -22,11 +22,7 @@ _BRIGHT_QUANTILE = 0.99
 
 
 def read_white_frame(path: str | Path, settings: ReadSettings) -> Samples:
-    """One photograph as samples (M, 1) in units of the clip level, at exposure 1.
-
-    M counts the camera samples that do not clip without light. The response is linear if none is
-    stated.
-    """
+    """The M samples of a photograph that do not clip without light, (M, 1), at exposure 1."""
     file = Path(path)
     if not file.exists() or file.is_dir():
         problem = "is a folder" if file.is_dir() else "no such file"

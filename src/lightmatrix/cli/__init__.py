@@ -48,10 +48,7 @@ def console() -> None:
 
 
 def _open_standard_streams() -> None:
-    """Open the null device for closed standard streams.
-
-    Otherwise the next file that we open would get their number, and Python has None for them.
-    """
+    """Open the null device for closed streams, whose numbers our files would get otherwise."""
     for number, name in enumerate(("stdin", "stdout", "stderr")):
         if getattr(sys, name) is None:
             # It stays open as long as the program runs.

@@ -92,10 +92,7 @@ class _Command(TyperCommand):
 
 
 def help_sections(command: TyperCommand, context: Any) -> dict[str, list[tuple[str, str]]]:
-    """The headings of a command's help, each with its arguments or options and their meanings.
-
-    An option names its heading as `rich_help_panel`.
-    """
+    """The headings of a command's help (`rich_help_panel`), each with names and meanings."""
     sections: dict[str, list[tuple[str, str]]] = {}
     for parameter in command.get_params(context):
         record = parameter.get_help_record(context)

@@ -26,9 +26,7 @@ def claim(output: Path, kind: OutputKind, *, overwrite: bool) -> Path:
 def say_what_is_kept(output: Path, parts: str, *, enough: bool = False) -> None:
     """From now until the command ends, let a failure say what is kept of an output.
 
-    On Ctrl-C the message says that finished `parts` are kept, or that the output is finished. If
-    memory runs out after that, the message says so too. With `enough`, the finished output is all
-    that the command had to do, so that this is no failure.
+    With `enough`, the finished output is all that the command had to do: this is no failure.
     """
     outputs.enter_context(_saying_what_is_kept(output, parts, enough))
 

@@ -283,10 +283,7 @@ def _warn_of_resources(resources: ResourceEstimate, check: bool) -> None:
 
 
 def _findings(capture: Capture, whole: Capture, check: bool) -> list[Finding]:
-    """Refuse a capture that no estimate can come from, and warn of its other faults.
-
-    `capture` is what the estimate reads; `whole` has all its pixels, which the check needs.
-    """
+    """Refuse a capture that no estimate can come from, and warn of faults in the `whole` one."""
     lm.refuse_unusable(capture)
     findings = lm.check(whole) if check else []
     lm.refuse_disorder(findings)

@@ -148,10 +148,7 @@ class Source:
 
 
 def with_source(*, crop: bool = True) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Give a command the options of a capture in place of its parameter `source`.
-
-    `crop` says whether --crop is among them.
-    """
+    """Give a command the options of a capture in place of `source`, --crop only if `crop`."""
 
     def decorate(command: Callable[..., None]) -> Callable[..., None]:
         options = dict(inspect.signature(read_source, eval_str=True).parameters)

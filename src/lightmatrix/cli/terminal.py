@@ -39,10 +39,7 @@ class Stopped(KeyboardInterrupt):
 
 
 class FinishedError(Exception):
-    """The output is complete, but memory ended before the command had described it.
-
-    `enough` says whether the output is all that the user asked for.
-    """
+    """The output is complete (all of it if `enough`), but memory ended in describing it."""
 
     def __init__(self, message: str, enough: bool) -> None:
         super().__init__(message)
@@ -102,10 +99,7 @@ def show_json(result: Mapping[str, Any]) -> None:
 
 @contextmanager
 def progress(what: str, unit: str) -> Iterator[Any]:
-    """Show a progress bar with rate and time left on a terminal, and nothing elsewhere.
-
-    Yields a callback that takes (done, total) and, optionally, a note to show behind the bar.
-    """
+    """Show a progress bar on a terminal; yields a callback of (done, total[, note])."""
     if not _err.is_terminal:
         yield lambda done, total, note="": None
         return

@@ -24,20 +24,14 @@ _MOST_POINTS, _MOST_LEVEL = 65_536, 1e9
 
 @dataclass(frozen=True, eq=False)
 class CurveFile:
-    """The response curve of a camera or projector, as a file holds it.
+    """The response curve of a camera or projector, as a file holds it."""
 
-    Parameters
-    ----------
-    device : {"camera", "projector"}
-    levels, light : (n,) float64
-        Points of the curve: increasing levels from 0, and light from 0 to 1 that never decreases.
-    facts : mapping
-        Further entries of the file, JSON-ready.
-    """
-
+    # "camera" or "projector".
     device: str
+    # Points of the curve: increasing levels from 0, light from 0 to 1 that never decreases.
     levels: NDArray[np.float64]
     light: NDArray[np.float64]
+    # Further entries of the file, JSON-ready.
     facts: Mapping[str, Any] = field(default_factory=dict)
 
     def save(self, path: str | Path, *, overwrite: bool = False) -> None:

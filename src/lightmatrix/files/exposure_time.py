@@ -17,10 +17,7 @@ _LONGEST = 1e5
 
 
 def exposure_time(path: str | Path) -> float | None:
-    """Exposure time of a JPEG, PNG, TIFF or raw photograph in seconds; None if it does not say.
-
-    A damaged file gives None too, since reading its image names the damage.
-    """
+    """Exposure time of a photograph in seconds; None if it has none, or the file is damaged."""
     file = Path(path)
     try:
         seconds = _raw_seconds(file) if file.suffix.lower() in RAW else _exif_seconds(file)

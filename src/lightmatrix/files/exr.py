@@ -16,11 +16,7 @@ _ALPHA = "A"
 
 
 def read_exr(file: Path) -> NDArray[Any]:
-    """Read a grey or RGB picture of one part: (rows, cols[, 2 to 4]) float16 or float32.
-
-    Integers, reduced channels, other channels, several parts, and pictures of which only a part
-    is stored are refused.
-    """
+    """Read an unreduced one-part float picture: (rows, cols[, 2 to 4]) float16 or float32."""
     library = _library()
     with library.File(str(file), header_only=True) as opened:
         if len(opened.parts) != 1:

@@ -23,8 +23,7 @@ from lightmatrix.reprs import short_repr
 def list_images(folder: str | Path) -> list[Path]:
     """The image files of a folder in natural order (frame 2 before frame 10), all of one format.
 
-    Hidden files and files that are no images are ignored. Links that lead nowhere, pipes and
-    devices that are named like images are refused.
+    Hidden files and others are ignored; broken links, pipes and devices with image names refused.
     """
     place = Path(folder)
     if not place.exists():
@@ -53,10 +52,7 @@ def list_images(folder: str | Path) -> list[Path]:
 
 
 def list_entries(source: str | Path) -> list[Path | Page]:
-    """The images of a folder in natural order, or of a file that holds several.
-
-    A folder that holds a single file of several images counts as that file.
-    """
+    """The images of a folder in natural order, or those of a file (or a folder's only file)."""
     place = Path(source)
     if is_stack(place) and not place.is_dir():
         return list(pages(place))
@@ -67,10 +63,7 @@ def list_entries(source: str | Path) -> list[Path | Page]:
 
 
 def nonlinear_tag(path: str | Path | Page) -> str | None:
-    """Why an image file is probably not linear: "JPEG", "tagged sRGB", ...; None if it may be.
-
-    A PNG file is tagged by its sRGB, iCCP, cICP or gAMA chunk (a gamma of 1 is linear).
-    """
+    """Why a file is probably not linear: "JPEG", "tagged sRGB", ... (not gamma 1), or None."""
     file = path.file if isinstance(path, Page) else Path(path)
     if file.suffix.lower() in (".jpg", ".jpeg"):
         return "JPEG"
@@ -93,27 +86,16 @@ def nonlinear_tag(path: str | Path | Page) -> str | None:
 
 @dataclass(frozen=True)
 class ImageStack:
-    """Images of one shape and type, read one at a time.
+    """Images of one shape and type, read one at a time."""
 
-    Parameters
-    ----------
-    paths : tuple of Path or Page
-        The files, or the pages of one, in the order of the frames.
-    shape : (rows, cols) or (rows, cols, 3)
-        The shape of each image.
-    dtype : numpy.dtype
-        uint8, uint16 or float32.
-    grey : bool
-        Whether the files hold three equal channels, as grey cameras' JPEG files often do. Images
-        are then read as one channel.
-    mosaic : bool
-        Whether raw camera files are read as they are; see `read_image`.
-    """
-
+    # The files, or the pages of one, in the order of the frames.
     paths: tuple[Path | Page, ...]
+    # (rows, cols) or (rows, cols, 3) of uint8, uint16 or float32.
     shape: tuple[int, ...]
     dtype: np.dtype[Any]
+    # Read three equal channels, as in many grey cameras' JPEG files, as one channel.
     grey: bool = False
+    # Read raw camera files as they are; see `read_image`.
     mosaic: bool = False
 
     __repr__ = short_repr
@@ -171,10 +153,7 @@ class ImageStack:
 
 
 def _all_grey(paths: Sequence[Path | Page]) -> bool:
-    """Whether files of three channels are grey, by four of them.
-
-    Images of a single level do not count, so that a black frame alone makes no camera grey.
-    """
+    """Whether files of three channels are grey, by four of them that hold more than one level."""
     samples = [paths[k] for k in sorted({0, len(paths) // 3, 2 * len(paths) // 3, len(paths) - 1})]
     varied = 0
     for path in samples:

@@ -22,10 +22,7 @@ def inflate(packed: bytes, size: int) -> bytes:
 
 
 def inflated_size(packed: bytes, most: int) -> int:
-    """The size of pixel data once inflated, without keeping it.
-
-    A ValueError says if it is damaged, or larger than `most`.
-    """
+    """The size of pixel data once inflated, not kept; a ValueError above `most` or if damaged."""
     stream, seen = zlib.decompressobj(), 0
     try:
         while not stream.eof and seen <= most:

@@ -30,11 +30,7 @@ def read_json(file: Path, kind: str, version: int) -> dict[str, Any]:
 
 
 def parse_json(text: str, name: str, *, finite: bool = True) -> Any:
-    """Parse JSON strictly: no key twice, no endless nesting, and only finite numbers.
-
-    `name` is what messages call the text. `finite=False` permits NaN and infinite numbers, which
-    Python writes: in values that are kept but not used.
-    """
+    """Parse JSON strictly: no key twice, no endless nesting, only finite numbers if `finite`."""
     try:
         return json.loads(
             text,

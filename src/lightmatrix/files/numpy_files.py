@@ -73,19 +73,8 @@ def read_npz(
 ) -> dict[str, NDArray[Any]]:
     """Read all arrays of an npz file, and verify the checksums of the archive.
 
-    Parameters
-    ----------
-    path : str or Path
-        The file.
-    check : callable, optional
-        Gets the headers of all arrays by name before any array is read, and may refuse them by a
-        ValueError: where some arrays determine how large the others are.
-
-    Raises
-    ------
-    InputError
-        If it is no regular file, no whole archive, has a member twice, Python objects, sizes that
-        contradict each other, or announces more than fits into memory.
+    `check` gets the headers by name before any array is read, and may refuse them by a ValueError:
+    some arrays determine how large others are.
     """
     file = regular_file(path)
     with _as_npz_error(file), zipfile.ZipFile(file) as archive:

@@ -85,11 +85,7 @@ def holds_several(file: Path) -> bool:
 
 
 def pages(path: str | Path) -> list[Page]:
-    """The images of a file, in their order; a damaged page is noticed when it is read.
-
-    The file is a TIFF of one or more pages, an npy of (K, rows, cols) or (K, rows, cols, 3), or an
-    npz of one such array.
-    """
+    """The images of a TIFF, npy or npz; a damaged page is noticed when it is read."""
     file = regular_file(path)
     suffix = file.suffix.lower()
     if suffix not in STACKS:

@@ -72,10 +72,7 @@ class PngHeader:
 
 
 def read_chunks(data: bytes) -> dict[bytes, bytes]:
-    """The chunks of a PNG file by name; those of the same name (IDAT) are joined.
-
-    A ValueError says if it is no PNG file, ends early, or a checksum does not fit.
-    """
+    """The chunks of a PNG file by name, joined if several (IDAT); a ValueError if damaged."""
     if not data.startswith(SIGNATURE):
         raise ValueError("not a PNG file")
     chunks: dict[bytes, list[memoryview]] = {}
@@ -152,8 +149,8 @@ def _unfilter(
 ) -> NDArray[np.uint8]:
     """Undo the line filters (PNG specification, section 9): coded (rows, cols, bytes).
 
-    A pixel needs the ones to its left, above, and above left, so all pixels of an antidiagonal
-    are decoded at once. `above` is the line before the first one, (cols, bytes).
+    A pixel needs the ones to its left, above, and above left, so all pixels of an antidiagonal are
+    decoded at once. `above` is the line before the first one, (cols, bytes).
     """
     rows, cols, depth = coded.shape
     if kind.max(initial=0) > 4:

@@ -19,11 +19,9 @@ RAW = (".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".orf", ".rw2")
 
 
 def read_raw(file: Path, *, mosaic: bool = False) -> NDArray[np.float32]:
-    """Read a raw camera file: (rows, cols, 3), or (rows, cols) as a mosaic.
+    """Read a raw file as the sensor lies: (rows, cols) behind a colour filter, or (rows, cols, 3).
 
-    The image lies as the sensor does, not turned. Noise may be below 0. A mosaic keeps each pixel
-    as a sample behind one colour of the filter. Otherwise the missing colours are interpolated
-    linearly, so that light still adds up.
+    Noise may be below 0. Missing colours are interpolated linearly, so that light still adds up.
     """
     library = raw_library()
     with library.imread(str(file)) as opened:
@@ -75,10 +73,7 @@ def raw_library() -> Any:
 def _with_one_black(
     opened: Any, black: NDArray[np.float32], span: NDArray[np.float32]
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Give all colours the least black level, in the opened file too, since both greens become one.
-
-    Returns the black levels and the spans from black to clipping.
-    """
+    """Give all colours the least black level, since both greens become one; levels and spans."""
     colour = np.asarray(opened.raw_colors_visible)
     colours = np.unique(colour)
     least = black[colours].min()

@@ -17,19 +17,10 @@ _MOST_THREADS = 8
 def read_ahead(
     read: Callable[[S], T], items: Iterable[S], threads: int | None = None
 ) -> Iterator[T]:
-    """The results of `read` for each item, in their order, while threads work on the next ones.
+    """The results of `read` in order, while threads work on the next items; 1 reads nothing ahead.
 
-    Threads help since zlib and Pillow decode PNG and TIFF without Python's lock. No more than two
-    results a thread are held, and an error is raised in its turn, as without threads.
-
-    Parameters
-    ----------
-    read : callable
-        Reads one item; may be called from any thread.
-    items : iterable
-        What to read: files, or the numbers of frames.
-    threads : int, optional
-        None: one for each processor core, at most eight. With 1 nothing is read ahead.
+    Threads (None: one a core, at most eight) help since zlib and Pillow decode without Python's
+    lock. They hold at most two results each, and an error is raised in its turn.
     """
     workers = min(_MOST_THREADS, os.cpu_count() or 1) if threads is None else threads
     if workers == 1:

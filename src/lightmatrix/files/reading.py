@@ -60,10 +60,7 @@ def read_bytes(path: str | Path, most: int = MOST_TEXT) -> bytes:
 
 
 def read_text(path: str | Path, most: int = MOST_TEXT) -> str:
-    """The text of a regular file, UTF-8 with or without byte order mark.
-
-    The message of an error does not quote the content, which the caller may have no right to see.
-    """
+    """The UTF-8 text of a regular file, which errors do not quote: the caller may not see it."""
     content = read_bytes(path, most)
     try:
         return content.decode("utf-8-sig")
@@ -75,10 +72,7 @@ def read_text(path: str | Path, most: int = MOST_TEXT) -> str:
 
 
 def within(folder: Path, name: str, source: Path) -> Path:
-    """A file that a description names, if it lies in the description's folder.
-
-    Links are followed to their ends. `source` is the description, for the message.
-    """
+    """The file that the description `source` names, refused if it lies outside its folder."""
     try:
         target = (folder / name).resolve()
         inside = target.is_relative_to(folder.resolve())

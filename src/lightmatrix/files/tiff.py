@@ -37,10 +37,7 @@ _ONE_IMAGE = "save one image a file, or give this file in place of the folder, a
 
 
 def read_tiff(file: Path) -> NDArray[Any]:
-    """Read a TIFF file of one page as it is stored; inverted grey is turned back.
-
-    A ValueError says if strips or tiles are missing, empty, or shorter than the image needs.
-    """
+    """Read a TIFF of one page as it is stored; a ValueError says if parts are missing."""
     with tifffile.TiffFile(file) as tiff:
         if len(tiff.pages) != 1:
             raise InputError(f"{file}: holds {len(tiff.pages)} pages", hint=_ONE_IMAGE)

@@ -51,10 +51,7 @@ def create_array(
     chunks: tuple[int, ...],
     blosc: BloscCodec = SMALL,
 ) -> zarr.Array[Any]:
-    """Begin an array of a group, to be filled chunk by chunk.
-
-    `blosc` is `SMALL`, or `QUICK` for arrays whose reading someone waits for.
-    """
+    """Begin an array of a group, by `blosc` `QUICK` if someone waits for its reading."""
     return group.create_array(
         name,
         shape=shape,
@@ -76,11 +73,7 @@ def write_array(group: zarr.Group, name: str, values: NDArray[Any]) -> None:
 
 
 class GrowingArray:
-    """An array that is written from its beginning and whose length is not known yet.
-
-    Chunks are written as they fill, so that only about one is in memory. An array of less than a
-    chunk gets a chunk of its own size. `chunk` counts values; None stands for `CHUNK`.
-    """
+    """An array of unknown length, written in chunks (of `chunk` values) as they fill."""
 
     def __init__(
         self,
@@ -196,10 +189,7 @@ class StoredArray:
         return math.prod(self.shape) * self.dtype.itemsize
 
     def read(self, *where: slice) -> NDArray[Any]:
-        """The values of a box; axes that are not named are read whole.
-
-        A ValueError names a chunk that is missing or damaged.
-        """
+        """The values of a box; a ValueError names a chunk that is missing or damaged."""
         box = (*where, *(slice(None) for _ in self.shape[len(where) :]))
         spans = [slice(*part.indices(size)[:2]) for part, size in zip(box, self.shape, strict=True)]
         grid = [

@@ -84,10 +84,7 @@ class CaptureFacts:
 
 
 class CaptureRecord:
-    """The running results of a capture; made by `open`. The caller holds the output's lock.
-
-    In a ``with`` statement, an exception leaves the frames for the next run, if there are any.
-    """
+    """The running results of a capture, which an exception leaves for the next run."""
 
     def __init__(
         self, target: Path, results: RunningResults, wanted: Mapping[str, Any], state: SessionState
@@ -188,11 +185,7 @@ class CaptureRecord:
         write_extras: Callable[[Path], None],
         overwrite: bool,
     ) -> None:
-        """Make a capture folder of the frames and their patterns, and discard the record.
-
-        `write_extras` writes further files into the folder. If the folder cannot be written, the
-        frames remain.
-        """
+        """Make a capture folder, let `write_extras` add files, and discard the record on success."""
         numbers = sorted(self.state.frames)
         if len(numbers) < patterns.count:
             patterns = patterns.subset(np.array(numbers))

@@ -94,11 +94,7 @@ class Session:
         )
 
     def run(self) -> None:
-        """Take all frames that are missing.
-
-        A DeviceError says that several patterns in a row failed; an OutputError that the disk did.
-        Frames that were written remain.
-        """
+        """Take all missing frames; an error of a device or the disk leaves those written."""
         for k in self._frames:
             frame = self.record.read(k)
             assert frame is not None
@@ -132,10 +128,7 @@ class Session:
                 self._matcher.learn()
 
     def _take(self, k: int, rival: Doubted | None = None) -> bool:
-        """Photograph a pattern until a frame is right; whether one is.
-
-        A frame that agrees with `rival`, an earlier doubted one, confirms both.
-        """
+        """Photograph a pattern until a frame is right, or agrees with `rival`, a doubted one."""
         doubted: list[Doubted] = [] if rival is None else [rival]
         reason = ""
         for tries in range(1, TRIES + 1):
@@ -200,8 +193,8 @@ class Session:
     def _show_other(self, k: int, befores: set[int]) -> None:
         """Show an image that is neither k nor one of `befores`.
 
-        It is another pattern if frames are predicted. Otherwise frames are compared with each
-        other, and patterns may be too similar for that, as single pixels are: it is black or white.
+        It is another pattern if frames are predicted. Otherwise it is black or white, as frames are
+        compared with each other and patterns may be too similar for that.
         """
         rig = self.photographer.rig
         count = self.patterns.count

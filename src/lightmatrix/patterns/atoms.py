@@ -35,18 +35,17 @@ class AtomPatterns(PatternSet):
     """K patterns over S N atoms: a spot of each of S sizes at each of N projector pixels.
 
     Column s N + j is the sample of a spot around pixel j: the pattern blurred by the kernel of size
-    s, times a gain that gives the columns of all sizes the same contrast. The penalty on a spot is
-    then in proportion to the samples that it can explain. Light beyond the projector is lost.
-
-    `single` are the K patterns over N single pixels. `sizes` are standard deviations in projector
-    pixels, ascending from 0, a single pixel. `gains` are in (0, 1], one for each size; empty: from
-    the contrast of the patterns. With `narrow` the compiled solver keeps columns in half the
-    memory, to within 1e-5.
+    s, times a gain that gives all sizes the same contrast. The penalty on a spot is then in
+    proportion to the samples that it can explain. Light beyond the projector is lost.
     """
 
+    # The K patterns over N single pixels.
     single: PatternSet
+    # Standard deviations in projector pixels, ascending from 0, a single pixel.
     sizes: tuple[float, ...]
+    # One in (0, 1] for each size; empty: from the contrast of the patterns.
     gains: tuple[float, ...] = ()
+    # The compiled solver keeps columns in half the memory, to within 1e-5.
     narrow: bool = False
 
     def __post_init__(self) -> None:
@@ -137,11 +136,7 @@ class AtomPatterns(PatternSet):
         return middles
 
     def expand(self, rows: csr_array) -> csr_array:
-        """Coefficients (M, S N) as light of pixels, (M, N) float32.
-
-        The faintest pixels of a spot are left out, and the spot keeps its light. Light beyond the
-        projector is lost.
-        """
+        """Coefficients (M, S N) as light of pixels, (M, N) float32, without a spot's faintest."""
         starts = range(0, rows.shape[0], _EXPANDED_ROWS)
         parts = [self._expanded(rows[start : start + _EXPANDED_ROWS]) for start in starts]
         return csr_array(vstack(parts, format="csr"))

@@ -135,10 +135,7 @@ def one_pixel_patterns(
 
 
 def sampled_pixels(shape: tuple[int, int], step: int = 8, offset: int = 4) -> NDArray[np.int64]:
-    """Flat indices of the projector pixels (offset + step i, offset + step j).
-
-    They are 256 of a 128 x 128 projector, as in the paper's Fig. 6.
-    """
+    """Flat indices of the projector pixels (offset + step i, offset + step j); paper's Fig. 6."""
     rows = np.arange(offset, shape[0], step)
     cols = np.arange(offset, shape[1], step)
     return (rows[:, None] * shape[1] + cols[None, :]).ravel().astype(np.int64)

@@ -215,10 +215,7 @@ def _read_description(file: Path) -> dict[str, Any] | None:
 
 
 def _differing_size(description: dict[str, Any], paths: list[Path]) -> str | None:
-    """How a description differs from the images in count or size, in words; None if it does not.
-
-    This is checked before patterns are made, since they may be too large for the memory.
-    """
+    """How a description differs from the images in count or size, before memory is spent."""
     if description.get("kind") == "images":
         return None
     count, shape = description.get("count"), description.get("shape")

@@ -14,10 +14,7 @@ _LARGEST_BLOCK = 1 << 20
 
 
 def block_size(block: int | tuple[int, int], what: str) -> tuple[int, int]:
-    """Rows and columns of a block of pixels, given as such or as one number for both.
-
-    The message names the pixels as `what`, such as "camera".
-    """
+    """Rows and columns of a block of `what` pixels, given as such or as one number for both."""
     rows, cols = (block, block) if isinstance(block, (int, np.integer)) else block
     if not 1 <= min(rows, cols) <= max(rows, cols) <= _LARGEST_BLOCK:
         raise InputError(
@@ -39,11 +36,7 @@ def block_mean(images: NDArray[Any], block: tuple[int, int]) -> NDArray[np.float
 
 
 def grid_cells(shape: tuple[int, int], grid: tuple[int, int]) -> NDArray[np.int64]:
-    """The cell of a coarse grid over the projector that each pixel lies in, (N,).
-
-    Cells are numbered in the order (row, col). They are as equal as whole pixels allow, and none is
-    empty.
-    """
+    """The cell (row by row) of a coarse grid that each pixel lies in, (N,); none is empty."""
     check_grid(shape, grid)
     row = np.arange(shape[0]) * grid[0] // shape[0]
     col = np.arange(shape[1]) * grid[1] // shape[1]

@@ -13,9 +13,8 @@ from lightmatrix.errors import InputError
 def interleave(shares: Sequence[float], count: int) -> NDArray[np.int64]:
     """The index of the kind of each of K frames, (K,), so that every prefix has about the shares.
 
-    Webster's method, frame by frame: the next frame is of the kind with the largest quotient
-    share / (2 n + 1), where n frames are of this kind already, and of the first of equal ones. The
-    first k frames do not depend on how many follow. Only the ratios of the shares matter.
+    Webster's method: the next frame is of the kind with the largest share / (2 n + 1), where n
+    frames are of this kind already. The first k frames do not depend on how many follow.
     """
     counts = np.zeros(len(shares))
     share = np.asarray(shares, np.float64)
@@ -29,10 +28,7 @@ def interleave(shares: Sequence[float], count: int) -> NDArray[np.int64]:
 
 
 def parse_shares(text: str, what: str, example: str) -> list[tuple[str, float]]:
-    """Read ``NAME:SHARE,NAME:SHARE`` as pairs whose shares sum to 1; a single NAME has the share 1.
-
-    Messages say what is listed, and give an example that works.
-    """
+    """Read ``NAME:SHARE,NAME:SHARE`` (sum 1) or a single NAME; messages give an `example`."""
     parts = [part.strip().partition(":") for part in text.split(",")]
     if len(parts) == 1 and not parts[0][1]:
         parts = [(parts[0][0], ":", "1")]

@@ -18,36 +18,24 @@ from lightmatrix.patterns.mix import FEWEST_MIXED
 
 @dataclass(frozen=True)
 class ExpectedErrors:
-    """Errors of one estimator at one number of frames, from the least to the largest of the scenes.
+    """Smallest and largest error of one estimator over the scenes, at one number of frames."""
 
-    Parameters
-    ----------
-    estimator : str
-        "plain" (row by row) or "coherent".
-    frames : int
-        Number of frames K.
-    relative_error, relighting_error : (float, float)
-        Smallest and largest error of the scenes: of T over all rows, and of relit images.
-    scenes : tuple of str
-        The scenes.
-    measured : bool
-        Whether this number of frames was measured; otherwise the errors are interpolated.
-    """
-
+    # "plain" (row by row) or "coherent".
     estimator: str
     frames: int
+    # Errors of T over all rows, and of relit images.
     relative_error: tuple[float, float]
     relighting_error: tuple[float, float]
     scenes: tuple[str, ...]
+    # Whether this number of frames was measured, and not interpolated.
     measured: bool
 
 
 def expectations(frames: int, *, exposures: str = "advised") -> list[ExpectedErrors]:
-    """The errors of each estimator at a number of frames, with mixed patterns from 64 frames on.
+    """The errors of each estimator at a number of frames, by a power law between measured ones.
 
-    Errors between measured numbers of frames follow a power law; beyond them they are constant.
-    `exposures` is "advised", those of `advise_exposures`, or "long", the single one of the
-    benchmarks, at which a fifth of the rows have a single response that clips.
+    Patterns are mixed from 64 frames on. `exposures` is "advised" (`advise_exposures`) or "long",
+    the benchmarks' single one, at which a fifth of the rows have a single response that clips.
     """
     rows = [
         row
@@ -79,10 +67,7 @@ def counts() -> list[int]:
 
 
 def frames_for(error: float) -> int:
-    """The smallest measured number of frames that reaches a relative error on the worst scene.
-
-    The better estimator counts. If no number suffices, it is the largest one measured.
-    """
+    """The fewest measured frames that reach an error on the worst scene, or the most."""
     for count in counts():
         if min(e.relative_error[1] for e in expectations(count)) <= error:
             return count

@@ -50,12 +50,9 @@ _CLIPPED_SINGLY = 0.01
 
 @dataclass(frozen=True, eq=False)
 class WhiteFrame:
-    """Camera samples under a white pattern; refuses dark frames and those that clip mostly.
+    """Samples under white; refuses dark frames and those that clip mostly."""
 
-    `levels` (M,) are linear, black subtracted, in units of the clip level at exposure 1, and lower
-    bounds where `clipped`.
-    """
-
+    # (M,), linear, black subtracted, in clip levels at exposure 1; lower bounds if clipped.
     levels: NDArray[np.floating]
     clipped: NDArray[np.bool_]
 
@@ -102,15 +99,11 @@ def advise_exposures(
     """Exposures (in the white frame's unit, the longest first) and their shares of the frames.
 
     The shortest exposure puts 90 % of the brightest white level, the spot of that row, at the clip
-    level, so that no single response and few sums of them clip. Clipped sums are estimated as
-    clipped samples; dim rows gain more from this exposure than the brightest rows lose. While the
-    noise exceeds 1.5 % of a typical pixel's light, longer exposures are added, four times each.
-    Where the white frame itself clips, its brightest level is unknown, and one exposure of a
-    quarter of the shortest is added. Of several exposures the shortest gets a quarter of the
-    frames, but at least 8, and never more than the others.
-
-    `noise` is the standard deviation of a sample as a share of the clip level, `shortest` the
-    camera's shortest exposure, and `frames` the number of frames (None: many).
+    level, so that no single response and few sums clip: dim rows gain more from it than the
+    brightest lose. While `noise` (a share of the clip level) exceeds 1.5 % of a typical pixel's
+    light, longer exposures are added, four times each. Where the white frame itself clips, one of a
+    quarter of the shortest is added. The shortest of several gets a quarter of the frames, at least
+    8, never more than others. `shortest` is the camera's own limit.
     """
     check_camera(noise, shortest)
     ladder = [1 / (BRIGHT_SPOT_SHARE * white.brightest)]

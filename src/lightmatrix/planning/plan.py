@@ -44,23 +44,13 @@ ESTIMATE_FOLDER = "lightmatrix estimate capture/ -o scene.zarr"
 
 @dataclass(frozen=True)
 class AdvisedExposure:
-    """One of the advised exposures.
-
-    Parameters
-    ----------
-    exposure : float
-        In the unit of the white frame's exposure.
-    share : float
-        Share of the frames.
-    frames : int
-        Number of frames.
-    clipped_share : float
-        Share of the samples that will clip.
-    """
+    """One of the advised exposures, in the unit of the white frame's exposure."""
 
     exposure: float
+    # Share and number of the frames at this exposure.
     share: float
     frames: int
+    # Share of the samples that will clip.
     clipped_share: float
 
 

@@ -46,15 +46,12 @@ class FrameFacts:
 
 @dataclass(frozen=True, eq=False)
 class Facts:
-    """What the sections of a report show.
-
-    `truth` is T where it is known. `validation` is the test on unseen photographs, or the reason
-    why there is none.
-    """
+    """What the sections of a report show."""
 
     transport: LightTransport
     capture: Capture
     truth: LightTransport | None
+    # The test on unseen photographs, or the reason why there is none.
     validation: Validation | str
 
     @cached_property

@@ -57,11 +57,7 @@ def photograph(
     light: NDArray[Any], alternative: str, title: str = "", caption: str = "",
     *, white: float | None = None, most: int = MOST_PIXELS, exact: bool = False,
 ) -> Image:  # fmt: skip
-    """A linear image (rows, cols[, 3]) with a display gamma of 2.2.
-
-    `white` is the value shown as white; by default hardly any pixel is above it. The longer side
-    has `most` pixels. With `exact`, a small image is stored without loss.
-    """
+    """A linear image (rows, cols[, 3]) with gamma 2.2 and a longer side of `most` pixels."""
     level = float(np.quantile(light, 1 - _GLINTS)) if white is None else white
     shown = display(_shrink(np.asarray(light, float), most, "mean"), level)
     small = max(shown.shape[:2]) <= MOST_LOSSLESS

@@ -46,10 +46,7 @@ class Estimator(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Validation:
-    """Unseen photographs beside their predictions.
-
-    Images are (h, *camera_shape), in units of the clip level at each frame's exposure.
-    """
+    """Unseen photographs and predictions, (h, *camera_shape), in clip levels at their exposures."""
 
     # The frames that were held out, (h,).
     frames: NDArray[np.int64]
@@ -76,8 +73,8 @@ def validate(
 ) -> Validation | str:
     """Estimate T without some frames and predict them; or the reason why that is impossible.
 
-    `estimator` should be that of the estimate itself. Cameras of more than 16,384 samples are
-    tested on a rectangle of about as many, around the middle of their light.
+    Cameras of more than 16,384 samples are tested on a rectangle of about as many, around the
+    middle of their light.
     """
     frames = choose_frames(capture.patterns)
     if isinstance(frames, str):
@@ -126,8 +123,8 @@ def validate(
 def choose_frames(patterns: PatternSet) -> NDArray[np.int64] | str:
     """Frames to hold out, spread over the capture; or the reason why there are none.
 
-    If a pattern is a sum of others (as in a Gray code, where it is white minus its inverse), so is
-    its photograph, whatever T is. Predicting it would test nothing.
+    If a pattern is a sum of others (as in a Gray code), so is its photograph, whatever T is:
+    predicting it would test nothing.
     """
     count = patterns.count
     if count < _FEWEST:

@@ -15,10 +15,7 @@ def coarse(truth: Truth, factor: int) -> Truth:
 
 
 def binned(truth: Truth, camera_factor: int, projector_factor: int) -> Truth:
-    """Average T over square blocks of camera pixels and sum it over blocks of projector pixels.
-
-    The factors are block sides in pixels; each must divide both sides of its device.
-    """
+    """Average T over square blocks of camera pixels, and sum it over those of the projector."""
     camera, projector = truth.camera_shape, truth.projector_shape
     for factor, sizes in ((camera_factor, camera[:2]), (projector_factor, projector)):
         if factor < 1 or any(size % factor for size in sizes):

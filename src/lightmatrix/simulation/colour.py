@@ -21,11 +21,7 @@ FILTERS.setflags(write=False)
 
 
 def in_primary(truth: Truth, primary: str) -> Truth:
-    """T of a scene that one primary of a projector lights, with three rows per camera pixel.
-
-    Each row is scaled by what the filter of its channel lets pass (`FILTERS`). A scene that was
-    rendered in colour reflects the primary as it reflects the channel of that name.
-    """
+    """T of a scene lit by one primary, with three rows a camera pixel scaled by `FILTERS`."""
     if primary not in COLOURS:
         raise InputError(
             f"there is no primary {primary!r}", hint=f"use one of {', '.join(COLOURS)}"

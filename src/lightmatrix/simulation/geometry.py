@@ -34,9 +34,8 @@ def merge(meshes: Sequence[Mesh]) -> Mesh:
 
 
 def loft(rings: Sequence[NDArray[np.float64]], centre: tuple[float, float] | None) -> Mesh:
-    """A surface through closed rings (n, 3) of equally many points, counter-clockwise from above.
+    """A surface through closed rings (n, 3), counter-clockwise from above, bottom to top.
 
-    The rings go from bottom to top on the outside (and down again on the inside of a hollow part).
     The first and last ring are closed by fans around `centre`, which must see all of them; None
     joins the last ring to the first instead, which makes a hollow part.
     """

@@ -29,10 +29,7 @@ def irradiance(
     threads: int | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> NDArray[np.float32]:
-    """T P' for an (M, N) sparse T and K patterns: (M, K), linear, 1 = clip level at exposure 1.
-
-    The result does not depend on `threads`; `progress` receives (done, total) rows.
-    """
+    """T P' for an (M, N) sparse T and K patterns: (M, K), linear, 1 = clip level at exposure 1."""
     rows, pixels = matrix.shape
     if pixels != patterns.pixels:
         raise InputError(

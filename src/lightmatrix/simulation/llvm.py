@@ -68,10 +68,7 @@ def _candidates() -> list[str]:
 
 
 def load_mitsuba(*, scalar: bool = False) -> tuple[ModuleType, bool]:
-    """Mitsuba with its variant set, and whether that is the fast (LLVM) variant.
-
-    Warns where no usable LLVM is found and the slow scalar variant is used instead.
-    """
+    """Mitsuba and whether it is the LLVM variant; warns if only the slow one is usable."""
     if importlib.util.find_spec("mitsuba") is None:
         raise MissingExtraError(
             "rendering needs Mitsuba 3, which is not installed",

@@ -23,10 +23,7 @@ _LEVELS = 8
 
 
 def seen(truth: Truth, place: NDArray[np.integer]) -> Truth:
-    """The truth of a camera whose pixels are those of a grey camera, rearranged.
-
-    `place`, (rows, cols) int, holds the camera pixel of the truth that each pixel is; -1 is dark.
-    """
+    """The truth of a camera whose pixels are those at `place` (rows, cols); -1 is dark."""
     if len(truth.camera_shape) != 2:
         raise InputError("a view of a colour camera", hint="choose one of its channels")
     dark = csr_array((1, truth.matrix.shape[1]), dtype=np.float32)
@@ -55,8 +52,7 @@ def mapped(shape: tuple[int, int], homography: NDArray[np.float64]) -> NDArray[n
 def depth_blur(truth: Truth, widest: float) -> NDArray[np.float64]:
     """Blur that grows with depth, (M,) in projector pixels (std), for a grey camera.
 
-    Depth follows from disparity. The projector is in focus where its pixels lie furthest to one
-    side of the camera's, and blurred by `widest` where they lie furthest to the other side.
+    Depth follows from disparity: the blur is 0 at one end of its range and `widest` at the other.
     """
     rows, cols = truth.camera_shape[:2]
     col = np.asarray(truth.matrix.argmax(axis=1)).reshape(rows, cols) % truth.projector_shape[1]

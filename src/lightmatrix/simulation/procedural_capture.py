@@ -169,10 +169,7 @@ def _description(scene: ProceduralScene) -> dict[str, Any]:
 
 
 def scene_of(provenance: Mapping[str, Any]) -> ProceduralScene | None:
-    """The procedural scene that a capture's provenance describes; None if it names another scene.
-
-    Raises InputError if the description cannot be read.
-    """
+    """The procedural scene that a capture's provenance describes; None if it is another."""
     description = provenance.get(PROCEDURAL)
     if not isinstance(description, Mapping):
         return None
@@ -194,10 +191,7 @@ def check_truth_fits(scene: ProceduralScene, name: str | Path) -> None:
 
 
 def truth_of(capture: Capture, name: str | Path) -> Truth | None:
-    """T of a capture of a procedural scene, computed again; None for captures of other scenes.
-
-    Raises InputError if T would not fit into memory.
-    """
+    """T of a capture of a procedural scene, computed again; None for captures of others."""
     scene = scene_of(capture.provenance)
     if scene is None:
         return None

@@ -49,11 +49,7 @@ def check_realism(
 
 
 def defocus(truth: Truth, sigma: float) -> Truth:
-    """Blur the projector: each pixel spreads as a Gaussian of `sigma` projector pixels, >= 0.
-
-    A camera pixel that sees the border of the projector's image gets less light, because there is
-    no pixel beyond the border that blurs into it.
-    """
+    """Blur the projector by a Gaussian of `sigma` >= 0 projector pixels; its border loses light."""
     return varying_defocus(truth, np.full(truth.matrix.shape[0], float(sigma)))
 
 
@@ -98,10 +94,7 @@ def _defocused(truth: Truth, chosen: NDArray[np.integer], sigma: float) -> list[
 
 
 def vignetting(truth: Truth, strength: float) -> Truth:
-    """Darken the camera's corners by a share `strength`, in [0, 1).
-
-    The gain is 1 - strength * r^2, with r the distance from the middle and 1 in the corners.
-    """
+    """Gain 1 - strength r^2, r from the middle to 1 in the corners; strength in [0, 1)."""
     check_realism(truth.projector_shape, vignetting=strength)
     rows, cols = truth.camera_shape[:2]
     y = np.linspace(-1, 1, rows)[:, None]
@@ -118,10 +111,7 @@ def vignetting(truth: Truth, strength: float) -> Truth:
 
 
 def ambient(truth: Truth, level: float) -> NDArray[np.float32]:
-    """Camera image of the room's light alone, (M,) float32.
-
-    Its mean is the share `level`, >= 0, of the mean image under a white pattern.
-    """
+    """Image of the room's light alone, (M,) float32; its mean is `level` times that under white."""
     check_realism(truth.projector_shape, ambient=level)
     white = np.asarray(truth.matrix.sum(axis=1), np.float64).reshape(*truth.camera_shape[:2], -1)
     smooth = gaussian_filter1d(

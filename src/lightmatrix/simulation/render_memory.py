@@ -39,12 +39,7 @@ def check_memory(
 ) -> None:
     """Raise InputError if a rendering would not fit; the hint names a setting that would.
 
-    Parameters
-    ----------
-    entries : int
-        Entries of a sparse row that keeps the share `keep` of its light.
-    entries_at : callable, optional
-        The same for any other share.
+    A sparse row that keeps the share `keep` of its light has `entries`; `entries_at` has others.
     """
     available = available_bytes()
     needed = needed_bytes(size, channels, entries)

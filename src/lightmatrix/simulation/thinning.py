@@ -21,10 +21,7 @@ _ENTRIES = 1 << 21
 def joined(
     parts: list[tuple[csr_array, NDArray[np.float32]]],
 ) -> tuple[csr_array, NDArray[np.float32]]:
-    """Join blocks of rows and their direct parts into one matrix and its direct part.
-
-    The list is emptied on the way, so that only a third of the result exists twice.
-    """
+    """Join blocks of rows and direct parts, emptying the list so that little exists twice."""
     lengths = np.concatenate([np.diff(part.indptr) for part, _ in parts])
     indptr = np.concatenate([[0], np.cumsum(lengths, dtype=np.int64)])
     if indptr[-1] <= np.iinfo(np.int32).max:
@@ -73,9 +70,8 @@ def thinned(
 ) -> tuple[csr_array, NDArray[np.float32]]:
     """Keep the largest entries of each row that hold the share `keep` of its sum, in (0, 1].
 
-    The light of the others is gathered, in the order of projector pixels, into entries as large as
-    the smallest that is kept, and counts as global. Rows keep their sums. The (M, N) matrix has
-    entries >= 0 and sorted columns; the result is the thinned matrix and its entries' direct parts.
+    The light of the others is gathered, in the order of pixels, into entries as large as the
+    smallest that is kept, and counts as global. Rows keep their sums.
     """
     if keep >= 1:
         return matrix, direct

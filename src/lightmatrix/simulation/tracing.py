@@ -55,8 +55,8 @@ class Contributions:
 def trace_block(loaded: LoadedScene, first: int, count: int, samples: int, seed: int) -> csr_array:
     """Trace `samples` paths from each of `count` camera pixels, starting at pixel `first`.
 
-    Returns the sums over the paths, (count * channels, N) complex64: all light as real part, the
-    direct light among it as imaginary part. ``count * channels * N`` must be at most 2^32.
+    The sums over the paths are (count * channels, N) complex64: all light is the real part, direct
+    light among it the imaginary part. ``count * channels * N`` must be at most 2^32.
     """
     trace = _trace if loaded.fast else _trace_scalar
     contributions = trace(loaded, first, count, samples, seed)
@@ -64,10 +64,7 @@ def trace_block(loaded: LoadedScene, first: int, count: int, samples: int, seed:
 
 
 def sum_contributions(contributions: Contributions, shape: tuple[int, int]) -> csr_array:
-    """Add up the contributions to each entry of a (rows, columns) matrix, as `trace_block` says.
-
-    The order of the contributions does not change the result. Zeros are dropped.
-    """
+    """Add up contributions to a matrix in any order, as `trace_block` says; zeros are dropped."""
     lit = contributions.value > 0
     value, direct = contributions.value[lit], contributions.direct[lit]
     bits = value.view(np.uint32) | (direct.astype(np.uint32) << np.uint32(31))

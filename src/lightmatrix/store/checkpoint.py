@@ -36,11 +36,10 @@ ROWS = "rows"
 
 
 class Checkpoint:
-    """Finished tiles of rows of a light transport matrix that is being computed.
+    """Finished tiles of a matrix that is being computed, and the lock of the output.
 
-    Made by `open`, used in a ``with`` statement, which holds the lock of the output. An exception
-    leaves the tiles for the next run. Tiles belong to steps: those of the step `ROWS` are the
-    result, those of others are what an estimator needs to continue.
+    An exception leaves the tiles for the next run. Those of the step `ROWS` are the result, those
+    of others are what an estimator needs to continue.
     """
 
     def __init__(
@@ -160,17 +159,7 @@ class Checkpoint:
         background_grid: tuple[int, int] = (1, 1),
         provenance: Mapping[str, Any] | None = None,
     ) -> LightTransport:
-        """Join the tiles of the result into the output, then throw them away.
-
-        They are joined on disk, so that the matrix is in memory only once, when it is whole.
-
-        Raises
-        ------
-        InputError
-            If the tiles do not cover all rows.
-        OutputError
-            If the output cannot be written; the tiles remain.
-        """
+        """Join the tiles on disk into the output, so that T is in memory once, and remove them."""
         spans = self.spans(ROWS)
         edges = [0, *(stop for _, stop in spans)]
         rows = int(np.prod(camera_shape))

@@ -123,10 +123,9 @@ def _remove_leftovers(target: Path) -> None:
 
 
 def tile_places(pixels: NDArray[np.integer], projector_shape: tuple[int, int]) -> NDArray[np.int64]:
-    """The places of projector pixels in the index: tile by tile of 32 x 32, row by row in each.
+    """Places 0 to N - 1 of projector pixels in the index: by tiles of 32 x 32, row by row.
 
-    The pixels of a brush, which lie beside and below each other, then stand together. Places are
-    0 to N - 1, one for each pixel in the order (row, col).
+    The pixels of a brush, which lie beside and below each other, then stand together.
     """
     rows, cols = projector_shape
     row, col = np.divmod(pixels, cols)

@@ -20,10 +20,7 @@ _MOST_PIXELS = 1 << 31
 
 
 def checked_shape(value: Any, lengths: Sequence[int], name: str) -> tuple[int, ...]:
-    """A stored shape of one of the permitted lengths: positive whole numbers, not too many pixels.
-
-    `name` is what the message calls it.
-    """
+    """A stored shape of a permitted length: positive whole numbers, not too many pixels."""
     # True counts as 1 in an array, but is no number of pixels.
     exact = not isinstance(value, list) or all(type(n) is int for n in value)
     array = np.asarray(value)
@@ -38,18 +35,7 @@ def checked_shape(value: Any, lengths: Sequence[int], name: str) -> tuple[int, .
 def checked_matrix(
     data: NDArray[Any], indices: NDArray[Any], indptr: NDArray[Any], shape: tuple[int, int]
 ) -> csr_array:
-    """The sparse float32 matrix (M, N) of three arrays, each of which is checked.
-
-    Parameters
-    ----------
-    data : (nnz,) float
-        Finite, also as float32.
-    indices : (nnz,) int
-        Columns in [0, N).
-    indptr : (M + 1,) int
-        Rising from 0 to nnz.
-    shape : (M, N)
-    """
+    """The sparse float32 matrix (M, N) of a CSR matrix's three arrays, checked one by one."""
     rows, cols = shape
     if data.ndim != 1 or indices.shape != data.shape or indptr.shape != (rows + 1,):
         raise ValueError("its arrays do not fit each other")

@@ -28,10 +28,7 @@ def sealed(place: Path, names: Iterable[str], facts: Mapping[str, Any]) -> dict[
 def sealed_arrays(
     place: Path, names: Iterable[str], attributes: Mapping[str, Any], facts: Mapping[str, Any]
 ) -> dict[str, StoredArray]:
-    """The arrays of a group, whose chunks are compared with the seal as they are read.
-
-    A ValueError says if the metadata of the arrays or the facts are not the sealed ones.
-    """
+    """The arrays of a group, whose chunks are compared with the seal as they are read."""
     checksums = attributes[CHECKSUMS]
     names = list(names)
     if not isinstance(checksums, dict) or sorted(checksums) != sorted(names):

@@ -30,25 +30,13 @@ _MOST_SMALL = 16 << 20
 
 @dataclass(frozen=True, eq=False)
 class SparseFile:
-    """The checked content of an npz file.
+    """The checked content of an npz file."""
 
-    Parameters
-    ----------
-    matrix : (M, N) csr_array float32
-    direct_data : (nnz,) float32, optional
-        The direct part of each entry, if the file holds it.
-    background : (M, B) float32, optional
-        What the matrix leaves out, if the file holds it.
-    background_grid : (rows, cols)
-        B = rows * cols.
-    camera_shape, projector_shape : tuple of int, optional
-        M and N are their products.
-    metadata : mapping
-        JSON-ready.
-    """
-
+    # (M, N) float32; where the file holds the shapes, M and N are their products.
     matrix: csr_array
+    # The direct part of each entry, (nnz,).
     direct_data: NDArray[np.float32] | None
+    # What the matrix leaves out, (M, rows * cols) of the grid.
     background: NDArray[np.float32] | None
     background_grid: tuple[int, int]
     camera_shape: tuple[int, ...] | None
@@ -61,10 +49,7 @@ def import_npz(
     camera_shape: tuple[int, ...] | None = None,
     projector_shape: tuple[int, int] | None = None,
 ) -> LightTransport:
-    """Read T from npz: an export, a truth file, or a CSR, CSC or COO matrix saved by SciPy.
-
-    The shapes are needed for files that do not hold them.
-    """
+    """Read T from npz: an export, a truth, or a SciPy matrix, whose shapes must be known."""
     content = read_sparse_npz(path)
     camera = camera_shape or content.camera_shape
     projector = projector_shape or content.projector_shape

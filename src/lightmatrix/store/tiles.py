@@ -70,10 +70,7 @@ def without_overlap(spans: Iterable[Span]) -> list[Span]:
 
 
 def unfinished_spans(wanted: Iterable[Span], finished: Iterable[Span]) -> list[Span]:
-    """The unfinished parts of the wanted spans, each within one of them.
-
-    Both arguments are in order and without overlap.
-    """
+    """The unfinished parts of the wanted spans; both are in order and without overlap."""
     finished, missing = list(finished), []
     for start, stop in wanted:
         for first, last in finished:

@@ -92,10 +92,7 @@ def save_rows(
     provenance: Mapping[str, Any],
     overwrite: bool = False,
 ) -> None:
-    """Write a matrix as `save` does, with no more than one part of its rows in memory.
-
-    The parts hold all rows in their order, all with the same diagnostics.
-    """
+    """Write a matrix as `save` does, from parts with all rows in order, one at a time in memory."""
     with atomic_folder(path, STORE, overwrite=overwrite) as part:
         group = zarr.open_group(part, mode="w", zarr_format=3)
         arrays = {name: GrowingArray(group, name, dtype) for name, dtype in _ARRAYS.items()}
@@ -184,17 +181,14 @@ def _stamp(place: Path) -> Stamp | None:
 
 @dataclass(frozen=True, eq=False)
 class StoreHeader:
-    """What a store announces, with its arrays, whose values are not read yet.
-
-    The arrays are ``indptr``, ``indices``, ``data``, ``background`` and ``diagnostics/NAME``. Their
-    shapes fit each other.
-    """
+    """What a store announces, with its unread arrays, whose shapes fit each other."""
 
     place: Path
     camera_shape: tuple[int, ...]
     projector_shape: tuple[int, int]
     background_grid: tuple[int, int]
     provenance: Mapping[str, Any]
+    # ``indptr``, ``indices``, ``data``, ``background`` and ``diagnostics/NAME``.
     arrays: Mapping[str, StoredArray]
     digest: str
     # What the system said of the metadata's file before it was read.

@@ -334,10 +334,7 @@ def check_lights(lights: NDArray[Any]) -> None:
 
 
 def cell_means(projector_shape: tuple[int, int], grid: tuple[int, int]) -> csr_array:
-    """The operator m: means of a pattern over the cells of a coarse grid, (B, N) float32.
-
-    The B = rows * cols cells are as equal as whole pixels allow.
-    """
+    """The operator m, (B, N) float32: means of a pattern over the B cells of a coarse grid."""
     cell = grid_cells(projector_shape, grid)
     sizes = np.bincount(cell, minlength=grid[0] * grid[1])
     entries = ((1 / sizes[cell]).astype(np.float32), (cell, np.arange(len(cell))))

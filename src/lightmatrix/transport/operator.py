@@ -15,8 +15,7 @@ from lightmatrix.errors import InputError
 class Operator(ABC):
     """A matrix of which only products are needed; SciPy's `aslinearoperator` takes it as it is.
 
-    Unlike `LightTransport.relight`, products take any finite values. They keep double precision if
-    they are given it.
+    Unlike `LightTransport.relight`, products take any finite values, also in double precision.
     """
 
     # The precision in which T is stored.
@@ -42,11 +41,7 @@ class Operator(ABC):
         """The product with (columns, k) vectors of single or double precision, (rows, k)."""
 
     def __matmul__(self, other: Any) -> NDArray[Any]:
-        """The product with a vector (n,), with vectors (n, k), or with an image.
-
-        An image of the shape of the projector (for T) or of the camera (for its transpose) gives an
-        image of the other's shape. Raises InputError if the shape is another.
-        """
+        """The product with vectors (n[, k]) or with an image, which gives an image as well."""
         values = _floating(other)
         made, taken = self.image_shapes
         flat = values.ndim in (1, 2) and len(values) == self.shape[1]

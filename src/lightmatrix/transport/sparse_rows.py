@@ -17,14 +17,13 @@ _DIAGNOSTIC = "diagnostic_"
 
 @dataclass(frozen=True, eq=False)
 class SparseRows:
-    """m rows of a light transport matrix: sparse coefficients, background and diagnostics.
+    """m rows of a light transport matrix: sparse coefficients, background and diagnostics."""
 
-    `coefficients` (m, N) are in units of camera sample per unit of projector pixel, `background` is
-    (m, B). Diagnostics are facts about each row, such as its gap, (m,) each.
-    """
-
+    # (m, N) in units of camera sample per unit of projector pixel.
     coefficients: csr_array
+    # (m, B).
     background: NDArray[Any]
+    # Facts about each row, such as its gap, (m,) each.
     diagnostics: Mapping[str, NDArray[Any]] = field(default_factory=dict)
 
     @property
@@ -114,8 +113,7 @@ def stack_rows(parts: Sequence[csr_array]) -> csr_array:
 def footprint_sizes(rows: csr_array) -> NDArray[np.float64]:
     """The effective number of projector pixels in each row, (M,): (sum t)^2 / sum t^2.
 
-    n equal entries count n; a Gaussian spot of standard deviation s counts about 4 pi s^2. Rows
-    without light have 0. Several footprints in a row count together.
+    A Gaussian spot of standard deviation s counts about 4 pi s^2; rows without light have 0.
     """
     light = np.asarray(rows.sum(axis=1), np.float64).ravel()
     squares = np.asarray(rows.multiply(rows).sum(axis=1), np.float64).ravel()
@@ -123,12 +121,7 @@ def footprint_sizes(rows: csr_array) -> NDArray[np.float64]:
 
 
 def row_blocks(ends: NDArray[np.integer], most: int) -> NDArray[np.int64]:
-    """Row numbers that cut a matrix into blocks of about equally many entries.
-
-    `ends`, (M + 1,), is the number of entries before each row and in all: the indptr of a CSR
-    matrix. A block has up to `most` entries, give or take one row. The row numbers ascend from 0 to
-    M.
-    """
+    """Rows from 0 to M that cut a CSR matrix (its indptr) into blocks of about `most` entries."""
     parts = max(1, -(-int(ends[-1]) // most))
     inner = np.linspace(0, ends[-1], parts + 1)[1:-1]
     return np.unique([0, *np.searchsorted(ends, inner), len(ends) - 1])

@@ -28,10 +28,7 @@ def same_exposure(one: float, other: float) -> bool:
 
 
 def set_exposure(camera: Camera, seconds: float) -> float:
-    """Set the nearest exposure that the camera has, and return what the camera made of it.
-
-    An exposure that is set already is not set again: cameras with a single exposure refuse that.
-    """
+    """Set the camera's nearest exposure, unless it is set already, and return what it is."""
     shortest, longest = exposure_limits(camera)
     wanted = min(max(seconds, shortest), longest)
     if not same_exposure(camera.exposure, wanted):

@@ -22,14 +22,12 @@ Device = TypeVar("Device")
 
 @dataclass(frozen=True)
 class BackEnd(Generic[Device]):
-    """A kind of device: what it is, the form of its addresses, how to open one.
-
-    `find` lists the devices that are present; None where they cannot be listed.
-    """
+    """A kind of device: what it is, the form of its addresses, how to open one."""
 
     summary: str
     form: str
     open: Callable[[Address], Device]
+    # Lists the devices that are present; None where they cannot be listed.
     find: Callable[[], list[AvailableDevice]] | None = None
 
 

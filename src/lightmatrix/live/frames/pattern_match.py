@@ -146,10 +146,7 @@ class PatternMatcher:
         self._error_scale = max(1.0, _MEDIAN_TO_DEVIATION * float(np.median(ratios)))
 
     def complaint(self, frame: int, before: int) -> str | None:
-        """What is wrong with a frame; None if it shows its pattern.
-
-        `before` is the number of the pattern shown before it, below 0 for black or white.
-        """
+        """What is wrong with a frame shown after pattern `before` (below 0: black or white)."""
         mix = self._mixture(frame, before)
         if mix is not None and (complaint := mix.complaint()) is not None:
             return complaint
@@ -161,7 +158,6 @@ class PatternMatcher:
         """Whether a frame contains no harmful share of the pattern shown before it.
 
         That is never known after black or white: they change a frame as a flickering lamp does.
-        `noise` is the standard deviation of a sample.
         """
         mix = self._mixture(frame, before)
         return mix is not None and mix.excluded(noise)
@@ -220,22 +216,10 @@ class PatternMatcher:
 def choose_samples(
     light: NDArray[np.floating], patterns: PatternSet
 ) -> tuple[NDArray[np.int64], int]:
-    """Choose lit camera samples that are spread over the image.
+    """Choose lit camera samples spread over the image (m,), and the size of their groups.
 
-    Parameters
-    ----------
-    light : (rows, cols[, channels]) float
-        White frame less black frame.
-    patterns : PatternSet
-        Projectors of many pixels get few groups of neighbours, because only one sample of each
-        group is searched for among all pixels.
-
-    Returns
-    -------
-    index : (m,) int64
-        Positions in the flat image.
-    group : int
-        Samples in each group; the positions are in ascending order if it is 1.
+    Projectors of many pixels get few groups of neighbours, because only one sample of each group is
+    searched for among all pixels. Positions are flat, in ascending order if the size is 1.
     """
     generator = np.random.default_rng(0)
     rows, cols = light.shape[:2]

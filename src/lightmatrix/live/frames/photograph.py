@@ -75,11 +75,10 @@ class Photographer:
         exposure: float | None = None,
         settle: float | None = None,
     ) -> Shot:
-        """Show an image (rows, cols) and photograph it.
+        """Show an image and photograph it (exposure and settle time in seconds; None: as set).
 
-        The exposure is in seconds; None leaves it as the camera is set. `settle` replaces the usual
-        settle time. An UntrustedFrameError says what is wrong with the frame; a DeviceError means
-        that the camera was lost and is not back within a minute.
+        An UntrustedFrameError says what is wrong with the frame; a DeviceError means that the
+        camera was lost and is not back within a minute.
         """
         try:
             return self._take(image, exposure, self.settle if settle is None else settle)

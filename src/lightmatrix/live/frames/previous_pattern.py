@@ -65,16 +65,8 @@ def fit_mixture(
 ) -> Mixture:
     """Fit the share of another pattern in a frame, as a whole and from each row up and down.
 
-    Parameters
-    ----------
-    missed : (m,) float
-        Each sample less the prediction of its own pattern.
-    other, own : (m,) float
-        The predictions of the other pattern and of its own.
-    error : (m,) float
-        Standard deviation of `missed` where all is right.
-    rows : (m,) int
-        The image row of each sample.
+    All are (m,): what the own pattern's prediction `missed`, both predictions, the standard
+    deviation of `missed` where all is right, and each sample's image row.
     """
     nuisance, _ = np.linalg.qr(np.column_stack([own, np.ones_like(own)]) / error[:, None])
 

@@ -52,10 +52,7 @@ class AveragedFrame:
 
     @property
     def without_noise(self) -> NDArray[np.float32]:
-        """The mean of black frames, or one level all over if they show nothing but noise.
-
-        That level is a median, which noise that is cut off at zero does not raise.
-        """
+        """The mean of black frames, or their median level if they show nothing but noise."""
         noise = self.noise / np.sqrt(len(self.shots))
         level = float(np.median([shot.data for shot in self.shots]))
         apart = np.abs(self.mean - np.median(self.mean))
@@ -77,10 +74,7 @@ def take_average(
     exposure: float | None = None,
     count: int = 4,
 ) -> AveragedFrame:
-    """Photograph an image `count` times (at least 3), and average the frames that agree.
-
-    An UnfitRigError says that hardly any frame can be trusted.
-    """
+    """Photograph an image `count` times (at least 3), and average the frames that agree."""
     shots = _trusted_shots(photographer, image, exposure, count)
     stack = np.stack([shot.data for shot in shots]).astype(np.float32)
     middle = np.median(stack, axis=0)

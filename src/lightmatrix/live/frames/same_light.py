@@ -14,10 +14,9 @@ from lightmatrix.live.frames.repeats import AveragedFrame
 
 @dataclass(frozen=True)
 class _Tolerances:
-    """How far two photographs of the same light may be apart.
+    """How far two photographs of the same light may be apart. Chosen by hand.
 
-    Chosen by hand. `python -m tests.live.rig_mixtures` measures what they let pass on virtual rigs
-    whose images come late.
+    `python -m tests.live.rig_mixtures` measures what passes on rigs whose images come late.
     """
 
     # Parts of the image from top to bottom, each of which has to agree.
@@ -67,18 +66,10 @@ class References:
         exposure: float,
         before: Sequence[NDArray[np.floating]] = (),
     ) -> bool:
-        """Whether two frames of one exposure show the same light everywhere.
+        """Whether two frames of raw levels, of one exposure, show the same light everywhere.
 
-        Parameters
-        ----------
-        one, other : (rows, cols[, channels])
-            Raw levels.
-        exposure : float
-            Seconds.
-        before : sequence of (rows, cols[, channels]) float
-            The light that was shown before one or the other, in levels above black at this
-            exposure. A small share of known light stands out from noise far sooner than an
-            unknown change does.
+        `before` is the light shown before one or the other, in levels above black: a small share of
+        known light stands out from noise far sooner than an unknown change does.
         """
         free = (one < self.white.clip_level) & (other < self.white.clip_level)
         dark = np.minimum(self.black.mean, self.dark)

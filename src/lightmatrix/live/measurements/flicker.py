@@ -126,10 +126,7 @@ def measure_flicker(
 
 
 def flicker_has_grown(rig: Rig, known: Flicker, *, settle: float, whites: WhiteAndBlack) -> bool:
-    """Whether a few frames show that the lamp or the room varies clearly more than it did.
-
-    `known` was measured at length before; `whites` was photographed now.
-    """
+    """Whether a few frames show that the lamp or room varies clearly more than `known` before."""
     exposure = set_exposure(rig.camera, min(_SHORT, whites.exposure))
     series = _white_and_black(rig, whites, exposure, settle, _FEW_FRAMES)
     bright, dark = (levels for _, levels in series)

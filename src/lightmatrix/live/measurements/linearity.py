@@ -30,10 +30,7 @@ TOLERATED = 0.02
 
 @dataclass(frozen=True)
 class CameraLinearity:
-    """Levels of a white picture at several exposures.
-
-    A camera with a single exposure counts as linear, since nothing is known of it.
-    """
+    """Levels of a white picture at several exposures; one exposure alone counts as linear."""
 
     # Seconds, from the shortest to the longest.
     exposures: tuple[float, ...]

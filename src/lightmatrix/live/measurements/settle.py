@@ -136,7 +136,7 @@ class _Observer:
     """Watches changes between black and white by frames at `scale` times the exposure of `whites`.
 
     `tolerance` is how near to its end a settled frame is, as a share of the way from black to
-    white; `patience` is how many seconds to wait for a frame.
+    white; `patience` is in seconds a frame.
     """
 
     def __init__(self, rig: Rig, whites: WhiteAndBlack, scale: float) -> None:
@@ -166,10 +166,7 @@ class _Observer:
         return min(max(_SETTLED, _DEVIATIONS * spread), _MOST_UNSETTLED), _LOST + 3 * usual
 
     def look(self, dark: bool, duration: float) -> tuple[float, float] | None:
-        """Seconds to the last exposure that saw a change, to black if `dark`, and to the next one.
-
-        None if the last frame has not settled: the image came late, or the frame is bad.
-        """
+        """Seconds to the last exposure that saw a change and to the next; None if unsettled."""
         rig = self._rig
         black, white = plain_images(rig)
         old, new = (white, black) if dark else (black, white)

@@ -80,11 +80,7 @@ def take_white_and_black(
 
 
 def find_white_and_black(photographer: Photographer) -> WhiteAndBlack:
-    """Choose an exposure for white, and photograph white and black at it.
-
-    An UnfitRigError says that the camera sees no light of the projector, or that all clips even at
-    its shortest exposure.
-    """
+    """Photograph white and black at an exposure chosen for white, or raise an UnfitRigError."""
     shortest, longest = exposure_limits(photographer.rig.camera)
     exposure = float(np.clip(photographer.rig.camera.exposure, shortest, longest))
     for _ in range(_TRIES):

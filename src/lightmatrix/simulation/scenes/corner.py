@@ -18,11 +18,7 @@ GAP = 0.001
 
 
 def build() -> Scene:
-    """The scene: a right-angled valley open towards the rig, its edge along y.
-
-    A cube rests in the valley on two of its faces and a ball on both walls, so that there are
-    shadows, which hold global light only.
-    """
+    """A right-angled valley, its edge along y, with a cube and a ball that cast shadows."""
     side, radius = 0.40, 0.19
     cube = (
         box(side, side, side, 0.012)

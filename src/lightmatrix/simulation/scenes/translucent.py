@@ -13,10 +13,7 @@ GLAZE = plastic((0.72, 0.70, 0.66), 0.14)
 
 
 def build() -> Scene:
-    """The scene: a corrugated sheet on two bars, a bowl, and a cup of paper standing on the board.
-
-    Light passes the paper, is scattered, meets the board and comes back through other places.
-    """
+    """A corrugated sheet on bars, a bowl, and a paper cup through which light scatters."""
     parts = [
         Part(sheet(), matt(0.55)),
         Part(_bowl().placed((0.44, -0.42, 0.0)), GLAZE),

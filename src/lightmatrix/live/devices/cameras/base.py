@@ -11,10 +11,7 @@ from lightmatrix.live.devices.protocols import Frame
 
 
 class BaseCamera(ABC):
-    """A camera at an address.
-
-    A subclass has a kind, opens the device in its own `__init__` and sets the attributes below.
-    """
+    """A camera: subclasses have a kind, open the device and set the attributes below."""
 
     kind: ClassVar[str]
 

@@ -74,10 +74,7 @@ class DSLRCamera(BaseCamera):
             self._stated = stated_exposure(self._address)
 
     def get_image(self, timeout: float) -> Frame:
-        """The next picture, taken by `trigger` or by the camera's own button.
-
-        Its time is when the camera reported it, which is after its exposure.
-        """
+        """The next picture, timed when the camera reported it, which is after its exposure."""
         self._check_open()
         until = time.monotonic() + timeout
         while not self._waiting:

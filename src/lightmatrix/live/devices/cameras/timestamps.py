@@ -12,15 +12,9 @@ _REMEMBERED = 100
 class FrameStamps:
     """Turns a camera's frame numbers into ones without end, and its times into `time.monotonic`.
 
-    A frame arrives some time after its exposure, by a delay that varies. The camera stamps it by a
-    clock of its own, whose offset is unknown. The frame that travelled fastest gives the best
-    estimate of that offset: the smallest difference between arrival and stamp over the last frames.
-    So a frame that waited in a queue keeps the time at which it was taken.
-
-    Parameters
-    ----------
-    largest_id : int, optional
-        The number after which the camera begins again at `first_id`.
+    A frame arrives by a delay that varies. The offset of the camera's clock is the smallest
+    difference between arrival and stamp over the last frames, so that a frame that waited in a
+    queue keeps its time. After `largest_id` the camera begins again at `first_id`.
     """
 
     def __init__(self, *, largest_id: int | None = None, first_id: int = 0) -> None:
@@ -42,10 +36,7 @@ class FrameStamps:
         return camera_id + self._rounds * (self._largest - self._first + 1)
 
     def time(self, stamp: float | None, arrival: float) -> float:
-        """When a frame was taken, in seconds of `time.monotonic`; never later than it arrived.
-
-        The stamp is in seconds by the camera's clock; None if it has none.
-        """
+        """When a frame was taken, in `time.monotonic`; never later than it arrived."""
         if stamp is None or stamp <= 0:
             return arrival
         if stamp < self._last_stamp:

@@ -38,10 +38,7 @@ class WatchedFolder(BaseCamera):
         self._count = 0
 
     def get_image(self, timeout: float) -> Frame:
-        """The next file that appeared, as soon as it is complete.
-
-        Its time is that of the file's last change, the best estimate of the end of its exposure.
-        """
+        """The next complete file, timed by its last change, the likeliest end of exposure."""
         self._check_open()
         until = time.monotonic() + timeout
         changes: dict[Path, tuple[tuple[int, int], float]] = {}

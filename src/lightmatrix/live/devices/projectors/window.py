@@ -50,10 +50,7 @@ _windows = 0
 
 
 class WindowProjector:
-    """A full-screen window; made by `open_window`.
-
-    Call its methods only from the thread that made it; on macOS that is the main thread.
-    """
+    """A full-screen window, used only by the thread that made it (on macOS the main thread)."""
 
     def __init__(self, glfw: Any, moderngl: Any, monitor: Any, number: int, gamma: str) -> None:
         self._glfw = glfw
@@ -274,10 +271,7 @@ def _full_screen(glfw: Any, monitor: Any, mode: Any) -> Any:
 
 
 def _gamma_ramp(glfw: Any, monitor: Any) -> dict[str, Any] | None:
-    """Whether the graphics card's gamma ramp is linear, and its values if it is not.
-
-    The values are those at 0, 1/16, ... 1, by colour. None if the system does not state a ramp.
-    """
+    """Whether the card's gamma ramp is linear, and its values at 0, 1/16, ... 1 if not."""
     try:
         ramp = glfw.get_gamma_ramp(monitor)
     # Wayland does not give access to it.

@@ -15,10 +15,7 @@ PROCEDURAL = "procedural"
 
 @dataclass(frozen=True)
 class VirtualSettings:
-    """A virtual projector and camera, their room and their faults.
-
-    Times are in seconds; rates are shares of the frames from 0 to 1.
-    """
+    """A virtual projector and camera, their room and faults: seconds, and rates from 0 to 1."""
 
     # A scene (see `scenes`), a truth file (T.npz), or "procedural".
     scene: str
