@@ -185,7 +185,7 @@ class CaptureRecord:
         write_extras: Callable[[Path], None],
         overwrite: bool,
     ) -> None:
-        """Make a capture folder, let `write_extras` add files, and discard the record on success."""
+        """Make a capture folder, let `write_extras` add files, and discard the record."""
         numbers = sorted(self.state.frames)
         if len(numbers) < patterns.count:
             patterns = patterns.subset(np.array(numbers))
