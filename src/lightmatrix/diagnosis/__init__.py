@@ -8,6 +8,7 @@
 ``light_levels``    Is there too much light, or too little?  Are black and white frames so?
 ``jpeg``            Did the photographs go through lossy compression?
 ``frame_order``     Does each frame show its own pattern?  Hypotheses: ``order_hypotheses``.
+``relation``        Do the photographs follow the patterns at all, or what else explains them?
 ``motion``          Did something move?  Shifts between images: ``image_shift``.
 ``wrong_frames``    Which frames show something else, and what?
 ``flicker``         Was the light the same in every frame?

@@ -19,6 +19,7 @@ from lightmatrix.diagnosis.linearity import check_linearity
 from lightmatrix.diagnosis.motion import check_motion
 from lightmatrix.diagnosis.pattern_faults import check_distinguishable, check_interchanged
 from lightmatrix.diagnosis.prediction import FramePrediction, predict
+from lightmatrix.diagnosis.relation import check_relation
 from lightmatrix.diagnosis.survey import Survey, high_variance_rows
 from lightmatrix.diagnosis.wrong_frames import SUSPECT, check_frames, wrong_frames
 
@@ -69,6 +70,9 @@ def _check_by_pairs(
     light: bool | None,
 ) -> list[Finding]:
     """Checks of patterns that come with their inverses."""
+    unrelated = check_relation(survey, names)
+    if unrelated:
+        return unrelated
     findings = check_plain_frames(survey, rows, names)
     of_pairs, corrected, doubted = check_pairs(survey, rows, pairs, names)
     findings += of_pairs
@@ -92,6 +96,9 @@ def _check_by_prediction(
         displaced[list(each.frames)] = True
     if displaced.mean() > _MOST_ODD:
         return disorder
+    unrelated = check_relation(survey, names)
+    if unrelated:
+        return unrelated
     findings = check_plain_frames(survey, rows, names)
     prediction = predict(survey.patterns, survey.samples(rows), doubted=displaced)
     suspects = _suspects(prediction, displaced)

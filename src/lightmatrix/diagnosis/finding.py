@@ -16,6 +16,7 @@ KINDS = {
     "black": "a black frame that is not the darkest",
     "white": "a white frame that is not the brightest",
     "order": "photographs that show the pattern of another one",
+    "unrelated": "photographs that do not follow the patterns at all",
     "frame": "a photograph that does not show its pattern",
     "flicker": "light that changes from frame to frame",
     "motion": "a scene, camera or projector that moved",

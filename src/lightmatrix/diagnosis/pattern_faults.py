@@ -20,7 +20,7 @@ _LOOKED_AT, _FEW_GREYS, _MANY_GREYS = 4, 4, 24
 
 def check_distinguishable(patterns: PatternSet) -> list[Finding]:
     """Whether the patterns can tell several footprints in a row, and single pixels, apart."""
-    if _separable(patterns):
+    if is_separable(patterns):
         return [
             Finding(
                 "patterns",
@@ -66,7 +66,7 @@ def check_interchanged(survey: Survey) -> list[Finding]:
     ]
 
 
-def _separable(patterns: PatternSet) -> bool:
+def is_separable(patterns: PatternSet) -> bool:
     """Whether no pattern varies along both rows and columns."""
     if min(patterns.shape) == 1:
         return False

@@ -60,12 +60,19 @@ def refuse_unusable(capture: Capture) -> None:
 def refuse_unordered(capture: Capture) -> None:
     """Refuse a capture whose frames do not follow its patterns (swapped, missing, late).
 
+    Warns if they follow nothing that is known.
+
     Raises
     ------
     InputError
         Naming the frames, as `lightmatrix check` does.
     """
-    refuse_disorder(check_capture(capture, order_only=True))
+    findings = check_capture(capture, order_only=True)
+    refuse_disorder(findings)
+    for finding in findings:
+        if finding.kind == "unrelated":
+            message = f"{finding.message}; {finding.advice}"
+            warnings.warn(message, LightMatrixWarning, stacklevel=3)
 
 
 def refuse_disorder(findings: Sequence[Finding]) -> None:

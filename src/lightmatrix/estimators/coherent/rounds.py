@@ -17,6 +17,7 @@ from lightmatrix.capture.capture import Capture
 from lightmatrix.estimators.base import rows_with_diagnostics
 from lightmatrix.estimators.coherent.camera_grid import CameraGrid
 from lightmatrix.estimators.coherent.certificate import holds_everywhere, sampled_rows
+from lightmatrix.estimators.coherent.held_out import HeldOut
 from lightmatrix.estimators.coherent.neighbourhood import Neighbourhood
 from lightmatrix.estimators.coherent.row_changes import (
     CHANGE,
@@ -25,12 +26,7 @@ from lightmatrix.estimators.coherent.row_changes import (
     unsettled,
     with_change,
 )
-from lightmatrix.estimators.coherent.row_errors import (
-    held_out_frames,
-    smooth_misfit,
-    squared_misfit,
-    without,
-)
+from lightmatrix.estimators.coherent.row_errors import smooth_misfit, squared_misfit, without
 from lightmatrix.estimators.coherent.row_solver import RowSolver
 from lightmatrix.estimators.coherent.schedule import Round
 from lightmatrix.estimators.cost_model import coherent_row_bytes, first_round_cost
@@ -86,7 +82,7 @@ class Rounds:
         if step != ROWS:
             return partial(self._solve, number, neighbours)
         misfit = read(HELD_OUT).diagnostics[HELD_OUT]
-        if len(held_out_frames(self.capture.count)):
+        if len(self._held_out.frames):
             misfit = smooth_misfit(misfit, neighbours.camera)
         return partial(self._finish, neighbours, misfit)
 
@@ -172,12 +168,12 @@ class Rounds:
 
     def _misfits(self, neighbours: Neighbourhood, start: int, stop: int) -> NDArray[np.float32]:
         solver = self.solver
-        held = held_out_frames(self.capture.count)
+        held = self._held_out.judged
         if not len(held):
             return np.full(stop - start, np.nan, np.float32)
         samples = self.capture.samples(start, stop)
         solved, weighted = solver.near(
-            without(samples, held),
+            without(samples, self._held_out.frames),
             np.arange(start, stop),
             self.rounds[-1],
             neighbours,
@@ -191,10 +187,13 @@ class Rounds:
 
     @cached_property
     def _held_out_atoms(self) -> NDArray[np.float32]:
-        """The atoms under the H frames held out, (S N, H)."""
+        """The atoms under the H judged frames, (S N, H)."""
         atoms = self.solver.atoms
-        held = held_out_frames(self.capture.count)
-        return np.stack([atoms.rows(k, k + 1)[0] for k in held], axis=1)
+        return np.stack([atoms.rows(k, k + 1)[0] for k in self._held_out.judged], axis=1)
+
+    @cached_property
+    def _held_out(self) -> HeldOut:
+        return HeldOut.choose(self.capture.patterns)
 
     def _finish(
         self, neighbours: Neighbourhood, misfit: NDArray[np.float32], start: int, stop: int
