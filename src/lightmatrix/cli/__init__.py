@@ -9,6 +9,10 @@ from __future__ import annotations
 import os
 import sys
 
+# Bytes of address space below which NumPy and SciPy cannot be loaded: measured with `ulimit -v` on
+# two cores, where 300 MB are too little and 400 MB are enough.
+LEAST_ADDRESS_SPACE = 380 << 20
+
 
 def main(argv: list[str] | None = None) -> int:
     """Run the command line.
@@ -41,10 +45,29 @@ def console() -> None:
     """Entry point of the installed command."""
     try:
         _open_standard_streams()
-        code = main()
+        code = 3 if _lacks_address_space() else main()
     except KeyboardInterrupt:
         code = 130
     sys.exit(code)
+
+
+def _lacks_address_space() -> bool:
+    """Whether the system gives too little address space to load the libraries; says so.
+
+    OpenBLAS would try again for ever.
+    """
+    if sys.platform == "win32":
+        return False
+    import resource
+
+    limit, _ = resource.getrlimit(resource.RLIMIT_AS)
+    if limit == resource.RLIM_INFINITY or limit >= LEAST_ADDRESS_SPACE:
+        return False
+    sys.stderr.write(
+        f"error: not enough memory: {limit >> 20} MiB of address space are allowed, "
+        f"{LEAST_ADDRESS_SPACE >> 20} MiB are the least\n  raise the limit: ulimit -v unlimited\n"
+    )
+    return True
 
 
 def _open_standard_streams() -> None:

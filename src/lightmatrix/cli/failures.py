@@ -19,6 +19,8 @@ from lightmatrix.errors import LightMatrixError
 
 # Exit codes. 70 is EX_SOFTWARE of sysexits.h, and 130 what shells give for Ctrl-C.
 BAD, NO_MEMORY, BUG, STOPPED = 2, 3, 70, 130
+# What Linux says of a library that finds no room in memory.
+_NO_ROOM_FOR_LIBRARY = ("failed to map segment", "annot allocate memory", "cannot map zero-fill")
 # If this variable is set, a bug prints its traceback.
 DEBUG = "LIGHTMATRIX_DEBUG"
 # Errors of a stream, such as a full disk behind standard output, that are no bug.
@@ -43,8 +45,10 @@ def report(error: BaseException) -> int:
 
 
 def lacks_memory(error: BaseException) -> bool:
-    """Whether memory ran out; a thread that cannot start lacks memory too."""
-    return isinstance(error, MemoryError) or "can't start new thread" in str(error)
+    """Whether memory ran out: for objects, a thread that starts, or a library that is loaded."""
+    words = str(error)
+    loading = isinstance(error, ImportError) and any(why in words for why in _NO_ROOM_FOR_LIBRARY)
+    return isinstance(error, MemoryError) or loading or "can't start new thread" in words
 
 
 def _explain(error: BaseException) -> tuple[int, list[str]]:

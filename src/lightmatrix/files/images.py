@@ -88,6 +88,10 @@ def as_image_error(name: str) -> Iterator[None]:
         yield
     except (LightMatrixError, MemoryError):
         raise
+    except PermissionError as error:
+        raise InputError(
+            f"{name}: cannot be read ({error.strerror})", hint="check its permissions"
+        ) from error
     # Libraries raise nearly anything, among them SyntaxError.
     except Exception as error:
         # Their words do not help where the file ends early, or where no reader knows the format.

@@ -131,6 +131,8 @@ def read_attributes(place: Path) -> dict[str, Any]:
     try:
         attributes = read_metadata(place).get("attributes")
     except (InputError, ValueError):
+        if not os.access(place / HEADER, os.R_OK):
+            raise
         return {}
     return attributes if isinstance(attributes, dict) else {}
 
@@ -142,8 +144,15 @@ def as_damage_error(place: Path, hint: str) -> Iterator[None]:
         yield
     except MemoryError:
         raise
+    except PermissionError as error:
+        raise InputError(
+            f"{error.filename or place}: cannot be read ({error.strerror})",
+            hint="check its permissions",
+        ) from error
     # Codecs raise nearly anything on damaged chunks.
     except Exception as error:
+        if isinstance(error.__cause__, PermissionError):
+            raise
         if _NO_THREAD in str(error):
             raise MemoryError(str(error)) from error
         words = " ".join(str(getattr(error, "message", error)).split())[:120]

@@ -162,7 +162,8 @@ def write_page(
         "findings": [finding.kind for finding in findings],
         "advice": list(advice),
     }
-    (folder / PAGE).write_text(html(page), encoding="utf-8")
+    # A file name that is no text holds characters that UTF-8 has no code for.
+    (folder / PAGE).write_text(html(page), encoding="utf-8", errors="replace")
     (folder / NUMBERS).write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
     return result
 

@@ -145,6 +145,12 @@ def _attributes() -> list[Case]:
         "scene": ":smile:",
         "versions": {"[/x]": "[y]"},
     }
+    half = both(BAD, attribute("bad.zarr", "provenance", {"estimator": "half \ud800 of a sign"}))
+    cases += [
+        Case(f"provenance that is no text: {reader}", command, (), half, code=0,
+             makes=("out.npy", "out.npz", "out.mat"))
+        for reader, command in {**READERS, "info json": "info bad.zarr --json"}.items()
+    ]  # fmt: skip
     cases.append(
         Case(
             "provenance of markup",
