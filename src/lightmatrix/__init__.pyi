@@ -163,6 +163,7 @@ from .uses.compensation import (
     Reach as Reach,
     compensate as compensate,
 )
+from .uses.inverse_light import cancel_global as cancel_global
 from .live.closed_loop import (
     RefinedCompensation as RefinedCompensation,
     refine_compensation as refine_compensation,

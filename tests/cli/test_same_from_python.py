@@ -329,6 +329,19 @@ def test_compensate_a_video(work: Path, tmp_path: Path, capsys: pytest.CaptureFi
     assert told == {"output": f"{tmp_path}/shown", **video.as_dict()}
 
 
+def test_compensate_cancels_global_light(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene = tmp_path / "scene.zarr"
+    lm.save(scene, lm.truth("l_objects").transport())
+    for folder in ("shown", "made"):
+        (tmp_path / folder).mkdir()
+    told = _run(f"compensate {scene} --cancel-global -o {tmp_path}/shown/x.png", capsys)
+    found = lm.cancel_global(scene, output=tmp_path / "made" / "x.png")
+    _same_files(tmp_path / "shown", tmp_path / "made")
+    assert told == {"output": f"{tmp_path}/shown/x.png", **found.as_dict()}
+
+
 def test_compensate_on_a_rig(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:  # fmt: skip
@@ -363,6 +376,8 @@ def test_compensate_on_a_rig(
         ("--video frames --green g.zarr --blue b.zarr", "several matrices"),
         ("{wanted} --brightness bright", "a brightness of 'bright'"),
         ("{wanted} --green g.zarr", "--blue is missing"),
+        ("--cancel-global --rig virtual:metal", "--cancel-global with options"),
+        ("--cancel-global --brightness 0.7", "--cancel-global with options"),
     ],
 )
 def test_what_compensate_refuses(

@@ -69,6 +69,13 @@ def compensate(
     video: Annotated[
         Path | None, typer.Option(help="Folder of frames to compensate instead of one picture.")
     ] = None,
+    cancel_global: Annotated[
+        bool,
+        typer.Option(
+            "--cancel-global",
+            help="Show direct light only, as under the pattern WANTED, or under white.",
+        ),
+    ] = False,
     refine: Annotated[
         int | None,
         typer.Option(help="Photographs on a rig that correct the pattern.", show_default="none"),
@@ -95,9 +102,17 @@ def compensate(
         "overwrite": overwrite,
     }
     with_rig = rig is not None or projector is not None or camera is not None
-    _check(wanted, video, with_rig, refine, several=bool(green or blue or beside), black=black)
+    several = bool(green or blue or beside)
+    if cancel_global:
+        other = several or video or with_rig or refine is not None or black or mask or resize
+        _check_alone(bool(other) or common["brightness"] is not None or gamma != 1)
+    else:
+        _check(wanted, video, with_rig, refine, several=several, black=black)
     summary: dict[str, Any] = {"output": output}
-    if video is not None:
+    if cancel_global:
+        found = lm.cancel_global(scene, wanted, output=output, overwrite=overwrite)
+        summary |= found.as_dict()
+    elif video is not None:
         with progress("compensating", "frames") as report:
             frames = lm.compensate_video(scene, video, ambient=black, progress=report, **common)
         summary |= frames.as_dict()
@@ -129,6 +144,14 @@ def _brightness(text: str) -> float | None:
         return float(text)
     except ValueError:
         raise InputError(f"a brightness of {text!r}", hint="write auto, or a number") from None
+
+
+def _check_alone(others: bool) -> None:
+    if others:
+        raise InputError(
+            "--cancel-global with options of other compensations",
+            hint="it takes SCENE.zarr and, if not white, a pattern",
+        )
 
 
 def _check(

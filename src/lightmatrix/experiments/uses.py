@@ -11,7 +11,7 @@ import numpy as np
 
 from lightmatrix.estimators.estimate import estimate
 from lightmatrix.experiments.harness import Experiment, Measured, Row, all_rows
-from lightmatrix.experiments.uses_compensation import compensation_rows
+from lightmatrix.experiments.uses_compensation import compensation_rows, inverse_light_rows
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.pictures.style import COLOURS, figure, save
 from lightmatrix.planning.plan import plan
@@ -25,9 +25,15 @@ SIDES = (64, 128)
 SEEDS = (0, 1, 2)
 PATTERNS, NOISE = 32, 0.003
 # Each use judges an estimate by the truth: rows with use, scene, size, method, metric, value.
-USES: tuple[Callable[[LightTransport, Truth, str], list[Row]], ...] = (compensation_rows,)
+USES: tuple[Callable[[LightTransport, Truth, str], list[Row]], ...] = (
+    compensation_rows,
+    inverse_light_rows,
+)
 # The metrics that the figure shows, with the label of their axis.
-_DRAWN = {("compensate", "PSNR"): "PSNR of the photograph (dB)"}
+_DRAWN = {
+    ("compensate", "PSNR"): "PSNR of the photograph (dB)",
+    ("cancel global", "residue"): "global light left",
+}
 
 
 @dataclass(frozen=True)

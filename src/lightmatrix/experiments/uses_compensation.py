@@ -1,4 +1,4 @@
-"""Compensation on the bundled scenes, judged through the true T."""
+"""Compensation and inverse light on the bundled scenes, judged through the true T."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from lightmatrix.simulation import library
 from lightmatrix.simulation.truth import Truth
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.uses.compensation import compensate, compensator
+from lightmatrix.uses.inverse_light import cancel_global
 
 # The wanted picture is a white photograph of another scene; its brightest hundredth is white.
 _PICTURE, _OTHER_PICTURE, _WHITE = "gripper", "l_objects", 0.99
@@ -50,6 +51,23 @@ def compensation_rows(estimate: LightTransport, truth: Truth, scene: str) -> lis
         missed = (known.relight(pattern).ravel() - target)[reachable] / found.scale
         psnr = float(-10 * np.log10(np.mean(missed**2)))
         rows.append(_row(scene, side, "compensate", "PSNR", psnr, method))
+    return rows
+
+
+def inverse_light_rows(estimate: LightTransport, truth: Truth, scene: str) -> list[Row]:
+    """How far photographs are from direct light alone, before and after global light is cancelled.
+
+    Both are relative L2 distances to the true direct light under white.
+    """
+    side = truth.camera_shape[0]
+    white = np.ones(truth.projector_shape, np.float32)
+    direct = truth.direct @ white.ravel()
+    rows = []
+    shown = {"white pattern": white, "estimate": cancel_global(estimate).pattern}
+    for method, pattern in shown.items():
+        missed = truth.matrix @ pattern.ravel() - direct
+        residue = float(np.linalg.norm(missed) / np.linalg.norm(direct))
+        rows.append(_row(scene, side, "cancel global", "residue", residue, method))
     return rows
 
 

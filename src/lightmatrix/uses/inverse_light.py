@@ -1,0 +1,102 @@
+"""`lm.cancel_global`: the pattern under which the camera sees direct light only."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightmatrix.errors import InputError
+from lightmatrix.files.images import read_grey
+from lightmatrix.outputs.kinds import IMAGE
+from lightmatrix.outputs.writing import check_output
+from lightmatrix.transport.matrix import LightTransport, checked_patterns
+from lightmatrix.uses.compensation import Compensation, compensator, write_shown
+from lightmatrix.uses.joint_light import Transport, joint_light
+from lightmatrix.uses.separation import separate
+
+# Global light of many bounces takes longer to cancel than a picture to reach.
+_ITERATIONS = 50
+
+
+def cancel_global(
+    transport: Transport,
+    pattern: NDArray[Any] | str | Path | None = None,
+    *,
+    direct: LightTransport | None = None,
+    output: str | Path | None = None,
+    overwrite: bool = False,
+) -> Compensation:
+    """The pattern under which the camera sees what a pattern gives by direct light only.
+
+    Seitz, Matsushita & Kutulakos ("A Theory of Inverse Light Transport", ICCV 2005) cancel
+    interreflections in a photograph by the inverse of T. Here the projector does it: with the
+    direct part D of T, the pattern q with T q = D p makes the camera see D p. It is found as
+    `compensate` finds patterns, within [0, 1].
+
+    Parameters
+    ----------
+    transport : LightTransport, StoredTransport, str or Path
+        T, or where `open` finds it.
+    pattern : (rows, cols) array, str or Path, optional
+        The pattern p in [0, 1]. None: white.
+    direct : LightTransport, optional
+        The direct part D. None: that of `separate`.
+    output : str or Path, optional
+        Image file to write the pattern q to, as `compensate` does.
+    overwrite : bool
+        Whether an existing image may be replaced.
+
+    Returns
+    -------
+    Compensation
+        Its target is D p. `reach` says where more is left than 5 % of the light of white.
+
+    Raises
+    ------
+    InputError
+        On a pattern of another size, or a T without direct light.
+    OutputError
+        If the pattern cannot be written.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> found = lm.cancel_global(lm.truth("l_objects").transport())
+    >>> bool(found.pattern.mean() < 1)
+    True
+    """
+    if output is not None:
+        check_output(output, IMAGE, overwrite=overwrite)
+    matrix = joint_light(transport).matrices[0]
+    shown = _pattern(pattern, matrix.projector_shape)
+    part = separate(matrix).direct if direct is None else direct
+    if part.shape != matrix.shape:
+        raise InputError(
+            f"direct light of {part.shape[0]} x {part.shape[1]}, for a matrix of {matrix.shape[0]} "
+            f"x {matrix.shape[1]}",
+            hint="give the direct part of the same matrix",
+        )
+    target = part.relight(shown)
+    if not target.any():
+        raise InputError(
+            "the pattern gives no direct light", hint="give a pattern that lights the scene"
+        )
+    shared = compensator(matrix)
+    found = shared.reaching(target.ravel(), 1.0, start=shown.ravel(), iterations=_ITERATIONS)
+    if output is not None:
+        write_shown(output, found.patterns, overwrite=overwrite)
+    return found
+
+
+def _pattern(
+    pattern: NDArray[Any] | str | Path | None, projector_shape: tuple[int, int]
+) -> NDArray[np.float32]:
+    if pattern is None:
+        return np.ones(projector_shape, np.float32)
+    values = read_grey(pattern) if isinstance(pattern, str | Path) else np.asarray(pattern)
+    if values.ndim != 2:
+        raise InputError(f"a pattern of shape {values.shape}", hint="give (rows, cols)")
+    return checked_patterns(values, projector_shape)
