@@ -98,7 +98,7 @@ def _draw(out: Path, results: list[tuple[Case, Measured]]) -> None:
                 _draw_bars(axes, rows)
                 axes.set_title(f"{metric[0]}, {size} x {size}")
             line[0].set_ylabel(_DRAWN[metric])
-            line[0].legend(loc="lower right", frameon=True)
+            line[-1].legend(loc="upper left", bbox_to_anchor=(1, 1))
         save(drawing, out, "uses", ("png", "svg"))
 
 
