@@ -50,12 +50,13 @@ def test_global_light_that_separation_finds_is_cancelled(truth: Truth) -> None:
 def test_what_does_not_fit_is_refused(truth: Truth, tmp_path: Path) -> None:
     known, direct = truth.transport(), _direct(truth)
     other = lm.ProceduralScene((8, 8), (8, 8)).truth().transport()
-    for words, arguments in {
+    faults: dict[str, dict[str, Any]] = {
         "gives no direct light": {"pattern": np.zeros((64, 64)), "direct": direct},
         "direct part of the same": {"direct": other},
         "pattern has shape": {"pattern": np.ones((8, 8)), "direct": direct},
         "pattern of shape": {"pattern": np.ones((64, 64, 3)), "direct": direct},
-    }.items():
+    }
+    for words, arguments in faults.items():
         with pytest.raises(lm.InputError) as caught:
             lm.cancel_global(known, output=tmp_path / "new.png", **arguments)
         assert words in f"{caught.value} {caught.value.hint}"
