@@ -100,7 +100,7 @@ def _times(browser: Browser, store: Path, transport: lm.LightTransport) -> str:
         " x ".join(map(str, shape)) for shape in (transport.camera_shape, transport.projector_shape)
     )
     return (
-        f"| {projector} under {camera}, {transport.sparse.nnz:,} entries | {middle:.0f} ms "
+        f"| {projector} under {camera} | {transport.sparse.nnz:,} | {middle:.0f} ms "
         f"| {most:.0f} ms | {memory} MiB |"
     )
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import http.client
 import http.server
+import os
 import random
 import shutil
 import socket
@@ -234,6 +235,24 @@ def test_the_end_is_told_and_frees_the_port(store: Path, tmp_path: Path) -> None
     with running.served(store, "--port", str(server.port)) as again:
         assert again.port == server.port
         assert again.token != server.token
+
+
+@pytest.mark.skipif(os.name == "nt", reason="the browser of this test is a shell script")
+def test_a_browser_that_does_not_return_is_served(
+    store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As one in the terminal, which runs until it is closed."""
+    browser = tmp_path / "browser"
+    browser.write_text(f'#!/bin/sh\necho "$1" > {tmp_path}/address\nexec sleep 60\n')
+    browser.chmod(0o755)
+    monkeypatch.setenv("BROWSER", f"{browser} %s")
+    with running.served(store, "--browser") as server:
+        assert ask(server, f"/{server.token}/").status == 200
+        end = time.monotonic() + 30
+        while not (tmp_path / "address").exists() and time.monotonic() < end:
+            time.sleep(0.1)
+        assert (tmp_path / "address").read_text().strip() == server.address
+        assert server.stop() == 130
 
 
 def test_a_port_in_use_is_refused(store: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import socket
+import threading
 import webbrowser
 from collections.abc import Callable
 from pathlib import Path
@@ -72,7 +73,8 @@ def serve_viewer(
         if ready is not None:
             ready(guard.address)
         if browser:
-            webbrowser.open(guard.address)
+            # A browser in the terminal would not return before it is closed.
+            threading.Thread(target=webbrowser.open, args=(guard.address,), daemon=True).start()
         uvicorn.Server(_config(uvicorn, Answers(scene, guard))).run(sockets=[listening])
 
 
