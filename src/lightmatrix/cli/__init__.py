@@ -15,18 +15,11 @@ LEAST_ADDRESS_SPACE = 380 << 20
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run the command line.
+    """Run the command line; None takes the words of the process.
 
-    Parameters
-    ----------
-    argv : list of str, optional
-        The words after `lightmatrix`; None takes those of the process.
-
-    Returns
-    -------
-    int
-        0 done, 1 `check` found a fault, 2 bad input or output, 3 out of memory, 70 a bug of
-        lightmatrix, 130 Ctrl-C. All but 0 and 1 come with one message on standard error.
+    Returns 0 for done, 1 if `check` found a fault, 2 for bad input or output, 3 out of memory, 70
+    for a bug of lightmatrix, 130 for Ctrl-C. All but 0 and 1 come with one message on standard
+    error.
     """
     try:
         # Imported here, because the import takes long enough for a Ctrl-C.

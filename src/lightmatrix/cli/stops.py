@@ -20,12 +20,10 @@ _REPEAT_AFTER, _MOST_REPEATS = 0.05, 100
 def quiet_stops() -> Iterator[None]:
     """Make sure that Ctrl-C stops the code within, and silence what it breaks.
 
-    One interrupt in a hundred was lost: in callbacks of the import system, and in libraries that
-    catch every exception. So an interrupt waits until the module that is being imported is ready,
-    and one that nobody handles is repeated. An interrupt within a library's constructor makes its
-    destructor fail, which Python would print with a traceback. An event loop that was interrupted
-    logs that a task was destroyed. Both are silenced after an interrupt. Interrupts that are
-    ignored, as in background jobs of a shell, stay ignored.
+    One interrupt in a hundred was lost in callbacks of the import system and in libraries that
+    catch every exception. So an interrupt waits until the current import ends, and one that nobody
+    handles is repeated. Failing destructors and event loops then print tracebacks, which are
+    silenced. Ignored interrupts, as in background jobs of a shell, stay ignored.
     """
     main = threading.current_thread() is threading.main_thread()
     ours = main and signal.getsignal(signal.SIGINT) is signal.default_int_handler

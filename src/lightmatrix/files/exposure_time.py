@@ -17,7 +17,7 @@ _LONGEST = 1e5
 
 
 def exposure_time(path: str | Path) -> float | None:
-    """Exposure time of a photograph in seconds; None if it has none, or the file is damaged."""
+    """Exposure time of a photograph in seconds; None if it does not say, or is damaged."""
     file = Path(path)
     try:
         seconds = _raw_seconds(file) if file.suffix.lower() in RAW else _exif_seconds(file)

@@ -153,7 +153,7 @@ class ImageStack:
 
 
 def _all_grey(paths: Sequence[Path | Page]) -> bool:
-    """Whether files of three channels are grey, by four of them that hold more than one level."""
+    """Whether files of three channels are grey, by four of them; single levels do not count."""
     samples = [paths[k] for k in sorted({0, len(paths) // 3, 2 * len(paths) // 3, len(paths) - 1})]
     varied = 0
     for path in samples:

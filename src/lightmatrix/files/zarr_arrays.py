@@ -51,7 +51,7 @@ def create_array(
     chunks: tuple[int, ...],
     blosc: BloscCodec = SMALL,
 ) -> zarr.Array[Any]:
-    """Begin an array of a group, by `blosc` `QUICK` if someone waits for its reading."""
+    """Begin an array of a group; `blosc` is `QUICK` for arrays whose reading someone waits for."""
     return group.create_array(
         name,
         shape=shape,

@@ -16,7 +16,7 @@ _UNSUPPORTED = {errno.ENOSYS, errno.EINVAL, errno.ENOTSUP, errno.EOPNOTSUPP}
 
 
 def put_in_place(new: Path, target: Path, aside: Path) -> None:
-    """Let a whole folder replace `target`, which ends at `new` if they can swap, else `aside`."""
+    """Let a whole folder replace `target`, whose old folder ends at `new` if the two can swap."""
     if not os.path.lexists(target):
         os.rename(new, target)
     elif not any(target.iterdir()):

@@ -103,7 +103,7 @@ def advise_exposures(
     brightest lose. While `noise` (a share of the clip level) exceeds 1.5 % of a typical pixel's
     light, longer exposures are added, four times each. Where the white frame itself clips, one of a
     quarter of the shortest is added. The shortest of several gets a quarter of the frames, at least
-    8, never more than others. `shortest` is the camera's own limit.
+    8, but never more than the others. `shortest` is the camera's own limit.
     """
     check_camera(noise, shortest)
     ladder = [1 / (BRIGHT_SPOT_SHARE * white.brightest)]

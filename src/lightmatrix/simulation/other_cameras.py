@@ -52,7 +52,8 @@ def mapped(shape: tuple[int, int], homography: NDArray[np.float64]) -> NDArray[n
 def depth_blur(truth: Truth, widest: float) -> NDArray[np.float64]:
     """Blur that grows with depth, (M,) in projector pixels (std), for a grey camera.
 
-    Depth follows from disparity: the blur is 0 at one end of its range and `widest` at the other.
+    Depth follows from disparity. The projector is in focus where its pixels lie furthest to one
+    side of the camera's, and blurred by `widest` where they lie furthest to the other side.
     """
     rows, cols = truth.camera_shape[:2]
     col = np.asarray(truth.matrix.argmax(axis=1)).reshape(rows, cols) % truth.projector_shape[1]

@@ -63,7 +63,7 @@ _MAIN = (
 
 
 def labelled(values: Mapping[str, Any], *, main_only: bool = False) -> dict[str, Any]:
-    """The values with labels for keys and shares in per cent; about ten if `main_only`."""
+    """The values with labels for keys and shares in per cent; about ten lines if `main_only`."""
     keys = [key for key in _MAIN if key in values] if main_only else list(values)
     return {
         _LABELS.get(key, key.replace("_", " ")): f"{100 * values[key]:.1f} %"

@@ -65,7 +65,7 @@ def holds_everywhere(
 def _suspects(
     parts: list[tuple[_core.PreparedPatterns, NDArray[np.float64]]], limit: float
 ) -> Iterator[NDArray[np.int64]]:
-    """For each row the atoms whose correlation may exceed the limit: 16-bit scores have errors."""
+    """For each row the atoms whose summed correlation may exceed the limit: scores are 16-bit."""
     scored = []
     for prepared, e in parts:
         scores, bounds = prepared.scores(np.ascontiguousarray(e))
