@@ -39,7 +39,7 @@ def found(frames: NDArray[np.uint8]) -> list[tuple[str, tuple[int, ...]]]:
     capture = lm.Capture.from_arrays(PATTERNS, frames, DECODER)
     findings = [(each.kind, each.frames) for each in lm.check(capture)]
     # Stripes never tell rows with several footprints.
-    assert findings.pop(0) == ("patterns", ())
+    assert findings.pop(0) == ("stripes", ())
     return findings
 
 

@@ -19,7 +19,7 @@ RANDOM = BernoulliPatterns((10, 10), K).images()
 def message(images: NDArray[np.floating]) -> str:
     found = check_distinguishable(ImagePatterns(images.astype(np.float32)))
     assert len(found) < 2
-    assert {each.kind for each in found} <= {"patterns"}
+    assert {each.kind for each in found} <= {"patterns", "stripes"}
     return found[0].message if found else ""
 
 
@@ -38,6 +38,14 @@ def test_stripes_in_both_directions_do_not() -> None:
     assert "along rows or along columns only" in message(both)
     both[5, 3, 3] += 0.02
     assert "along rows or along columns only" not in message(both)
+
+
+def test_stripes_are_a_note_and_twins_a_fault() -> None:
+    stripes = np.repeat(RANDOM[:, :1], 10, axis=1).astype(np.float32)
+    (note,) = check_distinguishable(ImagePatterns(stripes))
+    (fault,) = check_distinguishable(ImagePatterns(np.ones((K, 10, 10), np.float32)))
+    assert note.is_note
+    assert not fault.is_note
 
 
 def test_uniform_patterns_and_single_lines_are_no_stripes() -> None:

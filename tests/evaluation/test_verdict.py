@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import lightmatrix as lm
-from lightmatrix.evaluation.verdict import estimated_error, verdict
+from lightmatrix.evaluation.verdict import Verdict, estimated_error, verdict, with_findings
 from tests.helpers.transports import random_transport
 
 
@@ -39,6 +39,14 @@ def test_the_verdict_follows_the_estimated_errors(transport: lm.LightTransport) 
     expected = np.sqrt((energy[known] * errors[known] ** 2).sum() / energy[known].sum())
     assert estimated_error(mixed) == pytest.approx(expected, rel=1e-5)
     assert verdict(mixed).level == "fair"
+
+
+def test_what_no_error_estimate_shows_makes_the_verdict_doubtful() -> None:
+    good = Verdict("good", "Estimated error of T: 1 %.")
+    assert with_findings(good, ["flicker", "stripes"]) is good
+    spoiled = with_findings(good, ["response", "flicker", "order"])
+    assert spoiled.level == "doubtful"
+    assert spoiled.sentence.endswith("(order, response).")
 
 
 def test_an_estimate_with_clipped_single_responses_is_not_called_good(

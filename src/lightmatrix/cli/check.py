@@ -24,7 +24,7 @@ def check(*, source: Source, as_json: Json = False) -> None:
     Give a capture folder; or patterns and images, each as a folder or a stack. The command finds
     frames that are missing, late, swapped, black or odd; gamma and JPEG; motion and flicker; too
     much or too little light; and pixels that the patterns cannot tell apart. It exits with 0 if
-    nothing is wrong, and with 1 otherwise.
+    nothing is wrong, and with 1 otherwise. Stripes are a note, not a fault.
     """
     findings = source.check()
     if as_json:
@@ -33,7 +33,7 @@ def check(*, source: Source, as_json: Json = False) -> None:
         show_findings(findings)
     else:
         say("nothing is wrong")
-    if findings:
+    if not all(finding.is_note for finding in findings):
         raise typer.Exit(FOUND)
 
 

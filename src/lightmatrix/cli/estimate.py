@@ -22,6 +22,7 @@ from lightmatrix.cli.options import (
 )
 from lightmatrix.cli.source import Source, with_source
 from lightmatrix.cli.terminal import progress, say, show_json, show_table, warn
+from lightmatrix.evaluation.verdict import with_findings
 from lightmatrix.outputs.kinds import REPORT, STORE
 from lightmatrix.transport.labels import labelled
 
@@ -236,15 +237,16 @@ def estimate(
     outcome: dict[str, Any] | None = None
     if report is not None:
         outcome = _report(report, output, source, transport, capture, settings, findings, overwrite)
+    if outcome is None:
+        judged = with_findings(lm.verdict(transport), (each.kind for each in findings))
+    else:
+        judged = lm.Verdict(outcome["verdict"], outcome["sentence"])
     if as_json:
         result = {"output": str(output), "seconds": seconds, "needs": resources.as_dict()}
+        result |= {"verdict": judged.level, "sentence": judged.sentence}
         result |= transport.summary() | {"findings": [finding.as_dict() for finding in findings]}
         show_json(result if outcome is None else {**result, "report": outcome})
         return
-    if outcome is None:
-        judged = lm.verdict(transport)
-    else:
-        judged = lm.Verdict(outcome["verdict"], outcome["sentence"])
     say(str(judged))
     _show_summary(output, transport, verbose)
     if report is not None:

@@ -12,6 +12,7 @@ KINDS = {
     "counts": "a photograph too few or too many",
     "interchanged": "patterns and photographs in each other's place",
     "patterns": "patterns from which T cannot be determined everywhere",
+    "stripes": "patterns of stripes, which suffice where each camera pixel sees one place",
     "light": "too much or too little light",
     "black": "a black frame that is not the darkest",
     "white": "a white frame that is not the brightest",
@@ -24,6 +25,9 @@ KINDS = {
     "jpeg": "photographs that went through lossy compression",
     "unseen": "camera pixels that never see the projector",
 }
+
+# Kinds that say what a healthy capture cannot reveal; `check` exits with 0 if it has no other.
+NOTES = ("stripes",)
 
 
 @dataclass(frozen=True)
@@ -52,6 +56,11 @@ class Finding:
     frames: tuple[int, ...]
     message: str
     advice: str
+
+    @property
+    def is_note(self) -> bool:
+        """Whether nothing is wrong: healthy captures of this kind only have limits."""
+        return self.kind in NOTES
 
     def as_dict(self) -> dict[str, Any]:
         """The finding, JSON-ready."""

@@ -23,7 +23,7 @@ def check_distinguishable(patterns: PatternSet) -> list[Finding]:
     if is_separable(patterns):
         return [
             Finding(
-                "patterns",
+                "stripes",
                 (),
                 "each pattern varies along rows or along columns only (Gray code, stripes, "
                 "fringes): where a camera pixel sees several places, they cannot tell these from "

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
@@ -24,6 +24,9 @@ SINGLY_CLIPPED, _SOME_CLIPPED = 0.02, 0.002
 # The verdict mentions it if more than this share of the rows clip in half of their samples, or do
 # not converge. Chosen by hand.
 _MANY_CLIPPED, _MANY_UNFINISHED = 0.1, 0.01
+# Kinds of findings of `check` that spoil T where neither estimated errors nor unseen photographs
+# show it: these photographs are wrong alike.
+_SPOILING = ("order", "unrelated", "response", "motion", "patterns")
 _UNTESTED = "It was not tested on unseen photographs (`estimate --report` does that)."
 _REMEDY = (
     "More patterns help most, then an exposure that uses the camera's range, or binned projector "
@@ -90,6 +93,16 @@ def verdict(transport: LightTransport, why_untested: str = _UNTESTED) -> Verdict
         remarks.append(_REMEDY)
     sentences = [f"Estimated error of T: {percent(error)}.", *warnings, *remarks]
     return Verdict(level, " ".join(sentences))
+
+
+def with_findings(judged: Verdict, kinds: Iterable[str]) -> Verdict:
+    """A verdict, doubtful if `check` found what spoils T unnoticed; `kinds` are its findings'."""
+    spoiling = sorted(set(kinds) & set(_SPOILING))
+    if not spoiling:
+        return judged
+    doubt = f"But the check found what no error estimate shows ({', '.join(spoiling)})."
+    level: Level = judged.level if judged.level == "not tested" else "doubtful"
+    return Verdict(level, f"{judged.sentence} {doubt}")
 
 
 def singly_clipped(transport: LightTransport, exposure: float) -> float:

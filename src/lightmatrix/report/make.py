@@ -13,7 +13,7 @@ from lightmatrix.diagnosis.finding import Finding
 from lightmatrix.errors import InputError
 from lightmatrix.estimators.settings import EstimateSettings
 from lightmatrix.estimators.work import Progress
-from lightmatrix.evaluation.verdict import percent
+from lightmatrix.evaluation.verdict import percent, with_findings
 from lightmatrix.outputs.kinds import REPORT
 from lightmatrix.outputs.writing import atomic_folder
 from lightmatrix.report.elements import Points, Section
@@ -133,9 +133,12 @@ def write_page(
         validation = validate(capture, estimator or EstimateSettings(), progress=progress)
     facts = Facts(transport, capture, truth, validation)
     advice = recommendations(facts)
+    judged = facts.verdict
+    if facts.relative_error is None:
+        judged = with_findings(judged, (finding.kind for finding in findings))
     page = Page(
         title,
-        facts.verdict,
+        judged,
         _first_numbers(facts),
         tuple(_sentences(finding) for finding in findings),
         first_frames(facts),
@@ -152,8 +155,8 @@ def write_page(
     )
     test = validation if isinstance(validation, Validation) else None
     result: dict[str, Any] = {
-        "verdict": facts.verdict.level,
-        "sentence": facts.verdict.sentence,
+        "verdict": judged.level,
+        "sentence": judged.sentence,
         "held_out_error": test.error if test else None,
         "held_out_frames": test.frames.tolist() if test else [],
         "mean_photograph_error": test.mean_error if test else None,
