@@ -12,6 +12,7 @@ import numpy as np
 from lightmatrix.estimators.estimate import estimate
 from lightmatrix.experiments.harness import Experiment, Measured, Row, all_rows
 from lightmatrix.experiments.uses_compensation import compensation_rows, inverse_light_rows
+from lightmatrix.experiments.uses_separation import separation_rows
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.pictures.style import COLOURS, figure, save
 from lightmatrix.planning.plan import plan
@@ -24,15 +25,19 @@ SCENES = ("l_objects", "gripper", "metal", "corner")
 SIDES = (64, 128)
 SEEDS = (0, 1, 2)
 PATTERNS, NOISE = 32, 0.003
-# Each use judges an estimate by the truth: rows with use, scene, size, method, metric, value.
-USES: tuple[Callable[[LightTransport, Truth, str], list[Row]], ...] = (
-    compensation_rows,
-    inverse_light_rows,
+# Each use judges an estimate by the truth of a scene, with a seed for photographs of its own: rows
+# with use, scene, size, method, metric, value.
+USES: tuple[Callable[[LightTransport, Truth, str, int], list[Row]], ...] = (
+    lambda transport, truth, scene, _: compensation_rows(transport, truth, scene),
+    lambda transport, truth, scene, _: inverse_light_rows(transport, truth, scene),
+    separation_rows,
 )
 # The metrics that the figure shows, with the label of their axis.
 _DRAWN = {
     ("compensate", "PSNR"): "PSNR of the photograph (dB)",
     ("cancel global", "residue"): "global light left",
+    ("separate", "global error"): "error of the global image",
+    ("separate, blur 1", "global error"): "error of the global image",
 }
 
 
@@ -65,7 +70,7 @@ def measure(case: Case) -> Measured:
     patterns = BernoulliPatterns(truth.projector_shape, PATTERNS, seed=case.seed)
     capture = simulate(truth, patterns, exposure=exposure, noise=NOISE, seed=case.seed)
     transport = estimate(capture)
-    rows = [row for use in USES for row in use(transport, truth, case.scene)]
+    rows = [row for use in USES for row in use(transport, truth, case.scene, case.seed)]
     return Measured([{**row, "seed": case.seed} for row in rows])
 
 
