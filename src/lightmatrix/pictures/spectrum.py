@@ -30,7 +30,8 @@ def show_spectrum(transport: LightTransport) -> Picture:
     with mpl.rc_context(STYLE):
         drawing = Picture(figsize=(4.2, 2.8), layout="constrained")
         axes = drawing.subplots()
-        axes.semilogy(np.arange(1, len(shares) + 1), shares, "o-", color=COLOURS[0], markersize=3)
+        axes.plot(np.arange(1, len(shares) + 1), shares, "o-", color=COLOURS[0], markersize=3)
+        axes.set_ylim(0, 1.05)
         axes.set_title(f"Singular values of T: the {len(shares)} largest")
         axes.set_xlabel("number")
         axes.set_ylabel("share of the largest")
