@@ -46,7 +46,7 @@ Doubted = tuple[NDArray[np.generic], int]
 class Step:
     """Progress of a session after a frame."""
 
-    # Frames.
+    # Numbers of frames.
     done: int
     total: int
     # Share of the last frame's samples that clip.

@@ -24,7 +24,6 @@ class Page:
     findings: tuple[str, ...]
     first_frames: Strip
     sections: tuple[Section, ...]
-    # The version of lightmatrix.
     version: str
 
 

@@ -62,7 +62,6 @@ class BackEndStatus:
     form: str
     # Whether its devices can be listed at all.
     finds: bool
-    # Devices that are present.
     found: tuple[AvailableDevice, ...] = ()
     # Why it cannot be used now, and what to do.
     problem: str | None = None
