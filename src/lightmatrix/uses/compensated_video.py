@@ -22,8 +22,8 @@ from lightmatrix.uses.compensation import USUAL_ITERATIONS, compensator
 from lightmatrix.uses.joint_light import Transport
 from lightmatrix.uses.wanted_image import Picture, wanted_samples
 
-# Iterations for a frame that starts from the pattern of the frame before. In a panning photograph
-# of 64 x 64, ten are within .1 dB of 25.
+# Iterations for a frame that starts from the pattern of the frame before. In a picture that pans by
+# a pixel a frame at 64 x 64, ten are within .05 dB of 25 from the start.
 _FOLLOWING = 10
 
 

@@ -22,13 +22,13 @@ from lightmatrix.uses.bounded_fit import BoundedFit
 from lightmatrix.uses.joint_light import JointLight, Transport, joint_light
 from lightmatrix.uses.wanted_image import Picture, ambient_samples, mask_samples, wanted_samples
 
-# More iterations than 25 change the photograph of the bundled scenes by less than .1 dB.
+# Against 300 iterations, 25 lose at most .2 dB on the bundled scenes at 64 x 64.
 USUAL_ITERATIONS = 25
 # A camera sample is in shadow if white gives it less than this share of what bright samples get, a
 # quantile of its channel. Chosen by hand: dark surfaces reflect about a tenth.
 _SHADOW, _BRIGHT = 0.1, 0.9
 # The automatic brightness lets this share of the lit samples ask for more light than white gives
-# them. On the bundled scenes half of it costs 10 to 40 % of the brightness.
+# them. On the bundled scenes half of it costs 20 to 45 % of the brightness.
 _TOO_DARK = 0.02
 # A sample is reached if the prediction misses it by at most this share of the light of wanted
 # white: 1 / 20, about 13 levels of an 8-bit picture.

@@ -17,7 +17,7 @@ from lightmatrix.uses.compensation import Compensation, compensator, write_shown
 from lightmatrix.uses.joint_light import Transport, joint_light
 from lightmatrix.uses.separation import separate
 
-# Global light of many bounces takes longer to cancel than a picture to reach.
+# Twice those of a compensation. Chosen by hand.
 _ITERATIONS = 50
 
 
