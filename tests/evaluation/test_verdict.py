@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import lightmatrix as lm
-from lightmatrix.evaluation.verdict import Verdict, estimated_error, verdict, with_findings
+from lightmatrix.evaluation.verdict import Verdict, estimated_error, verdict
 from tests.helpers.transports import random_transport
 
 
@@ -43,8 +43,8 @@ def test_the_verdict_follows_the_estimated_errors(transport: lm.LightTransport) 
 
 def test_what_no_error_estimate_shows_makes_the_verdict_doubtful() -> None:
     good = Verdict("good", "Estimated error of T: 1 %.")
-    assert with_findings(good, ["flicker", "stripes"]) is good
-    spoiled = with_findings(good, ["response", "flicker", "order"])
+    assert good.with_findings(["flicker", "stripes"]) is good
+    spoiled = good.with_findings(["response", "flicker", "order"])
     assert spoiled.level == "doubtful"
     assert spoiled.sentence.endswith("(order, response).")
 

@@ -22,7 +22,6 @@ from lightmatrix.cli.options import (
 )
 from lightmatrix.cli.source import Source, with_source
 from lightmatrix.cli.terminal import progress, say, show_json, show_table, warn
-from lightmatrix.evaluation.verdict import with_findings
 from lightmatrix.outputs.kinds import REPORT, STORE
 from lightmatrix.transport.labels import labelled
 
@@ -238,7 +237,7 @@ def estimate(
     if report is not None:
         outcome = _report(report, output, source, transport, capture, settings, findings, overwrite)
     if outcome is None:
-        judged = with_findings(lm.verdict(transport), (each.kind for each in findings))
+        judged = lm.verdict(transport).with_findings(each.kind for each in findings)
     else:
         judged = lm.Verdict(outcome["verdict"], outcome["sentence"])
     if as_json:

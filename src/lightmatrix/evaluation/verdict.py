@@ -58,6 +58,21 @@ class Verdict:
     def __str__(self) -> str:
         return f"{self.level.capitalize()}. {self.sentence}"
 
+    def with_findings(self, kinds: Iterable[str]) -> Verdict:
+        """The verdict, doubtful if `check` found what spoils T unnoticed.
+
+        Parameters
+        ----------
+        kinds : iterable of str
+            The kinds of the findings.
+        """
+        spoiling = sorted(set(kinds) & set(_SPOILING))
+        if not spoiling:
+            return self
+        doubt = f"But the check found what no error estimate shows ({', '.join(spoiling)})."
+        level: Level = self.level if self.level == "not tested" else "doubtful"
+        return Verdict(level, f"{self.sentence} {doubt}")
+
 
 def verdict(transport: LightTransport, why_untested: str = _UNTESTED) -> Verdict:
     """Judge an estimate by the errors that it estimates of its own rows.
@@ -93,16 +108,6 @@ def verdict(transport: LightTransport, why_untested: str = _UNTESTED) -> Verdict
         remarks.append(_REMEDY)
     sentences = [f"Estimated error of T: {percent(error)}.", *warnings, *remarks]
     return Verdict(level, " ".join(sentences))
-
-
-def with_findings(judged: Verdict, kinds: Iterable[str]) -> Verdict:
-    """A verdict, doubtful if `check` found what spoils T unnoticed; `kinds` are its findings'."""
-    spoiling = sorted(set(kinds) & set(_SPOILING))
-    if not spoiling:
-        return judged
-    doubt = f"But the check found what no error estimate shows ({', '.join(spoiling)})."
-    level: Level = judged.level if judged.level == "not tested" else "doubtful"
-    return Verdict(level, f"{judged.sentence} {doubt}")
 
 
 def singly_clipped(transport: LightTransport, exposure: float) -> float:

@@ -13,7 +13,7 @@ from lightmatrix.diagnosis.finding import Finding
 from lightmatrix.errors import InputError
 from lightmatrix.estimators.settings import EstimateSettings
 from lightmatrix.estimators.work import Progress
-from lightmatrix.evaluation.verdict import percent, with_findings
+from lightmatrix.evaluation.verdict import percent
 from lightmatrix.outputs.kinds import REPORT
 from lightmatrix.outputs.writing import atomic_folder
 from lightmatrix.report.elements import Points, Section
@@ -135,7 +135,7 @@ def write_page(
     advice = recommendations(facts)
     judged = facts.verdict
     if facts.relative_error is None:
-        judged = with_findings(judged, (finding.kind for finding in findings))
+        judged = judged.with_findings(finding.kind for finding in findings)
     page = Page(
         title,
         judged,
