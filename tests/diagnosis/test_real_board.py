@@ -98,7 +98,7 @@ def test_faults_of_the_real_board_are_named(
     patterns, frames = board
     capture = lm.Capture.from_arrays(patterns, fault(frames), CAMERA)
     # Stripes never tell rows with several footprints.
-    assert told(lm.check(capture)) == [("patterns", ()), *expected]
+    assert told(lm.check(capture)) == [("stripes", ()), *expected]
 
 
 @pytest.mark.parametrize("place", [3, 17])

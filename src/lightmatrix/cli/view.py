@@ -29,9 +29,9 @@ def view(
     ] = True,
     overwrite: Overwrite = False,
 ) -> None:
-    """Show T in the browser: paint on the projector, see what the camera would photograph.
+    """Paint with light: show T in the browser.
 
-    Ctrl-C ends it. The page is reachable from this machine only.
+    Paint on the projector, and see what the camera would photograph. Ctrl-C ends the viewer. The page is reachable from this machine only.
     """
     if export is not None:
         if port:
