@@ -31,7 +31,8 @@ def view(
 ) -> None:
     """Paint with light: show T in the browser.
 
-    Paint on the projector, and see what the camera would photograph. Ctrl-C ends the viewer. The page is reachable from this machine only.
+    Paint on the projector, and see what the camera would photograph. Ctrl-C ends the viewer. The
+    page is reachable from this machine only.
     """
     if export is not None:
         if port:
