@@ -29,7 +29,7 @@ def main(out: Path) -> dict[str, object]:
     for k in range(simulated.count):
         lm.write_image(out / "photos" / f"photo_{k:04d}.png", simulated.frame(k))
 
-    # With photographs of your own, begin here.
+    # Begin here if you have your own photographs.
     capture = lm.Capture.from_folders(out / "patterns", out / "photos")
     estimate = lm.estimate(capture, output=out / "scene.zarr")
     report = lm.report(out / "report", estimate, capture)

@@ -24,7 +24,8 @@ from lightmatrix.outputs.swap import put_in_place
 from lightmatrix.outputs.targets import as_output_error, disk_failure, final_target
 
 TEMPORARY = "lightmatrix-temporary"
-# Where an old folder lies in the temporary folder, if it could not change places.
+# The name that a replaced folder gets inside the temporary one, where two folders cannot be
+# exchanged in one step.
 _OLD = "old"
 
 

@@ -5,19 +5,17 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.errors import InputError
-from lightmatrix.files.images import read_grey
 from lightmatrix.outputs.kinds import IMAGE
 from lightmatrix.outputs.writing import check_output
-from lightmatrix.transport.matrix import LightTransport, checked_patterns
+from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.uses.compensation import Compensation, compensator, write_shown
 from lightmatrix.uses.joint_light import Transport, joint_light
-from lightmatrix.uses.separation import separate
+from lightmatrix.uses.separation import pattern_or_white, separate
 
-# Twice those of a compensation. Chosen by hand.
+# Iterations of the solver. Chosen by hand: twice as many as a compensation takes.
 _ITERATIONS = 50
 
 
@@ -71,7 +69,7 @@ def cancel_global(
     if output is not None:
         check_output(output, IMAGE, overwrite=overwrite)
     matrix = joint_light(transport).matrices[0]
-    shown = _pattern(pattern, matrix.projector_shape)
+    shown = pattern_or_white(pattern, matrix.projector_shape)
     part = separate(matrix).direct if direct is None else direct
     if part.shape != matrix.shape:
         raise InputError(
@@ -85,18 +83,7 @@ def cancel_global(
             "the pattern gives no direct light", hint="give a pattern that lights the scene"
         )
     shared = compensator(matrix)
-    found = shared.reaching(target.ravel(), 1.0, start=shown.ravel(), iterations=_ITERATIONS)
+    compensation = shared.reaching(target.ravel(), 1.0, start=shown.ravel(), iterations=_ITERATIONS)
     if output is not None:
-        write_shown(output, found.patterns, overwrite=overwrite)
-    return found
-
-
-def _pattern(
-    pattern: NDArray[Any] | str | Path | None, projector_shape: tuple[int, int]
-) -> NDArray[np.float32]:
-    if pattern is None:
-        return np.ones(projector_shape, np.float32)
-    values = read_grey(pattern) if isinstance(pattern, str | Path) else np.asarray(pattern)
-    if values.ndim != 2:
-        raise InputError(f"a pattern of shape {values.shape}", hint="give (rows, cols)")
-    return checked_patterns(values, projector_shape)
+        write_shown(output, compensation.patterns, overwrite=overwrite)
+    return compensation

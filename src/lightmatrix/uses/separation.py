@@ -170,7 +170,7 @@ def separate(
     if output is not None:
         check_output(output, SEPARATION, overwrite=overwrite)
     matrix = transport if isinstance(transport, LightTransport) else store.open(transport)
-    lit = _pattern(pattern, matrix.projector_shape)
+    lit = pattern_or_white(pattern, matrix.projector_shape)
     _check_positive(matrix)
     shape = (matrix.camera_shape[0], matrix.camera_shape[1])
     rows, background = pixel_rows(matrix)
@@ -194,10 +194,10 @@ def separate(
     return separation
 
 
-def _pattern(
+def pattern_or_white(
     pattern: NDArray[Any] | str | Path | None, projector_shape: tuple[int, int]
 ) -> NDArray[np.float32]:
-    """The pattern of the images, white by default."""
+    """A pattern from an image or an array as light, (rows, cols) float32; white by default."""
     if pattern is None:
         return np.ones(projector_shape, np.float32)
     values = read_grey(pattern) if isinstance(pattern, str | Path) else np.asarray(pattern)

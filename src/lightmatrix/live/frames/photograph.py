@@ -19,8 +19,8 @@ from lightmatrix.live.devices.exposures import same_exposure, set_exposure
 from lightmatrix.live.devices.protocols import Frame
 from lightmatrix.live.rig import Rig
 
-# So many frames from before the pattern are passed over until one under it arrives. Chosen by hand:
-# more than any camera buffers.
+# At most this many frames from before the pattern are skipped until one under it arrives. Chosen by
+# hand: it is more than any camera buffers.
 _MOST_STALE = 32
 # A frame may begin this many seconds before the settle time is over: times are rounded.
 _TICK = 1e-6

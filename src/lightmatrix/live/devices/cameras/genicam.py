@@ -20,7 +20,7 @@ class GenICamCamera(BaseCamera):
 
     # Exceptions of the driver when it refuses a feature's value.
     _refusals: tuple[type[Exception], ...]
-    # Where the user reads about features that exist, and about their values.
+    # These hints tell the user where the camera lists its features, and their values.
     _features_hint: str
     _values_hint: str
     # What to check when a camera without a cabled trigger delivers nothing.
