@@ -20,8 +20,8 @@ _BLURS, _CELLS = (0.0, 1.0, 2.0, 4.0, 8.0), (2, 4)
 # patterns and 2^22 samples of at most 128 frames are compared.
 _MOST_PIXELS, MOST_VALUES, _MOST_SAMPLES = 1 << 16, 1 << 23, 1 << 22
 MOST_FRAMES = 128
-# Triple products of frames, which tell negatives, are formed at no more than this many pixels of the
-# camera and of the projector.
+# Triple products of frames, which tell negatives, are formed at no more than this many pixels of
+# the camera and of the projector.
 MOST_PRODUCTS = 2048
 
 Floats = NDArray[np.float32]
