@@ -1,13 +1,14 @@
 """Mutation testing: break one thing in a copy of the sources, and see whether a test fails.
 
     python tools/mutants.py                      a sample of 200 mutants of the folders in TARGETS
-    python tools/mutants.py --count 60 --seed 1 src/lightmatrix/solvers
+    python tools/mutants.py src/lightmatrix/solvers --tests tests/solvers --count 60 --seed 1
 
 First the tests in SUITES run once, in as many processes as --jobs, to record which test runs which
-line. The record is kept in mutants-out/coverage.json until a source or a test changes. Then each
-mutant gets the tests that run its line, the quickest first, up to a budget of seconds; the first
-test that fails kills it. The survivors are printed and written to mutants-out/mutants.json: either
-a test is missing, or the mutant changes nothing that matters. Compiled code is not mutated.
+line. The record of each file of tests is kept in mutants-out/records until the file or a source
+that it runs changes, so a run that was stopped goes on where it was. Then each mutant gets the
+tests that run its line, the quickest first, up to a budget of seconds; the first test that fails
+kills it. The survivors are printed and written to mutants-out/mutants.json: either a test is
+missing, or the mutant changes nothing that matters. Compiled code is not mutated.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ import sys
 import tempfile
 import time
 from collections import Counter
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -46,7 +48,7 @@ SUITES = [
     *("tests/evaluation", "tests/core", "tests/camera"),
     *("tests/cli/test_bad_input.py", "tests/cli/test_same_from_python.py"),
 ]
-# Modules that are imported once, before the children are forked: a mutant then takes one second
+# Modules that are imported once, before the children are forked: a child then starts in one second
 # instead of five.
 HEAVY = (
     "pytest hypothesis numpy scipy.sparse scipy.optimize scipy.ndimage scipy.signal scipy.io zarr "
@@ -57,6 +59,9 @@ BUDGET = 60.0
 # A mutant hangs if it takes this many times the recorded seconds, and this many seconds more. Both
 # are chosen by hand: children that run side by side take up to twice the recorded time.
 PATIENCE, GRACE = 4.0, 60.0
+# Options of pytest in a child. It warns that it cannot rewrite plugins that are imported already.
+QUIETLY = ["-p", "no:cacheprovider", "-p", "no:faulthandler"]
+QUIETLY += ["-W", "ignore::pytest.PytestAssertRewriteWarning"]
 # The exit code of a child in which pytest could not be started.
 BROKEN = 97
 
@@ -67,21 +72,19 @@ def main() -> int:
     parser.add_argument("paths", nargs="*", type=Path, default=TARGETS)
     parser.add_argument("--count", type=int, default=200, help="size of the sample; 0: all")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--tests", nargs="+", default=SUITES, help="folders and files of tests")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--budget", type=float, default=BUDGET, help="seconds of tests a mutant")
     parser.add_argument("--least", type=float, default=0.0, help="fail below this share killed")
-    parser.add_argument("--record", type=Path, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
-    if arguments.record:
-        return record(arguments.record, [str(path) for path in arguments.paths])
-    OUT.mkdir(exist_ok=True)
+    (OUT / "records").mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as folder:
         # Mutants live in copies, so that the working tree may change meanwhile.
         copies = [copied(Path(folder) / str(number)) for number in range(arguments.jobs)]
         mutants = sample(copies[0], arguments.paths, arguments.count, arguments.seed)
-        recorded = recording(copies)
         for module in HEAVY.split():
             importlib.import_module(module)
+        recorded = recording(copies, arguments.tests)
         control(mutants, recorded, copies[0])
         fates = run(mutants, recorded, copies, arguments.budget)
     return report(mutants, fates, arguments.least)
@@ -120,35 +123,61 @@ def copied(to: Path) -> Path:
 # --- which test runs which line
 
 
-def recording(copies: list[Path]) -> dict[str, Any]:
+def recording(trees: list[Path], suites: list[str]) -> dict[str, Any]:
     """Tests with their seconds, and for each file's lines the tests that run them."""
-    tree = copies[0]
-    sources = [*(tree / "src").rglob("*.py"), *(tree / "tests").rglob("*.py")]
-    digest = hashlib.sha256(b"".join(p.read_bytes() for p in sorted(sources))).hexdigest()
-    kept = OUT / "coverage.json"
-    if kept.exists():
-        earlier: dict[str, Any] = json.loads(kept.read_text())
-        if earlier["digest"] == digest:
-            return earlier
-    print("recording which test runs which line", flush=True)
-    files = python_files([tree / suite for suite in SUITES], "test_*.py")
-    # The largest files first, in turn to each process: about the same time for all.
-    files.sort(key=lambda file: -file.stat().st_size)
-    started = []
-    for number, copy in enumerate(copies):
-        share = [str(file.relative_to(tree)) for file in files[number :: len(copies)]]
-        command = [sys.executable, "tools/mutants.py", "--record", "coverage.json", *share]
-        started.append(subprocess.Popen(command, cwd=copy, env=environment(copy)))
-    codes = [process.wait() for process in started]
-    if any(codes):
-        raise SystemExit("the tests could not be recorded: see above")
-    merged = merge([json.loads((copy / "coverage.json").read_text()) for copy in copies])
-    kept.write_text(json.dumps({"digest": digest, **merged}))
-    return merged
+    tree = trees[0]
+    files = python_files([tree / suite for suite in suites], "test_*.py")
+    names = [str(file.relative_to(tree)) for file in files]
+    # The largest files first, so that the processes end at about the same time.
+    stale = sorted(
+        (name for name in names if not is_current(kept(name), tree, name)),
+        key=lambda name: -(tree / name).stat().st_size,
+    )
+    if stale:
+        print(f"recording which lines {len(stale)} files of tests run", flush=True)
+    idle, busy = list(trees), dict[int, tuple[Path, str]]()
+    while stale or busy:
+        while stale and idle:
+            copy, name = idle.pop(), stale.pop(0)
+            kept(name).unlink(missing_ok=True)
+            child = os.fork()
+            if child == 0:
+                record(copy, name)
+            busy[child] = copy, name
+        child, _ = os.wait()
+        copy, name = busy.pop(child)
+        idle.append(copy)
+        if not kept(name).exists():
+            raise SystemExit(f"the tests of {name} could not be recorded: run them")
+    return merge([json.loads(kept(name).read_text()) for name in names])
+
+
+def kept(name: str) -> Path:
+    """Where the record of a file of tests is kept."""
+    return OUT / "records" / (name.replace("/", ".") + ".json")
+
+
+def is_current(record: Path, tree: Path, name: str) -> bool:
+    """Whether neither the tests nor a source that they run has changed since the record."""
+    if not record.exists():
+        return False
+    earlier = json.loads(record.read_text())
+    return bool(earlier["digests"] == digests(tree, name, earlier["lines"]))
+
+
+def digests(tree: Path, name: str, sources: Iterable[str]) -> dict[str, str]:
+    """The digests of a file of tests, of what it may import from other tests, and of sources."""
+    shared = [*(tree / "tests").rglob("conftest.py"), *(tree / "tests/helpers").rglob("*.py")]
+    files = [tree / name, *shared, *(tree / source for source in sources)]
+    return {
+        str(file.relative_to(tree)): hashlib.sha256(file.read_bytes()).hexdigest()
+        for file in files
+        if file.exists()
+    }
 
 
 def merge(records: list[dict[str, Any]]) -> dict[str, Any]:
-    """The records of several processes as one."""
+    """The records of several files of tests as one."""
     lines: dict[str, dict[str, list[str]]] = {}
     for record in records:
         for file, tests_by_line in record["lines"].items():
@@ -198,30 +227,40 @@ class Recorder:
             self.failed.add(report.nodeid)
 
 
-def record(target: Path, tests: list[str]) -> int:
-    """In a copy of the tree: run some files of tests under coverage."""
-    import coverage
-    import pytest
+def record(tree: Path, name: str) -> None:
+    """In a child: run a file of tests under coverage, write its record, leave."""
+    code = BROKEN
+    try:
+        enter(tree)
+        import coverage
+        import pytest
 
-    measured = coverage.Coverage(
-        data_file=None, include=[str(Path.cwd() / PACKAGE / "*")], config_file=False
-    )
-    recorder = Recorder(measured)
-    measured.start()
-    pytest.main(["-p", "no:cacheprovider", *tests], plugins=[recorder])
-    measured.stop()
-    data = measured.get_data()
-    lines: dict[str, dict[int, list[str]]] = {}
-    for file in data.measured_files():
-        contexts = data.contexts_by_lineno(file)
-        lines[str(Path(file).relative_to(Path.cwd()))] = {
-            line: sorted({t for name in names for t in recorder.users.get(name, [name]) if t})
-            for line, names in contexts.items()
+        measured = coverage.Coverage(
+            data_file=None, include=[str(tree / PACKAGE / "*")], config_file=False
+        )
+        recorder = Recorder(measured)
+        measured.start()
+        code = int(pytest.main([*QUIETLY, name], plugins=[recorder]))
+        measured.stop()
+        data = measured.get_data()
+        lines: dict[str, dict[int, list[str]]] = {}
+        for file in data.measured_files():
+            contexts = data.contexts_by_lineno(file)
+            lines[str(Path(file).relative_to(tree))] = {
+                line: sorted({t for n in names for t in recorder.users.get(n, [n]) if t})
+                for line, names in contexts.items()
+                if any(names)
+            }
+        lines = {file: tests_by_line for file, tests_by_line in lines.items() if tests_by_line}
+        entry = {
+            "digests": digests(tree, name, lines),
+            "seconds": recorder.seconds,
+            "failed": sorted(recorder.failed),
+            "lines": lines,
         }
-    target.write_text(
-        json.dumps({"seconds": recorder.seconds, "failed": sorted(recorder.failed), "lines": lines})
-    )
-    return 0
+        kept(name).write_text(json.dumps(entry))
+    finally:
+        os._exit(code)
 
 
 def tests_of(mutant: Mutant, recorded: dict[str, Any], budget: float) -> tuple[list[str], float]:
@@ -322,22 +361,24 @@ def attempt(tree: Path, tests: list[str]) -> None:
     """In the child: run the tests, leave with pytest's code."""
     code = BROKEN
     try:
-        silent = os.open(os.devnull, os.O_WRONLY)
-        os.dup2(silent, 1)
-        os.dup2(silent, 2)
-        os.chdir(tree)
-        os.environ.update(environment(tree))
-        sys.path[:0] = [str(tree / "src")]
-        # A .pyc of an earlier mutant of the same size and second would be run instead of this one.
-        sys.dont_write_bytecode = True
+        enter(tree)
         import pytest
 
-        # pytest warns that it cannot rewrite plugins that are imported already.
-        options = ["-x", "-p", "no:cacheprovider", "-p", "no:faulthandler"]
-        options += ["-W", "ignore::pytest.PytestAssertRewriteWarning"]
-        code = int(pytest.main([*options, *tests]))
+        code = int(pytest.main(["-x", *QUIETLY, *tests]))
     finally:
         os._exit(code)
+
+
+def enter(tree: Path) -> None:
+    """In a child: print nothing, and import the package from this copy of the tree."""
+    silent = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(silent, 1)
+    os.dup2(silent, 2)
+    os.chdir(tree)
+    os.environ.update(environment(tree))
+    sys.path[:0] = [str(tree / "src")]
+    # A .pyc of an earlier mutant of the same size and second would be run instead of this one.
+    sys.dont_write_bytecode = True
 
 
 def environment(tree: Path) -> dict[str, str]:
