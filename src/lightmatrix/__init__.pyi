@@ -121,7 +121,7 @@ from .pictures.diagnostics import (
     show_correspondence as show_correspondence,
     show_footprints as show_footprints,
     show_gaps as show_gaps,
-    show_stated_errors as show_stated_errors,
+    show_estimated_errors as show_estimated_errors,
 )
 from .pictures.show import (
     show as show,

@@ -211,7 +211,7 @@ def test_info_writes_the_pictures_of_the_door(
     made = lm.write_pictures(tmp_path / "made", work / "scene.zarr")
     _same_files(tmp_path / "shown", tmp_path / "made")
     assert [Path(name).name for name in printed["pictures"]] == [path.name for path in made]
-    shown = {"correspondence", "clipping", "gap", "footprint", "stated-error"}
+    shown = {"correspondence", "clipping", "gap", "footprint", "estimated-error"}
     assert {path.stem for path in made} == shown
 
 

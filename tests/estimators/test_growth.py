@@ -16,12 +16,12 @@ from lightmatrix.estimators.coherent.camera_grid import CameraGrid
 from lightmatrix.estimators.coherent.certificate import (
     SLACK,
     _residuals,
-    holds_everywhere,
+    certified_everywhere,
     sampled_rows,
 )
 from lightmatrix.estimators.coherent.estimator import SIZES, WINDOWS, CoherentEstimator
 from lightmatrix.estimators.coherent.neighbourhood import Neighbourhood
-from lightmatrix.estimators.coherent.rounds import HOLDS, SEARCHED
+from lightmatrix.estimators.coherent.rounds import CERTIFIED, SEARCHED
 from lightmatrix.estimators.coherent.row_solver import RowSolver
 from lightmatrix.estimators.coherent.schedule import Round
 from lightmatrix.evaluation.metrics import relative_error
@@ -101,16 +101,16 @@ def test_grown_rows_are_as_good_and_say_whether_they_searched(
     scene: Truth, grown: LightTransport
 ) -> None:
     usual, known = CoherentEstimator().estimate(photographed(scene)), scene.transport()
-    assert HOLDS not in usual.diagnostics
+    assert CERTIFIED not in usual.diagnostics
     error = relative_error(usual, known)
     assert relative_error(grown, known) < 1.1 * error
     # Seeds are a 64th of the rows.
     assert 1 / 64 < grown.diagnostics[SEARCHED].mean() < 0.2
-    held = grown.diagnostics[HOLDS]
+    held = grown.diagnostics[CERTIFIED]
     assert np.isfinite(held).mean() == pytest.approx(0.2, abs=0.02)
     assert np.nanmean(held) > 0.95
-    assert grown.summary()["rows_looked_everywhere"] == grown.diagnostics[SEARCHED].mean()
-    assert grown.summary()["rows_that_hold_everywhere"] == np.nanmean(held)
+    assert grown.summary()["rows_searched_everywhere"] == grown.diagnostics[SEARCHED].mean()
+    assert grown.summary()["rows_certified_everywhere"] == np.nanmean(held)
     assert grown.provenance["solver_parameters"]["spacings"] == [8, 4, 1]
 
 
@@ -211,7 +211,7 @@ def test_rows_that_left_something_out_do_not_hold(scene: Truth) -> None:
         estimate = SparseRows(coefficients, alone.background, alone.diagnostics)
         known = Neighbourhood(estimate, (*CAMERA, 1), solving.atoms)
         solved, weighing = solving.near(samples, np.arange(count), stage, known)
-        held = holds_everywhere(solving, weighing, solved, rows)
+        held = certified_everywhere(solving, weighing, solved, rows)
         # By the definition: the gradient of the weighted problem.
         shown, unseen = _residuals(solving, weighing, solved, rows)
         assert unseen is not None

@@ -131,7 +131,7 @@ def test_the_command_reports_and_refuses(
     assert not store.exists()
     # --no-check tries what the model refuses.
     assert main([*words, "--no-check", "--no-coherent", "--iterations", "2", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["needs"]["fits"] is False
+    assert json.loads(capsys.readouterr().out)["resources"]["fits"] is False
 
 
 def test_other_solvers_have_no_time() -> None:

@@ -295,7 +295,7 @@ def test_workers_without_the_package(
     monkeypatch.setitem(sys.modules, module.__name__, module)
     monkeypatch.setattr(startup, "describe_worker", module.about)
     message = str(refused(cluster.scheduler_address, capture, tmp_path / "s.zarr"))
-    assert "has no lightmatrix like this one" in message
+    assert "does not have this version of lightmatrix" in message
 
 
 @pytest.mark.parametrize(

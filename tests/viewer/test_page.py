@@ -188,7 +188,7 @@ def test_rows_and_columns(page: Page, transport: lm.LightTransport) -> None:
     assert page.get_by_text("Column of projector pixel 9, 4").is_visible()
 
 
-@pytest.mark.parametrize("name", ["clipping", "stated-error", "row", "confidence", "dual"])
+@pytest.mark.parametrize("name", ["clipping", "estimated-error", "row", "confidence", "dual"])
 def test_layers(name: str, page: Page, transport: lm.LightTransport) -> None:
     side = "projector" if name == "dual" else "camera"
     page.get_by_label(f"Layer of the {side}").select_option(name)
@@ -198,7 +198,7 @@ def test_layers(name: str, page: Page, transport: lm.LightTransport) -> None:
     matches = maps.correspondence_maps(lm.correspondence(transport))
     expected = {
         "clipping": maps.clipping_map(transport).values,
-        "stated-error": maps.estimated_error_map(transport).values,
+        "estimated-error": maps.estimated_error_map(transport).values,
         "row": matches[0].values,
         "confidence": matches[2].values,
         "dual": transport.dual_image().astype(float),
@@ -341,9 +341,9 @@ def test_the_exported_page_needs_no_network(
     assert_relit(page, transport)
     stroke(page, (1, 1), (9, 9))
     assert_relit(page, transport)
-    page.get_by_label("Layer of the camera").select_option("stated-error")
+    page.get_by_label("Layer of the camera").select_option("estimated-error")
     settle(page)
-    assert page.evaluate(f"{VIEWER}.shown.camera") == "stated-error"
+    assert page.evaluate(f"{VIEWER}.shown.camera") == "estimated-error"
     assert [url for url in requests if not url.startswith(("file:", "blob:"))] == []
     context.close()
 

@@ -241,7 +241,7 @@ def estimate(
     else:
         judged = lm.Verdict(outcome["verdict"], outcome["sentence"])
     if as_json:
-        result = {"output": str(output), "seconds": seconds, "needs": resources.as_dict()}
+        result = {"output": str(output), "seconds": seconds, "resources": resources.as_dict()}
         result |= {"verdict": judged.level, "sentence": judged.sentence}
         result |= transport.summary() | {"findings": [finding.as_dict() for finding in findings]}
         show_json(result if outcome is None else {**result, "report": outcome})

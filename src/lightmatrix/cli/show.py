@@ -54,8 +54,8 @@ def show(
     footprint: Annotated[
         bool, typer.Option("--footprint", help="Size of each footprint on the projector.")
     ] = False,
-    stated_error: Annotated[
-        bool, typer.Option("--stated-error", help="Estimated error of each row.")
+    estimated_error: Annotated[
+        bool, typer.Option("--estimated-error", help="Estimated error of each row.")
     ] = False,
     raw: Annotated[
         bool,
@@ -78,7 +78,7 @@ def show(
         "clipping": clipping,
         "gap": gap,
         "footprint": footprint,
-        "stated-error": stated_error,
+        "estimated-error": estimated_error,
     }
     chosen = [name for name, value in indexed.items() if value is not None]
     chosen += [name for name, value in named.items() if value]
@@ -86,7 +86,7 @@ def show(
         count = len(chosen) or "no"
         raise InputError(
             f"{count} views are given", hint="give one of --row R,C, --column R,C, --dual, "
-            "--correspondence, --spectrum, --clipping, --gap, --footprint, --stated-error",
+            "--correspondence, --spectrum, --clipping, --gap, --footprint, --estimated-error",
         )  # fmt: skip
     view = chosen[0]
     index = _index(view, indexed.get(view))

@@ -117,7 +117,7 @@ class ResourceEstimate:
             "fits": self.fits,
             "workers": self.workers,
             "options": [
-                {"say": words, "memory_bytes": size.memory, "seconds": size.seconds(cores)}
+                {"option": words, "memory_bytes": size.memory, "seconds": size.seconds(cores)}
                 for words, size in self.options
             ],
         }

@@ -147,7 +147,7 @@ def measure(case: Case) -> Measured:
         **asdict(case),
         "relative_error": float(np.sqrt(wrong.sum() / total.sum())),
         "relighting_error": relighting_error(transport, known, tests),
-        "stated_error": estimated_error(transport),
+        "estimated_error": estimated_error(transport),
         "footprint": float(np.median(transport.diagnostics["footprint"])),
         "seconds": seconds,
         "full_frame": float("nan"),
@@ -211,7 +211,7 @@ def _summary(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     kept = (
         "relative_error",
         "relighting_error",
-        "stated_error",
+        "estimated_error",
         "footprint",
         "seconds",
         "full_frame",

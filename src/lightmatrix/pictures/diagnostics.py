@@ -107,7 +107,7 @@ def show_footprints(transport: LightTransport) -> Picture:
     return draw(footprint_map(transport))
 
 
-def show_stated_errors(transport: LightTransport) -> Picture:
+def show_estimated_errors(transport: LightTransport) -> Picture:
     """Picture of the estimated relative error of each row.
 
     Parameters
@@ -128,7 +128,7 @@ def show_stated_errors(transport: LightTransport) -> Picture:
     Examples
     --------
     >>> import lightmatrix as lm
-    >>> lm.show_stated_errors(lm.open("scene.zarr")).savefig("errors.png")  # doctest: +SKIP
+    >>> lm.show_estimated_errors(lm.open("scene.zarr")).savefig("errors.png")  # doctest: +SKIP
     """
     return draw(estimated_error_map(transport))
 

@@ -114,7 +114,7 @@ def estimated_error_map(transport: LightTransport) -> Map:
     middle = 100 * float(np.median(known)) if known.size else np.nan
     title = f"Estimated error per camera pixel: median {middle:.2g} %"
     label = "estimated relative error of a camera pixel's row"
-    return Map("stated-error", title, label, errors, *_ERRORS, "magma", logarithmic=True)
+    return Map("estimated-error", title, label, errors, *_ERRORS, "magma", logarithmic=True)
 
 
 def error_map(values: NDArray[np.floating]) -> Map:

@@ -54,8 +54,10 @@ VIEWS: dict[str, _View] = {
     "clipping": _View(diagnostics.show_clipping, _values(maps.clipping_map), needs="clipped_share"),
     "gap": _View(diagnostics.show_gaps, _values(maps.gap_map), needs="gap"),
     "footprint": _View(diagnostics.show_footprints, _values(maps.footprint_map), needs="footprint"),
-    "stated-error": _View(
-        diagnostics.show_stated_errors, _values(maps.estimated_error_map), needs="estimated_error"
+    "estimated-error": _View(
+        diagnostics.show_estimated_errors,
+        _values(maps.estimated_error_map),
+        needs="estimated_error",
     ),
 }
 # Views of one row or column, and how many numbers their index may have.
@@ -82,7 +84,7 @@ def show(
         "row" and "column" of T; "dual", the scene seen from the projector; "correspondence", the
         projector pixel that each camera pixel sees most; "spectrum", the 50 largest singular
         values; or a diagnostic of an estimate:
-        "clipping", "gap", "footprint" or "stated-error" (the estimated error).
+        "clipping", "gap", "footprint" or "estimated-error" (the estimated error).
     index : int
         For a row: row and column of the camera pixel and, for a colour camera, channel. For a
         column: row and column of the projector pixel. Other views have no index.
@@ -144,7 +146,7 @@ def write_pictures(
     ----------
     folder : str or Path
         The folder to make: correspondence.png and, as far as an estimate has these diagnostics,
-        clipping.png, gap.png, footprint.png and stated-error.png.
+        clipping.png, gap.png, footprint.png and estimated-error.png.
     transport : LightTransport, str or Path
         T, or where `open` finds it.
     overwrite : bool

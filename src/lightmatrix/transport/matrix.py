@@ -30,8 +30,8 @@ _STATISTICS: dict[str, tuple[str, Callable[[NDArray[Any]], Any]]] = {
     "converged_rows": ("converged", np.mean),
     "gap_median": ("gap", np.nanmedian),
     "gap_max": ("gap", np.nanmax),
-    "rows_looked_everywhere": ("looked_everywhere", np.mean),
-    "rows_that_hold_everywhere": ("holds_everywhere", np.nanmean),
+    "rows_searched_everywhere": ("searched_everywhere", np.mean),
+    "rows_certified_everywhere": ("certified_everywhere", np.nanmean),
 }
 
 

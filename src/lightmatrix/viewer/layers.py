@@ -77,7 +77,7 @@ LAYERS = {
     "column": Layer("Correspondence: column", "camera", _map(_places(1))),
     "confidence": Layer("Correspondence: confidence", "camera", _map(_places(2))),
     "clipping": Layer("Clipped samples", "camera", _map(maps.clipping_map), "clipped_share"),
-    "stated-error": Layer(
+    "estimated-error": Layer(
         "Stated error", "camera", _map(maps.estimated_error_map), "estimated_error"
     ),
     "footprint": Layer("Footprint size", "camera", _map(maps.footprint_map), "footprint"),

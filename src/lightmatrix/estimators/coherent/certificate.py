@@ -36,7 +36,7 @@ def sampled_rows(start: int, stop: int, count: int) -> NDArray[np.int64]:
     return index[index % step == step // 2]
 
 
-def holds_everywhere(
+def certified_everywhere(
     solver: RowSolver, weighted: WeightedRows, solved: Result, rows: NDArray[np.int64]
 ) -> NDArray[np.bool_]:
     """Whether no other atom, at the penalty 2 lambda, would enter each of the n `rows`, (n,).

@@ -16,7 +16,7 @@ from lightmatrix.camera.samples import Samples
 from lightmatrix.capture.capture import Capture
 from lightmatrix.estimators.base import rows_with_diagnostics
 from lightmatrix.estimators.coherent.camera_grid import CameraGrid
-from lightmatrix.estimators.coherent.certificate import holds_everywhere, sampled_rows
+from lightmatrix.estimators.coherent.certificate import certified_everywhere, sampled_rows
 from lightmatrix.estimators.coherent.held_out import HeldOut
 from lightmatrix.estimators.coherent.neighbourhood import Neighbourhood
 from lightmatrix.estimators.coherent.row_changes import (
@@ -38,7 +38,7 @@ from lightmatrix.transport.sparse_rows import SparseRows, footprint_sizes
 
 # Diagnostics of large frames: whether a row has searched all projector pixels; and whether no atom
 # beside its candidates would enter it, NaN for rows that were not checked.
-SEARCHED, HOLDS = "looked_everywhere", "holds_everywhere"
+SEARCHED, CERTIFIED = "searched_everywhere", "certified_everywhere"
 # The step that measures the misfit under the frames held out, and the diagnostic that holds it.
 HELD_OUT = "held-out"
 
@@ -223,9 +223,9 @@ class Rounds:
         if self._grows:
             checked = sampled_rows(start, stop, neighbours.rows.count) - start
             holds = np.full(stop - start, np.nan)
-            holds[checked] = holds_everywhere(solver, weighted, solved, checked)
+            holds[checked] = certified_everywhere(solver, weighted, solved, checked)
             searched = neighbours.rows.diagnostics[SEARCHED][start:stop]
-            diagnostics |= {SEARCHED: searched, HOLDS: holds}
+            diagnostics |= {SEARCHED: searched, CERTIFIED: holds}
         further = {name: values.astype(np.float32) for name, values in diagnostics.items()}
         return replace(pixels, diagnostics=dict(pixels.diagnostics) | further)
 

@@ -215,7 +215,7 @@ def _worker_error(address: str, error: BaseException) -> ClusterError:
         return ClusterError(f"{address}: {error.message}", hint=error.hint)
     if isinstance(error, ImportError):
         return ClusterError(
-            f"{address}: has no lightmatrix like this one ({error})", hint=SAME_VERSIONS
+            f"{address}: does not have this version of lightmatrix ({error})", hint=SAME_VERSIONS
         )
     words = " ".join(str(error).split())[:300]
     return ClusterError(f"{address}: {type(error).__name__}: {words}", hint=_CONTINUE)

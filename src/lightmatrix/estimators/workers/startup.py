@@ -215,7 +215,7 @@ def _descriptions(client: Client, address: str) -> list[dict[str, Any]]:
     for worker, answer in answers.items():
         if isinstance(answer, BaseException):
             raise ClusterError(
-                f"{address}: worker {worker} has no lightmatrix like this one "
+                f"{address}: worker {worker} does not have this version of lightmatrix "
                 f"({type(answer).__name__}: {' '.join(str(answer).split())[:200]})",
                 hint=SAME_VERSIONS,
             )
