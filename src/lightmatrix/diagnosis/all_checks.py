@@ -22,6 +22,7 @@ from lightmatrix.diagnosis.prediction import FramePrediction, predict
 from lightmatrix.diagnosis.relation import check_relation
 from lightmatrix.diagnosis.survey import Survey, high_variance_rows
 from lightmatrix.diagnosis.wrong_frames import SUSPECT, check_frames, wrong_frames
+from lightmatrix.resources.blas import one_blas_thread
 
 # Nothing is inferred from fewer frames, or from fewer camera pixels that can be predicted.
 _FEWEST_FRAMES, _FEWEST_ROWS = 12, 20
@@ -41,6 +42,11 @@ def check_capture(capture: Capture, *, order_only: bool = False) -> list[Finding
     InputError
         On a frame that cannot be read, or differs from the others in size or type.
     """
+    with one_blas_thread():
+        return _check(capture, order_only)
+
+
+def _check(capture: Capture, order_only: bool) -> list[Finding]:
     survey = Survey.take(capture.patterns, capture.frames, capture.decoder, capture.mask)
     names = [capture.frames.name(k) for k in range(capture.count)]
     findings = check_interchanged(survey)
