@@ -75,6 +75,9 @@ from .live.rig import (
     open_rig as open_rig,
 )
 
+# Geometry of a rig.
+from .geometry.rig_geometry import RigGeometry as RigGeometry
+
 # What is wrong with a capture.
 from .diagnosis.finding import Finding as Finding
 from .diagnosis.refusals import (

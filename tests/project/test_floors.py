@@ -21,7 +21,7 @@ FLOORS = [
     {"resources", "outputs"},
     {"files"},
     {"patterns"},
-    {"camera", "transport"},
+    {"camera", "geometry", "transport"},
     {"capture", "solvers", "store"},
     {"diagnosis", "simulation", "pictures"},
     {"estimators", "evaluation", "calibration"},

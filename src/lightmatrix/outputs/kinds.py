@@ -26,6 +26,7 @@ MAT_MARK = "MATLAB 5.0 MAT-file, written by lightmatrix"
 PAGE_MARK = '<meta name="generator" content="lightmatrix viewer">'
 _EARLY = 1024
 RIG_FORMAT, RESPONSE_FORMAT = "lightmatrix-rig", "lightmatrix-response"
+GEOMETRY_FORMAT = "lightmatrix-geometry"
 # The first bytes of PNG, npy, TIFF and EXR files.
 _IMAGES = (b"\x89PNG\r\n\x1a\n", b"\x93NUMPY", b"II*\0", b"MM\0*", b"v/1\x01")
 
@@ -65,6 +66,7 @@ PACKED = FileKind("packed scene", (".npz",), lambda file: holds_member(file, PAC
 NUMBERS = FileKind("numbers of a picture", (".npz",), lambda file: holds_member(file, NUMBERS_MARK))
 RIG = FileKind("measurements of a rig", (".json",), lambda file: _is_json(file, RIG_FORMAT))
 RESPONSE = FileKind("measured response", (".json",), lambda file: _is_json(file, RESPONSE_FORMAT))
+GEOMETRY = FileKind("geometry of a rig", (".json",), lambda file: _is_json(file, GEOMETRY_FORMAT))
 PAGE = FileKind("page of the viewer", (".html",), lambda file: _holds_early(file, PAGE_MARK))
 NPZ = FileKind("exported matrix", (".npz",), lambda file: holds_member(file, TRANSPORT_MARK))
 MAT = FileKind("exported matrix", (".mat",), lambda file: _begins_with(file, MAT_MARK.encode()))

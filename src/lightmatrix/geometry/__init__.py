@@ -1,0 +1,1 @@
+"""Where camera and projector stand, and how their lenses bend light."""

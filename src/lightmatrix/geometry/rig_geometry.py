@@ -1,0 +1,397 @@
+"""`RigGeometry`: where camera and projector stand, and what each pixel sees or lights."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lightmatrix.errors import InputError
+from lightmatrix.geometry.checks import Shape, distortion, image_shape, numbers, points_of
+from lightmatrix.geometry.files import read_geometry, write_geometry
+from lightmatrix.geometry.lens import distort, through_lens, undistort
+from lightmatrix.geometry.projection import (
+    binned,
+    binned_matrix,
+    centre_of,
+    decomposed,
+    normalised,
+    points_on_rays,
+    projected,
+)
+from lightmatrix.reprs import jsonable, short_repr
+
+# Camera and projector stand apart if their centres differ by more than this share of their larger
+# distance to the origin; less is rounding.
+_LEAST_BASELINE = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class RigGeometry:
+    """The geometry of a projector-camera rig.
+
+    Points of the world are (X, Y, Z) in the unit `units`. Points of an image are (col, row) in
+    pixels, with pixel centres at whole numbers, as in OpenCV. A projector is a camera whose light
+    runs backwards, so it has a projection matrix too. Coefficients of distortion stand in OpenCV's
+    order: k1, k2, p1, p2, k3.
+
+    Parameters
+    ----------
+    camera_matrix : (3, 4) float64
+        Projection of the camera, K [R | t]: (X, Y, Z, 1) to w (col, row, 1) without distortion. It
+        is scaled so that w is the distance along the camera's axis, and positive in front of it.
+    projector_matrix : (3, 4) float64
+        The same of the projector.
+    camera_shape, projector_shape : (rows, cols)
+        Size of their images in pixels.
+    camera_distortion, projector_distortion : (5,) float64
+        Distortion of their lenses; all zeros by default.
+    units : str, optional
+        Unit of length, such as "mm"; None if unknown.
+    rms : mapping
+        Root mean square of the residuals of a calibration, in pixels, by name.
+
+    Raises
+    ------
+    InputError
+        On matrices of another shape, infinite numbers, image sizes below 1, a device without a
+        centre, and a camera and a projector with the same centre, which cannot measure depth.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> camera = [[100, 0, 32, 0], [0, 100, 32, 0], [0, 0, 1, 0]]
+    >>> projector = [[100, 0, 32, -50], [0, 100, 32, 0], [0, 0, 1, 0]]
+    >>> rig = lm.RigGeometry.from_matrices(camera, projector, (64, 64), (64, 64))
+    >>> rig.triangulate([[42, 32]], [[32, 32]]).round(6).tolist()
+    [[0.5, 0.0, 5.0]]
+    """
+
+    camera_matrix: NDArray[np.float64]
+    projector_matrix: NDArray[np.float64]
+    camera_shape: Shape
+    projector_shape: Shape
+    camera_distortion: NDArray[np.float64] = field(default_factory=lambda: np.zeros(5))
+    projector_distortion: NDArray[np.float64] = field(default_factory=lambda: np.zeros(5))
+    units: str | None = None
+    rms: Mapping[str, float] = field(default_factory=dict)
+
+    __repr__ = short_repr
+
+    def __post_init__(self) -> None:
+        for device in ("camera", "projector"):
+            matrix = normalised(getattr(self, f"{device}_matrix"), device)
+            lens = distortion(getattr(self, f"{device}_distortion"), device)
+            shape = image_shape(getattr(self, f"{device}_shape"), device)
+            object.__setattr__(self, f"{device}_matrix", matrix)
+            object.__setattr__(self, f"{device}_distortion", lens)
+            object.__setattr__(self, f"{device}_shape", shape)
+        centres = np.stack([centre_of(self.camera_matrix), centre_of(self.projector_matrix)])
+        if np.linalg.norm(centres[1] - centres[0]) <= _LEAST_BASELINE * np.abs(centres).max():
+            raise InputError(
+                "camera and projector have the same centre, so depth cannot be measured",
+                hint="check that the two projection matrices differ and share one world frame",
+            )
+
+    @classmethod
+    def from_matrices(
+        cls,
+        camera: ArrayLike,
+        projector: ArrayLike,
+        camera_shape: Shape,
+        projector_shape: Shape,
+        *,
+        units: str | None = None,
+    ) -> Self:
+        """The geometry of a rig without distortion, from two projection matrices.
+
+        Parameters
+        ----------
+        camera, projector : (3, 4) array-like
+            Each leads from (X, Y, Z, 1) to (col, row, 1) up to a factor, with pixel centres at
+            whole numbers. Both share one world frame, which is kept.
+        camera_shape, projector_shape : (rows, cols)
+            Size of their images in pixels.
+        units : str, optional
+            Unit of length.
+
+        Returns
+        -------
+        RigGeometry
+            Errors are those of the class.
+        """
+        return cls(
+            np.asarray(camera),
+            np.asarray(projector),
+            camera_shape,
+            projector_shape,
+            units=units,
+        )
+
+    @classmethod
+    def from_intrinsics(
+        cls,
+        camera_intrinsics: ArrayLike,
+        projector_intrinsics: ArrayLike,
+        rotation: ArrayLike,
+        translation: ArrayLike,
+        camera_shape: Shape,
+        projector_shape: Shape,
+        *,
+        camera_distortion: ArrayLike = (0, 0, 0, 0, 0),
+        projector_distortion: ArrayLike = (0, 0, 0, 0, 0),
+        units: str | None = None,
+        rms: Mapping[str, float] | None = None,
+    ) -> Self:
+        """The geometry in the camera's frame: x to the right, y down, z forwards.
+
+        Parameters
+        ----------
+        camera_intrinsics, projector_intrinsics : (3, 3) array-like
+            K of camera and projector.
+        rotation, translation : (3, 3) and (3,) array-like
+            They lead from the camera's frame to the projector's: x_projector = R x_camera + t.
+        camera_shape, projector_shape : (rows, cols)
+            Size of their images in pixels.
+        camera_distortion, projector_distortion : (5,) array-like
+            Coefficients of their lenses; those that are left out are 0.
+        units : str, optional
+            Unit of `translation`.
+        rms : mapping, optional
+            Residuals of the calibration, in pixels.
+
+        Returns
+        -------
+        RigGeometry
+            Errors are those of the class.
+        """
+        turn = numbers(rotation, (3, 3), "rotation")
+        moved = numbers(np.ravel(np.asarray(translation)), (3,), "translation")
+        if not np.allclose(turn @ turn.T, np.eye(3), atol=1e-4) or np.linalg.det(turn) < 0:
+            raise InputError(
+                "the rotation is no rotation matrix", hint="give R with R R' = 1 and det R = 1"
+            )
+        camera = numbers(camera_intrinsics, (3, 3), "camera's K")
+        projector = numbers(projector_intrinsics, (3, 3), "projector's K")
+        return cls(
+            camera @ np.eye(3, 4),
+            projector @ np.column_stack([turn, moved]),
+            camera_shape,
+            projector_shape,
+            np.asarray(camera_distortion),
+            np.asarray(projector_distortion),
+            units,
+            dict(rms or {}),
+        )
+
+    @property
+    def camera_intrinsics(self) -> NDArray[np.float64]:
+        """K of the camera, (3, 3)."""
+        return decomposed(self.camera_matrix)[0]
+
+    @property
+    def projector_intrinsics(self) -> NDArray[np.float64]:
+        """K of the projector, (3, 3)."""
+        return decomposed(self.projector_matrix)[0]
+
+    @property
+    def rotation(self) -> NDArray[np.float64]:
+        """R (3, 3) from the camera's frame to the projector's: x_projector = R x_camera + t."""
+        return decomposed(self.projector_matrix)[1] @ decomposed(self.camera_matrix)[1].T
+
+    @property
+    def translation(self) -> NDArray[np.float64]:
+        """The translation t (3,) from the camera's frame to the projector's, in `units`."""
+        at_camera = decomposed(self.camera_matrix)[2]
+        return decomposed(self.projector_matrix)[2] - self.rotation @ at_camera
+
+    @property
+    def camera_centre(self) -> NDArray[np.float64]:
+        """The camera's centre (3,) in the world."""
+        return centre_of(self.camera_matrix)
+
+    @property
+    def projector_centre(self) -> NDArray[np.float64]:
+        """The projector's centre (3,) in the world."""
+        return centre_of(self.projector_matrix)
+
+    @property
+    def baseline(self) -> float:
+        """Distance from the camera to the projector, in `units`."""
+        return float(np.linalg.norm(self.projector_centre - self.camera_centre))
+
+    def fundamental_matrix(self) -> NDArray[np.float64]:
+        """F (3, 3), of Frobenius norm 1, for undistorted pixels.
+
+        F (col, row, 1) of a camera pixel is its epipolar line (a, b, c) on the projector: the
+        pixels with a col + b row + c = 0.
+        """
+        through = self.projector_matrix[:, :3] @ np.linalg.inv(self.camera_matrix[:, :3])
+        epipole = self.projector_matrix @ np.append(self.camera_centre, 1)
+        x, y, z = epipole / np.linalg.norm(epipole)
+        cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+        matrix = cross @ through
+        return np.asarray(matrix / np.linalg.norm(matrix))
+
+    def undistort_camera(self, points: ArrayLike) -> NDArray[np.float64]:
+        """Where an ideal lens shows camera pixels (n, 2) as (col, row); NaN where it cannot."""
+        return through_lens(undistort, points, self.camera_intrinsics, self.camera_distortion)
+
+    def undistort_projector(self, points: ArrayLike) -> NDArray[np.float64]:
+        """Where an ideal lens shows projector pixels (n, 2) as (col, row); NaN where it cannot."""
+        return through_lens(undistort, points, self.projector_intrinsics, self.projector_distortion)
+
+    def distort_camera(self, points: ArrayLike) -> NDArray[np.float64]:
+        """Where the camera shows undistorted pixels (n, 2) as (col, row)."""
+        return through_lens(distort, points, self.camera_intrinsics, self.camera_distortion)
+
+    def distort_projector(self, points: ArrayLike) -> NDArray[np.float64]:
+        """Where the projector shows undistorted pixels (n, 2) as (col, row)."""
+        return through_lens(distort, points, self.projector_intrinsics, self.projector_distortion)
+
+    def project_camera(self, points: ArrayLike) -> NDArray[np.float64]:
+        """Where the camera sees points (n, 3) of the world: (n, 2) as (col, row), distorted."""
+        return self.distort_camera(projected(self.camera_matrix, points))
+
+    def project_projector(self, points: ArrayLike) -> NDArray[np.float64]:
+        """The projector pixels (n, 2) as (col, row), distorted, that light points (n, 3)."""
+        return self.distort_projector(projected(self.projector_matrix, points))
+
+    def camera_rays(self, points: ArrayLike) -> NDArray[np.float64]:
+        """Where camera pixels (n, 2) as (col, row) look: (n, 3), of depth 1 along the axis."""
+        ideal = self.undistort_camera(points)
+        towards = np.linalg.inv(self.camera_matrix[:, :3])
+        return np.asarray(ideal @ towards[:, :2].T + towards[:, 2])
+
+    def triangulate(
+        self, camera_points: ArrayLike, projector_points: ArrayLike
+    ) -> NDArray[np.float64]:
+        """The points of the world that camera pixels see and projector pixels light.
+
+        A point lies on the ray of its camera pixel, where its image on the projector comes nearest
+        to the projector pixel: the foot of the perpendicular on the epipolar line.
+
+        Parameters
+        ----------
+        camera_points, projector_points : (n, 2) array-like
+            Pixels as (col, row), fractions allowed, as the devices show them.
+
+        Returns
+        -------
+        (n, 3) float64
+            Points of the world in `units`; NaN where a pixel is NaN or the rays are parallel.
+
+        Raises
+        ------
+        InputError
+            If the points are not two arrays (n, 2) of equal length.
+        """
+        seen, lit = points_of(camera_points, 2), self.undistort_projector(projector_points)
+        if len(seen) != len(lit):
+            raise InputError(
+                f"{len(seen)} camera pixels and {len(lit)} projector pixels",
+                hint="give one projector pixel for each camera pixel",
+            )
+        centre, rays = self.camera_centre, self.camera_rays(seen)
+        points = points_on_rays(centre, rays, self.projector_matrix, lit)
+        return np.where(np.isfinite(points).all(axis=1, keepdims=True), points, np.nan)
+
+    def depth(self, points: ArrayLike) -> NDArray[np.float64]:
+        """Distance (n,) of points (n, 3) from the camera along its axis, in `units`."""
+        return np.asarray(
+            points_of(points, 3) @ self.camera_matrix[2, :3] + self.camera_matrix[2, 3]
+        )
+
+    def scaled(self, camera: int | Shape = 1, projector: int | Shape = 1) -> RigGeometry:
+        """The geometry for images that are binned by blocks of (rows, cols) pixels.
+
+        Parameters
+        ----------
+        camera, projector : int or (int, int)
+            Rows and columns of a block, as in `Capture.bin`; pixels that fill no block are cut off.
+
+        Returns
+        -------
+        RigGeometry
+
+        Raises
+        ------
+        InputError
+            If a block is smaller than 1 pixel or larger than the image.
+        """
+        seen = binned(self.camera_matrix, self.camera_shape, camera, "camera")
+        lit = binned(self.projector_matrix, self.projector_shape, projector, "projector")
+        return replace(
+            self,
+            camera_matrix=seen[0],
+            camera_shape=seen[1],
+            projector_matrix=lit[0],
+            projector_shape=lit[1],
+        )
+
+    def cropped(self, corner: Shape, shape: Shape) -> RigGeometry:
+        """The geometry for photographs of which a rectangle from corner (row, col) is cut out."""
+        ends = (corner[0] + shape[0], corner[1] + shape[1])
+        if min(corner) < 0 or ends[0] > self.camera_shape[0] or ends[1] > self.camera_shape[1]:
+            raise InputError(
+                f"a crop of {shape[0]} x {shape[1]} pixels from row {corner[0]}, column "
+                f"{corner[1]}, of photographs of {self.camera_shape[0]} x {self.camera_shape[1]}",
+                hint="keep the crop within the photographs",
+            )
+        cut = binned_matrix(self.camera_matrix, (1, 1), corner)
+        return replace(self, camera_matrix=cut, camera_shape=shape)
+
+    def save(self, path: str | Path, *, overwrite: bool = False) -> None:
+        """Write the geometry as JSON, which `load` reads.
+
+        Raises
+        ------
+        OutputError
+            If the file exists and `overwrite` is not set, or cannot be written.
+        """
+        write_geometry(Path(path), self._content(), overwrite=overwrite)
+
+    @classmethod
+    def load(
+        cls,
+        path: str | Path,
+        *,
+        camera_shape: Shape | None = None,
+        projector_shape: Shape | None = None,
+    ) -> Self:
+        """Read a geometry that `save`, or a calibration with OpenCV, wrote.
+
+        Parameters
+        ----------
+        path : str or Path
+            A JSON file of `save`, or an XML, YAML or JSON file of OpenCV's FileStorage.
+        camera_shape, projector_shape : (rows, cols), optional
+            Image sizes, for files of OpenCV that do not state them.
+
+        Returns
+        -------
+        RigGeometry
+
+        Raises
+        ------
+        InputError
+            If the file is missing, holds no geometry, or states no image size and none is given.
+        MissingExtraError
+            If a file of OpenCV is read and OpenCV is not installed.
+        """
+        file = Path(path)
+        content = read_geometry(file, camera_shape, projector_shape)
+        try:
+            if "rotation" in content:
+                return cls.from_intrinsics(**content)
+            return cls(**content)
+        except InputError as error:
+            raise InputError(f"{file}: {error.message}", hint=error.hint) from error
+
+    def _content(self) -> dict[str, Any]:
+        """What a file holds: the fields, with arrays as lists."""
+        return {name: jsonable(getattr(self, name)) for name in self.__dataclass_fields__}

@@ -1,0 +1,248 @@
+"""`RigGeometry`: round trips, agreement with OpenCV, files, and what is refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+import lightmatrix as lm
+
+LENS = np.array([-0.21, 0.08, 0.002, -0.003, 0.01])
+
+
+def intrinsics(focal: float, centre: tuple[float, float]) -> np.ndarray:
+    """K with pixels that are not quite square."""
+    return np.array([[focal, 0, centre[0]], [0, 0.98 * focal, centre[1]], [0, 0, 1.0]])
+
+
+def rig(seed: int = 0, *, distorted: bool = True) -> lm.RigGeometry:
+    """A plausible rig: an arm's length apart, turned towards each other, mild distortion."""
+    random = np.random.default_rng(seed)
+    share = float(distorted)
+    return lm.RigGeometry.from_intrinsics(
+        intrinsics(900 + 100 * random.random(), (310, 250)),
+        intrinsics(1100, (400 + 50 * random.random(), 500)),
+        Rotation.from_euler("yxz", random.uniform(-20, 20, 3), degrees=True).as_matrix(),
+        random.uniform(100, 300, 3) * [1, 0.3, 0.2],
+        (480, 640),
+        (600, 800),
+        camera_distortion=share * LENS * random.uniform(0.2, 1, 5),
+        projector_distortion=share * 0.5 * LENS * random.uniform(0.2, 1, 5),
+        units="mm",
+        rms={"stereo": 0.25},
+    )
+
+
+def points_before(geometry: lm.RigGeometry, seed: int, count: int = 50) -> np.ndarray:
+    """Points within the camera's view, 800 to 1,500 units away, in the world's frame."""
+    random = np.random.default_rng(seed)
+    pixels = random.uniform(0, 1, (count, 2)) * np.array(geometry.camera_shape[::-1])
+    rays = geometry.camera_rays(pixels)
+    return geometry.camera_centre + rays * random.uniform(800, 1500, (count, 1))
+
+
+@given(st.integers(0, 10_000))
+def test_what_is_projected_is_triangulated(seed: int) -> None:
+    geometry = rig(seed)
+    points = points_before(geometry, seed)
+    seen, lit = geometry.project_camera(points), geometry.project_projector(points)
+    found = geometry.triangulate(seen, lit)
+    usable = np.isfinite(found).all(axis=1)
+    np.testing.assert_allclose(found[usable], points[usable], atol=1e-3)
+    assert usable.mean() > 0.8
+    np.testing.assert_allclose(geometry.depth(points), points[:, 2], atol=1e-9)
+
+
+@given(st.integers(0, 10_000))
+def test_lenses_can_be_undone(seed: int) -> None:
+    geometry = rig(seed)
+    pixels = np.random.default_rng(seed).uniform(0, 600, (40, 2))
+    for there, back in (
+        (geometry.undistort_camera, geometry.distort_camera),
+        (geometry.undistort_projector, geometry.distort_projector),
+    ):
+        ideal = there(pixels)
+        finite = np.isfinite(ideal).all(axis=1)
+        np.testing.assert_allclose(back(ideal)[finite], pixels[finite], atol=1e-3)
+        assert finite.mean() > 0.8
+
+
+@given(st.integers(0, 10_000))
+def test_matches_lie_on_their_epipolar_lines(seed: int) -> None:
+    geometry = rig(seed)
+    points = points_before(geometry, seed)
+    seen = geometry.undistort_camera(geometry.project_camera(points))
+    lit = geometry.undistort_projector(geometry.project_projector(points))
+    one = np.ones((len(points), 1))
+    line = np.hstack([seen, one]) @ geometry.fundamental_matrix().T
+    distance = (np.hstack([lit, one]) * line).sum(axis=1) / np.linalg.norm(line[:, :2], axis=1)
+    assert np.nanmax(np.abs(distance)) < 1e-3
+
+
+@given(st.integers(0, 10_000), st.floats(-5, 5).filter(lambda v: abs(v) > 0.01))
+def test_matrices_of_any_scale_and_world_frame(seed: int, factor: float) -> None:
+    own = rig(seed, distorted=False)
+    world = np.eye(4)
+    world[:3, :3] = Rotation.random(rng=seed).as_matrix()
+    world[:3, 3] = np.random.default_rng(seed).normal(0, 500, 3)
+    moved = lm.RigGeometry.from_matrices(
+        factor * own.camera_matrix @ world,
+        -factor * own.projector_matrix @ world,
+        own.camera_shape,
+        own.projector_shape,
+    )
+    np.testing.assert_allclose(moved.camera_intrinsics, own.camera_intrinsics, atol=1e-6)
+    np.testing.assert_allclose(moved.projector_intrinsics, own.projector_intrinsics, atol=1e-6)
+    np.testing.assert_allclose(moved.rotation, own.rotation, atol=1e-9)
+    np.testing.assert_allclose(moved.translation, own.translation, atol=1e-6)
+    assert moved.baseline == pytest.approx(own.baseline)
+    points = points_before(moved, seed)
+    found = moved.triangulate(moved.project_camera(points), moved.project_projector(points))
+    usable = np.isfinite(found).all(axis=1)
+    np.testing.assert_allclose(found[usable], points[usable], atol=1e-4)
+
+
+def test_a_projector_pixel_off_its_line_counts_by_its_foot_on_the_line() -> None:
+    geometry = rig(3, distorted=False)
+    points = points_before(geometry, 3)
+    seen, lit = geometry.project_camera(points), geometry.project_projector(points)
+    line = np.column_stack([seen, np.ones(len(seen))]) @ geometry.fundamental_matrix().T
+    across = line[:, :2] / np.linalg.norm(line[:, :2], axis=1, keepdims=True)
+    found = geometry.triangulate(seen, lit + 2.5 * across)
+    np.testing.assert_allclose(found, points, atol=1e-6)
+    np.testing.assert_allclose(geometry.project_camera(found), seen, atol=1e-6)
+
+
+def test_agrees_with_opencv() -> None:
+    cv2: Any = pytest.importorskip("cv2")
+    geometry = rig(7)
+    points = points_before(geometry, 7)
+    turn = cv2.Rodrigues(geometry.rotation)[0]
+    theirs = cv2.projectPoints(
+        points,
+        turn,
+        geometry.translation,
+        geometry.projector_intrinsics,
+        geometry.projector_distortion,
+    )[0][:, 0]
+    np.testing.assert_allclose(geometry.project_projector(points), theirs, atol=1e-6)
+
+
+def test_binned_and_cropped_images_have_the_same_points() -> None:
+    geometry = rig(5)
+    points = points_before(geometry, 5)
+    seen, lit = geometry.project_camera(points), geometry.project_projector(points)
+    small = geometry.cropped((40, 16), (401, 600)).scaled(camera=(2, 4), projector=8)
+    assert (small.camera_shape, small.projector_shape) == ((200, 150), (75, 100))
+    # The block of 2 x 4 pixels at the corner has its centre at row 0.5, column 1.5.
+    expected = (seen - [16 + 1.5, 40 + 0.5]) / [4, 2]
+    np.testing.assert_allclose(small.project_camera(points), expected, atol=1e-9)
+    np.testing.assert_allclose(small.project_projector(points), (lit - 3.5) / 8, atol=1e-9)
+    found = small.triangulate(expected, (lit - 3.5) / 8)
+    np.testing.assert_allclose(found, points, atol=1e-3)
+
+
+def test_nothing_is_invented_beyond_the_field_of_view() -> None:
+    barrel = lm.RigGeometry.from_intrinsics(
+        np.diag([100, 100, 1]),
+        np.diag([100, 100, 1]),
+        np.eye(3),
+        [1, 0, 0],
+        (8, 8),
+        (8, 8),
+        camera_distortion=[-0.4],
+    )
+    # x (1 - 0.4 x^2) is at most 0.609, at x = 0.913.
+    assert np.isfinite(barrel.undistort_camera([[60.0, 0]])).all()
+    assert np.isnan(barrel.undistort_camera([[61.0, 0]])).all()
+    assert np.isnan(barrel.triangulate([[61.0, 0]], [[0, 0]])).all()
+    assert np.isnan(barrel.triangulate([[1.0, 0]], [[np.nan, 0]])).all()
+    assert np.isnan(barrel.project_camera([[0.0, 0, -1]])).all()
+
+
+def test_a_saved_geometry_is_the_same(tmp_path: Path) -> None:
+    geometry = rig(11)
+    geometry.save(tmp_path / "rig.json")
+    again = lm.RigGeometry.load(tmp_path / "rig.json")
+    for name in geometry.__dataclass_fields__:
+        np.testing.assert_array_equal(getattr(again, name), getattr(geometry, name))
+    with pytest.raises(lm.OutputError):
+        geometry.save(tmp_path / "rig.json")
+    geometry.save(tmp_path / "rig.json", overwrite=True)
+
+
+@pytest.mark.parametrize("ending", ["xml", "yml", "json"])
+def test_files_of_opencv_are_read(tmp_path: Path, ending: str) -> None:
+    cv2: Any = pytest.importorskip("cv2")
+    geometry = rig(2)
+    file = tmp_path / f"calibration.{ending}"
+    storage = cv2.FileStorage(str(file), cv2.FILE_STORAGE_WRITE)
+    for name, value in (
+        ("cam_K", geometry.camera_intrinsics),
+        ("cam_kc", geometry.camera_distortion[None]),
+        ("proj_K", geometry.projector_intrinsics),
+        ("proj_kc", geometry.projector_distortion[None]),
+        ("R", geometry.rotation),
+        ("T", geometry.translation[:, None]),
+        ("rms", 0.25),
+    ):
+        storage.write(name, value)
+    storage.release()
+    with pytest.raises(lm.InputError, match="image size of the camera"):
+        lm.RigGeometry.load(file)
+    again = lm.RigGeometry.load(file, camera_shape=(480, 640), projector_shape=(600, 800))
+    np.testing.assert_allclose(again.camera_matrix, geometry.camera_matrix)
+    np.testing.assert_allclose(again.projector_matrix, geometry.projector_matrix, atol=1e-9)
+    np.testing.assert_allclose(again.projector_distortion, geometry.projector_distortion)
+    assert again.rms == {"stereo": 0.25}
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "holds no geometry"),
+        ("col,row\n1,2\n", "holds no geometry"),
+        ("{}", "is not a lightmatrix-geometry file"),
+        ('{"format": "lightmatrix-geometry", "version": 2}', "format version 2"),
+        ('{"format": "lightmatrix-geometry", "version": 1}', "lacks camera_distortion"),
+        ('{"cam_K": [[1, 0, 0], [0, 1, 0], [0, 0, 1]]}', "names no projector intrinsics"),
+        ("<?xml version='1.0'?><opencv_storage>", "holds no geometry|cannot read"),
+        ("%YAML:1.0\n---\nalpha: 1\n", "holds no geometry"),
+    ],
+)
+def test_other_files_are_refused(tmp_path: Path, text: str, message: str) -> None:
+    file = tmp_path / "rig.json"
+    file.write_text(text)
+    with pytest.raises(lm.InputError, match=message):
+        lm.RigGeometry.load(file)
+
+
+def test_impossible_rigs_are_refused() -> None:
+    good = np.eye(3, 4)
+    other = np.hstack([np.eye(3), [[1], [0], [0]]])
+    make = lm.RigGeometry.from_matrices
+    with pytest.raises(lm.InputError, match="same centre"):
+        make(good, 2 * good, (4, 4), (4, 4))
+    with pytest.raises(lm.InputError, match="singular"):
+        make(np.diag([1, 1, 0, 1])[:3], other, (4, 4), (4, 4))
+    with pytest.raises(lm.InputError, match="not finite"):
+        make(good[:2], other, (4, 4), (4, 4))
+    with pytest.raises(lm.InputError, match="image size"):
+        make(good, other, (4, 0), (4, 4))
+    with pytest.raises(lm.InputError, match="no rotation"):
+        lm.RigGeometry.from_intrinsics(
+            np.eye(3), np.eye(3), 2 * np.eye(3), [1, 0, 0], (4, 4), (4, 4)
+        )
+    geometry = make(good, other, (4, 4), (4, 4))
+    with pytest.raises(lm.InputError, match="1 camera pixels and 2"):
+        geometry.triangulate([[1, 2]], [[1, 2], [1, 2]])
+    with pytest.raises(lm.InputError, match="blocks of 5 x 5"):
+        geometry.scaled(camera=5)
+    with pytest.raises(lm.InputError, match="crop"):
+        geometry.cropped((2, 0), (4, 4))
