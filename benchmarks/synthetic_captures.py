@@ -22,6 +22,7 @@ from lightmatrix.capture.capture import Capture
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
 from lightmatrix.simulation import library
+from lightmatrix.simulation.binning import binned
 from lightmatrix.transport.matrix import LightTransport
 
 Floats = NDArray[np.float32]
@@ -87,7 +88,9 @@ def draw(scene: str, patterns: str, damage: str, size: int, seed: int) -> Synthe
 def scene_matrix(scene: str, size: int, generator: Generator) -> csr_array:
     """T of a scene, (size^2, size^2), with both camera and projector of size x size pixels."""
     if scene in library.BUNDLED:
-        return csr_array(library.truth(scene, (size, size)).matrix)
+        times = max(1, library.BUNDLED_SIZE[0] // size)
+        known = library.truth(scene, (size * times, size * times))
+        return csr_array(binned(known, times, times).matrix)
     return SCENES[scene](size, generator)
 
 
@@ -366,6 +369,7 @@ DAMAGED_FRAMES: dict[str, Callable[[NDArray[np.uint8], Generator], NDArray[np.ui
     "torn": _torn,
     "jpeg": _jpeg,
 }
+DAMAGES = ("overexposed", "other seed", "patterns inverted", *_DAMAGED_LIGHT, *DAMAGED_FRAMES)
 # Captures whose frames belong to other patterns, or to other rows of T, than they seem to.
 MISREAD = (
     "other seed", "patterns inverted", "negative", "random order", "by name", "half turned",
