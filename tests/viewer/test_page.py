@@ -194,7 +194,7 @@ def test_layers(name: str, page: Page, transport: lm.LightTransport) -> None:
     page.get_by_label(f"Layer of the {side}").select_option(name)
     page.wait_for_load_state("networkidle")
     settle(page)
-    values = numbers(page, f"Array.from({VIEWER}.layers['{name}'].arrays.values, String)")
+    values = numbers(page, f"Array.from({VIEWER}.layers.get('{name}').arrays.values, String)")
     matches = maps.correspondence_maps(lm.correspondence(transport))
     expected = {
         "clipping": maps.clipping_map(transport).values,

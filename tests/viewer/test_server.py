@@ -199,7 +199,7 @@ def test_a_page_of_another_site_cannot_connect(server: running.Server, tmp_path:
               const opened = await new Promise((done) => {
                 socket.onopen = () => done("open"); socket.onerror = () => done("no"); });
               const image = new Image(), script = document.createElement("script");
-              script.src = address + "viewer.js";
+              script.src = address + "page.js";
               const loaded = await new Promise((done) => {
                 script.onload = () => done("loaded"); script.onerror = () => done("no");
                 document.head.append(script); });

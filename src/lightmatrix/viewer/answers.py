@@ -9,7 +9,7 @@ from typing import Any
 
 from lightmatrix.errors import LightMatrixError
 from lightmatrix.viewer.guard import Guard
-from lightmatrix.viewer.page_files import SCRIPT, STYLE, frame, page_file
+from lightmatrix.viewer.page_files import STYLE, frame, module_names, page_file
 from lightmatrix.viewer.scene import Scene
 
 Receive = Callable[[], Awaitable[dict[str, Any]]]
@@ -47,11 +47,12 @@ class Answers:
         scene = self._scene
         files: dict[str, tuple[str, Callable[[], bytes]]] = {
             "": ("text/html; charset=utf-8", lambda: frame(scene.title).encode()),
-            SCRIPT: ("text/javascript; charset=utf-8", lambda: page_file(SCRIPT).encode()),
             STYLE: ("text/css; charset=utf-8", lambda: page_file(STYLE).encode()),
             "scene.bin": (_BINARY, lambda: scene.description),
             "matrix.bin": (_BINARY, lambda: scene.matrix),
         }
+        if path in module_names():
+            files[path] = ("text/javascript; charset=utf-8", lambda: page_file(path).encode())
         if path.startswith("layer/") and path.endswith(".bin"):
             name = path.removeprefix("layer/").removesuffix(".bin")
             files[path] = (_BINARY, lambda: scene.layer(name))

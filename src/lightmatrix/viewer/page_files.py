@@ -1,4 +1,4 @@
-"""The page's own files, and its frame."""
+"""The page's own files, its frame, and its modules as one."""
 
 from __future__ import annotations
 
@@ -10,14 +10,44 @@ from importlib.resources import files
 from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup
 
-SCRIPT, STYLE = "viewer.js", "viewer.css"
+SCRIPT, STYLE = "page.js", "viewer.css"
 _FRAME = "viewer.html"
+# How our modules import from each other: a line each.
+_IMPORT = re.compile(r'^import \{[^}]*\} from "\./(\w+\.js)";\n', re.MULTILINE)
+_EXPORT = re.compile(r"^export (?=const|class|function|async function)", re.MULTILINE)
 
 
 @cache
 def page_file(name: str) -> str:
     """The text of one of the page's files."""
     return files("lightmatrix.viewer").joinpath("page", name).read_text(encoding="utf-8")
+
+
+@cache
+def module_names() -> frozenset[str]:
+    """The names of the page's modules."""
+    folder = files("lightmatrix.viewer").joinpath("page")
+    return frozenset(file.name for file in folder.iterdir() if file.name.endswith(".js"))
+
+
+@cache
+def bundle(entry: str) -> str:
+    """A module and all that it imports as one module, which imports nothing.
+
+    The modules follow each other without their lines of `import` and `export`. Their names do not
+    collide; a browser would refuse the bundle otherwise.
+    """
+    ordered: dict[str, str] = {}
+
+    def add(name: str) -> None:
+        text = page_file(name)
+        for imported in _IMPORT.findall(text):
+            if imported not in ordered:
+                add(imported)
+        ordered[name] = _EXPORT.sub("", _IMPORT.sub("", text))
+
+    add(entry)
+    return "\n".join(ordered.values())
 
 
 def frame(title: str, data: Mapping[str, str] | None = None) -> str:
@@ -31,7 +61,7 @@ def frame(title: str, data: Mapping[str, str] | None = None) -> str:
         inline=data is not None,
         data=data or {},
         style=Markup(page_file(STYLE)),
-        script=Markup(_without_end_tags(page_file(SCRIPT))),
+        script=Markup(_without_end_tags(bundle(SCRIPT))),
     )
     return text
 
