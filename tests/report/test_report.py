@@ -21,6 +21,7 @@ from lightmatrix.pictures import maps
 from lightmatrix.report import image_data, validation
 from lightmatrix.report.facts import Facts
 from lightmatrix.report.recommendations import recommendations
+from lightmatrix.report.sections import uses
 from lightmatrix.simulation.procedural_scene import ProceduralScene
 
 NOISE = 0.003
@@ -87,7 +88,8 @@ def test_the_page_has_its_sections_and_numbers(written: Path, estimate: lm.Light
         "Relative duality gap", "Estimated error per camera pixel", "Prediction minus photograph",
         "Projector row", "Projector column", "Confidence", "Footprint size", "Background",
         "Dual image", "Row of camera pixel", "Column of projector pixel", "The truth",
-        "Error against the truth", "Recommendations", "pattern digest",
+        "Error against the truth", "Direct light", "Global light", "Without compensation",
+        "Compensated", "Recommendations", "pattern digest",
         str(estimate.provenance["pattern_digest"]), "versions: numpy",
     ):  # fmt: skip
         assert phrase in words, phrase
@@ -101,6 +103,21 @@ def test_the_numbers_are_those_of_the_estimate(
     assert numbers["clipped_samples"] == pytest.approx(capture.clipped_share)
     assert len(numbers["held_out_frames"]) == 2
     assert numbers["held_out_error"] < 0.3 * numbers["mean_photograph_error"]
+
+
+def test_uses_of_large_and_of_dark_matrices_are_a_sentence(
+    capture: lm.SimulatedCapture, estimate: lm.LightTransport, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    facts = Facts(estimate, capture, None, "")
+    assert {element.kind for element in uses.uses(facts).elements} == {"text", "gallery"}
+    dark = replace(estimate, sparse=0 * estimate.sparse, background=0 * estimate.background)
+    texts = uses.uses(replace(facts, transport=dark)).elements
+    assert [element.kind for element in texts] == ["text", "text"]
+    assert "cannot be separated: 0 of 480 camera pixels" in getattr(texts[0], "text", "")
+    assert "lights no camera pixel" in getattr(texts[1], "text", "")
+    monkeypatch.setattr(uses, "_MOST_SAMPLES", 479)
+    (only,) = uses.uses(facts).elements
+    assert "lightmatrix separate" in getattr(only, "text", "")
 
 
 def test_an_estimate_without_diagnostics_has_a_report_too(tmp_path: Path) -> None:

@@ -25,6 +25,7 @@ from lightmatrix.report.sections.parameters import parameters
 from lightmatrix.report.sections.photographs import first_frames, photographs
 from lightmatrix.report.sections.relighting import relighting
 from lightmatrix.report.sections.transport_matrix import transport_matrix
+from lightmatrix.report.sections.uses import uses
 from lightmatrix.report.validation import Estimator, Validation, validate
 from lightmatrix.simulation.truth import Truth
 from lightmatrix.transport.matrix import LightTransport
@@ -147,6 +148,7 @@ def write_page(
             error_estimates(facts),
             transport_matrix(facts),
             relighting(facts),
+            uses(facts),
             *more,
             Section("recommendations", "Recommendations", "", (Points(advice),)),
             parameters(facts),
