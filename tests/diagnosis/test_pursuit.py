@@ -10,7 +10,12 @@ from numpy.typing import NDArray
 
 import lightmatrix as lm
 from lightmatrix.diagnosis import pursuit
-from lightmatrix.diagnosis.pursuit import column_scale, predict_by_pursuit
+from lightmatrix.diagnosis.pursuit import (
+    best_pixels,
+    column_scale,
+    fold_count,
+    predict_by_pursuit,
+)
 
 SHAPE, COUNT, ROWS = (48, 64), 64, 40
 
@@ -82,3 +87,122 @@ def test_rows_beside_each_other_are_found_beside_each_other() -> None:
     predicted = predict_by_pursuit(patterns, column_scale(patterns), values, fold, group=4)
     missed = ((predicted - values) ** 2).mean(axis=1) / values.var(axis=1)
     assert missed.max() < 0.2
+
+
+# ---- the parts, each held against its definition
+
+
+def test_few_frames_are_divided_into_many_folds() -> None:
+    assert [fold_count(frames) for frames in (8, 64, 65, 127, 128, 1000)] == [8, 8, 4, 4, 2, 2]
+
+
+def test_the_scale_of_a_pixel_is_one_over_its_deviation() -> None:
+    images = np.random.default_rng(3).random((COUNT, 3, 5), np.float32)
+    images[:, 1, 2] = 0.7
+    images[:, 2, 2] = 0.7 + 0.0005 * images[:, 0, 0]
+    scale = column_scale(lm.ImagePatterns(images)).reshape(3, 5)
+    assert scale[1, 2] == scale[2, 2] == 0
+    varied = scale > 0
+    assert varied.sum() == 13
+    np.testing.assert_allclose(scale[varied], 1 / images.std(axis=0)[varied], rtol=1e-4)
+
+
+def test_the_best_pixel_correlates_most(
+    patterns: lm.PatternSet, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # Two rows at a time.
+    monkeypatch.setattr(pursuit, "_SEARCH_BYTES", 2 * 4 * patterns.pixels)
+    residual = np.random.default_rng(1).standard_normal((7, COUNT)).astype(np.float32)
+    residual -= residual.mean(axis=1, keepdims=True)
+    columns = patterns.columns(np.arange(patterns.pixels)).astype(np.float64)
+    scores = residual @ columns / columns.std(axis=0)
+    scale = column_scale(patterns)
+    best = best_pixels(patterns, scale, residual)
+    np.testing.assert_array_equal(best, scores.argmax(axis=1))
+    # A lot may decide for a pixel that is worse by a thousandth at most.
+    lots = 1 + pursuit._LOT * np.random.default_rng(0).random(2 * len(scale), np.float32)
+    drawn = best_pixels(patterns, scale, residual, lots)
+    assert (scores[np.arange(7), drawn] > 0.998 * scores.max(axis=1)).all()
+
+
+def test_rows_draw_lots_among_pixels_that_are_alike() -> None:
+    images = np.repeat(np.random.default_rng(3).random((COUNT, 4, 1), np.float32), 6, axis=2)
+    patterns = lm.ImagePatterns(images)
+    choose = pursuit._search_all(patterns, column_scale(patterns), np.arange(COUNT))
+    residual = np.repeat(images[:, 2, :1].T - images[:, 2, 0].mean(), 30, axis=0)
+    chosen = choose(residual.astype(np.float32))
+    assert set(chosen // 6) == {2}
+    assert len(set(chosen)) >= 4
+
+
+def test_three_pixels_are_explained_exactly(patterns: lm.PatternSet) -> None:
+    train, held = np.arange(0, COUNT, 2), np.arange(1, COUNT, 2)
+    places = np.array([[5, 900], [70, 2000], [1300, 3000]])
+    light = np.array([0.5, 0.3, 0.2])
+    columns = patterns.columns(places.ravel()).reshape(COUNT, 3, 2)
+    values = (np.einsum("kpm,p->mk", columns, light) + np.array([[0.1], [0.2]])).astype(np.float32)
+    order = iter(places)
+    predicted = pursuit._pursue(patterns, values, train, held, lambda _: next(order))
+    # Within what the ridge of 0.0001 takes.
+    np.testing.assert_allclose(predicted, values[:, held], atol=2e-3)
+    # The second pixel is chosen for what the first leaves.
+    seen: list[NDArray[np.float32]] = []
+
+    def choose(residual: NDArray[np.float32]) -> NDArray[np.int64]:
+        seen.append(residual)
+        return places[len(seen) - 1]
+
+    pursuit._pursue(patterns, values, train, held, choose)
+    first = columns[train, 0] - columns[train, 0].mean(axis=0)
+    for row in range(2):
+        assert abs(seen[1][row] @ first[:, row]) < 1e-3 * abs(seen[0][row] @ first[:, row])
+
+
+def test_a_shortlist_holds_the_best_and_its_neighbours(monkeypatch: pytest.MonkeyPatch) -> None:
+    shape = (37, 53)
+    monkeypatch.setattr(pursuit, "_LISTED", 20)
+    monkeypatch.setattr(pursuit, "_GROUPS", 500)
+    for best in ((0, 0), (20, 30), (36, 52)):
+        scores = np.random.default_rng(0).uniform(-9, -1, shape).astype(np.float32)
+        # Four more that stand out, in groups of their own.
+        scores.ravel()[[600, 700, 801, 902]] = -0.5
+        scores[best] = 0
+        listed = pursuit._best_listed(scores.ravel(), shape, reach=3)
+        assert len(listed) == 20 + 49
+        assert listed.min() >= 0
+        assert {600, 700, 801, 902} <= set(listed[:20])
+        rows, cols = np.divmod(listed[20:], 53)
+        assert set(rows) == set(np.arange(37)[max(0, best[0] - 3) : best[0] + 4])
+        assert set(cols) == set(np.arange(53)[max(0, best[1] - 3) : best[1] + 4])
+    # All of a small projector are listed.
+    assert set(pursuit._best_listed(np.arange(12, dtype=np.float32), (3, 4), 0)) == set(range(12))
+
+
+@pytest.mark.parametrize("known", [COUNT, COUNT - 4])
+def test_correlations_of_folds_are_those_of_their_frames(
+    patterns: lm.PatternSet, known: int
+) -> None:
+    values = np.random.default_rng(2).random((3, COUNT)).astype(np.float32)
+    seen = np.arange(COUNT) < known
+    values[:, ~seen] = np.nan
+    part = np.where(seen, np.arange(COUNT) % 3, -1)
+    folds = [(np.flatnonzero(seen & (part != p)), np.flatnonzero(part == p)) for p in (-1, 0, 1, 2)]
+    folds = [fold for fold in folds if len(fold[1])]
+    columns = patterns.columns(np.arange(patterns.pixels)).astype(np.float64)
+    for (train, _), scores in zip(
+        folds, pursuit._scores_by_fold(patterns, values, folds), strict=True
+    ):
+        centred = values[:, train] - values[:, train].mean(axis=1, keepdims=True)
+        np.testing.assert_allclose(scores, centred @ columns[train], atol=1e-3)
+
+
+def test_shortlists_are_searched_for_their_own_group(patterns: lm.PatternSet) -> None:
+    train = np.arange(0, COUNT, 2)
+    scale = column_scale(patterns)
+    listed = np.random.default_rng(4).permutation(patterns.pixels)[:20].reshape(2, 10)
+    residual = np.random.default_rng(5).standard_normal((6, len(train))).astype(np.float32)
+    chosen = pursuit._search_listed(patterns, scale, listed, train)(residual)
+    for row, pixel in enumerate(chosen):
+        pixels = listed[row // 3]
+        scores = residual[row] @ patterns.columns(pixels)[train] * scale[pixels]
+        assert pixel == pixels[scores.argmax()]

@@ -63,9 +63,11 @@ def binned_shape(patterns: PatternSet) -> tuple[int, int]:
     """The projector's shape after binning, of at most `_MOST_PIXELS`."""
     rows, cols = patterns.shape
     step = 1
-    while (rows // step) * (cols // step) > _MOST_PIXELS:
+    while True:
+        shape = max(1, rows // step), max(1, cols // step)
+        if shape[0] * shape[1] <= _MOST_PIXELS:
+            return shape
         step *= 2
-    return max(1, rows // step), max(1, cols // step)
 
 
 def pattern_images(patterns: PatternSet, count: int, shape: tuple[int, int]) -> Floats:
