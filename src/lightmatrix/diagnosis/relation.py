@@ -335,7 +335,7 @@ def _triples(count: int) -> NDArray[np.int64]:
 
 
 def _products(rows: Floats, triples: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Means over the rows of the products of three frames, (n,)."""
+    """Sums over the rows of the products of three frames, (n,)."""
     frames = np.ascontiguousarray(rows.T)
     parts = np.array_split(triples, max(1, len(triples) * len(rows) >> 20))
     products = [(frames[a] * frames[b] * frames[c]).sum(axis=1) for a, b, c in (p.T for p in parts)]
