@@ -77,6 +77,7 @@ def main() -> int:
     parser.add_argument("--tests", nargs="+", default=SUITES, help="folders and files of tests")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--budget", type=float, default=BUDGET, help="seconds of tests a mutant")
+    parser.add_argument("--stale", action="store_true", help="trust records of earlier sources")
     parser.add_argument("--least", type=float, default=0.0, help="fail below this share killed")
     arguments = parser.parse_args()
     (OUT / "records").mkdir(parents=True, exist_ok=True)
@@ -86,7 +87,7 @@ def main() -> int:
         mutants = sample(copies[0], arguments.paths, arguments.count, arguments.seed)
         for module in HEAVY.split():
             importlib.import_module(module)
-        recorded = recording(copies, arguments.tests)
+        recorded = recording(copies, arguments.tests, arguments.stale)
         control(mutants, recorded, copies[0])
         fates = run(mutants, recorded, copies, arguments.budget)
     return report(mutants, fates, arguments.least)
@@ -125,14 +126,14 @@ def copied(to: Path) -> Path:
 # --- which test runs which line
 
 
-def recording(trees: list[Path], suites: list[str]) -> dict[str, Any]:
+def recording(trees: list[Path], suites: list[str], trusted: bool) -> dict[str, Any]:
     """Tests with their seconds, and for each file's lines the tests that run them."""
     tree = trees[0]
     files = python_files([tree / suite for suite in suites], "test_*.py")
     names = [str(file.relative_to(tree)) for file in files]
     # The largest files first, so that the processes end at about the same time.
     stale = sorted(
-        (name for name in names if not is_current(kept(name), tree, name)),
+        (n for n in names if not (is_current(kept(n), tree, n) or (trusted and kept(n).exists()))),
         key=lambda name: -(tree / name).stat().st_size,
     )
     if stale:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,15 @@ from lightmatrix.cli import main
 from lightmatrix.cli.source import rectangle
 from lightmatrix.estimators import resource_estimate
 from lightmatrix.estimators.coherent.schedule import spacings
-from lightmatrix.estimators.cost_model import COEFFICIENTS, memory_terms, time_terms
+from lightmatrix.estimators.cost_model import (
+    COEFFICIENTS,
+    LOADED_BYTES,
+    EstimateSize,
+    core_threads,
+    first_round_cost,
+    memory_terms,
+    time_terms,
+)
 
 GIB = 2**30
 
@@ -245,3 +254,96 @@ def test_the_coherent_estimate_has_pseudo_samples_beside_the_frames() -> None:
     )
     assert plain == 1000 * 32
     assert coherent > plain
+
+
+# ---- the model
+
+
+def documented() -> list[tuple[tuple[int, int], int, float, float]]:
+    """Camera, projector pixels, processor seconds and GiB of each estimate in docs/scale.md."""
+    page = Path(__file__).parents[2] / "docs" / "scale.md"
+    cells = [line.replace(",", "").split("|")[1:-1] for line in page.read_text().splitlines()]
+    rows = []
+    for row in cells:
+        sides = re.fullmatch(r"(\d+) x (\d+) \D*(\d+) x (\d+) ", "".join(row[:2]).lstrip())
+        if sides and len(row) == 5:
+            a, b, c, d = map(int, sides.groups())
+            rows.append(((a, b), c * d, float(row[3]), float(row[4])))
+    return rows
+
+
+def test_forecasts_agree_with_the_measurements_in_the_documentation() -> None:
+    cases = documented()
+    assert len(cases) == 6
+    for camera, pixels, seconds, gigabytes in cases:
+        size = EstimateSize(
+            "coherent", camera, pixels, 64, False, windows=lm.CoherentEstimator.windows
+        )
+        assert size.memory / GIB == pytest.approx(gigabytes, rel=0.2), camera
+        assert 1 / 1.7 < (size.seconds(1) or 0) / seconds < 1.7, camera
+    # Row by row with 256 patterns: a megapixel takes 18 to 22 minutes of two cores and 2.0 GiB.
+    plain = EstimateSize("plain", (1024, 1024), 768 * 1024, 256, False)
+    assert 18 * 60 / 1.7 < (plain.seconds(2) or 0) < 22 * 60 * 1.7
+    assert 1.5 < plain.memory / GIB < 6
+
+
+def test_grey_patterns_take_longer_and_binned_samples_more_memory() -> None:
+    for method in ("coherent", "plain"):
+        size = EstimateSize(
+            method, (64, 64), 256 * 256, 64, False, windows=lm.CoherentEstimator.windows
+        )
+        grey = replace(size, grey=True)
+        seconds = [each.seconds(1) or 0 for each in (size, grey)]
+        assert 1.1 < seconds[1] / seconds[0] < 100
+        assert size.seconds(4) == pytest.approx(seconds[0] / 4)
+        # Each sample that is kept in 5 bytes takes 4 more than one of 1 byte.
+        binned = replace(size, sample_bytes=5)
+        assert binned.memory - size.memory == 4 * 64 * 64 * 64
+        assert replace(size, check_bytes=10 * GIB).memory == LOADED_BYTES + 10 * GIB
+
+
+def test_samples_that_lie_on_disk_take_no_memory() -> None:
+    small = EstimateSize("plain", (1000, 1000), 64, 1000, False, sample_bytes=2)
+    assert small.temporary == 0
+    large = replace(small, camera=(1200, 1000))
+    assert large.temporary == 1200 * 1000 * 1000 * 2
+    assert large.memory < small.memory + GIB
+
+
+def test_the_first_round_takes_a_larger_share_of_large_projectors() -> None:
+    costs = [first_round_cost(64 * 64, side * side, 32, False) for side in (32, 64, 128, 256)]
+    assert costs == sorted(costs)
+    # All rows searching 64 x 64 pixels take about as long as 2 to 9 of the later rounds.
+    assert 2 < costs[1] < 9
+
+
+def test_threads_of_the_core(monkeypatch: pytest.MonkeyPatch) -> None:
+    for wanted, threads in (("3", 3), ("0", os.cpu_count()), ("", os.cpu_count()), ("x", None)):
+        monkeypatch.setenv("RAYON_NUM_THREADS", wanted)
+        assert core_threads() == (threads or os.cpu_count())
+
+
+@pytest.mark.parametrize(
+    ("seconds", "words"),
+    [
+        (9.9, "a few seconds"),
+        (10, "10 s"),
+        (86, "90 s"),
+        (90, "2 min"),
+        (89.4 * 60, "89 min"),
+        (90 * 60, "2 h"),
+        (47 * 3600, "47 h"),
+        (48 * 3600, "2 days"),
+        (240 * 3600, "10 days"),
+    ],
+)
+def test_words_for_times(seconds: float, words: str) -> None:
+    assert resource_estimate._time(seconds) == words
+
+
+def test_words_for_memory() -> None:
+    sizes = {3 * GIB // 2: "1.5 GiB", 9 * GIB: "9 GiB", 10 * GIB: "10 GiB", 2000 * GIB: "2,000 GiB"}
+    for size, words in sizes.items():
+        assert resource_estimate._gigabytes(size) == words
+    assert resource_estimate._block((1, 1), 4) == "4"
+    assert resource_estimate._block((2, 3), 4) == "8x12"

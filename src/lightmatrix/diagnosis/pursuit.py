@@ -59,8 +59,10 @@ def column_scale(patterns: PatternSet) -> NDArray[np.float32]:
         total += block.sum(axis=0, dtype=np.float64)
         squares += np.einsum("kn,kn->n", block, block)
     variance = squares / patterns.count - (total / patterns.count) ** 2
-    constant = variance < 1e-6
-    return np.where(constant, 0, 1 / np.sqrt(np.where(constant, 1, variance))).astype(np.float32)
+    scale = np.zeros(patterns.pixels, np.float32)
+    varied = variance > 1e-6
+    scale[varied] = 1 / np.sqrt(variance[varied])
+    return scale
 
 
 def predict_by_pursuit(
