@@ -1,0 +1,138 @@
+"""Small estimates have the figures that they had: a change of them is meant, or is a mistake.
+
+Whoever means it runs `python -m tests.estimators.test_figures` and puts the printed lines here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+import lightmatrix as lm
+from lightmatrix.estimators.coherent import schedule
+from lightmatrix.simulation.irradiance import irradiance
+from tests.estimators.test_growth import LARGE_FRAMES
+
+Figures = dict[str, float]
+
+EXPECTED: dict[str, Figures] = {
+    "coherent": {
+        "light": 424.096,
+        "pattern": 10.99339,
+        "background": 10.82104,
+        "entries": 8466,
+        "clipped": 0.142485,
+        "footprint": 2450.11,
+    },
+    "growing": {
+        "light": 423.730,
+        "pattern": 11.13956,
+        "background": 11.07472,
+        "entries": 8476,
+        "clipped": 0.142485,
+        "footprint": 2450.11,
+    },
+    "row_by_row": {
+        "light": 370.337,
+        "pattern": 9.02333,
+        "background": 54.6435,
+        "entries": 10756,
+        "clipped": 0.145523,
+    },
+    "multi_scale": {
+        "light": 370.901,
+        "pattern": 8.49990,
+        "background": 54.3809,
+        "entries": 10138,
+        "clipped": 0.145523,
+    },
+    "saturation_admm": {
+        "light": 308.851,
+        "pattern": 4.16251,
+        "background": 106.1585,
+        "entries": 9169,
+        "clipped": 0.142485,
+    },
+    "romp": {
+        "light": 396.528,
+        "pattern": 8.46072,
+        "background": 29.0541,
+        "entries": 7993,
+        "clipped": 0.145523,
+    },
+}
+
+
+def figures(estimate: lm.LightTransport) -> Figures:
+    """Numbers that hardly any change of an estimate leaves alone."""
+    summary = estimate.summary()
+    rows, columns = estimate.sparse.shape
+    along, across = np.cos(0.7 * np.arange(rows)), np.cos(0.3 * np.arange(columns))
+    numbers = {
+        "light": float(estimate.sparse.sum()),
+        "pattern": float(along @ (estimate.sparse @ across)),
+        "background": float(estimate.background.sum()),
+        "entries": float(estimate.sparse.nnz),
+        "clipped": summary["clipped_samples"],
+    }
+    if "footprint" in estimate.diagnostics:
+        numbers["footprint"] = float(np.nansum(estimate.diagnostics["footprint"]))
+    return numbers
+
+
+def photographed(count: int) -> lm.Capture:
+    """A scene of few pixels, at two exposures of which the longer one clips."""
+    size = (26, 24)
+    truth = lm.ProceduralScene((24, 28), size, seed=4, background=0.02, bounces=4).truth()
+    patterns = lm.BernoulliPatterns(size, count, seed=1)
+    exposure = np.where(np.arange(count) % 4 == 2, 0.5, 2.0)
+    sensor = lm.Sensor(exposure, 0.0, 0.003, 0.0, 8)
+    frames = sensor.expose(irradiance(truth.matrix, patterns))
+    stack = np.ascontiguousarray(frames.T).reshape(count, *truth.camera_shape)
+    return lm.Capture.from_arrays(patterns, stack, sensor)
+
+
+def coherent() -> lm.LightTransport:
+    return lm.estimate(photographed(24), check=False)
+
+
+def growing() -> lm.LightTransport:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(schedule, "GROWTH", LARGE_FRAMES)
+        return lm.estimate(photographed(24), check=False)
+
+
+def row_by_row() -> lm.LightTransport:
+    return lm.estimate(photographed(48), coherent=False, check=False)
+
+
+def multi_scale() -> lm.LightTransport:
+    return lm.estimate(photographed(48), multi_scale=True, check=False)
+
+
+def saturation_admm() -> lm.LightTransport:
+    capture = photographed(24)
+    return lm.estimate(capture, solver="saturation-admm", iterations=40, check=False)
+
+
+def romp() -> lm.LightTransport:
+    return lm.estimate(photographed(48), solver="romp", check=False)
+
+
+CASES: tuple[Callable[[], lm.LightTransport], ...] = (
+    *(coherent, growing, row_by_row, multi_scale, saturation_admm, romp),
+)
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_figures_are_those_of_before(case: Callable[[], lm.LightTransport]) -> None:
+    # Processors add up in different orders.
+    expected = EXPECTED[case.__name__]
+    assert figures(case()) == pytest.approx(expected, rel=3e-4)
+
+
+if __name__ == "__main__":
+    for each in CASES:
+        print(f"    {each.__name__!r}: {figures(each())},")
