@@ -26,7 +26,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -198,7 +198,7 @@ class Recorder:
 
     def __init__(self, coverage: Any) -> None:
         self.coverage = coverage
-        self.seconds: Counter[str] = Counter()
+        self.seconds: defaultdict[str, float] = defaultdict(float)
         self.failed: set[str] = set()
         self.users: dict[str, list[str]] = {}
         self.began = 0.0
