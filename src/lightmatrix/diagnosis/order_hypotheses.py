@@ -20,9 +20,10 @@ from lightmatrix.patterns.pattern_set import PatternSet
 
 # The scan looks at 24 to 96 rows, as many as 2.5e9 multiplications allow (about a second). A
 # displacement may begin or end at 16 places; the runs of `frame_order.py` find the exact frame.
+# Both were chosen by hand.
 _FEWEST_ROWS, _MOST_ROWS, _SCAN_WORK = 24, 96, 2.5e9
 _PLACES = 16
-# Projector pixels at a time, so that sums stay in the processor's cache.
+# Projector pixels at a time, so that sums stay in the processor's cache. Chosen by hand.
 _PIXELS_AT_ONCE = 1 << 9
 
 

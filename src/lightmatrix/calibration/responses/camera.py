@@ -32,12 +32,14 @@ from lightmatrix.outputs.kinds import PICTURE, RESPONSE
 from lightmatrix.outputs.writing import check_output
 from lightmatrix.reprs import short_repr
 
-# The fewest different exposures, and the least ratio of the longest to the shortest.
+# The fewest different exposures, and the least ratio of the longest to the shortest. Chosen by
+# hand: they give the curve three points at each pixel, over two stops.
 _FEWEST, _LEAST_RATIO = 3, 4
 # Robertson's curve is not smooth, so it needs more exposures, each at most this many times the one
-# before.
+# before. Chosen by hand: with these, the levels that neighbouring exposures reach overlap.
 _FEWEST_ROBERTSON, _MOST_STEP = 5, 2.2
 # Curves of this many sets of different pixels are averaged; their spread is the uncertainty.
+# Chosen by hand: four are the fewest whose spread tells anything, and each keeps enough pixels.
 _PARTS = 4
 
 

@@ -23,12 +23,18 @@ from lightmatrix.planning.exposure_advice import (
     clipped_share,
 )
 
-# A warning says that the camera cannot expose as advised if its limit is off by this factor.
+# A warning says that the camera cannot expose as advised if its limit is off by this factor, one
+# stop. Chosen by hand.
 _FAR_OFF = 2.0
 # A warning says that avoiding flicker makes more samples clip if the exposure grows by this factor.
+# Chosen by hand: a smaller change is within the tolerance of the advice.
 _LONGER = 1.2
+# A pixel of the mean of several white frames counts as clipped from this share of the clip level
+# on. Chosen by hand: noise takes the mean of clipped frames slightly below the level.
+_CLIPS = 0.995
 # A black frame at this share of the white frame's exposure separates the room's light from the
 # pedestal. A camera whose shortest exposure is more than the second share of it cannot do that.
+# Chosen by hand.
 _BRIEF, _NOT_BRIEF = 1 / 8, 0.6
 
 
@@ -90,7 +96,7 @@ def measure_exposure(
     top = whites.white.clip_level
     pedestal = _pedestal(photographer, whites, limits[0])
     levels = whites.light.ravel().astype(np.float64) / (top - pedestal) / whites.exposure
-    clipped = (whites.white.mean >= 0.995 * top).ravel()
+    clipped = (whites.white.mean >= _CLIPS * top).ravel()
     frame = WhiteFrame(levels, clipped)
     noise = max(whites.white.noise, whites.black.noise) / top
     advised = advise_exposures(frame, noise)
