@@ -16,13 +16,16 @@ from .patterns.folder import (
     read_patterns as read_patterns,
     write_patterns as write_patterns,
 )
+from .patterns.graycode import GrayCodePatterns as GrayCodePatterns
 from .patterns.hadamard import HadamardPatterns as HadamardPatterns
 from .patterns.making import make_patterns as make_patterns
+from .patterns.microphase import MicroPhasePatterns as MicroPhasePatterns
 from .patterns.mix import MixedPatterns as MixedPatterns
 from .patterns.pattern_set import (
     ImagePatterns as ImagePatterns,
     PatternSet as PatternSet,
 )
+from .patterns.phase import PhasePatterns as PhasePatterns
 
 # Captures, photographed and simulated.
 from .camera.decoder import Decoder as Decoder
@@ -115,6 +118,13 @@ from .solvers import (
     Result as Result,
     SaturationADMM as SaturationADMM,
     solve as solve,
+)
+
+# Correspondence without T, from stripes.
+from .decoding.decode import decode as decode
+from .store.correspondence_file import (
+    read_correspondence as read_correspondence,
+    write_correspondence as write_correspondence,
 )
 
 # What is done with them.

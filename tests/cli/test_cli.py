@@ -188,6 +188,9 @@ KINDS = {
     "onepixel": ("", 64),
     "blocks": ("--block 4", 4),
     "mix": ("-k 6 --mix fine:0.5,2x4:0.5", 6),
+    "graycode": ("--inverse", 14),
+    "phase": ("--period 4", 12),
+    "microphase": ("-k 12", 12),
 }
 
 
@@ -204,7 +207,7 @@ def test_patterns_of_every_kind(tmp_path: Path, capsys: pytest.CaptureFixture[st
         # The description and the images agree.
         opened = read_patterns(tmp_path / kind)
         shown = np.stack([read_image(f) for f in sorted((tmp_path / kind).glob("*.png"))])
-        np.testing.assert_array_equal(opened.images(), shown > 0)
+        np.testing.assert_array_equal(np.rint(opened.images() * 255), shown)
 
 
 def test_scenes(capsys: pytest.CaptureFixture[str]) -> None:

@@ -17,11 +17,15 @@ from lightmatrix.files.images import write_image
 from lightmatrix.patterns.bits import BernoulliPatterns, BitPatterns, with_white
 from lightmatrix.patterns.blocks import BlockPatterns, one_pixel_patterns, sampled_pixels
 from lightmatrix.patterns.folder import read_patterns, write_patterns
+from lightmatrix.patterns.graycode import GrayCodePatterns
 from lightmatrix.patterns.grids import block_mean, grid_cells
 from lightmatrix.patterns.hadamard import HadamardPatterns
-from lightmatrix.patterns.making import remake_patterns
+from lightmatrix.patterns.making import make_patterns, remake_patterns
+from lightmatrix.patterns.microphase import MicroPhasePatterns
 from lightmatrix.patterns.mix import MixedPatterns, default_mix, parse_mix
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
+from lightmatrix.patterns.phase import PhasePatterns
+from lightmatrix.patterns.stripes import stripes_of
 from lightmatrix.solvers import ActiveSet
 from lightmatrix.solvers.problem import Problem
 
@@ -32,7 +36,14 @@ sizes = st.integers(1, 13)
 def pattern_sets(draw: st.DrawFn) -> PatternSet:
     shape = (draw(sizes), draw(sizes))
     seed = draw(st.integers(0, 2**32))
-    kind = draw(st.sampled_from(["bernoulli", "hadamard", "blocks", "images", "mix", "bits"]))
+    kinds = ["bernoulli", "hadamard", "blocks", "images", "mix", "bits", "code"]
+    kind = draw(st.sampled_from(kinds if max(shape) > 1 else kinds[:-1]))
+    if kind == "code":
+        inverse, period = draw(st.booleans()), draw(st.floats(4, 9))
+        axes = sum(length > 1 for length in shape)
+        micro = MicroPhasePatterns(shape, axes * draw(st.integers(5, 7)), period)
+        phase = PhasePatterns(shape, period, inverse)
+        return draw(st.sampled_from([GrayCodePatterns(shape, inverse), phase, micro]))
     if kind == "bernoulli":
         return BernoulliPatterns(shape, draw(sizes), draw(st.floats(0.01, 0.99)), seed)
     if kind == "mix":
@@ -99,6 +110,22 @@ def test_descriptions_remake_the_set(patterns: PatternSet) -> None:
         assert remade is not None
         assert remade.digest == patterns.digest
         np.testing.assert_array_equal(remade.dense(), patterns.dense())
+
+
+def test_gray_codes_of_neighbours_differ_in_one_bit() -> None:
+    bits = GrayCodePatterns((3, 37)).images()[:6, 0]
+    assert (np.abs(np.diff(bits, axis=1)).sum(axis=0) == 1).all()
+    assert len(np.unique(bits.T, axis=0)) == 37
+
+
+def test_stripes_are_found_in_their_images() -> None:
+    patterns = PhasePatterns((24, 40), inverse=True)
+    found = stripes_of(ImagePatterns(patterns.images()))
+    assert found is not None
+    np.testing.assert_array_equal(found.axes, patterns.stripes.axes)
+    for one, other in zip(found.profiles, patterns.stripes.profiles, strict=True):
+        np.testing.assert_allclose(one, other, atol=1e-6)
+    assert stripes_of(BernoulliPatterns((4, 4), 3)) is None
 
 
 def test_bernoulli_is_reproducible_and_has_its_density() -> None:
@@ -235,6 +262,10 @@ def test_the_fast_solver_takes_a_mix_as_bits() -> None:
             lambda: remake_patterns({"kind": "mix", "shape": [4, 4], "count": 2, "mix": [3]}),
             "cannot be read",
         ),
+        (lambda: GrayCodePatterns((1, 1)), "one above 1"),
+        (lambda: PhasePatterns((8, 8), 2.5), "at least 3"),
+        (lambda: MicroPhasePatterns((8, 8), 11), "even number from 10 on"),
+        (lambda: make_patterns("graycode", (8, 8), 5), "leave the number out: this code has 8"),
         (lambda: remake_patterns({"kind": "bernoulli"}), "cannot be read"),
         (lambda: remake_patterns({"kind": "moire"}), "unknown"),
     ],

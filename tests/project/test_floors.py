@@ -23,7 +23,7 @@ FLOORS = [
     {"patterns"},
     {"camera", "geometry", "transport"},
     {"capture", "solvers", "store"},
-    {"diagnosis", "simulation", "pictures"},
+    {"decoding", "diagnosis", "simulation", "pictures"},
     {"estimators", "evaluation", "calibration"},
     {"planning", "uses"},
     {"report"},

@@ -19,6 +19,7 @@ from lightmatrix.cli.capture import capture
 from lightmatrix.cli.check import check
 from lightmatrix.cli.claims import outputs
 from lightmatrix.cli.compensate import compensate
+from lightmatrix.cli.decode import decode
 from lightmatrix.cli.demo import demo
 from lightmatrix.cli.estimate import estimate
 from lightmatrix.cli.evaluate import evaluate
@@ -51,6 +52,7 @@ STAGES: dict[str, tuple[Callable[..., None], ...]] = {
         check,
         pack,
         estimate,
+        decode,
         info,
         show,
         view,

@@ -22,7 +22,9 @@ from lightmatrix.cli.terminal import say, show_json
 from lightmatrix.errors import InputError
 from lightmatrix.outputs.kinds import PATTERNS
 
-Kind = Literal["bernoulli", "hadamard", "onepixel", "blocks", "mix"]
+Kind = Literal[
+    "bernoulli", "hadamard", "onepixel", "blocks", "mix", "graycode", "phase", "microphase"
+]
 Colour = Literal["red", "green", "blue"]
 Order = Literal["natural", "sequency", "random"]
 
@@ -36,7 +38,7 @@ def patterns(
             "-k",
             "--count",
             help="Number of patterns.",
-            show_default=f"{USUAL_COUNT}; all for onepixel and blocks",
+            show_default=f"{USUAL_COUNT}; all for onepixel and blocks; as needed for codes",
         ),
     ] = None,
     shape: Annotated[
@@ -53,6 +55,15 @@ def patterns(
     order: Annotated[Order, typer.Option(help="Hadamard: order of the patterns.")] = "sequency",
     permute: Annotated[bool, typer.Option(help="Hadamard: shuffle the pixels.")] = False,
     block: Annotated[str, typer.Option(help="Blocks: rows x columns of a block.")] = "8x8",
+    inverse: Annotated[
+        bool, typer.Option("--inverse", help="Graycode and phase: follow each bit by its inverse.")
+    ] = False,
+    period: Annotated[
+        float | None,
+        typer.Option(
+            help="Phase and microphase: projector pixels of a period.", show_default="8 and 16"
+        ),
+    ] = None,
     colour: Annotated[
         Colour | None,
         typer.Option(help="Primary of a colour projector.", show_default="white"),
@@ -74,6 +85,8 @@ def patterns(
         order=order,
         permute=permute,
         block=size(block),
+        inverse=inverse,
+        period=period,
         seed=seed,
     )
     lm.write_patterns(output, made, colour=colour, overwrite=overwrite)

@@ -7,9 +7,8 @@ import numpy as np
 from lightmatrix.diagnosis.finding import Finding
 from lightmatrix.diagnosis.survey import Survey
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
+from lightmatrix.patterns.stripes import NOTHING, stripes_of
 
-# Pixels of a pattern are the same if they differ by less than 2 %.
-_SAME = 0.02
 # At most 20 % of the projector pixels may be shown like another one; a few patterns leave some so
 # by chance.
 _MOST_ALIKE = 0.2
@@ -28,8 +27,8 @@ def check_distinguishable(patterns: PatternSet) -> list[Finding]:
                 "each pattern varies along rows or along columns only (Gray code, stripes, "
                 "fringes): where a camera pixel sees several places, they cannot tell these from "
                 "the crossings of their rows and columns",
-                "fine for correspondence, shape, and surfaces without interreflection; for all of "
-                "T project random patterns too: lightmatrix patterns bernoulli",
+                "fine for correspondence and shape (lightmatrix decode); for all of T project "
+                "random patterns too: lightmatrix patterns bernoulli",
             )
         ]
     alike = _share_alike(patterns)
@@ -70,14 +69,8 @@ def is_separable(patterns: PatternSet) -> bool:
     """Whether no pattern varies along both rows and columns."""
     if min(patterns.shape) == 1:
         return False
-    varies = False
-    for _, block in patterns.chunks():
-        images = block.reshape(-1, *patterns.shape)
-        along = [np.ptp(images, axis=axis).max(axis=1) for axis in (1, 2)]
-        if (np.minimum(*along) > _SAME).any():
-            return False
-        varies = varies or bool((np.maximum(*along) > _SAME).any())
-    return varies
+    stripes = stripes_of(patterns)
+    return stripes is not None and bool((stripes.axes != NOTHING).any())
 
 
 def _share_alike(patterns: PatternSet) -> float:

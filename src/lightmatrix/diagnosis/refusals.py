@@ -14,6 +14,7 @@ from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.decoding import check_depth
 from lightmatrix.diagnosis.all_checks import check_capture
 from lightmatrix.diagnosis.finding import Finding
+from lightmatrix.diagnosis.pattern_faults import is_separable
 from lightmatrix.errors import InputError, LightMatrixWarning
 from lightmatrix.patterns.pattern_set import PatternSet
 
@@ -73,6 +74,18 @@ def refuse_unordered(capture: Capture) -> None:
         if finding.kind == "unrelated":
             message = f"{finding.message}; {finding.advice}"
             warnings.warn(message, LightMatrixWarning, stacklevel=3)
+
+
+def warn_of_stripes(patterns: PatternSet) -> None:
+    """Point from an estimate of T under stripes only to `decode`, which is fast and made for it."""
+    if is_separable(patterns):
+        warnings.warn(
+            "all patterns are stripes (Gray code, fringes): T has wrong entries where a camera "
+            "pixel sees several places; for correspondence and shape use `lightmatrix decode`, "
+            "which takes seconds",
+            LightMatrixWarning,
+            stacklevel=3,
+        )
 
 
 def refuse_disorder(findings: Sequence[Finding]) -> None:

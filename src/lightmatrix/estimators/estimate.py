@@ -19,7 +19,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from lightmatrix.capture.capture import Capture, open_capture
-from lightmatrix.diagnosis.refusals import refuse_unordered, refuse_unusable
+from lightmatrix.diagnosis.refusals import refuse_unordered, refuse_unusable, warn_of_stripes
 from lightmatrix.estimators.choice import choose_estimator
 from lightmatrix.estimators.resource_estimate import estimate_resources
 from lightmatrix.estimators.settings import EstimateSettings
@@ -146,6 +146,7 @@ def estimate(
     # Workers are checked before the frames are read, which takes longer.
     with open_workers(settings, resources) as pool:
         refuse_unusable(capture)
+        warn_of_stripes(capture.patterns)
         if check:
             refuse_unordered(capture)
         return choose_estimator(capture, settings, resources).estimate(

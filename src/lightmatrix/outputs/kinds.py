@@ -14,11 +14,12 @@ from lightmatrix.outputs.markers import FileKind, FolderKind, holds_member, read
 # Endings of the folders beside an output that hold its running results.
 PARTIAL, CASES = ".partial", ".cases"
 # Names of the arrays by which our npz files are recognized.
-TRANSPORT_MARK, TRUTH_MARK, PACKED_MARK, NUMBERS_MARK = (
+TRANSPORT_MARK, TRUTH_MARK, PACKED_MARK, NUMBERS_MARK, CORRESPONDENCE_MARK = (
     "lightmatrix_transport",
     "lightmatrix_truth",
     "lightmatrix_packed",
     "lightmatrix_numbers",
+    "lightmatrix_correspondence",
 )
 # The text with which our mat files begin; readers of the format ignore it.
 MAT_MARK = "MATLAB 5.0 MAT-file, written by lightmatrix"
@@ -68,6 +69,9 @@ RIG = FileKind("measurements of a rig", (".json",), lambda file: _is_json(file, 
 RESPONSE = FileKind("measured response", (".json",), lambda file: _is_json(file, RESPONSE_FORMAT))
 GEOMETRY = FileKind("geometry of a rig", (".json",), lambda file: _is_json(file, GEOMETRY_FORMAT))
 PAGE = FileKind("page of the viewer", (".html",), lambda file: _holds_early(file, PAGE_MARK))
+CORRESPONDENCE = FileKind(
+    "correspondence", (".npz",), lambda file: holds_member(file, CORRESPONDENCE_MARK)
+)
 NPZ = FileKind("exported matrix", (".npz",), lambda file: holds_member(file, TRANSPORT_MARK))
 MAT = FileKind("exported matrix", (".mat",), lambda file: _begins_with(file, MAT_MARK.encode()))
 # Images do not say who wrote them, so any image may be replaced by another.

@@ -10,12 +10,19 @@ import numpy as np
 from lightmatrix.errors import InputError
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.blocks import BlockPatterns, one_pixel_patterns
+from lightmatrix.patterns.graycode import GrayCodePatterns
 from lightmatrix.patterns.hadamard import HadamardPatterns
+from lightmatrix.patterns.microphase import USUAL_COUNT as USUAL_MICRO_COUNT
+from lightmatrix.patterns.microphase import USUAL_PERIOD as USUAL_MICRO_PERIOD
+from lightmatrix.patterns.microphase import MicroPhasePatterns
 from lightmatrix.patterns.mix import Mix, MixedPatterns, default_mix, parse_mix
 from lightmatrix.patterns.pattern_set import PatternSet
+from lightmatrix.patterns.phase import USUAL_PERIOD, PhasePatterns
 
 # The kinds that `make_patterns` makes.
-KINDS = ("bernoulli", "hadamard", "onepixel", "blocks", "mix")
+KINDS = ("bernoulli", "hadamard", "onepixel", "blocks", "mix", "graycode", "phase", "microphase")
+# Those of stripes, from which `decode` finds the correspondence.
+CODES = ("graycode", "phase", "microphase")
 # The number of random patterns where none is asked for. Chosen by hand: one for 64 pixels of the
 # usual projector of 128 x 128.
 USUAL_COUNT = 256
@@ -24,8 +31,11 @@ USUAL_COUNT = 256
 _DESCRIBED: Mapping[str, Callable[..., PatternSet]] = {
     "bernoulli": BernoulliPatterns,
     "blocks": BlockPatterns,
+    "graycode": GrayCodePatterns,
     "hadamard": HadamardPatterns,
+    "microphase": MicroPhasePatterns,
     "mix": MixedPatterns,
+    "phase": PhasePatterns,
 }
 _IMAGES = "images"
 
@@ -40,19 +50,23 @@ def make_patterns(
     order: str = "sequency",
     permute: bool = False,
     block: tuple[int, int] = (8, 8),
+    inverse: bool = False,
+    period: float | None = None,
     seed: int = 0,
 ) -> PatternSet:
     """Make a pattern set by the name of its kind.
 
     Parameters
     ----------
-    kind : {"bernoulli", "hadamard", "onepixel", "blocks", "mix"}
+    kind : {"bernoulli", "hadamard", "onepixel", "blocks", "mix", "graycode", "phase", "microphase"}
         Independent random pixels; Walsh-Hadamard patterns; one pixel lit at a time; one block at a
-        time; random patterns of fine and coarse cells.
+        time; random patterns of fine and coarse cells. Or stripes for `decode`: Gray code, phase
+        shifts with Gray code, micro phase shifts.
     shape : (rows, cols)
         Projector pixels.
     count : int, optional
-        Number of patterns K. None: 256; all there are for onepixel and blocks.
+        Number of patterns K. None: 256; all there are for onepixel and blocks; 14 for microphase.
+        graycode and phase have as many as the projector needs.
     density : float
         bernoulli and mix: share of lit pixels, in (0, 1).
     mix : str or sequence of ((rows, cols), share), optional
@@ -64,6 +78,10 @@ def make_patterns(
         hadamard: shuffle the pixels.
     block : (rows, cols)
         blocks: projector pixels of one block.
+    inverse : bool
+        graycode and phase: each bit is followed by its inverse.
+    period : float, optional
+        phase and microphase: projector pixels of a (mean) period. None: 8 and 16.
     seed : int
         Seed of everything random.
 
@@ -86,6 +104,8 @@ def make_patterns(
     """
     if mix is not None and kind != "mix":
         raise InputError(f"a mix for {kind} patterns", hint="make patterns of the kind mix")
+    if kind in CODES:
+        return _code(kind, shape, count, inverse, period)
     number = USUAL_COUNT if count is None else count
     if kind == "bernoulli":
         return BernoulliPatterns(shape, number, density, seed)
@@ -124,6 +144,23 @@ def remake_patterns(description: Mapping[str, Any]) -> PatternSet | None:
             f"a description of {kind} patterns that cannot be read: {error}",
             hint="remove patterns.json to read the patterns from their images",
         ) from error
+
+
+def _code(
+    kind: str, shape: tuple[int, int], count: int | None, inverse: bool, period: float | None
+) -> PatternSet:
+    """Stripes that number the projector's columns and rows."""
+    if kind == "microphase":
+        total = USUAL_MICRO_COUNT if count is None else count
+        return MicroPhasePatterns(shape, total, period or USUAL_MICRO_PERIOD)
+    code: PatternSet = GrayCodePatterns(shape, inverse)
+    if kind == "phase":
+        code = PhasePatterns(shape, period or USUAL_PERIOD, inverse)
+    if count is not None and count != code.count:
+        raise InputError(
+            f"{count} {kind} patterns", hint=f"leave the number out: this code has {code.count}"
+        )
+    return code
 
 
 def _some(whole: BlockPatterns, count: int | None, kind: str, seed: int) -> BlockPatterns:

@@ -33,6 +33,12 @@ class Correspondence:
     confidence : (rows, cols) float32
         Share of the row's light, background included, that comes from this window, in [0, 1]: near
         1 if all light comes from one place, small if it comes from many, 0 if there is none.
+    uncertainty : (rows, cols, 2) float32, optional
+        Standard deviation of the place along rows and columns, in projector pixels.
+    light : (rows, cols) float32, optional
+        Light of the window in units of the clip level: direct light, under a white pattern.
+    projector_shape : (rows, cols), optional
+        The projector's pixels.
 
     Examples
     --------
@@ -45,11 +51,15 @@ class Correspondence:
     pixel: NDArray[np.int32]
     place: NDArray[np.float32]
     confidence: NDArray[np.float32]
+    uncertainty: NDArray[np.float32] | None = None
+    light: NDArray[np.float32] | None = None
+    projector_shape: tuple[int, int] | None = None
 
     @property
     def valid(self) -> NDArray[np.bool_]:
         """The camera pixels that see the projector, (rows, cols)."""
-        return self.pixel[..., 0] >= 0
+        # Codes of columns only leave all rows unknown.
+        return np.asarray((self.pixel >= 0).any(axis=-1))
 
     def levels(self) -> NDArray[np.uint16]:
         """The correspondence as a 16-bit picture, (rows, cols, 3).
@@ -90,16 +100,22 @@ def correspondence(transport: LightTransport) -> Correspondence:
     count, (_, width) = len(background), transport.projector_shape
     pixel = np.full((count, 2), -1, np.int32)
     place = np.full((count, 2), np.nan, np.float32)
-    confidence = np.zeros(count, np.float32)
+    confidence, light = np.zeros(count, np.float32), np.zeros(count, np.float32)
     per_row = max(1, matrix.nnz // max(1, count))
     step = max(1, _ENTRIES // per_row)
     for start in range(0, count, step):
         part = csr_array(matrix[start : start + step])
         rows = slice(start, start + part.shape[0])
-        pixel[rows], place[rows], confidence[rows] = _strongest(part, background[rows], width)
+        pixel[rows], place[rows], confidence[rows], light[rows] = _strongest(
+            part, background[rows], width
+        )
     shape = transport.camera_shape[:2]
     return Correspondence(
-        pixel.reshape(*shape, 2), place.reshape(*shape, 2), confidence.reshape(shape)
+        pixel.reshape(*shape, 2),
+        place.reshape(*shape, 2),
+        confidence.reshape(shape),
+        light=light.reshape(shape),
+        projector_shape=transport.projector_shape,
     )
 
 
@@ -120,8 +136,8 @@ def pixel_rows(transport: LightTransport) -> tuple[csr_array, NDArray[np.float64
 
 def _strongest(
     matrix: csr_array, background: NDArray[np.float64], width: int
-) -> tuple[NDArray[np.int32], NDArray[np.float32], NDArray[np.float32]]:
-    """The strongest pixel, its place and its confidence, for some rows."""
+) -> tuple[NDArray[np.int32], NDArray[np.float32], NDArray[np.float32], NDArray[np.float64]]:
+    """The strongest pixel, its place, its confidence and the light around it, for some rows."""
     count = int(matrix.shape[0])
     owner = np.repeat(np.arange(count), np.diff(matrix.indptr))
     # Some estimates allow negative light, which does not count.
@@ -142,4 +158,4 @@ def _strongest(
         offset = [np.bincount(owner, near * distance[:, axis], count) / window for axis in (0, 1)]
         confidence = np.where(valid, window / total, 0)
     place = np.where(valid[:, None], pixel + np.stack(offset, axis=1), np.nan)
-    return pixel.astype(np.int32), place.astype(np.float32), confidence.astype(np.float32)
+    return pixel.astype(np.int32), place.astype(np.float32), confidence.astype(np.float32), window
