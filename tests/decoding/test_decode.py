@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from lightmatrix.errors import InputError, LightMatrixWarning
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
 
 PROJECTOR, CAMERA = (40, 52), (34, 30)
-CODES = {
+CODES: dict[str, dict[str, Any]] = {
     "graycode": {},
     "graycode, inverse": {"inverse": True},
     "phase": {},

@@ -121,14 +121,11 @@ def decode(
 
 def _of_pixels(tile: Samples, channels: int) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     """The samples of each pixel, (m, K), its channels added, and which pixels are not masked."""
-    counted = np.ones(tile.count, bool)
-    if tile.weights is not None and tile.weights.ndim == 2:
-        counted = (tile.weights > 0).any(axis=1)
+    counted = tile.counted.reshape(-1, channels, tile.values.shape[1]).any(axis=(1, 2))
     values = np.asarray(tile.values, np.float32)
     if channels > 1:
         values = values.reshape(-1, channels, values.shape[1]).sum(axis=1)
-        counted = counted.reshape(-1, channels).any(axis=1)
-    return values, counted
+    return values, np.asarray(counted)
 
 
 def _read(code: Code, codes: Codes, values: NDArray[np.float32]) -> Reading:
@@ -138,4 +135,5 @@ def _read(code: Code, codes: Codes, values: NDArray[np.float32]) -> Reading:
         return refine(code, samples, correlate(code, samples))
     bright = samples.max(axis=1) if codes.white is None else values[:, codes.white]
     dark = samples.min(axis=1) if codes.black is None else values[:, codes.black]
-    return refine(code, samples, read_bits(code, samples, (bright + dark) / 2))
+    middle = np.asarray((bright + dark) / 2, np.float32)
+    return refine(code, samples, read_bits(code, samples, middle))

@@ -48,7 +48,7 @@ class GrayCodePatterns(StripePatterns):
         check_code_shape(self.shape)
 
     @cached_property
-    def stripes(self) -> Stripes:  # type: ignore[override]
+    def stripes(self) -> Stripes:
         axes, profiles = [], []
         for axis, length in both_axes(self.shape):
             for bit in with_inverses(gray_bits(np.arange(length)), self.inverse):

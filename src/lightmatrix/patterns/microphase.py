@@ -66,7 +66,7 @@ class MicroPhasePatterns(StripePatterns):
             )
 
     @cached_property
-    def stripes(self) -> Stripes:  # type: ignore[override]
+    def stripes(self) -> Stripes:
         axes, profiles = [], []
         each = self.total // len(both_axes(self.shape))
         for axis, length in both_axes(self.shape):

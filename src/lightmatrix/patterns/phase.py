@@ -53,7 +53,7 @@ class PhasePatterns(StripePatterns):
         check_period(self.period)
 
     @cached_property
-    def stripes(self) -> Stripes:  # type: ignore[override]
+    def stripes(self) -> Stripes:
         axes, profiles = [], []
         for axis, length in both_axes(self.shape):
             pixel = np.arange(length)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -51,18 +52,16 @@ def write_correspondence(
     >>> lm.write_correspondence("matches.npz", matches)
     """
     arrays = {name: getattr(matches, name) for name in _ARRAYS}
-    shape = matches.projector_shape
+    content: dict[str, Any] = {CORRESPONDENCE_MARK: np.array(VERSION)}
+    content |= {name: array for name, array in arrays.items() if array is not None}
+    if matches.projector_shape is not None:
+        content["projector_shape"] = np.array(matches.projector_shape)
     with (
         atomic_file(path, CORRESPONDENCE, overwrite=overwrite) as temporary,
         open(temporary, "wb") as stream,
     ):
         # Fractions of pixels hardly compress, and it takes longer than decoding.
-        np.savez(
-            stream,
-            **{CORRESPONDENCE_MARK: np.array(VERSION)},
-            **{name: array for name, array in arrays.items() if array is not None},
-            **({} if shape is None else {"projector_shape": np.array(shape)}),
-        )
+        np.savez(stream, **content)
 
 
 def read_correspondence(path: str | Path) -> Correspondence:

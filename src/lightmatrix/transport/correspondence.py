@@ -152,7 +152,7 @@ def _strongest(
     pixel = np.where(valid[:, None], np.stack(np.divmod(strongest, width), axis=1), -1)
     distance = np.stack(np.divmod(matrix.indices.astype(np.int64), width), axis=1) - pixel[owner]
     near = light * (np.abs(distance) <= REACH).all(axis=1)
-    window = np.bincount(owner, near, count)
+    window = np.bincount(owner, near, count).astype(np.float64)
     total = np.bincount(owner, light, count) + np.maximum(background, 0)
     with np.errstate(invalid="ignore", divide="ignore"):
         offset = [np.bincount(owner, near * distance[:, axis], count) / window for axis in (0, 1)]
