@@ -77,16 +77,16 @@ def test_all_rows_of_small_frames_search_and_large_ones_grow() -> None:
     assert {stage.spacing for stage in usual} == {1}
     assert not any(stage.search_unexplained for stage in usual)
     grown = schedule.schedule((1024, 1024), 768 * 1024, WINDOWS)
-    assert [stage.spacing for stage in grown] == [16] * 8 + [4] * 5 + [1] * 5
-    assert [stage.window is None for stage in grown] == [True] + [False] * 17
-    assert [stage.last for stage in grown] == [False] * 17 + [True]
-    assert [i for i, stage in enumerate(grown) if stage.search_unexplained] == [9, 14]
-    assert [i for i, stage in enumerate(grown) if stage.skip_settled] == [11, 12, 15, 16]
+    assert [stage.spacing for stage in grown] == [32] * 8 + [8] * 3 + [4] * 3 + [1] * 3
+    assert [stage.window is None for stage in grown] == [True] + [False] * 16
+    assert [stage.last for stage in grown] == [False] * 16 + [True]
+    assert [i for i, stage in enumerate(grown) if stage.search_unexplained] == [9, 12, 15]
+    assert [i for i, stage in enumerate(grown) if stage.skip_settled] == [10, 13]
     # Narrow windows would leave gaps between seeds, and thin cameras have no neighbours.
     assert schedule.spacings((1024, 1024), 768 * 1024, ((1, 1),)) == (1,)
     assert schedule.spacings((10, 100_000), 768 * 1024, WINDOWS) == (1,)
     short = schedule.schedule((1024, 1024), 768 * 1024, ((2, 1),))
-    assert [stage.spacing for stage in short] == [16, 4, 1, 1]
+    assert [stage.spacing for stage in short] == [32, 8, 4, 1, 1]
     assert schedule.spacings((128, 1000), 768 * 1024, WINDOWS) == (8, 4, 1)
 
 

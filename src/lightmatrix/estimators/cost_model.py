@@ -15,7 +15,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 from lightmatrix.estimators.coherent.neighbourhood import PSEUDO_SAMPLES
-from lightmatrix.estimators.coherent.schedule import GROWTH, spacings
+from lightmatrix.estimators.coherent.schedule import spacings
 from lightmatrix.estimators.work import TILE_BYTES
 from lightmatrix.resources.disk import SCRATCH_MEMORY_BYTES
 from lightmatrix.solvers.active_set import ActiveSet
@@ -38,8 +38,8 @@ COEFFICIENTS: Mapping[str, Mapping[str, Mapping[str, float]]] = {
         "bytes": {"pixel": 1200, "value": 14, "tile": 0.4, "row": 1310, "sample": 1},
         "seconds": {
             "value": 3.0e-7,
-            "row": 2.0e-4,
-            "sample": 5.6e-6,
+            "row": 1.2e-4,
+            "sample": 3.4e-6,
             "entry": 4.0e-10,
             "grey entry": 1.0e-11,
         },
@@ -53,6 +53,8 @@ COEFFICIENTS: Mapping[str, Mapping[str, Mapping[str, float]]] = {
 # grew onto them does not explain their samples. Estimated by hand; it is part of the fit of
 # "growing".
 _UNEXPLAINED_SHARE = 0.003
+# The spacing of seeds to which the coefficients of "growing" belong.
+_FITTED_SPACING = 16
 # Bytes that Python, the libraries and the patterns take before the estimate begins.
 LOADED_BYTES = 130 << 20
 # Bytes of the smallest tile that a memory limit may lead to. Chosen by hand: rows that are solved
@@ -143,8 +145,7 @@ class EstimateSize:
             return None
         terms = time_terms(self.kind, self.rows, self.pixels, self.count, self.grey)
         if self.kind == "growing":
-            # The coefficients were measured at the widest spacing of seeds.
-            times = _searching_share(self._seed_spacing) / _searching_share(GROWTH.spacings[0][0])
+            times = _searching_share(self._seed_spacing) / _searching_share(_FITTED_SPACING)
             terms |= {name: times * terms[name] for name in terms if "entry" in name}
         coefficients = COEFFICIENTS[self.kind]["seconds"]
         return sum(coefficients[name] * terms[name] for name in coefficients) / cores

@@ -1,10 +1,10 @@
 """The rounds of a coherent estimate: which camera pixels are solved, and where they seek light.
 
 In a small frame every camera pixel first searches all projector pixels. The cost of this grows with
-the product of both. In a large frame only seeds search: every sixteenth camera pixel along both
-axes. After some rounds among themselves, their light grows to every fourth camera pixel, then to
-all, as matches do in PatchMatch stereo (Barnes et al. 2009). Camera pixels whose samples this does
-not explain then search for themselves.
+the product of both. In a large frame only seeds search: every 32nd camera pixel along both axes,
+or every sixteenth. After some rounds among themselves, their light grows to camera pixels that are
+closer and closer, at last to all, as matches do in PatchMatch stereo (Barnes et al. 2009). Camera
+pixels whose samples this does not explain then search for themselves.
 """
 
 from __future__ import annotations
@@ -14,7 +14,11 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Growth:
-    """How light grows from seeds in large frames. All values are chosen by hand."""
+    """How light grows from seeds in large frames.
+
+    With `settling` 4 and seeds every 16 pixels, a procedural capture of 512 x 512 took half as much
+    time again, and its error was .05946 in place of .0595. The other values are chosen by hand.
+    """
 
     # A frame is large if camera samples times projector pixels exceed this. 128 x 128 pixels of
     # both, in colour too, stay below.
@@ -22,14 +26,14 @@ class Growth:
     # Spacings of the solved camera pixels, level by level. The first sequence applies for which the
     # camera has enough seeds. A spacing is at most four times the next one, since rows reach only
     # `reach` pixels to both sides and would leave gaps.
-    spacings: tuple[tuple[int, ...], ...] = ((16, 4, 1), (8, 4, 1), (4, 1))
+    spacings: tuple[tuple[int, ...], ...] = ((32, 8, 4, 1), (16, 4, 1), (8, 4, 1), (4, 1))
     # The half width in camera pixels that the first window must have.
     reach: int = 2
     # Seeds along the shorter side of the camera that a sequence needs. With fewer, seeds have
     # hardly any neighbours.
     fewest_seeds: int = 16
     # Rounds at each finer level after the one in which light grows onto it.
-    settling: int = 4
+    settling: int = 2
     # Rounds at a level after which its unexplained rows search all projector pixels.
     search_after: int = 2
 
