@@ -20,6 +20,8 @@ from lightmatrix.files.reading import within
 NAME = "capture.json"
 # The file with the T that was photographed, in the folder of a simulated capture.
 TRUTH = "truth.npz"
+# The geometry of its rig and the exact depth at its camera pixels, beside the truth.
+GEOMETRY, DEPTH = "geometry.json", "depth.tiff"
 # Every capture.json states its format and version; a later version is refused.
 FORMAT, VERSION = "lightmatrix-capture", 1
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from lightmatrix.camera.decoder import Decoder
 from lightmatrix.capture.capture import Capture, open_capture
-from lightmatrix.capture.description import TRUTH
+from lightmatrix.capture.description import DEPTH, GEOMETRY, TRUTH
 from lightmatrix.capture.frames import Frames, PixelFrames, in_order
 from lightmatrix.capture.packed import (
     BITS,
@@ -95,11 +95,12 @@ def pack(
     """
     check_output(output, PACKED_CAPTURE, overwrite=overwrite)
     opened = open_capture(capture)
-    truth = None if isinstance(capture, Capture) else Path(capture) / TRUTH
+    source = None if isinstance(capture, Capture) else Path(capture)
 
     def copy_truth(part: Path) -> None:
-        if truth is not None and truth.is_file():
-            shutil.copyfile(truth, part / TRUTH)
+        for name in (TRUTH, GEOMETRY, DEPTH):
+            if source is not None and (source / name).is_file():
+                shutil.copyfile(source / name, part / name)
 
     pack_capture(
         opened,

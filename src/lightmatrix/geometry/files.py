@@ -77,7 +77,13 @@ def read_geometry(
 
 def _own(file: Path) -> dict[str, Any]:
     """The fields in a file of our own."""
-    content = read_json(file, GEOMETRY_FORMAT, VERSION)
+    return checked_fields(read_json(file, GEOMETRY_FORMAT, VERSION), str(file))
+
+
+def checked_fields(content: Any, file: str) -> dict[str, Any]:
+    """The fields of a geometry in an object of JSON, in which others are ignored."""
+    if not isinstance(content, dict):
+        raise InputError(f"{file}: holds no geometry of a rig", hint="write it again")
     fields = {name: value for name, value in content.items() if name in _FIELDS}
     missing = sorted(_FIELDS - {"units", "rms"} - set(fields))
     if missing:

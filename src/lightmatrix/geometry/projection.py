@@ -55,12 +55,12 @@ def centre_of(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def binned_matrix(
-    matrix: NDArray[np.float64], block: Shape, corner: Shape = (0, 0)
+    matrix: NDArray[np.float64], block: tuple[float, float], corner: Shape = (0, 0)
 ) -> NDArray[np.float64]:
     """The matrix (3, ...) for pixels cut from a corner (row, col), then binned by a block.
 
     The centre of the first block of b pixels lies at (b - 1) / 2, so that pixel centres stay at
-    whole numbers.
+    whole numbers. A block of 1 / n divides each pixel into n.
     """
     (down, across), (row, col) = block, corner
     change = np.array(

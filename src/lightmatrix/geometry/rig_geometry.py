@@ -353,7 +353,7 @@ class RigGeometry:
         OutputError
             If the file exists and `overwrite` is not set, or cannot be written.
         """
-        write_geometry(Path(path), self._content(), overwrite=overwrite)
+        write_geometry(Path(path), self.as_dict(), overwrite=overwrite)
 
     @classmethod
     def load(
@@ -392,6 +392,6 @@ class RigGeometry:
         except InputError as error:
             raise InputError(f"{file}: {error.message}", hint=error.hint) from error
 
-    def _content(self) -> dict[str, Any]:
-        """What a file holds: the fields, with arrays as lists."""
+    def as_dict(self) -> dict[str, Any]:
+        """The fields by name, JSON-ready."""
         return {name: jsonable(getattr(self, name)) for name in self.__dataclass_fields__}

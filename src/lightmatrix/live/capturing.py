@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from lightmatrix.camera.camera_curve import Response, curve_file
 from lightmatrix.camera.exposure_sequence import exposure_sequence
 from lightmatrix.capture.capture import Capture
-from lightmatrix.capture.description import TRUTH
 from lightmatrix.errors import DeviceError, InputError, LightMatrixWarning
 from lightmatrix.live.devices.exposures import exposure_limits
 from lightmatrix.live.frames.drift import Drift, measure_drift
@@ -340,7 +339,7 @@ def _extras_writer(rig: Rig, longest: float, settings: CaptureSettings) -> Calla
             scale = np.float32(longest / rig.unit)
             matrix = rig.truth.with_data(rig.truth.matrix.data * scale)
             direct = rig.truth.direct_data * scale
-            replace(rig.truth, matrix=matrix, direct_data=direct).save(folder / TRUTH)
+            replace(rig.truth, matrix=matrix, direct_data=direct).save_beside(folder)
 
     return write
 

@@ -43,4 +43,5 @@ def binned(truth: Truth, camera_factor: int, projector_factor: int) -> Truth:
     matrix = csr_array((summed.data.real.astype(np.float32), *parts), shape=shape)
     metadata = {**truth.metadata, "coarse": [camera_factor, projector_factor]}
     direct = summed.data.imag.astype(np.float32)
-    return Truth(matrix, direct, small_camera, small_projector, metadata)
+    geometry = truth.geometry and truth.geometry.scaled(camera_factor, projector_factor)
+    return Truth(matrix, direct, small_camera, small_projector, metadata, geometry)

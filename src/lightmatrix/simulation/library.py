@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from dataclasses import replace
 from importlib.resources import as_file, files
 from pathlib import Path
 from typing import NamedTuple
@@ -16,6 +17,8 @@ from lightmatrix.simulation.bundled_file import read_bundled, write_bundled
 from lightmatrix.simulation.procedural_capture import PROCEDURAL, truth_of
 from lightmatrix.simulation.renderer import Progress, render
 from lightmatrix.simulation.scenes import names, scene
+from lightmatrix.simulation.scenes.scene import Scene
+from lightmatrix.simulation.surface import view_geometry
 from lightmatrix.simulation.truth import Truth
 
 # The package holds the truths of these scenes, at this camera and projector size and with this many
@@ -79,17 +82,17 @@ def truth(
     if Path(name).is_dir() and not (isinstance(name, str) and name in names()):
         return _truth_of_capture(Path(name))
     name = str(name)
-    version = scene(name).version
+    built = scene(name)
     if name in BUNDLED and size == BUNDLED_SIZE and samples is None and seed == 0:
         with as_file(files("lightmatrix.simulation") / "data" / f"{name}.npz") as path:
-            return read_bundled(path)
+            return _with_geometry(read_bundled(path), built)
     samples = samples or DEFAULT_SAMPLES
     rows, cols = size
-    key = f"{name}-v{version}-{rows}x{cols}-{samples}spp-seed{seed}.npz"
+    key = f"{name}-v{built.version}-{rows}x{cols}-{samples}spp-seed{seed}.npz"
     path = cache_folder() / key
     if path.exists():
         try:
-            return Truth.load(path)
+            return _with_geometry(Truth.load(path), built)
         except InputError:
             pass  # The file is damaged, so the scene is rendered again.
     rendered = render(name, size, samples=samples, seed=seed, progress=progress)
@@ -99,6 +102,11 @@ def truth(
         message = f"the rendered matrix could not be cached: {error.message}"
         warnings.warn(message, LightMatrixWarning, stacklevel=2)
     return rendered
+
+
+def _with_geometry(known: Truth, built: Scene) -> Truth:
+    """A truth of a whole scene whose file does not hold the geometry."""
+    return replace(known, geometry=view_geometry(built, known.camera_shape, known.projector_shape))
 
 
 def _truth_of_capture(folder: Path) -> Truth:

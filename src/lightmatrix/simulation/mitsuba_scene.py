@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.simulation.geometry import Mesh
-from lightmatrix.simulation.scenes.scene import Scene
+from lightmatrix.simulation.scenes.scene import Part, Scene
+from lightmatrix.simulation.scenes.view import View
 
 
 def mitsuba_scene(
@@ -30,26 +30,23 @@ def mitsuba_scene(
         "projector": _projector(mi, scene.projector, pattern),
     }
     for number, part in enumerate(scene.parts):
-        content[f"part{number}"] = _shape(mi, part.mesh, dict(part.material), f"part{number}")
+        content[f"part{number}"] = _shape(mi, part, f"part{number}")
     return mi.load_dict(content)
 
 
-def _camera(mi: ModuleType, place: tuple[float, float, float], shape: tuple[int, int]) -> Any:
-    x, y, z = place
+def _camera(mi: ModuleType, view: View, shape: tuple[int, int]) -> Any:
     rows, cols = shape
-    # The camera looks straight down, and its shifted film sees the same rectangle of the plane
-    # z = 0 as the projector. The paper aligns the two by a homography instead.
+    intrinsics = view.intrinsics(shape)
     return {
         "type": "perspective",
-        "fov": float(2 * np.degrees(np.arctan(1 / z))),
+        "fov": _field_of_view(view),
         "fov_axis": "x",
         "near_clip": 0.1,
         "far_clip": 100.0,
-        "principal_point_offset_x": -x / 2,
-        "principal_point_offset_y": y / 2 * cols / rows,
-        "to_world": mi.ScalarTransform4f().look_at(
-            origin=[x, y, z], target=[x, y, 0], up=[0, 1, 0]
-        ),
+        # Mitsuba's film moves the other way, in shares of its width and height.
+        "principal_point_offset_x": float((cols - 1) / 2 - intrinsics[0, 2]) / cols,
+        "principal_point_offset_y": float((rows - 1) / 2 - intrinsics[1, 2]) / rows,
+        "to_world": _to_world(mi, view),
         "film": {
             "type": "hdrfilm",
             "width": cols,
@@ -62,16 +59,13 @@ def _camera(mi: ModuleType, place: tuple[float, float, float], shape: tuple[int,
     }
 
 
-def _projector(
-    mi: ModuleType, place: tuple[float, float, float], pattern: NDArray[np.float32]
-) -> Any:
-    x, y, z = place
+def _projector(mi: ModuleType, view: View, pattern: NDArray[np.float32]) -> Any:
     return {
         "type": "projector",
-        "fov": float(2 * np.degrees(np.arctan(1 / z))),
+        "fov": _field_of_view(view),
         "fov_axis": "x",
-        # Mitsuba defines the irradiance at distance 1; this makes it 1 on the plane z = 0.
-        "scale": z * z,
+        # Mitsuba defines the irradiance at distance 1; this makes it 1 at the target.
+        "scale": view.distance**2,
         "irradiance": {
             "type": "bitmap",
             "bitmap": mi.Bitmap(np.repeat(pattern[:, :, None], 3, axis=2).astype(np.float32)),
@@ -79,16 +73,30 @@ def _projector(
             "filter_type": "nearest",
             "wrap_mode": "clamp",
         },
-        "to_world": mi.ScalarTransform4f().look_at(
-            origin=[x, y, z], target=[x, y, 0], up=[0, 1, 0]
-        ),
+        "to_world": _to_world(mi, view),
     }
 
 
-def _shape(mi: ModuleType, mesh: Mesh, material: dict[str, Any], name: str) -> Any:
+def _field_of_view(view: View) -> float:
+    """The angle between the left and the right edge of the image, in degrees."""
+    return float(2 * np.degrees(np.arctan(view.width / 2 / view.distance)))
+
+
+def _to_world(mi: ModuleType, view: View) -> Any:
+    _, down, forward = view.axes
+    position = np.array(view.position)
+    return mi.ScalarTransform4f().look_at(
+        origin=position.tolist(), target=(position + forward).tolist(), up=(-down).tolist()
+    )
+
+
+def _shape(mi: ModuleType, part: Part, name: str) -> Any:
+    mesh, material = part.mesh, dict(part.material)
     properties = mi.Properties()
     properties["bsdf"] = mi.load_dict(material)
     shape = mi.Mesh(name, len(mesh.vertices), len(mesh.faces), props=properties)
+    if part.colours is not None:
+        shape.add_attribute("vertex_color", 3, part.colours.astype(np.float32).ravel())
     parameters = mi.traverse(shape)
     parameters["vertex_positions"] = mesh.vertices.astype(np.float32).ravel()
     parameters["faces"] = mesh.faces.astype(np.uint32).ravel()

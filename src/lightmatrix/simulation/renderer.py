@@ -17,6 +17,7 @@ from lightmatrix.simulation.llvm import load_mitsuba
 from lightmatrix.simulation.mitsuba_scene import mitsuba_scene
 from lightmatrix.simulation.render_memory import WAVEFRONT, check_memory, needed_bytes
 from lightmatrix.simulation.scenes import scene as find_scene
+from lightmatrix.simulation.surface import view_geometry
 from lightmatrix.simulation.thinning import joined, thinned_in_steps
 from lightmatrix.simulation.tracing import LoadedScene, trace_block
 from lightmatrix.simulation.truth import Truth
@@ -127,7 +128,9 @@ def render(
         "renderer": f"mitsuba {mi.__version__} {mi.variant()}",
         "seconds": round(time.perf_counter() - started, 1),
     }
-    return Truth(matrix, direct, (*size, 3) if colour else size, projector, metadata)
+    geometry = view_geometry(scene, size, projector)
+    camera_shape = (*size, 3) if colour else size
+    return Truth(matrix, direct, camera_shape, projector, metadata, geometry)
 
 
 def _check(

@@ -12,7 +12,6 @@ from lightmatrix.camera.exposure_sequence import exposure_sequence, parse_exposu
 from lightmatrix.camera.noise import USUAL_NOISE
 from lightmatrix.camera.sensor import Sensor
 from lightmatrix.capture.capture import Capture
-from lightmatrix.capture.description import TRUTH
 from lightmatrix.capture.folder import write_capture
 from lightmatrix.capture.frames import ArrayStack
 from lightmatrix.capture.packing import pack_capture
@@ -64,6 +63,8 @@ class SimulatedCapture(Capture):
     def save(self, folder: str | Path, *, overwrite: bool = False) -> None:
         """Write a capture that `Capture.open` reads, with its T as truth.npz.
 
+        Of a rendered scene, geometry.json and depth.tiff (float32, see `Truth.depth`) stand beside.
+
         Parameters
         ----------
         folder : str or Path
@@ -82,7 +83,7 @@ class SimulatedCapture(Capture):
             raise InputError("a binned capture cannot be saved", hint="save it first, then bin it")
 
         def save_truth(part: Path) -> None:
-            self.truth.save(part / TRUTH)
+            self.truth.save_beside(part)
 
         if Path(folder).suffix.lower() == ".zarr":
             pack_capture(self, folder, write_extras=save_truth, overwrite=overwrite)

@@ -14,6 +14,8 @@ from scipy.sparse import coo_array, csr_array
 from lightmatrix.errors import InputError
 from lightmatrix.files.json_files import parse_json
 from lightmatrix.files.numpy_files import NpyHeader, read_npz
+from lightmatrix.geometry.files import checked_fields
+from lightmatrix.geometry.rig_geometry import RigGeometry
 from lightmatrix.outputs.kinds import TRANSPORT_MARK, TRUTH_MARK
 from lightmatrix.store.matrix_checks import checked_float32, checked_matrix, checked_shape
 from lightmatrix.transport.matrix import LightTransport
@@ -42,6 +44,8 @@ class SparseFile:
     camera_shape: tuple[int, ...] | None
     projector_shape: tuple[int, int] | None
     metadata: Mapping[str, Any]
+    # Of the rig, in a truth file of a rendered scene.
+    geometry: RigGeometry | None
 
 
 def import_npz(
@@ -138,7 +142,13 @@ def _checked(file: Path, content: Mapping[str, NDArray[Any]]) -> SparseFile:
         metadata = parse_json(_text(content["metadata"]), f"{file}: metadata", finite=False)
         if not isinstance(metadata, dict):
             raise ValueError("its metadata is not an object")
-    return SparseFile(matrix, direct, background, grid, camera, projector, metadata)
+    geometry = None
+    if "geometry" in content:
+        fields = parse_json(_text(content["geometry"]), f"{file}: geometry")
+        geometry = RigGeometry(**checked_fields(fields, str(file)))
+        if (geometry.camera_shape, geometry.projector_shape) != ((camera or ())[:2], projector):
+            raise ValueError("its geometry has other image sizes")
+    return SparseFile(matrix, direct, background, grid, camera, projector, metadata, geometry)
 
 
 def _matrix(content: Mapping[str, NDArray[Any]], shape: tuple[int, int]) -> csr_array:

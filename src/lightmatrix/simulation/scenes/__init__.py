@@ -6,7 +6,7 @@ from collections.abc import Callable
 from difflib import get_close_matches
 
 from lightmatrix.errors import InputError
-from lightmatrix.simulation.scenes import corner, gripper, l_objects, metal, translucent, wall
+from lightmatrix.simulation.scenes import corner, gripper, l_objects, metal, translucent, vase, wall
 from lightmatrix.simulation.scenes.scene import Scene
 
 BUILDERS: dict[str, Callable[[], Scene]] = {
@@ -16,6 +16,7 @@ BUILDERS: dict[str, Callable[[], Scene]] = {
     "corner": corner.build,
     "translucent": translucent.build,
     "wall": wall.build,
+    "vase": vase.build,
 }
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from lightmatrix.simulation.geometry import Mesh, turn
 from lightmatrix.simulation.scenes.scene import Part, Scene, matt
 from lightmatrix.simulation.scenes.shapes import ball, box
+from lightmatrix.simulation.scenes.view import View
 
 # Height of the edge where the walls meet: the plane z = 0 cuts the walls, so that half of their lit
 # parts lies below it and half above.
@@ -30,7 +31,9 @@ def build() -> Scene:
         "two white walls, a cube and a ball in the valley between them: strong global light"
     )
     parts = tuple(Part(mesh, matt(0.9)) for mesh in (_valley(), cube, rolled))
-    return Scene("corner", description, parts, max_depth=20, version=2, camera=(-0.3, -0.2, 4.0))
+    return Scene(
+        "corner", description, parts, max_depth=20, version=2, camera=View((-0.3, -0.2, 4.0))
+    )
 
 
 def _valley(rim: float = 1.5, half: float = 3.0) -> Mesh:

@@ -1,7 +1,8 @@
 """`Scene`: meshes and materials above the plane z = 0, seen and lit from above.
 
-Camera and projector both see the square |x|, |y| <= 1 of the plane z = 0, as after the paper's
-alignment by a homography. Points above the plane are seen with parallax.
+Camera and projector look straight down by default. Both then see the square |x|, |y| <= 1 of the
+plane z = 0, as after the paper's alignment by a homography, and points above the plane with
+parallax. A `View` with a target is turned towards it instead.
 """
 
 from __future__ import annotations
@@ -10,14 +11,26 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from lightmatrix.simulation.geometry import Mesh
+from lightmatrix.simulation.scenes.view import View
 
 Material = Mapping[str, Any]
+# Where camera and projector stand in most scenes.
+_CAMERA, _PROJECTOR = View((-0.8, -0.5, 4.0)), View((0.0, 0.0, 4.0))
 
 
 def matt(reflectance: float | tuple[float, float, float]) -> Material:
     """A diffuse surface, seen from both sides."""
     return {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": _rgb(reflectance)}}
+
+
+def painted() -> Material:
+    """A diffuse surface whose reflectance varies: `Part.colours`, between vertices linearly."""
+    texture = {"type": "mesh_attribute", "name": "vertex_color"}
+    return {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": texture}}
 
 
 def plastic(reflectance: float | tuple[float, float, float], roughness: float) -> Material:
@@ -50,10 +63,11 @@ def _rgb(value: float | tuple[float, float, float]) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Part:
-    """A mesh and its material."""
+    """A mesh and its material; `painted` materials take a colour (V, 3) for each vertex."""
 
     mesh: Mesh
     material: Material
+    colours: NDArray[np.float64] | None = None
 
 
 @dataclass(frozen=True)
@@ -67,6 +81,6 @@ class Scene:
     max_depth: int = 10
     # Raised whenever the scene changes, so that cached matrices are rendered again.
     version: int = 1
-    # Positions (x, y, z); the projector looks straight down.
-    camera: tuple[float, float, float] = (-0.8, -0.5, 4.0)
-    projector: tuple[float, float, float] = (0.0, 0.0, 4.0)
+    camera: View = _CAMERA
+    # Its image is centred on its axis, since Mitsuba's projector has no shifted film.
+    projector: View = _PROJECTOR
