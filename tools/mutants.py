@@ -6,9 +6,10 @@
 First the tests in SUITES run once, in as many processes as --jobs, to record which test runs which
 line. The record of each file of tests is kept in mutants-out/records until the file or a source
 that it runs changes, so a run that was stopped goes on where it was. Then each mutant gets the
-tests that run its line, the quickest first, up to a budget of seconds; the first test that fails
-kills it. The survivors are printed and written to mutants-out/mutants.json: either a test is
-missing, or the mutant changes nothing that matters. Compiled code is not mutated.
+tests that run its line, those named after its module and the quickest first, up to a budget of
+seconds; the first test that fails kills it. The survivors are printed and written to
+mutants-out/mutants.json: either a test is missing, or the mutant changes nothing that matters.
+Compiled code is not mutated.
 """
 
 from __future__ import annotations
@@ -270,15 +271,17 @@ def record(tree: Path, name: str) -> None:
 
 
 def tests_of(mutant: Mutant, recorded: dict[str, Any], budget: float) -> tuple[list[str], float]:
-    """Tests that run the mutant's lines, quickest first, and how long they take."""
+    """Tests that run the mutant's lines, those of its own file and the quickest first, in seconds.
+
+    Lines that run when their module is imported are left to the tests that run any of its lines.
+    """
     lines = recorded["lines"].get(str(mutant.file), {})
     names = {t for n in range(mutant.first, mutant.last + 1) for t in lines.get(str(n), [])}
-    if not names:  # The line runs when its module is imported.
-        names = {t for tests in lines.values() for t in tests}
-    seconds = recorded["seconds"]
+    names = names or {t for tests in lines.values() for t in tests} or set(recorded["seconds"])
+    seconds, own = recorded["seconds"], f"/test_{mutant.file.stem}.py"
     usable = sorted(
         (n for n in names if n in seconds and n not in recorded["failed"]),
-        key=lambda n: (seconds[n], n),
+        key=lambda n: (own not in n, seconds[n], n),
     )
     chosen: list[str] = []
     total = 0.0
