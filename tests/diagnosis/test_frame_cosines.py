@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
 
 import lightmatrix as lm
 from lightmatrix.diagnosis import frame_cosines
@@ -148,6 +149,9 @@ def test_patterns_are_compared_through_blurs_and_in_cells() -> None:
     brightness = centred.mean(axis=1)
     expected = np.sign(np.outer(brightness, brightness))
     np.testing.assert_allclose(features[-2], expected, atol=1e-4)
+    blurred = np.stack([gaussian_filter(pattern, 1.0) for pattern in patterns])
+    blurred = (blurred - blurred.mean(axis=0)).reshape(K, -1)
+    np.testing.assert_allclose(features[42], cosines_of(blurred @ blurred.T)[0], atol=1e-4)
     # A pattern whose upper left quarter is another's has a cosine of 1 with it there.
     patterns[3, :16, :20] = patterns[7, :16, :20]
     features, _ = pattern_cosines(patterns)

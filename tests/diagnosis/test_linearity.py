@@ -46,6 +46,13 @@ def test_the_gamma_is_measured(gamma: float, words: str) -> None:
     assert words in finding.advice
 
 
+@pytest.mark.parametrize("gamma", [3.0, 2.6, 1.8, 0.65, 0.4])
+def test_all_gammas_are_measured(gamma: float) -> None:
+    (finding,) = found(survey(1 / gamma))
+    number = float(finding.message.split()[-1])
+    assert (number if gamma > 1 else 1 / number) == pytest.approx(gamma, rel=0.15)
+
+
 def test_powers_are_measured_in_steady_light_only() -> None:
     (finding,) = found(survey(1.8))
     assert float(finding.message.split()[-1]) == pytest.approx(1.8, abs=0.4)

@@ -51,6 +51,16 @@ def test_the_shift_and_its_frame_are_measured(shift: tuple[int, int], words: str
     assert message.endswith(f"camera pixels away ({words})")
 
 
+@pytest.mark.parametrize("start", [9, 14])
+def test_the_frame_is_found_from_few_places(start: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(motion, "_PLACES", 4)
+    monkeypatch.setattr(motion, "_ROWS", 40)
+    frames = photographs(PATTERNS)
+    frames[start:] = np.roll(frames[start:], 2, axis=2)
+    ((first, _),) = found(frames)
+    assert abs(first - start) <= 1
+
+
 def test_still_frames_and_short_captures_have_no_motion() -> None:
     assert found(photographs(PATTERNS)) == []
     few = BernoulliPatterns(PROJECTOR, 8)

@@ -110,6 +110,12 @@ def test_only_the_right_order_exceeds_chance() -> None:
         assert abs(relation.excess(relation.cosines, generator.permutation(frames))) < 4
     # Frames beyond the last pattern show none; the others still follow.
     assert relation.excess(relation.cosines, frames + 1) < 4
+    mean, deviation = relation._chance
+    more = len(frames) / (len(frames) - 1)
+    for step, known in ((-1, frames[1:]), (1, frames[:-1])):
+        matched = relation._match(relation.cosines, known, known + step)
+        expected = (matched - mean * more) / (deviation * more)
+        assert relation.excess(relation.cosines, frames + step) == pytest.approx(expected)
     shifted = relation.cosines[1:][:, 1:]
     again = np.zeros_like(relation.cosines)
     again[:-1, :-1] = shifted

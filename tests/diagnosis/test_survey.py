@@ -75,6 +75,14 @@ def test_cropped_frames_keep_the_blocks_of_jpeg() -> None:
     np.testing.assert_array_equal(taken.raw[0], frames[:, 8, 8])
 
 
+def test_small_crops_are_looked_at_whole() -> None:
+    capture = lm.Capture.from_arrays(
+        BernoulliPatterns((4, 4), K), random_frames(60, 70), lm.Decoder(clip=255, full_scale=255)
+    ).crop((3, 5), (40, 50))
+    taken = Survey.take(capture.patterns, capture.frames, capture.decoder, capture.mask)
+    assert taken.grid == (1, 40, 50, 1)
+
+
 def test_statistics() -> None:
     frames = random_frames(10, 10)
     frames[:, 0, 0] = [255, 255, 255, *[10] * 8, 20]

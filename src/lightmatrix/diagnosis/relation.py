@@ -183,8 +183,7 @@ class Relation:
         random = self.features[0][off].std() > _RANDOM / np.sqrt(self.pixels)
         count = len(self.frames)
         rows = int(np.any(self.images != 0, axis=-1).sum())
-        seen = min(1.0, rows / self.pixels)
-        clear = seen * count * (count - 1) / 2 > _CLEAR**2
+        clear = rows / self.pixels * count * (count - 1) / 2 > _CLEAR**2
         follows = max(self.as_they_are, self._settled) > _FOLLOWS
         return bool(clear and not follows and random and self._agreement > _AGREE)
 
