@@ -36,11 +36,6 @@ def check_capture(capture: Capture, *, order_only: bool = False) -> list[Finding
     """Everything that seems wrong with a capture, or only what bears on the order of its frames.
 
     Frames are looked at as they were taken, whatever is binned.
-
-    Raises
-    ------
-    InputError
-        On a frame that cannot be read, or differs from the others in size or type.
     """
     with one_blas_thread():
         return _check(capture, order_only)

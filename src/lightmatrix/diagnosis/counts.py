@@ -36,10 +36,7 @@ _FEWEST_PER_GAP = 4
 
 
 def check_counts(survey: Survey | None, patterns: int, images: Sequence[Path]) -> Finding:
-    """State that the numbers differ, and which photograph is missing if that can be told.
-
-    The survey holds all frames and patterns; it is None if the frames cannot be decoded.
-    """
+    """State that the numbers differ, and, with a survey of all, which photograph is missing."""
     count = len(images)
     message = f"{patterns} patterns, but {count} photographs"
     gaps = _missing_numbers(images)

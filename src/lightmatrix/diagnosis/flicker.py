@@ -27,10 +27,7 @@ _LIT, _FEWEST_ROWS, _MOST_DEVIATIONS = 0.3, 20, 6
 def brightness_changes(
     prediction: FramePrediction,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """How much brighter each frame is than predicted, and the standard error; shares, (K,) each.
-
-    They are 0 and infinity for frames with hardly a lit sample.
-    """
+    """How much brighter each frame is than predicted, and the standard error; shares, (K,) each."""
     noise, expected = prediction.noise, prediction.expected
     lit = expected > _LIT * expected.max(axis=1, keepdims=True)
     weight = (prediction.trusted & lit) / noise**2
@@ -50,10 +47,7 @@ def check_flicker(
     frames: NDArray[np.int64],
     names: Sequence[str],
 ) -> list[Finding]:
-    """Whether some of the `frames` (k,), or all in turn, are brighter or darker than the others.
-
-    `change` and `error` (k,) are those of `brightness_changes`.
-    """
+    """Whether some of the `frames` (k,), or all, change by more than their `error` (k,)."""
     if len(change) < 4:
         return []
     certain = np.abs(change) > _CERTAIN * error

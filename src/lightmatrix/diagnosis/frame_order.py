@@ -71,10 +71,7 @@ def find_disorder(
     rows: int,
     name: Name = "frame {}".format,
 ) -> list[Finding]:
-    """Frames that are swapped, displaced or reversed against their K patterns.
-
-    `tiles` holds samples (m, K) of all `rows` camera rows; `name` names a frame.
-    """
+    """Frames that are swapped, displaced or reversed; `tiles` hold all `rows` camera rows."""
     if patterns.count < _FEWEST_FRAMES:
         return []
     bright = _bright_rows(patterns, tiles, rows)

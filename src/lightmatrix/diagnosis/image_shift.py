@@ -18,10 +18,7 @@ _PARTS = 6
 def find_shift(
     survey: Survey, first: NDArray[np.float32], last: NDArray[np.float32]
 ) -> tuple[int, int] | None:
-    """By how many camera pixels (down, right) the last image is shifted; None if it is not.
-
-    The images (S,) are equally bright, whatever the patterns were.
-    """
+    """By how many camera pixels (down, right) the last image (S,) is shifted; None if not."""
     before, after = (_outlines(image.reshape(survey.grid)) for image in (first, last))
     tiles, rows, cols, _ = survey.grid
     inner = (slice(None), slice(MARGIN, rows - MARGIN), slice(MARGIN, cols - MARGIN))

@@ -142,13 +142,7 @@ def check_pairs(
 ) -> tuple[list[Finding], Survey, NDArray[np.bool_]]:
     """Order, single frames and motion, by the sums of pairs in high-variance rows.
 
-    Returns
-    -------
-    findings : list of Finding
-    survey : Survey
-        With swapped frames put right.
-    doubted : (K,) bool
-        Frames that are wrong in themselves.
+    Returns findings, the survey with swapped frames put right, and which frames are wrong, (K,).
     """
     doubted = np.zeros(survey.count, bool)
     findings = _check_motion(survey, pairs, names)

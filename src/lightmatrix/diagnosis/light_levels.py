@@ -88,10 +88,7 @@ def check_light_level(survey: Survey) -> list[Finding]:
 def check_plain_frames(
     survey: Survey, rows: NDArray[np.int64], names: Sequence[str]
 ) -> list[Finding]:
-    """Whether frames under black patterns are dark, and those under white ones bright.
-
-    `rows` are high-variance rows.
-    """
+    """Whether high-variance rows are dark under black patterns, and bright under white ones."""
     lowest, highest = np.empty(survey.count), np.empty(survey.count)
     for start, block in survey.patterns.chunks():
         lowest[start : start + len(block)] = block.min(axis=1)

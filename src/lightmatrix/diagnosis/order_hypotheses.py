@@ -31,12 +31,7 @@ _PIXELS_AT_ONCE = 1 << 9
 class RawRows:
     """Samples of some camera pixels, readable at another exposure.
 
-    Parameters
-    ----------
-    shares : (m, K) float32
-        Samples as shares of the level at which they clip.
-    levels : (m, K) float32
-        That level, which falls as the exposure grows.
+    `shares` (m, K) are samples as shares of the `levels` (m, K) at which they clip.
     """
 
     shares: NDArray[np.float32]
@@ -60,15 +55,7 @@ class RawRows:
 
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
-    """What the frames may show.
-
-    Parameters
-    ----------
-    order : (K,) int
-        The pattern shown in each frame; -1 for none that is known.
-    exposed_as : (K,) int
-        The frame whose exposure each frame was taken with.
-    """
+    """The pattern that each frame shows (-1: unknown), and the frame whose exposure it has, (K,)."""
 
     order: NDArray[np.int64]
     exposed_as: NDArray[np.int64]
@@ -86,22 +73,15 @@ class Hypothesis:
 
 @dataclass(frozen=True, eq=False)
 class Misses:
-    """How far each frame is from what the rows should show under each pattern.
+    """How far each of K frames is from what the rows should show under each pattern."""
 
-    Parameters
-    ----------
-    logarithms : (K, K) float64
-        Logarithm of the mean square difference of frame (row) and prediction (column), relative to
-        the frame's own mean square. The prediction of a pattern never used the frames that show it
-        by the hypothesis.
-    elsewhere : (K, K) bool
-        Whether the frame fits better as taken with the other frame's exposure.
-    informative : (K,) bool
-        Whether its own pattern differs between pixels; white and very fine stripes do not.
-    """
-
+    # Logarithm of the mean square difference of frame (row) and prediction (column), (K, K),
+    # relative to the frame's own mean square. The prediction of a pattern never used the frames
+    # that show it by the hypothesis.
     logarithms: NDArray[np.float64]
+    # Whether the frame fits better as taken with the other frame's exposure, (K, K).
     elsewhere: NDArray[np.bool_]
+    # Whether its own pattern differs between pixels, (K,); white and very fine stripes do not.
     informative: NDArray[np.bool_]
 
     @property

@@ -44,24 +44,15 @@ _MOST_MISSED, _FEWEST_TRUSTED = 0.4, 8
 
 @dataclass(frozen=True, eq=False)
 class FramePrediction:
-    """Samples of m rows in K frames, and what each should be by its other frames.
-
-    Parameters
-    ----------
-    observed, expected : (m, K) float64
-        Linear samples.
-    trusted : (m, K) bool
-        Whether the two may be compared: the sample is not clipped, nor expected to be close to it.
-    miss : (m,) float64
-        Mean square difference of each row, as a share of its variance.
-    places : tuple of (m,) int
-        Projector pixels around which each row was explained.
-    """
+    """Linear samples of m rows in K frames, and what each should be by its other frames."""
 
     observed: NDArray[np.float64]
     expected: NDArray[np.float64]
+    # Whether the two may be compared: the sample is not clipped, nor expected to be close to it.
     trusted: NDArray[np.bool_]
+    # Mean square difference of each row, as a share of its variance, (m,).
     miss: NDArray[np.float64]
+    # Projector pixels around which each row was explained, (m,) each.
     places: tuple[NDArray[np.int64], ...]
 
     @cached_property
@@ -103,10 +94,7 @@ def find_places(
     learned: NDArray[np.bool_] | None = None,
     count: int = len(_PLACE_SCALES),
 ) -> tuple[NDArray[np.int64], ...]:
-    """The projector pixels that each of m rows follows most, one after the other; (m,) each.
-
-    Only the `learned` (m, K) samples count, by default those that are not clipped.
-    """
+    """The projector pixels that m rows follow most in their `learned` (m, K) samples, (m,) each."""
     scale = column_scale(patterns)
     weight = (~samples.clipped if learned is None else learned).astype(np.float64)
     total = np.maximum(weight.sum(axis=1, keepdims=True), 1)

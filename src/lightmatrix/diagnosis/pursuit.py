@@ -76,22 +76,10 @@ def predict_by_pursuit(
 ) -> NDArray[np.float32]:
     """Predict m rows under each of K patterns from the frames of the other folds, (m, K).
 
-    Parameters
-    ----------
-    patterns : PatternSet
-        K patterns.
-    scale : (N,) float32
-        See `column_scale`.
-    values : (m, K) float32
-        The sample of each row under each pattern, less what all rows have in common; NaN for
-        patterns without a frame.
-    fold : (K,) int
-        The fold of each pattern, from 0; patterns of fold -1 are predicted from all frames.
-    group : int
-        Rows come in groups of this many neighbours in the image. On large projectors all pixels
-        are searched for the first of a group only, and the others look around its best pixel.
-    shortlist : bool
-        Whether to choose from shortlists where the projector is large.
+    `values` (m, K) are samples less what all rows have in common, NaN for patterns without a frame.
+    `scale` (N,) is that of `column_scale`. `fold` (K,) counts from 0; patterns of fold -1 are
+    predicted from all frames. Rows come in groups of `group` neighbours in the image; with a
+    `shortlist`, the others of a group look around the best pixel of its first one.
     """
     seen = np.isfinite(values[0])
     folds = [

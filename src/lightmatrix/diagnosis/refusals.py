@@ -59,15 +59,7 @@ def refuse_unusable(capture: Capture) -> None:
 
 
 def refuse_unordered(capture: Capture) -> None:
-    """Refuse a capture whose frames do not follow its patterns (swapped, missing, late).
-
-    Warns if they follow nothing that is known.
-
-    Raises
-    ------
-    InputError
-        Naming the frames, as `lightmatrix check` does.
-    """
+    """Refuse a capture whose frames do not follow its patterns; warn if they follow nothing."""
     findings = check_capture(capture, order_only=True)
     refuse_disorder(findings)
     for finding in findings:

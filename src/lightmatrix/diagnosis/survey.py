@@ -50,26 +50,15 @@ class Statistics:
 
 @dataclass(frozen=True, eq=False)
 class Survey:
-    """Raw levels of S camera samples in all K frames; `take` makes one.
-
-    Parameters
-    ----------
-    patterns : PatternSet
-        K patterns.
-    decoder : Decoder
-        Decoder of the surveyed samples.
-    raw : (S, K) uint8, uint16 or float32
-        Raw levels.
-    grid : (tiles, rows, cols, channels)
-        How the samples lie; S is the product.
-    valid : (S,) bool
-        Which samples count: not masked, and not clipped without light.
-    """
+    """Raw levels of S camera samples in all K frames; `take` makes one."""
 
     patterns: PatternSet
     decoder: Decoder
+    # Raw levels, (S, K) uint8, uint16 or float32.
     raw: NDArray[Any]
+    # Tiles, rows, columns and channels; S is the product.
     grid: tuple[int, int, int, int]
+    # Which samples count, (S,): not masked, and not clipped without light.
     valid: NDArray[np.bool_]
 
     @classmethod
@@ -80,13 +69,7 @@ class Survey:
         decoder: Decoder,
         mask: NDArray[np.bool_] | None = None,
     ) -> Survey:
-        """Read every frame once; K patterns and frames, and which camera samples count.
-
-        Raises
-        ------
-        InputError
-            On a frame that cannot be read, or differs from the first in size or type.
-        """
+        """Read every frame once; an InputError names one that cannot be read or does not fit."""
         places, grid = _places(frames.shape, _MOST_LEVELS // frames.count, _first_block(frames))
         raw = levels_at(frames, places)
         valid = np.ones(len(places), bool)

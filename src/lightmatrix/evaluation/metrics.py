@@ -171,10 +171,7 @@ def unclipped_rows(truth: LightTransport, exposure: float) -> NDArray[np.bool_]:
 
 
 def diffuse_rows(matrix: csr_array, projector_shape: tuple[int, int]) -> NDArray[np.bool_]:
-    """Rows whose strongest 3 x 3 window of projector pixels holds less than half their sum, (M,).
-
-    Rows without light are not diffuse.
-    """
+    """Lit rows whose strongest 3 x 3 window of projector pixels holds less than half, (M,)."""
     down, right = (
         diags_array([1.0] * 3, offsets=(-1, 0, 1), shape=(n, n)) for n in projector_shape
     )

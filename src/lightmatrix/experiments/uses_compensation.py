@@ -55,10 +55,7 @@ def compensation_rows(estimate: LightTransport, truth: Truth, scene: str) -> lis
 
 
 def inverse_light_rows(estimate: LightTransport, truth: Truth, scene: str) -> list[Row]:
-    """How far photographs are from direct light alone, before and after global light is cancelled.
-
-    Both are relative L2 distances to the true direct light under white.
-    """
+    """Relative L2 distances to direct light alone, before and after global light is cancelled."""
     side = truth.camera_shape[0]
     white = np.ones(truth.projector_shape, np.float32)
     direct = truth.direct @ white.ravel()

@@ -39,13 +39,7 @@ class Picture(Figure):
         return stream.getvalue()
 
     def write(self, path: str | Path, *, overwrite: bool = False) -> None:
-        """Write the figure as a .png file.
-
-        Raises
-        ------
-        OutputError
-            If the file exists, or cannot be written.
-        """
+        """Write the figure as a .png file."""
         with atomic_file(path, PICTURE, overwrite=overwrite) as part:
             self.savefig(part, facecolor="white", dpi=DPI)
 

@@ -20,11 +20,7 @@ SCRATCH_MEMORY_BYTES = 2 << 30
 
 
 def check_disk_space(folder: Path, needed: int, output: str | Path, words: str = "up to") -> None:
-    """Refuse an output that takes more bytes than the disk of its folder has free.
-
-    The nearest folder above that exists is asked. `words` says how sure the size is, such as "at
-    least".
-    """
+    """Refuse an output of more bytes than its disk has free; `words`: "up to" or "at least"."""
     place = next(part for part in (folder, *folder.parents) if os.path.lexists(part))
     try:
         free = shutil.disk_usage(place).free
@@ -39,13 +35,7 @@ def check_disk_space(folder: Path, needed: int, output: str | Path, words: str =
 
 
 def scratch_array(shape: tuple[int, ...], dtype: np.dtype[Any]) -> NDArray[Any]:
-    """An array without values; above 2 GiB in a temporary file that vanishes with it.
-
-    Raises
-    ------
-    OutputError
-        If the folder of temporary files has not enough space.
-    """
+    """An array without values; above 2 GiB in a temporary file that vanishes with it."""
     size = math.prod(shape) * dtype.itemsize
     if size <= SCRATCH_MEMORY_BYTES:
         return np.empty(shape, dtype)

@@ -33,10 +33,7 @@ def memory_bytes(text: str) -> int:
 
 
 def check_memory(file: Path, needed: int) -> None:
-    """Refuse to read a file whose content takes more bytes of memory than are free.
-
-    A compressed file of a few megabytes may announce, and even hold, terabytes.
-    """
+    """Refuse to read a file whose content, perhaps compressed, exceeds the free memory."""
     available = available_bytes()
     if needed > available:
         raise InputError(

@@ -37,10 +37,7 @@ def check_memory(
     entries_at: Callable[[float], int] | None = None,
     keep: float = 1.0,
 ) -> None:
-    """Raise InputError if a rendering would not fit; the hint names a setting that would.
-
-    A sparse row that keeps the share `keep` of its light has `entries`; `entries_at` has others.
-    """
+    """Raise InputError if a rendering would not fit; the hint names a setting that would."""
     available = available_bytes()
     needed = needed_bytes(size, channels, entries)
     if needed <= available:
