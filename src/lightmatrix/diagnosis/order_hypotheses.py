@@ -55,7 +55,7 @@ class RawRows:
 
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
-    """The pattern that each frame shows (-1: unknown), and the frame whose exposure it has, (K,)."""
+    """The pattern that each frame shows (-1: unknown) and the frame whose exposure it has, (K,)."""
 
     order: NDArray[np.int64]
     exposed_as: NDArray[np.int64]
