@@ -27,12 +27,12 @@ EXPECTED: dict[str, Figures] = {
         "footprint": 2450.11,
     },
     "growing": {
-        "light": 423.730,
-        "pattern": 11.13956,
-        "background": 11.07472,
-        "entries": 8476,
+        "light": 423.484,
+        "pattern": 10.86031,
+        "background": 11.10834,
+        "entries": 8848,
         "clipped": 0.142485,
-        "footprint": 2450.11,
+        "footprint": 2455.285,
     },
     "row_by_row": {
         "light": 370.337,
