@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import sys
+import warnings
 from typing import Any
+
+_PACKAGE = __name__.split(".")[0]
 
 
 class LightMatrixError(Exception):
@@ -65,6 +69,14 @@ class FrameTimeoutError(DeviceError):
 
 class LightMatrixWarning(UserWarning):
     """The input is usable but probably not what the user meant; the message says what to check."""
+
+
+def warn(message: str) -> None:
+    """Warn by a `LightMatrixWarning` that points to the user's line, not to one of this package."""
+    frame, level = sys._getframe(1), 2
+    while frame.f_back is not None and frame.f_globals["__name__"].startswith(_PACKAGE):
+        frame, level = frame.f_back, level + 1
+    warnings.warn(message, LightMatrixWarning, stacklevel=level)
 
 
 def _rebuild(kind: type[LightMatrixError], message: str, hint: str | None) -> LightMatrixError:

@@ -275,6 +275,10 @@ def test_a_black_frame_or_mask_is_never_ignored_silently(tmp_path: Path) -> None
     mask[0, 0] = 0
     with pytest.warns(LightMatrixWarning, match=r"Black\.PNG: is not used, since capture\.json"):
         Capture.open(place)
+    # It points to the line that opens the capture, not to one of the package.
+    with pytest.warns(LightMatrixWarning) as warned:
+        Capture.open(place)
+    assert warned[0].filename == __file__
     describe(place, black=None)
     Capture.open(place)
     describe(place, black={"file": "Black.PNG"}, black_level=0)

@@ -270,6 +270,16 @@ def snapshot(folder: Path) -> dict[str, bytes]:
     }
 
 
+def test_a_missing_input_is_named_before_an_output_that_exists(
+    good: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(good)
+    assert main(["estimate", "nothing", "-o", "T.zarr"]) == 2
+    assert "nothing: no such folder" in capsys.readouterr().err
+    assert main(["estimate", "capture", "-o", "T.zarr"]) == 2
+    assert "T.zarr: exists already" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("fault", FAULTS)
 def test_a_fault_gives_one_message_and_leaves_nothing(
     fault: str,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,7 +15,7 @@ from lightmatrix.camera.decoder import Decoder
 from lightmatrix.camera.raw_levels import range_end
 from lightmatrix.capture.frames import Frames, level_blocks
 from lightmatrix.capture.settings import ReadSettings
-from lightmatrix.errors import InputError, LightMatrixWarning
+from lightmatrix.errors import InputError, warn
 from lightmatrix.files.image_stack import ImageStack, nonlinear_tag
 from lightmatrix.files.images import HIGHEST_LEVELS, is_grey, read_image
 from lightmatrix.patterns.pattern_set import PatternSet
@@ -157,10 +156,8 @@ def _stated_response(response: Response | str | None, stack: ImageStack) -> Resp
         return Response.parse(str(response))
     tag = nonlinear_tag(stack.paths[0])
     if tag is not None:
-        warnings.warn(
+        warn(
             f"{stack.paths[0]}: {tag}, so probably not linear, but no response is given; "
             "give one (srgb, gamma:2.2, ...), or linear if it is",
-            LightMatrixWarning,
-            stacklevel=2,
         )
     return Response()

@@ -14,7 +14,6 @@ from __future__ import annotations
 import json
 import os
 import shutil
-import warnings
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -28,7 +27,7 @@ from lightmatrix.capture.description import FORMAT, NAME, VERSION, Description, 
 from lightmatrix.capture.packed import FORMAT as PACKED_FORMAT
 from lightmatrix.capture.packed import is_packed, read_packed
 from lightmatrix.capture.settings import ReadSettings
-from lightmatrix.errors import InputError, LightMatrixWarning
+from lightmatrix.errors import InputError, warn
 from lightmatrix.files.image_stack import ImageStack
 from lightmatrix.files.images import READABLE, fill_image
 from lightmatrix.files.json_files import errors_naming
@@ -246,7 +245,7 @@ def _with_files_beside(place: Path, description: Description, described: bool) -
                 settings = replace(settings, black=files[0])
             else:
                 settings = replace(settings, mask=files[0])
-        warnings.warn(message, LightMatrixWarning, stacklevel=2)
+        warn(message)
     return settings
 
 

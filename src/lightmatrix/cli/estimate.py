@@ -211,11 +211,12 @@ def estimate(
         workers=workers,
         cluster=cluster,
     )
+    # A mistyped input is named first, whatever the output.
+    whole = source.open()
     if not dry_run:
         claim(output, STORE, overwrite=overwrite)
         if report is not None:
             claim(report, REPORT, overwrite=overwrite)
-    whole = source.open()
     capture = whole.bin(projector=size(bin_projector), camera=size(bin_camera))
     resources = lm.estimate_resources(capture, settings)
     if dry_run:

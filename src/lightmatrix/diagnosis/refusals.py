@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterable, Sequence
 
 import numpy as np
@@ -15,7 +14,7 @@ from lightmatrix.capture.decoding import check_depth
 from lightmatrix.diagnosis.all_checks import check_capture
 from lightmatrix.diagnosis.finding import Finding
 from lightmatrix.diagnosis.pattern_faults import is_separable
-from lightmatrix.errors import InputError, LightMatrixWarning
+from lightmatrix.errors import InputError, warn
 from lightmatrix.patterns.pattern_set import PatternSet
 
 # The brightest levels of cameras of 10, 12 and 14 bits whose levels are stored in 16 bits, aligned
@@ -65,18 +64,16 @@ def refuse_unordered(capture: Capture) -> None:
     for finding in findings:
         if finding.kind == "unrelated":
             message = f"{finding.message}; {finding.advice}"
-            warnings.warn(message, LightMatrixWarning, stacklevel=3)
+            warn(message)
 
 
 def warn_of_stripes(patterns: PatternSet) -> None:
     """Point from an estimate of T under stripes only to `decode`, which is fast and made for it."""
     if is_separable(patterns):
-        warnings.warn(
+        warn(
             "all patterns are stripes (Gray code, fringes): T has wrong entries where a camera "
             "pixel sees several places; for correspondence and shape use `lightmatrix decode`, "
             "which takes seconds",
-            LightMatrixWarning,
-            stacklevel=3,
         )
 
 
@@ -168,9 +165,7 @@ def _warn_of_hidden_clipping(blocks: Iterable[NDArray[np.integer]], decoder: Dec
             many += int((block == top).sum())
     clip = float(np.min(decoder.clip))
     if top < clip and many > 3:
-        warnings.warn(
+        warn(
             f"{many} samples are exactly {top}, the brightest level, at which many cameras clip, "
             f"but the clip level is {clip:g}: should it be {top}?",
-            LightMatrixWarning,
-            stacklevel=2,
         )

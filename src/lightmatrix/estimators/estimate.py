@@ -138,9 +138,9 @@ def estimate(
         cluster,
     )
     settings.check_cluster_output(output)
+    capture = open_capture(capture)
     if output is not None:
         check_output(output, STORE, overwrite=overwrite)
-    capture = open_capture(capture)
     resources = estimate_resources(capture, settings)
     resources.check()
     # Workers are checked before the frames are read, which takes longer.

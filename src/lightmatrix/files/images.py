@@ -22,7 +22,7 @@ import tifffile
 from numpy.typing import NDArray
 from PIL import Image
 
-from lightmatrix.errors import InputError, LightMatrixError, LightMatrixWarning
+from lightmatrix.errors import InputError, LightMatrixError, warn
 from lightmatrix.files import png
 from lightmatrix.files.colours import COLOURS
 from lightmatrix.files.exr import read_exr, write_exr
@@ -161,12 +161,10 @@ def _warn_of_depth(name: str, image: NDArray[Any]) -> None:
     """Warn of a pattern of fewer bits in a file of 16, which is shown nearly black."""
     top = int(image.max())
     if image.dtype == np.uint16 and top in HIGHEST_LEVELS:
-        warnings.warn(
+        warn(
             f"{name}: has 16 bits, but no level above {top}, so that it is shown "
             f"{65535 / top:.4g} times darker than a pattern of {top.bit_length()} bits; save it "
             "over the full range if it is one",
-            LightMatrixWarning,
-            stacklevel=3,
         )
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shutil
-import warnings
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -16,7 +15,7 @@ from numpy.typing import NDArray
 from lightmatrix.camera.camera_curve import Response, curve_file
 from lightmatrix.camera.exposure_sequence import exposure_sequence
 from lightmatrix.capture.capture import Capture
-from lightmatrix.errors import DeviceError, InputError, LightMatrixWarning
+from lightmatrix.errors import DeviceError, InputError, warn
 from lightmatrix.live.devices.exposures import exposure_limits
 from lightmatrix.live.frames.drift import Drift, measure_drift
 from lightmatrix.live.frames.photograph import Photographer
@@ -371,4 +370,4 @@ def _warn(record: CaptureRecord, known: RigMeasurements, response: str) -> None:
             "its gamma, or say its response"
         )
     for text in concerns:
-        warnings.warn(text, LightMatrixWarning, stacklevel=3)
+        warn(text)

@@ -14,7 +14,6 @@ import platform
 import shlex
 import sys
 import time
-import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from datetime import datetime
@@ -22,7 +21,7 @@ from pathlib import Path
 
 from filelock import FileLock, Timeout, lock_descriptor
 
-from lightmatrix.errors import LightMatrixWarning, OutputError
+from lightmatrix.errors import OutputError, warn
 from lightmatrix.outputs.markers import printable
 from lightmatrix.outputs.targets import as_output_error
 
@@ -104,10 +103,8 @@ def _acquire(lock: FileLock, target: Path) -> bool:
         if error.errno not in _UNSUPPORTED:
             raise
         lock_file(target).unlink(missing_ok=True)
-        warnings.warn(
+        warn(
             f"{target}: its file system has no locks; make sure that nothing else writes it",
-            LightMatrixWarning,
-            stacklevel=2,
         )
         return False
     return True

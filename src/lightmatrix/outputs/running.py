@@ -13,13 +13,12 @@ import json
 import os
 import re
 import secrets
-import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Self
 
-from lightmatrix.errors import LightMatrixWarning, OutputError
+from lightmatrix.errors import OutputError, warn
 from lightmatrix.outputs.markers import MARKER, printable, read_object
 from lightmatrix.outputs.targets import as_output_error
 
@@ -144,11 +143,9 @@ class RunningResults:
                 (self.path / MARKER).unlink()
                 self.path.rmdir()
                 return
-            warnings.warn(
+            warn(
                 f"{self.path}: not removed, it holds {printable(foreign[0])}, "
                 "which was not written by lightmatrix",
-                LightMatrixWarning,
-                stacklevel=2,
             )
 
     def _list(self, name: str) -> None:

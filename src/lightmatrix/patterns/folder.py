@@ -8,14 +8,13 @@ from __future__ import annotations
 
 import json
 import os
-import warnings
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.errors import InputError, LightMatrixWarning
+from lightmatrix.errors import InputError, warn
 from lightmatrix.files.colours import COLOURS
 from lightmatrix.files.image_stack import ImageStack, list_entries
 from lightmatrix.files.images import HIGHEST_LEVELS, as_grey, colour_of, fill_image, read_image
@@ -128,10 +127,8 @@ def read_patterns(source: str | Path) -> PatternSet:
             if difference is None:
                 return operator
     if difference is not None:
-        warnings.warn(
+        warn(
             f"{place}: {difference} the patterns that {DESCRIPTION} describes; the images are used",
-            LightMatrixWarning,
-            stacklevel=2,
         )
     return _from_images(place, entries)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import replace
 from importlib.resources import as_file, files
 from pathlib import Path
@@ -12,7 +11,7 @@ import platformdirs
 
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.description import TRUTH
-from lightmatrix.errors import InputError, LightMatrixWarning, OutputError
+from lightmatrix.errors import InputError, OutputError, warn
 from lightmatrix.simulation.bundled_file import read_bundled, write_bundled
 from lightmatrix.simulation.procedural_capture import PROCEDURAL, truth_of
 from lightmatrix.simulation.renderer import Progress, render
@@ -100,7 +99,7 @@ def truth(
         rendered.save(path, overwrite=True)
     except OutputError as error:
         message = f"the rendered matrix could not be cached: {error.message}"
-        warnings.warn(message, LightMatrixWarning, stacklevel=2)
+        warn(message)
     return rendered
 
 

@@ -12,12 +12,11 @@ import os
 import re
 import subprocess
 import sys
-import warnings
 from functools import cache
 from types import ModuleType
 from typing import Any
 
-from lightmatrix.errors import LightMatrixWarning, MissingExtraError
+from lightmatrix.errors import MissingExtraError, warn
 
 _PROBE = (
     "import mitsuba as mi; mi.set_variant('llvm_ad_rgb'); import drjit as dr;"
@@ -88,9 +87,7 @@ def load_mitsuba(*, scalar: bool = False) -> tuple[ModuleType, bool]:
 
 @cache
 def _warn_once_of_slowness() -> None:
-    warnings.warn(
+    warn(
         "no usable LLVM was found, so the scalar renderer is used, about a hundred times slower; "
         "on Debian and Ubuntu: apt-get install libllvm19 (or `make system-deps`)",
-        LightMatrixWarning,
-        stacklevel=4,
     )
