@@ -41,11 +41,12 @@ def test_the_quality_is_measured(quality: int) -> None:
     assert abs(measured - quality) <= 2
 
 
-def test_the_table_is_that_of_libjpeg() -> None:
-    saved = imageio.imwrite("<bytes>", smooth(1)[0], extension=".jpg", quality=50)
+@pytest.mark.parametrize("quality", [*range(1, 100, 7), 49, 51, 95])
+def test_the_steps_are_those_of_libjpeg(quality: int) -> None:
+    saved = imageio.imwrite("<bytes>", smooth(1)[0], extension=".jpg", quality=quality)
     with Image.open(io.BytesIO(saved)) as image:
         table = image.quantization[0]  # type: ignore[attr-defined]
-    np.testing.assert_array_equal(np.reshape(table, (8, 8)), jpeg._TABLE)
+    np.testing.assert_array_equal(np.reshape(table, (8, 8)), jpeg._steps(quality))
 
 
 def test_lossless_photographs_have_no_quality() -> None:

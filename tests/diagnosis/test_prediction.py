@@ -86,7 +86,7 @@ def test_each_sample_is_predicted_without_itself() -> None:
 def test_rows_in_chunks_are_predicted_alike(monkeypatch: pytest.MonkeyPatch) -> None:
     seen = samples([(3, 4), (8, 2), (5, 5)], noise=0.05)
     whole = predict(PATTERNS, seen)
-    monkeypatch.setattr(prediction, "_MOST_VALUES", 51 * K)
+    monkeypatch.setattr(prediction, "_COLUMN_BYTES", 8 * 51 * K)
     parts = predict(PATTERNS, seen)
     np.testing.assert_allclose(whole.expected, parts.expected)
     np.testing.assert_allclose(whole.miss, parts.miss)

@@ -13,7 +13,14 @@ import lightmatrix as lm
 from benchmarks.synthetic_captures import PATTERNS, SCENES, draw
 from lightmatrix.diagnosis.all_checks import check_capture
 from lightmatrix.diagnosis.finding import Finding
-from lightmatrix.diagnosis.relation import Relation, _orders, _products, _triples, check_relation
+from lightmatrix.diagnosis.relation import (
+    _TURNS,
+    Relation,
+    _orders,
+    _products,
+    _triples,
+    check_relation,
+)
 from lightmatrix.diagnosis.survey import Survey
 from lightmatrix.errors import InputError, LightMatrixWarning
 
@@ -165,6 +172,19 @@ def test_parts_of_frames_are_not_turned() -> None:
     late = made(damage="rows late")
     assert late._late() is not None
     assert replace(late, whole=False)._late() is None
+
+
+@pytest.mark.parametrize("what", sorted(_TURNS))
+def test_every_turn_is_named(what: str) -> None:
+    relation = made()
+    inverse = {"turned by 90 degrees": "turned by 270 degrees"}
+    inverse |= {there: here for here, there in inverse.items()}
+    turned = relation.images.copy()
+    turned[..., 32:] = _TURNS[inverse.get(what, what)](relation.images[..., 32:])
+    explained = replace(relation, images=turned).explanation([f"frame {k}" for k in range(64)])
+    assert explained is not None
+    assert explained[0] == f"from about frame 32 on, the photographs are {what}"
+    assert "turn them back" in explained[1]
 
 
 def test_triples_are_of_different_frames() -> None:

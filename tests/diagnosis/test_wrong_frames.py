@@ -75,6 +75,18 @@ def test_dark_frames_are_wrong_only_where_light_is_expected() -> None:
     assert wrong_frames(replace(example, expected=expected, observed=observed))[5]
 
 
+def test_a_flat_frame_may_miss_a_tenth_of_what_others_vary() -> None:
+    example = off(5, 0.01)
+    expected = example.expected.copy()
+    expected[:, 5] = expected.mean(axis=1)
+    sign = np.where(np.arange(M) % 2, 1.0, -1.0)
+    for size, wrong in ((0.14, False), (0.2, True)):
+        observed = np.where(np.arange(K) == 5, expected, example.observed)
+        observed[:, 5] += size * sign
+        flat = replace(example, expected=expected, observed=observed)
+        assert wrong_frames(flat)[5] == wrong
+
+
 def test_no_row_decides_alone() -> None:
     example = off(5, 0.01, rows=120)
     observed = example.observed.copy()

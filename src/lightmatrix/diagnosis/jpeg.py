@@ -81,8 +81,7 @@ def likely_quality(blocks: NDArray[np.float64]) -> int | None:
     coefficients = dctn(blocks - 128, axes=(1, 2), norm="ortho")
     change = []
     for quality in _QUALITIES:
-        scale = 5000 // quality if quality < 50 else 200 - 2 * quality
-        steps = np.clip((_TABLE * scale + 50) // 100, 1, 255)
+        steps = _steps(quality)
         again = idctn(steps * np.rint(coefficients / steps), axes=(1, 2), norm="ortho") + 128
         change.append(float(np.mean((np.rint(again).clip(0, 255) - blocks) ** 2)))
     # Photographs that were never compressed change less and less as the quality rises.
@@ -92,6 +91,12 @@ def likely_quality(blocks: NDArray[np.float64]) -> int | None:
         if change[k] == min(near) and change[k] < _DIP * around:
             return _QUALITIES[k]
     return None
+
+
+def _steps(quality: int) -> NDArray[np.int64]:
+    """The steps by which libjpeg rounds the frequencies of the luminance, (8, 8)."""
+    scale = 5000 // quality if quality < 50 else 200 - 2 * quality
+    return np.clip((_TABLE * scale + 50) // 100, 1, 255)
 
 
 def comb_step(blocks: NDArray[np.float64]) -> float | None:

@@ -27,10 +27,10 @@ _BELOW_BLACK = 0.08
 
 
 def unseen_pixels(survey: Survey) -> NDArray[np.bool_]:
-    """Which samples count but never see the projector, (S,)."""
+    """Which samples count but never see the projector, (S,); some must count."""
     known = survey.statistics
     span = known.highest - known.lowest
-    usual = float(np.quantile(span[survey.valid], 0.95)) if survey.valid.any() else 0.0
+    usual = float(np.quantile(span[survey.valid], 0.95))
     level = _STILL_LEVELS * _one_level(survey)
     # A pixel that always clips does not vary either, but sees too much.
     still = (span < max(_STILL * usual, level)) & (known.clipped < 0.5)

@@ -33,9 +33,9 @@ _PLACE_SCALES = (1.0, 0.5)
 _MEAN_SCALE = 0.1
 # Each row takes the ridge that predicts it best.
 _RIDGES = (0.003, 0.03, 0.3)
-# At most 8 Mi values of the explaining columns (64 MiB) are held at a time, and rows are explained
-# from at most 192 frames, drawn at random. Both were chosen by hand and bound memory and time.
-_MOST_VALUES = 1 << 23
+# At most 64 MiB of the explaining columns are held at a time, and rows are explained from at most
+# 192 frames, drawn at random. Both were chosen by hand and bound memory and time.
+_COLUMN_BYTES = 64 << 20
 _MOST_FRAMES = 192
 # A row counts as predicted if less than 40 % of its variance is missed, and if at least 8 of its
 # samples can be compared.
@@ -129,8 +129,9 @@ def predict(
     observed = np.asarray(samples.values, np.float64)
     level = np.broadcast_to(samples.clip_level, observed.shape)
     windows = [_window(place, patterns.shape) for place in places]
-    size = len(_PLACE_SCALES) * (2 * _REACH + 1) ** 2 + 1
-    step = max(1, _MOST_VALUES // (patterns.count * size))
+    # Of each window, and of the mean.
+    row_bytes = 8 * patterns.count * (sum(pixels.shape[1] for pixels, _ in windows) + 1)
+    step = max(1, _COLUMN_BYTES // row_bytes)
     expected = np.empty_like(observed)
     miss = np.empty(len(observed))
     for start in range(0, len(observed), step):
