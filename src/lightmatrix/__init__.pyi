@@ -64,10 +64,8 @@ from .live.measurements.rig_measurements import (
 from .live.measurements.linearity import measure_linearity as measure_linearity
 from .live.measurements.grey_ramp import measure_response as measure_response
 from .live.measurements.settle import measure_settle as measure_settle
-from .live.capturing import (
-    CaptureSettings as CaptureSettings,
-    take_capture as take_capture,
-)
+from .live.capture_settings import CaptureSettings as CaptureSettings
+from .live.capturing import take_capture as take_capture
 from .live.devices.registry import (
     list_devices as list_devices,
     open_camera as open_camera,

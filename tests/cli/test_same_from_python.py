@@ -22,7 +22,7 @@ from lightmatrix.cli.app import STAGES
 from lightmatrix.estimators import settings as estimate_settings
 from lightmatrix.estimators.coherent.estimator import WORTH_IT_UP_TO
 from lightmatrix.experiments import run
-from lightmatrix.live import capturing
+from lightmatrix.live import capture_settings, capturing
 from lightmatrix.live.measurements.rig_measurements import PARTS
 from lightmatrix.live.rig import USUAL_PATIENCE
 from lightmatrix.patterns import making, mix
@@ -556,7 +556,7 @@ def test_defaults_in_help_texts_are_those_of_the_code() -> None:
     assert options.USUAL_NOISE == USUAL_NOISE
     assert options.USUAL_COUNT == making.USUAL_COUNT
     assert options.USUAL_FRAMES == capturing.USUAL_COUNT
-    assert options.USUAL_REFERENCE == capturing.USUAL_REFERENCE
+    assert options.USUAL_REFERENCE == capture_settings.USUAL_REFERENCE
     assert options.RIG_FILE == capturing.RIG_FILE
     assert options.USUAL_PATIENCE == USUAL_PATIENCE
     assert options.USUAL_SAMPLES == DEFAULT_SAMPLES

@@ -20,7 +20,8 @@ from unittest import mock
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.live.capturing import CaptureSettings, take_capture
+from lightmatrix.live.capture_settings import CaptureSettings
+from lightmatrix.live.capturing import take_capture
 from lightmatrix.live.devices.virtual.camera import VirtualCamera
 from lightmatrix.live.devices.virtual.projector import VirtualProjector
 from lightmatrix.live.rig import open_rig

@@ -10,6 +10,7 @@ import typer
 import lightmatrix as lm
 from lightmatrix.cli.claims import claim, say_what_is_kept
 from lightmatrix.cli.options import (
+    MOST_FRAMES,
     RIG_FILE,
     USUAL_FRAMES,
     USUAL_PATIENCE,
@@ -30,7 +31,15 @@ from lightmatrix.outputs.kinds import LIVE_CAPTURE, STORE
 
 def capture(
     output: Annotated[Path, typer.Option("-o", "--output", help="Capture folder to write.")],
-    count: Annotated[int, typer.Option("-k", "--count", help="Number of patterns.")] = USUAL_FRAMES,
+    count: Annotated[
+        int | None,
+        typer.Option(
+            "-k",
+            "--count",
+            help="Number of patterns; with --until the most of them.",
+            show_default=f"{USUAL_FRAMES}; {MOST_FRAMES} with --until",
+        ),
+    ] = None,
     rig: RigName = None,
     projector: ProjectorName = None,
     camera: CameraName = None,
@@ -70,6 +79,14 @@ def capture(
     reference_every: Annotated[
         int, typer.Option(help="Frames between two looks at black and white; 0 for none.")
     ] = USUAL_REFERENCE,
+    until: Annotated[
+        float | None,
+        typer.Option(
+            help="Photograph patterns in groups of eight until the estimate states at most this "
+            "relative error of T, such as 0.03, or more patterns do not help.",
+            show_default="all patterns",
+        ),
+    ] = None,
     store: Annotated[
         Path | None,
         typer.Option("--estimate", help="Also estimate T, into this .zarr store."),
@@ -91,7 +108,10 @@ def capture(
         response=response,
         check=check,
         reference_every=reference_every,
+        until=until,
     )
+    if count is None:
+        count = USUAL_FRAMES if until is None else MOST_FRAMES
     claim(output, LIVE_CAPTURE, overwrite=overwrite)
     say_what_is_kept(output, "frames")
     if store is not None:
@@ -134,6 +154,10 @@ def _show(summary: dict[str, Any]) -> None:
         f"{summary['frames']} frames in {summary['output']} ({checks}), "
         f"{100 * summary['clipped_share']:.1f} % of the samples clipped"
     )
+    until = summary["until"]
+    if until:
+        reached = "reached" if until["reached"] else "not reached"
+        say(f"the target of {100 * until['target']:.2g} % is {reached}: {until['sentence']}")
     again = summary["photographed_again"]
     if again:
         say(f"{sum(again.values())} photographs were taken again:")

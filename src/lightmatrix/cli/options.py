@@ -57,7 +57,7 @@ RigFile = Annotated[
 # to import for a help text; tests/cli/test_same_from_python.py holds the two together.
 USUAL_NOISE = 0.003
 USUAL_COUNT = 256
-USUAL_FRAMES, USUAL_REFERENCE = 64, 32
+USUAL_FRAMES, MOST_FRAMES, USUAL_REFERENCE = 64, 256, 32
 RIG_FILE = "rig.json"
 USUAL_PATIENCE = 2.0
 USUAL_SAMPLES = 16_384

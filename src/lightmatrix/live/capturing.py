@@ -5,18 +5,20 @@ from __future__ import annotations
 import shutil
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.camera.camera_curve import Response, curve_file
+from lightmatrix.camera.camera_curve import curve_file
 from lightmatrix.camera.exposure_sequence import exposure_sequence
 from lightmatrix.capture.capture import Capture
-from lightmatrix.errors import DeviceError, InputError, warn
-from lightmatrix.live.devices.exposures import exposure_limits
+from lightmatrix.errors import DeviceError, warn
+from lightmatrix.estimators.estimate import estimate
+from lightmatrix.live.capture_settings import CaptureSettings
 from lightmatrix.live.frames.drift import Drift, measure_drift
 from lightmatrix.live.frames.photograph import Photographer
 from lightmatrix.live.frames.same_light import References
@@ -27,79 +29,20 @@ from lightmatrix.live.projected_patterns import ProjectedPatterns
 from lightmatrix.live.record import CaptureFacts, CaptureRecord
 from lightmatrix.live.rig import Rig
 from lightmatrix.live.session import Session, Step
+from lightmatrix.live.until import Outcome, Until
 from lightmatrix.outputs.kinds import LIVE_CAPTURE
 from lightmatrix.outputs.writing import claimed
 from lightmatrix.patterns.folder import read_patterns
 from lightmatrix.patterns.making import make_patterns
 from lightmatrix.patterns.pattern_set import PatternSet
+from lightmatrix.transport.matrix import LightTransport
 
 USUAL_COUNT = 64
-USUAL_REFERENCE = 32
 RIG_FILE = "rig.json"
 # A warning says that the room's light varies by more than this share of white.
 _ROOM = 0.02
-# Seconds; longer exposures and settle times are refused as mistakes.
-_LONGEST = 60
 # Names of the reference frames in the record.
 _BLACK, _WHITE = "black.npy", "white.npy"
-
-
-@dataclass(frozen=True)
-class CaptureSettings:
-    """How a rig photographs patterns.
-
-    Parameters
-    ----------
-    cell : int
-        Projector pixels along a side of each pattern pixel.
-    exposure : float, optional
-        Seconds, one for all frames. None: as the planner advises, possibly several.
-    settle : float, optional
-        Seconds to wait after a pattern is shown. None: measured.
-    response : str
-        The camera's response; see `Response.parse`.
-    check : bool
-        Whether each frame has to be shown to be that of its pattern.
-    reference_every : int
-        Frames between two looks at black and white, which notice drift; 0 for none.
-
-    Examples
-    --------
-    >>> import lightmatrix as lm
-    >>> lm.CaptureSettings(exposure=0.02, cell=2).reference_every
-    32
-    """
-
-    cell: int = 1
-    exposure: float | None = None
-    settle: float | None = None
-    response: str = "linear"
-    check: bool = True
-    reference_every: int = USUAL_REFERENCE
-
-    def __post_init__(self) -> None:
-        for name, value in (("exposure", self.exposure), ("settle time", self.settle)):
-            if value is not None and not 0 <= value <= _LONGEST:
-                raise InputError(f"a {name} of {value} s", hint="give seconds, such as 0.02")
-        if self.cell < 1:
-            raise InputError(f"a cell of {self.cell} pixels", hint="use 1 or more")
-        if self.reference_every < 0:
-            raise InputError(
-                f"a reference every {self.reference_every} frames", hint="use 0 or more"
-            )
-        Response.parse(self.response)
-
-    def check_rig(self, rig: Rig) -> None:
-        """Refuse settings that a rig does not have."""
-        shortest, longest = exposure_limits(rig.camera)
-        if self.exposure is not None and not shortest <= self.exposure <= longest:
-            raise InputError(
-                f"an exposure of {self.exposure:g} s",
-                hint=f"the camera has {shortest:g} to {longest:g} s",
-            )
-        largest = min(rig.projector.shape)
-        if self.cell > largest:
-            raise InputError(f"a cell of {self.cell} pixels", hint=f"use 1 to {largest} pixels")
 
 
 def take_capture(
@@ -130,7 +73,7 @@ def take_capture(
     patterns : PatternSet, str or Path, optional
         The patterns or a folder of them. None: a random mix of fine and coarse ones.
     count : int
-        Number of random patterns.
+        Number of random patterns; with `CaptureSettings.until` the most that are photographed.
     density : float, optional
         Share of lit pixels of random patterns. None: as the exposures advise.
     seed : int
@@ -194,9 +137,17 @@ def take_capture(
         }
         with CaptureRecord.open(target, wanted, overwrite=overwrite) as record:
             session = _begin(rig, record, patterns, known, settings, progress)
-            session.run()
-            facts = _facts(session, known, settings)
             write_extras = _extras_writer(rig, float(session.exposures.max()), settings)
+            if settings.until is None:
+                outcome = None
+                session.run()
+            else:
+
+                def estimated() -> LightTransport:
+                    return _estimate_so_far(session, known, settings, write_extras)
+
+                outcome = Until(settings.until, estimated).run(session)
+            facts = _facts(session, known, settings, outcome)
             record.finish(patterns, facts, write_extras=write_extras, overwrite=overwrite)
     _warn(record, known, settings.response)
     return Capture.open(output)
@@ -285,7 +236,27 @@ def _check_unchanged(record: CaptureRecord, now: References) -> None:
         )
 
 
-def _facts(session: Session, known: RigMeasurements, settings: CaptureSettings) -> CaptureFacts:
+def _estimate_so_far(
+    session: Session,
+    known: RigMeasurements,
+    settings: CaptureSettings,
+    write_extras: Callable[[Path], None],
+) -> LightTransport:
+    """The estimate from the frames of a session so far."""
+    with TemporaryDirectory(prefix="lightmatrix-") as folder:
+        capture = Path(folder) / "capture"
+        facts = _facts(session, known, settings)
+        session.record.write(capture, session.patterns, facts, write_extras)
+        # The session has judged each frame.
+        return estimate(Capture.open(capture), check=False)
+
+
+def _facts(
+    session: Session,
+    known: RigMeasurements,
+    settings: CaptureSettings,
+    outcome: Outcome | None = None,
+) -> CaptureFacts:
     record, references = session.record, session.references
     state, count = record.state, session.patterns.count
     if len(state.frames) < 2:
@@ -308,6 +279,7 @@ def _facts(session: Session, known: RigMeasurements, settings: CaptureSettings) 
         "photographed_again": dict(state.faults),
         "left_out": {str(k): reason for k, reason in state.unmended.items()},
         "drift": state.drift,
+        "until": None if outcome is None else asdict(outcome),
     }
     exposures = np.array([state.frames[k].exposure for k in sorted(state.frames)])
     return CaptureFacts(

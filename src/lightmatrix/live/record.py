@@ -180,6 +180,19 @@ class CaptureRecord:
         overwrite: bool,
     ) -> None:
         """Make a capture folder, let `write_extras` add files, and discard the record."""
+        self.write(self._target, patterns, facts, write_extras, overwrite=overwrite)
+        self._results.discard()
+
+    def write(
+        self,
+        folder: Path,
+        patterns: PatternSet,
+        facts: CaptureFacts,
+        write_extras: Callable[[Path], None],
+        *,
+        overwrite: bool = False,
+    ) -> None:
+        """Make a capture folder of the frames so far, and let `write_extras` add files."""
         numbers = sorted(self.state.frames)
         if len(numbers) < patterns.count:
             patterns = patterns.subset(np.array(numbers))
@@ -197,7 +210,7 @@ class CaptureRecord:
             clip=facts.clip_level,
         )
         write_capture(
-            self._target,
+            folder,
             patterns,
             (self._results.file(_name(k)) for k in numbers),
             sensor=sensor,
@@ -209,7 +222,6 @@ class CaptureRecord:
             write_extras=write_extras,
             overwrite=overwrite,
         )
-        self._results.discard()
 
     def _is_grey(self, frame: int) -> bool:
         image = self.read(frame)

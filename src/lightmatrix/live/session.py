@@ -93,15 +93,19 @@ class Session:
             group,
         )
 
-    def run(self) -> None:
-        """Take all missing frames; an error of a device or the disk leaves those written."""
+    def run(self, count: int | None = None) -> None:
+        """Take what is missing of all frames, or of the first `count`.
+
+        An error of a device or the disk leaves those written.
+        """
+        wanted = range(self.patterns.count if count is None else count)
         for k in self._frames:
             frame = self.record.read(k)
             assert frame is not None
             self._note(k, frame, self._frames[k].exposure)
         # Patterns that were given up get a second chance, now that the trouble may be over.
         for _ in range(2):
-            self._take_all([k for k in range(self.patterns.count) if k not in self._frames])
+            self._take_all([k for k in wanted if k not in self._frames])
             self._judge_all()
         self._confirm_rest()
 
