@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import shutil
+import sys
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -13,6 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import lightmatrix as lm
 from lightmatrix import store
 from lightmatrix.camera.sensor import Sensor
 from lightmatrix.capture.capture import Capture
@@ -142,3 +145,37 @@ def test_the_provenance_names_the_solver_and_its_parameters() -> None:
     expected = {"fidelity": "one-sided", "tolerance": 1e-3, "max_passes": 200, "threads": 2}
     assert made["solver_parameters"] == expected
     assert json.loads(json.dumps(made)) == made
+
+
+class Terminal(io.StringIO):
+    """A terminal that somebody looks at."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+@pytest.mark.parametrize(("progress", "shown"), [(True, True), (False, False)])
+def test_a_terminal_shows_progress(
+    progress: bool, shown: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    capture = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 16))
+    terminal = Terminal()
+    monkeypatch.setattr(sys, "stderr", terminal)
+    monkeypatch.setenv("TERM", "xterm")
+    lm.estimate(capture, coherent=False, iterations=1, check=False, progress=progress)
+    assert ("estimating" in terminal.getvalue()) == shown
+
+
+def test_a_callable_counts_progress_instead(monkeypatch: pytest.MonkeyPatch) -> None:
+    capture = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 16))
+    terminal, counted = Terminal(), list[tuple[int, int]]()
+    monkeypatch.setattr(sys, "stderr", terminal)
+    lm.estimate(
+        capture,
+        coherent=False,
+        iterations=1,
+        check=False,
+        progress=lambda done, total: counted.append((done, total)),
+    )
+    assert counted[-1] == (4096, 4096)
+    assert terminal.getvalue() == ""

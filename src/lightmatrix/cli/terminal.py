@@ -13,25 +13,10 @@ from contextlib import contextmanager
 from typing import Any
 
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    ProgressColumn,
-    Task,
-    TextColumn,
-    TimeRemainingColumn,
-)
 from rich.table import Table
-from rich.text import Text
 
+from lightmatrix.progress_bar import progress_bar, visible
 from lightmatrix.reprs import shown_value
-
-# Progress bars compute rate and time left from this many last seconds. Chosen by hand: the stages
-# of an estimate differ in pace, and with a few seconds the time left would jump at each of them.
-_STEADY_SECONDS = 300.0
-# Characters that would move the cursor or change colours. Tabs and line ends are fine.
-_CONTROLS = dict.fromkeys((*range(9), *range(11, 32), 127), "\N{REPLACEMENT CHARACTER}")
 
 
 class Stopped(KeyboardInterrupt):
@@ -61,33 +46,33 @@ _out, _err = _Plain(), _Plain(stderr=True)
 
 def say(text: str, style: str | None = None) -> None:
     """Print on standard output."""
-    _out.print(_visible(text), style=style)
+    _out.print(visible(text), style=style)
 
 
 def warn(text: str, style: str | None = None) -> None:
     """Print on standard error."""
-    _err.print(_visible(text), style=style)
+    _err.print(visible(text), style=style)
 
 
 def show_table(title: str, rows: Mapping[str, Any]) -> None:
     """Print names and values in two columns."""
     table = Table(
-        title=_visible(title), title_justify="left", show_header=False, box=None, padding=(0, 2)
+        title=visible(title), title_justify="left", show_header=False, box=None, padding=(0, 2)
     )
     table.add_column(no_wrap=True)
     table.add_column()
     for name, value in rows.items():
-        table.add_row(name, _visible(shown_value(value)))
+        table.add_row(name, visible(shown_value(value)))
     _out.print(table)
 
 
 def show_columns(title: str, heads: tuple[str, ...], rows: list[tuple[str, ...]]) -> None:
     """Print a table of numbers with a heading for each column."""
-    table = Table(title=_visible(title), title_justify="left", box=None, padding=(0, 2))
+    table = Table(title=visible(title), title_justify="left", box=None, padding=(0, 2))
     for head in heads:
         table.add_column(head, justify="right")
     for row in rows:
-        table.add_row(*map(_visible, row))
+        table.add_row(*map(visible, row))
     _out.print(table)
 
 
@@ -103,39 +88,8 @@ def progress(what: str, unit: str) -> Iterator[Any]:
     if not _err.is_terminal:
         yield lambda done, total, note="": None
         return
-    columns = (
-        TextColumn("{task.description}", markup=False),
-        BarColumn(),
-        MofNCompleteColumn(),
-        _Rate(),
-        TimeRemainingColumn(),
-        TextColumn("{task.fields[note]}", markup=False),
-    )
-    bar_of = Progress(*columns, console=_err, transient=True, speed_estimate_period=_STEADY_SECONDS)
-    with bar_of as bar:
-        task = bar.add_task(_visible(what), total=None, unit=unit, note="")
-        yield lambda done, total, note="": bar.update(
-            task, completed=done, total=total, note=_visible(note)
-        )
-
-
-class _Rate(ProgressColumn):
-    """Steps per second."""
-
-    def render(self, task: Task) -> Text:
-        speed = task.finished_speed or task.speed
-        return Text("" if speed is None else f"{_short(speed)} {task.fields['unit']}/s")
-
-
-def _short(value: float) -> str:
-    for factor, letter in ((1e9, "G"), (1e6, "M"), (1e3, "k")):
-        if value >= factor:
-            return f"{value / factor:.1f} {letter}"
-    return f"{value:.1f}"
-
-
-def _visible(text: str) -> str:
-    return text.translate(_CONTROLS)
+    with progress_bar(what, unit, _err) as step:
+        yield step
 
 
 def _jsonable(value: Any) -> Any:

@@ -16,6 +16,7 @@ rest (`workers/worker.py`).
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from pathlib import Path
 
 from lightmatrix.capture.capture import Capture, open_capture
@@ -27,6 +28,7 @@ from lightmatrix.estimators.work import Progress
 from lightmatrix.estimators.workers.startup import open_workers
 from lightmatrix.outputs.kinds import STORE
 from lightmatrix.outputs.writing import check_output
+from lightmatrix.progress_bar import progress_bar
 from lightmatrix.transport.matrix import LightTransport
 
 
@@ -48,7 +50,7 @@ def estimate(
     output: str | Path | None = None,
     overwrite: bool = False,
     check: bool = True,
-    progress: Progress | None = None,
+    progress: Progress | bool = True,
 ) -> LightTransport:
     """Estimate the light transport matrix of a capture, as `lightmatrix estimate` does.
 
@@ -98,8 +100,9 @@ def estimate(
         Whether a complete store at `output` may be replaced.
     check : bool
         Whether to refuse photographs that do not follow their patterns, as `lm.check` does.
-    progress : callable, optional
-        Called with (done, total) rows.
+    progress : bool or callable
+        Whether to show a bar on a terminal and in notebooks; or what to call with (done, total)
+        rows.
 
     Returns
     -------
@@ -149,10 +152,12 @@ def estimate(
         warn_of_stripes(capture.patterns)
         if check:
             refuse_unordered(capture)
-        return choose_estimator(capture, settings, resources).estimate(
-            capture,
-            output=None if output is None else Path(output),
-            overwrite=overwrite,
-            progress=progress,
-            pool=pool,
-        )
+        estimator = choose_estimator(capture, settings, resources)
+        with progress_bar("estimating", "rows") if progress is True else nullcontext(None) as bar:
+            return estimator.estimate(
+                capture,
+                output=None if output is None else Path(output),
+                overwrite=overwrite,
+                progress=progress if callable(progress) else bar,
+                pool=pool,
+            )
