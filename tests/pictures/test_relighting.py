@@ -49,3 +49,19 @@ def test_shrinking_keeps_the_light(binned: lm.LightTransport) -> None:
     stripes[:, ::3] = 1
     image = lm.relight(binned, stripes, resize=True)
     np.testing.assert_allclose(image, binned.relight(np.full((8, 16), 1 / 3)), rtol=1e-3)
+
+
+def test_a_png_is_coded_for_a_display_and_other_files_are_linear(
+    binned: lm.LightTransport, tmp_path: Path
+) -> None:
+    pattern = np.full((8, 16), 0.5)
+    light = np.clip(binned.relight(pattern), 0, 1)
+    lm.relight(binned, pattern, output=tmp_path / "shown.png")
+    shown = lm.read_image(tmp_path / "shown.png") / 255
+    np.testing.assert_allclose(shown, light ** (1 / 2.2), atol=0.003)
+    lm.relight(binned, pattern, gamma=1, output=tmp_path / "linear.png")
+    np.testing.assert_allclose(lm.read_image(tmp_path / "linear.png") / 255, light, atol=0.003)
+    lm.relight(binned, pattern, output=tmp_path / "values.npy")
+    np.testing.assert_allclose(lm.read_image(tmp_path / "values.npy"), binned.relight(pattern))
+    with pytest.raises(lm.InputError, match=r"a gamma of 2\.2 for .*values\.tiff"):
+        lm.relight(binned, pattern, gamma=2.2, output=tmp_path / "values.tiff")

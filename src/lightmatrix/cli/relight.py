@@ -22,7 +22,10 @@ def relight(
         Path, typer.Option("-o", "--output", help="Image: .png, .tiff, .exr or .npy.")
     ],
     exposure: Annotated[float, typer.Option(help="Exposure e of the image.")] = 1.0,
-    gamma: Annotated[float, typer.Option(help="Display gamma of a PNG; 1 keeps it linear.")] = 1.0,
+    gamma: Annotated[
+        float | None,
+        typer.Option(help="Display gamma of a PNG; 1 keeps it linear.", show_default="2.2"),
+    ] = None,
     green: Green = None,
     blue: Blue = None,
     resize: Annotated[

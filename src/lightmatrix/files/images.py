@@ -37,6 +37,8 @@ from lightmatrix.outputs.writing import atomic_file
 # The endings of files that are read, and their formats in words.
 READABLE = (".png", ".tif", ".tiff", ".npy", ".jpg", ".jpeg", ".bmp", ".pgm", ".exr", *RAW)
 FORMATS = "PNG, TIFF, npy, EXR, DNG and other raw files, JPEG, BMP or PGM"
+# The gamma by which pictures of light are coded, since displays undo it (IEC 61966-2-1 is close).
+DISPLAY_GAMMA = 2.2
 # The highest levels of images of 8, 10, 12 and 14 bits, whose files may have 16.
 HIGHEST_LEVELS = (255, 1023, 4095, 16383)
 # Filters of warnings belong to the whole process, in which several threads may read images.

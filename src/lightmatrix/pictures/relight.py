@@ -13,7 +13,7 @@ from PIL import Image
 
 from lightmatrix import store
 from lightmatrix.errors import InputError
-from lightmatrix.files.images import read_grey, read_light, write_image
+from lightmatrix.files.images import DISPLAY_GAMMA, read_grey, read_light, write_image
 from lightmatrix.files.json_files import errors_naming
 from lightmatrix.outputs.kinds import IMAGE
 from lightmatrix.outputs.writing import check_output
@@ -29,7 +29,7 @@ def relight(
     pattern: NDArray[Any] | str | Path,
     *,
     exposure: float = 1.0,
-    gamma: float = 1.0,
+    gamma: float | None = None,
     resize: bool = False,
     output: str | Path | None = None,
     overwrite: bool = False,
@@ -47,8 +47,9 @@ def relight(
         pattern may have the size before binning, and is averaged.
     exposure : float
         Exposure e of the image, > 0.
-    gamma : float
-        Display gamma of a PNG, 0.1 to 10; 1 keeps it linear.
+    gamma : float, optional
+        Display gamma of a PNG, 0.1 to 10; 1 keeps it linear. None: 2.2, as in all other pictures.
+        Files of other formats are always linear.
     resize : bool
         Whether to resize a pattern of any other size to the projector.
     output : str or Path, optional
@@ -73,16 +74,17 @@ def relight(
     --------
     >>> import lightmatrix as lm
     >>> known = lm.truth("metal").transport()
-    >>> image = lm.relight(known, np.ones((64, 64)), exposure=0.2, gamma=2.2, output="white.png")
+    >>> image = lm.relight(known, np.ones((64, 64)), exposure=0.2, output="white.png")
     >>> lm.read_image("white.png").shape
     (64, 64)
     """
     hint = "use a number above 0, such as 1"
     check_number("an exposure", exposure, most=1e9, above=True, hint=hint)
-    check_number("a gamma", gamma, least=0.1, most=10, hint="use 0.1 to 10, such as 2.2")
+    shown = DISPLAY_GAMMA if gamma is None else gamma
+    check_number("a gamma", shown, least=0.1, most=10, hint="use 0.1 to 10, such as 2.2")
     if output is not None:
         target = check_output(output, IMAGE, overwrite=overwrite)
-        if gamma != 1 and target.suffix.lower() != ".png":
+        if gamma not in (None, 1) and target.suffix.lower() != ".png":
             raise InputError(
                 f"a gamma of {gamma:g} for {target}, which holds linear values",
                 hint="write a .png, or leave out the gamma",
@@ -101,7 +103,7 @@ def relight(
     if output is not None:
         written = image
         if target.suffix.lower() == ".png":
-            written = np.clip(image, 0, 1) ** (1 / gamma)
+            written = np.clip(image, 0, 1) ** (1 / shown)
         write_image(output, written.astype(np.float32), overwrite=overwrite)
     return image
 

@@ -13,6 +13,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, NullLocator
 from numpy.typing import NDArray
 
+from lightmatrix.files.images import DISPLAY_GAMMA
+
 CLIPPED_COLOUR = (0.90, 0.10, 0.12)
 # Colour-blind readers can tell the colours of this palette apart (Okabe and Ito).
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
@@ -53,7 +55,7 @@ def fix_ticks(axis: Any, places: Sequence[float]) -> None:
 
 def display(image: NDArray[Any], white: float) -> NDArray[np.float64]:
     """A linear image for display: divided by `white`, clipped to [0, 1], gamma 2.2."""
-    return np.clip(np.asarray(image, float) / max(white, 1e-12), 0, 1) ** (1 / 2.2)
+    return np.clip(np.asarray(image, float) / max(white, 1e-12), 0, 1) ** (1 / DISPLAY_GAMMA)
 
 
 def mark_clipped(image: NDArray[Any], clipped: NDArray[np.bool_]) -> NDArray[np.float64]:
