@@ -19,7 +19,8 @@ $(BIN)/python:
 
 $(VENV)/.installed: $(BIN)/python $(CORE)
 	@command -v cargo >/dev/null || { echo 'lightmatrix needs a Rust toolchain: see https://rustup.rs'; exit 1; }
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
+	@echo 'Installing lightmatrix into $(VENV); compiling its Rust core takes minutes.'
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
 	@touch $@
 
 $(VENV)/.test-installed: $(VENV)/.installed
@@ -31,6 +32,11 @@ $(VENV)/.test-installed: $(VENV)/.installed
 	    { echo "$$extra cannot be installed (see make system-deps): its tests are skipped"; test -z "$$CI"; } \
 	    || exit 1; \
 	done
+	@touch $@
+
+$(VENV)/.docs-installed: $(VENV)/.installed
+	$(BIN)/python tools/requirements.py docs | \
+	  $(BIN)/python -m pip install --quiet --disable-pip-version-check -r /dev/stdin
 	@touch $@
 
 install: $(VENV)/.installed ## build lightmatrix into .venv
@@ -92,7 +98,7 @@ experiments: test-install ## make the paper's figures and ours in experiments-ou
 	  test -e experiments-out/$$name/$$name.json || \
 	  $(BIN)/lightmatrix experiment $$name -o experiments-out/$$name || exit; done
 
-docs: test-install ## build the documentation in site/; warnings are errors
+docs: $(VENV)/.docs-installed ## build the documentation in site/; warnings are errors
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build
 	@echo 'the documentation: site/index.html'
 
