@@ -86,6 +86,7 @@ from .diagnosis.refusals import (
     refuse_unusable as refuse_unusable,
 )
 from .diagnosis.folders import check as check
+from .diagnosis.responses.found import FoundResponse as FoundResponse
 
 # Responses, measured from photographs.
 from .patterns.projector_curve import ProjectorResponse as ProjectorResponse
@@ -103,6 +104,10 @@ from .estimators.resource_estimate import (
     estimate_resources as estimate_resources,
 )
 from .estimators.settings import EstimateSettings as EstimateSettings
+from .estimators.unknown_response import (
+    find_response as find_response,
+    warn_of_response as warn_of_response,
+)
 from .estimators.coherent.estimator import CoherentEstimator as CoherentEstimator
 from .estimators.workers.startup import open_workers as open_workers
 from .estimators.multiscale.estimator import MultiScaleEstimator as MultiScaleEstimator

@@ -18,7 +18,9 @@ from lightmatrix.files.curve_file import CurveFile
 from lightmatrix.files.numpy_files import read_npy
 from lightmatrix.files.reading import read_text
 
-RESPONSES = "linear, gamma:2.2, srgb, or a curve's file"
+RESPONSES = "linear, gamma:2.2, srgb, auto, or a curve's file"
+# The name of a response that `estimate` finds in the photographs; it is linear until then.
+AUTOMATIC = "auto"
 # Endings of file names that are read as a curve without ``curve:`` before them.
 _CURVES = (".json", ".txt", ".csv", ".npy")
 # Bytes of a text file that are read. 65,536 lines of two numbers take less than a tenth of it.
@@ -59,7 +61,9 @@ class Response:
 
     @classmethod
     def parse(cls, text: str, folder: Path = Path()) -> Response:
-        """Read a response: ``linear``, ``gamma:2.2``, ``srgb`` or ``curve:FILE``.
+        """Read a response: ``linear``, ``gamma:2.2``, ``srgb``, ``auto`` or ``curve:FILE``.
+
+        ``auto`` is linear until `estimate` finds the curve in the photographs.
 
         A curve is what `lightmatrix response` measured (.json); or a text file (or npy) of two
         columns, level and light, each from 0 to its own maximum; or of one column, the light at
@@ -75,6 +79,8 @@ class Response:
         kind, _, argument = text.partition(":")
         if text == "linear":
             return cls()
+        if text == AUTOMATIC:
+            return cls(name=text)
         levels = np.linspace(0, 1, _POINTS)
         if text == "srgb":
             light = np.where(levels <= 0.04045, levels / 12.92, ((levels + 0.055) / 1.055) ** 2.4)

@@ -13,6 +13,7 @@ import lightmatrix as lm
 from lightmatrix.cli.claims import claim, say_what_is_kept
 from lightmatrix.cli.options import (
     ADMM_ITERATIONS,
+    AUTO,
     COHERENT_UP_TO,
     PASSES,
     Json,
@@ -26,7 +27,14 @@ from lightmatrix.outputs.kinds import REPORT, STORE
 from lightmatrix.transport.labels import labelled
 
 if TYPE_CHECKING:
-    from lightmatrix import Capture, EstimateSettings, Finding, LightTransport, ResourceEstimate
+    from lightmatrix import (
+        Capture,
+        EstimateSettings,
+        Finding,
+        FoundResponse,
+        LightTransport,
+        ResourceEstimate,
+    )
 
 # The command says what an estimate takes if it takes longer than this many seconds, or more than
 # this share of the free memory. Chosen by hand: shorter and smaller ones need no warning.
@@ -229,10 +237,13 @@ def estimate(
         if pool is not None:
             warn(str(pool))
         findings = _findings(capture, whole, check)
+        capture, found = _with_known_response(capture, settings)
         with progress("estimating", "rows") as step:
             transport = lm.choose_estimator(capture, settings, resources).estimate(
                 capture, output=output, overwrite=overwrite, progress=step, pool=pool
             )
+    if check:
+        lm.warn_of_response(capture, transport)
     seconds = round(time.perf_counter() - started, 2)
     outcome: dict[str, Any] | None = None
     if report is not None:
@@ -244,6 +255,7 @@ def estimate(
     if as_json:
         result = {"output": str(output), "seconds": seconds, "resources": resources.as_dict()}
         result |= {"verdict": judged.level, "sentence": judged.sentence}
+        result |= {} if found is None else {"response": found.as_dict()}
         result |= transport.summary() | {"findings": [finding.as_dict() for finding in findings]}
         show_json(result if outcome is None else {**result, "report": outcome})
         return
@@ -289,9 +301,23 @@ def _findings(capture: Capture, whole: Capture, check: bool) -> list[Finding]:
     lm.refuse_unusable(capture)
     findings = lm.check(whole) if check else []
     lm.refuse_disorder(findings)
+    if whole.decoder.response.name == AUTO:
+        findings = [finding for finding in findings if finding.kind != "response"]
     for finding in findings:
         warn(f"{finding.kind}: {finding.message}\n  {finding.advice}", style="yellow")
     return findings
+
+
+def _with_known_response(
+    capture: Capture, settings: EstimateSettings
+) -> tuple[Capture, FoundResponse | None]:
+    """The capture, and what was found of its response if it is read by --response auto."""
+    if capture.decoder.response.name != AUTO:
+        return capture, None
+    warn("looking for the camera's response ...")
+    found = lm.find_response(capture, settings)
+    warn(f"response: {found}")
+    return found.applied_to(capture), found
 
 
 def _report(

@@ -22,6 +22,12 @@ Clip = Annotated[
     ),
 ]
 RESPONSE_HELP = "linear, gamma:2.2, srgb, or a file of `lightmatrix response`."
+# The response that `estimate` finds in the photographs.
+AUTO = "auto"
+FIND_HELP = (
+    "linear, gamma:2.2, srgb, a file of `lightmatrix response`; or auto (found in the photographs, "
+    "also of a capture folder)."
+)
 ResponseCurve = Annotated[
     str | None, typer.Option("--response", help=RESPONSE_HELP, show_default="linear")
 ]

@@ -7,14 +7,14 @@ import inspect
 import os
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 import lightmatrix as lm
-from lightmatrix.cli.options import RESPONSE_HELP
+from lightmatrix.cli.options import AUTO, FIND_HELP
 from lightmatrix.errors import InputError
 from lightmatrix.files.reading import read_text
 
@@ -98,9 +98,7 @@ Crop = Annotated[
         show_default="all",
     ),
 ]
-CameraCurve = Annotated[
-    str | None, _reading("--response", help=RESPONSE_HELP, show_default="linear")
-]
+CameraCurve = Annotated[str | None, _reading("--response", help=FIND_HELP, show_default="linear")]
 ProjectorCurve = Annotated[
     Path | None,
     _reading(
@@ -127,11 +125,17 @@ class Source:
     images: Path | None
     settings: ReadSettings | None
     crop: tuple[tuple[int, int], tuple[int, int]] | None
+    # Whether the response of a capture folder is to be found in its photographs.
+    find_response: bool = False
 
     def open(self) -> Capture:
         """The capture, not binned."""
         if self.folder is not None:
-            return lm.Capture.open(self.folder, crop=self.crop)
+            capture = lm.Capture.open(self.folder, crop=self.crop)
+            if not self.find_response:
+                return capture
+            unknown = lm.Response.parse(AUTO)
+            return replace(capture, decoder=replace(capture.decoder, response=unknown))
         assert self.patterns is not None
         assert self.images is not None
         return lm.Capture.from_folders(self.patterns, self.images, self.settings, crop=self.crop)
@@ -216,6 +220,9 @@ def read_source(
                 hint="give patterns and images once",
             )
         capture, patterns, images = None, capture, photographs
+    find = capture is not None and stated.get("response") == AUTO
+    if find:
+        del stated["response"]
     if capture is not None:
         folders = {"patterns": patterns, "images": images}
         besides = [name for name, value in folders.items() if value is not None] + list(stated)
@@ -225,7 +232,7 @@ def read_source(
                 f"a capture folder and {options} were given",
                 hint="a capture folder has these settings in capture.json; give one or the other",
             )
-        return Source(capture, None, None, None, region)
+        return Source(capture, None, None, None, region, find)
     if patterns is None and images is None:
         raise InputError(
             "no capture is given",

@@ -80,7 +80,7 @@ def _check_by_pairs(
     if light is None or any(each.kind == "motion" for each in of_pairs):
         return findings
     # Sums of pairs that are not linear in light look like changes of the light.
-    bent = check_linearity(corrected, rows, doubted, steady=False) if light else []
+    bent = check_linearity(corrected, doubted, steady=False) if light else []
     if bent:
         return findings + bent
     gains, frames = pair_gains(corrected, rows, pairs, doubted)
@@ -125,7 +125,7 @@ def _check_by_prediction(
     findings += check_flicker(*brightness_changes(prediction.frames(right)), right, names)
     if light:
         steady = not any(each.kind == "flicker" for each in findings)
-        findings += check_linearity(survey, rows, suspects | wrong, steady=steady)
+        findings += check_linearity(survey, suspects | wrong, steady=steady)
     return findings
 
 

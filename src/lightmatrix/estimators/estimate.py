@@ -19,11 +19,14 @@ from __future__ import annotations
 from contextlib import nullcontext
 from pathlib import Path
 
+from lightmatrix.camera.camera_curve import Response
 from lightmatrix.capture.capture import Capture, open_capture
 from lightmatrix.diagnosis.refusals import refuse_unordered, refuse_unusable, warn_of_stripes
+from lightmatrix.diagnosis.responses.found import with_response
 from lightmatrix.estimators.choice import choose_estimator
 from lightmatrix.estimators.resource_estimate import estimate_resources
 from lightmatrix.estimators.settings import EstimateSettings
+from lightmatrix.estimators.unknown_response import warn_of_response, with_known_response
 from lightmatrix.estimators.work import Progress
 from lightmatrix.estimators.workers.startup import open_workers
 from lightmatrix.outputs.kinds import STORE
@@ -35,6 +38,7 @@ from lightmatrix.transport.matrix import LightTransport
 def estimate(
     capture: Capture | str | Path,
     *,
+    response: Response | str | None = None,
     solver: str = "active-set",
     fidelity: str | None = None,
     regularization: str | float = "auto",
@@ -61,6 +65,9 @@ def estimate(
     ----------
     capture : Capture, str or Path
         M camera samples under K patterns of N projector pixels; or a capture folder.
+    response : Response or str, optional
+        The camera's response in place of the capture's, see `Response.parse`. "auto" finds it in
+        the photographs, see `find_response`. None: the capture's.
     solver : {"active-set", "saturation-admm", "admm", "romp"}
         active-set certifies a duality gap of each row.
     fidelity : {"one-sided", "clipped", "likelihood", "rejection", "linear"}, optional
@@ -144,6 +151,9 @@ def estimate(
     capture = open_capture(capture)
     if output is not None:
         check_output(output, STORE, overwrite=overwrite)
+    if response is not None:
+        known = Response.parse(response) if isinstance(response, str) else response
+        capture = with_response(capture, known)
     resources = estimate_resources(capture, settings)
     resources.check()
     # Workers are checked before the frames are read, which takes longer.
@@ -152,12 +162,16 @@ def estimate(
         warn_of_stripes(capture.patterns)
         if check:
             refuse_unordered(capture)
+        capture = with_known_response(capture, settings)
         estimator = choose_estimator(capture, settings, resources)
         with progress_bar("estimating", "rows") if progress is True else nullcontext(None) as bar:
-            return estimator.estimate(
+            transport = estimator.estimate(
                 capture,
                 output=None if output is None else Path(output),
                 overwrite=overwrite,
                 progress=progress if callable(progress) else bar,
                 pool=pool,
             )
+    if check:
+        warn_of_response(capture, transport)
+    return transport

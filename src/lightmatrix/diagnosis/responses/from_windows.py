@@ -1,0 +1,147 @@
+"""The response by predictions from windows of projector pixels, without an estimate of T.
+
+`diagnosis/prediction.py` predicts each sample from the other frames of its row. Where the light of
+a row is sharp, this finds a gamma to about 0.3 %; where it is blurred, to a few per cent.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightmatrix.camera.camera_curve import Response
+from lightmatrix.diagnosis.prediction import predict
+from lightmatrix.diagnosis.responses.bend import GammaBend, raised
+from lightmatrix.diagnosis.responses.trace import Bends, Rows, light_of, solve_bends
+from lightmatrix.diagnosis.survey import Survey
+
+# At most so many rows are predicted, which takes about half a second; fewer than the second number
+# determine nothing. Rows clip in at most 30 % of the frames, and vary by more than 15 % of what the
+# most varied tenth does.
+_ROWS, _FEWEST_ROWS = 800, 20
+_MOST_CLIPPED, _VARIED = 0.3, 0.15
+# The projector pixels that are removed from each row: the one that it follows most, and its four
+# neighbours.
+_CROSS = ((0, 0), (0, 1), (0, -1), (1, 0), (-1, 0))
+# The search for a gamma ends after so many steps, or when a step is smaller than this.
+_STEPS, _SMALL = 7, 0.002
+# A step changes the logarithm of the gamma by at most 0.5. Where the equation hardly depends on the
+# gamma, secants lead astray; the step is then the bend itself.
+_LARGEST_STEP, _FLATTEST = 0.5, 0.2
+# Powers at which a search begins, one after the other until one settles: linear, a display's, and
+# its opposite.
+_STARTS = (1.0, 2.2, 0.5)
+# Powers of the light lie well within this range.
+_POWERS = (0.2, 6.0)
+
+
+@dataclass(frozen=True)
+class WindowPower:
+    """The power of the light that was found, its standard error, and whether the search settled."""
+
+    power: float
+    error: float
+    settled: bool
+
+
+def varied_rows(survey: Survey, most: int = _ROWS) -> NDArray[np.int64]:
+    """Rows that vary much and clip little, sorted; drawn at random if there are many."""
+    known = survey.statistics
+    usable = survey.valid & survey.inner & (known.clipped <= _MOST_CLIPPED)
+    usable &= known.highest > known.lowest
+    if not usable.any():
+        return np.empty(0, np.int64)
+    usable &= known.spread > _VARIED * np.quantile(known.spread[usable], 0.9)
+    return np.sort(np.random.default_rng(1).permutation(np.flatnonzero(usable))[:most])
+
+
+def power_from_windows(survey: Survey, doubted: NDArray[np.bool_]) -> WindowPower | None:
+    """The power of the light under which it adds up best; None if too few rows can be predicted.
+
+    The light is that of the survey's response. Nothing is learned from `doubted` frames, (K,).
+    """
+    rows = varied_rows(survey)
+    if len(rows) < _FEWEST_ROWS:
+        return None
+    first = None
+    for start in _STARTS:
+        found = _search(survey, rows, doubted, start)
+        if found is not None and found.settled:
+            return found
+        first = first or found
+    return first
+
+
+def _search(
+    survey: Survey, rows: NDArray[np.int64], doubted: NDArray[np.bool_], start: float
+) -> WindowPower | None:
+    """The power that a search from one start finds; None if too few rows can be predicted."""
+    logs, sizes = [float(np.log(start))], list[float]()
+    places = None
+    while True:
+        response = raised(survey.decoder.response, float(np.exp(logs[-1])))
+        # The places that rows follow are looked for until the power is nearly right.
+        found, places = _bends(survey, rows, doubted, response, places if len(sizes) > 1 else None)
+        if found is None:
+            return None
+        sizes.append(float(found.sizes[0]))
+        if abs(sizes[-1]) < _SMALL or len(sizes) == _STEPS:
+            break
+        logs.append(float(np.clip(logs[-1] + _step(logs, sizes), *np.log(_POWERS))))
+    settled = abs(sizes[-1]) < 5 * _SMALL
+    return WindowPower(float(np.exp(logs[-1])), float(found.errors[0]), settled)
+
+
+def _step(logs: list[float], sizes: list[float]) -> float:
+    """The next change of the logarithm of the gamma, by the secant through the last two."""
+    step = sizes[-1]
+    if len(sizes) > 1 and logs[-1] != logs[-2]:
+        slope = (sizes[-1] - sizes[-2]) / (logs[-1] - logs[-2])
+        if slope < -_FLATTEST:
+            step = -sizes[-1] / slope
+    return float(np.clip(step, -_LARGEST_STEP, _LARGEST_STEP))
+
+
+def _bends(
+    survey: Survey,
+    rows: NDArray[np.int64],
+    doubted: NDArray[np.bool_],
+    response: Response,
+    places: tuple[NDArray[np.int64], ...] | None,
+) -> tuple[Bends | None, tuple[NDArray[np.int64], ...]]:
+    """The bend of one gamma, and the places that the rows follow."""
+    patterns, decoder = survey.patterns, survey.decoder
+    samples = survey.samples(rows, response)
+    prediction = predict(patterns, samples, places, doubted)
+    kept = prediction.predicted
+    if kept.sum() < _FEWEST_ROWS:
+        return None, prediction.places
+    decoder = replace(decoder, response=response)
+    exposures = np.broadcast_to(np.asarray(decoder.exposure, np.float64), (survey.count,))
+    light, dark = light_of(prediction.observed, samples, decoder, exposures)
+    expected, _ = light_of(prediction.expected, samples, decoder, exposures)
+    shown = _cross(prediction.places[0], patterns.shape)
+    seen = np.moveaxis(patterns.columns(shown.ravel()).reshape(survey.count, *shown.shape), 0, 1)
+    columns = np.concatenate(
+        [np.ones((*light.shape, 1)), (prediction.expected)[..., None], seen], axis=2
+    )
+    whole = Rows(
+        light,
+        expected,
+        dark,
+        prediction.trusted & ~doubted,
+        columns * exposures[None, :, None],
+    )
+    return solve_bends(whole.select(kept), response, GammaBend()), prediction.places
+
+
+def _cross(places: NDArray[np.int64], shape: tuple[int, int]) -> NDArray[np.int64]:
+    """The pixels at some places and beside them, (m, 5), within the projector."""
+    row, col = np.divmod(places, shape[1])
+    pixels = [
+        np.clip(row + down, 0, shape[0] - 1) * shape[1] + np.clip(col + right, 0, shape[1] - 1)
+        for down, right in _CROSS
+    ]
+    return np.stack(pixels, axis=1)

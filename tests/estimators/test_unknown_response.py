@@ -1,0 +1,125 @@
+"""The camera's response is found in the photographs of a capture, and used when asked."""
+
+from __future__ import annotations
+
+import json
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import lightmatrix as lm
+from lightmatrix.diagnosis.responses.bend import GammaBend, SmoothBends, points, raised
+from lightmatrix.diagnosis.responses.found import largest_difference
+from lightmatrix.patterns.folder import write_patterns
+from tests.helpers.surface import PROJECTOR, photographs
+
+K = 32
+PATTERNS = lm.BernoulliPatterns(PROJECTOR, K)
+LEVELS = photographs(PATTERNS, noise=0.001) / 255
+S_CURVE = "s-curve"
+
+
+def response(name: str) -> lm.Response:
+    if name != S_CURVE:
+        return lm.Response.parse(name)
+    levels = np.linspace(0, 1, 4097)
+    return lm.Response(levels, 0.5 * levels + 0.5 * (3 * levels**2 - 2 * levels**3), name)
+
+
+def coded(name: str) -> lm.Capture:
+    """Photographs of the surface by a camera of some response, read as linear ones."""
+    known = response(name)
+    shares = LEVELS
+    if known.levels is not None and known.light is not None:
+        shares = np.interp(LEVELS, known.light, known.levels)
+    frames = np.rint(255 * shares).astype(np.uint8)
+    return lm.Capture.from_arrays(PATTERNS, frames, lm.Decoder(clip=255, full_scale=255))
+
+
+@pytest.mark.parametrize("name", ["linear", "gamma:0.8", "gamma:2.2", "srgb", S_CURVE])
+def test_the_curve_is_found_by_few_estimates(name: str) -> None:
+    found = lm.find_response(coded(name))
+    assert largest_difference(found.response, response(name)) < 0.02
+    assert found.estimates <= 3
+    # So few camera pixels do not tell sRGB from a gamma.
+    assert found.is_gamma == (name != S_CURVE)
+    if name not in (S_CURVE, "srgb"):
+        true = 1.0 if name == "linear" else float(name.removeprefix("gamma:"))
+        assert found.gamma == pytest.approx(true, rel=0.02)
+        assert found.uncertainty < 0.05 * true
+
+
+def test_an_estimate_uses_the_curve_when_asked_and_warns_when_not() -> None:
+    capture = coded("gamma:2.2")
+    known = lm.estimate(capture, response="gamma:2.2", check=False)
+    automatic = lm.estimate(capture, response="auto", check=False)
+    wrong = lm.estimate(capture, check=False)
+    with pytest.warns(lm.LightMatrixWarning, match=r"gamma 2\.\d+ \+- .*response='auto'") as told:
+        lm.warn_of_response(capture, wrong)
+    # The warning quotes the program of the user, not a line of the package.
+    assert told[0].filename == __file__
+
+    def off(transport: lm.LightTransport) -> float:
+        difference = transport.to_matrix(dense_background=True) - known.to_matrix(
+            dense_background=True
+        )
+        return float(np.linalg.norm(difference.toarray()))
+
+    assert off(automatic) < 0.1 * off(wrong)
+
+
+def test_linear_photographs_stay_as_they_are() -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", lm.LightMatrixWarning)
+        lm.estimate(coded("linear"))
+
+
+def test_a_few_frames_determine_nothing() -> None:
+    with pytest.raises(lm.InputError, match="do not determine"):
+        lm.find_response(coded("gamma:2.2").select(np.arange(4)))
+
+
+def test_the_command_finds_the_response_of_a_capture_folder(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from lightmatrix.cli import main
+
+    capture = coded("gamma:2.2")
+    for number in range(K):
+        lm.write_image(tmp_path / f"c/images/{number:03}.png", capture.frame(number))
+    write_patterns(tmp_path / "c/patterns", PATTERNS)
+    store = tmp_path / "scene.zarr"
+    words = ["estimate", str(tmp_path / "c"), "-o", str(store), "--response", "auto", "--json"]
+    words.append("--no-check")
+    assert main(words) == 0
+    printed = capsys.readouterr()
+    result = json.loads(printed.out)
+    assert result["response"]["gamma"] == pytest.approx(2.2, rel=0.02)
+    assert "response: gamma 2.2" in printed.err
+    automatic = lm.estimate(tmp_path / "c", response="auto", check=False)
+    assert (lm.open(store).to_matrix() != automatic.sparse).nnz == 0
+
+
+def test_a_found_curve_is_saved_as_any_other(tmp_path: Path) -> None:
+    curve = response(S_CURVE)
+    found = lm.FoundResponse(curve, 1.1, 0.01, 0.1, 2)
+    found.save(tmp_path / "curve.json")
+    read = lm.Response.parse(str(tmp_path / "curve.json"))
+    assert largest_difference(read, curve) < 1e-3
+
+
+def test_bends_change_a_curve_as_they_say() -> None:
+    curve = lm.Response.parse("gamma:2")
+    levels, light = points(curve)
+    assert points(raised(curve, 1.1))[1] == pytest.approx(levels**2.2, abs=1e-6)
+    small = 1e-3
+    for bend in (GammaBend(), SmoothBends(3)):
+        for number, shape in enumerate(bend.functions(light, curve)):
+            sizes = np.zeros(bend.count)
+            sizes[number] = small
+            changed = points(bend.bent(curve, sizes))[1] - light
+            assert changed == pytest.approx(small * shape, abs=small * 0.03)
+    strong = SmoothBends(3).bent(curve, np.array([0.0, 5.0, 0.0]))
+    assert (np.diff(points(strong)[1]) > 0).all()
