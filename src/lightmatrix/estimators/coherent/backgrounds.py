@@ -78,6 +78,11 @@ class Backgrounds:
         spread = (rows.background.astype(np.float64) ** 2) @ (1 / self._sizes)
         return np.sqrt(np.asarray(squares, np.float64).ravel() + spread)
 
+    @property
+    def brightness(self) -> NDArray[np.float64]:
+        """Mean of each pattern shown, (K,) in [0, 1]."""
+        return np.asarray(self._sizes @ self.shown_means / self._sizes.sum(), np.float64)
+
     @cached_property
     def _pooling(self) -> csr_array:
         return cell_means(self.shown.shape, self.grid)

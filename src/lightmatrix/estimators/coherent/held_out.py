@@ -24,6 +24,9 @@ _MOST = 4
 _SAMPLED_PIXELS, _PIXELS_PER_FRAME = 4096, 4
 # Patterns whose squared cosine exceeds this are the same, or inverses of each other.
 _SAME = 0.99
+# Pixels whose values, less the mean of their pattern, differ by less than this never vary. Patterns
+# of one pixel each have means that differ by a pixel's share.
+_VARIES = 0.1
 # Contrasts below this share of the largest one are rounding.
 _ROUNDING = 1e-6
 
@@ -46,7 +49,8 @@ class HeldOut:
         # A code of stripes needs each of its bits, so nothing can be held out.
         if not len(usual) or is_separable(patterns):
             return cls(nothing, nothing)
-        gram, pixels = _gram(patterns)
+        values = _values(patterns)
+        gram, pixels = values @ values.T, values.shape[1]
         most = max(patterns.count // _MOST, len(usual))
         firsts, groups = [int(k) for k in usual], dict[int, list[int]]()
         # Frames that were not held out in the end may explain others.
@@ -58,7 +62,9 @@ class HeldOut:
         frames = np.unique(np.concatenate([nothing, *groups.values()]))
         judged = np.array(sorted(groups), np.int64)
         # One frame alone has no variance.
-        return cls(frames, judged) if len(judged) > 1 else cls(nothing, nothing)
+        if len(judged) < 2 or _show_only_their_own(values, frames, judged):
+            return cls(nothing, nothing)
+        return cls(frames, judged)
 
 
 def _complete(
@@ -109,10 +115,22 @@ def _unexplained(
     return 1 - explained / gram[frame, frame], int(rest[weight.argmax()]), int(used.sum())
 
 
-def _gram(patterns: PatternSet) -> tuple[NDArray[np.float64], int]:
-    """Products of the patterns, each less its mean, (K, K), over so many pixels."""
+def _show_only_their_own(
+    values: NDArray[np.float64], frames: NDArray[np.int64], judged: NDArray[np.int64]
+) -> bool:
+    """Whether the contrast of frames is mostly in pixels that the frames not held out never vary.
+
+    Then T is right where it is known, and nothing can be predicted: one pixel at a time, say.
+    """
+    rest = np.delete(values, frames, axis=0)
+    off = (values[judged] - rest.mean(axis=0)) ** 2
+    never = np.ptp(rest, axis=0) < _VARIES
+    return bool(off[:, never].sum() > off.sum() / 2)
+
+
+def _values(patterns: PatternSet) -> NDArray[np.float64]:
+    """The patterns, each less its mean, at some pixels, (K, n)."""
     most = max(_SAMPLED_PIXELS, _PIXELS_PER_FRAME * patterns.count)
     pixels = np.sort(np.random.default_rng(0).permutation(patterns.pixels)[:most])
     values = patterns.columns(pixels).astype(np.float64)
-    values -= values.mean(axis=1, keepdims=True)
-    return values @ values.T, len(pixels)
+    return np.asarray(values - values.mean(axis=1, keepdims=True))

@@ -19,6 +19,12 @@ from lightmatrix.estimators.coherent.camera_grid import CameraGrid
 from lightmatrix.estimators.coherent.certificate import certified_everywhere, sampled_rows
 from lightmatrix.estimators.coherent.held_out import HeldOut
 from lightmatrix.estimators.coherent.neighbourhood import Neighbourhood
+from lightmatrix.estimators.coherent.residuals import (
+    MOST_ROWS,
+    predicted_samples,
+    residual_diagnostics,
+    squared_residual,
+)
 from lightmatrix.estimators.coherent.row_changes import (
     CHANGE,
     replaced,
@@ -26,7 +32,12 @@ from lightmatrix.estimators.coherent.row_changes import (
     unsettled,
     with_change,
 )
-from lightmatrix.estimators.coherent.row_errors import smooth_misfit, squared_misfit, without
+from lightmatrix.estimators.coherent.row_errors import (
+    noise_of,
+    smooth_misfit,
+    squared_misfit,
+    without,
+)
 from lightmatrix.estimators.coherent.row_solver import RowSolver
 from lightmatrix.estimators.coherent.schedule import Round
 from lightmatrix.estimators.cost_model import coherent_row_bytes, first_round_cost
@@ -39,8 +50,9 @@ from lightmatrix.transport.sparse_rows import SparseRows, footprint_sizes
 # Diagnostics of large frames: whether a row has searched all projector pixels; and whether no atom
 # beside its candidates would enter it, NaN for rows that were not checked.
 SEARCHED, CERTIFIED = "searched_everywhere", "certified_everywhere"
-# The step that measures the misfit under the frames held out, and the diagnostic that holds it.
-HELD_OUT = "held-out"
+# The step that measures the misfit under the frames held out, and the diagnostic that holds it;
+# and the diagnostic that holds the misfit of some rows under the other frames.
+HELD_OUT, RESIDUAL = "held-out", "residual"
 # In large frames every second camera pixel along both axes is solved without the frames held out:
 # errors are smooth over the camera, and all pixels would take a sixth of the time.
 TESTED_EVERY = 2
@@ -84,9 +96,10 @@ class Rounds:
             return partial(self._hold_out, neighbours)
         if step != ROWS:
             return partial(self._solve, number, neighbours)
-        misfit = read(HELD_OUT).diagnostics[HELD_OUT]
+        before = read(HELD_OUT).diagnostics
+        misfit = before[HELD_OUT]
         if len(self._held_out.frames):
-            misfit = smooth_misfit(misfit, neighbours.camera)
+            misfit = smooth_misfit(misfit, neighbours.camera, noise_of(before[RESIDUAL]))
         return partial(self._finish, neighbours, misfit)
 
     def progress_of(self, step: str, start: int = 0) -> Progress | None:
@@ -166,41 +179,48 @@ class Rounds:
         """Misfits of the rows start..stop under the last round's held-out frames."""
         count = stop - start
         nothing = csr_array((count, self.solver.atoms.pixels), dtype=np.float32)
-        diagnostics = {HELD_OUT: self._misfits(neighbours, start, stop)}
-        return SparseRows(nothing, np.zeros((count, 1), np.float32), diagnostics)
-
-    def _misfits(self, neighbours: Neighbourhood, start: int, stop: int) -> NDArray[np.float32]:
-        solver = self.solver
-        held = self._held_out.judged
-        if not len(held):
-            return np.full(stop - start, np.nan, np.float32)
-        misfits = np.full(stop - start, np.nan, np.float32)
-        rows = self._tested_rows(start, stop)
-        if not len(rows):
-            return misfits
-        samples = self.capture.samples(start, stop).rows(rows - start)
-        solved, weighted = solver.near(
-            without(samples, self._held_out.frames),
-            rows,
-            self.rounds[-1],
-            neighbours,
-            self.progress_of(HELD_OUT, start),
+        return SparseRows(
+            nothing, np.zeros((count, 1), np.float32), self._misfits(neighbours, start, stop)
         )
+
+    def _misfits(
+        self, neighbours: Neighbourhood, start: int, stop: int
+    ) -> dict[str, NDArray[np.float32]]:
+        """Misfits of rows at the frames held out, and of some of them at the other frames."""
+        solver, held = self.solver, self._held_out.judged
+        misfits, residuals = (np.full(stop - start, np.nan, np.float32) for _ in range(2))
+        known = {HELD_OUT: misfits, RESIDUAL: residuals}
+        rows = self._every(TESTED_EVERY if self._grows else 1, start, stop)
+        if not len(held) or not len(rows):
+            return known
+        samples = self.capture.samples(start, stop).rows(rows - start)
+        kept = without(samples, self._held_out.frames)
+        progress = self.progress_of(HELD_OUT, start)
+        solved, weighted = solver.near(kept, rows, self.rounds[-1], neighbours, progress)
         light = solved.background[:, None] * weighted.background[:, held]
         if solved.cells.shape[1]:
             light += solved.cells @ solver.backgrounds.shown_means[:, held]
         predicted = solved.coefficients @ self._held_out_atoms + light
         misfits[rows - start] = squared_misfit(samples, predicted.astype(np.float32), held)
-        return misfits
+        chosen = np.flatnonzero(np.isin(rows, self._every(self._looked_at, start, stop)))
+        shown = predicted_samples(solver, weighted, solved, chosen)
+        residuals[rows[chosen] - start] = squared_residual(kept.rows(chosen), shown)
+        return known
 
-    def _tested_rows(self, start: int, stop: int) -> NDArray[np.int64]:
-        """The rows of start..stop that are solved without the frames held out."""
+    @property
+    def _looked_at(self) -> int:
+        """The spacing of the camera pixels whose residuals are looked at, a power of two."""
+        spacing = TESTED_EVERY if self._grows else 1
+        while self.capture.rows > MOST_ROWS * spacing**2:
+            spacing *= 2
+        return spacing
+
+    def _every(self, spacing: int, start: int, stop: int) -> NDArray[np.int64]:
+        """The rows start..stop of every so many camera pixels along both axes."""
         rows = np.arange(start, stop)
-        if not self._grows:
-            return rows
         _, cols, channels = self._grid(len(self.rounds) - 1).camera
         row, col = np.divmod(rows // channels, cols)
-        return rows[(row % TESTED_EVERY == 0) & (col % TESTED_EVERY == 0)]
+        return rows[(row % spacing == 0) & (col % spacing == 0)]
 
     @cached_property
     def _held_out_atoms(self) -> NDArray[np.float32]:
@@ -237,6 +257,9 @@ class Rounds:
             "footprint": footprint_sizes(pixels.coefficients),
             "estimated_error": error,
         }
+        diagnostics |= residual_diagnostics(
+            solver, weighted, solved, pixels.coefficients, neighbours.rows.count, rows
+        )
         if self._grows:
             checked = sampled_rows(start, stop, neighbours.rows.count) - start
             holds = np.full(stop - start, np.nan)

@@ -20,9 +20,10 @@ FEWEST = 8
 # Sides of the squares of camera pixels that errors are averaged over, as they are smooth over the
 # camera. A wider square stands in where a narrower one knows nothing.
 SQUARES = (3, 9, 27)
-# The noise of the camera is the misfit of the rows that err least: this quantile of all misfits.
-# At least the second share of a misfit counts as error. Both are chosen by hand.
-DARKEST = 0.05
+# The noise of the camera is at most this quantile of the misfits under the frames that rows were
+# solved with: most rows explain these but for noise. At least the second share of a misfit under
+# the frames held out counts as error. Chosen on 100 small captures (benchmarks/honesty.py).
+QUIET = 0.25
 LEAST_SHARE = 0.1
 
 
@@ -61,8 +62,14 @@ def squared_misfit(
     return np.where(number > 1.001, spread, np.nan).astype(np.float32)
 
 
+def noise_of(residuals: NDArray[np.float32]) -> float:
+    """The variance of the camera's noise by the residuals of some rows; those not known are NaN."""
+    known = residuals[np.isfinite(residuals)]
+    return float(np.quantile(known, QUIET)) if len(known) else 0.0
+
+
 def smooth_misfit(
-    squares: NDArray[np.float32], camera: tuple[int, int, int]
+    squares: NDArray[np.float32], camera: tuple[int, int, int], noise: float
 ) -> NDArray[np.float32]:
     """Misfits averaged over neighbouring camera pixels, less the camera's noise, (M,)."""
     image = squares.reshape(camera).astype(np.float64)
@@ -74,5 +81,4 @@ def smooth_misfit(
         missing = ~np.isfinite(means)
         if missing.any():
             means[missing] = mean_around(image, known, width)[missing]
-    noise = np.quantile(image[known], DARKEST)
     return np.asarray(np.maximum(means - noise, LEAST_SHARE * means).ravel(), np.float32)
