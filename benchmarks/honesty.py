@@ -28,8 +28,8 @@ from rich.table import Table
 import lightmatrix as lm
 from benchmarks.synthetic_captures import DAMAGES, PATTERNS, SCENES, SyntheticCapture, draw
 from lightmatrix.diagnosis.finding import NOTES
+from lightmatrix.evaluation.doubts import stated_error
 from lightmatrix.evaluation.metrics import relative_error
-from lightmatrix.evaluation.verdict import estimated_error
 from lightmatrix.pictures.style import COLOURS, figure, fix_ticks, save
 from lightmatrix.simulation import library
 
@@ -145,7 +145,7 @@ def measure(case: Case) -> Outcome:
         verdict.sentence,
         kinds,
         relative_error(estimate, drawn.truth),
-        estimated_error(estimate),
+        stated_error(estimate),
         seconds(),
     )
 

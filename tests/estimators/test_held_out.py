@@ -10,8 +10,8 @@ import lightmatrix as lm
 from benchmarks.synthetic_captures import draw
 from lightmatrix.estimators.coherent.held_out import HeldOut
 from lightmatrix.estimators.coherent.row_errors import held_out_frames
+from lightmatrix.evaluation.doubts import estimated_error
 from lightmatrix.evaluation.metrics import relative_error
-from lightmatrix.evaluation.verdict import estimated_error
 
 BASE = lm.BernoulliPatterns((16, 16), 16, seed=1).rows(0, 16).reshape(16, 16, 16)
 

@@ -73,5 +73,5 @@ def test_masked_frames_say_nothing() -> None:
     misfit = squared_misfit(samples, np.zeros((2, 2), np.float32), held)
     assert np.isfinite(misfit[0])
     assert np.isnan(misfit[1])
-    assert np.isfinite(smooth_misfit(misfit, (1, 2, 1))).all()
-    assert np.isnan(smooth_misfit(np.full(4, np.nan, np.float32), (2, 2, 1))).all()
+    assert np.isfinite(smooth_misfit(misfit, (1, 2, 1), 0)).all()
+    assert np.isnan(smooth_misfit(np.full(4, np.nan, np.float32), (2, 2, 1), 0)).all()

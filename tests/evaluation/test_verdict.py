@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 import lightmatrix as lm
-from lightmatrix.evaluation.verdict import Verdict, estimated_error, verdict
+from lightmatrix.evaluation.doubts import estimated_error
+from lightmatrix.evaluation.verdict import Verdict, verdict
 from tests.helpers.transports import random_transport
 
 

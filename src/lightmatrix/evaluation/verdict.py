@@ -8,7 +8,8 @@ from typing import Literal
 
 import numpy as np
 
-from lightmatrix.evaluation.metrics import row_energies, unclipped_rows
+from lightmatrix.evaluation.doubts import doubts, estimated_error, stated_error
+from lightmatrix.evaluation.metrics import unclipped_rows
 from lightmatrix.transport.matrix import LightTransport
 
 Level = Literal["good", "fair", "doubtful", "not tested"]
@@ -99,9 +100,12 @@ def verdict(transport: LightTransport, why_untested: str = _UNTESTED) -> Verdict
     if not transport.diagnostics:
         return Verdict("not tested", "The matrix has no diagnostics.")
     remarks = _remarks(transport)
-    error = estimated_error(transport)
-    if error is None:
+    if estimated_error(transport) is None:
         return Verdict("not tested", " ".join([*remarks, why_untested]))
+    error = stated_error(transport)
+    if error is None:
+        reasons = ["The error of T is not known.", *doubts(transport)]
+        return Verdict("doubtful", " ".join([*reasons, *remarks]))
     clipped = singly_clipped(transport, _shortest_exposure(transport))
     level, warnings = limited(level_of(error), clipped)
     if level == "doubtful":
@@ -138,22 +142,6 @@ def _shortest_exposure(transport: LightTransport) -> float:
     except (TypeError, ValueError, KeyError):
         return 0.0
     return exposure if np.isfinite(exposure) else 0.0
-
-
-def estimated_error(transport: LightTransport) -> float | None:
-    """The relative error of T that follows from the estimated errors of its rows.
-
-    It is ||error of T|| / ||T|| in the Frobenius norm, over the rows that have an estimate of their
-    error; None if no row has.
-    """
-    errors = np.asarray(transport.diagnostics.get("estimated_error", np.zeros(0)), float)
-    known = np.flatnonzero(np.isfinite(errors))
-    if not known.size:
-        return None
-    energy = row_energies(transport)[known]
-    total = float(energy.sum())
-    wrong = float((energy * errors[known] ** 2).sum())
-    return float(np.sqrt(wrong / total)) if total else float(np.median(errors[known]))
 
 
 def level_of(error: float) -> Level:

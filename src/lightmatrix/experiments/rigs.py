@@ -16,8 +16,8 @@ from scipy.stats import spearmanr
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.frames import ArrayStack
 from lightmatrix.estimators.estimate import estimate
+from lightmatrix.evaluation.doubts import estimated_error
 from lightmatrix.evaluation.metrics import relighting_error, squared_errors, unseen_patterns
-from lightmatrix.evaluation.verdict import estimated_error
 from lightmatrix.experiments.harness import Experiment, Measured, all_rows
 from lightmatrix.experiments.measured_scene import SCENES
 from lightmatrix.patterns.bits import BernoulliPatterns

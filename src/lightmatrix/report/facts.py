@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.capture.capture import Capture
+from lightmatrix.evaluation.doubts import doubts, stated_error
 from lightmatrix.evaluation.estimate_errors import Errors, errors_by_rows
 from lightmatrix.evaluation.metrics import relative_error, squared_errors
 from lightmatrix.evaluation.verdict import (
     FAIR,
     Verdict,
-    estimated_error,
     level_of,
     limited,
     percent,
@@ -125,7 +125,7 @@ class Facts:
         if self.relative_error is not None:
             errors.append(self.relative_error)
             sentences.append(f"Error of T against the truth: {percent(self.relative_error)}.")
-        own_estimate = estimated_error(self.transport)
+        own_estimate, reasons = stated_error(self.transport), doubts(self.transport)
         if own_estimate is not None:
             errors.append(own_estimate)
             sentences.append(f"Estimated error of T: {percent(own_estimate)}.")
@@ -135,4 +135,6 @@ class Facts:
         level, warnings = level_of(max(errors)), list[str]()
         if self.relative_error is None:
             level, warnings = limited(level, self.singly_clipped)
+            if reasons:
+                level, warnings = "doubtful", [*reasons, *warnings]
         return Verdict(level, " ".join([*sentences, *warnings]))

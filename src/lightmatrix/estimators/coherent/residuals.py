@@ -123,9 +123,9 @@ def constant_light(samples: Samples, predicted: Predicted) -> NDArray[np.float64
     with np.errstate(invalid="ignore", divide="ignore"):
         slope = (left * unit).sum(axis=1) / (unit**2).sum(axis=1)
         mean = (samples.values * samples.counted).sum(axis=1) / samples.counted.sum(axis=1)
-        # What is no background was not taken for it.
+        # No more was taken for a background than there is.
         most = level.ravel() / mean
-        return np.asarray(np.minimum(-slope / mean, most))
+        return np.where(level.ravel() > 0, np.clip(-slope / mean, -most, most), 0 * mean)
 
 
 def bend(samples: Samples, predicted: Predicted) -> NDArray[np.float64]:

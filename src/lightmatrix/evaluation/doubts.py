@@ -1,0 +1,117 @@
+"""What is wrong with T although unseen photographs are predicted well, and the error to state.
+
+Photographs held out of an estimate do not show what is wrong with all photographs alike, nor what
+none of them shows. Its rows tell some of this (`lightmatrix.estimators.coherent.residuals`). Where
+they do, no error of T is stated, and the reason stands in its place.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightmatrix.evaluation.metrics import row_energies
+from lightmatrix.transport.matrix import LightTransport
+
+# All values were chosen on the training half of the honesty benchmark, 180 captures of 16 x 16 and
+# 32 x 32 pixels (python -m benchmarks.honesty).
+#
+# Light that does not follow the brightness of patterns, relative to the mean sample: intact
+# captures have at most .03, those with a pedestal or a leak .09 to .45.
+_CONSTANT = 0.05
+# Residuals that bend with the prediction, relative to the contrast of rows: intact captures have
+# -.003 at least, those through a gamma curve -.07 to -.013.
+_BENT = -0.01
+# Share of the squared light in rows that are only bounded: intact captures have .6 at most, those
+# exposed four times too long .7 to 1. Below it, such rows err by about the second value, relative
+# to their length: .04 to .17.
+_BOUNDED, BOUNDED_ERROR = 0.65, 0.12
+# Rows that are only bounded and clip in more than this share of the photographs see a glint, which
+# may be 100 times as bright as the clip level: several projector pixels clip it alone.
+_GLINT = 0.75
+
+
+def doubts(transport: LightTransport) -> list[str]:
+    """Why no error of T can be stated, in sentences; none for most estimates."""
+    return [*_doubts(transport)]
+
+
+def stated_error(transport: LightTransport) -> float | None:
+    """The relative error of T that an estimate states.
+
+    It follows from the estimated errors of its rows and from the share of the light that only has a
+    lower bound. None if no row has an estimated error, or if there are `doubts`.
+    """
+    error = estimated_error(transport)
+    if error is None or doubts(transport):
+        return None
+    return float(np.hypot(error, BOUNDED_ERROR * np.sqrt(_bounded_share(transport))))
+
+
+def estimated_error(transport: LightTransport) -> float | None:
+    """The relative error of T that follows from the estimated errors of its rows.
+
+    It is ||error of T|| / ||T|| in the Frobenius norm, over the rows that have an estimate of their
+    error; None if no row has.
+    """
+    errors = _diagnostic(transport, "estimated_error")
+    known = np.flatnonzero(np.isfinite(errors))
+    if not known.size:
+        return None
+    energy = row_energies(transport)[known]
+    total = float(energy.sum())
+    wrong = float((energy * errors[known] ** 2).sum())
+    return float(np.sqrt(wrong / total)) if total else float(np.median(errors[known]))
+
+
+def _doubts(transport: LightTransport) -> Iterator[str]:
+    light = np.asarray(transport.sparse.sum(axis=1), float).ravel()
+    light = light + transport.background.sum(axis=1, dtype=float)
+    constant = _mean(_diagnostic(transport, "constant_light"), light)
+    if constant > _CONSTANT:
+        yield (
+            f"About {100 * constant:.0f} % of the light does not follow the patterns: an "
+            "electronic pedestal, light of the room, or a projector whose black is not dark. Take "
+            "a photograph under a black pattern, and give it as --black."
+        )
+    energies = row_energies(transport)
+    if _mean(_diagnostic(transport, "bend"), energies) < _BENT:
+        yield (
+            "Bright samples are darker than T predicts: the camera does not seem linear in light. "
+            "Give its response (--response), or take raw photographs."
+        )
+    bounded = _diagnostic(transport, "only_bounded") > 0
+    clipped = _diagnostic(transport, "clipped_share")
+    glints = int((bounded & (clipped > _GLINT)).sum()) if bounded.size else 0
+    if glints:
+        yield (
+            f"{glints} camera pixels clip in most photographs, and no photograph shows how bright "
+            "they are: glints, or hot pixels. Mask them, or add photographs of shorter exposure."
+        )
+    elif _bounded_share(transport) > _BOUNDED:
+        yield (
+            "Most of the light comes from camera pixels that clip whenever the projector pixel "
+            "that they see is lit. Add photographs of shorter exposure."
+        )
+
+
+def _bounded_share(transport: LightTransport) -> float:
+    """Share of the squared light in rows that are only bounded."""
+    bounded = _diagnostic(transport, "only_bounded")
+    energies = row_energies(transport)
+    total = float(energies.sum())
+    return float(energies[bounded > 0].sum()) / total if bounded.size and total else 0.0
+
+
+def _diagnostic(transport: LightTransport, name: str) -> NDArray[np.float64]:
+    return np.asarray(transport.diagnostics.get(name, np.zeros(0)), float)
+
+
+def _mean(values: NDArray[np.float64], weights: NDArray[np.float64]) -> float:
+    """The weighted mean of what is known; 0 if nothing is."""
+    known = np.isfinite(values)
+    if not known.any() or not weights[known].sum():
+        return 0.0
+    return float(np.average(values[known], weights=weights[known]))
