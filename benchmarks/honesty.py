@@ -303,6 +303,9 @@ def chosen_cases(options: argparse.Namespace) -> list[Case]:
     cases = [Case.drawn(number, options.seed) for number in range(options.cases)]
     if options.quick:
         cases = [case for case in cases if case.size == QUICK_SIZE][:QUICK_CASES]
+    if options.sizes is not None:
+        sizes = {int(size) for size in options.sizes.split(",")}
+        cases = [case for case in cases if case.size in sizes]
     if options.half is not None:
         cases = [case for case in cases if case.number % 2 == (options.half == "odd")]
     return cases
@@ -314,6 +317,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--cases", type=int, default=320)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--half", choices=("odd", "even"), help="only these numbers")
+    parser.add_argument("--sizes", help="only these sizes, such as 16,32")
     parser.add_argument("--processes", type=int, default=min(2, os.cpu_count() or 1))
     parser.add_argument("-o", "--out", type=Path, default=Path("honesty-out"))
     options = parser.parse_args(arguments)

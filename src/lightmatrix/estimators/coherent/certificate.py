@@ -29,9 +29,9 @@ _ROWS_TOGETHER = 4
 _ROUNDING = 2**-7
 
 
-def sampled_rows(start: int, stop: int, count: int, most: int = SAMPLED) -> NDArray[np.int64]:
-    """About `most` of `count` rows, evenly spread: those of them among start..stop."""
-    step = max(1, count // most)
+def sampled_rows(start: int, stop: int, count: int) -> NDArray[np.int64]:
+    """The rows among start..stop of `count` that are checked."""
+    step = max(1, count // SAMPLED)
     index = np.arange(start, stop)
     return index[index % step == step // 2]
 

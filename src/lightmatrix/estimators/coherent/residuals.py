@@ -16,13 +16,12 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from lightmatrix.camera.samples import Samples
-from lightmatrix.estimators.coherent.certificate import sampled_rows
 from lightmatrix.estimators.coherent.row_solver import RowSolver, WeightedRows
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.solvers.problem import Result
 
-# Rows, evenly spread, whose residuals are looked at. Chosen by hand: an error in common to all rows
-# shows in these as well, and they cost little.
+# The most rows, evenly spread, whose residuals are looked at. Chosen by hand: an error that all rows
+# have in common shows in these as well, and they cost little.
 MOST_ROWS = 4096
 # Patterns are alike in brightness if their means vary by less than this share of it. Chosen by
 # hand: the means of random patterns of 128 x 128 pixels vary by 0.8 %.
@@ -73,18 +72,16 @@ def residual_diagnostics(
     weighted: WeightedRows,
     solved: Result,
     pixels: csr_array,
-    count: int,
-    rows: NDArray[np.int64],
+    chosen: NDArray[np.int64],
 ) -> dict[str, NDArray[Any]]:
-    """The diagnostics of solved rows, of `count` in all, that their samples and residuals give.
+    """The diagnostics of solved rows that their samples and residuals give.
 
     `pixels` are the rows as pixels. `only_bounded` is of all rows, `constant_light` and `bend` are
-    of some, and NaN of others.
+    of the `chosen` ones, and NaN of others.
     """
     samples = weighted.problem.samples
-    chosen = sampled_rows(int(rows[0]), int(rows[-1]) + 1, count, MOST_ROWS) - int(rows[0])
     shown, few = predicted_samples(solver, weighted, solved, chosen), samples.rows(chosen)
-    constant, bent = (np.full(len(rows), np.nan) for _ in range(2))
+    constant, bent = (np.full(len(samples.values), np.nan) for _ in range(2))
     constant[chosen], bent[chosen] = constant_light(few, shown), bend(few, shown)
     return {
         "only_bounded": only_bounded(samples, pixels, solver.capture.patterns),

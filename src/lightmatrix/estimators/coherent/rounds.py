@@ -257,8 +257,9 @@ class Rounds:
             "footprint": footprint_sizes(pixels.coefficients),
             "estimated_error": error,
         }
+        looked_at = self._every(self._looked_at, start, stop) - start
         diagnostics |= residual_diagnostics(
-            solver, weighted, solved, pixels.coefficients, neighbours.rows.count, rows
+            solver, weighted, solved, pixels.coefficients, looked_at
         )
         if self._grows:
             checked = sampled_rows(start, stop, neighbours.rows.count) - start
