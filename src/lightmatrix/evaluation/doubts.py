@@ -28,9 +28,6 @@ _BENT = -0.01
 # exposed four times too long .7 to 1. Below it, such rows err by about the second value, relative
 # to their length: .04 to .17.
 _BOUNDED, BOUNDED_ERROR = 0.65, 0.12
-# Rows that are only bounded and clip in more than this share of the photographs see a glint, which
-# may be 100 times as bright as the clip level: several projector pixels clip it alone.
-_GLINT = 0.75
 
 
 def doubts(transport: LightTransport) -> list[str]:
@@ -82,13 +79,12 @@ def _doubts(transport: LightTransport) -> Iterator[str]:
             "Bright samples are darker than T predicts: the camera does not seem linear in light. "
             "Give its response (--response), or take raw photographs."
         )
-    bounded = _diagnostic(transport, "only_bounded") > 0
-    clipped = _diagnostic(transport, "clipped_share")
-    glints = int((bounded & (clipped > _GLINT)).sum()) if bounded.size else 0
+    glints = int((_diagnostic(transport, "glint") > 0).sum())
     if glints:
+        pixels = "1 camera sample clips" if glints == 1 else f"{glints} camera samples clip"
         yield (
-            f"{glints} camera pixels clip in most photographs, and no photograph shows how bright "
-            "they are: glints, or hot pixels. Mask them, or add photographs of shorter exposure."
+            f"{pixels} in most photographs, and none shows how bright it is: a glint, or a hot "
+            "pixel. Mask it, or add photographs of shorter exposure."
         )
     elif _bounded_share(transport) > _BOUNDED:
         yield (

@@ -1,0 +1,79 @@
+"""Faults that unseen photographs do not show: no error of T is stated, and the reason is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import lightmatrix as lm
+from benchmarks.synthetic_captures import draw
+from lightmatrix.evaluation.doubts import doubts, estimated_error, stated_error
+from lightmatrix.evaluation.metrics import relative_error
+
+
+@pytest.mark.parametrize(
+    ("scene", "patterns", "damage", "reason"),
+    [
+        ("gripper", "few", "leak", "does not follow the patterns"),
+        ("metal", "hadamard", "pedestal", "does not follow the patterns"),
+        ("metal", "random", "curve", "linear in light"),
+        ("glints", "shown twice", "intact", "in most photographs"),
+        ("fibres", "shown twice", "overexposed", "shorter exposure"),
+        ("metal", "with inverses", "overexposed", "shorter exposure"),
+    ],
+)
+def test_no_error_is_stated_where_it_cannot_be_known(
+    scene: str, patterns: str, damage: str, reason: str
+) -> None:
+    case = draw(scene, patterns, damage, 16, 5)
+    estimate = lm.estimate(case.capture, check=False)
+    error = estimated_error(estimate)
+    assert error is not None
+    assert relative_error(estimate, case.truth) > max(0.05, 1.2 * error)
+    assert stated_error(estimate) is None
+    verdict = lm.verdict(estimate)
+    assert verdict.level == "doubtful"
+    assert reason in verdict.sentence
+
+
+@pytest.mark.parametrize(
+    ("scene", "patterns"),
+    [
+        ("gripper", "random"),
+        ("l_objects", "few"),
+        ("corner", "few"),
+        ("metal", "random"),
+        ("textured", "hadamard"),
+        ("half lit", "shown twice"),
+    ],
+)
+def test_intact_captures_state_about_the_true_error(scene: str, patterns: str) -> None:
+    case = draw(scene, patterns, "intact", 16, 5)
+    estimate = lm.estimate(case.capture, check=False)
+    assert doubts(estimate) == []
+    stated, true = stated_error(estimate), relative_error(estimate, case.truth)
+    assert stated is not None
+    assert true / 2 < stated < 2 * true
+    assert lm.verdict(estimate).level in ("good", "fair")
+
+
+def test_pixels_one_by_one_are_not_tested() -> None:
+    case = draw("wall", "one pixel", "intact", 16, 5)
+    estimate = lm.estimate(case.capture, check=False)
+    assert relative_error(estimate, case.truth) < 0.05
+    assert lm.verdict(estimate).level == "not tested"
+
+
+def test_rows_that_are_only_bounded_raise_the_stated_error() -> None:
+    case = draw("gripper", "few", "intact", 16, 5)
+    estimate = lm.estimate(case.capture, check=False)
+    before = stated_error(estimate)
+    light = np.asarray(estimate.sparse.sum(axis=1)).ravel()
+    bounded = light > np.quantile(light, 0.9)
+    changed = replace(estimate, diagnostics={**estimate.diagnostics, "only_bounded": bounded * 1.0})
+    after = stated_error(changed)
+    assert before is not None
+    assert after is not None
+    assert after > 2 * before
