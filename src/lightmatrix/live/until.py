@@ -12,8 +12,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from lightmatrix.errors import InputError
+from lightmatrix.evaluation.doubts import estimated_error
 from lightmatrix.evaluation.metrics import row_energies
-from lightmatrix.evaluation.verdict import estimated_error, percent
+from lightmatrix.evaluation.verdict import percent
 from lightmatrix.live.session import Session
 from lightmatrix.transport.matrix import LightTransport
 

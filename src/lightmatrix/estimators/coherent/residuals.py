@@ -55,7 +55,10 @@ def predicted_samples(
     solver: RowSolver, weighted: WeightedRows, solved: Result, index: NDArray[np.int64]
 ) -> Predicted:
     """The predicted samples of some of the solved rows under the patterns shown."""
-    patterns = solver.capture.patterns
+    patterns, brightness = solver.capture.patterns, solver.backgrounds.brightness
+    if not len(index):
+        nothing = np.zeros((0, patterns.count), np.float32)
+        return Predicted(nothing, nothing, brightness)
     pixels = solver.atoms.expand(csr_array(solved.coefficients[index], dtype=np.float32))
     used, place = np.unique(pixels.indices, return_inverse=True)
     own = csr_array((pixels.data, place, pixels.indptr), shape=(len(index), len(used)))
@@ -67,7 +70,7 @@ def predicted_samples(
     return Predicted(
         np.asarray(own @ patterns.columns(used).T, np.float32).reshape(light.shape),
         np.asarray(light, np.float32),
-        solver.backgrounds.brightness,
+        brightness,
     )
 
 
