@@ -190,6 +190,11 @@ from .uses.probing import (
     max_min as max_min,
     probe as probe,
 )
+from .uses.shape import (
+    Shape as Shape,
+    ShapeTest as ShapeTest,
+    triangulate as triangulate,
+)
 from .uses.separation import (
     Separation as Separation,
     separate as separate,

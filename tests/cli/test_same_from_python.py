@@ -598,3 +598,25 @@ def test_decode(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
         (tmp_path / f"{name}s").mkdir()
         (tmp_path / f"{name}.npz").rename(tmp_path / f"{name}s" / "c.npz")
     _same_files(tmp_path / "showns", tmp_path / "mades")
+
+
+def test_triangulate(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    known = lm.truth("corner")
+    known.save(tmp_path / "T.npz")
+    assert known.geometry is not None
+    known.geometry.save(tmp_path / "rig.json")
+    for name in ("shown", "made"):
+        (tmp_path / name).mkdir()
+    files = f"-o {tmp_path}/shown/c.ply --depth {tmp_path}/shown/d.tif"
+    words = f"triangulate {tmp_path}/T.npz --geometry {tmp_path}/rig.json --strict --mesh {files}"
+    shown = _run(words, capsys)
+    made = lm.triangulate(
+        tmp_path / "T.npz",
+        tmp_path / "rig.json",
+        strict=True,
+        mesh=True,
+        output=tmp_path / "made" / "c.ply",
+        depth=tmp_path / "made" / "d.tif",
+    )
+    assert shown["points"] == made.kept.sum()
+    _same_files(tmp_path / "shown", tmp_path / "made")

@@ -39,6 +39,7 @@ from lightmatrix.cli.separate import separate
 from lightmatrix.cli.show import show
 from lightmatrix.cli.simulate import simulate
 from lightmatrix.cli.terminal import say, warn
+from lightmatrix.cli.triangulate import triangulate
 from lightmatrix.cli.view import view
 from lightmatrix.errors import LightMatrixWarning
 
@@ -59,6 +60,7 @@ STAGES: dict[str, tuple[Callable[..., None], ...]] = {
         relight,
         separate,
         compensate,
+        triangulate,
         evaluate,
         export,
     ),

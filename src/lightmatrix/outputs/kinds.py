@@ -26,6 +26,8 @@ MAT_MARK = "MATLAB 5.0 MAT-file, written by lightmatrix"
 # How a page of the viewer tells that it is one, within its first bytes.
 PAGE_MARK = '<meta name="generator" content="lightmatrix viewer">'
 _EARLY = 1024
+# How a point cloud tells that it is ours, in its header.
+PLY_MARK = "comment written by lightmatrix"
 RIG_FORMAT, RESPONSE_FORMAT = "lightmatrix-rig", "lightmatrix-response"
 GEOMETRY_FORMAT = "lightmatrix-geometry"
 # The first bytes of PNG, npy, TIFF and EXR files.
@@ -72,6 +74,9 @@ PAGE = FileKind("page of the viewer", (".html",), lambda file: _holds_early(file
 CORRESPONDENCE = FileKind(
     "correspondence", (".npz",), lambda file: holds_member(file, CORRESPONDENCE_MARK)
 )
+CLOUD = FileKind("point cloud", (".ply",), lambda file: _holds_early(file, PLY_MARK))
+# Depth maps do not say who wrote them, like images.
+DEPTH = FileKind("depth map", (".tif", ".tiff", ".npy"), lambda file: _begins_with(file, *_IMAGES))
 NPZ = FileKind("exported matrix", (".npz",), lambda file: holds_member(file, TRANSPORT_MARK))
 MAT = FileKind("exported matrix", (".mat",), lambda file: _begins_with(file, MAT_MARK.encode()))
 # Images do not say who wrote them, so any image may be replaced by another.

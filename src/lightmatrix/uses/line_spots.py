@@ -1,4 +1,4 @@
-"""The strongest spot of each row of T beside its epipolar line, where direct light can come from."""
+"""The brightest spot of each row of T beside its epipolar line: where direct light comes from."""
 
 from __future__ import annotations
 
@@ -136,7 +136,7 @@ def _of_block(
     held = np.zeros(count)
     for _ in range(_RECENTRED):
         share = np.clip(half_width + 0.5 - np.abs(pixel - centre[owner]), 0, 1).prod(axis=1)
-        held = np.bincount(owner, share * light, count)
+        held = np.bincount(owner, share * light, count).astype(np.float64)
         sums = [np.bincount(owner, share * light * pixel[:, axis], count) for axis in (0, 1)]
         with np.errstate(invalid="ignore", divide="ignore"):
             centre = np.stack(sums, axis=1) / held[:, None]

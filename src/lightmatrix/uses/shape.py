@@ -5,23 +5,26 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix import store
-from lightmatrix.errors import InputError
+from lightmatrix.errors import InputError, MissingExtraError
 from lightmatrix.geometry.rig_geometry import RigGeometry
-from lightmatrix.outputs.kinds import CORRESPONDENCE_MARK
+from lightmatrix.outputs.kinds import CLOUD, CORRESPONDENCE_MARK, DEPTH
 from lightmatrix.outputs.markers import holds_member
+from lightmatrix.outputs.writing import check_output
 from lightmatrix.reprs import short_repr
 from lightmatrix.store.correspondence_file import read_correspondence
 from lightmatrix.transport.correspondence import Correspondence, pixel_rows
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.uses.direct_light import camera_pixels
 from lightmatrix.uses.line_spots import find_line_spots, uncut_places, window_half_width
+from lightmatrix.uses.shape_files import write_cloud, write_depth
 from lightmatrix.uses.spots import spot_deviation
-from lightmatrix.uses.surfaces import local_mean, surface_normals
+from lightmatrix.uses.surfaces import local_mean, surface_faces, surface_normals
 
 # A point is kept if its window holds this share of the row's light, or its code explains this share
 # of the variance of its samples.
@@ -36,15 +39,33 @@ _LEAST_CERTAIN = 0.3
 _LEAST_ERROR = 0.01
 
 
-class Test(IntEnum):
-    """What a camera pixel passed, or the first test that it failed."""
+# A code's places this close to the projector's border may be cut off by it: half a pixel, as for a
+# sharp spot of T.
+_CUT_CODE = 0.5
 
-    __test__ = False
+
+class ShapeTest(IntEnum):
+    """What became of a camera pixel, the values of `Shape.test`.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> known = lm.truth("metal")
+    >>> shape = lm.triangulate(known.transport(), known.geometry)
+    >>> bool((shape.test == lm.ShapeTest.OFF_LINE).any())
+    True
+    """
+
     KEPT = 0
+    # There is no light beside its epipolar line, or its code is not readable.
     NO_LIGHT = 1
+    # The spot holds too small a share of the row's light.
     WEAK = 2
+    # The spot lies too far from the line.
     OFF_LINE = 3
+    # The estimate states too large an error (strict only).
     UNCERTAIN = 4
+    # The point would lie behind the camera or the projector.
     BEHIND = 5
 
 
@@ -67,9 +88,7 @@ class Shape:
         Standard deviation of the depth, from how far this pixel and its neighbours lie from their
         epipolar lines, on which exact places would lie.
     test : (rows, cols) uint8
-        0 where the point was kept; else the first test that it failed: 1, no light beside the
-        epipolar line; 2, less than a tenth of the row's light; 3, too far from the line; 4, too
-        large an error stated; 5, behind the camera or the projector.
+        Which test a pixel failed first, see `ShapeTest`; 0 where the point was kept.
     place : (rows, cols, 2) float32
         Row and column of the projector pixel that lights each point, before its projection onto the
         epipolar line.
@@ -102,7 +121,78 @@ class Shape:
     @property
     def kept(self) -> NDArray[np.bool_]:
         """The pixels that have a depth, (rows, cols)."""
-        return self.test == Test.KEPT
+        return self.test == ShapeTest.KEPT
+
+    def summary(self) -> dict[str, Any]:
+        """Number of points, their median depth and uncertainty, and pixels by `ShapeTest`."""
+        points = int(self.kept.sum())
+        depth, error = (
+            float(np.median(values[self.kept])) if points else float("nan")
+            for values in (self.depth, self.uncertainty)
+        )
+        return {
+            "points": points,
+            "median_depth": depth,
+            "median_uncertainty": error,
+            "pixels": {test.name.lower(): int((self.test == test).sum()) for test in ShapeTest},
+        }
+
+    def save(self, path: str | Path, *, mesh: bool = False, overwrite: bool = False) -> None:
+        """Write the points as PLY, with normals, grey values and the uncertainty of the depth.
+
+        Parameters
+        ----------
+        path : str or Path
+            The file, .ply.
+        mesh : bool
+            Whether to write triangles between neighbouring pixels on one surface too.
+        overwrite : bool
+            Whether an existing point cloud may be replaced.
+
+        Raises
+        ------
+        OutputError
+            If the file exists, is not one of ours, or cannot be written.
+        """
+        faces = surface_faces(self.depth, self.geometry) if mesh else None
+        write_cloud(
+            path,
+            self.points,
+            self.normals,
+            self.albedo,
+            self.uncertainty,
+            faces,
+            overwrite=overwrite,
+        )
+
+    def save_depth(self, path: str | Path, *, overwrite: bool = False) -> None:
+        """Write the depth as float32, NaN where there is none: .tif, .tiff or .npy.
+
+        Raises
+        ------
+        OutputError
+            If the file exists or cannot be written.
+        """
+        write_depth(path, self.depth, overwrite=overwrite)
+
+    def mesh(self) -> Any:
+        """The surface as a `trimesh.Trimesh`, which writes STL, OBJ and GLB and measures meshes.
+
+        Raises
+        ------
+        MissingExtraError
+            If trimesh is not installed.
+        """
+        try:
+            import trimesh
+        except ImportError as error:
+            raise MissingExtraError(
+                "meshes need trimesh", hint="install it with `pip install 'lightmatrix[shape]'`"
+            ) from error
+        faces = surface_faces(self.depth, self.geometry)
+        used, corners = np.unique(faces, return_inverse=True)
+        points = self.points.reshape(-1, 3)[used]
+        return trimesh.Trimesh(points, corners.reshape(-1, 3), process=False)
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,6 +210,10 @@ def triangulate(
     geometry: RigGeometry | str | Path,
     *,
     strict: bool = False,
+    output: str | Path | None = None,
+    depth: str | Path | None = None,
+    mesh: bool = False,
+    overwrite: bool = False,
 ) -> Shape:
     """Triangulate the surface that the camera sees.
 
@@ -137,6 +231,14 @@ def triangulate(
     strict : bool
         Whether to keep fewer points that are right more often: within 0.5 instead of 1 projector
         pixel of the line, and with a stated error below 0.3 where the estimate states one.
+    output : str or Path, optional
+        The point cloud to write: .ply, with normals, grey values and uncertainties.
+    depth : str or Path, optional
+        The depth map to write: .tif, .tiff or .npy, NaN where there is no depth.
+    mesh : bool
+        Whether the cloud holds triangles too.
+    overwrite : bool
+        Whether existing files may be replaced.
 
     Returns
     -------
@@ -147,6 +249,8 @@ def triangulate(
     ------
     InputError
         If the geometry has other image sizes, or a file is damaged.
+    OutputError
+        If a file exists or cannot be written.
 
     Examples
     --------
@@ -156,6 +260,10 @@ def triangulate(
     >>> shape.depth.shape, bool(shape.kept.mean() > 0.9)
     ((64, 64), True)
     """
+    if output is not None:
+        check_output(output, CLOUD, overwrite=overwrite)
+    if depth is not None:
+        check_output(depth, DEPTH, overwrite=overwrite)
     source = _opened(transport)
     rig = geometry if isinstance(geometry, RigGeometry) else RigGeometry.load(geometry)
     if isinstance(source, Correspondence):
@@ -170,7 +278,12 @@ def triangulate(
         found = _decoded_places(source, rig, lines)
     else:
         found = _spots_of(source, rig, lines)
-    return _shape(found, rig, camera, lines, strict)
+    shape = _shape(found, rig, camera, lines, strict)
+    if output is not None:
+        shape.save(output, mesh=mesh, overwrite=overwrite)
+    if depth is not None:
+        shape.save_depth(depth, overwrite=overwrite)
+    return shape
 
 
 def epipolar_lines(geometry: RigGeometry, camera: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -204,9 +317,7 @@ def fitted_geometry(
     if set(blocks.values()) == {(1, 1)}:
         return geometry
     scaled = geometry.scaled(camera=blocks["camera"], projector=blocks["projector"])
-    return replace(
-        scaled, camera_shape=shapes["camera"], projector_shape=shapes["projector"]
-    )
+    return replace(scaled, camera_shape=shapes["camera"], projector_shape=shapes["projector"])
 
 
 def _opened(
@@ -247,7 +358,7 @@ def _decoded_places(
     """The places of a correspondence; with columns or rows only, where they cross the line."""
     place = matches.place.reshape(-1, 2).astype(np.float64)
     known = np.isfinite(place)
-    if not known.all(axis=0).any() and not (known[:, 0] & known[:, 1]).any():
+    if not known.all(axis=1).any():
         a, b, c = lines.T
         with np.errstate(invalid="ignore", divide="ignore"):
             row = -(a * place[:, 1] + c) / b
@@ -255,6 +366,8 @@ def _decoded_places(
         place = np.column_stack(
             [np.where(known[:, 0], place[:, 0], row), np.where(known[:, 1], place[:, 1], col)]
         )
+    else:
+        place = uncut_places(place, lines, geometry.projector_shape, _CUT_CODE)
     confidence = matches.confidence.ravel().astype(np.float64)
     light = confidence if matches.light is None else matches.light.ravel().astype(np.float64)
     return _Places(place, confidence, light, np.zeros(len(place)))
@@ -279,7 +392,7 @@ def _shape(
     moved = geometry.depth(geometry.triangulate(camera, seen + 0.1 * along))
     slope = np.abs(moved - depth) / 0.1
     test = _tested(found, depth, away, geometry, points, strict)
-    kept = test == Test.KEPT
+    kept = test == ShapeTest.KEPT
     spread = np.sqrt(local_mean(np.where(kept, away**2, np.nan).reshape(grid))).ravel()
     uncertainty = slope * np.maximum(spread, _LEAST_ERROR)
 
@@ -314,13 +427,13 @@ def _tested(
     before = (depth > 0) & (points @ matrix[:3] + matrix[3] > 0)
     from_line = _FROM_LINE_STRICT if strict else _FROM_LINE
     failed = [
-        (Test.BEHIND, ~before),
-        (Test.UNCERTAIN, strict & ~(found.error < _LEAST_CERTAIN)),
-        (Test.OFF_LINE, ~(np.abs(away) <= from_line)),
-        (Test.WEAK, ~(found.share > _LEAST_SHARE)),
-        (Test.NO_LIGHT, ~np.isfinite(found.place).all(axis=1) | ~(found.light > 0)),
+        (ShapeTest.BEHIND, ~before),
+        (ShapeTest.UNCERTAIN, strict & ~(found.error < _LEAST_CERTAIN)),
+        (ShapeTest.OFF_LINE, ~(np.abs(away) <= from_line)),
+        (ShapeTest.WEAK, ~(found.share > _LEAST_SHARE)),
+        (ShapeTest.NO_LIGHT, ~np.isfinite(found.place).all(axis=1) | ~(found.light > 0)),
     ]
-    test = np.full(len(depth), Test.KEPT, np.uint8)
+    test = np.full(len(depth), ShapeTest.KEPT, np.uint8)
     for reason, failing in failed:
         test[failing] = reason
     return test

@@ -10,7 +10,7 @@ from lightmatrix.geometry.rig_geometry import RigGeometry
 
 # Neighbouring pixels lie on one surface if it need not be inclined by more than this to the image
 # plane, in degrees. Chosen by hand: steeper surfaces reflect little of the projector's light.
-_STEEPEST = 80.0
+_STEEPEST = 70.0
 # Pixels to both sides whose points a normal is fitted to, and the fewest of them.
 _REACH, _FEWEST = 2, 6
 # Side of the square of pixels over which errors are averaged.

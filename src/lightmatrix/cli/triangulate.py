@@ -1,0 +1,69 @@
+"""`lightmatrix triangulate`: the surface that the camera sees."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+import lightmatrix as lm
+from lightmatrix.cli.claims import claim
+from lightmatrix.cli.options import Json, Overwrite
+from lightmatrix.cli.terminal import say, show_json
+from lightmatrix.outputs.kinds import CLOUD, DEPTH
+
+
+def triangulate(
+    scene: Annotated[
+        Path,
+        typer.Argument(
+            metavar="SCENE", help="A store of `estimate`, a T.npz, or an npz of `decode`."
+        ),
+    ],
+    geometry: Annotated[
+        Path, typer.Option(help="Where camera and projector stand: a file of `calibrate`.")
+    ],
+    output: Annotated[Path, typer.Option("-o", "--output", help="Point cloud to write: .ply.")],
+    depth: Annotated[
+        Path | None, typer.Option(help="Depth map to write: .tif, .tiff or .npy.")
+    ] = None,
+    strict: Annotated[
+        bool, typer.Option("--strict", help="Keep fewer points, which are right more often.")
+    ] = False,
+    mesh: Annotated[
+        bool, typer.Option("--mesh", help="Write triangles between neighbouring points too.")
+    ] = False,
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+) -> None:
+    """Find the shape of the scene: depth, points, normals.
+
+    Direct light can only come from a camera pixel's epipolar line on the projector. The brightest
+    light beside it is taken; what bounced between surfaces lies elsewhere. Points come with
+    normals, grey values and the uncertainty of their depth.
+    """
+    claim(output, CLOUD, overwrite=overwrite)
+    if depth is not None:
+        claim(depth, DEPTH, overwrite=overwrite)
+    shape = lm.triangulate(
+        scene,
+        geometry,
+        strict=strict,
+        output=output,
+        depth=depth,
+        mesh=mesh,
+        overwrite=overwrite,
+    )
+    summary = shape.summary()
+    if as_json:
+        show_json({"output": output, "depth": depth, **summary})
+        return
+    units = f" {shape.geometry.units}" if shape.geometry.units else ""
+    share = summary["points"] / shape.kept.size
+    say(f"{output}: {summary['points']} points, {100 * share:.1f} % of the camera's pixels")
+    if summary["points"]:
+        say(
+            f"median depth {summary['median_depth']:.4g}{units}, its uncertainty "
+            f"{summary['median_uncertainty']:.2g}{units}"
+        )

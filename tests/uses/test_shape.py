@@ -1,0 +1,174 @@
+"""`triangulate`: depth of known scenes from T and from codes, its files, and what it refuses."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tifffile
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+
+import lightmatrix as lm
+from lightmatrix.errors import InputError, OutputError
+from lightmatrix.uses.line_spots import find_line_spots, uncut_places
+from lightmatrix.uses.surfaces import surface_faces
+
+
+def errors(shape: lm.Shape, known: lm.Truth) -> NDArray[np.float64]:
+    """Distances of the depths from the nearest surface in their pixels, NaN where there is none."""
+    within = known.depths_within(4)
+    assert within is not None
+    return np.asarray(np.fmin.reduce(np.abs(shape.depth[..., None] - within), axis=-1))
+
+
+def rig(rows: int = 12, cols: int = 16) -> lm.RigGeometry:
+    """A projector 1 to the right of a camera of the same lens."""
+    camera = np.array([[20.0, 0, 7.5, 0], [0, 20, 5.5, 0], [0, 0, 1, 0]])
+    projector = camera.copy()
+    projector[0, 3] = -20
+    return lm.RigGeometry.from_matrices(camera, projector, (rows, cols), (rows, cols))
+
+
+@pytest.mark.parametrize("scene", ["corner", "l_objects"])
+def test_depths_of_known_scenes(scene: str) -> None:
+    known = lm.truth(scene)
+    assert known.geometry is not None
+    shape = lm.triangulate(known.transport(), known.geometry)
+    error = errors(shape, known)
+    right = error <= 0.01 * 4
+    assert shape.kept.mean() > 0.98
+    assert right[shape.kept].mean() > 0.97
+    assert np.sqrt((error[right] ** 2).mean()) < 0.007
+    # Most errors are within two stated standard deviations, which are no wild guess either.
+    assert (error[right] < 2 * shape.uncertainty[right]).mean() > 0.9
+    assert np.median(shape.uncertainty[right]) < 0.02
+
+
+def test_normals_of_walls() -> None:
+    known = lm.truth("corner")
+    assert known.geometry is not None
+    assert known.normals is not None
+    shape = lm.triangulate(known.transport(), known.geometry)
+    cosine = (shape.normals * known.normals).sum(axis=-1)
+    assert np.nanmedian(cosine) > np.cos(np.radians(3))
+
+
+def test_strict_keeps_fewer_points_and_fewer_wrong_ones() -> None:
+    known = lm.truth("metal")
+    assert known.geometry is not None
+    usual = lm.triangulate(known.transport(), known.geometry)
+    strict = lm.triangulate(known.transport(), known.geometry, strict=True)
+    assert (usual.kept | ~strict.kept).all()
+    wrong = [(errors(shape, known)[shape.kept] > 0.04).mean() for shape in (usual, strict)]
+    assert strict.kept.sum() < usual.kept.sum()
+    assert wrong[1] < wrong[0]
+
+
+def test_codes_feed_the_same_triangulation(tmp_path: Path) -> None:
+    known = lm.truth("corner")
+    assert known.geometry is not None
+    code = lm.make_patterns("graycode", (64, 64), inverse=True)
+    capture = lm.simulate(known, code, exposure=0.5)
+    matches = lm.decode(capture, output=tmp_path / "c.npz")
+    shape = lm.triangulate(tmp_path / "c.npz", known.geometry)
+    right = errors(shape, known) < 0.04
+    assert right.mean() > 0.95
+    # Columns alone suffice where the epipolar lines cross them.
+    columns = lm.decode(capture.select(np.arange(12)))
+    alone = lm.triangulate(columns, known.geometry)
+    assert (errors(alone, known) < 0.04).mean() > 0.8
+    assert matches.light is not None
+
+
+def test_a_reflection_off_the_line_is_passed_over() -> None:
+    geometry = rig()
+    true, stray = (5, 4), (9, 10)
+    row = np.zeros((12, 16), np.float32)
+    row[true], row[true[0], true[1] + 1], row[stray] = 0.5, 0.5, 3
+    whole = np.zeros((192, 192), np.float32)
+    whole[5 * 16 + 10] = row.ravel()
+    transport = lm.LightTransport.from_matrix(csr_array(whole), (12, 16), (12, 16))
+    shape = lm.triangulate(transport, geometry)
+    np.testing.assert_allclose(shape.place[5, 10], [5, 4.5], atol=1e-5)
+    # Disparity 10 - 4.5 = 20 * 1 / depth.
+    assert shape.depth[5, 10] == pytest.approx(20 / 5.5, rel=1e-5)
+    assert shape.test[0, 0] == lm.ShapeTest.NO_LIGHT
+    weak = replace(transport, sparse=csr_array(transport.sparse * 1))
+    weak.sparse.data[weak.sparse.data == 3] = 12
+    assert lm.triangulate(weak, geometry).test[5, 10] == lm.ShapeTest.WEAK
+
+
+def test_the_brightest_three_by_three_pixels_are_the_spot() -> None:
+    """Against sums over dense windows."""
+    generator = np.random.default_rng(2)
+    shape, count = (9, 11), 20
+    dense = generator.random((count, *shape)) * (generator.random((count, *shape)) < 0.4)
+    angle = generator.uniform(0, np.pi, count)
+    normal = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    lines = np.column_stack([normal, -(normal * [5, 4]).sum(axis=1)])
+    row, col = np.indices(shape)
+    pixels = np.column_stack([col.ravel(), row.ravel()]).astype(float)
+    spots = find_line_spots(
+        csr_array(dense.reshape(count, -1)), np.ones(count), lines, pixels, shape, 1.5
+    )
+    np.testing.assert_allclose(spots.total, dense.sum(axis=(1, 2)) + 1)
+    for light, line, place, held in zip(dense, lines, spots.place, spots.light, strict=True):
+        distance = np.abs(line[0] * col + line[1] * row + line[2])
+        padded = np.pad(light, 1)
+        sums = sum(padded[i : i + shape[0], j : j + shape[1]] for i in range(3) for j in range(3))
+        sums = np.where((distance <= 1.5) & (light > 0), sums, 0)
+        centre = np.array(np.unravel_index(int(np.argmax(sums)), shape), float)
+        for _ in range(4):
+            share = np.clip(2 - np.abs(row - centre[0]), 0, 1)
+            share = share * np.clip(2 - np.abs(col - centre[1]), 0, 1) * light
+            centre = np.array([(share * row).sum(), (share * col).sum()]) / share.sum()
+        np.testing.assert_allclose(place, centre, atol=1e-9)
+        assert held == pytest.approx(share.sum())
+
+
+def test_spots_that_the_border_cuts_off_move_out_along_the_line() -> None:
+    lines = np.array([[0.6, 0.8, -(0.6 * 5 - 0.8 * 0.7)], [1.0, 0, -5], [0.6, 0.8, -3.0]])
+    place = np.array([[0.02, 5.0], [0.02, 5.0], [4.0, 5.0]])
+    moved = uncut_places(place, lines, (10, 10), 0.5)
+    np.testing.assert_allclose(moved, np.array([[-0.7, 5], [0.02, 5], [4, 5]]))
+
+
+def test_files(tmp_path: Path) -> None:
+    known = lm.truth("l_objects")
+    assert known.geometry is not None
+    known.geometry.save(tmp_path / "rig.json")
+    known.save(tmp_path / "T.npz")
+    files = {"output": tmp_path / "cloud.ply", "depth": tmp_path / "depth.tif"}
+    shape = lm.triangulate(tmp_path / "T.npz", tmp_path / "rig.json", mesh=True, **files)  # type: ignore[arg-type]
+    np.testing.assert_array_equal(tifffile.imread(tmp_path / "depth.tif"), shape.depth)
+    trimesh = pytest.importorskip("trimesh")
+    read = trimesh.load(tmp_path / "cloud.ply", process=False)
+    np.testing.assert_allclose(read.vertices, shape.points[shape.kept])
+    assert len(read.faces) == len(surface_faces(shape.depth, shape.geometry))
+    # Triangles face the camera, as the normals do.
+    assert (read.face_normals[:, 2] > 0).mean() > 0.99
+    assert len(shape.mesh().faces) == len(read.faces)
+    with pytest.raises(OutputError, match="exists already"):
+        shape.save(tmp_path / "cloud.ply")
+    with pytest.raises(OutputError, match=r"ends in \.obj"):
+        shape.save(tmp_path / "cloud.obj")
+
+
+def test_binned_captures_scale_the_geometry_and_others_are_refused() -> None:
+    known = lm.truth("corner")
+    assert known.geometry is not None
+    matrix = known.transport()
+    fine = known.geometry
+    camera = np.diag([2.0, 2, 1]) @ fine.camera_matrix + np.outer(
+        [0.5, 0.5, 0], fine.camera_matrix[2]
+    )
+    large = replace(fine, camera_matrix=camera, camera_shape=(128, 127))
+    scaled, exact = lm.triangulate(matrix, large), lm.triangulate(matrix, fine)
+    np.testing.assert_allclose(scaled.depth, exact.depth, rtol=1e-4)
+    other = replace(fine, projector_shape=(64, 100))
+    with pytest.raises(InputError, match="projector images of 64 x 100 pixels, but these") as bad:
+        lm.triangulate(matrix, other)
+    assert "calibrate at their size" in (bad.value.hint or "")
