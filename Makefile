@@ -94,7 +94,7 @@ bench: install ## measure the solver against its peers: table, JSON and plot in 
 	$(BIN)/python -m benchmarks
 
 experiments: test-install ## make the paper's figures and ours in experiments-out/; continues if interrupted
-	for name in fig4 fig5 fig6 fig7 few-patterns rigs; do \
+	for name in fig4 fig5 fig6 fig7 few-patterns rigs responses; do \
 	  test -e experiments-out/$$name/$$name.json || \
 	  $(BIN)/lightmatrix experiment $$name -o experiments-out/$$name || exit; done
 

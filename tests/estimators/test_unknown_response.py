@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 import lightmatrix as lm
 from lightmatrix.diagnosis.responses.bend import GammaBend, SmoothBends, points, raised
@@ -79,6 +80,30 @@ def test_linear_photographs_stay_as_they_are() -> None:
 def test_a_few_frames_determine_nothing() -> None:
     with pytest.raises(lm.InputError, match="do not determine"):
         lm.find_response(coded("gamma:2.2").select(np.arange(4)))
+
+
+def test_pictures_determine_no_curve_of_the_camera() -> None:
+    generator = np.random.default_rng(0)
+    ramps = np.cumsum(generator.normal(size=(K, *PROJECTOR)), axis=2)
+    ramps -= ramps.min(axis=2, keepdims=True)
+    pictures = lm.ImagePatterns(ramps / ramps.max(axis=2, keepdims=True))
+    capture = lm.Capture(pictures, coded("linear").frames, coded("linear").decoder)
+    with pytest.raises(lm.InputError, match="quotient"):
+        lm.find_response(capture)
+
+
+def test_jpeg_is_a_gamma_with_a_warning(tmp_path: Path) -> None:
+    capture = coded("gamma:2.2")
+    for number in range(K):
+        image = Image.fromarray(capture.frame(number))
+        (tmp_path / "images").mkdir(exist_ok=True)
+        image.save(tmp_path / f"images/{number:03}.jpg", quality=100, subsampling=0)
+    settings = lm.ReadSettings(response="auto")
+    read = lm.Capture.from_folders(PATTERNS, tmp_path / "images", settings)
+    with pytest.warns(lm.LightMatrixWarning, match="JPEG"):
+        found = lm.find_response(read)
+    assert found.is_gamma
+    assert found.gamma == pytest.approx(2.2, rel=0.1)
 
 
 def test_the_command_finds_the_response_of_a_capture_folder(

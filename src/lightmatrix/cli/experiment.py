@@ -11,7 +11,7 @@ import lightmatrix as lm
 from lightmatrix.cli.options import Json, Overwrite
 from lightmatrix.cli.terminal import progress, say, show_json
 
-Figure = Literal["fig4", "fig5", "fig6", "fig7", "few-patterns", "rigs", "uses"]
+Figure = Literal["fig4", "fig5", "fig6", "fig7", "few-patterns", "rigs", "responses", "uses"]
 
 
 def experiment(
@@ -19,7 +19,7 @@ def experiment(
         Figure,
         typer.Argument(
             metavar="FIGURE",
-            help="A figure of the paper; errors of few patterns or of other rigs; uses of T.",
+            help="A figure of the paper; errors of few patterns, other rigs, responses; uses.",
         ),
     ],
     output: Annotated[Path, typer.Option("-o", "--output", help="Folder for the figure.")],

@@ -9,6 +9,7 @@ import numpy as np
 
 from lightmatrix.camera.camera_curve import AUTOMATIC, Response
 from lightmatrix.capture.capture import Capture, open_capture
+from lightmatrix.capture.decoding import JPEG
 from lightmatrix.diagnosis.responses.bend import GammaBend, SmoothBends, exponent, raised
 from lightmatrix.diagnosis.responses.found import (
     FoundResponse,
@@ -36,6 +37,9 @@ _CURVED, _CERTAIN = 0.0025, 8.0
 # A response is announced after an estimate if its gamma is off by 2 % and its uncertainty. Fewer
 # than 12 frames tell nothing.
 _ANNOUNCED, _FEWEST_FRAMES = 0.02, 12
+# Grey patterns are pictures if pixels beside each other correlate by more than 0.5, in 500 pairs.
+# Random grey patterns do not correlate, photographs by more than 0.9.
+_ALIKE, _PAIRS = 0.5, 500
 # The uncertainty is twice the standard error, and at least 0.5 % of the gamma: on simulated
 # captures the gamma is off by up to that where the standard error is smaller.
 _LEAST_UNCERTAINTY = 0.005
@@ -75,7 +79,8 @@ def find_response(
     ------
     InputError
         If the photographs do not determine a response: too few pixels vary without clipping, the
-        patterns are not random enough, or the search does not settle.
+        patterns are not random enough, or the search does not settle. Grey pictures determine only
+        the quotient of the camera's and the projector's curves.
 
     Examples
     --------
@@ -87,6 +92,13 @@ def find_response(
     """
     settings = settings or EstimateSettings()
     whole = open_capture(capture)
+    _refuse_pictures(whole)
+    compressed = any(whole.frames.name(k).lower().endswith(JPEG) for k in range(whole.count))
+    if compressed:
+        warn(
+            "JPEG rounds dark and bright samples by different steps, which looks like a curve: "
+            "only a gamma is looked for, and it may be off by some per cent"
+        )
     stated = whole.decoder.response
     survey = Survey.take(whole.patterns, whole.frames, whole.decoder, whole.mask)
     start = power_from_windows(survey, np.zeros(whole.count, bool))
@@ -98,7 +110,7 @@ def find_response(
         read = with_response(part, response)
         transport = choose_estimator(read, settings).estimate(read)
         estimates += 1
-        better = refined_response(read, transport, curved=curved)
+        better = refined_response(read, transport, curved=curved, curves=not compressed)
         if better is None:
             raise _undetermined()
         change = largest_difference(better.response, response)
@@ -117,12 +129,12 @@ def find_response(
 
 
 def refined_response(
-    capture: Capture, transport: LightTransport, *, curved: bool = False
+    capture: Capture, transport: LightTransport, *, curved: bool = False, curves: bool = True
 ) -> Refined | None:
     """The response of a capture, corrected by the T that was estimated under it.
 
-    It is a gamma, unless a curve is clearly better or wanted (`curved`). None if too few rows tell
-    anything.
+    It is a gamma, unless a curve is clearly better or was better before (`curved`); without
+    `curves` it is always a gamma. None if too few rows tell anything.
     """
     response = capture.decoder.response
     power = bends_from_transport(capture, transport, GammaBend())
@@ -133,7 +145,7 @@ def refined_response(
     curve = SmoothBends().bent(response, bends.sizes)
     # A gamma looks like the first bend, so only the others tell it from a curve.
     certain = float(np.max(np.abs(bends.sizes[1:]) / np.maximum(bends.errors[1:], 1e-12)))
-    curved |= largest_difference(curve, gamma) > _CURVED and certain > _CERTAIN
+    curved |= curves and largest_difference(curve, gamma) > _CURVED and certain > _CERTAIN
     uncertainty = max(2 * float(power.errors[0]), _LEAST_UNCERTAINTY)
     return Refined(curve if curved else gamma, uncertainty, curved)
 
@@ -175,6 +187,25 @@ def warn_of_response(capture: Capture, transport: LightTransport) -> None:
         f"the frames look as if coded with gamma {gamma:.2f} +- {uncertainty:.2f}, but are read as "
         f"{stated.name}: use --response auto, in Python response='auto'"
     )
+
+
+def _refuse_pictures(capture: Capture) -> None:
+    """Refuse grey patterns whose neighbouring pixels are alike, such as photographs."""
+    patterns = capture.patterns
+    if capture.bin_projector != (1, 1) or patterns.as_bits() is not None or patterns.shape[1] < 2:
+        return
+    rows, cols = patterns.shape
+    drawn = np.random.default_rng(0).integers(0, rows * (cols - 1), _PAIRS)
+    left = drawn // (cols - 1) * cols + drawn % (cols - 1)
+    one, other = (patterns.columns(pixels).astype(np.float64) for pixels in (left, left + 1))
+    one, other = one - one.mean(axis=0), other - other.mean(axis=0)
+    alike = float((one * other).sum() / max(np.sqrt((one**2).sum() * (other**2).sum()), 1e-12))
+    if alike > _ALIKE:
+        raise InputError(
+            "patterns of pictures determine only the quotient of the camera's and the projector's "
+            "curves",
+            hint="measure the curves with `lightmatrix response`, or use random patterns",
+        )
 
 
 def _undetermined() -> InputError:

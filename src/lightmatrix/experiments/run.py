@@ -8,7 +8,7 @@ from typing import Any
 
 from lightmatrix.errors import InputError
 from lightmatrix.experiments import demo as demo_report
-from lightmatrix.experiments import few_patterns, fig4, fig5, fig6, fig7, rigs, uses
+from lightmatrix.experiments import few_patterns, fig4, fig5, fig6, fig7, responses, rigs, uses
 from lightmatrix.experiments.harness import Experiment
 from lightmatrix.outputs.kinds import CASES, DEMO, FIGURE
 from lightmatrix.outputs.running import RunningResults
@@ -25,6 +25,7 @@ EXPERIMENTS: dict[str, Experiment[Any]] = {
         fig7.FIG7,
         few_patterns.FEW_PATTERNS,
         rigs.RIGS_EXPERIMENT,
+        responses.RESPONSES_EXPERIMENT,
         uses.USES_EXPERIMENT,
     )
 }
@@ -76,7 +77,7 @@ def experiment(
 
     Parameters
     ----------
-    figure : {"fig4", "fig5", "fig6", "fig7", "few-patterns", "rigs", "uses"}
+    figure : {"fig4", "fig5", "fig6", "fig7", "few-patterns", "rigs", "responses", "uses"}
         The experiment.
     folder : str or Path
         The folder to make. An interrupted run continues where it stopped.
