@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -315,3 +316,63 @@ def test_bright_rows_are_spread_over_the_tiles(monkeypatch: pytest.MonkeyPatch) 
     assert some.shares.std(axis=1).min() >= spread[len(spread) // 3] - 1e-6
     dark = [(0, replace(tile, values=0 * tile.values))]
     assert frame_order._bright_rows(taken.patterns, dark, taken.rows) is None
+
+
+def judged(pairs: dict[tuple[int, int], float], count: int = 24) -> dict[int, int]:
+    """Which frames are displaced if these (frame, pattern) miss so much, others -2 of their own."""
+    logarithms = np.where(np.eye(count, dtype=bool), -2.0, 0.0)
+    for place, miss in pairs.items():
+        logarithms[place] = miss
+    misses = Misses(logarithms, np.zeros((count, count), bool), np.ones(count, bool))
+    judge = object.__new__(frame_order._Judge)
+    judge.patterns = SimpleNamespace(count=count)  # type: ignore[assignment]
+    judge.frames, judge.alike = np.arange(count), np.zeros((count, count), bool)
+    judge.in_order = misses
+    judge.misses = lambda _: misses  # type: ignore[method-assign]
+    return judge.displaced_singly()
+
+
+@pytest.mark.parametrize(
+    ("own", "other", "shown"),
+    [
+        (0.0, -0.6, {3: 9, 9: 3}),
+        # Not 40 % nearer to the other's prediction.
+        (0.0, -0.45, {}),
+        # Nearer by enough, but far from it.
+        (0.4, -0.3, {}),
+        # Below the least suspicion.
+        (-1.9, -2.0, {}),
+    ],
+)
+def test_two_frames_must_meet_each_others_predictions(
+    own: float, other: float, shown: dict[int, int]
+) -> None:
+    assert judged({(3, 3): own, (9, 9): own, (3, 9): other, (9, 3): other}) == shown
+
+
+@pytest.mark.parametrize(
+    ("own", "other", "shown"),
+    [
+        (0.0, -0.9, {3: 9}),
+        (0.0, -0.7, {}),
+        (0.5, -0.4, {}),
+    ],
+)
+def test_one_frame_must_meet_another_prediction_better(
+    own: float, other: float, shown: dict[int, int]
+) -> None:
+    assert judged({(3, 3): own, (3, 9): other}) == shown
+
+
+def test_most_frames_must_meet_their_predictions() -> None:
+    fitting = {(3, 3): 0.0, (3, 9): -0.9}
+    others = {(k, k): -0.1 for k in range(24) if k != 3}
+    assert judged(fitting | others) == {}
+
+
+def test_no_more_than_a_sixth_of_the_frames_are_suspected() -> None:
+    # Five frames in turn show another pattern; the four of the largest gains are suspected.
+    pairs = {}
+    for k in range(5):
+        pairs |= {(k, k): 0.0, (k, 10 + k): -1.0 - 0.1 * k}
+    assert judged(pairs) == {1: 11, 2: 12, 3: 13, 4: 14}

@@ -129,7 +129,7 @@ def predict(
     observed = np.asarray(samples.values, np.float64)
     level = np.broadcast_to(samples.clip_level, observed.shape)
     windows = [_window(place, patterns.shape) for place in places]
-    # Of each window, and of the mean.
+    # Every pixel of a window is a column, and the mean is one more.
     row_bytes = 8 * patterns.count * (sum(pixels.shape[1] for pixels, _ in windows) + 1)
     step = max(1, _COLUMN_BYTES // row_bytes)
     expected = np.empty_like(observed)
