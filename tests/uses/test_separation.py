@@ -19,17 +19,29 @@ SIDE = 40
 def _scene(
     angle: float, depth: float, glow: float, seed: int = 0
 ) -> tuple[lm.LightTransport, NDArray[np.float32]]:
-    """A plane with a box before it, epipolar lines at `angle` degrees; T and its direct image.
+    """A plane with a box before it, epipolar lines at `angle` degrees; T and its direct image."""
+    row, col, box = _box()
+    shift = np.where(box, depth, 0.02 * depth * (row - col))
+    along = np.deg2rad(angle)
+    place = np.stack([row + shift * np.sin(along), col + shift * np.cos(along)], -1).reshape(-1, 2)
+    return _seen(place, glow, seed)
+
+
+def _box() -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]:
+    """Row and column of camera pixels, and which of them see the box."""
+    row, col = np.indices((SIDE, SIDE))
+    return row, col, (abs(row - 20) < 8) & (abs(col - 18) < 9)
+
+
+def _seen(
+    place: NDArray[np.float64], glow: float, seed: int = 0
+) -> tuple[lm.LightTransport, NDArray[np.float32]]:
+    """T of camera pixels that see these places (n, 2) of the projector, and its direct image.
 
     Each pixel sees 2 x 2 projector pixels directly, and scattered global light; a tenth of the
     pixels sees no direct light.
     """
     random = np.random.default_rng(seed)
-    row, col = np.indices((SIDE, SIDE))
-    box = (abs(row - 20) < 8) & (abs(col - 18) < 9)
-    shift = np.where(box, depth, 0.02 * depth * (row - col))
-    along = np.deg2rad(angle)
-    place = np.stack([row + shift * np.sin(along), col + shift * np.cos(along)], -1).reshape(-1, 2)
     lit = (random.random(SIDE**2) > 0.1) & ((place >= 0) & (place < SIDE - 1)).all(axis=1)
     direct = np.zeros((SIDE**2, SIDE**2))
     corner = np.floor(np.clip(place, 0, SIDE - 2)).astype(int)
@@ -79,12 +91,31 @@ def test_geometry_and_direct_light_of_a_known_scene(angle: float) -> None:
     assert _relative(parts.direct.relight(white), direct) < 0.1
     dark = direct < 0.1
     assert (parts.direct.relight(white)[dark] > 0.05).mean() < 0.05
+    assert not parts.geometry.perspective
     # The box stands out by its depth, along the lines.
-    sign = 1 if np.cos(np.deg2rad(parts.geometry.direction - angle)) > 0 else -1
-    parallax = parts.parallax * (sign if parts.geometry.along[1] >= 0 else -sign)
-    box, plane = parallax[14:26, 12:24], parallax[2:8, 30:38]
+    box, plane = parts.parallax[14:26, 12:24], parts.parallax[2:8, 30:38]
     assert abs(np.nanmedian(box) - np.nanmedian(plane)) > 3
     assert np.isnan(parts.parallax[dark]).mean() > 0.95
+
+
+def test_lines_that_meet_and_keystone_are_found() -> None:
+    """Plane and parallax: a camera pixel x sees H x + d e, with its depth d and the epipole e."""
+    keystone = np.array([[0.9, 0.05, 2.0], [0.02, 0.85, 3.0], [0.0, -0.004, 1.0]])
+    epipole = np.array([-25.0, 10.0, 1.0])
+    row, col, box = _box()
+    pixels = np.stack([row, col, np.ones_like(row)], axis=-1).reshape(-1, 3)
+    depth = np.where(box, -0.12, 0.02 + 0.0005 * row).ravel()
+    seen = pixels @ keystone.T + depth[:, None] * epipole
+    transport, direct = _seen(seen[:, :2] / seen[:, 2:], glow=0.1)
+    parts = lm.separate(transport)
+    _assert_sums(parts, transport)
+    geometry = parts.geometry
+    assert geometry.perspective
+    # Where the lines meet: the left null vector of F.
+    found = np.linalg.svd(geometry.fundamental.T)[2][-1]
+    np.testing.assert_allclose(found[:2] / found[2], epipole[:2], atol=2)
+    assert _relative(parts.direct.relight(np.ones((SIDE, SIDE))), direct) < 0.1
+    assert (parts.direct.relight(np.ones((SIDE, SIDE)))[direct < 0.1] > 0.05).mean() < 0.05
 
 
 def test_a_plane_has_no_parallax_and_keeps_its_direct_light() -> None:

@@ -11,12 +11,17 @@ from scipy.sparse import csr_array
 
 from lightmatrix.errors import InputError
 from lightmatrix.transport.sparse_rows import row_blocks
-from lightmatrix.uses.epipolar import EpipolarGeometry, fit_epipolar, mean_plane
+from lightmatrix.uses.epipolar import (
+    EpipolarGeometry,
+    fit_epipolar,
+    mean_surface,
+    on_surface,
+)
 from lightmatrix.uses.spots import ENTRIES, Spots, entries_of
 
-# All thresholds of this file were chosen on the four bundled scenes at 64 x 64, sharp and out of
-# focus by 1 pixel, with 32 patterns (`lightmatrix experiment uses` measures the same). Distances
-# are in projector pixels: a constant, and a part that grows with the standard deviation of a spot.
+# All thresholds of this file were chosen on the scenes of benchmarks/separation_scenes.py, which
+# `lightmatrix experiment uses` does not hold. Distances are in projector pixels: a constant, and a
+# part that grows with the standard deviation of a spot.
 #
 # A row fainter than this share of a bright row's light (the 0.9 quantile) is left without direct
 # light: it lies in the projector's shadow.
@@ -24,20 +29,21 @@ _DARK, _BRIGHT_QUANTILE = 0.02, 0.9
 # Rows that the geometry is fitted to: their strongest spot holds this share of the light, and half
 # of their neighbours see light beside it.
 _STRONG, _HALF = 0.3, 0.5
-# A neighbour agrees if its spot lies this close to where the mean plane's motion puts it.
-_AGREEMENT = (1.0, 1.0)
+# A neighbour agrees if its spot lies this close to where the mean surface puts it.
+_AGREEMENT = (1.3, 1.0)
 # Spots farther from the epipolar line, or beyond the parallax of good rows by more, are global.
-_FROM_LINE, _BEYOND_PARALLAX = (0.4, 0.5), (0.5, 0.5)
+_FROM_LINE, _BEYOND_PARALLAX = (0.5, 0.5), (1.0, 0.5)
 # A spot is global if fewer of its 24 neighbours agree; the strongest one, and the others.
-_LEAST_AGREEMENT, _LEAST_AGREEMENT_OF_WEAK = 0.2, 0.05
+_LEAST_AGREEMENT, _LEAST_AGREEMENT_OF_WEAK = 0.1, 0.05
 # A spot is global if it holds less of the row's light; the strongest one, and the others.
-_LEAST_SHARE, _LEAST_SHARE_OF_WEAK = 0.2, 0.02
+_LEAST_SHARE, _LEAST_SHARE_OF_WEAK = 0.1, 0.02
 # Rounds in which spots that were rejected lose their vote on their neighbours.
 _VOTES = 3
 # Half width of the square of neighbours.
 _NEIGHBOURS = 2
-# The footprint: entries this close to a direct spot, and this close to the epipolar line.
-_FOOTPRINT, _BAND = (1.2, 2.0), (1.0, 2.0)
+# The footprint: entries this close to a direct spot, and this close to the epipolar line. A sharp
+# camera pixel between projector pixels sees 2 x 2 of them, up to 1.4 pixels from the middle.
+_FOOTPRINT, _BAND = (0.6, 2.8), (1.0, 2.0)
 # The ring around the footprint that shows the global light beneath it, and how much brighter global
 # light is beneath the footprint than in the ring: it peaks where surfaces touch.
 _RING_WIDTH, _RING_FACTOR = 1.5, 2.0
@@ -79,15 +85,17 @@ def find_direct_spots(spots: Spots, shape: tuple[int, int], deviation: float) ->
     strong = lit & (light[:, 0] > _STRONG * total)
     if strong.sum() < _FEWEST:
         raise _no_direct_light(int(strong.sum()), len(lit))
-    motion = mean_plane(camera[strong], place[strong, 0])
+    surface = mean_surface(camera[strong], place[strong, 0])
+    # Relative to the mean surface, neighbours on one surface see their light at one place.
+    relative = place - on_surface(surface, camera)[:, None]
     tolerance = _scaled(_AGREEMENT, deviation)
     first = np.zeros(light.shape, bool)
     first[:, 0] = True
-    agreement = _agreement(place, first, shape, motion, tolerance)
+    agreement = _agreement(relative, first, shape, tolerance)
     good = strong & (agreement[:, 0] > _HALF)
     if good.sum() < _FEWEST:
         raise _no_direct_light(int(good.sum()), len(lit))
-    geometry = fit_epipolar(camera[good], place[good, 0], motion)
+    geometry = fit_epipolar(camera[good], place[good, 0], surface)
     possible = _on_line(camera, place, geometry, deviation) & lit[:, None]
     possible &= light > _LEAST_SHARE_OF_WEAK * total[:, None]
     possible[:, 0] &= light[:, 0] >= _LEAST_SHARE * total
@@ -95,7 +103,7 @@ def find_direct_spots(spots: Spots, shape: tuple[int, int], deviation: float) ->
     least = np.full(light.shape[1], _LEAST_AGREEMENT_OF_WEAK)
     least[0] = _LEAST_AGREEMENT
     for _ in range(_VOTES):
-        agreement = _agreement(place, direct, shape, motion, tolerance)
+        agreement = _agreement(relative, direct, shape, tolerance)
         direct = possible & (agreement >= least)
     return DirectSpots(spots, direct, agreement, lit, geometry, deviation)
 
@@ -172,10 +180,9 @@ def _agreement(
     place: NDArray[np.float64],
     voters: NDArray[np.bool_],
     shape: tuple[int, int],
-    motion: NDArray[np.float64],
     tolerance: float,
 ) -> NDArray[np.float64]:
-    """The share of each spot's neighbours with a voting spot where the mean plane puts it."""
+    """The share of each spot's neighbours with a voting spot where the mean surface puts it."""
     rows, cols = shape
     spots = place.shape[1]
     own = np.where(np.isnan(place), np.inf, place).reshape(rows, cols, spots, 2)
@@ -186,10 +193,9 @@ def _agreement(
     for down, right in ((d, r) for d in reach for r in reach if d or r):
         here = _shifted(rows, -down), _shifted(cols, -right)
         there = _shifted(rows, down), _shifted(cols, right)
-        moved = votes[there] - np.array([down, right]) @ motion[:2]
         agrees = np.zeros(own[here].shape[:3], bool)
         for number in range(spots):
-            away = own[here] - moved[:, :, number, None]
+            away = own[here] - votes[there][:, :, number, None]
             agrees |= (away**2).sum(axis=-1) <= tolerance**2
         agreeing[here] += agrees
         neighbours[here] += 1

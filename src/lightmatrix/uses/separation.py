@@ -50,7 +50,7 @@ class Separation:
         beside its own, or none where it has none. NaN where it is dark.
     parallax : (rows, cols) float32
         Where along its epipolar line a camera pixel sees direct light, relative to the scene's mean
-        plane, in projector pixels; NaN where it sees none. It orders the scene by depth.
+        surface, in projector pixels; NaN where it sees none. It orders the scene by depth.
     geometry : EpipolarGeometry
         Where direct light can come from.
     spot : float
@@ -151,9 +151,8 @@ def separate(
 
     Notes
     -----
-    The affine epipolar geometry holds for long lenses and shallow scenes. Under a strong
-    perspective, the distances of good rows to their lines (`EpipolarGeometry.spread`) grow, and
-    direct light is lost.
+    The lines of the epipolar geometry are parallel, or meet in a point where that fits clearly more
+    camera pixels: under strong perspective or keystone.
 
     References
     ----------
