@@ -20,11 +20,12 @@ from lightmatrix.simulation.scenes import BUILDERS
 from lightmatrix.simulation.scenes import scene as bundled
 from lightmatrix.simulation.scenes.scene import Part, Scene, matt, metal, plastic
 from lightmatrix.simulation.scenes.shapes import ball, bolt, box, bracket, nut, ring, sheet
+from lightmatrix.simulation.scenes.view import View
 
 SIZE, SAMPLES, PATTERNS, NOISE = (64, 64), 3000, 32, 0.003
 
 
-def strewn_parts(seed: int, camera: tuple[float, float, float]) -> Scene:
+def strewn_parts(seed: int, camera: View) -> Scene:
     """Metal parts at random places and angles on paper."""
     random = np.random.default_rng(seed)
     shapes = [
@@ -58,7 +59,7 @@ def clutter() -> Scene:
             mesh = ball(float(random.uniform(0.1, 0.25)))
         turned = turn("z", float(random.uniform(0, 90)))
         parts.append(Part(mesh.placed((float(x), float(y), 0.0), turned), surfaces[number % 4]))
-    return Scene("clutter", "", tuple(parts), camera=(0.9, 0.3, 4.0))
+    return Scene("clutter", "", tuple(parts), camera=View((0.9, 0.3, 4.0)))
 
 
 def turned_corner() -> Scene:
@@ -68,7 +69,7 @@ def turned_corner() -> Scene:
         Part(Mesh(part.mesh.vertices @ quarter.T, part.mesh.faces), part.material)
         for part in known.parts
     )
-    return replace(known, parts=parts, camera=(-0.5, 0.1, 4.0))
+    return replace(known, parts=parts, camera=View((-0.5, 0.1, 4.0)))
 
 
 def near_camera() -> Scene:
@@ -82,13 +83,13 @@ def near_camera() -> Scene:
     )
     parts = [Part(sheet(), matt(0.8))]
     parts += [Part(mesh.placed((x, y, 0.0), turn("z", 20.0)), matt(0.6)) for mesh, x, y in things]
-    camera, projector = (-1.1, -0.6, 2.4), (0.0, 0.0, 3.2)
+    camera, projector = View((-1.1, -0.6, 2.4)), View((0.0, 0.0, 3.2))
     return Scene("near", "", tuple(parts), camera=camera, projector=projector)
 
 
 SCENES: dict[str, Callable[[], Scene]] = {
-    "parts": lambda: strewn_parts(5, (0.7, -0.6, 4.0)),
-    "other parts": lambda: strewn_parts(11, (-0.6, 0.8, 4.0)),
+    "parts": lambda: strewn_parts(5, View((0.7, -0.6, 4.0))),
+    "other parts": lambda: strewn_parts(11, View((-0.6, 0.8, 4.0))),
     "clutter": clutter,
     "turned corner": turned_corner,
     "near camera": near_camera,
