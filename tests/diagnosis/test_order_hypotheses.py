@@ -9,6 +9,10 @@ from numpy.typing import NDArray
 from lightmatrix.diagnosis.order_hypotheses import (
     Hypothesis,
     RawRows,
+    _hypotheses,
+    _log_misses,
+    _mixtures,
+    _scan,
     explained,
     find_misses,
     likeliest_hypothesis,
@@ -158,3 +162,58 @@ def test_normalized_columns() -> None:
 def test_explained() -> None:
     assert explained(np.array([[0.5, 0.75]])) == pytest.approx(1.5 * np.log(2))
     assert np.isfinite(explained(np.ones((1, 2)))).all()
+
+
+def test_mixtures_are_displaced_from_or_up_to_each_part() -> None:
+    generator = np.random.default_rng(0)
+    plain, displaced = ([generator.random(3) for _ in range(4)] for _ in range(2))
+    sums = [total.copy() for total in _mixtures(plain, displaced)]
+    expected = [sum(plain[:k]) + sum(displaced[k:]) for k in range(5)]
+    expected += [sum(displaced[:k]) + sum(plain[k:]) for k in range(1, 5)]
+    np.testing.assert_allclose(sums, expected)
+
+
+def test_orders_that_are_tried() -> None:
+    orders = [list(range(4)), [1, 2, 3, -1], [-1, 0, 1, 2], [3, 2, 1, 0]]
+    one = _hypotheses(4, False)
+    assert [each.order.tolist() for each in one] == orders
+    assert all(each.exposed_as.tolist() == [0, 1, 2, 3] for each in one)
+    # With several exposures also those that go with the files; unknown frames keep their own.
+    several = _hypotheses(4, True)
+    assert [each.order.tolist() for each in several[1::2]] == orders[1:]
+    assert [each.order.tolist() for each in several[2::2]] == orders[1:]
+    exposed = [[1, 2, 3, 3], [0, 0, 1, 2], [3, 2, 1, 0]]
+    assert [each.exposed_as.tolist() for each in several[2::2]] == exposed
+
+
+def test_logarithms_of_misses_follow_their_definition() -> None:
+    generator = np.random.default_rng(0)
+    observed, expected = generator.standard_normal((9, 4)), generator.standard_normal((9, 3))
+    observed[:, 2] = expected[:, 1]
+    misses = _log_misses(observed, expected)
+    for k, j in np.ndindex(4, 3):
+        square = ((observed[:, k] - expected[:, j]) ** 2).sum() / (observed[:, k] ** 2).sum()
+        assert misses[k, j] == pytest.approx(np.log(max(square, 1e-10)), abs=0.01) or square < 1e-9
+    assert misses[2, 1] < -15
+    assert np.isfinite(_log_misses(0 * observed, expected)).all()
+
+
+def test_places_are_scored_by_the_pixels_that_follow_the_rows() -> None:
+    """The explained share is that of the best single pixel, at the place of the change."""
+    count = 32
+    patterns = BernoulliPatterns((4, 5), count, seed=2)
+    frames = np.arange(count)
+    shown = normalized_columns(patterns, np.arange(20))
+    late = np.append(frames[1:], -1)
+    # Three rows see one pixel each; from frame 16 on, each frame shows the next pattern.
+    order = np.where(frames < 16, frames, late)
+    light = (shown[order][:, [3, 9, 17]].T * (order >= 0)).astype(np.float32)
+    hypotheses = _hypotheses(count, False)
+    values = [np.where(each.order >= 0, light, 0).astype(np.float32) for each in hypotheses]
+    parts = [(start, start + 8) for start in range(0, count, 8)]
+    scores = _scan(patterns, hypotheses, values, parts)
+    assert [len(each) for each in scores] == [9, 9, 9, 9]
+    # Places are: all displaced, displaced from the parts 1, 2, 3 on or not at all, up to 1, 2, ...
+    assert int(scores[1].argmax()) == 2
+    assert scores[1].max() > 2 * max(scores[0].max(), scores[2].max(), scores[3].max())
+    assert np.isneginf(scores[3][1:]).all()
