@@ -77,6 +77,12 @@ from .live.rig import (
 )
 
 # Geometry of a rig.
+from .calibration.rig.calibrate import (
+    BoardPose as BoardPose,
+    RigCalibration as RigCalibration,
+    calibrate_rig as calibrate_rig,
+)
+from .calibration.rig.self_calibration import self_calibrate as self_calibrate
 from .geometry.rig_geometry import RigGeometry as RigGeometry
 
 # What is wrong with a capture.

@@ -15,6 +15,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 import lightmatrix as lm
+from lightmatrix.cli.calibrate import calibrate
 from lightmatrix.cli.capture import capture
 from lightmatrix.cli.check import check
 from lightmatrix.cli.claims import outputs
@@ -48,7 +49,7 @@ COMPLETION = "_LIGHTMATRIX_COMPLETE"
 # Commands by stage of the work.
 STAGES: dict[str, tuple[Callable[..., None], ...]] = {
     "Prepare": (plan, patterns),
-    "Photograph": (capture, response),
+    "Photograph": (capture, response, calibrate),
     "Measure and use": (
         check,
         pack,

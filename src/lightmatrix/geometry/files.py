@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.errors import InputError, MissingExtraError
+from lightmatrix.errors import InputError
 from lightmatrix.files.json_files import parse_json, read_json
+from lightmatrix.files.opencv import load_opencv
 from lightmatrix.files.reading import read_text
 from lightmatrix.outputs.kinds import GEOMETRY, GEOMETRY_FORMAT
 from lightmatrix.outputs.writing import atomic_file
@@ -134,13 +135,7 @@ def _array(value: Any) -> NDArray[Any] | None:
 
 def _opencv_values(file: Path, text: str) -> dict[str, NDArray[Any] | None]:
     """All matrices and numbers at the top of a file of OpenCV's FileStorage."""
-    try:
-        import cv2
-    except ImportError as error:
-        raise MissingExtraError(
-            f"{file}: files of OpenCV need OpenCV",
-            hint="install it with `pip install 'lightmatrix[shape]'`",
-        ) from error
+    cv2 = load_opencv(f"{file}: a file of OpenCV", "shape")
     values: dict[str, NDArray[Any] | None] = {}
     try:
         storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)

@@ -20,6 +20,8 @@ Array = NDArray[np.float64]
 # Newton's steps of `undistort`. Each doubles the correct digits, so that strong distortions
 # converge in about six.
 _STEPS = 12
+# They end when no point moves further than this, which the next step would not change.
+_STEP = 1e-9
 # A point is undistorted if the lens leads back to within this distance, on the plane of distance 1:
 # a thousandth of a pixel at a focal length of 10,000 pixels.
 _TOLERANCE = 1e-7
@@ -46,10 +48,10 @@ def undistort(points: NDArray[np.float64], lens: NDArray[np.float64]) -> NDArray
             seen, (xx, xy, yx, yy) = _seen(ideal, lens)
             dx, dy = (points - seen).T
             determinant = xx * yy - xy * yx
-            ideal = (
-                ideal
-                + np.column_stack([yy * dx - xy * dy, xx * dy - yx * dx]) / (determinant[:, None])
-            )
+            step = np.column_stack([yy * dx - xy * dy, xx * dy - yx * dx]) / determinant[:, None]
+            ideal = ideal + step
+            if not (np.abs(step) > _STEP).any():
+                break
         error, (xx, xy, yx, yy) = _seen(ideal, lens)
         # Where the determinant is negative, the lens has folded the image over.
         good = np.abs(error - points).max(axis=1) < _TOLERANCE

@@ -7,14 +7,13 @@ to a common factor, because a pixel's light grows with the exposure.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import isotonic_regression
 
 from lightmatrix.calibration.responses.pixel_series import TOP, PixelSeries
-from lightmatrix.errors import MissingExtraError
+from lightmatrix.files.opencv import load_opencv
 
 METHODS = ("debevec", "robertson")
 # Weight of the smoothness of Debevec's curve. tests/calibration/test_responses.py and
@@ -92,7 +91,7 @@ def nearest_gamma(curve: NDArray[np.float64], series: PixelSeries) -> float:
 
 
 def _debevec(series: PixelSeries) -> NDArray[np.float64]:
-    cv2 = _opencv()
+    cv2 = load_opencv("measuring a camera's response", "response")
     side = min(_SIDE, int(np.sqrt(_EQUATIONS / len(series.exposures))))
     some = series.some(side * side)
     # OpenCV takes its samples from a grid over the image; here the grid is the whole image.
@@ -103,21 +102,10 @@ def _debevec(series: PixelSeries) -> NDArray[np.float64]:
 
 
 def _robertson(series: PixelSeries) -> NDArray[np.float64]:
-    cv2 = _opencv()
+    cv2 = load_opencv("measuring a camera's response", "response")
     some = series.some(_PIXELS)
     # OpenCV's implementation needs images of three channels.
     images = [np.repeat(row[None, :, None], 3, axis=2) for row in some.values]
     calibrate = cv2.createCalibrateRobertson(_ITERATIONS, _TOLERANCE)
     curve = calibrate.process(images, some.exposures.astype(np.float32))
     return np.asarray(curve, np.float64).reshape(TOP + 1, 3)[:, 0]
-
-
-def _opencv() -> Any:
-    try:
-        import cv2
-    except ImportError as error:
-        raise MissingExtraError(
-            "measuring a camera's response needs OpenCV",
-            hint='install the extra: pip install "lightmatrix[response]"',
-        ) from error
-    return cv2

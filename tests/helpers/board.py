@@ -1,0 +1,80 @@
+"""Simulated captures of a chessboard in several poses, by a rig whose geometry is known."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+from scipy.spatial.transform import Rotation
+
+import lightmatrix as lm
+
+BOARD, SQUARE = (7, 5), 25.0
+# Turns about x, y and z in degrees, and the place of the board's middle.
+POSES = (
+    ((30, 0, -10), (-20, 10, 880)),
+    ((-28, 8, 3), (15, -10, 920)),
+    ((5, 32, 0), (10, 5, 900)),
+    ((-8, -30, 15), (-10, 0, 890)),
+)
+# Grid of points in a camera pixel that are averaged.
+_FINE = 3
+
+
+def board_rig() -> lm.RigGeometry:
+    """A small rig with distortion, whose camera and projector overlap 900 units away."""
+    turn = Rotation.from_euler("yx", [12, -2], degrees=True).as_matrix()
+    return lm.RigGeometry.from_intrinsics(
+        np.array([[570.0, 0, 124], [0, 573, 88], [0, 0, 1]]),
+        np.array([[480.0, 0, 96], [0, 478, 76], [0, 0, 1]]),
+        turn,
+        turn @ np.array([190.0, 8, 15]) * -1,
+        (180, 240),
+        (144, 192),
+        camera_distortion=[-0.2, 0.15],
+        projector_distortion=[-0.1],
+        units="mm",
+    )
+
+
+def board_capture(
+    rig: lm.RigGeometry,
+    pose: tuple[Sequence[float], Sequence[float]],
+    patterns: lm.PatternSet,
+    *,
+    noise: float = 0.004,
+    squares: bool = True,
+) -> lm.SimulatedCapture:
+    """8-bit photographs of the board, or of a blank sheet, under patterns."""
+    angles, middle = pose
+    turn = Rotation.from_euler("xyz", angles, degrees=True).as_matrix()
+    rows, cols = rig.camera_shape
+    side = (np.arange(_FINE) + 0.5) / _FINE - 0.5
+    row, col, down, across = np.meshgrid(
+        np.arange(rows), np.arange(cols), side, side, indexing="ij"
+    )
+    rays = rig.camera_rays(np.column_stack([(col + across).ravel(), (row + down).ravel()]))
+    # The plane through the middle, at right angles to the third axis of the turn.
+    depth = (turn[:, 2] @ np.array(middle)) / (rays @ turn[:, 2])
+    points = depth[:, None] * rays
+    place = (points - np.array(middle)) @ turn[:, :2] / SQUARE
+    light = _albedo(place, squares) / _FINE**2
+    lit = np.rint(rig.project_projector(points))
+    inside = ((lit >= 0) & (lit < rig.projector_shape[::-1])).all(axis=1)
+    column = (lit[inside, 1] * rig.projector_shape[1] + lit[inside, 0]).astype(np.int32)
+    row_of = np.repeat(np.arange(rows * cols), _FINE**2)[inside]
+    size = (rows * cols, rig.projector_shape[0] * rig.projector_shape[1])
+    matrix = csr_array((light[inside].astype(np.float32), (row_of, column)), shape=size)
+    truth = lm.Truth(matrix, matrix.data, rig.camera_shape, rig.projector_shape)
+    return lm.simulate(truth, patterns, exposure=1.0, noise=noise)
+
+
+def _albedo(place: NDArray[np.float64], squares: bool) -> NDArray[np.float64]:
+    """Reflectance of places (n, 2) in squares from the middle: dark squares on light paper."""
+    across, down = BOARD
+    cell = np.floor(place + np.array([across + 1, down + 1]) / 2)
+    on = (cell >= 0).all(axis=1) & (cell[:, 0] <= across) & (cell[:, 1] <= down)
+    dark = on & (cell.sum(axis=1) % 2 == 0)
+    return np.where(dark & squares, 0.15, 0.8)
