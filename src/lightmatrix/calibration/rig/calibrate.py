@@ -53,6 +53,12 @@ class BoardPose:
     rms_camera, rms_projector : float
         Root mean square of the distances of corners that count from where the geometry puts them,
         in pixels.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> measured = lm.calibrate_rig(["pose_0", "pose_1", "pose_2"])  # doctest: +SKIP
+    >>> {pose.name: pose.rms_projector for pose in measured.poses}  # doctest: +SKIP
     """
 
     name: str
