@@ -27,8 +27,10 @@ from lightmatrix.live.measurements.rig_measurements import PARTS
 from lightmatrix.live.rig import USUAL_PATIENCE
 from lightmatrix.patterns import making, mix
 from lightmatrix.planning.plan import USUAL_SIZE
+from lightmatrix.resources.memory import memory_bytes
 from lightmatrix.simulation.library import DEFAULT_SAMPLES
 from lightmatrix.simulation.procedural_scene import ProceduralScene
+from lightmatrix.viewer.scene import PAGE_BYTES
 
 
 @pytest.fixture(scope="module")
@@ -558,6 +560,7 @@ def test_defaults_in_help_texts_are_those_of_the_code() -> None:
     assert options.USUAL_FRAMES == capturing.USUAL_COUNT
     assert options.USUAL_REFERENCE == capture_settings.USUAL_REFERENCE
     assert options.RIG_FILE == capturing.RIG_FILE
+    assert memory_bytes(options.USUAL_PAGE_MEMORY) == PAGE_BYTES
     assert options.USUAL_PATIENCE == USUAL_PATIENCE
     assert options.USUAL_SAMPLES == DEFAULT_SAMPLES
     assert options.EXPOSURES_EXAMPLE == EXPOSURES_EXAMPLE

@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -84,6 +85,10 @@ def settle(page: Page) -> None:
     """Wait for the frame that shows the last change."""
     frames = "new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))"
     page.evaluate(frames)
+    end = time.monotonic() + PATIENCE_MS / 1000
+    while page.evaluate(f"{VIEWER}.matrix.busy"):
+        assert time.monotonic() < end, "the server has not answered"
+        page.wait_for_timeout(10)
 
 
 def numbers(page: Page, expression: str, dtype: Any = np.float64) -> NDArray[Any]:

@@ -21,8 +21,7 @@ from browser import installed, opened
 import lightmatrix as lm
 from lightmatrix.cli import main
 from lightmatrix.viewer import export as export_module
-from lightmatrix.viewer import scene as scene_module
-from tests.viewer import running
+from tests.viewer import hostile, running
 from tests.viewer.running import shown
 
 pytest.importorskip("uvicorn")
@@ -176,6 +175,16 @@ def test_hostile_requests_change_nothing(server: running.Server) -> None:
     assert process.memory_info().rss - before < GROWTH
 
 
+def test_hostile_messages_change_nothing(store: Path) -> None:
+    with running.served(store, "--page-memory", "0MiB") as server:
+        # `python -m tests.viewer.hostile` sends 10,000.
+        answered, refused, growth = hostile.attack(server, MUTATIONS // 5)
+        assert min(answered, refused) > MUTATIONS / 100
+        assert growth < GROWTH
+        assert ask(server, f"/{server.token}/").status == 200
+        assert server.stop() == 130
+
+
 @pytest.mark.skipif(not installed(), reason="no Chromium is installed")
 def test_a_page_of_another_site_cannot_connect(server: running.Server, tmp_path: Path) -> None:
     """Even one that knows the token: neither by requests, nor by sockets, nor in a frame."""
@@ -265,16 +274,13 @@ def test_a_port_in_use_is_refused(store: Path, capsys: pytest.CaptureFixture[str
     assert main(["view", str(store), "--port", "80", "--export", "page.html"]) == 2
 
 
-def test_matrices_that_are_too_large_are_refused(
+def test_matrices_that_are_too_large_for_one_file_are_refused(
     store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(export_module, "_MOST_BYTES", 1 << 10)
     with pytest.raises(lm.InputError, match="MiB in a page"):
         lm.export_viewer(tmp_path / "page.html", store)
     assert not list(tmp_path.iterdir())
-    monkeypatch.setattr(scene_module, "MOST_BYTES", 1 << 10)
-    with pytest.raises(lm.InputError, match="in the browser"):
-        lm.serve_viewer(store)
 
 
 def test_the_command_writes_the_page_of_the_function(store: Path, tmp_path: Path) -> None:

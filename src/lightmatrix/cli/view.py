@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
+from functools import cache
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 import lightmatrix as lm
-from lightmatrix.cli.options import Overwrite, Store
-from lightmatrix.cli.terminal import say
+from lightmatrix.cli.options import USUAL_PAGE_MEMORY, Overwrite, Store
+from lightmatrix.cli.terminal import progress, say
 from lightmatrix.errors import InputError
+from lightmatrix.resources.memory import memory_bytes
 
 
 def view(
@@ -27,6 +30,13 @@ def view(
     browser: Annotated[
         bool, typer.Option("--browser/--no-browser", help="Open the page in the browser.")
     ] = True,
+    page_memory: Annotated[
+        str,
+        typer.Option(
+            help="Largest matrix that the page itself holds, such as 512MiB. Larger ones stay on "
+            "disk, with an index of their columns, which is made if it is missing."
+        ),
+    ] = USUAL_PAGE_MEMORY,
     overwrite: Overwrite = False,
 ) -> None:
     """Paint with light: show T in the browser.
@@ -40,6 +50,22 @@ def view(
         lm.export_viewer(export, scene, overwrite=overwrite)
         say(f"{export}: open it in a browser")
         return
-    lm.serve_viewer(
-        scene, port=port, browser=browser, ready=lambda address: say(f"{address}\nCtrl-C ends it")
-    )
+    shown = ExitStack()
+
+    @cache
+    def bar() -> Any:
+        return shown.enter_context(progress(f"indexing the columns of {scene.name}", "entries"))
+
+    def ready(address: str) -> None:
+        shown.close()
+        say(f"{address}\nCtrl-C ends it")
+
+    with shown:
+        lm.serve_viewer(
+            scene,
+            port=port,
+            browser=browser,
+            ready=ready,
+            page_bytes=memory_bytes(page_memory),
+            progress=lambda *step: bar()(*step),
+        )

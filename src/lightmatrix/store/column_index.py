@@ -8,9 +8,10 @@ also keeps the background, cell by cell.
 from __future__ import annotations
 
 import itertools
+import math
 import os
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -64,7 +65,12 @@ _CELL_BYTES = 1 << 26
 _REMEDY = "make it again with index_columns"
 
 
-def index_columns(path: str | Path, *, overwrite: bool = False) -> None:
+def index_columns(
+    path: str | Path,
+    *,
+    overwrite: bool = False,
+    progress: Callable[[int, int], None] | None = None,
+) -> None:
     """Add an index of its columns to a matrix on disk.
 
     The index takes about as much disk space as the matrix, and at most 1.5 GB of memory.
@@ -75,6 +81,8 @@ def index_columns(path: str | Path, *, overwrite: bool = False) -> None:
         A .zarr folder from `estimate` or `save`.
     overwrite : bool
         Whether an index that exists already is made again.
+    progress : callable, optional
+        Called with (done, total) entries; each is read twice or more often.
 
     Raises
     ------
@@ -102,7 +110,7 @@ def index_columns(path: str | Path, *, overwrite: bool = False) -> None:
         part = target / _PART
         shutil.rmtree(part, ignore_errors=True)
         try:
-            _write(part, matrix)
+            _write(part, matrix, progress or (lambda done, total: None))
             shutil.rmtree(target / COLUMNS, ignore_errors=True)
             os.rename(part, target / COLUMNS)
         finally:
@@ -135,12 +143,16 @@ def tile_places(pixels: NDArray[np.integer], projector_shape: tuple[int, int]) -
     return top * cols + left * height + (row - top) * width + col - left
 
 
-def _write(part: Path, matrix: StoredTransport) -> None:
+def _write(part: Path, matrix: StoredTransport, progress: Callable[[int, int], None]) -> None:
     pixels = matrix.shape[1]
     places = tile_places(np.arange(pixels), matrix.projector_shape)
     counts = np.zeros(pixels, np.int64)
+    # One reading to count, and one for each pass.
+    done, total = 0, matrix.entries * (1 + max(1, math.ceil(matrix.entries / _PASS_ENTRIES)))
     for _, block in matrix.blocks():
         counts += np.bincount(places[block.coefficients.indices], minlength=pixels)
+        done += block.coefficients.nnz
+        progress(done, total)
     ends = np.concatenate([[0], np.cumsum(counts)])
     group = zarr.open_group(part, mode="w", zarr_format=3)
     arrays = {
@@ -156,6 +168,8 @@ def _write(part: Path, matrix: StoredTransport) -> None:
             columns.append(column[inside].astype(np.int32))
             rows.append((start + entries.row[inside]).astype(np.int32))
             data.append(entries.data[inside])
+            done += entries.nnz
+            progress(min(done, total), total)
         order = np.argsort(np.concatenate(columns), kind="stable")
         arrays["rows"].add(np.concatenate(rows)[order])
         arrays["data"].add(np.concatenate(data)[order])

@@ -9,6 +9,7 @@ from typing import Any
 
 from lightmatrix.errors import LightMatrixError
 from lightmatrix.viewer.guard import Guard
+from lightmatrix.viewer.messages import MessageError
 from lightmatrix.viewer.page_files import STYLE, frame, module_names, page_file
 from lightmatrix.viewer.scene import Scene
 
@@ -49,7 +50,7 @@ class Answers:
             "": ("text/html; charset=utf-8", lambda: frame(scene.title).encode()),
             STYLE: ("text/css; charset=utf-8", lambda: page_file(STYLE).encode()),
             "scene.bin": (_BINARY, lambda: scene.description),
-            "matrix.bin": (_BINARY, lambda: scene.matrix),
+            "matrix.bin": (_BINARY, lambda: scene.matrix_bytes),
         }
         if path in module_names():
             files[path] = ("text/javascript; charset=utf-8", lambda: page_file(path).encode())
@@ -84,13 +85,42 @@ class Answers:
         try:
             await send({"type": "websocket.accept"})
             watching = asyncio.create_task(self._watch(send))
-            # The page has nothing to say: whoever sends a message is not the page.
-            if (await receive())["type"] == "websocket.receive":
-                await send({"type": "websocket.close", "code": _VIOLATION})
+            await self._converse(receive, send)
+        except OSError:
+            # The window was closed while it was being answered.
+            return
         finally:
             self._sockets -= 1
             if watching is not None:
                 watching.cancel()
+
+    async def _converse(self, receive: Receive, send: Send) -> None:
+        """Answer the messages of a window, and meanwhile send what it lacks."""
+        session = await asyncio.to_thread(self._scene.session)
+        coming = asyncio.ensure_future(receive())
+        try:
+            while True:
+                # A message goes first: it may make the rest superfluous.
+                await asyncio.sleep(0)
+                if session.unfinished and not coming.done():
+                    part = await asyncio.to_thread(session.finish)
+                    if part is not None:
+                        await send({"type": "websocket.send", "bytes": part})
+                    continue
+                event = await coming
+                if event["type"] != "websocket.receive":
+                    return
+                coming = asyncio.ensure_future(receive())
+                try:
+                    parts = await asyncio.to_thread(session.answer, event.get("bytes"))
+                except MessageError:
+                    # Whoever sends this is not the page.
+                    await send({"type": "websocket.close", "code": _VIOLATION})
+                    return
+                for part in parts:
+                    await send({"type": "websocket.send", "bytes": part})
+        finally:
+            coming.cancel()
 
     async def _watch(self, send: Send) -> None:
         """Tell the page what becomes of the store."""

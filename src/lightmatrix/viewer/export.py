@@ -9,9 +9,8 @@ from lightmatrix.errors import InputError
 from lightmatrix.outputs.kinds import PAGE
 from lightmatrix.outputs.writing import atomic_file, check_output
 from lightmatrix.transport.matrix import LightTransport
-from lightmatrix.viewer.layers import available_layers
 from lightmatrix.viewer.page_files import frame
-from lightmatrix.viewer.scene import Scene
+from lightmatrix.viewer.scene import Scene, opened, page_size
 
 # The largest matrix that goes into a page. As text it takes a third more, which can still be mailed
 # and which a phone can still open.
@@ -48,15 +47,17 @@ def export_viewer(
     >>> lm.export_viewer("metal.html", lm.truth("metal").transport())
     """
     check_output(path, PAGE, overwrite=overwrite)
-    scene = Scene(transport)
-    if scene.size > _MOST_BYTES:
+    matrix = opened(transport, _MOST_BYTES)
+    name = Path(transport).name if isinstance(transport, str | Path) else "the matrix"
+    if page_size(matrix) > _MOST_BYTES:
         raise InputError(
-            f"{scene.title}: takes {scene.size / 2**20:.0f} MiB in a page",
+            f"{name}: takes {page_size(matrix) / 2**20:.0f} MiB in a page",
             hint=f"at most {_MOST_BYTES >> 20} MiB fit: view it without --export, crop it with "
             "LightTransport.crop, or estimate it with --bin-projector or --bin-camera",
         )
-    parts = {"scene": scene.description, "matrix": scene.matrix}
-    parts |= {f"layer-{name}": scene.layer(name) for name in available_layers(scene.transport)}
+    scene = Scene(transport)
+    parts = {"scene": scene.description, "matrix": scene.matrix_bytes}
+    parts |= {f"layer-{name}": scene.layer(name) for name in scene.layers}
     data = {name: base64.b64encode(part).decode() for name, part in parts.items()}
     with atomic_file(path, PAGE, overwrite=overwrite) as part:
         part.write_text(frame(scene.title, data), encoding="utf-8")

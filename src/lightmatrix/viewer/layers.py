@@ -2,40 +2,123 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lightmatrix.errors import InputError
 from lightmatrix.pictures import maps
-from lightmatrix.transport.correspondence import correspondence
+from lightmatrix.transport.correspondence import Correspondence, correspondence
 from lightmatrix.transport.matrix import LightTransport
+from lightmatrix.viewer.lights import Light
 from lightmatrix.viewer.matrix_data import white_level
 from lightmatrix.viewer.packed import packed
 
 # Colours of a scale that are sent. A map with fewer would show bands.
 _COLOURS = 256
+# Rows of T whose correspondences are found at a time, of a matrix on disk.
+_ROWS = 1 << 16
+
+
+class LayerSource:
+    """The layers of a matrix, each computed when it is first asked for.
+
+    Parameters
+    ----------
+    matrix : LightTransport or Light
+        T.
+    """
+
+    # The colour scales that the page itself uses.
+    colours: dict[str, NDArray[np.uint8]]
+
+    def __init__(self, matrix: LightTransport | Light) -> None:
+        self.matrix = matrix
+        self.facts = matrix if isinstance(matrix, LightTransport) else matrix.facts()
+        self.colours = {"false": colour_scale("viridis"), "faint": colour_scale("inferno")}
+        self._lock = threading.Lock()
+        self._made: dict[str, bytes] = {}
+
+    @cached_property
+    def available(self) -> dict[str, dict[str, str]]:
+        """The layers by name: title and side, "camera" or "projector"."""
+        return {
+            name: {"title": layer.title, "side": layer.side}
+            for name, layer in LAYERS.items()
+            if layer.exists(self)
+        }
+
+    def get(self, name: str) -> bytes:
+        """A layer.
+
+        Raises
+        ------
+        InputError
+            If there is none of this name.
+        """
+        if name not in self.available:
+            raise InputError(f"there is no layer {name!r}", hint="choose one of the list")
+        with self._lock:
+            if name not in self._made:
+                self._made[name] = LAYERS[name].make(self)
+            return self._made[name]
+
+    @cached_property
+    def correspondence(self) -> Correspondence:
+        """The projector pixel that each camera pixel sees most."""
+        if isinstance(self.matrix, LightTransport):
+            return correspondence(self.matrix)
+        light, matrix = self.matrix, self.matrix.matrix
+        step, parts = _ROWS * light.channels, []
+        for start in range(0, matrix.shape[0], step):
+            with light.lock:
+                rows = light.rows(start, min(start + step, matrix.shape[0]))
+            shape = (rows.count // light.channels, 1, *matrix.camera_shape[2:])
+            grid = matrix.background_grid
+            part = LightTransport(
+                rows.coefficients, rows.background, shape, matrix.projector_shape, grid
+            )
+            parts.append(correspondence(part))
+        size = matrix.camera_shape[:2]
+        pixel, place, confidence = (
+            np.concatenate([getattr(part, name) for part in parts]).reshape(*size, *rest)
+            for name, rest in (("pixel", (2,)), ("place", (2,)), ("confidence", ()))
+        )
+        return Correspondence(pixel, place, confidence)
+
+    def dual_image(self) -> NDArray[np.float32]:
+        """The scene seen from the projector, lit evenly from the camera."""
+        if isinstance(self.matrix, LightTransport):
+            return self.matrix.dual_image()
+        light, matrix = self.matrix, self.matrix.matrix
+        samples = np.arange(matrix.shape[0]) % light.channels
+        image = np.zeros((matrix.shape[1], light.channels))
+        blocks = light.blocks()
+        while True:
+            with light.lock:
+                start, block = next(blocks, (0, None))
+            if block is None:
+                break
+            lights = np.eye(light.channels)[samples[start : start + block.count]]
+            image += block.coefficients.T @ lights
+            image += matrix.pooling.T @ (block.background.T @ lights)
+        shape = (*matrix.projector_shape, *matrix.camera_shape[2:])
+        return image.reshape(shape).astype(np.float32)
 
 
 @dataclass(frozen=True)
 class Layer:
-    """What a layer shows, for which side, and the diagnostic that it is made from, if any."""
+    """What a layer shows, for which side, and whether a matrix has it."""
 
     title: str
     side: str
-    make: Callable[[LightTransport], bytes]
-    diagnostic: str = ""
-
-
-def available_layers(transport: LightTransport) -> dict[str, dict[str, str]]:
-    """The layers that a matrix has, by name: title and side, "camera" or "projector"."""
-    return {
-        name: {"title": layer.title, "side": layer.side}
-        for name, layer in LAYERS.items()
-        if not layer.diagnostic or maps.has_diagnostic(transport, layer.diagnostic)
-    }
+    make: Callable[[LayerSource], bytes]
+    exists: Callable[[LayerSource], bool] = lambda source: True
 
 
 def colour_scale(name: str) -> NDArray[np.uint8]:
@@ -44,42 +127,46 @@ def colour_scale(name: str) -> NDArray[np.uint8]:
     return np.asarray(shown(np.linspace(0, 1, _COLOURS), bytes=True))[:, :3]
 
 
-def _map(make: Callable[[LightTransport], maps.Map]) -> Callable[[LightTransport], bytes]:
-    def layer(transport: LightTransport) -> bytes:
-        shown = make(transport)
-        colours = np.asarray(shown.colour_map(np.linspace(0, 1, _COLOURS), bytes=True))
-        header: dict[str, Any] = {
-            "title": shown.title,
-            "label": shown.label,
-            "low": shown.low,
-            "high": shown.high,
-            "logarithmic": shown.logarithmic,
-        }
-        values = shown.values.astype(np.float32)
-        return packed(header, {"values": values, "colours": colours[:, :3]})
-
-    return layer
+def packed_map(shown: maps.Map) -> bytes:
+    """A map with its colours."""
+    colours = np.asarray(shown.colour_map(np.linspace(0, 1, _COLOURS), bytes=True))
+    header: dict[str, Any] = {
+        "title": shown.title,
+        "label": shown.label,
+        "low": shown.low,
+        "high": shown.high,
+        "logarithmic": shown.logarithmic,
+    }
+    values = shown.values.astype(np.float32)
+    return packed(header, {"values": values, "colours": colours[:, :3]})
 
 
-def _dual(transport: LightTransport) -> bytes:
-    image = transport.dual_image()
+def _dual(source: LayerSource) -> bytes:
+    image = source.dual_image()
     header = {"title": "Dual image: seen from the projector", "white": white_level(image)}
     return packed(header, {"values": image})
 
 
-def _places(which: int) -> Callable[[LightTransport], maps.Map]:
-    return lambda transport: maps.correspondence_maps(correspondence(transport))[which]
+def _places(which: int) -> Callable[[LayerSource], bytes]:
+    return lambda source: packed_map(maps.correspondence_maps(source.correspondence)[which])
+
+
+def _diagnostic(title: str, make: Callable[[LightTransport], maps.Map], name: str) -> Layer:
+    return Layer(
+        title,
+        "camera",
+        lambda source: packed_map(make(source.facts)),
+        lambda source: maps.has_diagnostic(source.facts, name),
+    )
 
 
 LAYERS = {
     "dual": Layer("Dual image", "projector", _dual),
-    "row": Layer("Correspondence: row", "camera", _map(_places(0))),
-    "column": Layer("Correspondence: column", "camera", _map(_places(1))),
-    "confidence": Layer("Correspondence: confidence", "camera", _map(_places(2))),
-    "clipping": Layer("Clipped samples", "camera", _map(maps.clipping_map), "clipped_share"),
-    "estimated-error": Layer(
-        "Stated error", "camera", _map(maps.estimated_error_map), "estimated_error"
-    ),
-    "footprint": Layer("Footprint size", "camera", _map(maps.footprint_map), "footprint"),
-    "gap": Layer("Duality gap", "camera", _map(maps.gap_map), "gap"),
+    "row": Layer("Correspondence: row", "camera", _places(0)),
+    "column": Layer("Correspondence: column", "camera", _places(1)),
+    "confidence": Layer("Correspondence: confidence", "camera", _places(2)),
+    "clipping": _diagnostic("Clipped samples", maps.clipping_map, "clipped_share"),
+    "stated-error": _diagnostic("Estimated error", maps.estimated_error_map, "estimated_error"),
+    "footprint": _diagnostic("Footprint size", maps.footprint_map, "footprint"),
+    "gap": _diagnostic("Duality gap", maps.gap_map, "gap"),
 }

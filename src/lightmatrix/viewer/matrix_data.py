@@ -10,10 +10,8 @@ from scipy.sparse import csc_array
 
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.viewer.packed import packed
+from lightmatrix.viewer.tiles import halves
 
-# The largest number in half precision is 65504. The largest entry becomes this one, so that entries
-# a thousand million times weaker still have all 11 bits.
-_TOP = 60000.0
 # Row indices below this number take two bytes.
 _SHORT_ROWS = 1 << 16
 # The page begins with an exposure that shows this share of the pixels of the white image as white.
@@ -36,8 +34,8 @@ def matrix_data(transport: LightTransport) -> bytes:
     by_columns = csc_array(transport.sparse)
     by_columns.sort_indices()
     short = transport.shape[0] <= _SHORT_ROWS
-    values, value_scale = _halves(by_columns.data)
-    background, background_scale = _halves(transport.background.T)
+    values, value_scale = halves(by_columns.data)
+    background, background_scale = halves(transport.background.T)
     header = {
         "value_scale": value_scale,
         "background_scale": background_scale,
@@ -56,10 +54,3 @@ def white_level(image: NDArray[Any]) -> float:
     """The light that is shown as white: that of all but the brightest pixels."""
     level = float(np.quantile(image, 1 - _GLINTS))
     return level if level > 0 else 1.0
-
-
-def _halves(values: NDArray[np.float32]) -> tuple[NDArray[np.float16], float]:
-    """Values in half precision and the factor that they must be multiplied by."""
-    largest = float(np.abs(values).max(initial=0))
-    scale = largest / _TOP if largest > 0 else 1.0
-    return (values / np.float32(scale)).astype(np.float16), scale

@@ -13,10 +13,9 @@ from lightmatrix.errors import InputError, MissingExtraError, OutputError
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.viewer.answers import MOST_SOCKETS, Answers
 from lightmatrix.viewer.guard import LOOPBACK, Guard
-from lightmatrix.viewer.scene import Scene
+from lightmatrix.viewer.lights import Progress
+from lightmatrix.viewer.scene import PAGE_BYTES, Scene
 
-# The longest message of a page in bytes; longer ones close the connection.
-_MOST_MESSAGE = 1 << 16
 # Requests at once: those of all windows while they load, and as many again.
 _MOST_REQUESTS = 8 * MOST_SOCKETS
 # Seconds that open pages have to say goodbye after Ctrl-C.
@@ -30,6 +29,8 @@ def serve_viewer(
     port: int = 0,
     browser: bool = True,
     ready: Callable[[str], None] | None = None,
+    page_bytes: int = PAGE_BYTES,
+    progress: Progress | None = None,
 ) -> None:
     """Show a light transport matrix in the browser, and serve the page until Ctrl-C.
 
@@ -46,13 +47,20 @@ def serve_viewer(
         Whether to open the page in the browser.
     ready : callable, optional
         Called with the address of the page when it can be opened.
+    page_bytes : int
+        The largest matrix that is sent to the page, which then relights it: 4 bytes an entry, or 6.
+        This process relights a larger one, and reads it from disk if it is a store. A store without
+        an index of its columns gets one, which takes about as much disk space as the store.
+    progress : callable, optional
+        Called with (done, total, note) while the index is made; the note says how much disk space
+        it takes.
 
     Raises
     ------
     InputError
         If there is no such matrix, or the port is none.
     OutputError
-        If the port is in use.
+        If the port is in use, or the index cannot be written.
     MissingExtraError
         If the extra ``viewer`` is not installed.
     KeyboardInterrupt
@@ -66,7 +74,7 @@ def serve_viewer(
     uvicorn = _library()
     if not 0 <= port <= _HIGHEST_PORT:
         raise InputError(f"port {port}", hint=f"use 0 (any free one) to {_HIGHEST_PORT}")
-    scene = Scene(transport)
+    scene = Scene(transport, page_bytes=page_bytes, progress=progress)
     with _bound(port) as listening:
         guard = Guard(listening.getsockname()[1])
         # The socket listens already, so that whoever opens the page now is answered.
@@ -75,10 +83,12 @@ def serve_viewer(
         if browser:
             # A browser in the terminal would not return before it is closed.
             threading.Thread(target=webbrowser.open, args=(guard.address,), daemon=True).start()
-        uvicorn.Server(_config(uvicorn, Answers(scene, guard))).run(sockets=[listening])
+        uvicorn.Server(_config(uvicorn, Answers(scene, guard), scene.most_message)).run(
+            sockets=[listening]
+        )
 
 
-def _config(uvicorn: Any, answers: Answers) -> Any:
+def _config(uvicorn: Any, answers: Answers, most_message: int) -> Any:
     return uvicorn.Config(
         answers,
         lifespan="off",
@@ -87,7 +97,7 @@ def _config(uvicorn: Any, answers: Answers) -> Any:
         server_header=False,
         proxy_headers=False,
         ws="websockets-sansio",
-        ws_max_size=_MOST_MESSAGE,
+        ws_max_size=most_message,
         ws_per_message_deflate=False,
         limit_concurrency=_MOST_REQUESTS,
         timeout_graceful_shutdown=_GOODBYE_SECONDS,

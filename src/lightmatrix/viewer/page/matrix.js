@@ -93,7 +93,7 @@ export class Matrix {
 }
 
 /** The cell of the background's grid that each projector pixel lies in. */
-export function gridCells([rows, cols], [down, across]) {
+function gridCells([rows, cols], [down, across]) {
   const cells = new Uint32Array(rows * cols);
   for (let row = 0, k = 0; row < rows; row++) {
     for (let col = 0; col < cols; col++, k++) {

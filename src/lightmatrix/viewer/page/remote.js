@@ -1,10 +1,9 @@
 // T that is too large for the page: Python relights it, and sends the parts that changed.
 
 import { KIND } from "./line.js";
-import { gridCells } from "./matrix.js";
 import { halves } from "./packed.js";
 
-const HALVES = halves(1);
+const HALF = halves(1);
 
 /** T in Python, with the same methods as Matrix; what they find comes later. */
 export class RemoteMatrix {
@@ -27,9 +26,6 @@ export class RemoteMatrix {
     this.projector = scene.projector;
     this.photograph = new Float32Array(scene.camera.reduce((product, size) => product * size));
     this.lit = new Uint8Array(scene.projector[0] * scene.projector[1]);
-    this.cellOf = gridCells(scene.projector, scene.grid);
-    this.cellSize = new Float64Array(scene.grid[0] * scene.grid[1]);
-    for (const cell of this.cellOf) this.cellSize[cell] += 1;
     line.onpart = (header, arrays) => this.#receive(header, arrays);
   }
 
@@ -78,7 +74,7 @@ export class RemoteMatrix {
       this.#finishing = false;
       this.onerror(header.message);
     } else if (header.kind === "coarse") this.#spread(header, arrays.values);
-    else this.#place(this.photograph, header, arrays.values);
+    else placeTiles(this.photograph, this.camera[1], this.channels, header, arrays.values);
     if (header.kind === "tiles") this.#finishing = header.more;
     let time = null;
     if (this.#sent?.number === header.answers) {
@@ -89,25 +85,13 @@ export class RemoteMatrix {
     this.onrelit(time);
   }
 
-  /** Put rectangles of values into a camera image. */
-  #place(image, { tiles, scale }, values) {
-    const cols = this.camera[1], { channels } = this;
-    let from = 0;
-    for (const [top, left, height, width] of tiles) {
-      for (let row = top; row < top + height; row++) {
-        const start = (row * cols + left) * channels, end = start + width * channels;
-        for (let k = start; k < end; k++) image[k] = scale * HALVES[values[from++]];
-      }
-    }
-  }
-
-  /** Show a coarse image, each of whose values stands for a square of pixels, until finer parts come. */
+  /** Add a coarse image, each of whose values stands for a square of pixels; finer parts follow. */
   #spread({ block, scale }, values) {
     const [rows, cols] = this.camera, { channels } = this, across = Math.ceil(cols / block);
     for (let row = 0, k = 0; row < rows; row++) {
       for (let col = 0; col < cols; col++) {
         const from = (Math.floor(row / block) * across + Math.floor(col / block)) * channels;
-        for (let channel = 0; channel < channels; channel++, k++) this.photograph[k] = scale * HALVES[values[from + channel]];
+        for (let channel = 0; channel < channels; channel++, k++) this.photograph[k] += scale * HALF[values[from + channel]];
       }
     }
   }
@@ -128,9 +112,9 @@ export class RemoteMatrix {
   }
 
   row(row, col, show) {
-    this.#ask(KIND.row, [row, col], ({ arrays: { pixels, values, cells } }) => {
-      const image = Float64Array.from(this.cellOf, (cell) => cells[cell] / this.cellSize[cell]);
-      pixels.forEach((pixel, k) => { image[pixel] += values[k]; });
+    this.#ask(KIND.row, [row, col], ({ header, arrays }) => {
+      const image = new Float32Array(this.lit.length);
+      placeTiles(image, this.projector[1], 1, header, arrays.values);
       show(image);
     });
   }
@@ -138,11 +122,22 @@ export class RemoteMatrix {
   column(row, col, show) {
     this.#ask(KIND.column, [row, col], ({ header, arrays }) => {
       const image = new Float32Array(this.photograph.length);
-      this.#place(image, header, arrays.values);
+      placeTiles(image, this.camera[1], this.channels, header, arrays.values);
       show(image);
     });
   }
 
   /** Nobody waits for a row or column any more. */
   forget() { if (this.#question) this.#question.show = () => {}; }
+}
+
+/** Put rectangles of values into an image of so many columns and channels. */
+function placeTiles(image, cols, channels, { tiles, scale }, values) {
+  let from = 0;
+  for (const [top, left, height, width] of tiles) {
+    for (let row = top; row < top + height; row++) {
+      const start = (row * cols + left) * channels, end = start + width * channels;
+      for (let k = start; k < end; k++) image[k] = scale * HALF[values[from++]];
+    }
+  }
 }

@@ -1,0 +1,163 @@
+"""T where Python keeps it, for matrices that the page does not hold: on disk, or in memory."""
+
+from __future__ import annotations
+
+import math
+import threading
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csc_array, csr_array
+
+from lightmatrix.patterns.grids import grid_cells
+from lightmatrix.store.column_index import COLUMNS, ColumnIndex, index_columns
+from lightmatrix.store.stored_transport import StoredTransport
+from lightmatrix.transport.matrix import LightTransport
+from lightmatrix.transport.sparse_rows import SparseRows, row_blocks
+
+# Called with what is done, all there is, and a note.
+Progress = Callable[[int, int, str], None]
+# Bytes of rows that are kept once they were read: with the index, which keeps as much, and a few
+# images, the server stays below 1 GiB.
+_KEPT_BYTES = 256 << 20
+# Entries of a block of rows in memory.
+_BLOCK_ENTRIES = 1 << 22
+# Groups of rows, spread over the camera, from which the white level is estimated.
+_SAMPLED_GROUPS, _GROUP_ROWS = 16, 4096
+
+
+class Light(ABC):
+    """T as a session asks for it. Only one thread at a time reads."""
+
+    matrix: LightTransport | StoredTransport
+
+    def __init__(self) -> None:
+        self.lock = threading.Lock()
+
+    @abstractmethod
+    def columns(
+        self, pixels: NDArray[np.integer], change: NDArray[np.floating]
+    ) -> NDArray[np.float32]:
+        """The light of some projector pixels that get brighter, of the camera's shape."""
+
+    @abstractmethod
+    def blocks(self) -> Iterator[tuple[int, SparseRows]]:
+        """All rows in blocks: (first row, rows)."""
+
+    @abstractmethod
+    def rows(self, start: int, stop: int) -> SparseRows:
+        """Some rows, with diagnostics."""
+
+    @property
+    def channels(self) -> int:
+        """Samples of a camera pixel."""
+        return math.prod(self.matrix.camera_shape[2:])
+
+    def row(self, row: int, col: int) -> NDArray[np.float32]:
+        """The row of a camera pixel, its channels added, of the projector's shape."""
+        first = (row * self.matrix.camera_shape[1] + col) * self.channels
+        with self.lock:
+            rows = self.rows(first, first + self.channels)
+        light = np.asarray(rows.coefficients.sum(axis=0)) + rows.background.sum(axis=0) @ (
+            self.matrix.pooling
+        )
+        return np.asarray(light, np.float32).reshape(self.matrix.projector_shape)
+
+    def white_samples(self) -> NDArray[np.float32]:
+        """What some camera samples, spread over the camera, see of a white pattern."""
+        count = self.matrix.shape[0]
+        starts = np.linspace(0, count, _SAMPLED_GROUPS, endpoint=False).astype(int)
+        parts = []
+        for start, following in zip(starts, [*starts[1:], count], strict=True):
+            with self.lock:
+                rows = self.rows(int(start), int(min(start + _GROUP_ROWS, following)))
+            parts.append(rows.coefficients.sum(axis=1) + rows.background.sum(axis=1))
+        return np.concatenate(parts).astype(np.float32)
+
+    def facts(self) -> LightTransport:
+        """The diagnostics of T, with a sparse part that is empty."""
+        matrix, diagnostics = self.matrix, {}
+        if isinstance(matrix, LightTransport):
+            diagnostics = dict(matrix.diagnostics)
+        else:
+            with self.lock, matrix.header.unreplaced():
+                diagnostics = {
+                    name: array.read() for name, array in matrix.header.diagnostics.items()
+                }
+        empty = csr_array(matrix.shape, dtype=np.float32)
+        return LightTransport.from_matrix(
+            empty, matrix.camera_shape, matrix.projector_shape, diagnostics=diagnostics
+        )
+
+
+class StoredLight(Light):
+    """T on disk, with an index of its columns."""
+
+    def __init__(self, matrix: StoredTransport) -> None:
+        super().__init__()
+        self.matrix: StoredTransport = matrix
+        self._index = ColumnIndex.open(matrix.header.place)
+
+    @classmethod
+    def open(cls, path: str | Path, progress: Progress | None = None) -> StoredLight:
+        """Open a store; without an index, make it."""
+        matrix = StoredTransport.open(path, memory=_KEPT_BYTES)
+        if not (matrix.header.place / COLUMNS).is_dir():
+            background = matrix.header.arrays["background"].bytes
+            size = 8 * (matrix.entries + matrix.shape[1]) + background
+            note = f"at most {max(1, size >> 20)} MiB beside the matrix"
+            told = None if progress is None else _with_note(progress, note)
+            index_columns(path, progress=told)
+            # Its metadata was written anew.
+            matrix = StoredTransport.open(path, memory=_KEPT_BYTES)
+        return cls(matrix)
+
+    def columns(
+        self, pixels: NDArray[np.integer], change: NDArray[np.floating]
+    ) -> NDArray[np.float32]:
+        with self.lock:
+            return self._index.light(pixels, change)
+
+    def blocks(self) -> Iterator[tuple[int, SparseRows]]:
+        return self.matrix.blocks()
+
+    def rows(self, start: int, stop: int) -> SparseRows:
+        return self.matrix.rows(start, stop)
+
+
+class MemoryLight(Light):
+    """T in memory, which is copied column by column."""
+
+    def __init__(self, matrix: LightTransport) -> None:
+        super().__init__()
+        self.matrix: LightTransport = matrix
+        self._by_columns = csc_array(matrix.sparse)
+        self._cells = grid_cells(matrix.projector_shape, matrix.background_grid)
+        self._cell_sizes = np.bincount(self._cells)
+
+    def columns(
+        self, pixels: NDArray[np.integer], change: NDArray[np.floating]
+    ) -> NDArray[np.float32]:
+        cells = self._cells[pixels]
+        means = np.bincount(cells, change / self._cell_sizes[cells], len(self._cell_sizes))
+        light = self._by_columns[:, pixels] @ change.astype(np.float32)
+        light = light + self.matrix.background @ means.astype(np.float32)
+        return np.asarray(light, np.float32).reshape(self.matrix.camera_shape)
+
+    def blocks(self) -> Iterator[tuple[int, SparseRows]]:
+        cuts = row_blocks(self.matrix.sparse.indptr, _BLOCK_ENTRIES)
+        for start, stop in zip(cuts[:-1].tolist(), cuts[1:].tolist(), strict=True):
+            yield start, self.rows(start, stop)
+
+    def rows(self, start: int, stop: int) -> SparseRows:
+        part = slice(start, stop)
+        diagnostics = {name: values[part] for name, values in self.matrix.diagnostics.items()}
+        sparse = csr_array(self.matrix.sparse[part])
+        return SparseRows(sparse, self.matrix.background[part], diagnostics)
+
+
+def _with_note(progress: Progress, note: str) -> Callable[[int, int], None]:
+    return lambda done, total: progress(done, total, note)

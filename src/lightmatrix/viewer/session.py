@@ -1,0 +1,210 @@
+"""What one window shows of a matrix that Python keeps, and what it has to be told."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightmatrix.errors import LightMatrixError
+from lightmatrix.transport.sparse_rows import SparseRows
+from lightmatrix.viewer.coarse import CoarseLight
+from lightmatrix.viewer.lights import Light
+from lightmatrix.viewer.messages import Ask, Compensate, Kind, MessageError, Paint, parse
+from lightmatrix.viewer.packed import packed
+from lightmatrix.viewer.tiles import Tiles, halves, tile_values, tiles_above
+
+# A pattern that changes in more than this share of its pixels is relit as a whole.
+_WHOLE = 1 / 16
+# While the brush moves, parts that changed by less than this share of white wait. A quarter of what
+# the page promises, and below what a screen with 8 bits shows.
+_QUICK = 2.5e-4
+# Then parts follow that are off by this share of their own light, as half precision is, or by this
+# share of white.
+_FINE, _FAINTEST = 1e-3, 1e-6
+# Tiles of one message, of at most 512 KiB a channel, so that a stroke never waits for long.
+_MOST_TILES = 64
+# Computes the pattern for a picture: its levels and a few words.
+Compensator = Callable[[NDArray[np.uint8]], tuple[NDArray[np.uint8], str]]
+
+
+class Session:
+    """The pattern and the photograph of one window, and how much of it the window has.
+
+    Parameters
+    ----------
+    light : Light, optional
+        T; None if the page has it.
+    white : float
+        The light that is shown as white.
+    coarse : callable
+        The coarse T, or None while it is not ready.
+    camera, projector : (int, int)
+        Their sizes.
+    compensator : callable, optional
+        Computes the pattern for a picture.
+    """
+
+    def __init__(
+        self,
+        light: Light | None,
+        white: float,
+        coarse: Callable[[], CoarseLight | None],
+        camera: tuple[int, int],
+        projector: tuple[int, int],
+        compensator: Compensator | None = None,
+    ) -> None:
+        self._camera, self._projector = camera, projector
+        self._compensator = compensator
+        self._painting = None if light is None else _Painting(light, white, coarse)
+
+    @property
+    def unfinished(self) -> bool:
+        """Whether the window lacks parts of its photograph."""
+        return self._painting is not None and self._painting.unfinished
+
+    def answer(self, message: Any) -> list[bytes]:
+        """The answers to a message.
+
+        Raises
+        ------
+        MessageError
+            If the page would not send it.
+        """
+        if not isinstance(message, bytes):
+            raise MessageError
+        asked = parse(message, self._camera, self._projector)
+        try:
+            if isinstance(asked, Compensate):
+                if self._compensator is None:
+                    raise MessageError
+                levels, words = self._compensator(asked.levels)
+                header = {"kind": "pattern", "answers": asked.number, "words": words}
+                return [packed(header, {"levels": levels})]
+            if self._painting is None:
+                raise MessageError
+            if isinstance(asked, Ask):
+                return [self._painting.image(asked)]
+            return self._painting.paint(asked)
+        except LightMatrixError as error:
+            words = error.message
+            return [packed({"kind": "error", "answers": asked.number, "message": words}, {})]
+
+    def finish(self) -> bytes | None:
+        """The next part that the window lacks; None if there is none to send right now."""
+        if self._painting is None:
+            return None
+        try:
+            return self._painting.finish()
+        except LightMatrixError as error:
+            self._painting.give_up()
+            return packed({"kind": "error", "answers": None, "message": error.message}, {})
+
+
+class _Painting:
+    """A pattern and its photograph."""
+
+    def __init__(
+        self, light: Light, white: float, coarse: Callable[[], CoarseLight | None]
+    ) -> None:
+        matrix = light.matrix
+        self._light, self._white, self._coarse = light, white, coarse
+        self._levels = np.zeros(matrix.projector_shape, np.uint8)
+        shape = (*matrix.camera_shape[:2], light.channels)
+        # In double precision, as strokes are added for hours.
+        self._photograph = np.zeros(shape, np.float64)
+        # What the window has, as rounded on the way.
+        self._sent = np.zeros(shape, np.float32)
+        # The rows of T that a whole pattern still has to be relit with.
+        self._blocks: Iterator[tuple[int, SparseRows]] | None = None
+        self.unfinished = False
+
+    def paint(self, asked: Paint) -> list[bytes]:
+        """The photograph under the new levels, as far as it is quickly had."""
+        rows, cols = asked.levels.shape
+        window = self._levels[asked.top : asked.top + rows, asked.left : asked.left + cols]
+        change = asked.levels.astype(np.float32) - window
+        down, across = np.nonzero(change)
+        window[...] = asked.levels
+        self.unfinished = True
+        if len(down) > _WHOLE * self._levels.size:
+            return [self._begin_whole(asked, change)]
+        pixels = (asked.top + down) * self._levels.shape[1] + asked.left + across
+        light = self._light.columns(pixels, change[down, across] / 255)
+        self._photograph += light.reshape(self._photograph.shape)
+        tiles = tiles_above(np.abs(self._photograph - self._sent), _QUICK * self._white)
+        return self._parts(tiles, asked.number)
+
+    def _begin_whole(self, asked: Paint, change: NDArray[np.float32]) -> bytes:
+        """Relight the whole pattern, coarse now if possible; fine parts follow."""
+        self._blocks = self._light.blocks()
+        coarse = self._coarse()
+        if coarse is None:
+            return self._part([], asked.number)
+        whole = np.zeros(self._levels.shape, np.float32)
+        rows, cols = change.shape
+        whole[asked.top : asked.top + rows, asked.left : asked.left + cols] = change / 255
+        values, scale = halves(coarse.image(whole.ravel()))
+        shown = values.astype(np.float32) * np.float32(scale)
+        spread = coarse.spread(shown, *self._sent.shape[:2])
+        self._sent += spread
+        self._photograph += spread
+        header = {"kind": "coarse", "answers": asked.number, "block": coarse.block, "scale": scale}
+        return packed(header, {"values": values})
+
+    def image(self, asked: Ask) -> bytes:
+        """A row or column of T."""
+        if asked.kind is Kind.ROW:
+            image = self._light.row(asked.row, asked.col)[..., None]
+        else:
+            pixel = np.array([asked.row * self._levels.shape[1] + asked.col])
+            image = self._light.columns(pixel, np.ones(1)).reshape(self._photograph.shape)
+        tiles = tiles_above(np.abs(image), 0)
+        values, scale = halves(tile_values(image, tiles))
+        header = {"kind": "image", "answers": asked.number, "tiles": tiles, "scale": scale}
+        return packed(header, {"values": values})
+
+    def finish(self) -> bytes | None:
+        """The next parts that the window lacks."""
+        if self._blocks is not None:
+            with self._light.lock:
+                start, block = next(self._blocks, (0, None))
+            if block is None:
+                self._blocks = None
+            else:
+                # The levels of now: strokes since the pattern began count too.
+                pattern = self._levels.ravel() / np.float32(255)
+                light = block.coefficients @ pattern
+                light += block.background @ (self._light.matrix.pooling @ pattern)
+                self._photograph.reshape(-1)[start : start + block.count] = light
+        missed = np.abs(self._photograph - self._sent) - _FINE * np.abs(self._photograph)
+        tiles = tiles_above(missed, _FAINTEST * self._white)
+        self.unfinished = self._blocks is not None or len(tiles) > _MOST_TILES
+        if not tiles and self.unfinished:
+            return None
+        return self._part(tiles[:_MOST_TILES], None)
+
+    def give_up(self) -> None:
+        """Send nothing more of this pattern."""
+        self._blocks, self.unfinished = None, False
+
+    def _parts(self, tiles: Tiles, number: int) -> list[bytes]:
+        """Messages with all of some tiles; the last one is the answer."""
+        cuts = range(0, max(1, len(tiles)), _MOST_TILES)
+        return [
+            self._part(tiles[k : k + _MOST_TILES], number if k == cuts[-1] else None) for k in cuts
+        ]
+
+    def _part(self, tiles: Tiles, number: int | None) -> bytes:
+        """A message with some tiles of the photograph."""
+        values, scale = halves(tile_values(self._photograph, tiles))
+        shown, place = values.astype(np.float32) * np.float32(scale), 0
+        for top, left, rows, cols in tiles:
+            window = self._sent[top : top + rows, left : left + cols]
+            window[...] = shown[place : place + window.size].reshape(window.shape)
+            place += window.size
+        more = self.unfinished
+        header = {"kind": "tiles", "answers": number, "tiles": tiles, "scale": scale, "more": more}
+        return packed(header, {"values": values})

@@ -1,0 +1,309 @@
+"""Matrices that stay in Python: what a window is told, and that nothing but its messages counts."""
+
+from __future__ import annotations
+
+import json
+import random
+import struct
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+
+import lightmatrix as lm
+from lightmatrix.pictures import maps
+from lightmatrix.store import stored_transport
+from lightmatrix.viewer import lights, session, tiles
+from lightmatrix.viewer.coarse import CoarseLight
+from lightmatrix.viewer.layers import LAYERS, LayerSource
+from lightmatrix.viewer.messages import Kind, MessageError
+from lightmatrix.viewer.scene import Scene
+from tests.viewer import hostile, running
+
+# What a window shows may miss T p by this share of the white image.
+CLOSE = 1e-3
+
+
+class Window:
+    """The page's side of a session: it puts together what it is sent."""
+
+    def __init__(self, scene: Scene) -> None:
+        self.session = scene.session()
+        rows, cols, *channels = scene.matrix.camera_shape
+        self.image = np.zeros((rows, cols, *(channels or [1])), np.float32)
+        self.levels = np.zeros(scene.matrix.projector_shape, np.uint8)
+        self.parts: list[dict[str, Any]] = []
+
+    def paint(self, top: int, left: int, levels: NDArray[np.uint8], *, finish: bool = True) -> None:
+        rows, cols = levels.shape
+        self.levels[top : top + rows, left : left + cols] = levels
+        numbers = (Kind.PAINT, 7, top, left, rows, cols)
+        for part in self.session.answer(struct.pack("<6I", *numbers) + levels.tobytes()):
+            self.receive(part)
+        assert self.parts[-1]["answers"] == 7
+        while finish and self.session.unfinished:
+            part = self.session.finish()
+            if part is not None:
+                self.receive(part)
+
+    def receive(self, part: bytes) -> None:
+        header, values = unpack(part)
+        self.parts.append(header)
+        if header["kind"] == "coarse":
+            coarse = np.repeat(
+                np.repeat(
+                    values.reshape(
+                        -(-self.image.shape[0] // header["block"]),
+                        -(-self.image.shape[1] // header["block"]),
+                        self.image.shape[2],
+                    ),
+                    header["block"],
+                    axis=0,
+                ),
+                header["block"],
+                axis=1,
+            )
+            self.image += coarse[: self.image.shape[0], : self.image.shape[1]]
+        elif header["kind"] == "tiles":
+            place_tiles(self.image, header["tiles"], values)
+
+    def ask(self, kind: Kind, row: int, col: int, shape: tuple[int, ...]) -> NDArray[np.float32]:
+        (part,) = self.session.answer(struct.pack("<4I", kind, 3, row, col))
+        header, values = unpack(part)
+        assert (header["kind"], header["answers"]) == ("image", 3)
+        image = np.zeros(shape, np.float32)
+        place_tiles(image, header["tiles"], values)
+        return image
+
+
+def unpack(part: bytes) -> tuple[dict[str, Any], NDArray[np.float32]]:
+    """The header and the values of a message, as packed.js reads them."""
+    length = int.from_bytes(part[8:12], "little")
+    header = json.loads(part[12 : 12 + length])
+    if "values" not in header["arrays"]:
+        return header, np.zeros(0, np.float32)
+    place = header["arrays"]["values"]
+    start = 12 + length + place["offset"]
+    values = np.frombuffer(part[start : start + 2 * place["count"]], np.float16)
+    return header, values.astype(np.float32) * np.float32(header["scale"])
+
+
+def place_tiles(image: NDArray[np.float32], tiles: list[list[int]], values: Any) -> None:
+    start = 0
+    for top, left, rows, cols in tiles:
+        window = image[top : top + rows, left : left + cols]
+        window[...] = values[start : start + window.size].reshape(window.shape)
+        start += window.size
+    assert start == len(values)
+
+
+@pytest.fixture(autouse=True)
+def _small_parts(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Many tiles, blocks and groups, although the matrices are small."""
+    monkeypatch.setattr(tiles, "TILE", 8)
+    monkeypatch.setattr(session, "_MOST_TILES", 3)
+    monkeypatch.setattr(lights, "_BLOCK_ENTRIES", 500)
+    monkeypatch.setattr(lights, "_GROUP_ROWS", 16)
+    monkeypatch.setattr(stored_transport, "_BLOCK_ENTRIES", 500)
+    monkeypatch.setattr("lightmatrix.viewer.coarse._SQUARES", 7)
+    monkeypatch.setattr("lightmatrix.viewer.coarse._CELLS", 5)
+    monkeypatch.setattr("lightmatrix.viewer.coarse._PART", 300)
+    monkeypatch.setattr("lightmatrix.viewer.layers._ROWS", 50)
+
+
+@pytest.fixture(scope="module", params=["grey", "colour"])
+def transport(request: pytest.FixtureRequest) -> lm.LightTransport:
+    grey = running.scene()
+    if request.param == "grey":
+        return grey
+    shades = np.tile([1, 0.5, 0.2], 480)[:, None]
+    return replace(
+        grey,
+        sparse=csr_array(np.repeat(grey.sparse.toarray(), 3, axis=0) * shades, dtype=np.float32),
+        background=(np.repeat(grey.background, 3, axis=0) * shades).astype(np.float32),
+        camera_shape=(24, 20, 3),
+        diagnostics={name: np.repeat(v, 3) for name, v in grey.diagnostics.items()},
+    )
+
+
+@pytest.fixture(params=["disk", "memory"])
+def scene(
+    request: pytest.FixtureRequest, transport: lm.LightTransport, tmp_path: Path
+) -> Iterator[Scene]:
+    if request.param == "memory":
+        yield Scene(transport, page_bytes=0)
+        return
+    lm.save(tmp_path / "scene.zarr", transport)
+    steps: list[tuple[int, int, str]] = []
+    made = Scene(tmp_path / "scene.zarr", page_bytes=0, progress=lambda *step: steps.append(step))
+    assert steps[-1][0] == steps[-1][1]
+    assert "MiB beside the matrix" in steps[-1][2]
+    yield made
+    # The index that is there is used.
+    Scene(tmp_path / "scene.zarr", page_bytes=0, progress=pytest.fail)
+
+
+def assert_shown(window: Window, transport: lm.LightTransport) -> None:
+    expected = transport.relight(window.levels / 255)
+    white = float(transport.relight(np.ones(transport.projector_shape)).max())
+    missed = np.abs(window.image.reshape(transport.camera_shape) - expected)
+    assert missed.max() <= CLOSE * white
+
+
+def test_strokes_and_patterns(scene: Scene, transport: lm.LightTransport) -> None:
+    window = Window(scene)
+    generator = np.random.default_rng(0)
+    window.paint(0, 0, np.full((16, 18), 255, np.uint8))
+    assert_shown(window, transport)
+    for _ in range(30):
+        top, left = generator.integers(0, 16), generator.integers(0, 18)
+        size = (generator.integers(1, 17 - top), generator.integers(1, 19 - left))
+        window.paint(int(top), int(left), generator.integers(0, 256, size).astype(np.uint8))
+        assert_shown(window, transport)
+    assert max(len(part.get("tiles", [])) for part in window.parts) == 3
+
+
+def test_a_stroke_within_a_pattern_that_is_still_relit(
+    scene: Scene, transport: lm.LightTransport
+) -> None:
+    window = Window(scene)
+    generator = np.random.default_rng(1)
+    for step in range(6):
+        levels = generator.integers(0, 256, (16, 18)).astype(np.uint8)
+        window.paint(0, 0, levels, finish=False)
+        for _ in range(step):
+            part = window.session.finish()
+            if part is not None:
+                window.receive(part)
+        window.paint(3, step, np.full((2, 3), 200, np.uint8), finish=step % 2 == 1)
+    assert_shown(window, transport)
+
+
+def test_coarse_comes_first(scene: Scene, transport: lm.LightTransport) -> None:
+    window = Window(scene)
+    assert scene._coarse_maker is not None
+    scene._coarse_maker.join()
+    window.paint(0, 0, np.full((16, 18), 128, np.uint8), finish=False)
+    assert window.parts[0]["kind"] == "coarse"
+    expected = transport.relight(window.levels / 255).reshape(window.image.shape)
+    # A constant pattern gets exactly the means of its light.
+    assert window.image.mean() == pytest.approx(expected.mean(), rel=0.02)
+    block = window.parts[0]["block"]
+    assert block == 4
+    first = expected[:block, :block].mean(axis=(0, 1))
+    assert window.image[0, 0] == pytest.approx(first, rel=2e-3)
+    window.paint(0, 0, np.full((16, 18), 128, np.uint8))
+    assert_shown(window, transport)
+
+
+def test_only_what_changed_is_sent() -> None:
+    """One lit pixel, which lights one camera pixel: one tile of nine."""
+    pixel = np.arange(16 * 18)
+    places = (pixel // 18 * 20 + pixel % 18, pixel)
+    matrix = csr_array((np.ones(16 * 18), places), shape=(24 * 20, 16 * 18))
+    bare = lm.LightTransport.from_matrix(matrix, (24, 20), (16, 18))
+    window = Window(Scene(bare, page_bytes=0))
+    window.paint(8, 9, np.full((1, 1), 255, np.uint8))
+    assert [tile for part in window.parts for tile in part["tiles"]] == [[8, 8, 8, 8]]
+    assert_shown(window, bare)
+    sent = len(window.parts)
+    window.paint(8, 9, np.full((1, 1), 255, np.uint8))
+    assert all(not part["tiles"] for part in window.parts[sent:])
+
+
+def test_rows_and_columns(scene: Scene, transport: lm.LightTransport) -> None:
+    window = Window(scene)
+    for row, col in ((0, 0), (23, 19), (7, 11)):
+        found = window.ask(Kind.ROW, row, col, (16, 18, 1))[..., 0]
+        first = (row * 20 + col) * (transport.shape[0] // 480)
+        stop = first + transport.shape[0] // 480
+        expected = transport.dense_rows(np.arange(first, stop)).sum(axis=0).reshape(16, 18)
+        np.testing.assert_allclose(found, expected, atol=CLOSE * expected.max())
+    for row, col in ((0, 0), (15, 17), (9, 4)):
+        shape = window.image.shape
+        found = window.ask(Kind.COLUMN, row, col, shape).reshape(transport.camera_shape)
+        expected = transport.column(row, col)
+        np.testing.assert_allclose(found, expected, atol=CLOSE * expected.max())
+
+
+def test_layers_are_those_of_a_matrix_in_memory(scene: Scene, transport: lm.LightTransport) -> None:
+    assert scene.light is not None
+    whole, here = LayerSource(transport), LayerSource(scene.light)
+    assert here.available == whole.available
+    np.testing.assert_allclose(here.dual_image(), whole.dual_image(), rtol=1e-5)
+    for name in ("pixel", "place", "confidence"):
+        one, other = (getattr(s.correspondence, name) for s in (here, whole))
+        np.testing.assert_allclose(one, other, rtol=1e-5)
+    assert LAYERS["clipping"].make(here) == LAYERS["clipping"].make(whole)
+    assert maps.has_diagnostic(here.facts, "estimated_error")
+
+
+def test_the_white_level_is_estimated(scene: Scene, transport: lm.LightTransport) -> None:
+    white = transport.relight(np.ones(transport.projector_shape))
+    assert scene._white == pytest.approx(np.quantile(white, 0.995), rel=0.2)
+
+
+def test_coarse_light_of_odd_sizes(transport: lm.LightTransport) -> None:
+    coarse = CoarseLight(lights.MemoryLight(transport))
+    pattern = np.random.default_rng(0).uniform(0, 1, (16, 18)).astype(np.float32)
+    image = coarse.image(pattern.ravel())
+    expected = transport.relight(pattern).reshape(24, 20, -1)
+    means = np.stack(
+        [
+            expected[4 * i : 4 * i + 4, 4 * j : 4 * j + 4].mean((0, 1))
+            for i in range(6)
+            for j in range(5)
+        ]
+    )
+    found = image.reshape(means.shape)
+    assert np.linalg.norm(found - means) < 0.1 * np.linalg.norm(means)
+
+
+def test_what_the_page_would_not_send_is_refused(scene: Scene) -> None:
+    window = Window(scene)
+    for message in hostile.nonsense((24, 20), (16, 18)):
+        with pytest.raises(MessageError):
+            window.session.answer(message)
+    # It is the window that is closed; another one goes on.
+    Window(scene).paint(0, 0, np.zeros((1, 1), np.uint8))
+
+
+def test_mutated_messages_are_answered_or_refused(scene: Scene) -> None:
+    window, generator = Window(scene), random.Random(0)
+    whole = hostile.messages((24, 20), (16, 18))
+    answered = 0
+    for _ in range(500):
+        try:
+            parts = window.session.answer(hostile.mutated(generator, generator.choice(whole)))
+        except MessageError:
+            continue
+        assert parts
+        answered += 1
+    assert answered > 50
+
+
+def test_a_matrix_that_the_page_has_takes_no_messages(transport: lm.LightTransport) -> None:
+    scene = Scene(transport)
+    assert not scene.session().unfinished
+    assert scene.session().finish() is None
+    for kind in (Kind.ROW, Kind.COLUMN):
+        with pytest.raises(MessageError):
+            scene.session().answer(struct.pack("<4I", kind, 1, 2, 3))
+
+
+def test_a_store_that_changes_is_told(transport: lm.LightTransport, tmp_path: Path) -> None:
+    lm.save(tmp_path / "scene.zarr", transport)
+    window = Window(Scene(tmp_path / "scene.zarr", page_bytes=0))
+    window.paint(0, 0, np.full((2, 2), 255, np.uint8))
+    other = replace(transport, sparse=csr_array(2 * transport.sparse))
+    lm.save(tmp_path / "scene.zarr", other, overwrite=True)
+    for levels in (np.full((2, 2), 9, np.uint8), np.full((16, 18), 9, np.uint8)):
+        window.paint(0, 0, levels)
+    errors = [part for part in window.parts if part["kind"] == "error"]
+    assert "was replaced" in errors[0]["message"]
+    assert not window.session.unfinished
