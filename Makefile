@@ -24,7 +24,7 @@ $(VENV)/.installed: $(BIN)/python $(CORE)
 	@touch $@
 
 $(VENV)/.test-installed: $(VENV)/.installed
-	$(BIN)/python tools/requirements.py dev render docs response shape exr raw cluster viewer | \
+	$(BIN)/python tools/requirements.py dev render docs response shape exr raw cluster viewer notebook | \
 	  $(BIN)/python -m pip install --quiet --disable-pip-version-check -r /dev/stdin
 	for extra in window aravis gentl video dslr; do \
 	  $(BIN)/python tools/requirements.py $$extra | \

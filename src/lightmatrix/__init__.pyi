@@ -157,6 +157,7 @@ from .pictures.transport import (
 )
 from .report.make import report as report
 from .viewer.export import export_viewer as export_viewer
+from .viewer.notebook import view as view
 from .viewer.server import serve_viewer as serve_viewer
 from .evaluation.evaluate import evaluate as evaluate
 from .evaluation.evaluate import evaluate_colour as evaluate_colour

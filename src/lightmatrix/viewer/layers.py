@@ -53,7 +53,7 @@ class LayerSource:
             if layer.exists(self)
         }
 
-    def get(self, name: str) -> bytes:
+    def get(self, name: object) -> bytes:
         """A layer.
 
         Raises
@@ -61,7 +61,7 @@ class LayerSource:
         InputError
             If there is none of this name.
         """
-        if name not in self.available:
+        if not isinstance(name, str) or name not in self.available:
             raise InputError(f"there is no layer {name!r}", hint="choose one of the list")
         with self._lock:
             if name not in self._made:

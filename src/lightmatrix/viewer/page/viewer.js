@@ -175,7 +175,7 @@ export class Viewer {
   }
 
   /** A stroke is done. */
-  painted() { this.#showValues(); this.source.keep?.(this.pattern.levels); }
+  painted() { this.#showValues(); }
 
   /** Show a picture on the projector, or make the camera see it. */
   async usePicture(file) {
@@ -210,6 +210,7 @@ export class Viewer {
     this.#changed = true;
     this.#showValues();
     this.redraw();
+    this.source.keep?.(this.pattern.levels);
   }
 
   /** Bring the photograph up to date with the pattern, or ask for it. */

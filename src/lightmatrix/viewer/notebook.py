@@ -1,0 +1,170 @@
+"""`lm.view`: the viewer as a widget in notebooks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightmatrix.errors import InputError, LightMatrixError, MissingExtraError
+from lightmatrix.ranges import check_finite
+from lightmatrix.transport.matrix import LightTransport
+from lightmatrix.viewer.messages import MessageError
+from lightmatrix.viewer.page_files import STYLE, bundle, page_file
+from lightmatrix.viewer.scene import Scene
+from lightmatrix.viewer.session import Session
+
+# The largest matrix that a notebook sends to its page, where it may be kept with the notebook.
+_PAGE_BYTES = 32 << 20
+# Views of one widget whose photographs are kept; more of them forget the oldest.
+_MOST_VIEWS = 8
+# Sends a message of JSON, and bytes behind it.
+Send = Callable[[dict[str, Any], Sequence[bytes]], None]
+
+
+def view(transport: LightTransport | str | Path, *, page_bytes: int = _PAGE_BYTES) -> Any:
+    """Show a light transport matrix in a notebook: Jupyter, JupyterLab, VS Code or marimo.
+
+    Parameters
+    ----------
+    transport : LightTransport, str or Path
+        T, or where `open` finds it.
+    page_bytes : int
+        The largest matrix that is sent to the page, which then relights it; the kernel relights a
+        larger one. A store of this size without an index of its columns gets one.
+
+    Returns
+    -------
+    anywidget.AnyWidget
+        Its ``pattern`` is what the projector shows, (rows, cols) in [0, 1], black before the widget
+        is shown; assign to it to project something else. Its ``photograph`` is the camera image
+        under it.
+
+    Raises
+    ------
+    InputError
+        If there is no such matrix, or a browser cannot show it.
+    MissingExtraError
+        If the extra ``notebook`` is not installed.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> widget = lm.view(lm.truth("metal").transport())
+    >>> widget.pattern = np.eye(64)
+    >>> float(widget.pattern.sum()), widget.photograph.shape
+    (64.0, (64, 64))
+    """
+    widget_class = _widget_class()
+    return widget_class(Scene(transport, page_bytes=page_bytes))
+
+
+class Views:
+    """The views of one widget, each in a page."""
+
+    def __init__(self, scene: Scene, send: Send) -> None:
+        self._scene, self._send = scene, send
+        self._sessions: dict[str, Session] = {}
+
+    def receive(self, content: Any, buffers: Sequence[Any]) -> None:
+        """Answer a message of a view; what no view sends is ignored."""
+        if not isinstance(content, dict) or not isinstance(view := content.get("view"), str):
+            return
+        what = content.get("what")
+        if what == "layer":
+            self._layer(view, content.get("name"))
+        elif what == "message" and len(buffers) == 1:
+            session = self._session(view)
+            try:
+                parts = session.answer(bytes(buffers[0]))
+            except MessageError:
+                return
+            for part in parts:
+                more = session.unfinished and part is parts[-1]
+                self._send({"view": view, "what": "part", "more": more}, [part])
+        elif what == "finish":
+            self._finish(view)
+
+    def _finish(self, view: str) -> None:
+        """Send one more part of a photograph. The view asks for the next."""
+        session, part = self._session(view), None
+        while part is None and session.unfinished:
+            part = session.finish()
+        if part is not None:
+            self._send({"view": view, "what": "part", "more": session.unfinished}, [part])
+
+    def _layer(self, view: str, name: Any) -> None:
+        answer = {"view": view, "what": "layer", "name": name}
+        try:
+            self._send(answer, [self._scene.layer(name)])
+        except LightMatrixError as error:
+            self._send({**answer, "error": error.message}, [])
+
+    def _session(self, view: str) -> Session:
+        if view not in self._sessions:
+            if len(self._sessions) >= _MOST_VIEWS:
+                del self._sessions[next(iter(self._sessions))]
+            self._sessions[view] = self._scene.session()
+        return self._sessions[view]
+
+
+def _levels(pattern: NDArray[Any], shape: tuple[int, int]) -> bytes:
+    """A pattern in [0, 1] as bytes."""
+    values = np.asarray(pattern, np.float64)
+    if values.shape != shape:
+        raise InputError(f"a pattern of shape {values.shape}", hint=f"its shape must be {shape}")
+    check_finite("values of a pattern", values)
+    if not (values.min() >= 0 and values.max() <= 1):
+        raise InputError("a pattern with values outside [0, 1]", hint="divide it by its maximum")
+    return np.rint(255 * values).astype(np.uint8).tobytes()
+
+
+@cache
+def _widget_class() -> Any:
+    """The class of the widgets. It is made here because its base belongs to an extra."""
+    try:
+        import anywidget
+        import traitlets
+    except ImportError as error:
+        raise MissingExtraError(
+            "the viewer in a notebook needs anywidget",
+            hint='install the extra: pip install "lightmatrix[notebook]"',
+        ) from error
+
+    class ViewerWidget(anywidget.AnyWidget):
+        """The viewer of one matrix; made by `lm.view`."""
+
+        _esm = bundle("widget.js")
+        _css = page_file(STYLE)
+        # What the page is sent, and the pattern as it has it, a byte a pixel.
+        description = traitlets.Bytes().tag(sync=True)
+        matrix = traitlets.Bytes().tag(sync=True)
+        levels = traitlets.Bytes().tag(sync=True)
+
+        def __init__(self, scene: Scene) -> None:
+            matrix = b"" if scene.light is not None else scene.matrix_bytes
+            super().__init__(description=scene.description, matrix=matrix)
+            self._transport = scene.matrix
+            self.views = Views(scene, self.send)
+            self.on_msg(lambda _, content, buffers: self.views.receive(content, buffers))
+
+        @property
+        def pattern(self) -> NDArray[np.float64]:
+            shape = self._transport.projector_shape
+            if not self.levels:
+                return np.zeros(shape)
+            return np.frombuffer(self.levels, np.uint8).reshape(shape) / 255
+
+        @pattern.setter
+        def pattern(self, values: NDArray[Any]) -> None:
+            self.levels = _levels(values, self._transport.projector_shape)
+
+        @property
+        def photograph(self) -> NDArray[np.float32]:
+            return self._transport.relight(self.pattern)
+
+    return ViewerWidget
