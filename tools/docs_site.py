@@ -10,6 +10,7 @@ from __future__ import annotations
 import ast
 import html
 import re
+import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,9 @@ from command_pages import command_nav, command_pages
 from latex2mathml.converter import convert
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
+from mkdocs.structure.pages import Page
+
+import lightmatrix as lm
 
 ROOT = Path(__file__).parent.parent
 DOOR = ROOT / "src" / "lightmatrix" / "__init__.pyi"
@@ -30,7 +34,10 @@ GALLERY = (
     "estimate_in_python",
     "own_photographs",
     "compensation",
+    "painting",
 )
+# The page of the viewer that the site has, and the scene that it shows.
+VIEWER_PAGE, VIEWER_SCENE = "viewer/metal.html", "metal"
 GALLERY_FOLDER = "images/gallery"
 
 
@@ -55,7 +62,25 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     }
     for name, text in pages.items():
         files.append(File.generated(config, name, content=text))
+    files.append(File.generated(config, VIEWER_PAGE, content=viewer_page()))
     return files
+
+
+def on_page_markdown(markdown: str, page: Page, **_: Any) -> str:
+    """Link the viewer's pages to one that can be tried (MkDocs calls it)."""
+    link = f"[Paint in your browser]({VIEWER_PAGE}), without installing anything."
+    if page.file.src_uri == "viewer.md":
+        title, rest = markdown.split("\n", 1)
+        return f"{title}\n\n{link}\n{rest}"
+    return markdown
+
+
+def viewer_page() -> str:
+    """The viewer with a bundled scene, as one page."""
+    with tempfile.TemporaryDirectory() as folder:
+        page = Path(folder) / "page.html"
+        lm.export_viewer(page, lm.truth(VIEWER_SCENE).transport())
+        return page.read_text(encoding="utf-8")
 
 
 def on_page_content(text: str, **_: Any) -> str:
@@ -108,6 +133,8 @@ def gallery_page() -> str:
         lines += [_plain(re.sub(r"^ *python examples/.*$", "", rest, flags=re.MULTILINE)), ""]
         for picture, words in pictures_of(name).items():
             lines += [f"![{words}]({GALLERY_FOLDER}/{name}-{picture})", "", f"*{words}*", ""]
+        if name == "painting":
+            lines += [f"[Paint in your browser]({VIEWER_PAGE}).", ""]
         lines += [f"`python examples/{name}.py OUT_FOLDER`:", "", "```python"]
         lines += [code.split('"""', 2)[2].strip(), "```", ""]
     return "\n".join(lines)

@@ -70,3 +70,8 @@ def test_own_photographs(tmp_path: Path) -> None:
 def test_compensation(tmp_path: Path) -> None:
     uncompensated, compensated = _run("compensation", tmp_path)
     assert compensated > uncompensated + 20
+
+
+def test_painting(tmp_path: Path) -> None:
+    _run("painting", tmp_path)
+    assert (tmp_path / "page.html").stat().st_size > 1_000_000

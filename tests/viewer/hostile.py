@@ -73,14 +73,16 @@ def attack(server: running.Server, count: int, seed: int = 0) -> tuple[int, int,
     """Send mutated messages; how many were answered and refused, and by how much memory grew."""
     from websockets.exceptions import ConnectionClosed
     from websockets.sync.client import connect
+    from websockets.typing import Origin
 
     generator = random.Random(seed)
     process = psutil.Process(server.process.pid)
     whole = messages(CAMERA, PROJECTOR)
     address = f"ws://{server.host}/{server.token}/socket"
+    origin = Origin(f"http://{server.host}")
     before = answered = refused = sent = 0
     while sent < count:
-        with connect(address, proxy=None, origin=f"http://{server.host}") as connection:
+        with connect(address, proxy=None, origin=origin) as connection:
             while sent < count:
                 if sent == count // 10:
                     before = process.memory_info().rss

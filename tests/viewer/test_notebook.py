@@ -1,4 +1,4 @@
-"""The widget for notebooks: its object, and its module in a page that gives it what anywidget does."""
+"""The widget for notebooks: its object, and its module in a page that stands in for anywidget."""
 
 from __future__ import annotations
 
@@ -22,29 +22,7 @@ from tests.viewer.running import numbers, settle, spot
 pytest.importorskip("anywidget")
 CLOSE = 1e-3
 # A host as small as can be: the model of anywidget with the traits of one widget, and its element.
-HOST = """<!doctype html><html lang="en"><title>Host</title><style>%s</style><body><script type="module">
-const decoded = (text) => new DataView(Uint8Array.from(atob(text), (c) => c.charCodeAt(0)).buffer);
-const encoded = (buffer) => btoa(Array.from(new Uint8Array(buffer), (b) => String.fromCharCode(b)).join(""));
-const traits = Object.fromEntries(Object.entries(await python("traits", null, [])).map(([n, t]) => [n, decoded(t)]));
-const listeners = {};
-const model = {
-  get: (name) => traits[name],
-  set: (name, value) => { traits[name] = value; },
-  save_changes: () => python("levels", null, [encoded(traits.levels.buffer)]),
-  on: (name, call) => (listeners[name] ??= new Set()).add(call),
-  off: (name, call) => listeners[name]?.delete(call),
-  send: async (content, callbacks, buffers) => {
-    const answers = await python("send", content, (buffers ?? []).map(encoded));
-    for (const [content, parts] of answers) for (const call of listeners["msg:custom"] ?? []) call(content, parts.map(decoded));
-  },
-};
-globalThis.host = { change(levels) { traits.levels = decoded(levels); for (const call of listeners["change:levels"]) call(); } };
-const module = await import(URL.createObjectURL(new Blob([await python("module", null, [])], { type: "text/javascript" })));
-const el = document.createElement("div");
-document.body.append(el);
-globalThis.ended = await module.default.render({ model, el });
-globalThis.lightmatrixViewer = el.viewer;
-</script>"""
+HOST = (Path(__file__).parent / "host.html").read_text()
 
 
 @contextmanager
@@ -74,7 +52,7 @@ def hosted(page: Page, widget: Any) -> Iterator[Page]:
     errors: list[str] = []
     page.on("pageerror", lambda error: errors.append(str(error)))
     page.set_default_timeout(running.PATIENCE_MS)
-    page.set_content(HOST % widget._css)
+    page.set_content(HOST.replace("STYLE", widget._css))
     page.locator(".stage").first.wait_for()
     while not page.evaluate("Boolean(globalThis.lightmatrixViewer)"):
         page.wait_for_timeout(20)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import random
 import struct
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -47,9 +46,12 @@ class Window:
             self.receive(part)
         assert self.parts[-1]["answers"] == 7
         while finish and self.session.unfinished:
-            part = self.session.finish()
-            if part is not None:
-                self.receive(part)
+            self.finish()
+
+    def finish(self) -> None:
+        part = self.session.finish()
+        if part is not None:
+            self.receive(part)
 
     def receive(self, part: bytes) -> None:
         header, values = unpack(part)
@@ -69,6 +71,11 @@ class Window:
                 axis=1,
             )
             self.image += coarse[: self.image.shape[0], : self.image.shape[1]]
+        elif header["kind"] == "samples":
+            place = header["arrays"]["samples"]
+            start = 12 + int.from_bytes(part[8:12], "little") + place["offset"]
+            samples = np.frombuffer(part[start : start + 4 * place["count"]], np.uint32)
+            self.image.reshape(-1)[samples] = values
         elif header["kind"] == "tiles":
             place_tiles(self.image, header["tiles"], values)
 
@@ -131,21 +138,24 @@ def transport(request: pytest.FixtureRequest) -> lm.LightTransport:
     )
 
 
-@pytest.fixture(params=["disk", "memory"])
-def scene(
-    request: pytest.FixtureRequest, transport: lm.LightTransport, tmp_path: Path
-) -> Iterator[Scene]:
-    if request.param == "memory":
-        yield Scene(transport, page_bytes=0)
-        return
-    lm.save(tmp_path / "scene.zarr", transport)
+@pytest.fixture(scope="module")
+def store(transport: lm.LightTransport, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The matrix on disk; the first scene of it makes its index."""
+    store = tmp_path_factory.mktemp("session") / "scene.zarr"
+    lm.save(store, transport)
     steps: list[tuple[int, int, str]] = []
-    made = Scene(tmp_path / "scene.zarr", page_bytes=0, progress=lambda *step: steps.append(step))
+    Scene(store, page_bytes=0, progress=lambda *step: steps.append(step))
     assert steps[-1][0] == steps[-1][1]
     assert "MiB beside the matrix" in steps[-1][2]
-    yield made
+    return store
+
+
+@pytest.fixture(params=["disk", "memory"])
+def scene(request: pytest.FixtureRequest, transport: lm.LightTransport, store: Path) -> Scene:
+    if request.param == "memory":
+        return Scene(transport, page_bytes=0)
     # The index that is there is used.
-    Scene(tmp_path / "scene.zarr", page_bytes=0, progress=pytest.fail)
+    return Scene(store, page_bytes=0, progress=lambda *_: pytest.fail("it was made again"))
 
 
 def assert_shown(window: Window, transport: lm.LightTransport) -> None:
@@ -177,9 +187,7 @@ def test_a_stroke_within_a_pattern_that_is_still_relit(
         levels = generator.integers(0, 256, (16, 18)).astype(np.uint8)
         window.paint(0, 0, levels, finish=False)
         for _ in range(step):
-            part = window.session.finish()
-            if part is not None:
-                window.receive(part)
+            window.finish()
         window.paint(3, step, np.full((2, 3), 200, np.uint8), finish=step % 2 == 1)
     assert_shown(window, transport)
 
@@ -202,18 +210,22 @@ def test_coarse_comes_first(scene: Scene, transport: lm.LightTransport) -> None:
 
 
 def test_only_what_changed_is_sent() -> None:
-    """One lit pixel, which lights one camera pixel: one tile of nine."""
+    """One lit pixel, which lights one camera pixel."""
     pixel = np.arange(16 * 18)
     places = (pixel // 18 * 20 + pixel % 18, pixel)
     matrix = csr_array((np.ones(16 * 18), places), shape=(24 * 20, 16 * 18))
     bare = lm.LightTransport.from_matrix(matrix, (24, 20), (16, 18))
     window = Window(Scene(bare, page_bytes=0))
     window.paint(8, 9, np.full((1, 1), 255, np.uint8))
-    assert [tile for part in window.parts for tile in part["tiles"]] == [[8, 8, 8, 8]]
+    first, *rest = window.parts
+    assert first["arrays"]["samples"]["count"] == 1
+    assert all(not part["tiles"] for part in rest)
     assert_shown(window, bare)
-    sent = len(window.parts)
-    window.paint(8, 9, np.full((1, 1), 255, np.uint8))
-    assert all(not part["tiles"] for part in window.parts[sent:])
+    window.paint(0, 0, np.full((1, 16), 255, np.uint8))
+    window.paint(2, 0, np.full((4, 4), 255, np.uint8))
+    assert {part["kind"] for part in window.parts} == {"samples", "tiles"}
+    window.paint(0, 0, np.full((16, 18), 99, np.uint8))
+    assert_shown(window, bare)
 
 
 def test_rows_and_columns(scene: Scene, transport: lm.LightTransport) -> None:
@@ -234,7 +246,9 @@ def test_rows_and_columns(scene: Scene, transport: lm.LightTransport) -> None:
 def test_layers_are_those_of_a_matrix_in_memory(scene: Scene, transport: lm.LightTransport) -> None:
     assert scene.light is not None
     whole, here = LayerSource(transport), LayerSource(scene.light)
-    assert here.available == whole.available
+    # Only matrices in memory are separated.
+    assert set(whole.available) - set(here.available) <= {"direct", "global", "parallax"}
+    assert "row" in here.available
     np.testing.assert_allclose(here.dual_image(), whole.dual_image(), rtol=1e-5)
     for name in ("pixel", "place", "confidence"):
         one, other = (getattr(s.correspondence, name) for s in (here, whole))
@@ -307,3 +321,65 @@ def test_a_store_that_changes_is_told(transport: lm.LightTransport, tmp_path: Pa
     errors = [part for part in window.parts if part["kind"] == "error"]
     assert "was replaced" in errors[0]["message"]
     assert not window.session.unfinished
+
+
+def test_direct_and_global_light_and_compensation() -> None:
+    known = lm.truth("l_objects").transport()
+    scene = Scene(known)
+    parts = lm.separate(known)
+    for name, part in (("direct", parts.direct), ("global", parts.global_)):
+        _, values = unpack_floats(scene.layer(name))
+        np.testing.assert_array_equal(values, part.relight(np.ones((64, 64))).ravel())
+    header, values = unpack_floats(scene.layer("parallax"))
+    assert header["low"] < np.nanmedian(values) < header["high"]
+    picture = np.full((64, 64), 200, np.uint8)
+    picture[:, 20:40] = 60
+    message = struct.pack("<2I", Kind.COMPENSATE, 5) + picture.tobytes()
+    (answer,) = scene.session().answer(message)
+    length = int.from_bytes(answer[8:12], "little")
+    levels = np.frombuffer(answer[12 + length :], np.uint8).reshape(64, 64)
+    found = lm.compensate(known, picture / np.float32(255), gamma=2.2)
+    np.testing.assert_array_equal(levels, np.rint(255 * found.pattern))
+    # Refused while the matrix is too large for it.
+    with pytest.raises(MessageError):
+        Scene(known, page_bytes=0).session().answer(message[:-1])
+
+
+def unpack_floats(part: bytes) -> tuple[dict[str, Any], NDArray[np.float32]]:
+    """The header and the values of a layer."""
+    length = int.from_bytes(part[8:12], "little")
+    header = json.loads(part[12 : 12 + length])
+    place = header["arrays"]["values"]
+    start = 12 + length + place["offset"]
+    return header, np.frombuffer(part[start : start + 4 * place["count"]], np.float32)
+
+
+def test_a_matrix_that_cannot_be_separated_has_no_such_layers(tmp_path: Path) -> None:
+    matrix = csr_array(([-1.0], ([0], [0])), shape=(480, 288), dtype=np.float32)
+    signed = lm.LightTransport.from_matrix(matrix, (24, 20), (16, 18))
+    assert "direct" not in Scene(signed).layers
+    dark = lm.LightTransport.from_matrix(abs(matrix), (24, 20), (16, 18))
+    assert "direct" in Scene(dark).layers
+    with pytest.raises(lm.InputError, match="light"):
+        Scene(dark).layer("direct")
+    lm.export_viewer(tmp_path / "page.html", dark)
+    assert 'id="data-layer-direct"' not in (tmp_path / "page.html").read_text()
+
+
+def test_patterns_of_the_capture(transport: lm.LightTransport) -> None:
+    patterns = lm.BernoulliPatterns((32, 36), 8)
+    frames = np.zeros((8, *transport.camera_shape), np.uint8)
+    capture = lm.Capture.from_arrays(patterns, frames, lm.Sensor())
+    scene = Scene(transport, capture=capture)
+    assert scene.frames is not None
+    assert scene.frames.count == 8
+    # The matrix has the projector binned by 2.
+    expected = patterns.images()[3].reshape(16, 2, 18, 2).mean(axis=(1, 3))
+    levels = scene.frames.levels(3)[-16 * 18 :]
+    np.testing.assert_allclose(np.frombuffer(levels, np.uint8), 255 * expected.ravel(), atol=0.51)
+    for number in (-1, 8):
+        with pytest.raises(lm.InputError, match=f"pattern {number} of 8"):
+            scene.frames.levels(number)
+    other = lm.Capture.from_arrays(lm.BernoulliPatterns((8, 8), 8), frames, lm.Sensor())
+    with pytest.raises(lm.InputError, match="projector of 8 x 8"):
+        Scene(transport, capture=other)

@@ -26,6 +26,10 @@ def view(
             help="Write the viewer and the matrix as one page that needs no server.",
         ),
     ] = None,
+    capture: Annotated[
+        Path | None,
+        typer.Option(help="The capture of the estimate, whose patterns the page then offers."),
+    ] = None,
     port: Annotated[int, typer.Option(help="Port on this machine; 0 for a free one.")] = 0,
     browser: Annotated[
         bool, typer.Option("--browser/--no-browser", help="Open the page in the browser.")
@@ -45,8 +49,9 @@ def view(
     page is reachable from this machine only.
     """
     if export is not None:
-        if port:
-            raise InputError("--port with --export", hint="a page that is written needs no port")
+        for name, given in (("--port", port), ("--capture", capture)):
+            if given:
+                raise InputError(f"{name} with --export", hint="a page that is written needs none")
         lm.export_viewer(export, scene, overwrite=overwrite)
         say(f"{export}: open it in a browser")
         return
@@ -68,4 +73,5 @@ def view(
             ready=ready,
             page_bytes=memory_bytes(page_memory),
             progress=lambda *step: bar()(*step),
+            capture=capture,
         )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import re
 from collections.abc import Awaitable, Callable
 from typing import Any
 
@@ -12,6 +13,7 @@ from lightmatrix.viewer.guard import Guard
 from lightmatrix.viewer.messages import MessageError
 from lightmatrix.viewer.page_files import STYLE, frame, module_names, page_file
 from lightmatrix.viewer.scene import Scene
+from lightmatrix.viewer.session import REST_MILLISECONDS
 
 Receive = Callable[[], Awaitable[dict[str, Any]]]
 Send = Callable[[dict[str, Any]], Awaitable[None]]
@@ -57,6 +59,9 @@ class Answers:
         if path.startswith("layer/") and path.endswith(".bin"):
             name = path.removeprefix("layer/").removesuffix(".bin")
             files[path] = (_BINARY, lambda: scene.layer(name))
+        if re.fullmatch(r"frame/[0-9]{1,9}\.bin", path) and (frames := scene.frames) is not None:
+            number = int(path.removeprefix("frame/").removesuffix(".bin"))
+            files[path] = (_BINARY, lambda: frames.levels(number))
         if path not in files:
             await self._answer(send, 404, _TEXT, b"There is no such file.")
             return
@@ -102,6 +107,8 @@ class Answers:
             while True:
                 # A message goes first: it may make the rest superfluous.
                 await asyncio.sleep(0)
+                if session.unfinished and session.patient:
+                    await asyncio.wait([coming], timeout=REST_MILLISECONDS / 1000)
                 if session.unfinished and not coming.done():
                     part = await asyncio.to_thread(session.finish)
                     if part is not None:

@@ -56,8 +56,14 @@ def export_viewer(
             "LightTransport.crop, or estimate it with --bin-projector or --bin-camera",
         )
     scene = Scene(transport)
-    parts = {"scene": scene.description, "matrix": scene.matrix_bytes}
-    parts |= {f"layer-{name}": scene.layer(name) for name in scene.layers}
+    parts = {"matrix": scene.matrix_bytes}
+    for name in scene.layers:
+        try:
+            parts[f"layer-{name}"] = scene.layer(name)
+        except InputError:
+            # T may turn out to have none, such as one with too little direct light.
+            scene.drop_layer(name)
+    parts["scene"] = scene.description
     data = {name: base64.b64encode(part).decode() for name, part in parts.items()}
     with atomic_file(path, PAGE, overwrite=overwrite) as part:
         part.write_text(frame(scene.title, data), encoding="utf-8")

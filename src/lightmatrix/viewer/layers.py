@@ -15,12 +15,18 @@ from lightmatrix.errors import InputError
 from lightmatrix.pictures import maps
 from lightmatrix.transport.correspondence import Correspondence, correspondence
 from lightmatrix.transport.matrix import LightTransport
+from lightmatrix.uses.separation import Separation, separate
 from lightmatrix.viewer.lights import Light
 from lightmatrix.viewer.matrix_data import white_level
 from lightmatrix.viewer.packed import packed
 
 # Colours of a scale that are sent. A map with fewer would show bands.
 _COLOURS = 256
+# The scale of the parallax leaves out this share at either end, where wrong matches may lie.
+_ENDS = (0.01, 0.99)
+# The most entries of a matrix that is separated, and with which pictures are compensated for, on
+# request. 3 million take 1.6 s of a core.
+COMPUTED_ENTRIES = 1 << 22
 # Rows of T whose correspondences are found at a time, of a matrix on disk.
 _ROWS = 1 << 16
 
@@ -91,6 +97,26 @@ class LayerSource:
         )
         return Correspondence(pixel, place, confidence)
 
+    @cached_property
+    def separation(self) -> Separation:
+        """Direct and global light, of a matrix in memory.
+
+        Raises
+        ------
+        InputError
+            If T cannot be separated.
+        """
+        assert isinstance(self.matrix, LightTransport)
+        return separate(self.matrix)
+
+    @property
+    def separable(self) -> bool:
+        """Whether direct and global light can be computed in a few seconds."""
+        matrix = self.matrix
+        if not isinstance(matrix, LightTransport) or matrix.sparse.nnz > COMPUTED_ENTRIES:
+            return False
+        return min(matrix.sparse.data.min(initial=0), matrix.background.min(initial=0)) >= 0
+
     def dual_image(self) -> NDArray[np.float32]:
         """The scene seen from the projector, lit evenly from the camera."""
         if isinstance(self.matrix, LightTransport):
@@ -147,6 +173,25 @@ def _dual(source: LayerSource) -> bytes:
     return packed(header, {"values": image})
 
 
+def _light(part: Callable[[Separation], LightTransport]) -> Callable[[LayerSource], bytes]:
+    """A part of the light under a white pattern, shown like the photograph."""
+
+    def make(source: LayerSource) -> bytes:
+        light = part(source.separation)
+        image = light.relight(np.ones(light.projector_shape))
+        return packed({"white": white_level(image), "gained": True}, {"values": image})
+
+    return make
+
+
+def _depth_order(source: LayerSource) -> bytes:
+    values = source.separation.parallax.astype(np.float64)
+    known = values[np.isfinite(values)]
+    low, high = (float(end) for end in np.quantile(known, _ENDS)) if known.size else (0.0, 1.0)
+    label = "parallax along the epipolar line, projector pixels"
+    return packed_map(maps.Map("parallax", "Parallax", label, values, low, max(high, low + 1e-6)))
+
+
 def _places(which: int) -> Callable[[LayerSource], bytes]:
     return lambda source: packed_map(maps.correspondence_maps(source.correspondence)[which])
 
@@ -161,12 +206,19 @@ def _diagnostic(title: str, make: Callable[[LightTransport], maps.Map], name: st
 
 
 LAYERS = {
+    "direct": Layer(
+        "Direct light of white", "camera", _light(lambda s: s.direct), lambda s: s.separable
+    ),
+    "global": Layer(
+        "Global light of white", "camera", _light(lambda s: s.global_), lambda s: s.separable
+    ),
+    "parallax": Layer("Parallax (depth order)", "camera", _depth_order, lambda s: s.separable),
     "dual": Layer("Dual image", "projector", _dual),
     "row": Layer("Correspondence: row", "camera", _places(0)),
     "column": Layer("Correspondence: column", "camera", _places(1)),
     "confidence": Layer("Correspondence: confidence", "camera", _places(2)),
     "clipping": _diagnostic("Clipped samples", maps.clipping_map, "clipped_share"),
-    "stated-error": _diagnostic("Estimated error", maps.estimated_error_map, "estimated_error"),
+    "estimated-error": _diagnostic("Estimated error", maps.estimated_error_map, "estimated_error"),
     "footprint": _diagnostic("Footprint size", maps.footprint_map, "footprint"),
     "gap": _diagnostic("Duality gap", maps.gap_map, "gap"),
 }

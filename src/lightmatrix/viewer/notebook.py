@@ -16,7 +16,7 @@ from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.viewer.messages import MessageError
 from lightmatrix.viewer.page_files import STYLE, bundle, page_file
 from lightmatrix.viewer.scene import Scene
-from lightmatrix.viewer.session import Session
+from lightmatrix.viewer.session import REST_MILLISECONDS, Session
 
 # The largest matrix that a notebook sends to its page, where it may be kept with the notebook.
 _PAGE_BYTES = 32 << 20
@@ -84,8 +84,7 @@ class Views:
             except MessageError:
                 return
             for part in parts:
-                more = session.unfinished and part is parts[-1]
-                self._send({"view": view, "what": "part", "more": more}, [part])
+                self._part(view, session, part, more=session.unfinished and part is parts[-1])
         elif what == "finish":
             self._finish(view)
 
@@ -95,7 +94,12 @@ class Views:
         while part is None and session.unfinished:
             part = session.finish()
         if part is not None:
-            self._send({"view": view, "what": "part", "more": session.unfinished}, [part])
+            self._part(view, session, part, more=session.unfinished)
+
+    def _part(self, view: str, session: Session, part: bytes, *, more: bool) -> None:
+        """Send a part of an answer, and when the view may ask for the next, in milliseconds."""
+        wait = REST_MILLISECONDS if session.patient else 0
+        self._send({"view": view, "what": "part", "more": more, "wait": wait}, [part])
 
     def _layer(self, view: str, name: Any) -> None:
         answer = {"view": view, "what": "layer", "name": name}

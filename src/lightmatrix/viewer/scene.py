@@ -6,12 +6,18 @@ import threading
 from functools import cached_property
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from lightmatrix import store
+from lightmatrix.capture.capture import Capture
 from lightmatrix.errors import InputError, LightMatrixError
 from lightmatrix.store.stored_transport import StoredTransport
 from lightmatrix.transport.matrix import LightTransport
+from lightmatrix.uses.compensation import compensate
+from lightmatrix.viewer.captured import CapturedPatterns
 from lightmatrix.viewer.coarse import CoarseLight
-from lightmatrix.viewer.layers import LayerSource
+from lightmatrix.viewer.layers import COMPUTED_ENTRIES, LayerSource
 from lightmatrix.viewer.lights import Light, MemoryLight, Progress, StoredLight
 from lightmatrix.viewer.matrix_data import matrix_data, matrix_size, white_level
 from lightmatrix.viewer.messages import HEADER_BYTES
@@ -21,6 +27,7 @@ from lightmatrix.viewer.session import Session
 # The largest matrix that a page relights itself. Beyond it, a browser's tab needs gigabytes.
 PAGE_BYTES = 512 << 20
 _COLOUR_CHANNELS = 3
+_GAMMA = 2.2
 
 
 class Scene:
@@ -35,6 +42,8 @@ class Scene:
         store, which gets an index of its columns.
     progress : callable, optional
         Called with what is done, all there is, and a note, while the index is made.
+    capture : Capture, str or Path, optional
+        The capture of T, whose patterns the page offers.
 
     Raises
     ------
@@ -50,6 +59,7 @@ class Scene:
         *,
         page_bytes: int = PAGE_BYTES,
         progress: Progress | None = None,
+        capture: Capture | str | Path | None = None,
     ) -> None:
         self._path = None if isinstance(transport, LightTransport) else Path(transport)
         self.matrix = opened(transport, page_bytes)
@@ -65,10 +75,15 @@ class Scene:
         self.light: Light | None = None
         if isinstance(self.matrix, StoredTransport):
             self.light = StoredLight.open(self.matrix.header.place, progress)
+            self._layers = LayerSource(self.light)
         elif page_size(self.matrix) > page_bytes:
             self.light = MemoryLight(self.matrix)
+            self._layers = LayerSource(self.light)
+        else:
+            self._layers = LayerSource(self.matrix)
         self._found = self._stamp()
-        self._layers = LayerSource(self.matrix if self.light is None else self.light)
+        self.frames = None if capture is None else CapturedPatterns(capture, self.matrix)
+        self._computing = threading.Lock()
         self._coarse: CoarseLight | None = None
         self._coarse_maker: threading.Thread | None = None
 
@@ -89,6 +104,8 @@ class Scene:
             "layers": self._layers.available,
             "remote": self.light is not None,
             "white": self._white,
+            "frames": 0 if self.frames is None else self.frames.count,
+            "compensates": self._compensates,
         }
         return packed(header, self._layers.colours)
 
@@ -115,7 +132,11 @@ class Scene:
         """The names of the layers."""
         return list(self._layers.available)
 
-    def layer(self, name: str) -> bytes:
+    def drop_layer(self, name: str) -> None:
+        """Do not offer a layer; before the description is asked for."""
+        del self._layers.available[name]
+
+    def layer(self, name: object) -> bytes:
         """A layer, computed when it is first asked for.
 
         Raises
@@ -133,8 +154,29 @@ class Scene:
         rows, cols = self.matrix.camera_shape[:2]
         projector = self.matrix.projector_shape
         return Session(
-            self.light, self._white or 1.0, lambda: self._coarse, (rows, cols), projector
+            self.light,
+            self._white or 1.0,
+            lambda: self._coarse,
+            (rows, cols),
+            projector,
+            self._compensated if self._compensates else None,
         )
+
+    @property
+    def _compensates(self) -> bool:
+        """Whether patterns are computed for pictures, which takes seconds for larger matrices."""
+        matrix = self.matrix
+        return isinstance(matrix, LightTransport) and matrix.sparse.nnz <= COMPUTED_ENTRIES
+
+    def _compensated(self, levels: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], str]:
+        """The pattern under which the camera sees a picture, and how well."""
+        assert isinstance(self.matrix, LightTransport)
+        # Levels of a picture are seen through the usual gamma of a screen.
+        with self._computing:
+            found = compensate(self.matrix, levels / np.float32(255), gamma=_GAMMA)
+        reached = 100 * float(found.reachable.mean())
+        words = f"{reached:.0f} % of the camera pixels reach the picture, at {found.psnr:.0f} dB."
+        return np.rint(255 * found.pattern).astype(np.uint8), words
 
     def _make_coarse(self) -> None:
         assert self.light is not None

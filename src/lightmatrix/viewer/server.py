@@ -9,6 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from lightmatrix.capture.capture import Capture
 from lightmatrix.errors import InputError, MissingExtraError, OutputError
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.viewer.answers import MOST_SOCKETS, Answers
@@ -31,6 +32,7 @@ def serve_viewer(
     ready: Callable[[str], None] | None = None,
     page_bytes: int = PAGE_BYTES,
     progress: Progress | None = None,
+    capture: Capture | str | Path | None = None,
 ) -> None:
     """Show a light transport matrix in the browser, and serve the page until Ctrl-C.
 
@@ -54,6 +56,8 @@ def serve_viewer(
     progress : callable, optional
         Called with (done, total, note) while the index is made; the note says how much disk space
         it takes.
+    capture : Capture, str or Path, optional
+        The capture that T was estimated from. The page then offers its patterns.
 
     Raises
     ------
@@ -74,7 +78,7 @@ def serve_viewer(
     uvicorn = _library()
     if not 0 <= port <= _HIGHEST_PORT:
         raise InputError(f"port {port}", hint=f"use 0 (any free one) to {_HIGHEST_PORT}")
-    scene = Scene(transport, page_bytes=page_bytes, progress=progress)
+    scene = Scene(transport, page_bytes=page_bytes, progress=progress, capture=capture)
     with _bound(port) as listening:
         guard = Guard(listening.getsockname()[1])
         # The socket listens already, so that whoever opens the page now is answered.

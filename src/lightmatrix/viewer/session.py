@@ -24,6 +24,11 @@ _QUICK = 2.5e-4
 # Then parts follow that are off by this share of their own light, as half precision is, or by this
 # share of white.
 _FINE, _FAINTEST = 1e-3, 1e-6
+# Samples that change are sent with their places, which takes 6 bytes each, if they are less than
+# this share of all. In a tile each takes 2.
+_SCATTERED = 1 / 8
+# Without a movement for so long, the brush rests.
+REST_MILLISECONDS = 150
 # Tiles of one message, of at most 512 KiB a channel, so that a stroke never waits for long.
 _MOST_TILES = 64
 # Computes the pattern for a picture: its levels and a few words.
@@ -64,6 +69,11 @@ class Session:
     def unfinished(self) -> bool:
         """Whether the window lacks parts of its photograph."""
         return self._painting is not None and self._painting.unfinished
+
+    @property
+    def patient(self) -> bool:
+        """Whether these parts can wait until the brush rests."""
+        return self._painting is not None and self._painting.resting
 
     def answer(self, message: Any) -> list[bytes]:
         """The answers to a message.
@@ -120,6 +130,8 @@ class _Painting:
         # The rows of T that a whole pattern still has to be relit with.
         self._blocks: Iterator[tuple[int, SparseRows]] | None = None
         self.unfinished = False
+        # Whether what is missing is too faint to be seen while the brush moves.
+        self.resting = False
 
     def paint(self, asked: Paint) -> list[bytes]:
         """The photograph under the new levels, as far as it is quickly had."""
@@ -129,13 +141,28 @@ class _Painting:
         down, across = np.nonzero(change)
         window[...] = asked.levels
         self.unfinished = True
+        self.resting = False
         if len(down) > _WHOLE * self._levels.size:
             return [self._begin_whole(asked, change)]
         pixels = (asked.top + down) * self._levels.shape[1] + asked.left + across
         light = self._light.columns(pixels, change[down, across] / 255)
-        self._photograph += light.reshape(self._photograph.shape)
-        tiles = tiles_above(np.abs(self._photograph - self._sent), _QUICK * self._white)
-        return self._parts(tiles, asked.number)
+        return self._add(light.ravel(), asked.number)
+
+    def _add(self, light: NDArray[np.float32], number: int) -> list[bytes]:
+        """Add light to the photograph; what the window is told of it at once."""
+        photograph, sent = self._photograph.reshape(-1), self._sent.reshape(-1)
+        lit = np.flatnonzero(light)
+        photograph[lit] += light[lit]
+        samples = lit[np.abs(photograph[lit] - sent[lit]) > _QUICK * self._white]
+        # The rest waits until the brush rests.
+        self.resting = True
+        if len(samples) > _SCATTERED * len(photograph):
+            tiles = tiles_above(np.abs(self._photograph - self._sent), _QUICK * self._white)
+            return self._parts(tiles, number)
+        values, scale = halves(photograph[samples])
+        sent[samples] = values.astype(np.float32) * np.float32(scale)
+        header = {"kind": "samples", "answers": number, "scale": scale, "more": True}
+        return [packed(header, {"samples": samples.astype(np.uint32), "values": values})]
 
     def _begin_whole(self, asked: Paint, change: NDArray[np.float32]) -> bytes:
         """Relight the whole pattern, coarse now if possible; fine parts follow."""

@@ -17,11 +17,12 @@ from . import (
     stores,
     streams,
     together,
+    views,
 )
 
 _MODULES = (
     *(outputs, foreign, arguments, descriptions, captures, images, damaged_images, stores),
-    *(archives, partial, together, streams, resources),
+    *(archives, partial, together, streams, resources, views),
 )
 
 

@@ -4,6 +4,8 @@ import { KIND } from "./line.js";
 import { halves } from "./packed.js";
 
 const HALF = halves(1);
+// Milliseconds for which a frame waits for the answer to a stroke. Python takes 5 to 10 of them.
+const PATIENCE = 30;
 
 /** T in Python, with the same methods as Matrix; what they find comes later. */
 export class RemoteMatrix {
@@ -31,6 +33,9 @@ export class RemoteMatrix {
 
   /** Whether the photograph is not that of the last pattern yet. */
   get busy() { return this.#sent !== null || this.#finishing || this.#question !== null; }
+
+  /** Whether the answer to a stroke is about to come. */
+  get expects() { return this.#sent !== null && performance.now() - this.#sent.at < PATIENCE; }
 
   /** Ask for the photograph under other levels. A question waits until the last one is answered. */
   relight(levels, time) {
@@ -64,7 +69,7 @@ export class RemoteMatrix {
       bytes.set(line, row * width);
       lit.set(line, start);
     }
-    this.#sent = { number: this.line.post(KIND.paint, [top, left, height, width], bytes), time };
+    this.#sent = { number: this.line.post(KIND.paint, [top, left, height, width], bytes), time, at: performance.now() };
     this.#finishing = true;
   }
 
@@ -73,6 +78,9 @@ export class RemoteMatrix {
     if (header.kind === "error") {
       this.#finishing = false;
       this.onerror(header.message);
+    } else if (header.kind === "samples") {
+      arrays.samples.forEach((sample, k) => { this.photograph[sample] = header.scale * HALF[arrays.values[k]]; });
+      this.#finishing = header.more;
     } else if (header.kind === "coarse") this.#spread(header, arrays.values);
     else placeTiles(this.photograph, this.camera[1], this.channels, header, arrays.values);
     if (header.kind === "tiles") this.#finishing = header.more;

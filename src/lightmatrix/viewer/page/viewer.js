@@ -209,6 +209,8 @@ export class Viewer {
   change() {
     this.#changed = true;
     this.#showValues();
+    // A question is asked at once, as its answer may be there before the next frame.
+    if (this.matrix.remote) this.relight();
     this.redraw();
     this.source.keep?.(this.pattern.levels);
   }
@@ -263,7 +265,13 @@ export class Viewer {
 
   #frame() {
     this.#waiting = false;
+    // Two frames, of the pattern and then of its light, would take twice as long.
+    if (this.matrix.expects) { this.redraw(); return; }
     if (this.#changed) this.relight();
+    this.#drawNow();
+  }
+
+  #drawNow() {
     const paper = getComputedStyle(this.root).getPropertyValue("--stage").trim();
     const colour = [1, 3, 5].map((start) => parseInt(paper.slice(start, start + 2), 16) / 255);
     for (const [side, pane] of Object.entries(this.panes)) pane.draw(this.content(side), this.view, colour, this.pointing.marks(side));
@@ -298,7 +306,8 @@ export class Viewer {
 
   /** What the camera pane shows, one pixel for each of the camera's. */
   snapshot() {
-    this.#frame();
+    if (this.#changed) this.relight();
+    this.#drawNow();
     return this.panes.camera.picture.pixels(this.panes.camera.look);
   }
 

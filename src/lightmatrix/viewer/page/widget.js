@@ -11,6 +11,7 @@ class NotebookSource {
   #layers = new Map();
   #timer = null;
   #own = null;
+  #rest = null;
 
   constructor(model) {
     this.model = model;
@@ -38,7 +39,8 @@ class NotebookSource {
     }
     this.line.receive(buffer);
     // The kernel sends the rest part by part, so that it can do other work in between.
-    if (content.more) this.model.send({ view: this.view, what: "finish" });
+    clearTimeout(this.#rest);
+    if (content.more) this.#rest = setTimeout(() => this.model.send({ view: this.view, what: "finish" }), content.wait);
   }
 
   watch(viewer) {
@@ -66,6 +68,7 @@ class NotebookSource {
 
   close() {
     clearTimeout(this.#timer);
+    clearTimeout(this.#rest);
     this.model.off("msg:custom", this.listener);
     this.model.off("change:levels", this.take);
   }
