@@ -139,15 +139,10 @@ def measure(case: Case) -> Outcome:
         except lm.InputError as error:
             return Outcome(case, "refused", error.message, seconds=seconds())
     verdict = lm.verdict(estimate).with_findings(kinds)
-    return Outcome(
-        case,
-        verdict.level,
-        verdict.sentence,
-        kinds,
-        relative_error(estimate, drawn.truth),
-        stated_error(estimate),
-        seconds(),
-    )
+    # A finding may make the stated error void.
+    stated = stated_error(estimate) if "Estimated error" in verdict.sentence else None
+    true = relative_error(estimate, drawn.truth)
+    return Outcome(case, verdict.level, verdict.sentence, kinds, true, stated, seconds())
 
 
 def outcomes(cases: Sequence[Case], file: Path, processes: int) -> list[Outcome]:

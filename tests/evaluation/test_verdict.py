@@ -48,6 +48,7 @@ def test_what_no_error_estimate_shows_makes_the_verdict_doubtful() -> None:
     spoiled = good.with_findings(["response", "flicker", "order"])
     assert spoiled.level == "doubtful"
     assert spoiled.sentence.endswith("(order, response).")
+    assert "1 %" not in spoiled.sentence
 
 
 def test_an_estimate_with_clipped_single_responses_is_not_called_good(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Literal
@@ -28,6 +29,8 @@ _MANY_CLIPPED, _MANY_UNFINISHED = 0.1, 0.01
 # Kinds of findings of `check` that spoil T where neither estimated errors nor unseen photographs
 # show it: these photographs are wrong alike.
 _SPOILING = ("order", "unrelated", "response", "motion", "patterns")
+# The sentence that states an error, which such a finding makes void.
+_STATED = re.compile(r"Estimated error of T: [^%]*%\. ?")
 _UNTESTED = "It was not tested on unseen photographs (`estimate --report` does that)."
 _REMEDY = (
     "More patterns help most, then an exposure that uses the camera's range, or binned projector "
@@ -70,9 +73,9 @@ class Verdict:
         spoiling = sorted(set(kinds) & set(_SPOILING))
         if not spoiling:
             return self
-        doubt = f"But the check found what no error estimate shows ({', '.join(spoiling)})."
+        doubt = f"The check found what no error estimate shows ({', '.join(spoiling)})."
         level: Level = self.level if self.level == "not tested" else "doubtful"
-        return Verdict(level, f"{self.sentence} {doubt}")
+        return Verdict(level, " ".join([_STATED.sub("", self.sentence), doubt]).strip())
 
 
 def verdict(transport: LightTransport, why_untested: str = _UNTESTED) -> Verdict:
