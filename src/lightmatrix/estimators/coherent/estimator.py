@@ -44,7 +44,7 @@ class CoherentEstimator(Estimator):
     estimated_error, the estimated relative error of the row: the error of an estimate without an
     eighth of the frames at these frames, less the noise; NaN below eight frames. What no frame held
     out shows is in constant_light, the share of the row's light that does not follow the patterns,
-    bend, how far residuals bend with the prediction (both of at most 4,096 rows, and NaN of others),
+    bend, how far residuals bend with the prediction (both NaN for all but 4,096 rows),
     only_bounded, whether the row clips whenever its strongest projector pixel is lit, and glint,
     whether it clips in most frames too. Progress counts all rounds, each by the time that it
     usually takes.
