@@ -98,7 +98,7 @@ def find_misses(
     light = rows.light(hypothesis.exposed_as)
     # What all rows do together is the brightness of the frame (flicker, the mean of the pattern):
     # no evidence of which pixels were lit, and a prediction of it would err in all rows alike.
-    common = light.mean(axis=0, keepdims=True)
+    common = light.mean(axis=0)
     known = np.flatnonzero(hypothesis.order >= 0)
     shown = hypothesis.order[known]
     values = np.full(light.shape, np.nan, np.float32)
@@ -107,14 +107,14 @@ def find_misses(
     # For some tens of rows a search of all pixels is quicker than making shortlists.
     predicted = predict_by_pursuit(patterns, scale, values, fold, shortlist=False)
     brightness = np.full(count, common.mean(), np.float32)
-    brightness[shown] = common[0, known]
+    brightness[shown] = common[known]
     predicted = np.minimum(predicted + brightness, rows.lowest)
     mean = light.mean(axis=1, keepdims=True)
     spread = np.maximum(light.std(axis=1, keepdims=True), 1e-12)
 
     def variation(samples: NDArray[np.float32]) -> NDArray[np.float64]:
         relative = ((samples - mean) / spread).astype(np.float64)
-        return np.asarray(relative - relative.mean(axis=0, keepdims=True))
+        return np.asarray(relative - relative.mean(axis=0))
 
     # `here` reads each frame at its own exposure, `there` at that of the frame whose pattern it may
     # show.
