@@ -10,6 +10,7 @@ from . import (
     damaged_images,
     descriptions,
     foreign,
+    geometry,
     images,
     outputs,
     partial,
@@ -22,7 +23,7 @@ from . import (
 
 _MODULES = (
     *(outputs, foreign, arguments, descriptions, captures, images, damaged_images, stores),
-    *(archives, partial, together, streams, resources, views),
+    *(archives, partial, together, streams, resources, views, geometry),
 )
 
 

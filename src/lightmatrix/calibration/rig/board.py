@@ -59,12 +59,15 @@ def find_corners(white: NDArray[np.float64], board: Shape) -> NDArray[np.float64
     level = max(float(np.quantile(white, _WHITE_QUANTILE)), 1e-12)
     image = np.rint(255 * np.clip(white / level, 0, 1)).astype(np.uint8)
     flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
-    good, corners = cv2.findChessboardCorners(image, board, flags=flags)
-    if not good:
-        # Slower, and finds boards that are blurred or unevenly lit.
-        good, corners = cv2.findChessboardCornersSB(
-            image, board, flags=cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE
-        )
+    try:
+        good, corners = cv2.findChessboardCorners(image, board, flags=flags)
+        if not good:
+            # Slower, and finds boards that are blurred or unevenly lit.
+            flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE
+            good, corners = cv2.findChessboardCornersSB(image, board, flags=flags)
+    except cv2.error:
+        # Images of a few pixels are too small for OpenCV's thresholds.
+        return None
     if not good:
         return None
     places = np.asarray(corners, np.float32).reshape(-1, 1, 2)

@@ -1,0 +1,103 @@
+"""Calibrations without a board, and files that are no geometry or belong to another rig."""
+
+from __future__ import annotations
+
+import json
+
+from ..case import Case
+from ..put import copy, text
+
+TRIANGULATE = "triangulate scene.zarr --geometry rig.json -o new.ply"
+CALIBRATE = "calibrate {} --board 9x7 --square 24mm -o new.json"
+_MATRIX = [[10.0, 0.0, 3.5, 0.0], [0.0, 10.0, 3.5, 0.0], [0.0, 0.0, 1.0, 0.0]]
+
+
+def _geometry(**changes: object) -> str:
+    """A good geometry for images of 8 x 8, with changes."""
+    moved = [[10.0, 0.0, 3.5, -5.0], *_MATRIX[1:]]
+    content: dict[str, object] = {
+        "format": "lightmatrix-geometry",
+        "version": 1,
+        "camera_matrix": _MATRIX,
+        "projector_matrix": moved,
+        "camera_shape": [8, 8],
+        "projector_shape": [8, 8],
+        "camera_distortion": [0.0] * 5,
+        "projector_distortion": [0.0] * 5,
+    }
+    return json.dumps({**content, **changes})
+
+
+# The content of a file -> what the message says.
+FILES: dict[str, tuple[str | bytes, str]] = {
+    "nothing": ("", "holds no geometry"),
+    "a photograph": (b"\x89PNG\r\n\x1a\n\x00\xff", "cannot be read as text|no geometry"),
+    "a list": ("[1, 2]", "no geometry|is not a lightmatrix-geometry"),
+    "the curve of a response": (
+        '{"format": "lightmatrix-response", "version": 1}',
+        "is not a lightmatrix-geometry",
+    ),
+    "a later version": (_geometry(version=2), "version 2"),
+    "no projector": (
+        json.dumps({"cam_K": [[1, 0, 0], [0, 1, 0], [0, 0, 1]]}),
+        "names no projector intrinsics",
+    ),
+    "a matrix of words": (_geometry(camera_matrix="wide"), "projection matrix"),
+    "a matrix that is cut": (_geometry(camera_matrix=_MATRIX[:2]), "projection matrix"),
+    "numbers that are not finite": (
+        _geometry().replace("10.0", "1e999", 1),
+        "too large|not finite|cannot be read",
+    ),
+    "devices in one place": (_geometry(projector_matrix=_MATRIX), "same centre"),
+    "an image without pixels": (_geometry(camera_shape=[0, 8]), "image size"),
+    "six coefficients": (_geometry(camera_distortion=[0.1] * 6), "6 coefficients"),
+    "XML that is cut": ("<?xml version='1.0'?><opencv_storage><cam_K", "no geometry|cannot read"),
+    "a camera of another size": (_geometry(camera_shape=[12, 10]), "12 x 10"),
+    "a projector of another size": (_geometry(projector_shape=[12, 16]), "12 x 16"),
+}
+
+
+def _files() -> list[Case]:
+    return [
+        Case(f"a geometry that is {name}", TRIANGULATE, says, text("rig.json", content))
+        for name, (content, says) in FILES.items()
+    ]
+
+
+def _poses() -> list[Case]:
+    several = "capture lit again"
+    again = copy("capture", "again")
+    return [
+        Case("poses without a board", CALIBRATE.format(several), "no board of 9 x 7", again),
+        Case("too few poses", CALIBRATE.format("capture lit"), "2 usable poses"),
+        Case("a pose that is missing", CALIBRATE.format("nowhere capture lit"), "nowhere"),
+        Case(
+            "a pose that is a photograph",
+            CALIBRATE.format("holiday.jpg capture lit"),
+            "holiday.jpg",
+        ),
+        *(
+            Case(
+                f"a board of {board}",
+                CALIBRATE.format(several).replace("9x7", board),
+                "size|board",
+                again,
+            )
+            for board in ("1x7", "0x7", "nine")
+        ),
+        *(
+            Case(
+                f"a square of {square}",
+                CALIBRATE.format(several).replace("24mm", square),
+                "square",
+                again,
+            )
+            for square in ("0mm", "wide", "-3", "nan", "1e999mm", "1.2.3mm")
+        ),
+    ]
+
+
+# What its cases need of the work folder.
+NEEDS = ("capture", "lit", "scene.zarr", "holiday.jpg")
+
+CASES = [*_files(), *_poses()]
