@@ -33,6 +33,7 @@ from .camera.camera_curve import Response as Response
 from .camera.samples import Samples as Samples
 from .camera.sensor import Sensor as Sensor
 from .capture.capture import Capture as Capture
+from .capture.convert import convert as convert
 from .capture.packing import pack as pack
 from .capture.settings import ReadSettings as ReadSettings
 from .files.images import (

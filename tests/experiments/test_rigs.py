@@ -44,6 +44,16 @@ def test_the_orientation_of_the_camera_does_not_matter() -> None:
     assert error_of(Case("gripper", "quarter turn", 32, side=SIDE)) < 1.1 * straight
 
 
+def test_a_gamma_of_the_camera_costs_nothing_once_it_is_found() -> None:
+    straight = error_of(Case("l_objects", "sharp", 32, side=SIDE))
+    case = Case("l_objects", "gamma 2.2, found", 32, side=SIDE)
+    truth = rig_truth(case.scene, case.rig, SIDE)
+    capture = rig_capture(case, truth)
+    assert relative_error(lm.estimate(capture, check=False), truth.transport()) < 1.2 * straight
+    as_linear = lm.estimate(capture, response="linear", check=False)
+    assert relative_error(as_linear, truth.transport()) > 5 * straight
+
+
 def test_rows_have_an_estimated_error_and_a_footprint() -> None:
     measured = {rig: measure(Case("l_objects", rig, 32, side=SIDE)) for rig in ("sharp", "blur 2")}
     sizes = {rig: one.rows[0]["footprint"] for rig, one in measured.items()}

@@ -20,6 +20,7 @@ from lightmatrix.cli.capture import capture
 from lightmatrix.cli.check import check
 from lightmatrix.cli.claims import outputs
 from lightmatrix.cli.compensate import compensate
+from lightmatrix.cli.convert import convert
 from lightmatrix.cli.decode import decode
 from lightmatrix.cli.demo import demo
 from lightmatrix.cli.estimate import estimate
@@ -49,7 +50,7 @@ COMPLETION = "_LIGHTMATRIX_COMPLETE"
 # Commands by stage of the work.
 STAGES: dict[str, tuple[Callable[..., None], ...]] = {
     "Prepare": (plan, patterns),
-    "Photograph": (capture, response, calibrate),
+    "Photograph": (capture, convert, response, calibrate),
     "Measure and use": (
         check,
         pack,

@@ -13,13 +13,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import spearmanr
 
+from lightmatrix.camera.camera_curve import Response
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.frames import ArrayStack
+from lightmatrix.diagnosis.responses.found import with_response
 from lightmatrix.estimators.estimate import estimate
 from lightmatrix.evaluation.doubts import estimated_error
 from lightmatrix.evaluation.metrics import relighting_error, squared_errors, unseen_patterns
 from lightmatrix.experiments.harness import Experiment, Measured, all_rows
 from lightmatrix.experiments.measured_scene import SCENES
+from lightmatrix.experiments.responses import S_CURVE, camera_of, coded
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.pictures.style import COLOURS, figure, fix_ticks, save
 from lightmatrix.planning.plan import plan
@@ -96,7 +99,9 @@ PHOTOGRAPHED: dict[str, dict[str, Any]] = {
     "12 bits, shot noise": {"bits": 12, "noise": 0.001, "shot_noise": 0.005},
     "response off by 5 %": {},
 }
-RIGS = (*CHANGED, *VIEWS, *PHOTOGRAPHED)
+# Cameras that are not linear; `estimate` finds their response in the photographs.
+CODED = {"gamma 2.2, found": "gamma:2.2", "sRGB, found": "srgb", "S-curve, found": S_CURVE}
+RIGS = (*CHANGED, *VIEWS, *PHOTOGRAPHED, *CODED)
 
 
 @dataclass(frozen=True)
@@ -175,6 +180,9 @@ def rig_capture(case: Case, truth: Truth) -> Capture:
     noise = options.get("noise", 0.003)
     exposure = plan(truth, frames=case.patterns, noise=noise).exposure
     patterns = BernoulliPatterns(truth.projector_shape, case.patterns, seed=case.seed)
+    if case.rig in CODED:
+        light = simulate(truth, patterns, exposure=exposure, seed=case.seed, bits=None)
+        return with_response(coded(light, camera_of(CODED[case.rig])), Response.parse("auto"))
     capture = simulate(truth, patterns, exposure=exposure, seed=case.seed, **options)
     if case.rig != "response off by 5 %":
         return capture
