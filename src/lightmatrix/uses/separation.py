@@ -33,6 +33,8 @@ from lightmatrix.uses.spots import entries_of, find_spots, spot_deviation
 # standard deviations of a spot: a line that is one pixel wide, and its blur.
 _LINE = (1.0, 2.0)
 _GAMMA = 2.2
+# A spot that covers more than this share of the projector is not one. Chosen by hand.
+_LARGEST_SPOT = 0.25
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,6 +177,7 @@ def separate(
     rows, background = pixel_rows(matrix)
     width = matrix.projector_shape[1]
     deviation = spot_deviation(matrix, rows)
+    _check_concentrated(deviation, matrix.shape[1])
     spots = find_spots(rows, background, width, spot_radius(deviation))
     found = find_direct_spots(spots, shape, deviation)
     channels = int(np.prod(matrix.camera_shape[2:]))
@@ -212,6 +215,15 @@ def _check_positive(transport: LightTransport) -> None:
                 "T has negative entries, which are neither direct nor global light",
                 hint="estimate it without --signed",
             )
+
+
+def _check_concentrated(deviation: float, pixels: int) -> None:
+    area = np.pi * spot_radius(deviation) ** 2
+    if area > _LARGEST_SPOT * pixels:
+        raise InputError(
+            f"the light of a usual row of T is spread over {area:.0f} of {pixels} projector pixels",
+            hint="it needs direct light: surfaces that the projector lights and the camera sees",
+        )
 
 
 def _parts(

@@ -76,7 +76,10 @@ def mask_samples(mask: Picture | None, camera_shape: tuple[int, ...]) -> NDArray
     if image.ndim == 3 and len(camera_shape) == 2:
         image = image.max(axis=2)
     hint = "give one value for each camera pixel, 0 where the picture does not matter"
-    chosen = camera_samples(image, camera_shape, name, hint) != 0
+    samples = camera_samples(image, camera_shape, name, hint)
+    if not np.isfinite(samples).all():
+        raise InputError(f"{name} has values that are not finite", hint="use 0 and 1")
+    chosen = samples != 0
     if not chosen.any():
         raise InputError(f"{name} leaves no camera pixel", hint="it must be above 0 somewhere")
     return chosen

@@ -18,12 +18,13 @@ from . import (
     stores,
     streams,
     together,
+    uses,
     views,
 )
 
 _MODULES = (
     *(outputs, foreign, arguments, descriptions, captures, images, damaged_images, stores),
-    *(archives, partial, together, streams, resources, views, geometry),
+    *(archives, partial, together, streams, resources, views, geometry, uses),
 )
 
 
