@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 import lightmatrix as lm
 from lightmatrix.calibration.rig.fundamental import fit_fundamental, sampson
+from lightmatrix.cli import main
 
 
 def errors(rig: lm.RigGeometry, known: lm.RigGeometry) -> tuple[float, float]:
@@ -95,6 +98,26 @@ def test_flat_scenes_are_refused() -> None:
         lm.self_calibrate(replace(matches, confidence=matches.confidence * 0), intrinsics)
     with pytest.raises(lm.InputError, match="a baseline of 0"):
         lm.self_calibrate(matches, intrinsics, baseline=0)
+
+
+def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    known = lm.truth("corner")
+    assert known.geometry is not None
+    known.save(tmp_path / "T.npz")
+    words = ["calibrate", str(tmp_path / "T.npz"), "-o", str(tmp_path / "rig.json")]
+    assert main(words) == 2
+    assert "neither a board nor the camera's focal length" in capsys.readouterr().err
+    assert main([*words, "--focal", "128", "--baseline", "360mm", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["rms_epipolar"] < 0.5
+    rig = lm.RigGeometry.load(tmp_path / "rig.json")
+    assert (round(rig.baseline, 6), rig.units) == (360, "mm")
+    for more, message in (
+        (["--focal", "0"], "a focal length of 0"),
+        (["--focal", "9", str(tmp_path)], "takes one scene"),
+        (["--focal", "9", "--board", "9x7", "--square", "1"], "does not go with"),
+    ):
+        assert main([*words, "--overwrite", *more]) == 2
+        assert message in capsys.readouterr().err
 
 
 def test_exact_matches_give_the_exact_fundamental_matrix() -> None:

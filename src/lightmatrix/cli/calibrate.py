@@ -22,14 +22,28 @@ if TYPE_CHECKING:
 def calibrate(
     poses: Annotated[
         list[Path],
-        typer.Argument(metavar="POSE...", help="A capture of each pose: patterns/ and images/."),
+        typer.Argument(
+            metavar="POSE...",
+            help="A capture of each pose: patterns/ and images/. With --focal, one T or file of "
+            "`decode`, of a scene that is not flat.",
+        ),
     ],
     board: Annotated[
-        str, typer.Option(metavar="9x7", help="Inner corners of the board: squares less one.")
-    ],
+        str | None,
+        typer.Option(metavar="9x7", help="Inner corners of the board: squares less one."),
+    ] = None,
     square: Annotated[
-        str, typer.Option(metavar="24mm", help="Side of a square, with or without a unit.")
-    ],
+        str | None,
+        typer.Option(metavar="24mm", help="Side of a square, with or without a unit."),
+    ] = None,
+    focal: Annotated[
+        float | None,
+        typer.Option(help="Without a board: the camera's focal length in pixels."),
+    ] = None,
+    baseline: Annotated[
+        str,
+        typer.Option(metavar="200mm", help="Without a board: from the camera to the projector."),
+    ] = "1",
     output: Annotated[
         Path, typer.Option("-o", "--output", help="The geometry to write: .json.")
     ] = Path("rig.json"),
@@ -41,8 +55,14 @@ def calibrate(
     Print a chessboard and mount it flat. Photograph it in 5 to 10 poses, each tilted differently,
     under a Gray code (`patterns graycode`) or under random patterns. The camera's focal length,
     distortion and place are found, and those of the projector as if it were a second camera.
+    Without a board, --focal finds the projector from one scene.
     """
-    side, units = _length(square)
+    if board is None or square is None:
+        _without_board(poses, focal, baseline, output, overwrite=overwrite, as_json=as_json)
+        return
+    if focal is not None:
+        raise InputError("--focal does not go with --board", hint="leave one of them out")
+    side, units = _length("--square", square)
     corners = size(board)
     claim(output, GEOMETRY, overwrite=overwrite)
     with progress("reading poses", "poses") as step:
@@ -55,7 +75,45 @@ def calibrate(
     _show(measured, output)
 
 
-def _length(text: str) -> tuple[float, str | None]:
+def _without_board(
+    poses: list[Path],
+    focal: float | None,
+    baseline: str,
+    output: Path,
+    *,
+    overwrite: bool,
+    as_json: bool,
+) -> None:
+    """Self-calibration from one scene."""
+    if focal is None:
+        raise InputError(
+            "neither a board nor the camera's focal length is given",
+            hint="add --board and --square, or --focal (the focal length divided by the size of a "
+            "pixel) for one scene that is not flat",
+        )
+    if len(poses) != 1:
+        raise InputError(
+            f"--focal takes one scene, not {len(poses)}",
+            hint="give one T or one file of `decode`; or a board: --board 9x7 --square 24mm",
+        )
+    length, units = _length("--baseline", baseline)
+    claim(output, GEOMETRY, overwrite=overwrite)
+    rig = lm.self_calibrate(
+        poses[0], focal, baseline=length, units=units, output=output, overwrite=overwrite
+    )
+    projector = float(rig.projector_intrinsics[0, 0])
+    if as_json:
+        rms = {f"rms_{name}": value for name, value in rig.rms.items()}
+        show_json({"output": output, **rms, "projector_focal_length": projector})
+        return
+    say(
+        f"{output}: matches lie {rig.rms['epipolar']:.2f} pixels from their epipolar lines; the "
+        f"projector's focal length is {projector:.5g} pixels"
+    )
+    say(f"use it with: lightmatrix triangulate {poses[0]} --geometry {output} -o cloud.ply")
+
+
+def _length(option: str, text: str) -> tuple[float, str | None]:
     """A length such as 24mm as number and unit."""
     match = re.fullmatch(r"\s*([0-9.]+(?:e-?\d+)?)\s*([a-zA-Zµ]*)\s*", text, flags=re.ASCII)
     try:
@@ -63,7 +121,7 @@ def _length(text: str) -> tuple[float, str | None]:
             return float(match[1]), match[2] or None
     except ValueError:
         pass
-    raise InputError(f"--square {text}", hint="give a length such as 24mm")
+    raise InputError(f"{option} {text}", hint="give a length such as 24mm")
 
 
 def _show(measured: RigCalibration, output: Path) -> None:

@@ -5,6 +5,7 @@
 - `column_index`: adds a second copy by columns to a store, for brush strokes.
 - `checkpoint`, `tiles`: keep the finished tiles of an estimate that is being computed.
 - `exports`, `sparse_npz`: write npz and mat for other programs, and read npz.
+- `correspondence_file`: correspondences as npz; `opening`: T or a correspondence.
 - `matrix_checks`: check whatever is read, since compiled routines trust indices.
 """
 

@@ -10,14 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix import store
 from lightmatrix.errors import InputError, MissingExtraError
 from lightmatrix.geometry.rig_geometry import RigGeometry
-from lightmatrix.outputs.kinds import CLOUD, CORRESPONDENCE_MARK, DEPTH
-from lightmatrix.outputs.markers import holds_member
+from lightmatrix.outputs.kinds import CLOUD, DEPTH
 from lightmatrix.outputs.writing import check_output
 from lightmatrix.reprs import short_repr
-from lightmatrix.store.correspondence_file import read_correspondence
+from lightmatrix.store.opening import open_matches
 from lightmatrix.transport.correspondence import Correspondence, pixel_rows
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.uses.direct_light import camera_pixels
@@ -264,7 +262,7 @@ def triangulate(
         check_output(output, CLOUD, overwrite=overwrite)
     if depth is not None:
         check_output(depth, DEPTH, overwrite=overwrite)
-    source = _opened(transport)
+    source = open_matches(transport)
     rig = geometry if isinstance(geometry, RigGeometry) else RigGeometry.load(geometry)
     if isinstance(source, Correspondence):
         camera_shape, projector_shape = source.confidence.shape, source.projector_shape
@@ -318,17 +316,6 @@ def fitted_geometry(
         return geometry
     scaled = geometry.scaled(camera=blocks["camera"], projector=blocks["projector"])
     return replace(scaled, camera_shape=shapes["camera"], projector_shape=shapes["projector"])
-
-
-def _opened(
-    source: LightTransport | Correspondence | str | Path,
-) -> LightTransport | Correspondence:
-    if isinstance(source, LightTransport | Correspondence):
-        return source
-    path = Path(source)
-    if path.suffix.lower() == ".npz" and path.is_file() and holds_member(path, CORRESPONDENCE_MARK):
-        return read_correspondence(path)
-    return store.open(path)
 
 
 def _spots_of(

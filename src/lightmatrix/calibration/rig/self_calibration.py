@@ -7,6 +7,9 @@ which it stands; how far away it stands, and so the size of the scene, cannot be
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import least_squares
@@ -16,7 +19,10 @@ from lightmatrix.calibration.rig.fundamental import fit_fundamental, sampson
 from lightmatrix.calibration.rig.homography import fit_homography, moved
 from lightmatrix.errors import InputError
 from lightmatrix.geometry.rig_geometry import RigGeometry
+from lightmatrix.outputs.kinds import GEOMETRY
+from lightmatrix.outputs.writing import check_output
 from lightmatrix.ranges import check_number
+from lightmatrix.store.opening import open_matches
 from lightmatrix.transport.correspondence import Correspondence, correspondence
 from lightmatrix.transport.matrix import LightTransport
 
@@ -33,24 +39,26 @@ _FOCAL_LENGTHS = np.geomspace(0.5, 7, 60)
 
 
 def self_calibrate(
-    matches: Correspondence | LightTransport,
+    matches: Correspondence | LightTransport | str | Path,
     camera_intrinsics: ArrayLike | None,
     *,
     projector_intrinsics: ArrayLike | None = None,
     camera_distortion: ArrayLike = (0, 0, 0, 0, 0),
     baseline: float = 1.0,
     units: str | None = None,
+    output: str | Path | None = None,
+    overwrite: bool = False,
 ) -> RigGeometry:
     """Find where the projector stands from any scene that is not flat.
 
     Parameters
     ----------
-    matches : Correspondence or LightTransport
-        What each camera pixel sees, from `decode` or `correspondence`; or T. Of photographs that
-        are neither binned nor cropped.
-    camera_intrinsics : (3, 3) array-like
-        K of the camera, from a calibration or from its data sheet: focal length divided by the size
-        of a pixel, and the middle of the image.
+    matches : Correspondence, LightTransport, str or Path
+        What each camera pixel sees, from `decode` or `correspondence`; or T; or a file of either.
+        Of photographs that are neither binned nor cropped.
+    camera_intrinsics : (3, 3) array-like or float
+        K of the camera, from a calibration; or its focal length in pixels, from its data sheet: the
+        focal length divided by the size of a pixel. The axis then passes the middle of the image.
     projector_intrinsics : (3, 3) array-like, optional
         K of the projector. None: square pixels, its axis through the middle of its image, and the
         focal length that fits best. Projectors on tables shift their image upwards, and then need
@@ -62,6 +70,10 @@ def self_calibrate(
         lengths are proportional to it.
     units : str, optional
         Unit of length.
+    output : str or Path, optional
+        A .json file of the geometry to write.
+    overwrite : bool
+        Whether an existing geometry may be replaced.
 
     Returns
     -------
@@ -73,6 +85,8 @@ def self_calibrate(
     ------
     InputError
         Without the camera's intrinsics, on too few matches, and on a flat scene.
+    OutputError
+        If the file exists or cannot be written.
 
     References
     ----------
@@ -93,7 +107,10 @@ def self_calibrate(
             "the size of a pixel",
         )
     check_number("a baseline", baseline, above=True, hint="give a length above 0, such as 1")
-    found = correspondence(matches) if isinstance(matches, LightTransport) else matches
+    if output is not None:
+        check_output(output, GEOMETRY, overwrite=overwrite)
+    opened = open_matches(matches)
+    found = correspondence(opened) if isinstance(opened, LightTransport) else opened
     projector_shape = found.projector_shape
     if projector_shape is None:
         raise InputError(
@@ -103,6 +120,10 @@ def self_calibrate(
     start = np.eye(3) if projector_intrinsics is None else np.asarray(projector_intrinsics, float)
     # Lends its checks and its lens to the points; where the projector stands is not known yet.
     rows, cols = found.valid.shape
+    if np.ndim(camera_intrinsics) == 0:
+        focal = float(np.asarray(camera_intrinsics))
+        check_number("a focal length", focal, above=True, hint="give it in pixels, such as 1200")
+        camera_intrinsics = _centred(focal, (rows, cols))
     camera = RigGeometry.from_intrinsics(
         camera_intrinsics,
         start,
@@ -133,8 +154,16 @@ def self_calibrate(
         units=units,
     )
     distance = sampson(rig.fundamental_matrix(), seen, lit)
-    rig.rms["epipolar"] = float(np.sqrt((distance**2).mean()))  # type: ignore[index]
+    rig = replace(rig, rms={"epipolar": float(np.sqrt((distance**2).mean()))})
+    if output is not None:
+        rig.save(output, overwrite=overwrite)
     return rig
+
+
+def _centred(focal: float, shape: tuple[int, int]) -> NDArray[np.float64]:
+    """K of square pixels and an axis through the middle of an image of (rows, cols)."""
+    rows, cols = shape
+    return np.array([[focal, 0, (cols - 1) / 2], [0, focal, (rows - 1) / 2], [0, 0, 1]])
 
 
 def _points(matches: Correspondence) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -177,14 +206,8 @@ def _pose(
     projector_shape: tuple[int, int],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """K of the projector, R and t of length 1, that bring the matches nearest to their lines."""
-    rows, cols = projector_shape
-
-    def intrinsics(focal: float) -> NDArray[np.float64]:
-        middle = np.array([(cols - 1) / 2, (rows - 1) / 2])
-        return np.array([[focal, 0, middle[0]], [0, focal, middle[1]], [0, 0, 1]])
-
     candidates = (
-        [intrinsics(share * max(rows, cols)) for share in _FOCAL_LENGTHS]
+        [_centred(share * max(projector_shape), projector_shape) for share in _FOCAL_LENGTHS]
         if projector is None
         else [projector]
     )
@@ -196,7 +219,9 @@ def _pose(
     def parts(
         numbers: NDArray[np.float64],
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        own = start if projector is not None else intrinsics(float(np.exp(numbers[6])))
+        own = (
+            start if projector is not None else _centred(float(np.exp(numbers[6])), projector_shape)
+        )
         moved_shift = shift + numbers[3:6]
         return (
             own,
