@@ -211,6 +211,10 @@ from .evaluation.verdict import (
     Verdict as Verdict,
     verdict as verdict,
 )
+from .evaluation.verdicts import (
+    Verdicts as Verdicts,
+    verdicts as verdicts,
+)
 
 # Plans and experiments.
 from .experiments.run import (

@@ -205,6 +205,7 @@ def test_info(work: Path, capsys: pytest.CaptureFixture[str]) -> None:
     judged = lm.verdict(transport)
     assert printed == {
         "verdict": judged.level, "sentence": judged.sentence,
+        "verdicts": lm.verdicts(transport).as_dict(),
         **transport.summary(), "provenance": transport.provenance,
     }  # fmt: skip
 

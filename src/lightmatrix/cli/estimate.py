@@ -240,7 +240,12 @@ def estimate(
         capture, found = _with_known_response(capture, settings)
         with progress("estimating", "rows") as step:
             transport = lm.choose_estimator(capture, settings, resources).estimate(
-                capture, output=output, overwrite=overwrite, progress=step, pool=pool
+                capture,
+                output=output,
+                overwrite=overwrite,
+                findings=findings,
+                progress=step,
+                pool=pool,
             )
     if check:
         lm.warn_of_response(capture, transport)
@@ -249,17 +254,20 @@ def estimate(
     if report is not None:
         outcome = _report(report, output, source, transport, capture, settings, findings, overwrite)
     if outcome is None:
-        judged = lm.verdict(transport).with_findings(each.kind for each in findings)
+        judged = lm.verdicts(transport)
     else:
-        judged = lm.Verdict(outcome["verdict"], outcome["sentence"])
+        judged = lm.Verdicts.from_dict(outcome["verdicts"])
     if as_json:
+        overall = judged.transport
         result = {"output": str(output), "seconds": seconds, "resources": resources.as_dict()}
-        result |= {"verdict": judged.level, "sentence": judged.sentence}
+        result |= {"verdict": overall.level, "sentence": overall.sentence}
+        result |= {"verdicts": judged.as_dict()}
         result |= {} if found is None else {"response": found.as_dict()}
         result |= transport.summary() | {"findings": [finding.as_dict() for finding in findings]}
         show_json(result if outcome is None else {**result, "report": outcome})
         return
-    say(str(judged))
+    for line in judged.lines():
+        say(line)
     _show_summary(output, transport, verbose)
     if report is not None:
         say(f"report: {(report / 'report.html').absolute()}")

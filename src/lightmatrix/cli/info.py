@@ -35,7 +35,7 @@ def info(
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
-    """Show what a store holds: a verdict, shapes, clipping, gaps.
+    """Show what a store holds: its verdicts, shapes, clipping, gaps.
 
     For a capture: its frames, patterns, levels and exposures.
     """
@@ -51,18 +51,24 @@ def info(
             show_table(str(scene), capture.summary())
         return
     transport = lm.open(scene)
-    verdict = lm.verdict(transport)
+    judged = lm.verdicts(transport)
     written = None
     if pictures is not None:
         written = lm.write_pictures(pictures, transport, overwrite=overwrite)
     if as_json:
-        content: dict[str, Any] = {"verdict": verdict.level, "sentence": verdict.sentence}
-        content |= {**transport.summary(), "provenance": transport.provenance}
+        overall = judged.transport
+        content: dict[str, Any] = {"verdict": overall.level, "sentence": overall.sentence}
+        content |= {
+            "verdicts": judged.as_dict(),
+            **transport.summary(),
+            "provenance": transport.provenance,
+        }
         if written is not None:
             content["pictures"] = written
         show_json(content)
         return
-    say(str(verdict))
+    for line in judged.lines():
+        say(line)
     show_table(str(scene), labelled(transport.summary(), main_only=not verbose))
     versions = transport.provenance.get("versions")
     if verbose and isinstance(versions, Mapping) and versions:

@@ -29,6 +29,9 @@ KINDS = {
 # Kinds that say what a healthy capture cannot reveal; `check` exits with 0 if it has no other.
 NOTES = ("stripes",)
 
+# The entry of a store's provenance that holds the findings of its capture.
+FINDINGS = "findings"
+
 
 @dataclass(frozen=True)
 class Finding:

@@ -57,14 +57,18 @@ def refuse_unusable(capture: Capture) -> None:
         _warn_of_hidden_clipping(capture.reader.level_blocks(), capture.decoder)
 
 
-def refuse_unordered(capture: Capture) -> None:
-    """Refuse a capture whose frames do not follow its patterns; warn if they follow nothing."""
-    findings = check_capture(capture, order_only=True)
+def refuse_unordered(capture: Capture) -> list[Finding]:
+    """Refuse a capture whose frames do not follow its patterns; warn if they follow nothing.
+
+    Returns what `check` finds.
+    """
+    findings = check_capture(capture)
     refuse_disorder(findings)
     for finding in findings:
         if finding.kind == "unrelated":
             message = f"{finding.message}; {finding.advice}"
             warn(message)
+    return findings
 
 
 def warn_of_stripes(patterns: PatternSet) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import platform
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from lightmatrix._version import __version__
 from lightmatrix.camera.samples import Samples
 from lightmatrix.capture.capture import Capture
+from lightmatrix.diagnosis.finding import FINDINGS, Finding
 from lightmatrix.estimators.work import Progress, TilesInMemory, Work, WorkerPool, complete
 from lightmatrix.outputs.targets import final_target
 from lightmatrix.resources.disk import check_disk_space
@@ -76,6 +77,7 @@ class Estimator(ABC):
         *,
         output: Path | None = None,
         overwrite: bool = False,
+        findings: Sequence[Finding] = (),
         progress: Progress | None = None,
         pool: WorkerPool | None = None,
     ) -> LightTransport:
@@ -90,6 +92,8 @@ class Estimator(ABC):
             interrupted run continues where it stopped.
         overwrite : bool
             Whether a complete store at `output` may be replaced.
+        findings : sequence of Finding
+            What `check` found. The provenance keeps it, so that later verdicts know it.
         progress : callable, optional
             Called with (done, total) rows.
         pool : WorkerPool, optional
@@ -111,13 +115,15 @@ class Estimator(ABC):
             If the workers cannot be reached, do not see the capture or the output, or all die.
         """
         plan = self.plan(capture, progress)
+        shapes = plan.shapes
+        shapes["provenance"] |= {FINDINGS: [finding.as_dict() for finding in findings]}
         check_regularization(plan.provenance["regularization"])
         if output is None and pool is None:
             tiles = TilesInMemory()
             complete(plan.work, tiles)
             rows = tiles.read(ROWS)
             return LightTransport(
-                rows.coefficients, rows.background, diagnostics=rows.diagnostics, **plan.shapes
+                rows.coefficients, rows.background, diagnostics=rows.diagnostics, **shapes
             )
         with ExitStack() as stack:
             if output is None:
@@ -130,7 +136,7 @@ class Estimator(ABC):
                 Checkpoint.open(output, plan.fingerprint, overwrite=overwrite)
             )
             complete(plan.work, checkpoint, pool=pool)
-            return checkpoint.finish(**plan.shapes)
+            return checkpoint.finish(**shapes)
 
 
 def rows_with_diagnostics(

@@ -106,7 +106,8 @@ def estimate(
     overwrite : bool
         Whether a complete store at `output` may be replaced.
     check : bool
-        Whether to refuse photographs that do not follow their patterns, as `lm.check` does.
+        Whether to refuse photographs that do not follow their patterns, and to keep in the
+        provenance what else `lm.check` finds.
     progress : bool or callable
         Whether to show a bar on a terminal and in notebooks; or what to call with (done, total)
         rows.
@@ -160,8 +161,7 @@ def estimate(
     with open_workers(settings, resources) as pool:
         refuse_unusable(capture)
         warn_of_stripes(capture.patterns)
-        if check:
-            refuse_unordered(capture)
+        findings = refuse_unordered(capture) if check else ()
         capture = with_known_response(capture, settings)
         estimator = choose_estimator(capture, settings, resources)
         with progress_bar("estimating", "rows") if progress is True else nullcontext(None) as bar:
@@ -169,6 +169,7 @@ def estimate(
                 capture,
                 output=None if output is None else Path(output),
                 overwrite=overwrite,
+                findings=findings,
                 progress=progress if callable(progress) else bar,
                 pool=pool,
             )

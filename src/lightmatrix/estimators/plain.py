@@ -14,6 +14,7 @@ from lightmatrix.estimators.base import (
     rows_with_diagnostics,
     solver_provenance,
 )
+from lightmatrix.estimators.certainty import with_certainty
 from lightmatrix.estimators.work import TILE_BYTES, OneStep, Progress, cut_rows
 from lightmatrix.ranges import check_at_least_one
 from lightmatrix.solvers import Solver, solve
@@ -97,4 +98,5 @@ class _Rows(OneStep):
             background=self.estimator.background,
         )
         result = solve(problem, self.estimator.solver, progress=self.progress_of(ROWS, start))
-        return rows_with_diagnostics(samples, result)
+        rows = rows_with_diagnostics(samples, result)
+        return with_certainty(rows, samples, problem.patterns, (1, 1), start, self.capture.rows)

@@ -92,7 +92,8 @@ def verdict(transport: LightTransport, why_untested: str = _UNTESTED) -> Verdict
     -------
     Verdict
         "not tested" where no row has an estimated error. A solver that converged certifies that it
-        solved its problem, not that the solution is T.
+        solved its problem, not that the solution is T. Doubtful if `check` found in the capture
+        what no error estimate shows; the provenance of an estimate holds its findings.
 
     Examples
     --------
@@ -100,6 +101,21 @@ def verdict(transport: LightTransport, why_untested: str = _UNTESTED) -> Verdict
     >>> print(lm.verdict(lm.truth("metal").transport()))
     Not tested. The matrix has no diagnostics.
     """
+    judged = verdict_by_rows(transport, why_untested)
+    return judged.with_findings(stored_findings(transport))
+
+
+def stored_findings(transport: LightTransport) -> tuple[str, ...]:
+    """The kinds of the findings that the provenance holds; none if it holds anything else."""
+    kept = transport.provenance.get("findings")
+    if not isinstance(kept, (list, tuple)):
+        return ()
+    kinds = (each.get("kind") for each in kept if isinstance(each, Mapping))
+    return tuple(kind for kind in kinds if isinstance(kind, str))
+
+
+def verdict_by_rows(transport: LightTransport, why_untested: str = _UNTESTED) -> Verdict:
+    """The verdict by the diagnostics of the rows alone, whatever was found in the capture."""
     if not transport.diagnostics:
         return Verdict("not tested", "The matrix has no diagnostics.")
     remarks = _remarks(transport)

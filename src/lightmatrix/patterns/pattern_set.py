@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from lightmatrix import _core
 from lightmatrix.errors import InputError
 from lightmatrix.patterns.grids import block_mean
+from lightmatrix.patterns.twins import far_twins, groups, mixture, of_surroundings, varying_axes
 from lightmatrix.ranges import check_unmasked
 from lightmatrix.reprs import short_repr
 
@@ -111,6 +112,35 @@ class PatternSet(ABC):
         size = size or max(1, _CHUNK_BYTES // (4 * self.pixels))
         for start in range(0, self.count, size):
             yield start, self.rows(start, min(start + size, self.count))
+
+    @cached_property
+    def contrasts(self) -> NDArray[np.float64]:
+        """Squared norm of each pixel's values, less what follows the patterns' means, (N,)."""
+        total, along = np.zeros(self.pixels), np.zeros(self.pixels)
+        for start, chunk in self.chunks():
+            total += np.einsum("kn,kn->n", chunk, chunk)
+            along += self.means[start : start + len(chunk)] @ chunk
+        return np.maximum(total - along**2 / max(float(self.means @ self.means), 1e-300), 0)
+
+    @cached_property
+    def axes(self) -> tuple[bool, bool]:
+        """Whether any pattern varies along rows, and along columns."""
+        return varying_axes(chunk.reshape(-1, *self.shape) for _, chunk in self.chunks())
+
+    @cached_property
+    def twins(self) -> NDArray[np.int64]:
+        """The number of each pixel's group: pixels that all patterns show alike, (N,)."""
+        return groups(self._mixture)
+
+    @cached_property
+    def alike_surroundings(self) -> NDArray[np.bool_]:
+        """Whether all patterns show a pixel and its neighbours like those farther away, (N,)."""
+        mixed = of_surroundings(self._mixture.reshape(self.shape))
+        return far_twins(groups(mixed.ravel()), self.shape, self.axes)
+
+    @property
+    def _mixture(self) -> NDArray[np.float64]:
+        return mixture((chunk for _, chunk in self.chunks()), self.pixels)
 
     def images(self, start: int = 0, stop: int | None = None) -> NDArray[np.float32]:
         """Patterns as images: (stop - start, rows, cols) float32 in [0, 1]."""

@@ -19,8 +19,10 @@ from lightmatrix.evaluation.verdict import (
     limited,
     percent,
     singly_clipped,
-    verdict,
+    stored_findings,
+    verdict_by_rows,
 )
+from lightmatrix.evaluation.verdicts import relighting_verdict
 from lightmatrix.report.validation import Validation
 from lightmatrix.transport.correspondence import Correspondence, correspondence
 from lightmatrix.transport.matrix import LightTransport
@@ -109,19 +111,21 @@ class Facts:
         with np.errstate(invalid="ignore", divide="ignore"):
             return np.where(total > 0, np.sqrt(wrong / total), np.nan)
 
+    @property
+    def relighting_verdict(self) -> Verdict:
+        """The verdict on T's predictions, by the unseen photographs where there are any."""
+        if not isinstance(self.validation, Validation):
+            return relighting_verdict(self.transport, stored_findings(self.transport))
+        error = _validation_error(self.validation)
+        return Verdict(level_of(error), _validation_sentence(self.validation))
+
     @cached_property
     def verdict(self) -> Verdict:
         """The verdict by the worst of the prediction error, the true and the estimated error."""
         sentences, errors = [], []
         if isinstance(self.validation, Validation):
-            error, baseline = self.validation.error, self.validation.mean_error
-            errors.append(error if error < _BARELY_BETTER * baseline else max(error, 2 * FAIR))
-            count = len(self.validation.frames)
-            photographs = "1 unseen photograph" if count == 1 else f"{count} unseen photographs"
-            sentences.append(
-                f"Prediction error on {photographs}: {percent(error)} "
-                f"({percent(baseline)} for the mean photograph)."
-            )
+            errors.append(_validation_error(self.validation))
+            sentences.append(_validation_sentence(self.validation))
         if self.relative_error is not None:
             errors.append(self.relative_error)
             sentences.append(f"Error of T against the truth: {percent(self.relative_error)}.")
@@ -131,10 +135,25 @@ class Facts:
             sentences.append(f"Estimated error of T: {percent(own_estimate)}.")
         if not errors:
             why = f"It was not tested on unseen photographs: {self.validation}."
-            return verdict(self.transport, why)
+            return verdict_by_rows(self.transport, why)
         level, warnings = level_of(max(errors)), list[str]()
         if self.relative_error is None:
             level, warnings = limited(level, self.singly_clipped)
             if reasons:
                 level, warnings = "doubtful", [*reasons, *warnings]
         return Verdict(level, " ".join([*sentences, *warnings]))
+
+
+def _validation_error(validation: Validation) -> float:
+    """The prediction error; doubtful where the mean photograph predicts nearly as well."""
+    error, baseline = validation.error, validation.mean_error
+    return error if error < _BARELY_BETTER * baseline else max(error, 2 * FAIR)
+
+
+def _validation_sentence(validation: Validation) -> str:
+    count = len(validation.frames)
+    photographs = "1 unseen photograph" if count == 1 else f"{count} unseen photographs"
+    return (
+        f"Prediction error on {photographs}: {percent(validation.error)} "
+        f"({percent(validation.mean_error)} for the mean photograph)."
+    )

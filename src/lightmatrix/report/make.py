@@ -13,7 +13,8 @@ from lightmatrix.diagnosis.finding import Finding
 from lightmatrix.errors import InputError
 from lightmatrix.estimators.settings import EstimateSettings
 from lightmatrix.estimators.work import Progress
-from lightmatrix.evaluation.verdict import percent
+from lightmatrix.evaluation.verdict import percent, stored_findings
+from lightmatrix.evaluation.verdicts import Verdicts, correspondence_verdict
 from lightmatrix.outputs.kinds import REPORT
 from lightmatrix.outputs.writing import atomic_folder
 from lightmatrix.report.elements import Points, Section
@@ -79,9 +80,9 @@ def report(
     Returns
     -------
     dict
-        The content of report.json, JSON-ready: the verdict in a word (good, fair, doubtful or not
-        tested) and in sentences, the relative errors on unseen photographs and against the truth
-        (None where there is none), and the recommendations.
+        The content of report.json, JSON-ready: the verdict on T in a word (good, fair, doubtful or
+        not tested) and in sentences, those of `verdicts`, the relative errors on unseen photographs
+        and against the truth (None where there is none), and the recommendations.
 
     Raises
     ------
@@ -97,7 +98,7 @@ def report(
     >>> estimate = lm.estimate(capture, coherent=False, iterations=20)
     >>> numbers = lm.report("report", estimate, capture, truth=capture.truth, held_out=False)
     >>> sorted(numbers)[-2:], 0 < numbers["relative_error"] < 1
-    (['sentence', 'verdict'], True)
+    (['verdict', 'verdicts'], True)
     """
     known = truth.transport() if isinstance(truth, Truth) else truth
     _check(transport, capture, known)
@@ -134,12 +135,14 @@ def write_page(
         validation = validate(capture, estimator or EstimateSettings(), progress=progress)
     facts = Facts(transport, capture, truth, validation)
     advice = recommendations(facts)
+    kinds = {*stored_findings(transport), *(finding.kind for finding in findings)}
     judged = facts.verdict
     if facts.relative_error is None:
-        judged = judged.with_findings(finding.kind for finding in findings)
+        judged = judged.with_findings(kinds)
+    of_each = Verdicts(correspondence_verdict(transport, kinds), facts.relighting_verdict, judged)
     page = Page(
         title,
-        judged,
+        of_each,
         _first_numbers(facts),
         tuple(_sentences(finding) for finding in findings),
         first_frames(facts),
@@ -159,6 +162,7 @@ def write_page(
     result: dict[str, Any] = {
         "verdict": judged.level,
         "sentence": judged.sentence,
+        "verdicts": of_each.as_dict(),
         "held_out_error": test.error if test else None,
         "held_out_frames": test.frames.tolist() if test else [],
         "mean_photograph_error": test.mean_error if test else None,

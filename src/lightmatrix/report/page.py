@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
-from lightmatrix.evaluation.verdict import Verdict
+from lightmatrix.evaluation.verdicts import Verdicts
 from lightmatrix.report.elements import Section, Strip
 
 
@@ -17,7 +17,7 @@ class Page:
     """The content of a report."""
 
     title: str
-    verdict: Verdict
+    verdicts: Verdicts
     # The few numbers of the first screen.
     numbers: dict[str, str]
     # Problems of the frames, with remedies.

@@ -15,6 +15,7 @@ from scipy.sparse import csr_array
 from lightmatrix.camera.samples import Samples
 from lightmatrix.capture.capture import Capture
 from lightmatrix.estimators.base import rows_with_diagnostics
+from lightmatrix.estimators.certainty import with_certainty
 from lightmatrix.estimators.coherent.camera_grid import CameraGrid
 from lightmatrix.estimators.coherent.certificate import certified_everywhere, sampled_rows
 from lightmatrix.estimators.coherent.held_out import HeldOut
@@ -33,6 +34,7 @@ from lightmatrix.estimators.coherent.row_changes import (
     with_change,
 )
 from lightmatrix.estimators.coherent.row_errors import (
+    held_out_energy,
     noise_of,
     smooth_misfit,
     squared_misfit,
@@ -56,6 +58,8 @@ HELD_OUT, RESIDUAL = "held-out", "residual"
 # In large frames every second camera pixel along both axes is solved without the frames held out:
 # errors are smooth over the camera, and all pixels would take a sixth of the time.
 TESTED_EVERY = 2
+# Mean squares of a row's misses at these frames, and of its samples there.
+_MISSED, _SEEN = "missed", "seen"
 
 
 @dataclass(frozen=True)
@@ -98,9 +102,11 @@ class Rounds:
             return partial(self._solve, number, neighbours)
         before = read(HELD_OUT).diagnostics
         misfit = before[HELD_OUT]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            missed = np.sqrt(before[_MISSED] / _mean(before[_SEEN]))
         if len(self._held_out.frames):
             misfit = smooth_misfit(misfit, neighbours.camera, noise_of(before[RESIDUAL]))
-        return partial(self._finish, neighbours, misfit)
+        return partial(self._finish, neighbours, misfit, missed)
 
     def progress_of(self, step: str, start: int = 0) -> Progress | None:
         """What to call with the solved rows of a step: each round counts by its usual time."""
@@ -188,8 +194,9 @@ class Rounds:
     ) -> dict[str, NDArray[np.float32]]:
         """Misfits of rows at the frames held out, and of some of them at the other frames."""
         solver, held = self.solver, self._held_out.judged
-        misfits, residuals = (np.full(stop - start, np.nan, np.float32) for _ in range(2))
-        known = {HELD_OUT: misfits, RESIDUAL: residuals}
+        names = (HELD_OUT, RESIDUAL, _MISSED, _SEEN)
+        known = {name: np.full(stop - start, np.nan, np.float32) for name in names}
+        misfits, residuals, missed, seen = known.values()
         rows = self._every(TESTED_EVERY if self._grows else 1, start, stop)
         if not len(held) or not len(rows):
             return known
@@ -200,8 +207,9 @@ class Rounds:
         light = solved.background[:, None] * weighted.background[:, held]
         if solved.cells.shape[1]:
             light += solved.cells @ solver.backgrounds.shown_means[:, held]
-        predicted = solved.coefficients @ self._held_out_atoms + light
-        misfits[rows - start] = squared_misfit(samples, predicted.astype(np.float32), held)
+        predicted = (solved.coefficients @ self._held_out_atoms + light).astype(np.float32)
+        misfits[rows - start] = squared_misfit(samples, predicted, held)
+        missed[rows - start], seen[rows - start] = held_out_energy(samples, predicted, held)
         chosen = np.flatnonzero(np.isin(rows, self._every(self._looked_at, start, stop)))
         shown = predicted_samples(solver, weighted, solved, chosen)
         residuals[rows[chosen] - start] = squared_residual(kept.rows(chosen), shown)
@@ -233,7 +241,12 @@ class Rounds:
         return HeldOut.choose(self.capture.patterns)
 
     def _finish(
-        self, neighbours: Neighbourhood, misfit: NDArray[np.float32], start: int, stop: int
+        self,
+        neighbours: Neighbourhood,
+        misfit: NDArray[np.float32],
+        missed: NDArray[np.float32],
+        start: int,
+        stop: int,
     ) -> SparseRows:
         """The rows start..stop of the result, in pixels, with their backgrounds on the cells."""
         solver, rows = self.solver, np.arange(start, stop)
@@ -256,6 +269,7 @@ class Rounds:
         diagnostics: dict[str, NDArray[Any]] = {
             "footprint": footprint_sizes(pixels.coefficients),
             "estimated_error": error,
+            "prediction_error": missed[start:stop],
         }
         looked_at = self._every(self._looked_at, start, stop) - start
         diagnostics |= residual_diagnostics(
@@ -268,7 +282,9 @@ class Rounds:
             searched = neighbours.rows.diagnostics[SEARCHED][start:stop]
             diagnostics |= {SEARCHED: searched, CERTIFIED: holds}
         further = {name: values.astype(np.float32) for name, values in diagnostics.items()}
-        return replace(pixels, diagnostics=dict(pixels.diagnostics) | further)
+        pixels = replace(pixels, diagnostics=dict(pixels.diagnostics) | further)
+        grid, patterns = solver.backgrounds.grid, self.capture.patterns
+        return with_certainty(pixels, samples, patterns, grid, start, self.capture.rows)
 
     def _neighbours(self, number: int, read: ReadStep) -> Neighbourhood:
         """The neighbourhood of all rows of a round, from the rows of the round before."""
@@ -316,3 +332,9 @@ def _searched(solved: Result) -> SparseRows:
     """Rows of a large frame that have searched all atoms, as the next round needs them."""
     ones = np.ones(solved.rows.count, np.float32)
     return replace(solved.rows.single(), diagnostics={SEARCHED: ones, CHANGE: ones})
+
+
+def _mean(values: NDArray[np.float32]) -> float:
+    """The mean of those that are known; NaN if none is."""
+    known = np.isfinite(values)
+    return float(values[known].mean(dtype=np.float64)) if known.any() else np.nan

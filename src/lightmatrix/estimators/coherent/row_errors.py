@@ -68,6 +68,19 @@ def noise_of(residuals: NDArray[np.float32]) -> float:
     return float(np.quantile(known, QUIET)) if len(known) else 0.0
 
 
+def held_out_energy(
+    samples: Samples, predicted: NDArray[np.float32], held: NDArray[np.int64]
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Mean squares of each row's misses at the frames `held`, and of its samples there, (M,)."""
+    values = samples.values[:, held]
+    off = values - predicted
+    weights = (samples.weights_of_all()[:, held] > 0).astype(np.float32)
+    # Samples that clip, and are predicted beyond their bound, are right.
+    off[samples.clipped[:, held] & (off <= 0)] = 0
+    total = np.maximum(weights.sum(axis=1), 1)
+    return (weights * off**2).sum(axis=1) / total, (weights * values**2).sum(axis=1) / total
+
+
 def smooth_misfit(
     squares: NDArray[np.float32], camera: tuple[int, int, int], noise: float
 ) -> NDArray[np.float32]:

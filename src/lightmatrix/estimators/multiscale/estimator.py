@@ -21,6 +21,7 @@ from lightmatrix.estimators.base import (
     rows_with_diagnostics,
     solver_provenance,
 )
+from lightmatrix.estimators.certainty import with_certainty
 from lightmatrix.estimators.multiscale.scales import Scale, active_blocks, grid_of, scales, split
 from lightmatrix.estimators.work import OneStep, Progress
 from lightmatrix.solvers import Solver, solve
@@ -155,7 +156,8 @@ class _Strips(OneStep):
             order.append(rows)
             if progress is not None:
                 progress(sum(map(len, order)), stop - start)
-        return SparseRows.joined(parts).rows(np.argsort(np.concatenate(order)))
+        solved = SparseRows.joined(parts).rows(np.argsort(np.concatenate(order)))
+        return with_certainty(solved, samples, patterns, (1, 1), start, self.capture.rows)
 
     def _camera_blocks(self, rows: int) -> Iterator[NDArray[np.int64]]:
         """The rows of each camera block of a strip."""
