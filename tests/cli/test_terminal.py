@@ -154,7 +154,7 @@ def test_ctrl_c_after_the_output_says_that_it_is_finished(
 
 
 @pytest.mark.parametrize(
-    "where", ["lightmatrix.verdict", "lightmatrix.store.zarr_store.read_whole"]
+    "where", ["lightmatrix.verdicts", "lightmatrix.store.zarr_store.read_whole"]
 )
 @pytest.mark.parametrize(
     "error", [MemoryError(), RuntimeError("can't start new thread"), InputError("s.zarr: 9 GiB")]
