@@ -328,7 +328,7 @@ def judged(pairs: dict[tuple[int, int], float], count: int = 24) -> dict[int, in
     judge.patterns = SimpleNamespace(count=count)  # type: ignore[assignment]
     judge.frames, judge.alike = np.arange(count), np.zeros((count, count), bool)
     judge.in_order = misses
-    judge.misses = lambda _: misses  # type: ignore[method-assign]
+    judge.misses = lambda _: misses  # type: ignore[method-assign, assignment]
     return judge.displaced_singly()
 
 
@@ -372,7 +372,7 @@ def test_most_frames_must_meet_their_predictions() -> None:
 
 def test_no_more_than_a_sixth_of_the_frames_are_suspected() -> None:
     # Five frames in turn show another pattern; the four of the largest gains are suspected.
-    pairs = {}
+    pairs: dict[tuple[int, int], float] = {}
     for k in range(5):
         pairs |= {(k, k): 0.0, (k, 10 + k): -1.0 - 0.1 * k}
     assert judged(pairs) == {1: 11, 2: 12, 3: 13, 4: 14}

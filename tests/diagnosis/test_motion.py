@@ -166,7 +166,7 @@ def follower(gain: float, spread: float, start: int = 10, rows: int = 100) -> _F
             return np.zeros(rows)
         return -gains * max(0.0, 1 - 0.2 * abs(late - start))
 
-    made.miss = miss  # type: ignore[method-assign]
+    made.miss = miss  # type: ignore[method-assign, assignment]
     return made
 
 

@@ -166,11 +166,11 @@ def test_explained() -> None:
 
 def test_mixtures_are_displaced_from_or_up_to_each_part() -> None:
     generator = np.random.default_rng(0)
-    plain, displaced = ([generator.random(3) for _ in range(4)] for _ in range(2))
-    sums = [total.copy() for total in _mixtures(plain, displaced)]
-    expected = [sum(plain[:k]) + sum(displaced[k:]) for k in range(5)]
-    expected += [sum(displaced[:k]) + sum(plain[k:]) for k in range(1, 5)]
-    np.testing.assert_allclose(sums, expected)
+    plain, displaced = ([generator.random(3, np.float32) for _ in range(4)] for _ in range(2))
+    sums = np.array([total.copy() for total in _mixtures(plain, displaced)])
+    expected = [np.sum(plain[:k] + displaced[k:], axis=0) for k in range(5)]
+    expected += [np.sum(displaced[:k] + plain[k:], axis=0) for k in range(1, 5)]
+    np.testing.assert_allclose(sums, np.array(expected), atol=1e-5)
 
 
 def test_orders_that_are_tried() -> None:
