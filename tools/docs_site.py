@@ -35,6 +35,7 @@ GALLERY = (
     "own_photographs",
     "compensation",
     "painting",
+    "shape",
 )
 # The page of the viewer that the site has, and the scene that it shows.
 VIEWER_PAGE, VIEWER_SCENE = "viewer/metal.html", "metal"

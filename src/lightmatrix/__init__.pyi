@@ -201,8 +201,8 @@ from .uses.probing import (
 from .uses.shape import (
     Shape as Shape,
     ShapeTest as ShapeTest,
-    triangulate as triangulate,
 )
+from .uses.triangulation import triangulate as triangulate
 from .uses.separation import (
     Separation as Separation,
     separate as separate,

@@ -611,7 +611,9 @@ def test_triangulate(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     known.geometry.save(tmp_path / "rig.json")
     for name in ("shown", "made"):
         (tmp_path / name).mkdir()
-    files = f"-o {tmp_path}/shown/c.ply --depth {tmp_path}/shown/d.tif"
+    files = (
+        f"-o {tmp_path}/shown/c.ply --depth {tmp_path}/shown/d.tif --picture {tmp_path}/shown/p.png"
+    )
     words = f"triangulate {tmp_path}/T.npz --geometry {tmp_path}/rig.json --strict --mesh {files}"
     shown = _run(words, capsys)
     made = lm.triangulate(
@@ -621,6 +623,7 @@ def test_triangulate(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
         mesh=True,
         output=tmp_path / "made" / "c.ply",
         depth=tmp_path / "made" / "d.tif",
+        picture=tmp_path / "made" / "p.png",
     )
     assert shown["points"] == made.kept.sum()
     _same_files(tmp_path / "shown", tmp_path / "made")

@@ -75,3 +75,8 @@ def test_compensation(tmp_path: Path) -> None:
 def test_painting(tmp_path: Path) -> None:
     _run("painting", tmp_path)
     assert (tmp_path / "page.html").stat().st_size > 1_000_000
+
+
+def test_shape(tmp_path: Path) -> None:
+    assert _run("shape", tmp_path) > 0.95
+    assert (tmp_path / "corner.ply").read_bytes().startswith(b"ply\n")

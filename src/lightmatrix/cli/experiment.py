@@ -11,7 +11,9 @@ import lightmatrix as lm
 from lightmatrix.cli.options import Json, Overwrite
 from lightmatrix.cli.terminal import progress, say, show_json
 
-Figure = Literal["fig4", "fig5", "fig6", "fig7", "few-patterns", "rigs", "responses", "uses"]
+Figure = Literal[
+    "fig4", "fig5", "fig6", "fig7", "few-patterns", "rigs", "responses", "uses", "shape"
+]
 
 
 def experiment(

@@ -11,7 +11,7 @@ import lightmatrix as lm
 from lightmatrix.cli.claims import claim
 from lightmatrix.cli.options import Json, Overwrite
 from lightmatrix.cli.terminal import say, show_json
-from lightmatrix.outputs.kinds import CLOUD, DEPTH
+from lightmatrix.outputs.kinds import CLOUD, DEPTH, PICTURE
 
 
 def triangulate(
@@ -27,6 +27,9 @@ def triangulate(
     output: Annotated[Path, typer.Option("-o", "--output", help="Point cloud to write: .ply.")],
     depth: Annotated[
         Path | None, typer.Option(help="Depth map to write: .tif, .tiff or .npy.")
+    ] = None,
+    picture: Annotated[
+        Path | None, typer.Option(help="Maps of depth and normals to write: .png.")
     ] = None,
     strict: Annotated[
         bool, typer.Option("--strict", help="Keep fewer points, which are right more often.")
@@ -46,18 +49,21 @@ def triangulate(
     claim(output, CLOUD, overwrite=overwrite)
     if depth is not None:
         claim(depth, DEPTH, overwrite=overwrite)
+    if picture is not None:
+        claim(picture, PICTURE, overwrite=overwrite)
     shape = lm.triangulate(
         scene,
         geometry,
         strict=strict,
         output=output,
         depth=depth,
+        picture=picture,
         mesh=mesh,
         overwrite=overwrite,
     )
     summary = shape.summary()
     if as_json:
-        show_json({"output": output, "depth": depth, **summary})
+        show_json({"output": output, "depth": depth, "picture": picture, **summary})
         return
     units = f" {shape.geometry.units}" if shape.geometry.units else ""
     share = summary["points"] / shape.kept.size

@@ -8,7 +8,17 @@ from typing import Any
 
 from lightmatrix.errors import InputError
 from lightmatrix.experiments import demo as demo_report
-from lightmatrix.experiments import few_patterns, fig4, fig5, fig6, fig7, responses, rigs, uses
+from lightmatrix.experiments import (
+    few_patterns,
+    fig4,
+    fig5,
+    fig6,
+    fig7,
+    responses,
+    rigs,
+    shape,
+    uses,
+)
 from lightmatrix.experiments.harness import Experiment
 from lightmatrix.outputs.kinds import CASES, DEMO, FIGURE
 from lightmatrix.outputs.running import RunningResults
@@ -27,6 +37,7 @@ EXPERIMENTS: dict[str, Experiment[Any]] = {
         rigs.RIGS_EXPERIMENT,
         responses.RESPONSES_EXPERIMENT,
         uses.USES_EXPERIMENT,
+        shape.SHAPE_EXPERIMENT,
     )
 }
 
@@ -77,7 +88,7 @@ def experiment(
 
     Parameters
     ----------
-    figure : {"fig4", "fig5", "fig6", "fig7", "few-patterns", "rigs", "responses", "uses"}
+    figure : {"fig4", "fig5", "fig6", "fig7", "few-patterns", "rigs", "responses", "uses", "shape"}
         The experiment.
     folder : str or Path
         The folder to make. An interrupted run continues where it stopped.

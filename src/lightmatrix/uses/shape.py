@@ -1,8 +1,8 @@
-"""`triangulate`: depth, points and normals from what each camera pixel sees of the projector."""
+"""`Shape`: the surface that a camera sees, pixel by pixel."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import IntEnum
 from pathlib import Path
 from typing import Any
@@ -10,36 +10,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.errors import InputError, MissingExtraError
+from lightmatrix.errors import MissingExtraError
+from lightmatrix.geometry.projection import decomposed
 from lightmatrix.geometry.rig_geometry import RigGeometry
-from lightmatrix.outputs.kinds import CLOUD, DEPTH
-from lightmatrix.outputs.writing import check_output
+from lightmatrix.pictures.transport import Picture
 from lightmatrix.reprs import short_repr
-from lightmatrix.store.opening import open_matches
-from lightmatrix.transport.correspondence import Correspondence, pixel_rows
-from lightmatrix.transport.matrix import LightTransport
-from lightmatrix.uses.direct_light import camera_pixels
-from lightmatrix.uses.line_spots import find_line_spots, uncut_places, window_half_width
 from lightmatrix.uses.shape_files import write_cloud, write_depth
-from lightmatrix.uses.spots import spot_deviation
-from lightmatrix.uses.surfaces import local_mean, surface_faces, surface_normals
-
-# A point is kept if its window holds this share of the row's light, or its code explains this share
-# of the variance of its samples.
-_LEAST_SHARE = 0.1
-# And if it lies within this distance of its epipolar line, in projector pixels; strictly, within
-# half of it.
-_FROM_LINE, _FROM_LINE_STRICT = 1.0, 0.5
-# Strictly, the estimate of its row states a smaller relative error than this.
-_LEAST_CERTAIN = 0.3
-# The least error of a place in projector pixels, so that no depth is called exact. Chosen by hand:
-# no estimate of a rendered scene was closer.
-_LEAST_ERROR = 0.01
-
-
-# A code's places this close to the projector's border may be cut off by it: half a pixel, as for a
-# sharp spot of T.
-_CUT_CODE = 0.5
+from lightmatrix.uses.shape_picture import shape_picture
+from lightmatrix.uses.surfaces import surface_faces
 
 
 class ShapeTest(IntEnum):
@@ -173,6 +151,14 @@ class Shape:
         """
         write_depth(path, self.depth, overwrite=overwrite)
 
+    def show(self) -> Picture:
+        """A Matplotlib figure: maps of depth and normals, and which test a pixel failed."""
+        # Normals of the world's frame, turned into the camera's.
+        turn = decomposed(self.geometry.camera_matrix)[1]
+        normals = (self.normals @ turn.T).astype(np.float32)
+        names = [test.name for test in ShapeTest]
+        return shape_picture(self.depth, normals, self.test, names, self.geometry.units)
+
     def mesh(self) -> Any:
         """The surface as a `trimesh.Trimesh`, which writes STL, OBJ and GLB and measures meshes.
 
@@ -191,236 +177,3 @@ class Shape:
         used, corners = np.unique(faces, return_inverse=True)
         points = self.points.reshape(-1, 3)[used]
         return trimesh.Trimesh(points, corners.reshape(-1, 3), process=False)
-
-
-@dataclass(frozen=True, eq=False)
-class _Places:
-    """What P camera pixels see: place (P, 2), share, light and stated error (P,)."""
-
-    place: NDArray[np.float64]
-    share: NDArray[np.float64]
-    light: NDArray[np.float64]
-    error: NDArray[np.float64]
-
-
-def triangulate(
-    transport: LightTransport | Correspondence | str | Path,
-    geometry: RigGeometry | str | Path,
-    *,
-    strict: bool = False,
-    output: str | Path | None = None,
-    depth: str | Path | None = None,
-    mesh: bool = False,
-    overwrite: bool = False,
-) -> Shape:
-    """Triangulate the surface that the camera sees.
-
-    Direct light can only come from a camera pixel's epipolar line on the projector. The brightest
-    spot of its row of T beside that line is taken, at the centroid of its light; its foot on the
-    line gives the point. Light that took another way lies off the line, or is fainter.
-
-    Parameters
-    ----------
-    transport : LightTransport, Correspondence, str or Path
-        T, or the correspondence of `decode`; or where `open` or `read_correspondence` find it.
-    geometry : RigGeometry, str or Path
-        Where camera and projector stand, or its file. If its images are larger by whole factors, it
-        is scaled to those of T, as after `Capture.bin`.
-    strict : bool
-        Whether to keep fewer points that are right more often: within 0.5 instead of 1 projector
-        pixel of the line, and with a stated error below 0.3 where the estimate states one.
-    output : str or Path, optional
-        The point cloud to write: .ply, with normals, grey values and uncertainties.
-    depth : str or Path, optional
-        The depth map to write: .tif, .tiff or .npy, NaN where there is no depth.
-    mesh : bool
-        Whether the cloud holds triangles too.
-    overwrite : bool
-        Whether existing files may be replaced.
-
-    Returns
-    -------
-    Shape
-        Depth, points, normals, albedo and uncertainty of each camera pixel.
-
-    Raises
-    ------
-    InputError
-        If the geometry has other image sizes, or a file is damaged.
-    OutputError
-        If a file exists or cannot be written.
-
-    Examples
-    --------
-    >>> import lightmatrix as lm
-    >>> known = lm.truth("corner")
-    >>> shape = lm.triangulate(known.transport(), known.geometry, strict=True)
-    >>> shape.depth.shape, bool(shape.kept.mean() > 0.9)
-    ((64, 64), True)
-    """
-    if output is not None:
-        check_output(output, CLOUD, overwrite=overwrite)
-    if depth is not None:
-        check_output(depth, DEPTH, overwrite=overwrite)
-    source = open_matches(transport)
-    rig = geometry if isinstance(geometry, RigGeometry) else RigGeometry.load(geometry)
-    if isinstance(source, Correspondence):
-        camera_shape, projector_shape = source.confidence.shape, source.projector_shape
-    else:
-        camera_shape, projector_shape = source.camera_shape[:2], source.projector_shape
-    rig = fitted_geometry(rig, (camera_shape[0], camera_shape[1]), projector_shape)
-    grid = rig.camera_shape
-    camera = camera_pixels(grid)[:, ::-1]
-    lines = epipolar_lines(rig, camera)
-    if isinstance(source, Correspondence):
-        found = _decoded_places(source, rig, lines)
-    else:
-        found = _spots_of(source, rig, lines)
-    shape = _shape(found, rig, camera, lines, strict)
-    if output is not None:
-        shape.save(output, mesh=mesh, overwrite=overwrite)
-    if depth is not None:
-        shape.save_depth(depth, overwrite=overwrite)
-    return shape
-
-
-def epipolar_lines(geometry: RigGeometry, camera: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The lines (n, 3) of camera pixels (n, 2) as (col, row): a col + b row + c = 0.
-
-    They are for undistorted projector pixels, with a^2 + b^2 = 1.
-    """
-    ideal = geometry.undistort_camera(camera)
-    lines = np.column_stack([ideal, np.ones(len(ideal))]) @ geometry.fundamental_matrix().T
-    return np.asarray(lines / np.hypot(lines[:, 0], lines[:, 1])[:, None])
-
-
-def fitted_geometry(
-    geometry: RigGeometry, camera_shape: tuple[int, int], projector_shape: tuple[int, int] | None
-) -> RigGeometry:
-    """The geometry, scaled to binned images; an error if no whole factors lead to them."""
-    shapes = {"camera": camera_shape, "projector": projector_shape or geometry.projector_shape}
-    blocks = {}
-    for device, shape in shapes.items():
-        whole = getattr(geometry, f"{device}_shape")
-        block = tuple(max(1, round(w / s)) for w, s in zip(whole, shape, strict=True))
-        # Blocks at the border may be smaller.
-        if tuple(-(-w // b) for w, b in zip(whole, block, strict=True)) != tuple(shape):
-            raise InputError(
-                f"the geometry is of {device} images of {whole[0]} x {whole[1]} pixels, but these "
-                f"are of {shape[0]} x {shape[1]}",
-                hint="give the geometry of these images: calibrate at their size, or cut it to "
-                "their crop (RigGeometry.cropped)",
-            )
-        blocks[device] = block
-    if set(blocks.values()) == {(1, 1)}:
-        return geometry
-    scaled = geometry.scaled(camera=blocks["camera"], projector=blocks["projector"])
-    return replace(scaled, camera_shape=shapes["camera"], projector_shape=shapes["projector"])
-
-
-def _spots_of(
-    transport: LightTransport, geometry: RigGeometry, lines: NDArray[np.float64]
-) -> _Places:
-    """The strongest spot of each row beside its line; a row's stated error, or 0 without one."""
-    rows, background = pixel_rows(transport)
-    shape = transport.projector_shape
-    pixels = geometry.undistort_projector(camera_pixels(shape)[:, ::-1])
-    half_width = window_half_width(spot_deviation(transport, rows))
-    spots = find_line_spots(rows, background, lines, pixels, shape, half_width)
-    # A spot that the projector's border cuts off seems to lie farther inside than it does.
-    place = uncut_places(spots.place, lines, shape, half_width - 1)
-    channels = int(np.prod(transport.camera_shape[2:]))
-    error = np.zeros(len(lines))
-    if "estimated_error" in transport.diagnostics:
-        stated = np.asarray(transport.diagnostics["estimated_error"], float)
-        error = np.nan_to_num(stated.reshape(-1, channels).mean(axis=1))
-    with np.errstate(invalid="ignore", divide="ignore"):
-        share = np.where(spots.total > 0, spots.light / spots.total, 0)
-    return _Places(place, share, spots.light, error)
-
-
-def _decoded_places(
-    matches: Correspondence, geometry: RigGeometry, lines: NDArray[np.float64]
-) -> _Places:
-    """The places of a correspondence; with columns or rows only, where they cross the line."""
-    place = matches.place.reshape(-1, 2).astype(np.float64)
-    known = np.isfinite(place)
-    if not known.all(axis=1).any():
-        a, b, c = lines.T
-        with np.errstate(invalid="ignore", divide="ignore"):
-            row = -(a * place[:, 1] + c) / b
-            col = -(b * place[:, 0] + c) / a
-        place = np.column_stack(
-            [np.where(known[:, 0], place[:, 0], row), np.where(known[:, 1], place[:, 1], col)]
-        )
-    else:
-        place = uncut_places(place, lines, geometry.projector_shape, _CUT_CODE)
-    confidence = matches.confidence.ravel().astype(np.float64)
-    light = confidence if matches.light is None else matches.light.ravel().astype(np.float64)
-    return _Places(place, confidence, light, np.zeros(len(place)))
-
-
-def _shape(
-    found: _Places,
-    geometry: RigGeometry,
-    camera: NDArray[np.float64],
-    lines: NDArray[np.float64],
-    strict: bool,
-) -> Shape:
-    """The shape of camera pixels (P, 2) as (col, row) from the places that they see."""
-    grid = geometry.camera_shape
-    seen = found.place[:, ::-1]
-    ideal = geometry.undistort_projector(seen)
-    away = (lines[:, :2] * ideal).sum(axis=1) + lines[:, 2]
-    points = geometry.triangulate(camera, seen)
-    depth = geometry.depth(points)
-    # How far a projector pixel along the line moves the depth.
-    along = np.column_stack([-lines[:, 1], lines[:, 0]])
-    moved = geometry.depth(geometry.triangulate(camera, seen + 0.1 * along))
-    slope = np.abs(moved - depth) / 0.1
-    test = _tested(found, depth, away, geometry, points, strict)
-    kept = test == ShapeTest.KEPT
-    spread = np.sqrt(local_mean(np.where(kept, away**2, np.nan).reshape(grid))).ravel()
-    uncertainty = slope * np.maximum(spread, _LEAST_ERROR)
-
-    def mapped(values: NDArray[np.float64], mask: NDArray[np.bool_]) -> NDArray[np.float32]:
-        shown = np.where(mask if values.ndim == 1 else mask[:, None], values, np.nan)
-        return shown.astype(np.float32).reshape(*grid, *values.shape[1:])
-
-    depth_map = mapped(depth, kept)
-    return Shape(
-        depth_map,
-        mapped(points, kept),
-        surface_normals(mapped(points, kept), depth_map, geometry),
-        found.light.astype(np.float32).reshape(grid),
-        mapped(uncertainty, kept),
-        test.reshape(grid),
-        found.place.astype(np.float32).reshape(*grid, 2),
-        np.abs(away).astype(np.float32).reshape(grid),
-        geometry,
-    )
-
-
-def _tested(
-    found: _Places,
-    depth: NDArray[np.float64],
-    away: NDArray[np.float64],
-    geometry: RigGeometry,
-    points: NDArray[np.float64],
-    strict: bool,
-) -> NDArray[np.uint8]:
-    """The first test that each of P camera pixels fails, or KEPT."""
-    matrix = geometry.projector_matrix[2]
-    before = (depth > 0) & (points @ matrix[:3] + matrix[3] > 0)
-    from_line = _FROM_LINE_STRICT if strict else _FROM_LINE
-    failed = [
-        (ShapeTest.BEHIND, ~before),
-        (ShapeTest.UNCERTAIN, strict & ~(found.error < _LEAST_CERTAIN)),
-        (ShapeTest.OFF_LINE, ~(np.abs(away) <= from_line)),
-        (ShapeTest.WEAK, ~(found.share > _LEAST_SHARE)),
-        (ShapeTest.NO_LIGHT, ~np.isfinite(found.place).all(axis=1) | ~(found.light > 0)),
-    ]
-    test = np.full(len(depth), ShapeTest.KEPT, np.uint8)
-    for reason, failing in failed:
-        test[failing] = reason
-    return test
