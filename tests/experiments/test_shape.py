@@ -12,6 +12,7 @@ import pytest
 import lightmatrix as lm
 from lightmatrix.cli import main
 from lightmatrix.experiments import shape as experiment
+from lightmatrix.experiments.harness import Measured, Row
 from lightmatrix.experiments.run import EXPERIMENTS
 from lightmatrix.uses.shape import Shape
 
@@ -35,7 +36,7 @@ def test_the_judge_knows_right_from_wrong() -> None:
     reference = experiment.Reference.of(truth)
     exact = lm.triangulate(truth.transport(), truth.geometry)
 
-    def judged(depth: np.ndarray) -> experiment.Row:
+    def judged(depth: np.ndarray) -> Row:
         kept = np.isfinite(depth)
         test = np.where(kept, 0, 1).astype(np.uint8)
         shown = depth.astype(np.float32)
@@ -66,7 +67,7 @@ def test_table_and_figure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
         for method in ("T", "Gray, inverse")
         for seed in (0, 1)
     ]  # fmt: skip
-    measured = experiment.Measured(rows)
+    measured = Measured(rows)
     replaced = EXPERIMENTS["shape"].__class__(
         "shape",
         lambda _: [experiment.Case("corner", 64, 0)],
