@@ -107,7 +107,6 @@ def main() -> None:
         lm.save(store, running.scene(CAMERA, PROJECTOR))
         with running.served(store, "--page-memory", "0MiB") as server:
             answered, refused, growth = attack(server, count)
-            assert server.stop() == 130
     print(f"{answered} answered, {refused} refused; memory grew by {growth >> 10} KiB")
 
 

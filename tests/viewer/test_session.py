@@ -383,3 +383,20 @@ def test_patterns_of_the_capture(transport: lm.LightTransport) -> None:
     other = lm.Capture.from_arrays(lm.BernoulliPatterns((8, 8), 8), frames, lm.Sensor())
     with pytest.raises(lm.InputError, match="projector of 8 x 8"):
         Scene(transport, capture=other)
+
+
+def test_depth_where_the_geometry_is_known(tmp_path: Path) -> None:
+    truth = lm.truth("metal")
+    known = truth.transport()
+    assert truth.geometry is not None
+    assert "depth" not in Scene(known).layers
+    header, values = unpack_floats(Scene(known, geometry=truth.geometry).layer("depth"))
+    expected = lm.triangulate(known, truth.geometry).depth
+    np.testing.assert_array_equal(values, expected.ravel())
+    assert header["low"] < np.nanmedian(values) < header["high"]
+    # A matrix on disk gives it by its correspondence.
+    _, values = unpack_floats(Scene(known, page_bytes=0, geometry=truth.geometry).layer("depth"))
+    both = np.isfinite(values) & np.isfinite(expected.ravel())
+    assert both.mean() > 0.3
+    relative = values[both] / expected.ravel()[both] - 1
+    assert np.median(np.abs(relative)) < 0.01

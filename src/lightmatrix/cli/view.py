@@ -30,6 +30,10 @@ def view(
         Path | None,
         typer.Option(help="The capture of the estimate, whose patterns the page then offers."),
     ] = None,
+    geometry: Annotated[
+        Path | None,
+        typer.Option(metavar="RIG.json", help="The geometry of the rig, for a layer of depth."),
+    ] = None,
     port: Annotated[int, typer.Option(help="Port on this machine; 0 for a free one.")] = 0,
     browser: Annotated[
         bool, typer.Option("--browser/--no-browser", help="Open the page in the browser.")
@@ -52,7 +56,7 @@ def view(
         for name, given in (("--port", port), ("--capture", capture)):
             if given:
                 raise InputError(f"{name} with --export", hint="a page that is written needs none")
-        lm.export_viewer(export, scene, overwrite=overwrite)
+        lm.export_viewer(export, scene, geometry=geometry, overwrite=overwrite)
         say(f"{export}: open it in a browser")
         return
     shown = ExitStack()
@@ -74,4 +78,5 @@ def view(
             page_bytes=memory_bytes(page_memory),
             progress=lambda *step: bar()(*step),
             capture=capture,
+            geometry=geometry,
         )

@@ -6,6 +6,7 @@ import base64
 from pathlib import Path
 
 from lightmatrix.errors import InputError
+from lightmatrix.geometry.rig_geometry import RigGeometry
 from lightmatrix.outputs.kinds import PAGE
 from lightmatrix.outputs.writing import atomic_file, check_output
 from lightmatrix.transport.matrix import LightTransport
@@ -18,7 +19,11 @@ _MOST_BYTES = 32 << 20
 
 
 def export_viewer(
-    path: str | Path, transport: LightTransport | str | Path, *, overwrite: bool = False
+    path: str | Path,
+    transport: LightTransport | str | Path,
+    *,
+    geometry: RigGeometry | str | Path | None = None,
+    overwrite: bool = False,
 ) -> None:
     """Write the viewer and one light transport matrix as one page, to send or to publish.
 
@@ -31,6 +36,8 @@ def export_viewer(
     transport : LightTransport, str or Path
         T, or where `open` finds it; at most 32 MiB as the page takes it: 4 bytes an entry, and 2
         for each value of the background.
+    geometry : RigGeometry, str or Path, optional
+        The geometry of the rig, from `calibrate`. The page then has a layer of depth.
     overwrite : bool
         Whether an existing page of the viewer may be replaced.
 
@@ -55,7 +62,7 @@ def export_viewer(
             hint=f"at most {_MOST_BYTES >> 20} MiB fit: view it without --export, crop it with "
             "LightTransport.crop, or estimate it with --bin-projector or --bin-camera",
         )
-    scene = Scene(transport)
+    scene = Scene(transport, geometry=geometry)
     parts = {"matrix": scene.matrix_bytes}
     for name in scene.layers:
         try:

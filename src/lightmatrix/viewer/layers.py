@@ -6,23 +6,26 @@ import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.errors import InputError
+from lightmatrix.geometry.rig_geometry import RigGeometry
 from lightmatrix.pictures import maps
 from lightmatrix.transport.correspondence import Correspondence, correspondence
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.uses.separation import Separation, separate
+from lightmatrix.uses.shape import triangulate
 from lightmatrix.viewer.lights import Light
 from lightmatrix.viewer.matrix_data import white_level
 from lightmatrix.viewer.packed import packed
 
 # Colours of a scale that are sent. A map with fewer would show bands.
 _COLOURS = 256
-# The scale of the parallax leaves out this share at either end, where wrong matches may lie.
+# The scale of depths leaves out this share at either end, where wrong matches may lie.
 _ENDS = (0.01, 0.99)
 # The most entries of a matrix that is separated, and with which pictures are compensated for, on
 # request. 3 million take 1.6 s of a core.
@@ -38,13 +41,18 @@ class LayerSource:
     ----------
     matrix : LightTransport or Light
         T.
+    geometry : RigGeometry, str or Path, optional
+        The geometry of the rig, which gives depth.
     """
 
     # The colour scales that the page itself uses.
     colours: dict[str, NDArray[np.uint8]]
 
-    def __init__(self, matrix: LightTransport | Light) -> None:
+    def __init__(
+        self, matrix: LightTransport | Light, geometry: RigGeometry | str | Path | None = None
+    ) -> None:
         self.matrix = matrix
+        self.geometry = geometry
         self.facts = matrix if isinstance(matrix, LightTransport) else matrix.facts()
         self.colours = {"false": colour_scale("viridis"), "faint": colour_scale("inferno")}
         self._lock = threading.Lock()
@@ -184,12 +192,28 @@ def _light(part: Callable[[Separation], LightTransport]) -> Callable[[LayerSourc
     return make
 
 
+def _depth(source: LayerSource) -> bytes:
+    """The distance of the surface, from T where it is in memory, else from its correspondence."""
+    matrix = source.matrix if isinstance(source.matrix, LightTransport) else source.correspondence
+    assert source.geometry is not None
+    values = triangulate(matrix, source.geometry).depth.astype(np.float64)
+    low, high = _scale_ends(values)
+    label = "distance along the camera's axis, in the unit of the geometry"
+    return packed_map(maps.Map("depth", "Depth", label, values, low, high))
+
+
 def _depth_order(source: LayerSource) -> bytes:
     values = source.separation.parallax.astype(np.float64)
-    known = values[np.isfinite(values)]
-    low, high = (float(end) for end in np.quantile(known, _ENDS)) if known.size else (0.0, 1.0)
+    low, high = _scale_ends(values)
     label = "parallax along the epipolar line, projector pixels"
-    return packed_map(maps.Map("parallax", "Parallax", label, values, low, max(high, low + 1e-6)))
+    return packed_map(maps.Map("parallax", "Parallax", label, values, low, high))
+
+
+def _scale_ends(values: NDArray[np.float64]) -> tuple[float, float]:
+    """The ends of the colour scale of a map of depth."""
+    known = values[np.isfinite(values)]
+    low, high = np.quantile(known, _ENDS).tolist() if known.size else (0.0, 1.0)
+    return low, max(high, low + 1e-6 * max(1.0, abs(low)))
 
 
 def _places(which: int) -> Callable[[LayerSource], bytes]:
@@ -212,6 +236,7 @@ LAYERS = {
     "global": Layer(
         "Global light of white", "camera", _light(lambda s: s.global_), lambda s: s.separable
     ),
+    "depth": Layer("Depth", "camera", _depth, lambda s: s.geometry is not None),
     "parallax": Layer("Parallax (depth order)", "camera", _depth_order, lambda s: s.separable),
     "dual": Layer("Dual image", "projector", _dual),
     "row": Layer("Correspondence: row", "camera", _places(0)),

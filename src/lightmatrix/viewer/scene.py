@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from lightmatrix import store
 from lightmatrix.capture.capture import Capture
 from lightmatrix.errors import InputError, LightMatrixError
+from lightmatrix.geometry.rig_geometry import RigGeometry
 from lightmatrix.store.stored_transport import StoredTransport
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.uses.compensation import compensate
@@ -44,6 +45,8 @@ class Scene:
         Called with what is done, all there is, and a note, while the index is made.
     capture : Capture, str or Path, optional
         The capture of T, whose patterns the page offers.
+    geometry : RigGeometry, str or Path, optional
+        The geometry of the rig, which gives a layer of depth.
 
     Raises
     ------
@@ -60,6 +63,7 @@ class Scene:
         page_bytes: int = PAGE_BYTES,
         progress: Progress | None = None,
         capture: Capture | str | Path | None = None,
+        geometry: RigGeometry | str | Path | None = None,
     ) -> None:
         self._path = None if isinstance(transport, LightTransport) else Path(transport)
         self.matrix = opened(transport, page_bytes)
@@ -75,12 +79,12 @@ class Scene:
         self.light: Light | None = None
         if isinstance(self.matrix, StoredTransport):
             self.light = StoredLight.open(self.matrix.header.place, progress)
-            self._layers = LayerSource(self.light)
+            self._layers = LayerSource(self.light, geometry)
         elif page_size(self.matrix) > page_bytes:
             self.light = MemoryLight(self.matrix)
-            self._layers = LayerSource(self.light)
+            self._layers = LayerSource(self.light, geometry)
         else:
-            self._layers = LayerSource(self.matrix)
+            self._layers = LayerSource(self.matrix, geometry)
         self._found = self._stamp()
         self.frames = None if capture is None else CapturedPatterns(capture, self.matrix)
         self._computing = threading.Lock()

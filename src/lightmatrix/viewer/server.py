@@ -11,6 +11,7 @@ from typing import Any
 
 from lightmatrix.capture.capture import Capture
 from lightmatrix.errors import InputError, MissingExtraError, OutputError
+from lightmatrix.geometry.rig_geometry import RigGeometry
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.viewer.answers import MOST_SOCKETS, Answers
 from lightmatrix.viewer.guard import LOOPBACK, Guard
@@ -33,6 +34,7 @@ def serve_viewer(
     page_bytes: int = PAGE_BYTES,
     progress: Progress | None = None,
     capture: Capture | str | Path | None = None,
+    geometry: RigGeometry | str | Path | None = None,
 ) -> None:
     """Show a light transport matrix in the browser, and serve the page until Ctrl-C.
 
@@ -58,6 +60,8 @@ def serve_viewer(
         it takes.
     capture : Capture, str or Path, optional
         The capture that T was estimated from. The page then offers its patterns.
+    geometry : RigGeometry, str or Path, optional
+        The geometry of the rig, from `calibrate`. The page then has a layer of depth.
 
     Raises
     ------
@@ -78,7 +82,9 @@ def serve_viewer(
     uvicorn = _library()
     if not 0 <= port <= _HIGHEST_PORT:
         raise InputError(f"port {port}", hint=f"use 0 (any free one) to {_HIGHEST_PORT}")
-    scene = Scene(transport, page_bytes=page_bytes, progress=progress, capture=capture)
+    scene = Scene(
+        transport, page_bytes=page_bytes, progress=progress, capture=capture, geometry=geometry
+    )
     with _bound(port) as listening:
         guard = Guard(listening.getsockname()[1])
         # The socket listens already, so that whoever opens the page now is answered.
