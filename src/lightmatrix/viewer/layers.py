@@ -18,7 +18,7 @@ from lightmatrix.pictures import maps
 from lightmatrix.transport.correspondence import Correspondence, correspondence
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.uses.separation import Separation, separate
-from lightmatrix.uses.shape import triangulate
+from lightmatrix.uses.triangulation import triangulate
 from lightmatrix.viewer.lights import Light
 from lightmatrix.viewer.matrix_data import white_level
 from lightmatrix.viewer.packed import packed
