@@ -45,7 +45,7 @@ PLAIN_SCENES = ("wall", "textured", "translucent", "broad", *library.BUNDLED)
 PLAIN_PATTERNS = ("random", "many", "few", "mixed", "hadamard")
 TRUSTED = ("good", "fair")
 # The error axes of the figure.
-_ERRORS, _TICKS = (0.003, 2.0), (0.01, 0.03, 0.1, 0.3, 1)
+_ERRORS, _TICKS = (0.0015, 2.5), (0.003, 0.01, 0.03, 0.1, 0.3, 1)
 
 
 @dataclass(frozen=True)
@@ -265,6 +265,8 @@ def draw_figure(results: Sequence[Outcome], folder: Path) -> None:
         for level, colour in colours.items():
             for intact, marker in ((True, "o"), (False, "x")):
                 points = np.array(list(_points(results, level, intact=intact))).reshape(-1, 2)
+                if not len(points):
+                    continue
                 axes.scatter(
                     points[:, 0],
                     points[:, 1],
