@@ -149,7 +149,6 @@ def test_raw_levels_are_no_pattern() -> None:
         {"regularization": "path", "coherent": True},
         {"signed": True, "coherent": True},
         {"solver": "active-set", "fidelity": "clipped"},
-        {"output": "scene.npz"},
     ],
 )
 def test_settings_are_refused_before_anything_is_read(settings: dict[str, object]) -> None:
