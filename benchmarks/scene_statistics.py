@@ -40,8 +40,12 @@ def table(rows: list[dict[str, Any]]) -> str:
 
 
 def draw(path: Path) -> None:
-    with figure(6.6, 4.8) as drawing:
-        for axes, name in zip(drawing.subplots(2, 3).flat, names(), strict=True):
+    columns = (len(names()) + 1) // 2
+    with figure(2.2 * columns, 4.8) as drawing:
+        places = list(drawing.subplots(2, columns).flat)
+        for axes in places[len(names()) :]:
+            axes.axis("off")
+        for axes, name in zip(places, names(), strict=False):
             image = white_image(name, (320, 320), samples=256)
             panel(axes, display(image, white_level(image)))
             axes.set_xlabel(name)
