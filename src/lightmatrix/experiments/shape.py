@@ -43,9 +43,9 @@ _WITHIN = 4
 _LIT, _BRIGHT_QUANTILE = 0.02, 0.9
 _KEY = ("scene", "size", "rig", "method", "photographs")
 _METRICS = {
-    "right": "right (% of the lit pixels)",
-    "wrong": "wrong (% of the depths)",
-    "rms": "RMS of right depths (1/1000 scene unit)",
+    "right": "right (% of lit pixels)",
+    "wrong": "wrong (% of depths)",
+    "rms": "RMS (1/1000 unit)",
 }
 
 

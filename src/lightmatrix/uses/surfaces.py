@@ -47,25 +47,30 @@ def surface_normals(
     scale = float(np.nanmedian(depth)) if np.isfinite(depth).any() else 1.0
     local = (points - centre) / scale
     limit = steepest_step(depth, geometry)
-    moments = np.zeros((rows, cols, 3, 3))
-    sums = np.zeros((rows, cols, 3))
-    counts = np.zeros((rows, cols))
+    known = np.nan_to_num(local.astype(np.float64))
+    # The products of two coordinates, the coordinates, and 1: what the normal equations sum up.
+    pairs = [(i, j) for i in range(3) for j in range(i, 3)]
+    terms = [known[..., i] * known[..., j] for i, j in pairs]
+    terms += [*np.moveaxis(known, -1, 0), np.ones((rows, cols))]
+    sums = np.zeros((len(terms), rows, cols))
     for down in range(-_REACH, _REACH + 1):
         for right in range(-_REACH, _REACH + 1):
             here = _shifted(rows, -down), _shifted(cols, -right)
             there = _shifted(rows, down), _shifted(cols, right)
             steps = max(abs(down), abs(right))
             near = np.abs(depth[there] - depth[here]) <= steps * limit[here]
-            other = np.where(near[..., None], local[there], 0)
-            moments[here] += other[..., :, None] * other[..., None, :]
-            sums[here] += other
-            counts[here] += near
+            for total, term in zip(sums, terms, strict=True):
+                total[here] += term[there] * near
+    counts = sums[-1]
     good = counts >= _FEWEST
     normals = np.full((rows, cols, 3), np.nan)
     if good.any():
         # A trace of the unit matrix keeps points on a line from being singular.
-        matrix = moments[good] + 1e-12 * np.eye(3)
-        plane = np.linalg.solve(matrix, sums[good][..., None])[..., 0]
+        matrix = np.empty((int(good.sum()), 3, 3))
+        for total, (i, j) in zip(sums, pairs, strict=False):
+            matrix[:, i, j] = matrix[:, j, i] = total[good]
+        right_side = sums[len(pairs) : -1][:, good].T[..., None]
+        plane = np.linalg.solve(matrix + 1e-12 * np.eye(3), right_side)[..., 0]
         # The plane through the points does not pass through the camera, which lies at n . x = 0.
         normals[good] = -plane / np.linalg.norm(plane, axis=1, keepdims=True)
     return normals.astype(np.float32)
