@@ -36,6 +36,7 @@ GALLERY = (
     "compensation",
     "painting",
     "shape",
+    "self_calibration",
 )
 # The page of the viewer that the site has, and the scene that it shows.
 VIEWER_PAGE, VIEWER_SCENE = "viewer/metal.html", "metal"

@@ -57,6 +57,10 @@ def test_correspondence(tmp_path: Path) -> None:
     assert _run("correspondence", tmp_path) > 0.97
 
 
+def test_self_calibration(tmp_path: Path) -> None:
+    assert _run("self_calibration", tmp_path) < 0.003
+
+
 def test_direct_and_global(tmp_path: Path) -> None:
     assert 0.05 < _run("direct_and_global", tmp_path) < 0.25
 
