@@ -252,7 +252,9 @@ def test_a_browser_that_does_not_return_is_served(
 ) -> None:
     """As one in the terminal, which runs until it is closed."""
     browser = tmp_path / "browser"
-    browser.write_text(f'#!/bin/sh\necho "$1" > {tmp_path}/address\nexec sleep 60\n')
+    # Its outputs are closed, as the command's pipes would stay open as long as it runs.
+    ending = "exec sleep 60 >/dev/null 2>&1"
+    browser.write_text(f'#!/bin/sh\necho "$1" > {tmp_path}/address\n{ending}\n')
     browser.chmod(0o755)
     monkeypatch.setenv("BROWSER", f"{browser} %s")
     with running.served(store, "--browser") as server:
