@@ -27,6 +27,10 @@ if TYPE_CHECKING:
 SCHEDULER_TIMEOUT, WORKER_TIMEOUT = 10, 30
 # The beginning of the names that Dask gives the processes of its workers.
 _WORKER = "Dask Worker process"
+# Seconds after which the tiles of a worker that is silent, such as one that was stopped, go to
+# others. Workers report every second or so also while they solve, as the compiled core leaves
+# Python free. Chosen by hand: Dask waits for five minutes.
+SILENT_TOO_LONG = 60.0
 # Environment variables of the threads of BLAS, which a process reads as it starts, and of the
 # compiled core.
 _BLAS_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
@@ -169,6 +173,7 @@ def _without_monitoring(threads: str) -> Iterator[None]:
         "distributed.admin.tick.interval": "1s",
         "distributed.admin.system-monitor.interval": "20s",
         "distributed.worker.profile.enabled": False,
+        "distributed.scheduler.worker-ttl": f"{SILENT_TOO_LONG:g}s",
         "distributed.nanny.pre-spawn-environ": blas,
     }
     try:
