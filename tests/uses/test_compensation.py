@@ -331,3 +331,12 @@ def test_a_video_keeps_its_brightness_and_its_errors_low(
     np.testing.assert_allclose(written.images(0, 4), video.patterns, atol=0.5 / 255 + 1e-6)
     with pytest.raises(lm.InputError, match="without frames"):
         lm.compensate_video(known, [])
+
+
+def test_results_print_in_a_few_lines() -> None:
+    transport = _scene()
+    found = lm.compensate(transport, np.full((6, 7), 0.5))
+    video = lm.compensate_video(transport, np.full((2, 6, 7), 0.5))
+    for result in (found, video, transport, transport.T, lm.singular_values(transport, 3)):
+        assert len(repr(result)) < 600
+        assert repr(result).count("\n") < 5
