@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zipfile
 from pathlib import Path
 
 from lightmatrix.outputs.kinds import CORRESPONDENCE_MARK
@@ -19,6 +20,14 @@ def open_matches(
     if isinstance(source, LightTransport | Correspondence):
         return source
     path = Path(source)
-    if path.suffix.lower() == ".npz" and path.is_file() and holds_member(path, CORRESPONDENCE_MARK):
+    if path.suffix.lower() == ".npz" and path.is_file() and _is_correspondence(path):
         return read_correspondence(path)
     return zarr_store.open(path)
+
+
+def _is_correspondence(file: Path) -> bool:
+    """Whether an npz holds a correspondence; damaged files are left to the reader of T to name."""
+    try:
+        return holds_member(file, CORRESPONDENCE_MARK)
+    except (zipfile.BadZipFile, OSError):
+        return False

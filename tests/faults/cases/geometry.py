@@ -97,7 +97,25 @@ def _poses() -> list[Case]:
     ]
 
 
+def _codes() -> list[Case]:
+    """Captures that hold no code, and what is no correspondence."""
+    return [
+        Case("random patterns to decode", "decode capture -o new.npz", "no stripes"),
+        Case(
+            "a correspondence that is a photograph",
+            "triangulate c.npz --geometry rig.json -o new.ply",
+            "c.npz",
+            copy("holiday.jpg", "c.npz"),
+        ),
+        Case(
+            "a code of a number of patterns that it does not have",
+            "patterns graycode -k 7 --size 8x8 -o new",
+            "leave the number out",
+        ),
+    ]
+
+
 # What its cases need of the work folder.
 NEEDS = ("capture", "lit", "scene.zarr", "holiday.jpg")
 
-CASES = [*_files(), *_poses()]
+CASES = [*_files(), *_poses(), *_codes()]
