@@ -247,8 +247,6 @@ def estimate(
                 progress=step,
                 pool=pool,
             )
-    if check:
-        lm.warn_of_response(capture, transport)
     seconds = round(time.perf_counter() - started, 2)
     outcome: dict[str, Any] | None = None
     if report is not None:

@@ -26,7 +26,7 @@ from lightmatrix.diagnosis.responses.found import with_response
 from lightmatrix.estimators.choice import choose_estimator
 from lightmatrix.estimators.resource_estimate import estimate_resources
 from lightmatrix.estimators.settings import EstimateSettings
-from lightmatrix.estimators.unknown_response import warn_of_response, with_known_response
+from lightmatrix.estimators.unknown_response import with_known_response
 from lightmatrix.estimators.work import Progress
 from lightmatrix.estimators.workers.startup import open_workers
 from lightmatrix.outputs.kinds import STORE
@@ -173,6 +173,4 @@ def estimate(
                 progress=progress if callable(progress) else bar,
                 pool=pool,
             )
-    if check:
-        warn_of_response(capture, transport)
     return transport

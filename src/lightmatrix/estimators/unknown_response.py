@@ -160,7 +160,7 @@ def with_known_response(capture: Capture, settings: EstimateSettings) -> Capture
 def warn_of_response(capture: Capture, transport: LightTransport) -> None:
     """Warn if what T leaves unexplained shows that the camera's response is another one.
 
-    `estimate` does this by itself; call it after you have used an estimator directly.
+    `estimate` does not do this by itself: on a rig with a black frame it has warned wrongly.
 
     Parameters
     ----------
