@@ -32,7 +32,7 @@ from lightmatrix.uses.triangulation import triangulate
 SEEDS = (0, 1, 2)
 NOISE = 0.003
 # Photographs of micro phase shifts, and their mean period in projector pixels: as many as Gray code
-# with inverses has at 128 x 128, and the period with the fewest errors there of 8 and 16.
+# with inverses has at 128 x 128, and the better one of 8 and 16 at 64 x 64.
 _MICRO_COUNT, _MICRO_PERIOD = 28, 8.0
 # A depth is right within this share of the distance of a surface in its pixel.
 _RIGHT = 0.01

@@ -13,7 +13,7 @@ from lightmatrix.transport.sparse_rows import row_blocks
 from lightmatrix.uses.spots import ENTRIES, entries_of
 
 # The middle of a spot lies within this distance of the epipolar line, in projector pixels. Chosen
-# on rendered scenes: a narrower band loses depth edges, a wider one finds more reflections.
+# by hand: one pixel and a half leave room for a spot that lies between pixels.
 _BAND = 1.5
 # How far the 3 x 3 pixels around a middle reach from it.
 _REACH = 1.5
@@ -23,8 +23,8 @@ _RECENTRED = 4
 # hand: errors of the coordinate then grow threefold at most.
 _STEEP = 0.3
 # Half width of the window of a sharp spot, and what it grows by with the standard deviation of a
-# spot that is out of focus, in projector pixels: 1.5 for one pixel, 2.5 under a blur of 1 pixel,
-# which had the smallest errors of depth on rendered scenes.
+# spot that is out of focus, in projector pixels: 1.5 for one pixel, 2.5 under a blur of 1 pixel.
+# Chosen by hand.
 _LEAST_HALF_WIDTH, _HALF_WIDTH_PER_DEVIATION = 1.5, 2.4
 
 
