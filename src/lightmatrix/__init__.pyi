@@ -113,7 +113,6 @@ from .estimators.resource_estimate import (
 from .estimators.settings import EstimateSettings as EstimateSettings
 from .estimators.unknown_response import (
     find_response as find_response,
-    warn_of_response as warn_of_response,
 )
 from .estimators.coherent.estimator import CoherentEstimator as CoherentEstimator
 from .estimators.workers.startup import open_workers as open_workers

@@ -8,7 +8,11 @@ import pytest
 import lightmatrix as lm
 from lightmatrix.diagnosis.finding import Finding
 from lightmatrix.diagnosis.linearity import check_linearity
-from lightmatrix.diagnosis.responses.from_windows import power_from_windows, varied_rows
+from lightmatrix.diagnosis.responses.from_windows import (
+    WindowPower,
+    power_from_windows,
+    varied_rows,
+)
 from lightmatrix.diagnosis.survey import Survey
 from lightmatrix.patterns.bits import BernoulliPatterns
 from tests.helpers.surface import PROJECTOR, photographs
@@ -51,6 +55,19 @@ def test_powers_are_measured_in_steady_light_only(power: float) -> None:
     (finding,) = found(survey(power))
     assert number(finding)[0] == pytest.approx(power, rel=0.06)
     assert found(survey(power), steady=False) == []
+
+
+def test_a_search_that_settles_where_nothing_is_predicted_is_no_finding() -> None:
+    """Faint light in much noise, where only the search from another start settles."""
+    linear = WindowPower(1.3, 0.01, settled=False, missed=(0.02, 0.02))
+    assert not WindowPower(6.0, 0.004, settled=True, missed=(0.3, 0.37)).right_against(linear)
+    assert WindowPower(2.2, 0.004, settled=True, missed=(0.01, 0.004)).right_against(linear)
+    for exposure in (0.1, 0.3):
+        capture = lm.simulate(
+            "corner", BernoulliPatterns((64, 64), K), exposure=exposure, noise=0.003
+        )
+        taken = Survey.take(capture.patterns, capture.frames, capture.decoder)
+        assert found(taken) == []
 
 
 def test_linear_photographs_are_left_alone() -> None:

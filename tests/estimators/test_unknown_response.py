@@ -11,8 +11,15 @@ import pytest
 from PIL import Image
 
 import lightmatrix as lm
-from lightmatrix.diagnosis.responses.bend import GammaBend, SmoothBends, points, raised
+from lightmatrix.diagnosis.responses.bend import (
+    GammaBend,
+    SmoothBends,
+    exponent,
+    points,
+    raised,
+)
 from lightmatrix.diagnosis.responses.found import largest_difference
+from lightmatrix.estimators.unknown_response import refined_response
 from lightmatrix.patterns.folder import write_patterns
 from tests.helpers.surface import PROJECTOR, photographs
 
@@ -52,15 +59,11 @@ def test_the_curve_is_found_by_few_estimates(name: str) -> None:
         assert found.uncertainty < 0.05 * true
 
 
-def test_an_estimate_uses_the_curve_when_asked_and_warns_when_not() -> None:
+def test_an_estimate_uses_the_curve_when_asked() -> None:
     capture = coded("gamma:2.2")
     known = lm.estimate(capture, response="gamma:2.2", check=False)
     automatic = lm.estimate(capture, response="auto", check=False)
     wrong = lm.estimate(capture, check=False)
-    with pytest.warns(lm.LightMatrixWarning, match=r"gamma 2\.\d+ \+- .*response='auto'") as told:
-        lm.warn_of_response(capture, wrong)
-    # The warning quotes the program of the user, not a line of the package.
-    assert told[0].filename == __file__
 
     def off(transport: lm.LightTransport) -> float:
         difference = transport.to_matrix(dense_background=True) - known.to_matrix(
@@ -69,6 +72,16 @@ def test_an_estimate_uses_the_curve_when_asked_and_warns_when_not() -> None:
         return float(np.linalg.norm(difference.toarray()))
 
     assert off(automatic) < 0.1 * off(wrong)
+
+
+def test_a_camera_of_12_bits_in_files_of_16_is_linear() -> None:
+    """Its clip level is a sixteenth of full scale, and faint light is less still."""
+    frames = (64 + np.rint((4095 - 64) * LEVELS)).astype(np.uint16)
+    decoder = lm.Decoder(clip=4095, full_scale=65535, black_level=64)
+    capture = lm.Capture.from_arrays(PATTERNS, frames, decoder)
+    refined = refined_response(capture, lm.estimate(capture, check=False))
+    assert refined is not None
+    assert exponent(refined.response) == pytest.approx(1, abs=0.02)
 
 
 def test_linear_photographs_stay_as_they_are() -> None:

@@ -34,9 +34,6 @@ _MOST_ESTIMATES, _SMALL = 4, 0.01
 # A curve replaces a gamma if it differs from it by 0.25 % of full light, and one of its bends by
 # eight standard errors. Chosen on simulated captures: gammas stay gammas, sRGB becomes a curve.
 _CURVED, _CERTAIN = 0.0025, 8.0
-# A response is announced after an estimate if its gamma is off by 2 % and its uncertainty. Fewer
-# than 12 frames tell nothing.
-_ANNOUNCED, _FEWEST_FRAMES = 0.02, 12
 # Grey patterns are pictures if pixels beside each other correlate by more than 0.5, in 500 pairs.
 # Random grey patterns do not correlate, photographs by more than 0.9.
 _ALIKE, _PAIRS = 0.5, 500
@@ -155,38 +152,6 @@ def with_known_response(capture: Capture, settings: EstimateSettings) -> Capture
     if capture.decoder.response.name != AUTOMATIC:
         return capture
     return find_response(capture, settings).applied_to(capture)
-
-
-def warn_of_response(capture: Capture, transport: LightTransport) -> None:
-    """Warn if what T leaves unexplained shows that the camera's response is another one.
-
-    `estimate` does not do this by itself: on a rig with a black frame it has warned wrongly.
-
-    Parameters
-    ----------
-    capture : Capture
-        The capture that T was estimated from.
-    transport : LightTransport
-        The estimate.
-
-    Examples
-    --------
-    >>> import lightmatrix as lm
-    >>> capture = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 32), exposure=0.5)
-    >>> lm.warn_of_response(capture, lm.estimate(capture, coherent=False, iterations=20))
-    """
-    stated = capture.decoder.response
-    better = refined_response(capture, transport) if capture.count >= _FEWEST_FRAMES else None
-    if better is None:
-        return
-    gamma, before = exponent(better.response), exponent(stated)
-    uncertainty = gamma * better.uncertainty
-    if abs(gamma - before) < _ANNOUNCED * before + uncertainty:
-        return
-    warn(
-        f"the frames look as if coded with gamma {gamma:.2f} +- {uncertainty:.2f}, but are read as "
-        f"{stated.name}: use --response auto, in Python response='auto'"
-    )
 
 
 def _refuse_pictures(capture: Capture) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.camera.camera_curve import Response
-from lightmatrix.diagnosis.prediction import predict
+from lightmatrix.diagnosis.prediction import FramePrediction, predict
 from lightmatrix.diagnosis.responses.bend import GammaBend, raised
 from lightmatrix.diagnosis.responses.trace import Bends, Rows, light_of, solve_bends
 from lightmatrix.diagnosis.survey import Survey
@@ -33,17 +33,30 @@ _LARGEST_STEP, _FLATTEST = 0.5, 0.2
 # Powers at which a search begins, one after the other until one settles: linear, a display's, and
 # its opposite.
 _STARTS = (1.0, 2.2, 0.5)
+# A search may also settle where nothing can be predicted. Predictions under the right power miss no
+# more than those under the stated response, but for chance: 5 %. On a linear capture of 32 faint
+# photographs they missed .017 of the variance, and .37 under a gamma of 6.
+_MISSED_MORE = 1.05
 # Powers of the light lie well within this range.
 _POWERS = (0.2, 6.0)
 
 
 @dataclass(frozen=True)
 class WindowPower:
-    """The power of the light that was found, its standard error, and whether the search settled."""
+    """The power of the light that was found, its standard error, and whether the search settled.
+
+    `missed` is the share of the samples' variance that predictions miss, under the power at which
+    the search began and under the one that was found.
+    """
 
     power: float
     error: float
     settled: bool
+    missed: tuple[float, float]
+
+    def right_against(self, linear: WindowPower) -> bool:
+        """Whether it may be right, by the search that began at the stated response."""
+        return self.settled and self.missed[1] <= _MISSED_MORE * linear.missed[0]
 
 
 def varied_rows(survey: Survey, most: int = _ROWS) -> NDArray[np.int64]:
@@ -65,33 +78,38 @@ def power_from_windows(survey: Survey, doubted: NDArray[np.bool_]) -> WindowPowe
     rows = varied_rows(survey)
     if len(rows) < _FEWEST_ROWS:
         return None
-    first = None
-    for start in _STARTS:
+    first = _search(survey, rows, doubted, _STARTS[0])
+    if first is None or first.right_against(first):
+        return first
+    for start in _STARTS[1:]:
         found = _search(survey, rows, doubted, start)
-        if found is not None and found.settled:
+        if found is not None and found.right_against(first):
             return found
-        first = first or found
-    return first
+    return replace(first, settled=False)
 
 
 def _search(
     survey: Survey, rows: NDArray[np.int64], doubted: NDArray[np.bool_], start: float
 ) -> WindowPower | None:
     """The power that a search from one start finds; None if too few rows can be predicted."""
-    logs, sizes = [float(np.log(start))], list[float]()
+    logs, sizes, misses = [float(np.log(start))], list[float](), list[float]()
     places = None
     while True:
         response = raised(survey.decoder.response, float(np.exp(logs[-1])))
         # The places that rows follow are looked for until the power is nearly right.
-        found, places = _bends(survey, rows, doubted, response, places if len(sizes) > 1 else None)
+        known = places if len(sizes) > 1 else None
+        found, prediction = _bends(survey, rows, doubted, response, known)
+        places = prediction.places
         if found is None:
             return None
+        misses.append(float(np.median(prediction.miss)))
         sizes.append(float(found.sizes[0]))
         if abs(sizes[-1]) < _SMALL or len(sizes) == _STEPS:
             break
         logs.append(float(np.clip(logs[-1] + _step(logs, sizes), *np.log(_POWERS))))
     settled = abs(sizes[-1]) < 5 * _SMALL
-    return WindowPower(float(np.exp(logs[-1])), float(found.errors[0]), settled)
+    missed = (misses[0], misses[-1])
+    return WindowPower(float(np.exp(logs[-1])), float(found.errors[0]), settled, missed)
 
 
 def _step(logs: list[float], sizes: list[float]) -> float:
@@ -110,14 +128,14 @@ def _bends(
     doubted: NDArray[np.bool_],
     response: Response,
     places: tuple[NDArray[np.int64], ...] | None,
-) -> tuple[Bends | None, tuple[NDArray[np.int64], ...]]:
-    """The bend of one gamma, and the places that the rows follow."""
+) -> tuple[Bends | None, FramePrediction]:
+    """The bend of one gamma, and the prediction from which it follows."""
     patterns, decoder = survey.patterns, survey.decoder
     samples = survey.samples(rows, response)
     prediction = predict(patterns, samples, places, doubted)
     kept = prediction.predicted
     if kept.sum() < _FEWEST_ROWS:
-        return None, prediction.places
+        return None, prediction
     decoder = replace(decoder, response=response)
     exposures = np.broadcast_to(np.asarray(decoder.exposure, np.float64), (survey.count,))
     light, dark = light_of(prediction.observed, samples, decoder, exposures)
@@ -134,7 +152,7 @@ def _bends(
         prediction.trusted & ~doubted,
         columns * exposures[None, :, None],
     )
-    return solve_bends(whole.select(kept), response, GammaBend()), prediction.places
+    return solve_bends(whole.select(kept), response, GammaBend()), prediction
 
 
 def _cross(places: NDArray[np.int64], shape: tuple[int, int]) -> NDArray[np.int64]:

@@ -28,7 +28,8 @@ Array = NDArray[np.float64]
 # Directions of a row's columns that are weaker than this share of the strongest are left in. They
 # are rounding errors of columns that depend on each other.
 _WEAKEST = 1e-6
-# Predicted light counts as at least this share of full light, half a step of 8 bits.
+# Predicted light counts as at least this share of the brightest light, half a step of 8 bits. Full
+# light is no measure: the photographs of a camera of 12 bits may use a sixteenth of their range.
 _FAINTEST = 0.002
 
 
@@ -99,7 +100,8 @@ def solve_bends(rows: Rows, response: Response, bend: Bend) -> Bends | None:
         shares = np.clip(light, 0, 1)
         return bend.functions(shares, response) - bend.functions(np.clip(rows.dark, 0, 1), response)
 
-    instrument = projected(bends(np.clip(rows.predicted, _FAINTEST, 1)))
+    faintest = _FAINTEST * float(rows.light.max(initial=0.0))
+    instrument = projected(bends(np.clip(rows.predicted, faintest, 1)))
     bent = projected(bends(rows.light))
     left = projected(rows.light - rows.dark)
     matrices = np.einsum("imk,jmk->mij", instrument, bent)
