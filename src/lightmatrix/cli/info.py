@@ -35,7 +35,7 @@ def info(
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
-    """Show what a store holds: its verdicts, shapes, clipping, gaps.
+    """Show what a store holds: verdicts, shapes, clipping, gaps.
 
     For a capture: its frames, patterns, levels and exposures.
     """

@@ -34,7 +34,7 @@ def relight(
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
-    """Compute the photograph under a new pattern.
+    """Compute the photograph under any pattern.
 
     The photograph is c = T p. A PNG clips at full scale; TIFF, EXR and npy keep all values. For a
     colour projector, give T of each primary (SCENE, --green, --blue) and a pattern in colour.
