@@ -26,8 +26,9 @@ FLOORS = [
     {"decoding", "diagnosis", "simulation", "pictures"},
     {"estimators", "evaluation"},
     {"calibration", "planning", "uses"},
+    {"viewer"},
     {"report"},
-    {"experiments", "live", "viewer"},
+    {"experiments", "live"},
     {"cli"},
     {"__main__"},
 ]

@@ -78,6 +78,14 @@ def test_the_page_is_self_contained(written: Path) -> None:
     assert all(re.search(r'alt="[^"]{2,}"', picture) for picture in pictures)
 
 
+def test_the_viewer_is_beside_the_page_when_asked_for(
+    tmp_path: Path, estimate: lm.LightTransport, capture: lm.Capture
+) -> None:
+    lm.report(tmp_path / "r", estimate, capture, held_out=False, viewer=True)
+    assert 'href="viewer.html"' in (tmp_path / "r" / "report.html").read_text()
+    assert "<script" in (tmp_path / "r" / "viewer.html").read_text()
+
+
 def test_the_page_has_its_sections_and_numbers(written: Path, estimate: lm.LightTransport) -> None:
     words = _words(written / "report.html")
     numbers = json.loads((written / "report.json").read_text())

@@ -192,6 +192,9 @@ def estimate(
             help="Write a report too, which tests T on photographs that the estimate has not seen.",
         ),
     ] = None,
+    viewer: Annotated[
+        bool, typer.Option("--viewer", help="Add the viewer to the report, as viewer.html.")
+    ] = False,
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Print the memory and time it would take, and stop.")
     ] = False,
@@ -250,7 +253,9 @@ def estimate(
     seconds = round(time.perf_counter() - started, 2)
     outcome: dict[str, Any] | None = None
     if report is not None:
-        outcome = _report(report, output, source, transport, capture, settings, findings, overwrite)
+        outcome = _report(
+            report, output, source, transport, capture, settings, findings, viewer, overwrite
+        )
     if outcome is None:
         judged = lm.verdicts(transport)
     else:
@@ -334,6 +339,7 @@ def _report(
     capture: Capture,
     settings: EstimateSettings,
     findings: list[Finding],
+    viewer: bool,
     overwrite: bool,
 ) -> dict[str, Any]:
     """Write the report, with the truth if `simulate` left it beside the frames."""
@@ -347,6 +353,7 @@ def _report(
             estimator=replace(settings, workers=None, cluster=None),
             title=store.name,
             findings=findings,
+            viewer=viewer,
             overwrite=overwrite,
             progress=step,
         )

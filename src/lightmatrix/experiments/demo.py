@@ -101,6 +101,7 @@ def run(out: Path, *, progress: Callable[[int, int], None] | None = None) -> dic
         capture,
         truth=known,
         title="Demo: a pile of L-shaped blocks",
+        viewer=True,
         more=[_comparison(result["methods"], out / f"{PICTURE}.png")],
     )
     (out / "demo.json").write_text(json.dumps(result, indent=2) + "\n")

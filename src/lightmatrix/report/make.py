@@ -30,9 +30,10 @@ from lightmatrix.report.sections.uses import uses
 from lightmatrix.report.validation import Estimator, Validation, validate
 from lightmatrix.simulation.truth import Truth
 from lightmatrix.transport.matrix import LightTransport
+from lightmatrix.viewer.export import export_viewer
 
 # The files of a report folder.
-PAGE, NUMBERS = "report.html", "report.json"
+PAGE, NUMBERS, VIEWER = "report.html", "report.json", "viewer.html"
 # A finding lists at most this many frames.
 _MOST_LISTED = 8
 
@@ -47,6 +48,7 @@ def report(
     held_out: bool = True,
     findings: Sequence[Finding] = (),
     title: str = "Light transport",
+    viewer: bool = False,
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> dict[str, Any]:
@@ -72,6 +74,8 @@ def report(
         Problems of the frames, as `check` finds them.
     title : str
         Title of the page.
+    viewer : bool
+        Whether to write the viewer too, as viewer.html, and link to it; see `export_viewer`.
     overwrite : bool
         Whether an existing report may be replaced.
     progress : callable, optional
@@ -87,7 +91,8 @@ def report(
     Raises
     ------
     InputError
-        If the matrices and the capture do not belong to one rig.
+        If the matrices and the capture do not belong to one rig, or T is too large for the viewer's
+        page.
     OutputError
         If the folder exists or cannot be written.
 
@@ -112,6 +117,7 @@ def report(
             held_out=held_out,
             findings=findings,
             title=title,
+            viewer=viewer,
             progress=progress,
         )
 
@@ -126,6 +132,7 @@ def write_page(
     held_out: bool = True,
     findings: Sequence[Finding] = (),
     title: str,
+    viewer: bool = False,
     more: Sequence[Section] = (),
     progress: Progress | None = None,
 ) -> dict[str, Any]:
@@ -140,10 +147,13 @@ def write_page(
     if facts.relative_error is None:
         judged = judged.with_findings(kinds)
     of_each = Verdicts(correspondence_verdict(transport, kinds), facts.relighting_verdict, judged)
+    if viewer:
+        export_viewer(folder / VIEWER, transport)
     page = Page(
         title,
         of_each,
         _first_numbers(facts),
+        VIEWER if viewer else None,
         tuple(_sentences(finding) for finding in findings),
         first_frames(facts),
         (

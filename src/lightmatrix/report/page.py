@@ -20,6 +20,8 @@ class Page:
     verdicts: Verdicts
     # The few numbers of the first screen.
     numbers: dict[str, str]
+    # The viewer's page beside this one, if there is one.
+    viewer: str | None
     # Problems of the frames, with remedies.
     findings: tuple[str, ...]
     first_frames: Strip
