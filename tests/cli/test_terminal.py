@@ -63,8 +63,10 @@ def test_a_terminal_of_80_columns_has_room_for_the_values(
     line = "estimate capture -o s.zarr --no-check --no-coherent --iterations 1"
     assert main(line.split()) == 0
     shown = capsys.readouterr().out
-    verdict, _, *rows = shown.splitlines()
-    assert verdict.startswith("Not tested. ")
+    verdict, relighting, correspondence, _, *rows = shown.splitlines()
+    assert verdict.startswith("T: Not tested. ")
+    assert relighting.startswith("Relighting: ")
+    assert correspondence.startswith("Correspondence: ")
     assert 8 <= len(rows) <= 12
     assert main(["info", "s.zarr"]) == 0
     assert shown.startswith(capsys.readouterr().out)
@@ -145,7 +147,7 @@ def test_ctrl_c_after_the_output_says_that_it_is_finished(
             raise RuntimeError("cancelled") from stop
 
     lm.simulate("metal", lm.BernoulliPatterns((64, 64), 8)).save("capture")
-    monkeypatch.setattr(lm, "verdict", stopped)
+    monkeypatch.setattr(lm, "verdicts", stopped)
     line = "estimate capture -o s.zarr --solver romp --iterations 1"
     for again in ("", " --overwrite"):
         assert main((line + again).split()) == 130

@@ -220,7 +220,9 @@ export class Viewer {
     const time = this.#moved;
     this.#changed = false;
     this.#moved = null;
-    this.#relit ??= this.matrix.relight(this.pattern.levels, time);
+    // Not within ??=, which would not relight while a picture waits to be drawn.
+    const relit = this.matrix.relight(this.pattern.levels, time);
+    this.#relit ??= relit;
   }
 
   // --- layers, rows and columns ---
