@@ -30,8 +30,8 @@ _BENT = -0.01
 # to their length: .04 to .17.
 _BOUNDED, BOUNDED_ERROR = 0.65, 0.12
 # A sample lies in a highlight if three of its eight neighbours clip in almost as large a share of
-# the frames. Chosen on the bundled scene `metal`, whose brightest pixel clips in .81 of 32 frames and
-# its neighbours in up to .72; pixels around a lone glint clip in few.
+# the frames. Chosen on the bundled scene `metal`: its brightest pixel clips in .81 of 32 frames,
+# its neighbours in up to .72. Pixels around a lone glint clip in few.
 _HIGHLIGHT, _APART = 3, 0.15
 
 
