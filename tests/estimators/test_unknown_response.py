@@ -76,7 +76,7 @@ def test_an_estimate_uses_the_curve_when_asked() -> None:
 
 def test_a_camera_of_12_bits_in_files_of_16_is_linear() -> None:
     """Its clip level is a sixteenth of full scale, and faint light is less still."""
-    levels = 0.2 * LEVELS
+    levels = 0.7 * LEVELS
     frames = (64 + np.rint((4095 - 64) * levels)).astype(np.uint16)
     decoder = lm.Decoder(clip=4095, full_scale=65535, black_level=64)
     capture = lm.Capture.from_arrays(PATTERNS, frames, decoder)

@@ -34,6 +34,9 @@ _MOST_ESTIMATES, _SMALL = 4, 0.01
 # A curve replaces a gamma if it differs from it by 0.25 % of full light, and one of its bends by
 # eight standard errors. Chosen on simulated captures: gammas stay gammas, sRGB becomes a curve.
 _CURVED, _CERTAIN = 0.0025, 8.0
+# A curve is looked for only if photographs use half of the levels of their files: those of a camera
+# of 12 bits in files of 16 bits use a sixteenth. Chosen by hand.
+_WIDE = 0.5
 # Grey patterns are pictures if pixels beside each other correlate by more than 0.5, in 500 pairs.
 # Random grey patterns do not correlate, photographs by more than 0.9.
 _ALIKE, _PAIRS = 0.5, 500
@@ -138,6 +141,8 @@ def refined_response(
     bends = bends_from_transport(capture, transport, SmoothBends())
     if power is None or bends is None:
         return None
+    # A curve says nothing of levels that no photograph reaches; a gamma needs no such levels.
+    curves = curves and float(np.max(capture.decoder.clip)) > _WIDE * capture.decoder.full_scale
     gamma = GammaBend().bent(response, power.sizes)
     curve = SmoothBends().bent(response, bends.sizes)
     # A gamma looks like the first bend, so only the others tell it from a curve.
