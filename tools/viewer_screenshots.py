@@ -41,9 +41,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as place, opened() as browser:
         if "--times" in sys.argv:
             for camera, projector in SIZES:
-                # A dozen entries a row, so that the larger one fits the page.
-                scene = ProceduralScene(camera, projector, seed=1, bounces=8, background=0)
-                store, truth = Path(place) / "T.zarr", scene.truth().transport()
+                store, truth = Path(place) / "T.zarr", _like_an_estimate(camera, projector)
                 lm.save(store, truth, overwrite=True)
                 lm.index_columns(store)
                 for words in ((), ON_DISK):
@@ -55,6 +53,16 @@ def main() -> None:
             with _shown(browser, file.as_uri(), width, height, scheme) as page:
                 _letter(page)
                 page.screenshot(path=IMAGES / f"viewer-{width}.png")
+
+
+def _like_an_estimate(camera: tuple[int, int], projector: tuple[int, int]) -> lm.LightTransport:
+    """A dozen entries a row and a background of 8 x 8 cells, as estimates have them."""
+    scene = ProceduralScene(camera, projector, seed=1, bounces=8, background=0)
+    sparse = scene.truth().transport().sparse
+    cells = 8 * 8
+    falloff = 0.01 / (1 + np.arange(cells))
+    background = np.outer(np.linspace(0.5, 1, sparse.shape[0]), falloff).astype(np.float32)
+    return lm.LightTransport(sparse, background, camera, projector, background_grid=(8, 8))
 
 
 @contextmanager
@@ -103,7 +111,6 @@ def _times(
             _wait(page)
             first = time.monotonic() - begin
             times = _circle(page)
-            _wait(page)
             page.get_by_label("Stored pattern").select_option("checks")
             _wait(page)
         memory = psutil.Process(server.pid).memory_info().rss >> 20
@@ -139,6 +146,7 @@ def _circle(page: Page) -> list[float]:
         if k == 0:
             page.mouse.down()
     page.mouse.up()
+    _wait(page)
     times: list[float] = page.evaluate("globalThis.lightmatrixViewer.latencies")
     return times
 

@@ -192,8 +192,8 @@ def test_rows_and_columns(page: Page, transport: lm.LightTransport) -> None:
 def test_layers(name: str, page: Page, transport: lm.LightTransport) -> None:
     side = "projector" if name == "dual" else "camera"
     page.get_by_label(f"Layer of the {side}").select_option(name)
-    page.wait_for_load_state("networkidle")
-    settle(page)
+    # The network may be idle before the page asks for the layer.
+    page.wait_for_function(f"{VIEWER}.layers.get('{name}')")
     values = numbers(page, f"Array.from({VIEWER}.layers.get('{name}').arrays.values, String)")
     matches = maps.correspondence_maps(lm.correspondence(transport))
     expected = {
@@ -218,6 +218,22 @@ def test_painting_takes_less_than_an_eye_notices(page: Page) -> None:
     times = numbers(page, f"{VIEWER}.latencies")
     assert len(times) >= 10
     assert np.median(times) < SLOWEST_STROKE_MS
+
+
+def test_a_stroke_is_seen_before_it_ends(
+    browser: Browser, transport: lm.LightTransport, tmp_path: Path
+) -> None:
+    """Light that has come is drawn, even if the answer to a later movement is on its way."""
+    store = tmp_path / "scene.zarr"
+    lm.save(store, transport)
+    with (
+        running.served(store, "--page-memory", "0MiB") as server,
+        shown(browser, server.address) as page,
+    ):
+        page.evaluate(f"Object.defineProperty({VIEWER}.matrix, 'expects', {{ get: () => true }})")
+        stroke(page, *((2 + k % 12, 2 + k) for k in range(14)))
+        assert len(numbers(page, f"{VIEWER}.latencies")) > 1
+        assert_relit(page, transport)
 
 
 def test_zoom_and_pan_are_joined_and_kept_in_the_address(page: Page) -> None:

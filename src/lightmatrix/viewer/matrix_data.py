@@ -35,7 +35,7 @@ def matrix_data(transport: LightTransport) -> bytes:
     by_columns.sort_indices()
     short = transport.shape[0] <= _SHORT_ROWS
     values, value_scale = halves(by_columns.data)
-    background, background_scale = halves(transport.background.T)
+    background, background_scale = halves(transport.background)
     header = {
         "value_scale": value_scale,
         "background_scale": background_scale,
@@ -45,7 +45,7 @@ def matrix_data(transport: LightTransport) -> bytes:
         "ends": by_columns.indptr.astype(np.uint32),
         "rows": by_columns.indices.astype(np.uint16 if short else np.uint32),
         "values": values,
-        "background": background,
+        "background": background.T,
     }
     return packed(header, arrays)
 

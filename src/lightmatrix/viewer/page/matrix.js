@@ -21,8 +21,11 @@ export class Matrix {
     this.table = halves(header.value_scale);
     const cells = scene.grid[0] * scene.grid[1];
     const table = halves(header.background_scale);
-    this.background = Float32Array.from(arrays.background, (bits) => table[bits]);
-    this.litCells = this.background.some((value) => value !== 0) ? cells : 0;
+    // Plain loops: a function called for each of fifty million values takes seconds.
+    const bits = arrays.background, background = this.background = new Float32Array(bits.length);
+    let lit = false;
+    for (let k = 0; k < bits.length; k++) lit = (background[k] = table[bits[k]]) !== 0 || lit;
+    this.litCells = lit ? cells : 0;
     this.cellOf = gridCells(scene.projector, scene.grid);
     this.cellSize = new Float64Array(cells);
     for (const cell of this.cellOf) this.cellSize[cell] += 1;

@@ -267,8 +267,9 @@ export class Viewer {
 
   #frame() {
     this.#waiting = false;
-    // Two frames, of the pattern and then of its light, would take twice as long.
-    if (this.matrix.expects) { this.redraw(); return; }
+    // Two frames, of the pattern and then of its light, would take twice as long. Light that has come is
+    // drawn even if more is on its way, or a long stroke would show nothing until it ends.
+    if (this.#relit === null && this.matrix.expects) { this.redraw(); return; }
     if (this.#changed) this.relight();
     this.#drawNow();
   }
