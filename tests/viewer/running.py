@@ -85,9 +85,14 @@ def settle(page: Page) -> None:
     """Wait for the frame that shows the last change."""
     frames = "new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))"
     page.evaluate(frames)
+    wait_for(page, f"!{VIEWER}.matrix.busy")
+
+
+def wait_for(page: Page, condition: str) -> None:
+    """Wait until an expression is true; the page's own rules forbid `page.wait_for_function`."""
     end = time.monotonic() + PATIENCE_MS / 1000
-    while page.evaluate(f"{VIEWER}.matrix.busy"):
-        assert time.monotonic() < end, "the server has not answered"
+    while not page.evaluate(condition):
+        assert time.monotonic() < end, f"still waiting for {condition}"
         page.wait_for_timeout(10)
 
 

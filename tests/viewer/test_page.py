@@ -18,7 +18,17 @@ from scipy.sparse import csr_array
 import lightmatrix as lm
 from lightmatrix.pictures import maps
 from tests.viewer import running
-from tests.viewer.running import VIEWER, numbers, pattern, photograph, settle, shown, spot, stroke
+from tests.viewer.running import (
+    VIEWER,
+    numbers,
+    pattern,
+    photograph,
+    settle,
+    shown,
+    spot,
+    stroke,
+    wait_for,
+)
 
 pytest.importorskip("uvicorn")
 pytestmark = pytest.mark.skipif(not installed(), reason="no Chromium is installed")
@@ -193,7 +203,7 @@ def test_layers(name: str, page: Page, transport: lm.LightTransport) -> None:
     side = "projector" if name == "dual" else "camera"
     page.get_by_label(f"Layer of the {side}").select_option(name)
     # The network may be idle before the page asks for the layer.
-    page.wait_for_function(f"{VIEWER}.layers.get('{name}')")
+    wait_for(page, f"!!{VIEWER}.layers.get('{name}')")
     values = numbers(page, f"Array.from({VIEWER}.layers.get('{name}').arrays.values, String)")
     matches = maps.correspondence_maps(lm.correspondence(transport))
     expected = {
@@ -209,8 +219,7 @@ def test_layers(name: str, page: Page, transport: lm.LightTransport) -> None:
     assert f"{side}={name}" in page.url
     page.reload()
     page.locator(".stage").first.wait_for()
-    page.wait_for_load_state("networkidle")
-    assert page.get_by_label(f"Layer of the {side}").input_value() == name
+    wait_for(page, f"{VIEWER}?.panes.{side}.select.value === '{name}'")
 
 
 def test_painting_takes_less_than_an_eye_notices(page: Page) -> None:
