@@ -63,15 +63,22 @@ def estimated(camera: Shape, projector: Shape, count: int) -> dict[str, float]:
         capture, matrix = Path(folder) / "capture.zarr", Path(folder) / "scene.zarr"
         scene = lm.ProceduralScene(camera, projector)
         lm.simulate_procedural(capture, scene, lm.BernoulliPatterns(projector, count))
-        command = ["-m", "lightmatrix", "estimate", str(capture), "-o", str(matrix), "--json"]
-        unseen = [(os.POSIX_SPAWN_OPEN, stream, os.devnull, os.O_WRONLY, 0) for stream in (1, 2)]
-        started = time.perf_counter()
-        words = [sys.executable, *command]
-        child = os.posix_spawn(sys.executable, words, os.environ, file_actions=unseen)
-        _, status, used = os.wait4(child, 0)
-        clock = time.perf_counter() - started
-        if status:
-            raise SystemExit(f"{camera} under {projector}: the estimate failed")
+        return command_cost("estimate", capture, "-o", matrix)
+
+
+def command_cost(*words: str | Path) -> dict[str, float]:
+    """Processor and clock seconds of a command, and its largest resident set.
+
+    The process that asks must be small, because the set of a new process starts as its parent's.
+    """
+    command = [sys.executable, "-m", "lightmatrix", *map(str, words), "--json"]
+    unseen = [(os.POSIX_SPAWN_OPEN, stream, os.devnull, os.O_WRONLY, 0) for stream in (1, 2)]
+    started = time.perf_counter()
+    child = os.posix_spawn(sys.executable, command, os.environ, file_actions=unseen)
+    _, status, used = os.wait4(child, 0)
+    clock = time.perf_counter() - started
+    if status:
+        raise SystemExit(f"failed: lightmatrix {' '.join(command[3:])}")
     spent = used.ru_utime + used.ru_stime
     return {"processor_s": spent, "clock_s": clock, "peak_gib": used.ru_maxrss / 2**20}
 

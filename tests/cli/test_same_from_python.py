@@ -583,10 +583,19 @@ def test_separate(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     lm.truth("l_objects").save(tmp_path / "T.npz")
     lm.write_image(tmp_path / "p.png", np.tile(np.eye(8), (8, 8)))
     words = f"separate {tmp_path}/T.npz --pattern {tmp_path}/p.png -o {tmp_path}/shown"
-    shown = _run(words, capsys)
-    parts = lm.separate(tmp_path / "T.npz", pattern=tmp_path / "p.png", output=tmp_path / "made")
+    shown = _run(f"{words} --epipolar --non-epipolar", capsys)
+    parts = lm.separate(
+        tmp_path / "T.npz", pattern=tmp_path / "p.png", epipolar=True, non_epipolar=True,
+        output=tmp_path / "made",
+    )  # fmt: skip
     assert shown["epipolar_direction"] == parts.geometry.direction
-    for name, part in (("direct", parts.direct), ("global", parts.global_)):
+    written = {
+        "direct": parts.direct,
+        "global": parts.global_,
+        "epipolar": parts.epipolar,
+        "non-epipolar": parts.non_epipolar,
+    }
+    for name, part in written.items():
         _same_transport(lm.open(tmp_path / "shown" / f"{name}.zarr"), part)
         for kind in ("png", "npy"):
             one, other = (tmp_path / folder / f"{name}.{kind}" for folder in ("shown", "made"))

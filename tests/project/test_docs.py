@@ -77,7 +77,7 @@ def _help_of(name: str) -> str:
     return str(command.get_help(context))
 
 
-@pytest.mark.parametrize("name", ["report", "other-programs", "colour"])
+@pytest.mark.parametrize("name", ["report", "other-programs", "colour", "operator"])
 def test_the_commands_of_a_page_work(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

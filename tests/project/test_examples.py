@@ -76,6 +76,30 @@ def test_compensation(tmp_path: Path) -> None:
     assert compensated > uncompensated + 20
 
 
+def test_two_projectors(tmp_path: Path) -> None:
+    uncompensated, compensated = _run("two_projectors", tmp_path)
+    assert compensated > uncompensated + 20
+    assert compensated > 30
+
+
+def test_colour_compensation(tmp_path: Path) -> None:
+    by_itself, jointly = _run("colour_compensation", tmp_path)
+    assert jointly > by_itself + 8
+    assert jointly > 30
+
+
+def test_inverse_light(tmp_path: Path) -> None:
+    before, after = _run("inverse_light", tmp_path)
+    assert after < 0.25 * before
+
+
+def test_spectrum(tmp_path: Path) -> None:
+    direct, others, missed = _run("spectrum", tmp_path)
+    assert direct > 0.8
+    assert others < 0.4
+    assert missed < 0.01
+
+
 def test_painting(tmp_path: Path) -> None:
     _run("painting", tmp_path)
     assert (tmp_path / "page.html").stat().st_size > 1_000_000

@@ -24,6 +24,12 @@ def separate(
         Path | None,
         typer.Option(help="Pattern of the images.", show_default="white"),
     ] = None,
+    epipolar: Annotated[
+        bool, typer.Option("--epipolar", help="Also write the part of T along epipolar lines.")
+    ] = False,
+    non_epipolar: Annotated[
+        bool, typer.Option("--non-epipolar", help="Also write the part of T off epipolar lines.")
+    ] = False,
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
@@ -33,7 +39,14 @@ def separate(
     sum is T; the images direct and global as .png and .npy; confidence.npy and parallax.npy.
     """
     claim(output, SEPARATION, overwrite=overwrite)
-    parts = lm.separate(scene, pattern=pattern, output=output, overwrite=overwrite)
+    parts = lm.separate(
+        scene,
+        pattern=pattern,
+        epipolar=epipolar,
+        non_epipolar=non_epipolar,
+        output=output,
+        overwrite=overwrite,
+    )
     direct, others = (
         float(part.sparse.data.sum(dtype=float) + part.background.sum(dtype=float))
         for part in (parts.direct, parts.global_)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -115,6 +116,8 @@ def separate(
     transport: LightTransport | str | Path,
     *,
     pattern: NDArray[Any] | str | Path | None = None,
+    epipolar: bool = False,
+    non_epipolar: bool = False,
     output: str | Path | None = None,
     overwrite: bool = False,
 ) -> Separation:
@@ -131,10 +134,13 @@ def separate(
         T, or where `open` finds it. It must have no negative entries.
     pattern : (rows, cols) array, str or Path, optional
         The pattern of the written images, in [0, 1], or an image file; without it, white.
+    epipolar, non_epipolar : bool
+        Whether the folder also holds the part of T along the epipolar lines, or the part off them.
+        `Separation` has both in any case.
     output : str or Path, optional
         Folder to make: direct.zarr and global.zarr; the images direct and global under the pattern,
-        as .png for a look (gamma 2.2, one scale for both) and .npy for use; confidence.npy and
-        parallax.npy.
+        as .png for a look (gamma 2.2, one scale for all) and .npy for use; confidence.npy and
+        parallax.npy. Where asked for, epipolar and non-epipolar likewise.
     overwrite : bool
         Whether an existing separation may be replaced.
 
@@ -192,7 +198,12 @@ def separate(
         deviation,
     )
     if output is not None:
-        _write(separation, lit, output, overwrite)
+        chosen = {"direct": separation.direct, "global": separation.global_}
+        if epipolar:
+            chosen["epipolar"] = separation.epipolar
+        if non_epipolar:
+            chosen["non-epipolar"] = separation.non_epipolar
+        _write(separation, chosen, lit, output, overwrite)
     return separation
 
 
@@ -267,19 +278,20 @@ def _parallax(found: DirectSpots, shape: tuple[int, int]) -> NDArray[np.float32]
 
 
 def _write(
-    separation: Separation, pattern: NDArray[np.float32], output: str | Path, overwrite: bool
+    separation: Separation,
+    chosen: Mapping[str, LightTransport],
+    pattern: NDArray[np.float32],
+    output: str | Path,
+    overwrite: bool,
 ) -> None:
-    """Write both matrices, their images under the pattern, and the maps."""
-    images = {
-        "direct": separation.direct.relight(pattern),
-        "global": separation.global_.relight(pattern),
-    }
+    """Write the chosen parts of T, their images under the pattern, and the maps."""
+    images = {name: part.relight(pattern) for name, part in chosen.items()}
     white = max(float((images["direct"] + images["global"]).max()), 1e-9)
-    with atomic_folder(output, SEPARATION, overwrite=overwrite) as part:
-        store.save(part / "direct.zarr", separation.direct)
-        store.save(part / "global.zarr", separation.global_)
+    with atomic_folder(output, SEPARATION, overwrite=overwrite) as folder:
+        for name, part in chosen.items():
+            store.save(folder / f"{name}.zarr", part)
         for name, image in images.items():
-            np.save(part / f"{name}.npy", image)
-            write_image(part / f"{name}.png", (image / white) ** (1 / _GAMMA))
-        np.save(part / "confidence.npy", separation.confidence)
-        np.save(part / "parallax.npy", separation.parallax)
+            np.save(folder / f"{name}.npy", image)
+            write_image(folder / f"{name}.png", (image / white) ** (1 / _GAMMA))
+        np.save(folder / "confidence.npy", separation.confidence)
+        np.save(folder / "parallax.npy", separation.parallax)
