@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from scipy.optimize import lsq_linear
 from scipy.sparse import csr_array
 
 import lightmatrix as lm
-from lightmatrix.uses import joint_light as joint_light_file
+from lightmatrix.uses import loading
 from lightmatrix.uses.bounded_fit import BoundedFit
 from lightmatrix.uses.compensation import TOLERANCE, compensator
 from lightmatrix.uses.joint_light import JointLight, joint_light
@@ -126,6 +127,41 @@ def test_it_is_better_than_gains_of_single_pixels(known: lm.LightTransport) -> N
     missed = [np.mean((image - found.target)[near] ** 2) for image in (found.predicted, gains)]
     assert missed[0] < 0.25 * missed[1]
     assert found.psnr == pytest.approx(-10 * np.log10(squares(found.predicted) / found.scale**2))
+
+
+def test_rows_that_state_large_errors_do_not_spoil_their_neighbours(
+    known: lm.LightTransport,
+) -> None:
+    random = np.random.default_rng(0)
+    wrong = random.random(4096) < 0.1
+    gains = np.where(wrong, random.uniform(0.3, 3, 4096), 1).astype(np.float32)
+    sparse = csr_array(known.sparse.multiply(gains[:, None]), dtype=np.float32)
+    fits = lm.compensate(known, _ramp()).reachable.ravel() & ~wrong
+    missed = {}
+    for name, stated in (("none", 0.0), ("wrong ones", np.where(wrong, 1.0, 0.0))):
+        errors = np.broadcast_to(np.asarray(stated, np.float32), 4096)
+        found = lm.compensate(
+            replace(known, sparse=sparse, diagnostics={"estimated_error": errors}), _ramp()
+        )
+        away = (known.relight(found.pattern) - found.target).ravel()[fits]
+        missed[name] = float(np.mean(away**2)) / found.scale**2
+    assert missed["wrong ones"] < 0.3 * missed["none"]
+
+
+def test_errors_of_several_projectors_add_up_as_independent_ones() -> None:
+    first, second = _scene(), _scene(projector=(3, 4), seed=1)
+    errors = np.linspace(0, 1, 42).astype(np.float32)
+    errors[3] = np.nan
+    light = joint_light([replace(first, diagnostics={"estimated_error": errors}), second])
+    shares = [_dense(matrix).sum(axis=1) for matrix in (first, second)]
+    expected = np.nan_to_num(errors) * shares[0] / (shares[0] + shares[1])
+    np.testing.assert_allclose(light.errors, expected, rtol=1e-5)
+    both = joint_light([replace(first, diagnostics={"estimated_error": errors})] * 2)
+    np.testing.assert_allclose(both.errors, np.nan_to_num(errors) / np.sqrt(2), rtol=1e-5)
+    # Samples count half at .07.
+    even = replace(first, diagnostics={"estimated_error": np.full(42, 0.07, np.float32)})
+    for weights in (compensator(even).fit.weights, compensator(second).fit.weights / 2):
+        np.testing.assert_allclose(weights[weights > 0], 0.5, rtol=1e-5)
 
 
 def test_the_map_says_what_is_not_reached() -> None:
@@ -258,9 +294,10 @@ def test_a_store_is_loaded_or_refused(
     expected = lm.compensate(known, _ramp()).pattern
     for source in (stored, tmp_path / "scene.zarr", str(tmp_path / "scene.zarr")):
         np.testing.assert_array_equal(lm.compensate(source, _ramp()).pattern, expected)
-    monkeypatch.setattr(joint_light_file, "available_bytes", lambda: 1000)
-    with pytest.raises(lm.InputError, match=r"scene\.zarr: takes .* GiB of memory"):
-        lm.compensate(stored, _ramp())
+    monkeypatch.setattr(loading, "available_bytes", lambda: 1000)
+    for source in (stored, tmp_path / "scene.zarr"):
+        with pytest.raises(lm.InputError, match=r"scene\.zarr: takes .* GiB of memory"):
+            lm.compensate(source, _ramp())
 
 
 @pytest.mark.parametrize(

@@ -12,6 +12,7 @@ from scipy.sparse import csr_array
 
 import lightmatrix as lm
 from lightmatrix.simulation.realism import defocus
+from lightmatrix.uses import loading
 
 SIDE = 40
 
@@ -206,6 +207,22 @@ def test_bad_input_is_refused_before_a_folder_is_made(tmp_path: Path) -> None:
         with pytest.raises(lm.InputError, match="pattern"):
             lm.separate(transport, pattern=pattern, output=tmp_path / "new")
     assert not list(tmp_path.iterdir())
+
+
+def test_a_store_is_loaded_or_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    known = lm.truth("l_objects").transport()
+    lm.save(tmp_path / "scene.zarr", known)
+    stored = lm.StoredTransport.open(tmp_path / "scene.zarr")
+    part = lm.separate(stored).direct.sparse != lm.separate(known).direct.sparse
+    assert part.nnz == 0
+    size = sum(array.bytes for array in stored.header.arrays.values())
+    monkeypatch.setattr(loading, "available_bytes", lambda: 4 * size)
+    with pytest.raises(lm.InputError, match=r"scene\.zarr: takes .* GiB of memory") as refused:
+        lm.separate(stored)
+    assert "region" in (refused.value.hint or "")
+    # What the message advises works.
+    half = stored.region(slice(0, 64), slice(0, 32))
+    assert lm.separate(half).direct.camera_shape == (64, 32)
 
 
 def test_files_hold_what_is_returned(tmp_path: Path) -> None:

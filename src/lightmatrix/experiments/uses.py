@@ -32,12 +32,26 @@ USES: tuple[Callable[[LightTransport, Truth, str, int], list[Row]], ...] = (
     lambda transport, truth, scene, _: inverse_light_rows(transport, truth, scene),
     separation_rows,
 )
-# The metrics that the figure shows, with the label of their axis.
+# The metrics that the figure shows, with the title of their panels and the label of their axis.
 _DRAWN = {
-    ("compensate", "PSNR"): "PSNR of the photograph (dB)",
-    ("cancel global", "residue"): "global light left",
-    ("separate", "global error"): "error of the global image",
-    ("separate, blur 1", "global error"): "error of the global image",
+    ("compensate", "PSNR"): ("compensation", "PSNR of the photograph (dB)"),
+    ("cancel global", "residue"): ("global light cancelled", "global / direct light"),
+    ("separate", "global error"): ("separation", "error of the global image"),
+    ("separate, blur 1", "global error"): (
+        "separation, blur of 1 pixel",
+        "error of the global image",
+    ),
+}
+# The methods of the table, each with its words and its colour in the figure: ours are blue, what
+# only a simulation knows is grey.
+_METHODS = {
+    "pixel gains": ("gain of each pixel", COLOURS[4]),
+    "white pattern": ("under white", COLOURS[4]),
+    "T, window 5 x 5": ("T, window of 5 x 5", COLOURS[4]),
+    "Nayar, best square": ("Nayar et al., best square", COLOURS[1]),
+    "estimate": ("T from 32 photographs", COLOURS[0]),
+    "T, separated": ("T from 32 photographs", COLOURS[0]),
+    "true T": ("true T", "0.6"),
 }
 
 
@@ -92,17 +106,18 @@ def _summary(rows: list[Row]) -> list[Row]:
 
 def _draw(out: Path, results: list[tuple[Case, Measured]]) -> None:
     """One panel for each metric and size: bars by scene and method."""
-    means = _summary(all_rows(results))
-    sizes = sorted({row["size"] for row in means})
-    drawn = [metric for metric in _DRAWN if any(_of(row) == metric for row in means)]
-    with figure(3.6 * len(sizes), 2.6 * len(drawn)) as drawing:
+    rows = all_rows(results)
+    sizes = sorted({row["size"] for row in rows})
+    drawn = [metric for metric in _DRAWN if any(_of(row) == metric for row in rows)]
+    with figure(3.4 * len(sizes) + 1.6, 1.9 * len(drawn)) as drawing:
         panels = drawing.subplots(len(drawn), len(sizes), squeeze=False, sharey="row")
         for line, metric in zip(panels, drawn, strict=True):
+            title, label = _DRAWN[metric]
             for axes, size in zip(line, sizes, strict=True):
-                rows = [row for row in means if _of(row) == metric and row["size"] == size]
-                _draw_bars(axes, rows)
-                axes.set_title(f"{metric[0]}, {size} x {size}")
-            line[0].set_ylabel(_DRAWN[metric])
+                own = [row for row in rows if _of(row) == metric and row["size"] == size]
+                _draw_bars(axes, own)
+                axes.set_title(f"{title}, {size} x {size}")
+            line[0].set_ylabel(label)
             line[-1].legend(loc="upper left", bbox_to_anchor=(1, 1))
         save(drawing, out, "uses", ("png", "svg"))
 
@@ -112,16 +127,19 @@ def _of(row: Row) -> tuple[str, str]:
 
 
 def _draw_bars(axes: Any, rows: list[Row]) -> None:
-    scenes = list(dict.fromkeys(row["scene"] for row in rows))
-    methods = list(dict.fromkeys(row["method"] for row in rows))
+    """Means over the seeds, with a line from the least to the largest value."""
+    scenes = [scene for scene in SCENES if any(row["scene"] == scene for row in rows)]
+    methods = [name for name in _METHODS if any(row["method"] == name for row in rows)]
     width = 0.8 / max(1, len(methods))
     for number, method in enumerate(methods):
-        own = [row for row in rows if row["method"] == method]
-        places = [
-            scenes.index(row["scene"]) + (number - (len(methods) - 1) / 2) * width for row in own
-        ]
-        values = [row["value"] for row in own]
-        axes.bar(places, values, width, color=COLOURS[number], label=method)
+        words, colour = _METHODS[method]
+        for place, scene in enumerate(scenes):
+            values = [
+                row["value"] for row in rows if (row["method"], row["scene"]) == (method, scene)
+            ]
+            x = place + (number - (len(methods) - 1) / 2) * width
+            axes.bar(x, np.mean(values), width, color=colour, label=None if place else words)
+            axes.vlines(x, min(values), max(values), color="black", linewidth=0.8)
     axes.set_xticks(range(len(scenes)), scenes)
 
 

@@ -28,8 +28,9 @@ from lightmatrix.outputs.writing import check_output
 from lightmatrix.patterns.pattern_set import ImagePatterns
 from lightmatrix.ranges import check_number
 from lightmatrix.reprs import short_repr
-from lightmatrix.uses.compensation import Compensation, Compensator, compensator, write_shown
-from lightmatrix.uses.joint_light import Transport
+from lightmatrix.uses.compensation import Compensation, Compensator, compensator
+from lightmatrix.uses.loading import Transport
+from lightmatrix.uses.pattern_images import write_shown
 from lightmatrix.uses.wanted_image import Picture, wanted_samples
 
 USUAL_STEPS = 3

@@ -19,7 +19,7 @@ from lightmatrix.patterns.pattern_set import ImagePatterns
 from lightmatrix.ranges import check_number
 from lightmatrix.reprs import short_repr
 from lightmatrix.uses.compensation import USUAL_ITERATIONS, compensator
-from lightmatrix.uses.joint_light import Transport
+from lightmatrix.uses.loading import Transport
 from lightmatrix.uses.wanted_image import Picture, wanted_samples
 
 # Iterations for a frame that starts from the pattern of the frame before. In a picture that pans by

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +12,10 @@ from lightmatrix.errors import InputError
 from lightmatrix.outputs.kinds import IMAGE
 from lightmatrix.outputs.writing import check_output
 from lightmatrix.transport.matrix import LightTransport
-from lightmatrix.uses.compensation import Compensation, compensator, write_shown
-from lightmatrix.uses.joint_light import Transport, joint_light
+from lightmatrix.uses.compensation import Compensation, compensator
+from lightmatrix.uses.joint_light import joint_light
+from lightmatrix.uses.loading import Transport
+from lightmatrix.uses.pattern_images import write_shown
 from lightmatrix.uses.separation import pattern_or_white, separate
 
 # Iterations of the solver. Chosen by hand: twice as many as a compensation takes.
@@ -82,7 +85,8 @@ def cancel_global(
         raise InputError(
             "the pattern gives no direct light", hint="give a pattern that lights the scene"
         )
-    shared = compensator(matrix)
+    # The target is made from T, with the same errors, so that no row is trusted less.
+    shared = replace(compensator(matrix), weigh_errors=False)
     compensation = shared.reaching(target.ravel(), 1.0, start=shown.ravel(), iterations=_ITERATIONS)
     if output is not None:
         write_shown(output, compensation.patterns, overwrite=overwrite)

@@ -13,10 +13,12 @@ from numpy.typing import NDArray
 
 from lightmatrix import store
 from lightmatrix.errors import InputError
-from lightmatrix.resources.memory import available_bytes
 from lightmatrix.transport.matrix import LightTransport
+from lightmatrix.uses.loading import Transport, loaded
 
-Transport = LightTransport | store.StoredTransport | str | Path
+# Memory that a compensation takes, relative to the matrix. A megapixel camera with 29 entries a row
+# and 64 values of background took 1.5 (python -m benchmarks.uses_at_scale).
+_TIMES_ITS_SIZE = 1.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,6 +76,21 @@ class JointLight:
         return np.concatenate(parts)
 
     @cached_property
+    def errors(self) -> NDArray[np.float32]:
+        """Estimated relative error of what each camera sample sees under white, (M,).
+
+        The errors of several matrices are independent. 0 where an estimate does not state one.
+        """
+        squares, light = (np.zeros(self.matrices[0].shape[0], np.float32) for _ in range(2))
+        for matrix in self.matrices:
+            stated = matrix.diagnostics.get("estimated_error")
+            white = matrix @ np.ones(matrix.shape[1], np.float32)
+            light += white
+            if stated is not None:
+                squares += (np.nan_to_num(stated, nan=0.0).astype(np.float32) * white) ** 2
+        return np.divide(np.sqrt(squares), light, out=np.zeros_like(light), where=light > 0)
+
+    @cached_property
     def _transposed(self) -> list[tuple[Any, Any]]:
         """Views of S' and m' of each projector, which share the arrays of S and m."""
         return [(matrix.sparse.T, matrix.pooling.T) for matrix in self.matrices]
@@ -88,7 +105,7 @@ def joint_light(transport: Transport | Sequence[Transport]) -> JointLight:
     sources: list[Any] = [transport] if single else [*transport]  # type: ignore[misc]
     if not sources:
         raise InputError("no light transport matrix", hint="give one, or one for each projector")
-    matrices = tuple(_loaded(source) for source in sources)
+    matrices = tuple(loaded(source, _TIMES_ITS_SIZE) for source in sources)
     shapes = sorted({matrix.camera_shape for matrix in matrices})
     if len(shapes) > 1:
         raise InputError(
@@ -96,20 +113,3 @@ def joint_light(transport: Transport | Sequence[Transport]) -> JointLight:
             hint="give matrices that one camera measured, with the same binning",
         )
     return JointLight(matrices)
-
-
-def _loaded(source: Transport) -> LightTransport:
-    if isinstance(source, str | Path):
-        return store.open(source)
-    if isinstance(source, LightTransport):
-        return source
-    needed = sum(array.bytes for array in source.header.arrays.values())
-    free = available_bytes()
-    if needed > free:
-        raise InputError(
-            f"{source.header.place}: takes {needed / 2**30:.3g} GiB of memory, "
-            f"{free / 2**30:.3g} GiB are free, and every step needs all of it",
-            hint="take a region of the camera (`region`), estimate with binning, or use a machine "
-            "with more memory",
-        )
-    return source.load()

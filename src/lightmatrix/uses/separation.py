@@ -28,12 +28,16 @@ from lightmatrix.uses.direct_light import (
     spot_radius,
 )
 from lightmatrix.uses.epipolar import EpipolarGeometry
+from lightmatrix.uses.loading import Transport, loaded
 from lightmatrix.uses.spots import entries_of, find_spots, spot_deviation
 
 # Light within this distance of the epipolar line counts as epipolar, in projector pixels and in
 # standard deviations of a spot: a line that is one pixel wide, and its blur.
 _LINE = (1.0, 2.0)
 _GAMMA = 2.2
+# Memory that a separation takes, relative to the matrix. A megapixel camera with 29 entries a row
+# and 64 values of background took 4.1 (python -m benchmarks.uses_at_scale).
+_TIMES_ITS_SIZE = 4.1
 # A spot that covers more than this share of the projector is not one. Chosen by hand.
 _LARGEST_SPOT = 0.25
 
@@ -113,7 +117,7 @@ class Separation:
 
 
 def separate(
-    transport: LightTransport | str | Path,
+    transport: Transport,
     *,
     pattern: NDArray[Any] | str | Path | None = None,
     epipolar: bool = False,
@@ -130,8 +134,8 @@ def separate(
 
     Parameters
     ----------
-    transport : LightTransport, str or Path
-        T, or where `open` finds it. It must have no negative entries.
+    transport : LightTransport, StoredTransport, str or Path
+        T, or where `open` finds it. It must have no negative entries. A store is loaded.
     pattern : (rows, cols) array, str or Path, optional
         The pattern of the written images, in [0, 1], or an image file; without it, white.
     epipolar, non_epipolar : bool
@@ -153,7 +157,7 @@ def separate(
     ------
     InputError
         If T has negative entries, or too little direct light that its epipolar geometry could be
-        found; on a pattern that does not fit.
+        found; on a pattern that does not fit; if there is not enough memory for a store.
     OutputError
         If the folder exists or cannot be written.
 
@@ -176,7 +180,7 @@ def separate(
     """
     if output is not None:
         check_output(output, SEPARATION, overwrite=overwrite)
-    matrix = transport if isinstance(transport, LightTransport) else store.open(transport)
+    matrix = loaded(transport, _TIMES_ITS_SIZE)
     lit = pattern_or_white(pattern, matrix.projector_shape)
     _check_positive(matrix)
     shape = (matrix.camera_shape[0], matrix.camera_shape[1])

@@ -1,0 +1,33 @@
+"""T in memory for a use that needs all of it, or a message that says what would work."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from lightmatrix import store
+from lightmatrix.errors import InputError
+from lightmatrix.resources.memory import available_bytes
+from lightmatrix.transport.matrix import LightTransport
+
+Transport = LightTransport | store.StoredTransport | str | Path
+
+
+def loaded(source: Transport, times: float) -> LightTransport:
+    """The matrix; an InputError if a use that takes `times` its memory does not fit."""
+    if isinstance(source, LightTransport):
+        return source
+    if isinstance(source, str | Path):
+        if Path(source).suffix.lower() == ".npz":
+            return store.open(source)
+        # Nothing is kept: the matrix is loaded whole below.
+        source = store.StoredTransport.open(source, memory=0)
+    needed = times * sum(array.bytes for array in source.header.arrays.values())
+    free = available_bytes()
+    if needed > free:
+        raise InputError(
+            f"{source.header.place}: takes {needed / 2**30:.3g} GiB of memory, "
+            f"{free / 2**30:.3g} GiB are free, and all of the matrix is needed at once",
+            hint="take a part of the camera (lm.StoredTransport.open(...).region), estimate with "
+            "--bin-camera, or use a machine with more memory",
+        )
+    return source.load()
