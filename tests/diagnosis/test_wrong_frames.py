@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import lightmatrix as lm
 from lightmatrix.diagnosis.prediction import FramePrediction
 from lightmatrix.diagnosis.wrong_frames import SUSPECT, check_frames, wrong_frames
 from tests.helpers.predictions import prediction
@@ -111,3 +112,22 @@ def test_black_frames_and_others() -> None:
     observed[::2, 3] = 7
     again = replace(example, trusted=trusted, observed=observed)
     assert check_frames(again, wrong, NAMES)[1].frames == (3,)
+
+
+def test_frames_are_not_called_dark_by_rows_that_should_be_dark() -> None:
+    # All that is lit clips: only samples that are expected to be dark can be compared.
+    generator = np.random.default_rng(0)
+    lit = generator.random((M, K)) < 0.5
+    light = np.where(lit, 1.0, 0.0)
+    expected = light + np.where(lit, 0.0, generator.normal(0.01, 0.02, light.shape))
+    example = replace(off(5, 0.01), observed=light, expected=expected, trusted=~lit)
+    assert not wrong_frames(example).any()
+
+
+def test_samples_that_only_their_own_frame_shows_are_not_compared() -> None:
+    """One pixel at a time: no other frame tells how bright its pixel is."""
+    patterns = lm.ImagePatterns(np.eye(256, dtype=np.float32).reshape(256, 16, 16))
+    frames = np.zeros((256, 256), np.uint8)
+    frames[np.arange(256), np.arange(256)] = np.random.default_rng(0).integers(60, 250, 256)
+    capture = lm.Capture.from_arrays(patterns, frames.reshape(256, 16, 16), lm.Sensor())
+    assert [each.kind for each in lm.check(capture)] == []

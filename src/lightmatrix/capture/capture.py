@@ -20,7 +20,7 @@ from lightmatrix.camera.samples import Samples
 from lightmatrix.camera.sensor import Sensor
 from lightmatrix.capture import summary
 from lightmatrix.capture.folder import holds_capture, read_capture, read_folders
-from lightmatrix.capture.frames import ArrayStack, Frames, cut
+from lightmatrix.capture.frames import ArrayStack, CutFrames, Frames, cut
 from lightmatrix.capture.reader import Reader
 from lightmatrix.capture.settings import ReadSettings
 from lightmatrix.errors import InputError
@@ -32,6 +32,14 @@ from lightmatrix.reprs import html_table
 
 # Corner and shape of a rectangle of photographs, in pixels.
 Crop = tuple[tuple[int, int], tuple[int, int]]
+
+
+@dataclass(frozen=True, eq=False)
+class Surroundings:
+    """The black frame and the mask of whole photographs of which a rectangle was taken."""
+
+    black_frame: NDArray[Any] | None
+    mask: NDArray[np.bool_] | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +60,8 @@ class Capture:
         Rows and columns of the blocks that are averaged.
     provenance : mapping
         What made the capture, JSON-ready.
+    surroundings : Surroundings, optional
+        What was known of the photographs around a rectangle of them; see `crop` and `whole`.
 
     Raises
     ------
@@ -74,6 +84,7 @@ class Capture:
     bin_projector: tuple[int, int] = (1, 1)
     bin_camera: tuple[int, int] = (1, 1)
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    surroundings: Surroundings | None = None
 
     def __repr__(self) -> str:
         facts = (f"{name}={value}" for name, value in self.summary().items())
@@ -284,7 +295,18 @@ class Capture:
             black = decoder.black_frame.reshape(self.frames.shape)[inside]
             decoder = replace(decoder, black_frame=black.ravel())
         mask = None if self.mask is None else self.mask[inside]
-        return replace(self, frames=frames, decoder=decoder, mask=mask)
+        around = self.surroundings or Surroundings(self.decoder.black_frame, self.mask)
+        return replace(self, frames=frames, decoder=decoder, mask=mask, surroundings=around)
+
+    @property
+    def whole(self) -> Capture:
+        """The capture of whole photographs, of which `crop` took a rectangle; else itself."""
+        if self.surroundings is None or not isinstance(self.frames, CutFrames):
+            return self
+        decoder = replace(self.decoder, black_frame=self.surroundings.black_frame)
+        return Capture(
+            self.patterns, self.frames.frames, decoder, self.surroundings.mask, self.bin_projector
+        )
 
     def window(self, rows: slice, cols: slice) -> Capture:
         """The capture of a rectangle of its binned camera pixels; slices with start and stop."""
@@ -294,7 +316,7 @@ class Capture:
         end = (min(rows.stop * down, height), min(cols.stop * across, width))
         whole = replace(self, bin_camera=(1, 1))
         part = whole.crop(corner, (end[0] - corner[0], end[1] - corner[1]))
-        return replace(part, bin_camera=self.bin_camera)
+        return replace(part, bin_camera=self.bin_camera, surroundings=None)
 
     def bin(
         self, projector: int | tuple[int, int] = 1, camera: int | tuple[int, int] = 1

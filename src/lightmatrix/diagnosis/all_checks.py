@@ -21,7 +21,7 @@ from lightmatrix.diagnosis.pattern_faults import check_distinguishable, check_in
 from lightmatrix.diagnosis.prediction import FramePrediction, predict
 from lightmatrix.diagnosis.relation import check_relation
 from lightmatrix.diagnosis.survey import Survey, high_variance_rows
-from lightmatrix.diagnosis.wrong_frames import SUSPECT, check_frames, wrong_frames
+from lightmatrix.diagnosis.wrong_frames import LIKELY, SUSPECT, check_frames, wrong_frames
 from lightmatrix.resources.blas import one_blas_thread
 
 # Nothing is inferred from fewer frames, or from fewer camera pixels that can be predicted.
@@ -35,20 +35,24 @@ _PAIR_ERROR = 0.004
 def check_capture(capture: Capture, *, order_only: bool = False) -> list[Finding]:
     """Everything that seems wrong with a capture, or only what bears on the order of its frames.
 
-    Frames are looked at as they were taken, whatever is binned.
+    Frames are looked at as they were taken, whatever is binned. Of a rectangle of the photographs,
+    only the light is judged: whether frames are in order, or something moved, shows better in whole
+    photographs.
     """
     with one_blas_thread():
         return _check(capture, order_only)
 
 
 def _check(capture: Capture, order_only: bool) -> list[Finding]:
-    survey = Survey.take(capture.patterns, capture.frames, capture.decoder, capture.mask)
+    whole = capture.whole
+    survey = _survey(whole)
     names = [capture.frames.name(k) for k in range(capture.count)]
     findings = check_interchanged(survey)
     if findings:
         return findings
     if not order_only:
-        findings = check_distinguishable(survey.patterns) + check_light_level(survey)
+        seen = survey if whole is capture else _survey(capture)
+        findings = check_distinguishable(survey.patterns) + check_light_level(seen)
         findings += check_jpeg(survey, names)
     rows = high_variance_rows(survey)
     if survey.count < _FEWEST_FRAMES or len(rows) < _FEWEST_ROWS:
@@ -57,6 +61,10 @@ def _check(capture: Capture, order_only: bool) -> list[Finding]:
     judge = _check_by_prediction if pairs is None else partial(_check_by_pairs, pairs)
     light = None if order_only else not any(each.kind == "jpeg" for each in findings)
     return findings + judge(survey, rows, names, light)
+
+
+def _survey(capture: Capture) -> Survey:
+    return Survey.take(capture.patterns, capture.frames, capture.decoder, capture.mask)
 
 
 # In the two functions below, `light` is None if the light is not judged, and False if its linearity
@@ -106,6 +114,7 @@ def _check_by_prediction(
     moved = check_motion(survey, rows, suspects, names)
     if moved:
         return findings + moved
+    first = prediction
     if (suspects & ~displaced).any():
         # Judged by the frames that are not suspected.
         prediction = predict(survey.patterns, survey.samples(rows), doubted=suspects)
@@ -118,7 +127,9 @@ def _check_by_prediction(
     else:
         # The patterns differ only where the camera does not look.
         displaced[:] = False
-    findings += check_frames(prediction, wrong & ~displaced, names)
+    # Without a frame, its rows may be explained by other places; then it seems wrong only now.
+    both = wrong & wrong_frames(first.rows(first.predicted), LIKELY)
+    findings += check_frames(prediction, both & ~displaced, names)
     if light is None:
         return findings
     right = np.flatnonzero(~wrong & ~displaced)

@@ -27,6 +27,8 @@ _FEWEST_FRAMES, _FEWEST_ROWS = 9, 20
 _ROWS, _SEARCH_ROWS = 80, 30
 # If the predictions of half the rows miss less than 3 % of their variance, nothing has moved.
 _STILL = 0.03
+# Samples without noise may be predicted exactly; less than this share counts as this.
+_LEAST_MISS = 1e-9
 # The frame of the motion is searched at about 24 places, then frame by frame around the best.
 _PLACES = 24
 # Followed rows must be predicted better by 0.15 (mean logarithm of the miss) and by 4 standard
@@ -84,7 +86,8 @@ class _Follower:
             late = np.arange(self.survey.count) >= start
             pairs = zip(_arrays(there), _arrays(self.here), strict=True)
             samples = Samples(*(np.where(late, moved, stayed) for moved, stayed in pairs))
-        return np.log(predict(self.survey.patterns, samples, doubted=self.doubted).miss)
+        missed = predict(self.survey.patterns, samples, doubted=self.doubted).miss
+        return np.asarray(np.log(np.maximum(missed, _LEAST_MISS)))
 
     def likeliest_shift(self) -> Shift | None:
         """The shift that predicts best if it happened after one, two or three quarters.

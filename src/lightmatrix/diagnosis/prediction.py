@@ -40,6 +40,11 @@ _MOST_FRAMES = 192
 # A row counts as predicted if less than 40 % of its variance is missed, and if at least 8 of its
 # samples can be compared.
 _MOST_MISSED, _FEWEST_TRUSTED = 0.4, 8
+# A sample cannot be predicted if its own frame alone shows what it sees: where a fitted sample
+# leaves to the others less than a tenth, or than a quarter of what samples of its row usually do.
+# Of few frames all leave less than a tenth; then half of the usual is enough. Chosen on intact
+# captures of 15 scenes under 13 kinds of patterns (`benchmarks/synthetic_captures.py`).
+_LEFT, _OF_MUCH, _OF_LITTLE = 0.1, 0.25, 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,20 +139,24 @@ def predict(
     step = max(1, _COLUMN_BYTES // row_bytes)
     expected = np.empty_like(observed)
     miss = np.empty(len(observed))
+    known = np.empty(observed.shape, bool)
     for start in range(0, len(observed), step):
         part = slice(start, start + step)
         columns = _columns(patterns, [(n[part], scale[part]) for n, scale in windows])
-        expected[part], miss[part] = _left_out(columns, observed[part], learned[part])
+        expected[part], miss[part], known[part] = _left_out(columns, observed[part], learned[part])
     usual = np.sqrt(miss * np.maximum(observed.var(axis=1), 1e-18))[:, None]
     # A row that is expected to come close to the clip level shows its noise from one side only.
-    trusted = ~samples.clipped & (expected + 3 * usual < level)
+    trusted = known & ~samples.clipped & (expected + 3 * usual < level)
     return FramePrediction(observed, expected, trusted, miss, places)
 
 
 def _left_out(
     columns: NDArray[np.float64], observed: NDArray[np.float64], learned: NDArray[np.bool_]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """What each sample should be by the others (m, K), and the share of variance missed, (m,)."""
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
+    """What each sample should be by the others (m, K), and the share of variance missed, (m,).
+
+    Last comes whether the others can tell of a sample, (m, K).
+    """
     count = observed.shape[1]
     train = np.zeros(count, bool)
     train[np.random.default_rng(0).permutation(count)[:_MOST_FRAMES]] = True
@@ -163,17 +172,25 @@ def _left_out(
     variance = np.maximum((weight * difference**2).sum(axis=1) / total, 1e-18)
     best = np.full(len(observed), np.inf)
     expected = np.zeros_like(observed)
+    known = np.zeros(observed.shape, bool)
     for ridge in _RIDGES:
         inverse = np.linalg.inv(gram + ridge * np.eye(gram.shape[1]))
         fitted = (columns @ (inverse @ slope[:, :, None]))[..., 0]
-        own = weight * (np.einsum("mkd,mkd->mk", columns @ inverse, columns) + 1 / total[:, None])
+        lever = np.einsum("mkd,mkd->mk", columns @ inverse, columns) + 1 / total[:, None]
+        own = weight * lever
         # What is left of a sample once it no longer explains itself.
         left = (difference - fitted) / np.maximum(1 - own, 0.02)
         error = (weight * left**2).sum(axis=1) / total
         better = error < best
         best = np.where(better, error, best)
         expected = np.where(better[:, None], observed - left, expected)
-    return expected, best / variance
+        # What is not its own in a sample that is learned from, or would be if it were.
+        others = np.where(weight > 0, 1 - lever, 1 / (1 + lever))
+        usual = np.median(others, axis=1, keepdims=True)
+        much = usual > _LEFT
+        least = np.where(much, np.maximum(_LEFT, _OF_MUCH * usual), _OF_LITTLE * usual)
+        known = np.where(better[:, None], others > least, known)
+    return expected, best / variance, known
 
 
 def _columns(

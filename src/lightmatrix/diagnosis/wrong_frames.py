@@ -15,30 +15,38 @@ from lightmatrix.diagnosis.prediction import FramePrediction
 
 # A frame is wrong if its prediction misses more than 30 % of its variation and 4 times what that of
 # the median frame does; from 12 % on it is suspected. It takes 20 rows to judge a frame. Chosen on
-# simulated captures: `python -m benchmarks.frame_checks`.
-WRONG, SUSPECT, _UNUSUAL = 0.3, 0.12, 4.0
+# simulated captures: `python -m benchmarks.frame_checks`. A prediction that learned from the frame
+# must miss more than 20 %. If the median frame is missed by 30 %, no frame is predicted.
+WRONG, LIKELY, SUSPECT, _UNUSUAL = 0.3, 0.2, 0.12, 4.0
 _FEWEST_ROWS = 20
 # Brightness between half and twice the expected one is corrected first. A frame is wrong, too, if
 # it is less than 30 % as bright as expected, where at least a tenth of the median frame's light is
 # expected. No row counts for more than 4 of its standard deviations.
 _GAINS, _DARK, _LIT, _MOST_DEVIATIONS = (0.5, 2.0), 0.3, 0.1, 4.0
+# The light that is missing must be as large as 5 standard errors of the prediction.
+_CERTAIN = 5.0
 # Black frames have less than 10 % of the expected light.
 _BLACK = 0.1
 
 
 def wrong_frames(prediction: FramePrediction, share: float = WRONG) -> NDArray[np.bool_]:
     """Which frames miss more than a share of their variation, or are much too dark, (K,)."""
-    miss, gain = _misses(prediction)
+    miss, gain, strength = _misses(prediction)
     enough = prediction.trusted.sum(axis=0) >= _FEWEST_ROWS
-    light = prediction.expected.mean(axis=0)
-    lit = light > _LIT * np.median(light)
-    wrong = (miss > share) & (miss > _UNUSUAL * np.median(miss))
-    return np.asarray(enough & (wrong | (lit & (gain < _DARK))))
+    # Rows that may be compared are often the dark ones of a frame, the others clip.
+    typical = np.median(prediction.expected.mean(axis=0))
+    seen = np.where(prediction.trusted, prediction.expected, 0).sum(axis=0)
+    lit = seen > _LIT * typical * np.maximum(prediction.trusted.sum(axis=0), 1)
+    usual = float(np.median(miss))
+    wrong = (miss > share) & (miss > _UNUSUAL * usual) & (usual < WRONG)
+    dark = lit & (gain < _DARK) & ((1 - gain) * strength > _CERTAIN)
+    return np.asarray(enough & (wrong | dark))
 
 
-def _misses(prediction: FramePrediction) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _misses(prediction: FramePrediction) -> tuple[NDArray[np.float64], ...]:
     """The share of its variation that each frame misses, and its brightness as a share, (K,) each.
 
+    Third comes the light that is expected, in standard errors of its prediction, (K,).
     Every row counts alike, whatever its albedo and however well it is predicted: the rows that
     reveal a wrong frame are just those that are predicted badly.
     """
@@ -54,7 +62,11 @@ def _misses(prediction: FramePrediction) -> tuple[NDArray[np.float64], NDArray[n
     variation = (trusted * (expected - usual) ** 2).sum(axis=0) / total
     miss = (trusted * left**2).sum(axis=0) / total
     floor = 0.1 * np.median(variation)
-    return np.asarray(miss / np.maximum(variation, max(float(floor), 1e-12))), np.asarray(gain)
+    error = np.maximum(
+        np.sqrt(prediction.miss)[:, None] * prediction.observed.std(axis=1)[:, None], 1e-9
+    )
+    strength = np.sqrt((trusted * (prediction.expected / error) ** 2).sum(axis=0))
+    return miss / np.maximum(variation, max(float(floor), 1e-12)), gain, strength
 
 
 def check_frames(
