@@ -12,6 +12,10 @@ from .patterns.blocks import (
     BlockPatterns as BlockPatterns,
     one_pixel_patterns as one_pixel_patterns,
 )
+from .patterns.colour import (
+    ColourPatterns as ColourPatterns,
+    colour_bernoulli as colour_bernoulli,
+)
 from .patterns.folder import (
     read_patterns as read_patterns,
     write_patterns as write_patterns,
@@ -106,6 +110,7 @@ from .calibration.responses.projector import projector_response as projector_res
 # Estimates.
 from .estimators.choice import choose_estimator as choose_estimator
 from .estimators.estimate import estimate as estimate
+from .estimators.colour.estimate import estimate_colour as estimate_colour
 from .estimators.resource_estimate import (
     ResourceEstimate as ResourceEstimate,
     estimate_resources as estimate_resources,
@@ -169,6 +174,11 @@ from .store import (
     open as open,
     save as save,
 )
+from .store.colour_stores import (
+    open_colour as open_colour,
+    save_colour as save_colour,
+)
+from .transport.colour import ColourTransport as ColourTransport
 from .transport.correspondence import (
     Correspondence as Correspondence,
     correspondence as correspondence,

@@ -204,7 +204,11 @@ def test_patterns_in_one_primary(tmp_path: Path, capsys: pytest.CaptureFixture[s
     with pytest.raises(InputError, match=r"0003\.png: is blue, but pattern_0000\.png is green"):
         lm.read_patterns(tmp_path / "green")
     lm.write_image(tmp_path / "green" / "pattern_0003.png", image + red, overwrite=True)
+    # One that shows two at once is of a projector that mixes them.
+    mixed = lm.read_patterns(tmp_path / "green")
+    assert isinstance(mixed, lm.ColourPatterns)
+    np.testing.assert_array_equal(mixed.colour_images()[3], (image + red) / 255)
     with pytest.raises(InputError, match=r"0003\.png: a pattern of several colours"):
-        lm.read_patterns(tmp_path / "green")
+        lm.read_grey(tmp_path / "green" / "pattern_0003.png")
     with pytest.raises(InputError, match="patterns in 'pink'"):
         lm.write_patterns(tmp_path / "pink", PATTERNS, colour="pink")

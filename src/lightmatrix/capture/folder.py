@@ -36,6 +36,7 @@ from lightmatrix.files.zarr_arrays import read_attributes
 from lightmatrix.outputs.kinds import CAPTURE
 from lightmatrix.outputs.writing import atomic_folder
 from lightmatrix.patterns.bits import with_white
+from lightmatrix.patterns.colour import ColourPatterns
 from lightmatrix.patterns.folder import fill_pattern_folder, read_patterns
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.patterns.projector_curve import ProjectorResponse
@@ -103,7 +104,11 @@ def read_folders(
     if counted:
         _check_counts(projected, stack, Path(images))
     if settings.white is not None:
-        projected = with_white(projected)
+        if isinstance(projected, ColourPatterns):
+            red, green, blue = map(with_white, projected.primaries)
+            projected = ColourPatterns(red, green, blue)
+        else:
+            projected = with_white(projected)
         stack = replace(stack, paths=(*stack.paths, Path(settings.white)))
     decoder = make_decoder(stack, settings)
     return CaptureParts(projected, stack, decoder, read_mask(settings.mask, stack.shape))

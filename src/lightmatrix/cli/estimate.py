@@ -11,6 +11,7 @@ import typer
 
 import lightmatrix as lm
 from lightmatrix.cli.claims import claim, say_what_is_kept
+from lightmatrix.cli.estimate_colour import estimate_colour, in_colour
 from lightmatrix.cli.options import (
     ADMM_ITERATIONS,
     AUTO,
@@ -41,6 +42,9 @@ if TYPE_CHECKING:
 _LONG, _MUCH = 60, 0.25
 # The command advises to raise --iterations if a smaller share of the rows converged.
 _ENOUGH_CONVERGED = 0.99
+
+# What is written where no other name is given.
+_OUTPUT = Path("scene.zarr")
 
 # Headings of the options in `--help`.
 _SOLVER, _RESOLUTION, _RESOURCES = "How to solve", "Resolution", "Memory and processes"
@@ -166,8 +170,13 @@ Check = Annotated[
 @with_source()
 def estimate(
     output: Annotated[
-        Path, typer.Option("-o", "--output", help="The store to write, ending in .zarr.")
-    ] = Path("scene.zarr"),
+        Path,
+        typer.Option(
+            "-o",
+            "--output",
+            help="The store to write, ending in .zarr. For patterns in colour: a folder of three.",
+        ),
+    ] = _OUTPUT,
     *,
     source: Source,
     solver: Solver = "active-set",
@@ -205,7 +214,8 @@ def estimate(
     """Estimate T from a capture.
 
     Give a capture folder; or patterns and images, each as a folder or a stack. After an
-    interruption, the same command goes on where it stopped.
+    interruption, the same command goes on where it stopped. Patterns in colour give a folder with
+    a matrix of each primary, in one go.
     """
     started = time.perf_counter()
     settings = lm.EstimateSettings(
@@ -224,6 +234,17 @@ def estimate(
     )
     # A mistyped input is named first, whatever the output.
     whole = source.open()
+    if in_colour(whole):
+        estimate_colour(
+            whole.bin(projector=size(bin_projector), camera=size(bin_camera)),
+            Path("scene") if output == _OUTPUT else output,
+            settings,
+            {"--report": report, "--viewer": viewer, "--dry-run": dry_run},
+            check=check,
+            overwrite=overwrite,
+            as_json=as_json,
+        )
+        return
     if not dry_run:
         claim(output, STORE, overwrite=overwrite)
         if report is not None:

@@ -11,6 +11,7 @@ import lightmatrix as lm
 from lightmatrix.cli.options import Blue, Green, Json, Store, primaries
 from lightmatrix.cli.terminal import progress, show_json, show_table
 from lightmatrix.files.colours import COLOURS
+from lightmatrix.store.colour_stores import holds_colour
 from lightmatrix.transport.labels import labelled
 
 
@@ -20,7 +21,8 @@ def evaluate(
         str,
         typer.Option(
             help="T.npz from `render` or `export`, a simulated capture, or a scene; with --green "
-            "and --blue a folder with the captures red, green and blue."
+            "and --blue a folder with the captures red, green and blue; for the folder of a colour "
+            "projector's T its simulated capture."
         ),
     ],
     green: Green = None,
@@ -36,13 +38,14 @@ def evaluate(
     """Compare an estimate with the true T.
 
     Shows the errors of T, of relit images and of single responses, over all rows and some kinds of
-    rows. With --green and --blue, it compares the three matrices of a colour projector.
+    rows. With --green and --blue, and for a folder of three stores, it compares the three matrices
+    of a colour projector.
     """
     three = primaries(scene, green, blue)
     title = f"{scene} against {truth}"
-    if three is not None:
+    if three is not None or holds_colour(scene):
         known = [Path(truth) / colour for colour in COLOURS]
-        joint = lm.evaluate_colour(three, known, exposure)
+        joint = lm.evaluate_colour(three or scene, truth if three is None else known, exposure)
         if as_json:
             show_json(joint.as_dict())
         else:

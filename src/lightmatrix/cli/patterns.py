@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -22,10 +22,13 @@ from lightmatrix.cli.terminal import say, show_json
 from lightmatrix.errors import InputError
 from lightmatrix.outputs.kinds import PATTERNS
 
+if TYPE_CHECKING:
+    from lightmatrix import PatternSet
+
 Kind = Literal[
     "bernoulli", "hadamard", "onepixel", "blocks", "mix", "graycode", "phase", "microphase"
 ]
-Colour = Literal["red", "green", "blue"]
+Colour = Literal["red", "green", "blue", "rgb"]
 Order = Literal["natural", "sequency", "random"]
 
 
@@ -66,7 +69,19 @@ def patterns(
     ] = None,
     colour: Annotated[
         Colour | None,
-        typer.Option(help="Primary of a colour projector.", show_default="white"),
+        typer.Option(
+            help="Primary of a colour projector; or rgb: Bernoulli patterns in all of them, each "
+            "by itself.",
+            show_default="white",
+        ),
+    ] = None,
+    grey: Annotated[
+        int | None,
+        typer.Option(
+            help="--colour rgb: how many of the patterns are grey.",
+            show_default="half, at most 16",
+            min=0,
+        ),
     ] = None,
     seed: Seed = 0,
     overwrite: Overwrite = False,
@@ -76,23 +91,35 @@ def patterns(
     claim(output, PATTERNS, overwrite=overwrite)
     if mix is not None and kind != "mix":
         raise InputError(f"--mix for {kind} patterns", hint="write `lightmatrix patterns mix`")
-    made = lm.make_patterns(
-        kind,
-        size(shape),
-        count,
-        density=density,
-        mix=mix,
-        order=order,
-        permute=permute,
-        block=size(block),
-        inverse=inverse,
-        period=period,
-        seed=seed,
-    )
-    lm.write_patterns(output, made, colour=colour, overwrite=overwrite)
+    in_colour = colour == "rgb"
+    if in_colour and kind != "bernoulli":
+        raise InputError(
+            f"{kind} patterns in rgb", hint="write `lightmatrix patterns bernoulli --colour rgb`"
+        )
+    if grey is not None and not in_colour:
+        raise InputError("--grey without --colour rgb", hint="all of these patterns are grey")
+    made: PatternSet
+    if in_colour:
+        number = USUAL_COUNT if count is None else count
+        made = lm.colour_bernoulli(size(shape), number, grey=grey, density=density, seed=seed)
+    else:
+        made = lm.make_patterns(
+            kind,
+            size(shape),
+            count,
+            density=density,
+            mix=mix,
+            order=order,
+            permute=permute,
+            block=size(block),
+            inverse=inverse,
+            period=period,
+            seed=seed,
+        )
+    lm.write_patterns(output, made, colour=None if in_colour else colour, overwrite=overwrite)
     result = {**made.description, "count": made.count, "digest": made.digest, "output": output}
     if as_json:
         show_json(result)
     else:
-        rows, cols = made.shape
+        rows, cols = size(shape)
         say(f"{made.count} patterns ({kind}) of {rows} x {cols} pixels in {output}")

@@ -23,6 +23,7 @@ from lightmatrix.camera.camera_curve import Response
 from lightmatrix.capture.capture import Capture, open_capture
 from lightmatrix.diagnosis.refusals import refuse_unordered, refuse_unusable, warn_of_stripes
 from lightmatrix.diagnosis.responses.found import with_response
+from lightmatrix.errors import InputError
 from lightmatrix.estimators.choice import choose_estimator
 from lightmatrix.estimators.resource_estimate import estimate_resources
 from lightmatrix.estimators.settings import EstimateSettings
@@ -31,6 +32,7 @@ from lightmatrix.estimators.work import Progress
 from lightmatrix.estimators.workers.startup import open_workers
 from lightmatrix.outputs.kinds import STORE
 from lightmatrix.outputs.writing import check_output
+from lightmatrix.patterns.colour import ColourPatterns
 from lightmatrix.progress_bar import progress_bar
 from lightmatrix.transport.matrix import LightTransport
 
@@ -121,8 +123,9 @@ def estimate(
     Raises
     ------
     InputError, SolverError, OutputError
-        If settings exclude each other, the capture is unusable, the estimate does not fit into
-        memory (see `estimate_resources`), or the output cannot be written.
+        If settings exclude each other, the capture is unusable or shows patterns in colour, the
+        estimate does not fit into memory (see `estimate_resources`), or the output cannot be
+        written.
     ClusterError, MissingExtraError
         If workers cannot be reached or do not have the same versions, or Dask is missing.
 
@@ -150,6 +153,11 @@ def estimate(
     )
     settings.check_cluster_output(output)
     capture = open_capture(capture)
+    if isinstance(capture.patterns, ColourPatterns):
+        raise InputError(
+            "patterns in several colours, of which T has three matrices",
+            hint="use lm.estimate_colour, or `lightmatrix estimate`",
+        )
     if output is not None:
         check_output(output, STORE, overwrite=overwrite)
     if response is not None:

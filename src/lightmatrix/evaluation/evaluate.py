@@ -13,9 +13,13 @@ from lightmatrix.evaluation.estimate_errors import (
     errors_by_rows,
     errors_in_colour,
 )
+from lightmatrix.files.colours import COLOURS
 from lightmatrix.simulation import library
+from lightmatrix.simulation.colour import of_primary
 from lightmatrix.simulation.scenes import scene as find_scene
 from lightmatrix.simulation.truth import Truth
+from lightmatrix.store.colour_stores import colour_paths
+from lightmatrix.transport.colour import ColourTransport
 from lightmatrix.transport.matrix import LightTransport
 
 
@@ -63,8 +67,8 @@ def evaluate(
 
 
 def evaluate_colour(
-    estimates: Sequence[LightTransport | str | Path],
-    truths: Sequence[LightTransport | Truth | str | Path],
+    estimates: Sequence[LightTransport | str | Path] | ColourTransport | str | Path,
+    truths: Sequence[LightTransport | Truth | str | Path] | ColourTransport | Truth | str | Path,
     exposure: float = 1.0,
     *,
     progress: Callable[[int, int], None] | None = None,
@@ -73,8 +77,9 @@ def evaluate_colour(
 
     Parameters
     ----------
-    estimates, truths : sequence of three
-        The matrices of red, green and blue, each as `evaluate` takes it.
+    estimates, truths : sequence of three, ColourTransport, str or Path
+        The matrices of red, green and blue, each as `evaluate` takes it; or a folder of three
+        stores. Truths may also be the simulated capture of patterns in colour, or its truth.
     exposure : float
         Exposure of the captures, which decides which rows clip under one projector pixel.
     progress : callable, optional
@@ -101,11 +106,31 @@ def evaluate_colour(
     >>> lm.evaluate_colour(estimates, truths).relative_error
     0.0
     """
+    if isinstance(estimates, str | Path):
+        estimates = list(colour_paths(estimates))
+    if isinstance(truths, Truth | str | Path):
+        truths = _known_in_colour(truths)
     for matrices, word in ((estimates, "estimates"), (truths, "truths")):
         if len(matrices) != 3:
             raise InputError(f"{len(matrices)} {word}", hint="give those of red, green and blue")
     pairs = [_matrices(*pair, progress) for pair in zip(estimates, truths, strict=True)]
     return errors_in_colour([one for one, _ in pairs], [known for _, known in pairs], exposure)
+
+
+def _known_in_colour(truth: Truth | str | Path) -> Sequence[LightTransport | str | Path]:
+    """The truths of the three primaries: of one capture in colour, or of a folder for each."""
+    if isinstance(truth, str | Path):
+        folders = [Path(truth) / colour for colour in COLOURS]
+        if all(folder.is_dir() for folder in folders):
+            return folders
+    known = library.truth(truth).transport()
+    if known.projector_shape[1] % len(COLOURS) or known.provenance.get("primary") != "all":
+        raise InputError(
+            "a truth that is not of a colour projector",
+            hint="give a capture that `lightmatrix simulate` made of patterns in colour, or a "
+            "folder with the captures red, green and blue",
+        )
+    return [of_primary(known, colour) for colour in COLOURS]
 
 
 def _matrices(

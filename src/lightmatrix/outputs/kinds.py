@@ -57,6 +57,7 @@ LIVE_CAPTURE = FolderKind("capture", running=PARTIAL)
 STORE = FolderKind(
     "light transport matrix", (".zarr",), ("zarr.json", "attributes", "output"), running=PARTIAL
 )
+COLOUR_STORES = FolderKind("light transport matrix of a colour projector")
 PACKED_CAPTURE = FolderKind("packed capture", (".zarr",), ("zarr.json", "attributes", "output"))
 PICTURES = FolderKind("folder of pictures")
 SEPARATION = FolderKind("separation")

@@ -17,13 +17,21 @@ from numpy.typing import NDArray
 from lightmatrix.errors import InputError, warn
 from lightmatrix.files.colours import COLOURS
 from lightmatrix.files.image_stack import ImageStack, list_entries
-from lightmatrix.files.images import HIGHEST_LEVELS, as_grey, colour_of, fill_image, read_image
+from lightmatrix.files.images import (
+    HIGHEST_LEVELS,
+    as_grey,
+    colour_of,
+    fill_image,
+    is_grey,
+    read_image,
+)
 from lightmatrix.files.json_files import errors_naming, read_json
 from lightmatrix.files.pages import Page
 from lightmatrix.files.read_ahead import read_ahead
 from lightmatrix.outputs.kinds import PATTERNS
 from lightmatrix.outputs.writing import atomic_folder
 from lightmatrix.patterns.bits import BitPatterns
+from lightmatrix.patterns.colour import ColourPatterns, colour_images
 from lightmatrix.patterns.making import remake_patterns
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet, to_grey
 from lightmatrix.resources.memory import check_memory
@@ -49,7 +57,8 @@ def write_patterns(
     patterns : PatternSet
         K patterns, written as pattern_0000.png, pattern_0001.png, ...
     colour : {"red", "green", "blue"}, optional
-        The primary of a colour projector to show them in; None: white.
+        The primary of a colour projector to show them in; None: white, or the colours that the
+        patterns have.
     overwrite : bool
         Whether an existing folder of patterns may be replaced.
 
@@ -67,6 +76,10 @@ def write_patterns(
     """
     if colour is not None and colour not in COLOURS:
         raise InputError(f"patterns in {colour!r}", hint=f"use {', '.join(COLOURS)}")
+    if colour is not None and isinstance(patterns, ColourPatterns):
+        raise InputError(
+            f"patterns in colour, to be written in {colour}", hint="leave out one of the two"
+        )
     with atomic_folder(folder, PATTERNS, overwrite=overwrite) as part:
         fill_pattern_folder(part, patterns, colour)
 
@@ -76,7 +89,10 @@ def fill_pattern_folder(folder: Path, patterns: PatternSet, colour: str | None =
     digits = max(4, len(str(patterns.count - 1)))
     primary = np.array([name == colour for name in COLOURS], np.uint8)
     for start, block in patterns.chunks():
-        for k, image in enumerate(to_grey(block.reshape(-1, *patterns.shape)), start):
+        images = to_grey(block.reshape(-1, *patterns.shape))
+        if isinstance(patterns, ColourPatterns):
+            images = np.stack(np.split(images, 3, axis=2), axis=-1)
+        for k, image in enumerate(images, start):
             coloured = image if colour is None else image[..., None] * primary
             fill_image(folder / f"pattern_{k:0{digits}d}.png", coloured)
     header = {"format": FORMAT, "version": VERSION, "digest": patterns.digest}
@@ -97,7 +113,7 @@ def read_patterns(source: str | Path) -> PatternSet:
     PatternSet
         The operator that patterns.json describes, if the images agree with it. Else, with a
         warning, or without patterns.json, the images themselves: as bits if all of them are black
-        and white, which is as fast.
+        and white, which is as fast. `ColourPatterns` if one of them shows several colours.
 
     Raises
     ------
@@ -137,6 +153,8 @@ def _from_images(place: Path, entries: list[Path | Page]) -> PatternSet:
     """The patterns that the images show, as bits unless one of them has a grey pixel."""
     stack = ImageStack.open(entries)
     shape, count = (stack.shape[0], stack.shape[1]), len(entries)
+    if len(stack.shape) == 3 and _shows_colours(stack):
+        return _in_colour(place, stack)
     pixels = shape[0] * shape[1]
     bits = np.empty((count, (pixels + 7) // 8), np.uint8)
     images: NDArray[np.float32] | None = None
@@ -160,6 +178,26 @@ def _from_images(place: Path, entries: list[Path | Page]) -> PatternSet:
         )
     _check_depth(place, stack.dtype, brightest)
     return BitPatterns(shape, bits) if images is None else ImagePatterns(images)
+
+
+def _shows_colours(stack: ImageStack) -> bool:
+    """Whether an image of a stack shows more than one colour."""
+    for image in read_ahead(stack.read, range(stack.count)):
+        lit = [channel.any() for channel in np.moveaxis(image, 2, 0)]
+        if sum(lit) > 1 and not is_grey(image):
+            return True
+    return False
+
+
+def _in_colour(place: Path, stack: ImageStack) -> PatternSet:
+    """The patterns of a colour projector that a stack of colour images shows."""
+    check_memory(place, 4 * stack.count * int(np.prod(stack.shape)))
+    images = np.empty((stack.count, *stack.shape), np.float32)
+    top = 1.0 if stack.dtype.kind == "f" else np.iinfo(stack.dtype).max
+    for k, image in enumerate(read_ahead(stack.read, range(stack.count))):
+        images[k] = image / np.float32(top)
+    _check_depth(place, stack.dtype, float(images.max()))
+    return colour_images(images)
 
 
 def _check_depth(place: Path, dtype: np.dtype[Any], brightest: float) -> None:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.files.curve_file import CurveFile
+from lightmatrix.patterns.colour import ColourPatterns
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
 
 # Grey values darker than this share of white do not count for the exponent, since noise is a large
@@ -87,10 +88,13 @@ class ProjectorResponse:
     def light_of_patterns(self, patterns: PatternSet) -> PatternSet:
         """The light of patterns that the projector was sent as grey values.
 
-        Black and white patterns do not change.
+        Black and white patterns do not change. The primaries of colours share the curve.
         """
         if patterns.as_bits() is not None:
             return patterns
+        if isinstance(patterns, ColourPatterns):
+            red, green, blue = map(self.light_of_patterns, patterns.primaries)
+            return ColourPatterns(red, green, blue)
         return ImagePatterns(self.light_of(patterns.images()))
 
     def save(self, path: str | Path, *, overwrite: bool = False) -> None:

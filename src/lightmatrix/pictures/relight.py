@@ -19,13 +19,15 @@ from lightmatrix.outputs.kinds import IMAGE
 from lightmatrix.outputs.writing import check_output
 from lightmatrix.patterns.grids import block_mean
 from lightmatrix.ranges import check_number
+from lightmatrix.store.colour_stores import colour_paths, holds_colour
+from lightmatrix.transport.colour import ColourTransport
 from lightmatrix.transport.matrix import LightTransport
 
 Relit = LightTransport | store.StoredTransport
 
 
 def relight(
-    transport: Relit | str | Path | Sequence[Relit | str | Path],
+    transport: Relit | ColourTransport | str | Path | Sequence[Relit | str | Path],
     pattern: NDArray[Any] | str | Path,
     *,
     exposure: float = 1.0,
@@ -38,9 +40,10 @@ def relight(
 
     Parameters
     ----------
-    transport : LightTransport, StoredTransport, str or Path, or three of them
+    transport : LightTransport, StoredTransport, str or Path, or three of them; or ColourTransport
         T, or where `open` finds it. For a colour projector, the matrices of red, green and blue,
-        whose light is added. A store is read block by block, so it need not fit into memory.
+        whose light is added, or the folder of their stores. A store is read block by block, so it
+        need not fit into memory.
     pattern : (rows, cols) array, str or Path
         Pattern of the projector's size, in [0, 1], or an image file. A colour projector takes
         (rows, cols, 3), or a grey pattern as white light. If the projector was binned for T, the
@@ -89,6 +92,8 @@ def relight(
                 f"a gamma of {gamma:g} for {target}, which holds linear values",
                 hint="write a .png, or leave out the gamma",
             )
+    if isinstance(transport, str | Path) and holds_colour(transport):
+        transport = colour_paths(transport)
     single = isinstance(transport, LightTransport | store.StoredTransport | str | Path)
     sources: list[Any] = [transport] if single else [*transport]  # type: ignore[misc]
     matrices = [_opened(source) for source in sources]

@@ -19,6 +19,8 @@ from lightmatrix.outputs.writing import atomic_file, atomic_folder, check_output
 from lightmatrix.pictures import diagnostics, maps
 from lightmatrix.pictures.spectrum import show_spectrum, spectrum
 from lightmatrix.pictures.transport import DPI, Picture, show_column, show_dual, show_row
+from lightmatrix.store.colour_stores import holds_colour, open_colour
+from lightmatrix.transport.colour import ColourTransport
 from lightmatrix.transport.correspondence import correspondence
 from lightmatrix.transport.matrix import LightTransport
 
@@ -67,7 +69,7 @@ _OVERVIEW = tuple(name for name in VIEWS if name not in (*_INDEXED, "dual", "spe
 
 
 def show(
-    transport: LightTransport | str | Path,
+    transport: LightTransport | ColourTransport | str | Path,
     view: str,
     *index: int,
     output: str | Path | None = None,
@@ -78,8 +80,9 @@ def show(
 
     Parameters
     ----------
-    transport : LightTransport, str or Path
-        T, or where `open` finds it.
+    transport : LightTransport, ColourTransport, str or Path
+        T, or where `open` finds it. Of a colour projector, whose T is a folder of three stores,
+        there is the view "dual", in its primaries.
     view : str
         "row" and "column" of T; "dual", the scene seen from the projector; "correspondence", the
         projector pixel that each camera pixel sees most; "spectrum", the 50 largest singular
@@ -130,11 +133,25 @@ def show(
     if output is not None:
         _check_format(view, Path(output), raw)
         check_output(output, _kind(output), overwrite=overwrite)
-    matrix = transport if isinstance(transport, LightTransport) else store.open(transport)
+    matrix = _opened(transport, view)
     drawing = VIEWS[view].picture(matrix, *index)
     if output is not None:
         _write(matrix, view, index, drawing, Path(output), raw=raw, overwrite=overwrite)
     return drawing
+
+
+def _opened(transport: LightTransport | ColourTransport | str | Path, view: str) -> Any:
+    """T in memory, of a grey projector or, for the view that has one, of a colour projector."""
+    if isinstance(transport, str | Path):
+        if not holds_colour(transport):
+            return store.open(transport)
+        transport = open_colour(transport)
+    if isinstance(transport, ColourTransport) and view != "dual":
+        raise InputError(
+            f"the view {view} of a colour projector",
+            hint="give the matrix of one primary, such as red.zarr in the folder",
+        )
+    return transport
 
 
 def write_pictures(

@@ -1,4 +1,4 @@
-"""A truth as a colour camera sees it under one primary of a colour projector."""
+"""A truth as a colour camera sees it under the primaries of a colour projector."""
 
 from __future__ import annotations
 
@@ -6,10 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array, hstack
 
 from lightmatrix.errors import InputError
 from lightmatrix.files.colours import COLOURS
 from lightmatrix.simulation.truth import Truth
+from lightmatrix.transport.matrix import LightTransport
 
 # The share of each primary's light that passes the filter of each camera channel, as (channel,
 # primary) in the order red, green, blue. Chosen by hand to overlap about as much as the filters of
@@ -38,4 +40,57 @@ def in_primary(truth: Truth, primary: str) -> Truth:
         direct_data=gains * truth.direct[rows].data,
         camera_shape=(*truth.camera_shape[:2], 3),
         metadata={**truth.metadata, "primary": primary},
+    )
+
+
+def in_all_primaries(truth: Truth) -> Truth:
+    """T of a colour projector: the grids of red, green and blue side by side, as `ColourPatterns`.
+
+    Each row of projector pixels holds those of red, then of green, then of blue.
+    """
+    parts = [in_primary(truth, primary) for primary in COLOURS]
+    rows, cols = truth.projector_shape
+    # The columns of the three matrices, in the order of a projector three times as wide.
+    place = np.arange(3 * rows * cols).reshape(3, rows, cols).swapaxes(0, 1).ravel()
+
+    def side_by_side(matrices: list[csr_array]) -> csr_array:
+        return csr_array(csr_array(hstack(matrices, format="csr"))[:, place])
+
+    whole = side_by_side([part.matrix for part in parts])
+    # Entries keep their places if the direct part has them all, those without direct light too.
+    shares = [part.with_data(_share(part)) for part in parts]
+    direct = side_by_side([_shifted(share) for share in shares]).data - 1
+    metadata = {**parts[0].metadata, "primary": "all"}
+    return replace(
+        parts[0],
+        matrix=whole,
+        direct_data=(direct * whole.data).astype(np.float32),
+        projector_shape=(rows, 3 * cols),
+        metadata=metadata,
+        geometry=None,
+    )
+
+
+def _share(part: Truth) -> NDArray[np.float32]:
+    """The direct share of each entry."""
+    data = part.matrix.data
+    return np.divide(part.direct_data, data, out=np.zeros_like(data), where=data > 0)
+
+
+def _shifted(share: csr_array) -> csr_array:
+    """Shares from 1 to 2, so that none is an implicit zero."""
+    return csr_array((share.data + 1, share.indices, share.indptr), shape=share.shape)
+
+
+def of_primary(transport: LightTransport, primary: str) -> LightTransport:
+    """The part of a colour projector's T that belongs to one primary."""
+    rows, wide = transport.projector_shape
+    cols = wide // 3
+    first = COLOURS.index(primary) * cols
+    index = (np.arange(rows)[:, None] * wide + np.arange(first, first + cols)).ravel()
+    return LightTransport.from_matrix(
+        csr_array(transport.sparse[:, index]),
+        transport.camera_shape,
+        (rows, cols),
+        provenance={**transport.provenance, "primary": primary},
     )

@@ -16,12 +16,13 @@ from lightmatrix.capture.folder import write_capture
 from lightmatrix.capture.frames import ArrayStack
 from lightmatrix.capture.packing import pack_capture
 from lightmatrix.errors import InputError
+from lightmatrix.patterns.colour import ColourPatterns
 from lightmatrix.patterns.folder import read_patterns
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.ranges import check_seed
 from lightmatrix.regions import Region
 from lightmatrix.simulation import library, realism
-from lightmatrix.simulation.colour import in_primary
+from lightmatrix.simulation.colour import in_all_primaries, in_primary
 from lightmatrix.simulation.irradiance import irradiance
 from lightmatrix.simulation.truth import Truth
 
@@ -145,7 +146,9 @@ def simulate(
         A scene (see `scenes`), bundled or rendered on demand at the size of the patterns; a truth
         file, T.npz; or a truth.
     patterns : PatternSet, str or Path
-        K patterns, or a folder of them.
+        K patterns, or a folder of them. Patterns in colour (`ColourPatterns`) are photographed by a
+        camera of three channels whose filters overlap; the truth then has the pixels of red, green
+        and blue side by side.
     exposure : float or str
         Exposure e in sample = min(1, e T p), or several exposures with their shares of the frames,
         such as ``1:0.75,0.25:0.25``.
@@ -195,19 +198,26 @@ def simulate(
     True
     """
     check_seed(seed)
-    exposures = parse_exposures(exposure if isinstance(exposure, str) else repr(float(exposure)))
     if not isinstance(patterns, PatternSet):
         patterns = read_patterns(patterns)
+    if primary is not None and isinstance(patterns, ColourPatterns):
+        raise InputError(
+            f"the primary {primary} for patterns in colour", hint="leave out one of the two"
+        )
+    exposures = parse_exposures(exposure if isinstance(exposure, str) else repr(float(exposure)))
     sensor = Sensor(
         exposure_sequence(exposures, patterns), float(black_level), noise, shot_noise, bits
     )
     realism.check_realism(
         patterns.shape, blur=blur, vignetting=vignetting, leak=leak, ambient=ambient
     )
-    truth = library.truth(scene, patterns.shape, progress=progress)
+    shape = patterns.primary_shape if isinstance(patterns, ColourPatterns) else patterns.shape
+    truth = library.truth(scene, shape, progress=progress)
     if primary is not None:
         truth = in_primary(truth, primary)
     truth = realism.vignetting(realism.defocus(truth, blur), vignetting)
+    if isinstance(patterns, ColourPatterns):
+        truth = in_all_primaries(truth)
     room = realism.ambient(truth, ambient)
     light = irradiance(truth.matrix, patterns, progress=progress)
     # A leak is affine in the pattern, so it can be applied to the light instead of the patterns.
