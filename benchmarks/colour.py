@@ -106,8 +106,8 @@ def main() -> None:
             wide = side_by_side(photographed(scene, truth, 32, 0))
             table.add_row(scene, "32, side by side", f"{wide:.4f}")
             for count in (11, 32):
-                error = three_captures(scene, truth, count)
-                table.add_row(scene, f"three captures of {count}", f"{error:.4f}")
+                each = three_captures(scene, truth, count)
+                table.add_row(scene, f"three captures of {count}", f"{each:.4f}")
     Console(width=100).print(table)
 
 

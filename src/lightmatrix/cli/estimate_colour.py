@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 import lightmatrix as lm
 from lightmatrix.cli.claims import claim
 from lightmatrix.cli.terminal import progress, say, show_json, warn
-from lightmatrix.diagnosis.finding import FINDINGS
 from lightmatrix.errors import InputError
 from lightmatrix.files.colours import COLOURS
 from lightmatrix.outputs.kinds import COLOUR_STORES
@@ -62,7 +61,7 @@ def estimate_colour(
         colour = lm.estimate_colour(
             capture, output=output, overwrite=overwrite, check=check, progress=step
         )
-    findings = colour.red.provenance[FINDINGS]
+    findings = colour.red.provenance["findings"]
     for finding in findings:
         warn(f"{finding['kind']}: {finding['message']}\n  {finding['advice']}", style="yellow")
     judged = lm.verdicts(colour.red)

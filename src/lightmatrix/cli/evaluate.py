@@ -10,8 +10,7 @@ import typer
 import lightmatrix as lm
 from lightmatrix.cli.options import Blue, Green, Json, Store, primaries
 from lightmatrix.cli.terminal import progress, show_json, show_table
-from lightmatrix.files.colours import COLOURS
-from lightmatrix.store.colour_stores import holds_colour
+from lightmatrix.files.colours import COLOURS, holds_colour
 from lightmatrix.transport.labels import labelled
 
 

@@ -13,12 +13,11 @@ from lightmatrix.evaluation.estimate_errors import (
     errors_by_rows,
     errors_in_colour,
 )
-from lightmatrix.files.colours import COLOURS
+from lightmatrix.files.colours import COLOURS, colour_paths
 from lightmatrix.simulation import library
 from lightmatrix.simulation.colour import of_primary
 from lightmatrix.simulation.scenes import scene as find_scene
 from lightmatrix.simulation.truth import Truth
-from lightmatrix.store.colour_stores import colour_paths
 from lightmatrix.transport.colour import ColourTransport
 from lightmatrix.transport.matrix import LightTransport
 

@@ -1,5 +1,18 @@
-"""The names of colour channels, in the order of an image's last axis."""
+"""The names of colour channels, in the order of an image's last axis, and of their stores."""
 
 from __future__ import annotations
 
+from pathlib import Path
+
 COLOURS = ("red", "green", "blue")
+
+
+def holds_colour(folder: str | Path) -> bool:
+    """Whether a path is a folder with a store of each primary."""
+    return all(path.is_dir() for path in colour_paths(folder))
+
+
+def colour_paths(folder: str | Path) -> tuple[Path, Path, Path]:
+    """The stores of red, green and blue in a folder."""
+    red, green, blue = (Path(folder) / f"{name}.zarr" for name in COLOURS)
+    return red, green, blue

@@ -13,13 +13,13 @@ from PIL import Image
 
 from lightmatrix import store
 from lightmatrix.errors import InputError
+from lightmatrix.files.colours import colour_paths, holds_colour
 from lightmatrix.files.images import DISPLAY_GAMMA, read_grey, read_light, write_image
 from lightmatrix.files.json_files import errors_naming
 from lightmatrix.outputs.kinds import IMAGE
 from lightmatrix.outputs.writing import check_output
 from lightmatrix.patterns.grids import block_mean
 from lightmatrix.ranges import check_number
-from lightmatrix.store.colour_stores import colour_paths, holds_colour
 from lightmatrix.transport.colour import ColourTransport
 from lightmatrix.transport.matrix import LightTransport
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from lightmatrix import store
 from lightmatrix.errors import InputError
+from lightmatrix.files.colours import holds_colour
 from lightmatrix.files.images import fill_image, write_image
 from lightmatrix.outputs.kinds import IMAGE, NUMBERS, NUMBERS_MARK, PICTURES
 from lightmatrix.outputs.markers import FileKind
@@ -19,7 +20,7 @@ from lightmatrix.outputs.writing import atomic_file, atomic_folder, check_output
 from lightmatrix.pictures import diagnostics, maps
 from lightmatrix.pictures.spectrum import show_spectrum, spectrum
 from lightmatrix.pictures.transport import DPI, Picture, show_column, show_dual, show_row
-from lightmatrix.store.colour_stores import holds_colour, open_colour
+from lightmatrix.store.colour_stores import open_colour
 from lightmatrix.transport.colour import ColourTransport
 from lightmatrix.transport.correspondence import correspondence
 from lightmatrix.transport.matrix import LightTransport

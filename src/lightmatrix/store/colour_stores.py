@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from lightmatrix.files.colours import COLOURS
+from lightmatrix.files.colours import COLOURS, colour_paths
 from lightmatrix.outputs.kinds import COLOUR_STORES
 from lightmatrix.outputs.writing import atomic_folder
 from lightmatrix.store.zarr_store import open as open_store
@@ -54,17 +54,14 @@ def open_colour(folder: str | Path) -> ColourTransport:
     ------
     InputError
         If one of them is missing or damaged.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> known = lm.truth("metal").transport()
+    >>> lm.save_colour("saved", lm.ColourTransport(known, known, known))
+    >>> lm.open_colour("saved").projector_shape
+    (64, 64)
     """
     red, green, blue = (open_store(path) for path in colour_paths(folder))
     return ColourTransport(red, green, blue)
-
-
-def holds_colour(folder: str | Path) -> bool:
-    """Whether a path is a folder with a store of each primary."""
-    return all(path.is_dir() for path in colour_paths(folder))
-
-
-def colour_paths(folder: str | Path) -> tuple[Path, Path, Path]:
-    """The stores of red, green and blue in a folder."""
-    red, green, blue = (Path(folder) / f"{name}.zarr" for name in COLOURS)
-    return red, green, blue

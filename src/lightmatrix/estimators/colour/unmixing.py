@@ -63,8 +63,8 @@ def _grey_samples(
 ) -> Samples:
     """Sums of the three channels with shares (n, 3); of clipped ones a lower bound."""
     values = np.einsum("na,nak->nk", shares, samples.values[..., frames], optimize=True)
-    clipped = samples.clipped[..., frames].any(axis=1)
-    return _bounded(values, clipped, samples.weights[..., frames].min(axis=1))
+    clipped = np.any(samples.clipped[..., frames], axis=1)
+    return _bounded(values, np.asarray(clipped), samples.weights[..., frames].min(axis=1))
 
 
 def _separated_samples(
@@ -80,7 +80,7 @@ def _separated_samples(
     values = np.einsum("nba,nak->nbk", inverse, samples.values[..., frames], optimize=True)
     hidden = samples.clipped[..., frames]
     falls = np.einsum("nba,nak->nbk", inverse < 0, hidden, optimize=True)
-    clipped = np.broadcast_to(hidden.any(axis=1)[:, None], values.shape)
+    clipped = np.broadcast_to(np.any(hidden, axis=1, keepdims=True), values.shape)
     noise = np.maximum((inverse**2).sum(axis=2), 1)[..., None]
     weights = samples.weights[..., frames].min(axis=1)[:, None] / noise * ~falls
     flat = (count, -1)
