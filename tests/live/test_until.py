@@ -14,16 +14,20 @@ from scipy.sparse import csr_array
 import lightmatrix as lm
 from lightmatrix.errors import InputError
 from lightmatrix.live.session import Session
-from lightmatrix.live.until import FIRST, GROUP, Until
+from lightmatrix.live.until import FIRST, GROUP, Until, parse_until
 
 RIG = "virtual:procedural,size=32,real=0"
 
 
-def estimate_of(error: float, clipped: float = 0.0, spread: bool = False) -> lm.LightTransport:
+def estimate_of(
+    error: float, clipped: float = 0.0, spread: bool = False, constant: float = 0.0
+) -> lm.LightTransport:
     """Nine rows with an error each, on single pixels or spread over all."""
     matrix = np.full((9, 36), 1 / 36) if spread else np.eye(9, 36)
     facts = {
         "estimated_error": np.full(9, error, np.float32),
+        "prediction_error": np.full(9, 10 * error, np.float32),
+        "constant_light": np.full(9, constant, np.float32),
         "clipped_share": np.full(9, clipped, np.float32),
     }
     return lm.LightTransport(
@@ -52,10 +56,12 @@ class Photographed:
         self.record.state.frames = {k: None for k in range(count) if k != self.lost}
 
 
-def outcome(session: Photographed, target: float, *errors: float, **kind: Any) -> Any:
+def outcome(session: Photographed, target: float | str, *errors: float, **kind: Any) -> Any:
     """What is said if the estimates have these errors; the last one stays."""
     left = [*errors]
-    until = Until(target, lambda: estimate_of(left.pop(0) if len(left) > 1 else left[0], **kind))
+    until = Until(
+        parse_until(target), lambda: estimate_of(left.pop(0) if len(left) > 1 else left[0], **kind)
+    )
     return until.run(cast(Session, session))
 
 
@@ -127,7 +133,23 @@ def test_a_rig_stops_with_the_fewest_frames_that_do(tmp_path: Path) -> None:
     assert capture.provenance["until"]["errors"][-1][0] == capture.count
 
 
-@pytest.mark.parametrize("target", [0, 1.5, float("nan")])
-def test_impossible_targets_are_refused(target: float) -> None:
+def test_relit_images_may_be_the_target() -> None:
+    # Here photographs are predicted ten times worse than T is estimated.
+    result = outcome(Photographed(256), "relighting:0.03", 0.02, 0.0025)
+    assert result.reached
+    assert result.relighting
+    assert result.errors == [(16, pytest.approx(0.2)), (24, pytest.approx(0.025))]
+
+
+def test_an_error_that_the_verdict_does_not_state_reaches_nothing() -> None:
+    result = outcome(Photographed(256), 0.03, 0.01, constant=0.5)
+    assert not result.reached
+    assert result.errors[-1][0] == 64
+    assert "no error can be stated" in result.sentence
+    assert "--black" in result.sentence
+
+
+@pytest.mark.parametrize("target", [0, 1.5, float("nan"), "relighting", "T:0.03", "relighting:2"])
+def test_impossible_targets_are_refused(target: float | str) -> None:
     with pytest.raises(InputError, match=r"such as 0\.03"):
         lm.CaptureSettings(until=target)

@@ -80,10 +80,12 @@ def capture(
         int, typer.Option(help="Frames between two looks at black and white; 0 for none.")
     ] = USUAL_REFERENCE,
     until: Annotated[
-        float | None,
+        str | None,
         typer.Option(
+            metavar="ERROR",
             help="Photograph patterns in groups of eight until the estimate states at most this "
-            "relative error of T, such as 0.03, or more patterns do not help.",
+            "relative error of T, such as 0.03, or of relit images, such as relighting:0.03; or "
+            "more patterns do not help.",
             show_default="all patterns",
         ),
     ] = None,
@@ -157,7 +159,8 @@ def _show(summary: dict[str, Any]) -> None:
     until = summary["until"]
     if until:
         reached = "reached" if until["reached"] else "not reached"
-        say(f"the target of {100 * until['target']:.2g} % is {reached}: {until['sentence']}")
+        what = " for relighting" if until["relighting"] else ""
+        say(f"the target of {100 * until['target']:.2g} %{what} is {reached}: {until['sentence']}")
     again = summary["photographed_again"]
     if again:
         say(f"{sum(again.values())} photographs were taken again:")

@@ -133,13 +133,18 @@ def correspondence_verdict(transport: LightTransport, findings: Iterable[str] = 
 
 def relighting_verdict(transport: LightTransport, findings: Iterable[str] = ()) -> Verdict:
     """Judge the images that T predicts by the photographs held out of the last round."""
-    errors = np.asarray(transport.diagnostics.get("prediction_error", np.zeros(0)), float)
-    known = np.isfinite(errors)
-    if not known.any():
+    error = prediction_error(transport)
+    if error is None:
         return Verdict("not tested", "No photograph could be held out and predicted.")
-    error = float(np.sqrt(np.mean(errors[known] ** 2)))
     sentence = f"Prediction error on photographs held out: {percent(error)}."
     return _with_doubt(Verdict(level_of(error), sentence), findings)
+
+
+def prediction_error(transport: LightTransport) -> float | None:
+    """The relative error of photographs held out, over all rows; None if none was predicted."""
+    errors = np.asarray(transport.diagnostics.get("prediction_error", np.zeros(0)), float)
+    known = np.isfinite(errors)
+    return float(np.sqrt(np.mean(errors[known] ** 2))) if known.any() else None
 
 
 def _with_doubt(judged: Verdict, findings: Iterable[str]) -> Verdict:

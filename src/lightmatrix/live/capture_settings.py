@@ -33,10 +33,10 @@ class CaptureSettings:
         Whether each frame has to be shown to be that of its pattern.
     reference_every : int
         Frames between two looks at black and white, which notice drift; 0 for none.
-    until : float, optional
-        Relative error of T, such as 0.03: patterns are photographed in groups of eight until an
-        estimate states that it errs by no more, or further patterns do not help. None: all
-        patterns are photographed.
+    until : float or str, optional
+        Relative error of T, such as 0.03, or of relit images, such as relighting:0.03: patterns are
+        photographed in groups of eight until an estimate states that it errs by no more, or further
+        patterns do not help. None: all patterns are photographed.
 
     Examples
     --------
@@ -51,7 +51,7 @@ class CaptureSettings:
     response: str = "linear"
     check: bool = True
     reference_every: int = USUAL_REFERENCE
-    until: float | None = None
+    until: float | str | None = None
 
     def __post_init__(self) -> None:
         for name, value in (("exposure", self.exposure), ("settle time", self.settle)):

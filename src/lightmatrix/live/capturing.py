@@ -29,7 +29,7 @@ from lightmatrix.live.projected_patterns import ProjectedPatterns
 from lightmatrix.live.record import CaptureFacts, CaptureRecord
 from lightmatrix.live.rig import Rig
 from lightmatrix.live.session import Session, Step
-from lightmatrix.live.until import Outcome, Until
+from lightmatrix.live.until import Outcome, Until, parse_until
 from lightmatrix.outputs.kinds import LIVE_CAPTURE
 from lightmatrix.outputs.writing import claimed
 from lightmatrix.patterns.folder import read_patterns
@@ -146,7 +146,7 @@ def take_capture(
                 def estimated() -> LightTransport:
                     return _estimate_so_far(session, known, settings, write_extras)
 
-                outcome = Until(settings.until, estimated).run(session)
+                outcome = Until(parse_until(settings.until), estimated).run(session)
             facts = _facts(session, known, settings, outcome)
             record.finish(patterns, facts, write_extras=write_extras, overwrite=overwrite)
     _warn(record, known, settings.response)

@@ -1,7 +1,8 @@
 """As many photographs as it takes: an estimate after each group of frames, until T is good enough.
 
-The error is the one that an estimate states of itself. If it hardly falls any more, further
-patterns are not what is missing, and the diagnostics of the rows say what is.
+The error is the one that the verdict of an estimate states: of T, or of images under photographs
+that were held out. If it hardly falls any more, further patterns are not what is missing, and the
+diagnostics of the rows say what is.
 """
 
 from __future__ import annotations
@@ -12,9 +13,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from lightmatrix.errors import InputError
-from lightmatrix.evaluation.doubts import estimated_error
+from lightmatrix.evaluation.doubts import doubts, stated_error
 from lightmatrix.evaluation.metrics import row_energies
 from lightmatrix.evaluation.verdict import percent
+from lightmatrix.evaluation.verdicts import prediction_error
 from lightmatrix.live.session import Session
 from lightmatrix.transport.matrix import LightTransport
 
@@ -36,12 +38,29 @@ _GLOBAL_ADVICE = "light from everywhere: add patterns of coarse cells, or accept
 _NOISE_ADVICE = "noise: expose for longer, open the aperture, or bin the camera"
 
 
+# How a target begins that is an error of relit images.
+_RELIGHTING = "relighting"
+
+
+@dataclass(frozen=True)
+class Target:
+    """The error at which to stop: of T, or of images that T predicts."""
+
+    error: float
+    relighting: bool = False
+
+    def stated(self, transport: LightTransport) -> float | None:
+        """What an estimate states of this error; None if it states none."""
+        return prediction_error(transport) if self.relighting else stated_error(transport)
+
+
 @dataclass(frozen=True)
 class Outcome:
     """How photographing until a target ended."""
 
     target: float
-    # Frames and the estimated relative error of T with them, group by group.
+    relighting: bool
+    # Frames and the stated relative error with them, group by group.
     errors: list[tuple[int, float]]
     reached: bool
     sentence: str
@@ -54,7 +73,7 @@ class Until:
     `estimate` returns the estimate from all frames so far.
     """
 
-    target: float
+    target: Target
     estimate: Callable[[], LightTransport]
     _errors: list[tuple[int, float]] = field(default_factory=list)
 
@@ -67,11 +86,14 @@ class Until:
             count = min(count, total)
             session.run(count)
             transport = self.estimate()
-            error = estimated_error(transport)
+            error = self.target.stated(transport)
             frames = len(session.record.state.frames)
             self._errors.append((frames, float("nan") if error is None else error))
-            if error is not None and error <= self.target:
+            if error is not None and error <= self.target.error:
                 return self._outcome(True, f"{percent(error)} after {frames} frames")
+            if error is None and frames >= _PATIENT_UNTIL:
+                reasons = [] if self.target.relighting else doubts(transport)
+                return self._outcome(False, " ".join(["no error can be stated.", *reasons]))
             if self._stalled:
                 return self._outcome(False, f"more patterns do not help; {_cause(transport)}")
             if count == total:
@@ -85,20 +107,24 @@ class Until:
         return frames >= _PATIENT_UNTIL and bool(before) and error > (1 - _LEAST_GAIN) * min(before)
 
     def _outcome(self, reached: bool, sentence: str) -> Outcome:
-        return Outcome(self.target, self._errors, reached, sentence)
+        target = self.target
+        return Outcome(target.error, target.relighting, self._errors, reached, sentence)
 
 
-def parse_until(text: str | float) -> float:
-    """The relative error of T of a text such as 0.03."""
+def parse_until(text: str | float) -> Target:
+    """The target of a text such as 0.03, an error of T, or relighting:0.03, of relit images."""
+    kind, _, number = str(text).rpartition(":")
     try:
-        error = float(text)
+        error = float(number)
     except ValueError:
         error = float("nan")
-    if not 0 < error < 1:
+    if kind not in ("", _RELIGHTING) or not 0 < error < 1:
         raise InputError(
-            f"a target of {text}", hint="give a relative error of T, such as 0.03 for 3 %"
+            f"a target of {text}",
+            hint="give a relative error of T, such as 0.03 for 3 %, or of relit images, such as "
+            "relighting:0.03",
         )
-    return error
+    return Target(error, kind == _RELIGHTING)
 
 
 def _cause(transport: LightTransport) -> str:
