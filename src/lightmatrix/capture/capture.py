@@ -20,7 +20,7 @@ from lightmatrix.camera.samples import Samples
 from lightmatrix.camera.sensor import Sensor
 from lightmatrix.capture import summary
 from lightmatrix.capture.folder import holds_capture, read_capture, read_folders
-from lightmatrix.capture.frames import ArrayStack, CutFrames, Frames, cut
+from lightmatrix.capture.frames import ArrayStack, CutFrames, Frames, Surroundings, cut
 from lightmatrix.capture.reader import Reader
 from lightmatrix.capture.settings import ReadSettings
 from lightmatrix.errors import InputError
@@ -32,14 +32,6 @@ from lightmatrix.reprs import html_table
 
 # Corner and shape of a rectangle of photographs, in pixels.
 Crop = tuple[tuple[int, int], tuple[int, int]]
-
-
-@dataclass(frozen=True, eq=False)
-class Surroundings:
-    """The black frame and the mask of whole photographs of which a rectangle was taken."""
-
-    black_frame: NDArray[Any] | None
-    mask: NDArray[np.bool_] | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +53,7 @@ class Capture:
     provenance : mapping
         What made the capture, JSON-ready.
     surroundings : Surroundings, optional
-        What was known of the photographs around a rectangle of them; see `crop` and `whole`.
+        What `crop` left out of the black frame and the mask; see `whole`.
 
     Raises
     ------
@@ -303,15 +295,13 @@ class Capture:
         """The capture of whole photographs, of which `crop` took a rectangle; else itself."""
         if self.surroundings is None or not isinstance(self.frames, CutFrames):
             return self
-        decoder = replace(self.decoder, black_frame=self.surroundings.black_frame)
-        return Capture(
-            self.patterns, self.frames.frames, decoder, self.surroundings.mask, self.bin_projector
-        )
+        around, frames = self.surroundings, self.frames.frames
+        decoder = replace(self.decoder, black_frame=around.black_frame)
+        return Capture(self.patterns, frames, decoder, around.mask, self.bin_projector)
 
     def window(self, rows: slice, cols: slice) -> Capture:
         """The capture of a rectangle of its binned camera pixels; slices with start and stop."""
-        height, width = self.frames.shape[:2]
-        down, across = self.bin_camera
+        (height, width), (down, across) = self.frames.shape[:2], self.bin_camera
         corner = (rows.start * down, cols.start * across)
         end = (min(rows.stop * down, height), min(cols.stop * across, width))
         whole = replace(self, bin_camera=(1, 1))
@@ -335,8 +325,7 @@ class Capture:
         InputError
             If a block is empty or the capture is binned already.
         """
-        blocks = block_size(projector, "projector"), block_size(camera, "camera")
-        result = self
+        blocks, result = (block_size(projector, "projector"), block_size(camera, "camera")), self
         for name, block in zip(("bin_projector", "bin_camera"), blocks, strict=True):
             if block != (1, 1) and getattr(self, name) != (1, 1):
                 raise InputError(
@@ -372,7 +361,7 @@ class Capture:
 
     @cached_property
     def reader(self) -> Reader:
-        """The reader, which decodes the frames and keeps the levels that it has read."""
+        """The reader, which decodes frames and keeps their levels."""
         return Reader(self.frames, self.decoder, self.mask, self.bin_camera)
 
     @property
@@ -403,7 +392,7 @@ class Capture:
     def description(self) -> dict[str, Any]:
         """Shapes and settings of the capture, JSON-ready, with its provenance."""
         facts = summary.description(self.patterns, self.reader, self.bin_projector)
-        return {**facts, **dict(self.provenance)}
+        return facts | dict(self.provenance)
 
 
 def open_capture(capture: Capture | str | Path) -> Capture:
