@@ -103,6 +103,11 @@ def test_the_page_has_its_sections_and_numbers(written: Path, estimate: lm.Light
         assert phrase in words, phrase
 
 
+def test_links_come_before_thumbnails(written: Path) -> None:
+    page = (written / "report.html").read_text()
+    assert page.index("<nav") < page.index('id="first-frames"') < page.index('id="photographs"')
+
+
 def test_the_numbers_are_those_of_the_estimate(
     written: Path, capture: lm.SimulatedCapture, estimate: lm.LightTransport
 ) -> None:
@@ -191,6 +196,17 @@ def test_pictures_stay_small_whatever_they_show() -> None:
         assert max(picture.width, picture.height) <= image_data.MOST_PIXELS
     thumbnail = image_data.photograph(noise, "noise", most=image_data.THUMB_PIXELS)
     assert len(thumbnail.source) < 8_000
+
+
+def test_small_differences_are_visible() -> None:
+    """A scale that ends far above all of them would show an even grey."""
+    small = 0.02 * np.random.default_rng(0).standard_normal((40, 40))
+    shown = image_data.difference_image(small, 0.01, "small", "small")
+    assert shown.scale is not None
+    assert 0.04 < float(shown.scale.high) < 0.07
+    noise = image_data.difference_image(small / 100, 0.01, "noise", "noise")
+    assert noise.scale is not None
+    assert float(noise.scale.high) == pytest.approx(0.01)
 
 
 # ---- unseen photographs

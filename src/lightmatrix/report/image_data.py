@@ -28,6 +28,8 @@ MOST_LOSSLESS = 128
 # This share of a picture's pixels, the brightest, is shown as white. Chosen by eye: highlights must
 # not make everything else dark.
 _GLINTS = 0.005
+# The scale of a difference holds this share of its pixels. Chosen by eye.
+_SCALED = 0.99
 # WebP quality of images with and without loss. Chosen by eye and by file size.
 _LOSSY_QUALITY, _LOSSLESS_QUALITY = 88, 60
 _BAR_PIXELS = 64
@@ -87,10 +89,14 @@ def faint_image(light: NDArray[Any], alternative: str, title: str, caption: str 
 
 
 def difference_image(
-    difference: NDArray[Any], most: float, alternative: str, title: str, caption: str = ""
+    difference: NDArray[Any], least: float, alternative: str, title: str, caption: str = ""
 ) -> Image:
-    """A difference: grey where it is 0, darker below, brighter above, up to +-`most`."""
+    """A difference: grey where it is 0, darker below, brighter above.
+
+    The scale holds all but the largest differences, and ends at `least` or above.
+    """
     grey = _grey(np.asarray(difference, float))
+    most = max(least, float(np.quantile(abs(grey), _SCALED)))
     shown = np.clip(0.5 + 0.5 * _shrink(grey, MOST_PIXELS, "mean") / max(most, 1e-12), 0, 1)
     bar = _bytes(np.linspace(0, 1, _BAR_PIXELS)[None])
     scale = Scale(_address(bar), _number(-most), f"+{_number(most)}", "relative to the clip level")

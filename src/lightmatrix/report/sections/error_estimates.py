@@ -13,9 +13,9 @@ from lightmatrix.transport.labels import labelled
 
 # The page shows this many of the unseen photographs.
 _COMPARED = 2
-# The scale of a difference ends at this multiple of its mean size, but not below this share of the
-# clip level, so that noise does not look like an error. Chosen by eye.
-_DIFFERENCE_SCALE, _SMALLEST_SCALE = 5, 0.05
+# The scale of a difference does not end below this share of the clip level, three times the usual
+# noise, so that noise does not look like an error. Chosen by eye.
+_SMALLEST_SCALE = 0.01
 
 
 def error_estimates(facts: Facts) -> Section:
@@ -101,7 +101,7 @@ def _comparison(facts: Facts, validation: Validation, index: int) -> tuple[Image
         ),
         difference_image(
             difference,
-            max(_SMALLEST_SCALE, _DIFFERENCE_SCALE * mean),
+            _SMALLEST_SCALE,
             f"Difference: {percent(mean)} of the clip level on average",
             "Prediction minus photograph",
             "Grey where they agree.",

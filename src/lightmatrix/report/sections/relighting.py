@@ -15,9 +15,9 @@ from lightmatrix.reprs import shown_value
 from lightmatrix.transport.labels import labelled
 
 _SHOWN = ("disc", "stripes")
-# White is this quantile of the true image, and the scale of its difference ends at this share of
-# white. Chosen by eye.
-_WHITE_QUANTILE, _DIFFERENCE_SCALE = 0.99, 0.2
+# White is this quantile of the true image, and the scale of its difference does not end below this
+# share of white. Chosen by eye.
+_WHITE_QUANTILE, _SMALLEST_SCALE = 0.99, 0.01
 
 
 def relighting(facts: Facts) -> Section:
@@ -62,7 +62,7 @@ def _images(facts: Facts, name: str, pattern: np.ndarray) -> Gallery:
         photograph(known, f"The truth: {name}", "The truth", white=white, exact=True),
         difference_image(
             image - known,
-            _DIFFERENCE_SCALE * white,
+            _SMALLEST_SCALE * white,
             f"Difference: {percent(error)} of the image",
             "Difference",
             f"Relative error of the image: {percent(error)}.",
