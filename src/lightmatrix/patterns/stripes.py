@@ -80,7 +80,7 @@ class StripePatterns(PatternSet):
         for k, image in enumerate(images, start):
             profile = self.stripes.profiles[k]
             image[:] = profile[:, None] if self.stripes.axes[k] == ROWS else profile
-        return images.reshape(len(images), -1)
+        return images.reshape(len(images), self.pixels)
 
     def _along(self, axis: int) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
         """The patterns that vary along an axis, with uniform ones among the rows; their values."""
