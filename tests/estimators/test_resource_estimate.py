@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import os
 import re
+import subprocess
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -347,3 +349,23 @@ def test_words_for_memory() -> None:
         assert resource_estimate._gigabytes(size) == words
     assert resource_estimate._block((1, 1), 4) == "4"
     assert resource_estimate._block((2, 3), 4) == "8x12"
+
+
+@pytest.mark.parametrize("grey", [False, True])
+def test_an_estimate_takes_hardly_more_memory_than_was_said(tmp_path: Path, grey: bool) -> None:
+    patterns: lm.PatternSet = lm.BernoulliPatterns((160, 160), 46)
+    if grey:
+        levels = np.random.default_rng(0).integers(0, 256, (46, 160, 160)) / 255
+        patterns = lm.ImagePatterns(levels.astype(np.float32))
+    truth = lm.ProceduralScene((24, 24), (160, 160), seed=1).truth()
+    lm.simulate(truth, patterns, exposure=0.5, noise=0.003).save(tmp_path / "capture")
+    program = (
+        "import resource, sys; import lightmatrix as lm\n"
+        "capture = lm.Capture.open(sys.argv[1])\n"
+        "said = lm.estimate_resources(capture).memory\n"
+        "lm.estimate(capture, check=False)\n"
+        "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / said)\n"
+    )
+    command = [sys.executable, "-c", program, str(tmp_path / "capture")]
+    ran = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert float(ran.stdout) < 1.3

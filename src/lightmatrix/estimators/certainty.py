@@ -37,9 +37,9 @@ _PROBABLE = 0.95
 # The least share of a row that no single pixel explains, so that samples without noise divide
 # nothing by zero. Far below the noise of any camera.
 _LEAST_MISFIT = 1e-8
-# Bytes of correlations of some rows with all projector pixels. Chosen by hand, to lie far below the
-# working memory of a tile.
-_BYTES = 32 << 20
+# Bytes of correlations of some rows with all projector pixels, of which five copies are held.
+# Chosen by hand, to lie far below the working memory of a tile.
+_BYTES = 4 << 20
 
 
 def with_certainty(
