@@ -150,10 +150,6 @@ from .pictures.diagnostics import (
     show_gaps as show_gaps,
     show_estimated_errors as show_estimated_errors,
 )
-from .pictures.show import (
-    show as show,
-    write_pictures as write_pictures,
-)
 from .pictures.transport import (
     show_column as show_column,
     show_dual as show_dual,
@@ -210,6 +206,10 @@ from .uses.probing import (
 from .uses.shape import (
     Shape as Shape,
     ShapeTest as ShapeTest,
+)
+from .uses.show import (
+    show as show,
+    write_pictures as write_pictures,
 )
 from .uses.triangulation import triangulate as triangulate
 from .uses.separation import (

@@ -79,6 +79,8 @@ def test_relight(work: Path, capsys: pytest.CaptureFixture[str]) -> None:
         ("--row 3,4 --raw -o out.png", "raw numbers of the view row"),
         ("--correspondence --raw -o X.npz", "raw numbers of the view correspondence"),
         ("--correspondence -o out.npy", "a correspondence in"),
+        ("--depth -o out.png", "the view depth without a geometry"),
+        ("--gap --geometry rig.json -o out.png", "the view gap with a geometry"),
         ("--gap -o out.jpg", "the name of the output ends in .jpg"),
     ],
 )

@@ -234,6 +234,8 @@ def test_info_writes_the_pictures_of_the_door(
         ("--correspondence -o x.npz", "correspondence", ()),
         ("--clipping -o x.npz", "clipping", ()),
         ("--gap -o x.png", "gap", ()),
+        ("--depth --geometry ../rig.json -o x.npy", "depth", ()),
+        ("--normals --geometry ../rig.json -o x.png", "normals", ()),
     ],
 )
 def test_show(
@@ -243,10 +245,21 @@ def test_show(
     for folder in ("shown", "made"):
         (tmp_path / folder).mkdir()
     monkeypatch.chdir(tmp_path / "shown")
+    camera = [[10.0, 0, 5, 0], [0, 10, 5, 0], [0, 0, 1, 0]]
+    projector = [[10.0, 0, 4, 5], [0, 10, 4, 0], [0, 0, 1, 0]]
+    rig = lm.RigGeometry.from_matrices(camera, projector, (12, 11), (8, 8))
+    rig.save("../rig.json")
     printed = _run(f"show {work}/scene.zarr {words}", capsys)
     assert printed == {"output": words.split()[-1], "view": view}
     made = tmp_path / "made" / words.split()[-1]
-    lm.show(work / "scene.zarr", view, *index, output=made, raw="--raw" in words)
+    lm.show(
+        work / "scene.zarr",
+        view,
+        *index,
+        geometry=rig if "--geometry" in words else None,
+        output=made,
+        raw="--raw" in words,
+    )
     _same_files(tmp_path / "shown", tmp_path / "made")
 
 

@@ -22,6 +22,7 @@ from lightmatrix.report import image_data, validation
 from lightmatrix.report.facts import Facts
 from lightmatrix.report.recommendations import recommendations
 from lightmatrix.report.sections import uses
+from lightmatrix.simulation.binning import coarse
 from lightmatrix.simulation.procedural_scene import ProceduralScene
 
 NOISE = 0.003
@@ -86,6 +87,34 @@ def test_the_viewer_is_beside_the_page_when_asked_for(
     assert "<script" in (tmp_path / "r" / "viewer.html").read_text()
 
 
+def test_depth_and_normals_are_shown_where_the_geometry_is_known(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    known = lm.truth("corner")
+    assert known.geometry is not None
+    monkeypatch.chdir(tmp_path)
+    known.geometry.save("rig.json")
+    coarse(known, 2).save("T.npz")
+    for line in (
+        "patterns bernoulli -k 24 --size 32x32 -o patterns",
+        "simulate T.npz --patterns patterns --exposure 0.5 -o capture",
+    ):
+        assert main(line.split()) == 0
+    run = "estimate capture -o scene.zarr --geometry rig.json"
+    assert main(run.split()) == 2
+    assert "--geometry without --report" in capsys.readouterr().err
+    assert main([*run.split(), "--report", "report", "--viewer"]) == 0
+    words = _words(tmp_path / "report" / "report.html")
+    for phrase in ("pixels have a depth; its median is 4", "Depth", "Normals", "scene unit"):
+        assert phrase in words, phrase
+    assert "layer-depth" in (tmp_path / "report" / "viewer.html").read_text()
+    known.geometry.cropped((0, 0), (63, 60)).save("other.json")
+    line = "estimate capture -o other.zarr --report other --geometry other.json"
+    assert main(line.split()) == 2
+    assert "camera images of 63 x 60 pixels" in capsys.readouterr().err
+    assert not (tmp_path / "other.zarr").exists()
+
+
 def test_the_page_has_its_sections_and_numbers(written: Path, estimate: lm.LightTransport) -> None:
     words = _words(written / "report.html")
     numbers = json.loads((written / "report.json").read_text())
@@ -125,9 +154,10 @@ def test_uses_of_large_and_of_dark_matrices_are_a_sentence(
     assert {element.kind for element in uses.uses(facts).elements} == {"text", "gallery"}
     dark = replace(estimate, sparse=0 * estimate.sparse, background=0 * estimate.background)
     texts = uses.uses(replace(facts, transport=dark)).elements
-    assert [element.kind for element in texts] == ["text", "text"]
+    assert [element.kind for element in texts] == ["text", "text", "text"]
     assert "cannot be separated: 0 of 480 camera pixels" in getattr(texts[0], "text", "")
     assert "lights no camera pixel" in getattr(texts[1], "text", "")
+    assert "lightmatrix calibrate" in getattr(texts[2], "text", "")
     monkeypatch.setattr(uses, "_MOST_SAMPLES", 479)
     (only,) = uses.uses(facts).elements
     assert "lightmatrix separate" in getattr(only, "text", "")

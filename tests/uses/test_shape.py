@@ -157,6 +157,41 @@ def test_files(tmp_path: Path) -> None:
         shape.save(tmp_path / "cloud.obj")
 
 
+@pytest.mark.parametrize("view", ["depth", "normals"])
+def test_views_of_a_shape(view: str, tmp_path: Path) -> None:
+    known = lm.truth("metal")
+    matrix, geometry = known.transport(), known.geometry
+    assert geometry is not None
+    shape = lm.triangulate(matrix, geometry)
+    expected = getattr(shape, view)
+    assert np.isnan(expected).any()
+    for name in ("x.npy", "x.tiff"):
+        lm.show(matrix, view, geometry=geometry, output=tmp_path / name)
+    np.testing.assert_array_equal(np.load(tmp_path / "x.npy"), expected)
+    np.testing.assert_array_equal(tifffile.imread(tmp_path / "x.tiff"), expected)
+    lm.show(matrix, view, geometry=geometry, output=tmp_path / "x.png")
+    with pytest.raises(InputError, match="without a geometry"):
+        lm.show(matrix, view)
+
+
+def test_colours_of_normals_do_not_depend_on_the_frame_of_the_world() -> None:
+    known = lm.truth("corner")
+    geometry = known.geometry
+    assert geometry is not None
+    turn = np.array([[0, 0, 1.0], [1, 0, 0], [0, 1, 0]])
+    whole = np.eye(4)
+    whole[:3, :3] = turn
+    turned = replace(
+        geometry,
+        camera_matrix=geometry.camera_matrix @ whole,
+        projector_matrix=geometry.projector_matrix @ whole,
+    )
+    one, other = (lm.triangulate(known.transport(), rig) for rig in (geometry, turned))
+    np.testing.assert_allclose(other.camera_normals, one.camera_normals, atol=1e-3)
+    # A surface faces the camera, whose axis points away from it.
+    assert (one.camera_normals[one.kept][:, 2] < 0).mean() > 0.99
+
+
 def test_binned_captures_scale_the_geometry_and_others_are_refused() -> None:
     known = lm.truth("corner")
     assert known.geometry is not None

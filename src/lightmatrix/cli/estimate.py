@@ -24,8 +24,10 @@ from lightmatrix.cli.options import (
 )
 from lightmatrix.cli.source import Source, with_source
 from lightmatrix.cli.terminal import progress, say, show_json, show_table, warn
+from lightmatrix.errors import InputError
 from lightmatrix.outputs.kinds import REPORT, STORE
 from lightmatrix.transport.labels import labelled
+from lightmatrix.uses.triangulation import geometry_of
 
 if TYPE_CHECKING:
     from lightmatrix import (
@@ -35,6 +37,7 @@ if TYPE_CHECKING:
         FoundResponse,
         LightTransport,
         ResourceEstimate,
+        RigGeometry,
     )
 
 # The command says what an estimate takes if it takes longer than this many seconds, or more than
@@ -204,6 +207,14 @@ def estimate(
     viewer: Annotated[
         bool, typer.Option("--viewer", help="Add the viewer to the report, as viewer.html.")
     ] = False,
+    geometry: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="RIG.json",
+            help="Where camera and projector stand, for depth and normals in the report: a file of "
+            "`calibrate`.",
+        ),
+    ] = None,
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Print the memory and time it would take, and stop.")
     ] = False,
@@ -232,6 +243,12 @@ def estimate(
         workers=workers,
         cluster=cluster,
     )
+    if geometry is not None and report is None:
+        raise InputError(
+            "--geometry without --report",
+            hint="add --report, which shows depth and normals; or run `lightmatrix triangulate` "
+            "on the estimate",
+        )
     # A mistyped input is named first, whatever the output.
     whole = source.open()
     if in_colour(whole):
@@ -250,6 +267,8 @@ def estimate(
         if report is not None:
             claim(report, REPORT, overwrite=overwrite)
     capture = whole.bin(projector=size(bin_projector), camera=size(bin_camera))
+    # A geometry of other images is named before the estimate, which takes longer.
+    rig = None if geometry is None else geometry_of(capture, geometry)
     resources = lm.estimate_resources(capture, settings)
     if dry_run:
         _show_resources(resources, as_json)
@@ -275,7 +294,7 @@ def estimate(
     outcome: dict[str, Any] | None = None
     if report is not None:
         outcome = _report(
-            report, output, source, transport, capture, settings, findings, viewer, overwrite
+            report, output, source, transport, capture, settings, findings, viewer, rig, overwrite
         )
     if outcome is None:
         judged = lm.verdicts(transport)
@@ -361,6 +380,7 @@ def _report(
     settings: EstimateSettings,
     findings: list[Finding],
     viewer: bool,
+    geometry: RigGeometry | None,
     overwrite: bool,
 ) -> dict[str, Any]:
     """Write the report, with the truth if `simulate` left it beside the frames."""
@@ -375,6 +395,7 @@ def _report(
             title=store.name,
             findings=findings,
             viewer=viewer,
+            geometry=geometry,
             overwrite=overwrite,
             progress=step,
         )

@@ -57,6 +57,19 @@ def show(
     estimated_error: Annotated[
         bool, typer.Option("--estimated-error", help="Estimated error of each row.")
     ] = False,
+    depth: Annotated[
+        bool, typer.Option("--depth", help="Depth of the surface; needs --geometry.")
+    ] = False,
+    normals: Annotated[
+        bool, typer.Option("--normals", help="Normals of the surface; needs --geometry.")
+    ] = False,
+    geometry: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="RIG.json",
+            help="Where camera and projector stand, for depth and normals: a file of `calibrate`.",
+        ),
+    ] = None,
     raw: Annotated[
         bool,
         typer.Option(
@@ -66,7 +79,7 @@ def show(
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
-    """Draw a row, a column, a map or a view of T.
+    """Draw a row, a column, a map or a view of T, or the surface that the camera sees.
 
     Give one of the options below. Pixels count from 0; for a colour camera, write R,C,CHANNEL.
     """
@@ -79,6 +92,8 @@ def show(
         "gap": gap,
         "footprint": footprint,
         "estimated-error": estimated_error,
+        "depth": depth,
+        "normals": normals,
     }
     chosen = [name for name, value in indexed.items() if value is not None]
     chosen += [name for name, value in named.items() if value]
@@ -86,11 +101,12 @@ def show(
         count = len(chosen) or "no"
         raise InputError(
             f"{count} views are given", hint="give one of --row R,C, --column R,C, --dual, "
-            "--correspondence, --spectrum, --clipping, --gap, --footprint, --estimated-error",
+            "--correspondence, --spectrum, --clipping, --gap, --footprint, --estimated-error, "
+            "--depth, --normals",
         )  # fmt: skip
     view = chosen[0]
     index = _index(view, indexed.get(view))
-    lm.show(scene, view, *index, output=output, raw=raw, overwrite=overwrite)
+    lm.show(scene, view, *index, geometry=geometry, output=output, raw=raw, overwrite=overwrite)
     if as_json:
         show_json({"output": output, "view": view})
         return

@@ -102,6 +102,7 @@ def run(out: Path, *, progress: Callable[[int, int], None] | None = None) -> dic
         truth=known,
         title="Demo: a pile of L-shaped blocks",
         viewer=True,
+        geometry=truth.geometry,
         more=[_comparison(result["methods"], out / f"{PICTURE}.png")],
     )
     (out / "demo.json").write_text(json.dumps(result, indent=2) + "\n")

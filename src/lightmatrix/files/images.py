@@ -225,8 +225,11 @@ def write_image(
         fill_image(part, image, bits=bits)
 
 
-def fill_image(path: Path, image: NDArray[Any], *, bits: int = 8) -> None:
-    """Write one image as `write_image` does, but in place: for folders that are atomic."""
+def fill_image(path: Path, image: NDArray[Any], *, bits: int = 8, missing: bool = False) -> None:
+    """Write one image as `write_image` does, but in place: for folders that are atomic.
+
+    With `missing`, pixels may be NaN, which a PNG cannot hold.
+    """
     pixels = np.asarray(image)
     if pixels.ndim == 3 and pixels.shape[-1] == 1:
         pixels = pixels[..., 0]
@@ -236,7 +239,7 @@ def fill_image(path: Path, image: NDArray[Any], *, bits: int = 8) -> None:
         )
     if pixels.dtype not in (np.uint8, np.uint16):
         pixels = as_float32(pixels)
-        if not np.isfinite(pixels).all():
+        if not missing and not np.isfinite(pixels).all():
             raise InputError("the image has values that are not finite")
     suffix = path.suffix.lower()
     if suffix == ".npy":

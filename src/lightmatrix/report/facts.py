@@ -23,6 +23,7 @@ from lightmatrix.evaluation.verdict import (
     verdict_by_rows,
 )
 from lightmatrix.evaluation.verdicts import relighting_verdict
+from lightmatrix.geometry.rig_geometry import RigGeometry
 from lightmatrix.report.validation import Validation
 from lightmatrix.transport.correspondence import Correspondence, correspondence
 from lightmatrix.transport.matrix import LightTransport
@@ -55,6 +56,8 @@ class Facts:
     truth: LightTransport | None
     # The test on unseen photographs, or the reason why there is none.
     validation: Validation | str
+    # Where camera and projector stand, if known.
+    geometry: RigGeometry | None = None
 
     @cached_property
     def frames(self) -> FrameFacts:

@@ -75,6 +75,13 @@ def pattern_image(
     return _image(_bytes(shown), alternative, title, caption)
 
 
+def colour_image(
+    colours: NDArray[np.floating], alternative: str, title: str = "", caption: str = ""
+) -> Image:
+    """An image (rows, cols, 3) of colours in [0, 1], as they are."""
+    return _image(_bytes(_shrink(colours, MOST_PIXELS, "sampled")), alternative, title, caption)
+
+
 def faint_image(light: NDArray[Any], alternative: str, title: str, caption: str = "") -> Image:
     """A row or column of T, with the faint light around its bright spot made visible."""
     brightest = max(float(light.max()), 1e-12)

@@ -15,6 +15,7 @@ from lightmatrix.estimators.settings import EstimateSettings
 from lightmatrix.estimators.work import Progress
 from lightmatrix.evaluation.verdict import percent, stored_findings
 from lightmatrix.evaluation.verdicts import Verdicts, correspondence_verdict
+from lightmatrix.geometry.rig_geometry import RigGeometry
 from lightmatrix.outputs.kinds import REPORT
 from lightmatrix.outputs.writing import atomic_folder
 from lightmatrix.report.elements import Points, Section
@@ -30,6 +31,7 @@ from lightmatrix.report.sections.uses import uses
 from lightmatrix.report.validation import Estimator, Validation, validate
 from lightmatrix.simulation.truth import Truth
 from lightmatrix.transport.matrix import LightTransport
+from lightmatrix.uses.triangulation import geometry_of
 from lightmatrix.viewer.export import export_viewer
 
 # The files of a report folder.
@@ -49,6 +51,7 @@ def report(
     findings: Sequence[Finding] = (),
     title: str = "Light transport",
     viewer: bool = False,
+    geometry: RigGeometry | str | Path | None = None,
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> dict[str, Any]:
@@ -76,6 +79,9 @@ def report(
         Title of the page.
     viewer : bool
         Whether to write the viewer too, as viewer.html, and link to it; see `export_viewer`.
+    geometry : RigGeometry, str or Path, optional
+        Where camera and projector stand, or its file. The report and the viewer then show depth,
+        the report normals too.
     overwrite : bool
         Whether an existing report may be replaced.
     progress : callable, optional
@@ -91,8 +97,8 @@ def report(
     Raises
     ------
     InputError
-        If the matrices and the capture do not belong to one rig, or T is too large for the viewer's
-        page.
+        If the matrices, the capture and the geometry do not belong to one rig, or T is too large
+        for the viewer's page.
     OutputError
         If the folder exists or cannot be written.
 
@@ -107,6 +113,7 @@ def report(
     """
     known = truth.transport() if isinstance(truth, Truth) else truth
     _check(transport, capture, known)
+    rig = None if geometry is None else geometry_of(transport, geometry)
     with atomic_folder(folder, REPORT, overwrite=overwrite) as part:
         return write_page(
             part,
@@ -118,6 +125,7 @@ def report(
             findings=findings,
             title=title,
             viewer=viewer,
+            geometry=rig,
             progress=progress,
         )
 
@@ -133,6 +141,7 @@ def write_page(
     findings: Sequence[Finding] = (),
     title: str,
     viewer: bool = False,
+    geometry: RigGeometry | None = None,
     more: Sequence[Section] = (),
     progress: Progress | None = None,
 ) -> dict[str, Any]:
@@ -140,7 +149,7 @@ def write_page(
     validation: Validation | str = "the test was not requested"
     if held_out:
         validation = validate(capture, estimator or EstimateSettings(), progress=progress)
-    facts = Facts(transport, capture, truth, validation)
+    facts = Facts(transport, capture, truth, validation, geometry)
     advice = recommendations(facts)
     kinds = {*stored_findings(transport), *(finding.kind for finding in findings)}
     judged = facts.verdict
@@ -148,7 +157,7 @@ def write_page(
         judged = judged.with_findings(kinds)
     of_each = Verdicts(correspondence_verdict(transport, kinds), facts.relighting_verdict, judged)
     if viewer:
-        export_viewer(folder / VIEWER, transport)
+        export_viewer(folder / VIEWER, transport, geometry=geometry)
     page = Page(
         title,
         of_each,

@@ -99,6 +99,12 @@ class Shape:
         """The pixels that have a depth, (rows, cols)."""
         return self.test == ShapeTest.KEPT
 
+    @property
+    def camera_normals(self) -> NDArray[np.float32]:
+        """The normals in the camera's frame: to the right, down, forwards; (rows, cols, 3)."""
+        turn = decomposed(self.geometry.camera_matrix)[1]
+        return np.asarray(self.normals @ turn.T, np.float32)
+
     def summary(self) -> dict[str, Any]:
         """Number of points, their median depth and uncertainty, and pixels by `ShapeTest`."""
         points = int(self.kept.sum())
@@ -153,11 +159,9 @@ class Shape:
 
     def show(self) -> Picture:
         """A Matplotlib figure: maps of depth and normals, and which test a pixel failed."""
-        # Normals of the world's frame, turned into the camera's.
-        turn = decomposed(self.geometry.camera_matrix)[1]
-        normals = (self.normals @ turn.T).astype(np.float32)
         names = [test.name for test in ShapeTest]
-        return shape_picture(self.depth, normals, self.test, names, self.geometry.units)
+        units = self.geometry.units
+        return shape_picture(self.depth, self.camera_normals, self.test, names, units)
 
     def mesh(self) -> Any:
         """The surface as a `trimesh.Trimesh`, which writes STL, OBJ and GLB and measures meshes.

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from lightmatrix.capture.capture import Capture
 from lightmatrix.errors import InputError
 from lightmatrix.geometry.rig_geometry import RigGeometry
 from lightmatrix.outputs.kinds import CLOUD, DEPTH, PICTURE
@@ -114,12 +115,7 @@ def triangulate(
     if picture is not None:
         check_output(picture, PICTURE, overwrite=overwrite)
     source = open_matches(transport)
-    rig = geometry if isinstance(geometry, RigGeometry) else RigGeometry.load(geometry)
-    if isinstance(source, Correspondence):
-        camera_shape, projector_shape = source.confidence.shape, source.projector_shape
-    else:
-        camera_shape, projector_shape = source.camera_shape[:2], source.projector_shape
-    rig = fitted_geometry(rig, (camera_shape[0], camera_shape[1]), projector_shape)
+    rig = geometry_of(source, geometry)
     grid = rig.camera_shape
     camera = camera_pixels(grid)[:, ::-1]
     lines = epipolar_lines(rig, camera)
@@ -145,6 +141,24 @@ def epipolar_lines(geometry: RigGeometry, camera: NDArray[np.float64]) -> NDArra
     ideal = geometry.undistort_camera(camera)
     lines = np.column_stack([ideal, np.ones(len(ideal))]) @ geometry.fundamental_matrix().T
     return np.asarray(lines / np.hypot(lines[:, 0], lines[:, 1])[:, None])
+
+
+def geometry_of(
+    source: LightTransport | Correspondence | Capture, geometry: RigGeometry | str | Path
+) -> RigGeometry:
+    """The geometry, or that of its file, scaled to the images of T, matches or a capture.
+
+    Raises
+    ------
+    InputError
+        If it belongs to other images, or the file holds no geometry.
+    """
+    rig = geometry if isinstance(geometry, RigGeometry) else RigGeometry.load(geometry)
+    if isinstance(source, Correspondence):
+        camera_shape, projector_shape = source.confidence.shape, source.projector_shape
+    else:
+        camera_shape, projector_shape = source.camera_shape[:2], source.projector_shape
+    return fitted_geometry(rig, (camera_shape[0], camera_shape[1]), projector_shape)
 
 
 def fitted_geometry(

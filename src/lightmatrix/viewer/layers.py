@@ -18,6 +18,7 @@ from lightmatrix.pictures import maps
 from lightmatrix.transport.correspondence import Correspondence, correspondence
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.uses.separation import Separation, separate
+from lightmatrix.uses.shape_picture import depth_map
 from lightmatrix.uses.triangulation import triangulate
 from lightmatrix.viewer.lights import Light
 from lightmatrix.viewer.matrix_data import white_level
@@ -196,10 +197,8 @@ def _depth(source: LayerSource) -> bytes:
     """The distance of the surface, from T where it is in memory, else from its correspondence."""
     matrix = source.matrix if isinstance(source.matrix, LightTransport) else source.correspondence
     assert source.geometry is not None
-    values = triangulate(matrix, source.geometry).depth.astype(np.float64)
-    low, high = _scale_ends(values)
-    label = "distance along the camera's axis, in the unit of the geometry"
-    return packed_map(maps.Map("depth", "Depth", label, values, low, high))
+    shape = triangulate(matrix, source.geometry)
+    return packed_map(depth_map(shape.depth, shape.geometry.units))
 
 
 def _depth_order(source: LayerSource) -> bytes:

@@ -1,4 +1,4 @@
-"""What this T can be used for: direct and global light, and a compensated picture."""
+"""What this T can be used for: direct and global light, a compensated picture, the shape."""
 
 from __future__ import annotations
 
@@ -7,12 +7,20 @@ from numpy.typing import NDArray
 
 from lightmatrix.errors import InputError
 from lightmatrix.evaluation.verdict import percent
+from lightmatrix.geometry.rig_geometry import RigGeometry
 from lightmatrix.report.elements import Element, Gallery, Section, Text
 from lightmatrix.report.facts import Facts
-from lightmatrix.report.image_data import pattern_image, photograph
+from lightmatrix.report.image_data import (
+    colour_image,
+    image_of_map,
+    pattern_image,
+    photograph,
+)
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.uses.compensation import Compensation, compensator
 from lightmatrix.uses.separation import separate
+from lightmatrix.uses.shape_picture import depth_map, normal_colours
+from lightmatrix.uses.triangulation import triangulate
 
 # Larger cameras are left out. This many camera samples (512 x 512) take 11 s of one processor core,
 # nearly all of it for the separation, in proportion to their number.
@@ -20,18 +28,23 @@ _MOST_SAMPLES = 1 << 18
 
 
 def uses(facts: Facts) -> Section:
-    """Direct and global light, and a picture with and without compensation."""
+    """Direct and global light, a picture with and without compensation, depth and normals."""
     lead = "What this T is good for, under patterns that were never projected."
     transport = facts.transport
     if transport.shape[0] > _MOST_SAMPLES:
         elements: tuple[Element, ...] = (
             Text(
-                "For a camera of this size, use `lightmatrix separate SCENE.zarr -o FOLDER` "
-                "and `lightmatrix compensate SCENE.zarr WANTED.png -o PATTERN.png`."
+                "For a camera of this size, use `lightmatrix separate SCENE.zarr -o FOLDER`, "
+                "`lightmatrix compensate SCENE.zarr WANTED.png -o PATTERN.png` and "
+                "`lightmatrix triangulate SCENE.zarr --geometry RIG.json -o CLOUD.ply`."
             ),
         )
     else:
-        elements = (*_separated(transport), *_compensated(transport))
+        elements = (
+            *_separated(transport),
+            *_compensated(transport),
+            *_triangulated(transport, facts.geometry),
+        )
     return Section("uses", "Uses", lead, elements)
 
 
@@ -96,6 +109,40 @@ def _compensated(transport: LightTransport) -> tuple[Element, ...]:
                 found.predicted, "The compensated chart", "Compensated", white=level, exact=True
             ),
             pattern_image(found.patterns[0], "The pattern of the compensated chart", "Its pattern"),
+        )
+    )
+
+
+def _triangulated(transport: LightTransport, geometry: RigGeometry | None) -> tuple[Element, ...]:
+    """Maps of depth and normals, if the geometry of the rig is known."""
+    if geometry is None:
+        return (
+            Text(
+                "With the geometry of the rig, T gives the shape of the scene: "
+                "`lightmatrix calibrate` measures it, `lightmatrix triangulate` uses it, and "
+                "`--geometry` shows depth and normals here."
+            ),
+        )
+    shape = triangulate(transport, geometry)
+    if not shape.kept.any():
+        return (Text("No camera pixel sees light on its epipolar line, so there is no shape."),)
+    summary = shape.summary()
+    units = f" {geometry.units}" if geometry.units else ""
+    text = (
+        f"The surface that the camera sees. {percent(float(shape.kept.mean()))} of the camera "
+        f"pixels have a depth; its median is {summary['median_depth']:.4g}{units}, with a standard "
+        f"deviation of {summary['median_uncertainty']:.2g}{units}. `lightmatrix triangulate` "
+        "writes points, normals and a mesh."
+    )
+    return Text(text), Gallery(
+        (
+            image_of_map(depth_map(shape.depth, geometry.units), "Grey: no depth."),
+            colour_image(
+                normal_colours(shape.camera_normals),
+                "Map over the camera of the normals of the surface as colours",
+                "Normals",
+                "Right, up and towards the camera are red, green and blue. Grey: no normal.",
+            ),
         )
     )
 

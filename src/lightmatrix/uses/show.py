@@ -1,4 +1,7 @@
-"""`lm.show` and `lm.write_pictures`: views of T as pictures or numbers, and their files."""
+"""`lm.show` and `lm.write_pictures`: views of T as pictures or numbers, and their files.
+
+Views of the shape need the geometry of the rig.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +16,8 @@ from numpy.typing import NDArray
 from lightmatrix import store
 from lightmatrix.errors import InputError
 from lightmatrix.files.colours import holds_colour
-from lightmatrix.files.images import fill_image, write_image
+from lightmatrix.files.images import fill_image
+from lightmatrix.geometry.rig_geometry import RigGeometry
 from lightmatrix.outputs.kinds import IMAGE, NUMBERS, NUMBERS_MARK, PICTURES
 from lightmatrix.outputs.markers import FileKind
 from lightmatrix.outputs.writing import atomic_file, atomic_folder, check_output
@@ -24,6 +28,9 @@ from lightmatrix.store.colour_stores import open_colour
 from lightmatrix.transport.colour import ColourTransport
 from lightmatrix.transport.correspondence import correspondence
 from lightmatrix.transport.matrix import LightTransport
+from lightmatrix.uses.shape import Shape
+from lightmatrix.uses.shape_picture import depth_map, normals_picture
+from lightmatrix.uses.triangulation import triangulate
 
 Numbers = Mapping[str, NDArray[Any]]
 # Format version of the .npz files.
@@ -37,6 +44,8 @@ class _View:
     picture: Callable[..., Picture]
     numbers: Callable[..., Numbers]
     needs: str = ""
+    # Whether it shows the shape in place of T, which takes the geometry of the rig.
+    of_shape: bool = False
 
 
 def _values(make: Callable[[LightTransport], maps.Map]) -> Callable[[LightTransport], Numbers]:
@@ -46,6 +55,10 @@ def _values(make: Callable[[LightTransport], maps.Map]) -> Callable[[LightTransp
 def _correspondence(transport: LightTransport) -> Numbers:
     matches = correspondence(transport)
     return {"pixel": matches.pixel, "place": matches.place, "confidence": matches.confidence}
+
+
+def _depth(shape: Shape) -> maps.Map:
+    return depth_map(shape.depth, shape.geometry.units)
 
 
 VIEWS: dict[str, _View] = {
@@ -62,17 +75,28 @@ VIEWS: dict[str, _View] = {
         _values(maps.estimated_error_map),
         needs="estimated_error",
     ),
+    "depth": _View(
+        lambda shape: diagnostics.draw(_depth(shape)),
+        lambda shape: {"values": shape.depth},
+        of_shape=True,
+    ),
+    "normals": _View(
+        lambda shape: normals_picture(shape.camera_normals),
+        lambda shape: {"values": shape.normals},
+        of_shape=True,
+    ),
 }
 # Views of one row or column, and how many numbers their index may have.
 _INDEXED = {"row": (2, 3), "column": (2,)}
 # Maps over the whole camera, which `lightmatrix info` writes.
-_OVERVIEW = tuple(name for name in VIEWS if name not in (*_INDEXED, "dual", "spectrum"))
+_OVERVIEW = ("correspondence", *(name for name, view in VIEWS.items() if view.needs))
 
 
 def show(
     transport: LightTransport | ColourTransport | str | Path,
     view: str,
     *index: int,
+    geometry: RigGeometry | str | Path | None = None,
     output: str | Path | None = None,
     raw: bool = False,
     overwrite: bool = False,
@@ -87,11 +111,13 @@ def show(
     view : str
         "row" and "column" of T; "dual", the scene seen from the projector; "correspondence", the
         projector pixel that each camera pixel sees most; "spectrum", the 50 largest singular
-        values; or a diagnostic of an estimate:
-        "clipping", "gap", "footprint" or "estimated-error" (the estimated error).
+        values; a diagnostic of an estimate: "clipping", "gap", "footprint" or "estimated-error"
+        (the estimated error); or "depth" and "normals" of the surface, as `triangulate` finds them.
     index : int
         For a row: row and column of the camera pixel and, for a colour camera, channel. For a
         column: row and column of the projector pixel. Other views have no index.
+    geometry : RigGeometry, str or Path, optional
+        Where camera and projector stand, or its file. Depth and normals need it, no other view.
     output : str or Path, optional
         File to write: .png for the picture; .npz for its numbers (``values``, or ``pixel``,
         ``place`` and ``confidence`` of `Correspondence`); .tiff, .exr or .npy for its values as
@@ -110,7 +136,8 @@ def show(
     Raises
     ------
     InputError
-        On an unknown view, a wrong index, or a diagnostic that the matrix does not have.
+        On an unknown view, a wrong index, a diagnostic that the matrix does not have, or depth and
+        normals without a geometry of these images.
     OutputError
         If the file cannot be written.
 
@@ -122,6 +149,8 @@ def show(
     >>> picture = lm.show(known, "correspondence", output="map.npz")
     >>> np.load("map.npz")["place"].shape
     (64, 64, 2)
+    >>> known = lm.truth("metal")
+    >>> picture = lm.show(known.transport(), "depth", geometry=known.geometry, output="depth.tiff")
     """
     if view not in VIEWS:
         raise InputError(f"there is no view {view!r}", hint=f"use one of {', '.join(VIEWS)}")
@@ -131,13 +160,24 @@ def show(
             f"the view {view} with the index {', '.join(map(str, index)) or 'of no pixel'}",
             hint=f"it takes {needs}",
         )
+    of_shape = VIEWS[view].of_shape
+    if of_shape != (geometry is not None):
+        raise InputError(
+            f"the view {view} {'without' if of_shape else 'with'} a geometry",
+            hint="depth and normals need the geometry of the rig, a file of `calibrate`; no other "
+            "view takes one",
+        )
     if output is not None:
         _check_format(view, Path(output), raw)
         check_output(output, _kind(output), overwrite=overwrite)
-    matrix = _opened(transport, view)
-    drawing = VIEWS[view].picture(matrix, *index)
+    shown: LightTransport | Shape
+    if geometry is not None:
+        shown = triangulate(transport, geometry)
+    else:
+        shown = _opened(transport, view)
+    drawing = VIEWS[view].picture(shown, *index)
     if output is not None:
-        _write(matrix, view, index, drawing, Path(output), raw=raw, overwrite=overwrite)
+        _write(shown, view, index, drawing, Path(output), raw=raw, overwrite=overwrite)
     return drawing
 
 
@@ -217,7 +257,7 @@ def _check_format(view: str, output: Path, raw: bool) -> None:
 
 
 def _write(
-    transport: LightTransport,
+    shown: LightTransport | Shape,
     view: str,
     index: tuple[int, ...],
     drawing: Picture,
@@ -228,18 +268,20 @@ def _write(
 ) -> None:
     suffix = output.suffix.lower()
     if suffix == ".npz":
-        numbers = VIEWS[view].numbers(transport, *index)
+        numbers = VIEWS[view].numbers(shown, *index)
         with atomic_file(output, NUMBERS, overwrite=overwrite) as part, part.open("wb") as stream:
             # The mark comes first, so that even a truncated file is recognised.
             marked: dict[str, Any] = {NUMBERS_MARK: np.array(_VERSION), **numbers}
             np.savez_compressed(stream, **marked)
     elif suffix != ".png":
-        values = VIEWS[view].numbers(transport, *index)["values"]
-        write_image(output, values, overwrite=overwrite)
+        values = VIEWS[view].numbers(shown, *index)["values"]
+        with atomic_file(output, IMAGE, overwrite=overwrite) as part:
+            # A pixel may have no value, such as no depth.
+            fill_image(part, values, missing=True)
     else:
         with atomic_file(output, IMAGE, overwrite=overwrite) as part:
-            if raw:
-                fill_image(part, correspondence(transport).levels())
+            if raw and isinstance(shown, LightTransport):
+                fill_image(part, correspondence(shown).levels())
             else:
                 _save(drawing, part)
 
