@@ -211,7 +211,10 @@ from .uses.show import (
     show as show,
     write_pictures as write_pictures,
 )
-from .uses.triangulation import triangulate as triangulate
+from .uses.triangulation import (
+    geometry_of as geometry_of,
+    triangulate as triangulate,
+)
 from .uses.separation import (
     Separation as Separation,
     separate as separate,

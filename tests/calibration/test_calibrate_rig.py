@@ -182,3 +182,20 @@ def test_the_command(
     words[3] = "wide"
     assert main(["calibrate", *folders, *words, "--overwrite"]) == 2
     assert "--square wide" in capsys.readouterr().err
+
+
+def test_a_pose_under_random_patterns_has_the_same_corners(
+    captures: list[lm.SimulatedCapture],
+) -> None:
+    rig = board_rig()
+    random = lm.BernoulliPatterns(rig.projector_shape, 24, seed=0)
+    measured = lm.calibrate_rig(
+        [*captures[:3], board_capture(rig, POSES[3], random)], BOARD, SQUARE, units="mm"
+    )
+    usual = lm.calibrate_rig(captures, BOARD, SQUARE, units="mm")
+    one, other = measured.poses[3], usual.poses[3]
+    assert one.used.all()
+    assert np.abs(one.camera - other.camera).max() < 0.3
+    away = np.linalg.norm(one.projector - other.projector, axis=1)
+    assert np.sqrt((away**2).mean()) < 0.25
+    assert measured.geometry.rms["stereo"] < 0.2

@@ -86,6 +86,9 @@ def test_the_commands_of_a_page_work(
     capture = lm.simulate(truth, lm.BernoulliPatterns((32, 32), 24))
     capture.save("capture")
     lm.estimate(capture, coherent=False, output="scene.zarr")
+    camera = np.array([[30.0, 0, 16, 0], [0, 30, 12, 0], [0, 0, 1, 0]])
+    projector = np.array([[30.0, 0, 16, -9], [0, 30, 16, 0], [0, 0, 1, 0]])
+    lm.RigGeometry.from_matrices(camera, projector, (24, 32), (32, 32)).save("rig.json")
     if name == "colour":
         _in_colour(capture)
     text = (ROOT / "docs" / f"{name}.md").read_text()

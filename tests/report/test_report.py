@@ -94,7 +94,7 @@ def test_depth_and_normals_are_shown_where_the_geometry_is_known(
     assert known.geometry is not None
     monkeypatch.chdir(tmp_path)
     known.geometry.save("rig.json")
-    coarse(known, 2).save("T.npz")
+    coarse(known, 2).save(tmp_path / "T.npz")
     for line in (
         "patterns bernoulli -k 24 --size 32x32 -o patterns",
         "simulate T.npz --patterns patterns --exposure 0.5 -o capture",

@@ -27,7 +27,6 @@ from lightmatrix.cli.terminal import progress, say, show_json, show_table, warn
 from lightmatrix.errors import InputError
 from lightmatrix.outputs.kinds import REPORT, STORE
 from lightmatrix.transport.labels import labelled
-from lightmatrix.uses.triangulation import geometry_of
 
 if TYPE_CHECKING:
     from lightmatrix import (
@@ -268,7 +267,7 @@ def estimate(
             claim(report, REPORT, overwrite=overwrite)
     capture = whole.bin(projector=size(bin_projector), camera=size(bin_camera))
     # A geometry of other images is named before the estimate, which takes longer.
-    rig = None if geometry is None else geometry_of(capture, geometry)
+    rig = None if geometry is None else lm.geometry_of(capture, geometry)
     resources = lm.estimate_resources(capture, settings)
     if dry_run:
         _show_resources(resources, as_json)

@@ -146,12 +146,32 @@ def epipolar_lines(geometry: RigGeometry, camera: NDArray[np.float64]) -> NDArra
 def geometry_of(
     source: LightTransport | Correspondence | Capture, geometry: RigGeometry | str | Path
 ) -> RigGeometry:
-    """The geometry, or that of its file, scaled to the images of T, matches or a capture.
+    """Scale the geometry of a rig to the images of T, of a correspondence or of a capture.
+
+    Parameters
+    ----------
+    source : LightTransport, Correspondence or Capture
+        What the geometry is needed for.
+    geometry : RigGeometry, str or Path
+        Where camera and projector stand, or its file.
+
+    Returns
+    -------
+    RigGeometry
+        The geometry of images of these sizes. It is scaled by whole factors, as `Capture.bin` does.
 
     Raises
     ------
     InputError
         If it belongs to other images, or the file holds no geometry.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> known = lm.truth("metal")
+    >>> capture = lm.simulate(known, lm.BernoulliPatterns((64, 64), 8)).bin(camera=2)
+    >>> lm.geometry_of(capture, known.geometry).camera_shape
+    (32, 32)
     """
     rig = geometry if isinstance(geometry, RigGeometry) else RigGeometry.load(geometry)
     if isinstance(source, Correspondence):

@@ -3,8 +3,15 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
+
+import numpy as np
+
+import lightmatrix as lm
+from lightmatrix.capture.folder import write_capture
 
 from ..case import Case
+from ..checks import holds
 from ..put import copy, text
 
 TRIANGULATE = "triangulate scene.zarr --geometry rig.json -o new.ply"
@@ -57,10 +64,53 @@ FILES: dict[str, tuple[str | bytes, str]] = {
 }
 
 
+def _boards_without_projector(folder: Path) -> None:
+    """Three poses of a board of 4 x 3 corners in the light of the room."""
+    code = lm.make_patterns("graycode", (8, 8), inverse=True)
+    row, col = np.indices((60, 70)) // 10
+    board = np.where((row + col) % 2, 40, 200).astype(np.uint8)
+    board[:10], board[-10:], board[:, :10], board[:, -10:] = 200, 200, 200, 200
+    for pose in ("one", "two", "three"):
+        frames = np.tile(board, (code.count, 1, 1))
+        write_capture(folder / pose, code, frames, sensor=lm.Sensor())
+
+
 def _files() -> list[Case]:
     return [
         Case(f"a geometry that is {name}", TRIANGULATE, says, text("rig.json", content))
         for name, (content, says) in FILES.items()
+    ]
+
+
+def _views() -> list[Case]:
+    """The geometry in other commands; one of larger images is scaled."""
+    other = text("rig.json", _geometry(camera_shape=[12, 10]))
+    return [
+        Case(
+            "a geometry of images that are twice as large",
+            TRIANGULATE,
+            prepare=text("rig.json", _geometry(camera_shape=[16, 16], projector_shape=[16, 16])),
+            code=0,
+            check=holds("new.ply"),
+        ),
+        Case(
+            "depth of a camera of another size",
+            "show scene.zarr --depth --geometry rig.json -o new.png",
+            "12 x 10",
+            other,
+        ),
+        Case("depth without a geometry", "show scene.zarr --depth -o new.png", "geometry"),
+        Case(
+            "a report with a geometry of another camera",
+            "estimate capture -o new.zarr --report new --geometry rig.json",
+            "12 x 10",
+            other,
+        ),
+        Case(
+            "a report with a geometry that is a photograph",
+            "estimate capture -o new.zarr --report new --geometry holiday.jpg",
+            "holiday.jpg",
+        ),
     ]
 
 
@@ -69,6 +119,12 @@ def _poses() -> list[Case]:
     again = copy("capture", "again")
     return [
         Case("poses without a board", CALIBRATE.format(several), "no board of 9 x 7", again),
+        Case(
+            "a board that only the camera sees",
+            CALIBRATE.format("one two three").replace("9x7", "4x3"),
+            "the projector lights only 0 of its 12 corners",
+            _boards_without_projector,
+        ),
         Case("too few poses", CALIBRATE.format("capture lit"), "2 usable poses"),
         Case("a pose that is missing", CALIBRATE.format("nowhere capture lit"), "nowhere"),
         Case(
@@ -118,4 +174,4 @@ def _codes() -> list[Case]:
 # What its cases need of the work folder.
 NEEDS = ("capture", "lit", "scene.zarr", "holiday.jpg")
 
-CASES = [*_files(), *_poses(), *_codes()]
+CASES = [*_files(), *_views(), *_poses(), *_codes()]
