@@ -207,3 +207,18 @@ def test_binned_captures_scale_the_geometry_and_others_are_refused() -> None:
     with pytest.raises(InputError, match="projector images of 64 x 100 pixels, but these") as bad:
         lm.triangulate(matrix, other)
     assert "calibrate at their size" in (bad.value.hint or "")
+
+
+def test_rows_that_state_an_error_of_all_their_light_give_no_depth() -> None:
+    known = lm.truth("corner")
+    assert known.geometry is not None
+    plain = known.transport()
+    stated = np.full(plain.shape[0], 0.1, np.float32)
+    stated[70], stated[71], stated[72] = 1.2, 0.5, np.nan
+    told = replace(plain, diagnostics={"estimated_error": stated})
+    for strict, uncertain in ((False, [70]), (True, [70, 71])):
+        without = lm.triangulate(plain, known.geometry, strict=strict)
+        shape = lm.triangulate(told, known.geometry, strict=strict)
+        changed = np.flatnonzero((shape.test != without.test).ravel())
+        np.testing.assert_array_equal(changed, uncertain)
+        assert (shape.test.ravel()[changed] == lm.ShapeTest.UNCERTAIN).all()

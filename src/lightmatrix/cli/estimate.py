@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -12,6 +11,7 @@ import typer
 import lightmatrix as lm
 from lightmatrix.cli.claims import claim, say_what_is_kept
 from lightmatrix.cli.estimate_colour import estimate_colour, in_colour
+from lightmatrix.cli.estimate_report import write_report
 from lightmatrix.cli.options import (
     ADMM_ITERATIONS,
     AUTO,
@@ -242,12 +242,6 @@ def estimate(
         workers=workers,
         cluster=cluster,
     )
-    if geometry is not None and report is None:
-        raise InputError(
-            "--geometry without --report",
-            hint="add --report, which shows depth and normals; or run `lightmatrix triangulate` "
-            "on the estimate",
-        )
     # A mistyped input is named first, whatever the output.
     whole = source.open()
     if in_colour(whole):
@@ -255,7 +249,7 @@ def estimate(
             whole.bin(projector=size(bin_projector), camera=size(bin_camera)),
             Path("scene") if output == _OUTPUT else output,
             settings,
-            {"--report": report, "--viewer": viewer, "--dry-run": dry_run},
+            {"--report": report, "--viewer": viewer, "--dry-run": dry_run, "--geometry": geometry},
             check=check,
             overwrite=overwrite,
             as_json=as_json,
@@ -266,8 +260,7 @@ def estimate(
         if report is not None:
             claim(report, REPORT, overwrite=overwrite)
     capture = whole.bin(projector=size(bin_projector), camera=size(bin_camera))
-    # A geometry of other images is named before the estimate, which takes longer.
-    rig = None if geometry is None else lm.geometry_of(capture, geometry)
+    rig = _geometry(capture, geometry, report)
     resources = lm.estimate_resources(capture, settings)
     if dry_run:
         _show_resources(resources, as_json)
@@ -292,7 +285,7 @@ def estimate(
     seconds = round(time.perf_counter() - started, 2)
     outcome: dict[str, Any] | None = None
     if report is not None:
-        outcome = _report(
+        outcome = write_report(
             report, output, source, transport, capture, settings, findings, viewer, rig, overwrite
         )
     if outcome is None:
@@ -313,6 +306,19 @@ def estimate(
     _show_summary(output, transport, verbose)
     if report is not None:
         say(f"report: {(report / 'report.html').absolute()}")
+
+
+def _geometry(capture: Capture, geometry: Path | None, report: Path | None) -> RigGeometry | None:
+    """The geometry for the report; one of other images is named before the estimate begins."""
+    if geometry is None:
+        return None
+    if report is None:
+        raise InputError(
+            "--geometry without --report",
+            hint="add --report, which shows depth and normals; or run `lightmatrix triangulate` "
+            "on the estimate",
+        )
+    return lm.geometry_of(capture, geometry)
 
 
 def _show_summary(output: Path, transport: LightTransport, verbose: bool) -> None:
@@ -368,46 +374,6 @@ def _with_known_response(
     found = lm.find_response(capture, settings)
     warn(f"response: {found}")
     return found.applied_to(capture), found
-
-
-def _report(
-    folder: Path,
-    store: Path,
-    source: Source,
-    transport: LightTransport,
-    capture: Capture,
-    settings: EstimateSettings,
-    findings: list[Finding],
-    viewer: bool,
-    geometry: RigGeometry | None,
-    overwrite: bool,
-) -> dict[str, Any]:
-    """Write the report, with the truth if `simulate` left it beside the frames."""
-    with progress("predicting held-out photographs", "rows") as step:
-        return lm.report(
-            folder,
-            transport,
-            capture,
-            truth=_truth(source.folder, transport),
-            # The report solves a small part of the camera, for which this process suffices.
-            estimator=replace(settings, workers=None, cluster=None),
-            title=store.name,
-            findings=findings,
-            viewer=viewer,
-            geometry=geometry,
-            overwrite=overwrite,
-            progress=step,
-        )
-
-
-def _truth(folder: Path | None, transport: LightTransport) -> LightTransport | None:
-    """The true T, if `simulate` wrote it and the capture was not binned."""
-    file = None if folder is None else folder / "truth.npz"
-    if file is None or not file.is_file():
-        return None
-    known = lm.truth(str(file)).transport().cropped_like(transport)
-    shapes = (known.camera_shape, known.projector_shape)
-    return known if shapes == (transport.camera_shape, transport.projector_shape) else None
 
 
 def _regularization(text: str) -> str | float:

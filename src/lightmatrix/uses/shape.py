@@ -39,7 +39,7 @@ class ShapeTest(IntEnum):
     WEAK = 2
     # The spot lies too far from the line.
     OFF_LINE = 3
-    # The estimate states too large an error (strict only).
+    # The estimate states too large an error.
     UNCERTAIN = 4
     # The point would lie behind the camera or the projector.
     BEHIND = 5

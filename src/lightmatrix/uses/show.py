@@ -170,11 +170,8 @@ def show(
     if output is not None:
         _check_format(view, Path(output), raw)
         check_output(output, _kind(output), overwrite=overwrite)
-    shown: LightTransport | Shape
-    if geometry is not None:
-        shown = triangulate(transport, geometry)
-    else:
-        shown = _opened(transport, view)
+    matrix = _opened(transport, view)
+    shown = matrix if geometry is None else triangulate(matrix, geometry)
     drawing = VIEWS[view].picture(shown, *index)
     if output is not None:
         _write(shown, view, index, drawing, Path(output), raw=raw, overwrite=overwrite)
