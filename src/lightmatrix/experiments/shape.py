@@ -221,11 +221,11 @@ def _draw(out: Path, results: list[tuple[Case, Measured]]) -> None:
                 own = [row for row in means if row["method"] == method]
                 offset = (number - (len(methods) - 1) / 2) * width
                 at = [places.index(_place(row, means)) + offset for row in own]
-                values = [row[metric] for row in own]
+                # Nearly all pixels are right: what counts is the rest, on a logarithmic scale.
+                values = [100 - row[metric] if metric == "right" else row[metric] for row in own]
                 axes.bar(at, values, width, color=COLOURS[number], label=method)
-            axes.set_ylabel(label)
-        # Nearly all pixels are right: what counts is the rest.
-        panels[0].set_ylim(50, 100)
+            axes.set_ylabel("not right (% of lit pixels)" if metric == "right" else label)
+            axes.set_yscale("linear" if metric == "rms" else "log")
         panels[0].legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=len(methods))
         panels[-1].set_xticks(range(len(places)), places)
         save(drawing, out, "shape", ("png", "svg"))
