@@ -79,7 +79,7 @@ def show(
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
-    """Draw a row, a column, a map or a view of T, or the surface that the camera sees.
+    """Draw a row, column, map or view of T, or the surface seen.
 
     Give one of the options below. Pixels count from 0; for a colour camera, write R,C,CHANNEL.
     """
