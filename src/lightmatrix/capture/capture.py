@@ -301,7 +301,8 @@ class Capture:
 
     def window(self, rows: slice, cols: slice) -> Capture:
         """The capture of a rectangle of its binned camera pixels; slices with start and stop."""
-        (height, width), (down, across) = self.frames.shape[:2], self.bin_camera
+        height, width = self.frames.shape[:2]
+        down, across = self.bin_camera
         corner = (rows.start * down, cols.start * across)
         end = (min(rows.stop * down, height), min(cols.stop * across, width))
         whole = replace(self, bin_camera=(1, 1))
@@ -325,18 +326,17 @@ class Capture:
         InputError
             If a block is empty or the capture is binned already.
         """
-        blocks, result = (block_size(projector, "projector"), block_size(camera, "camera")), self
+        blocks = block_size(projector, "projector"), block_size(camera, "camera")
         for name, block in zip(("bin_projector", "bin_camera"), blocks, strict=True):
             if block != (1, 1) and getattr(self, name) != (1, 1):
                 raise InputError(
                     f"the capture is binned already, {getattr(self, name)}", hint="bin it once"
                 )
+        result = self
         if blocks[0] != (1, 1):
             coarse = self.patterns.coarse(blocks[0])
-            result = replace(result, patterns=coarse, bin_projector=blocks[0])
-        if blocks[1] != (1, 1):
-            result = replace(result, bin_camera=blocks[1])
-        return result
+            result = replace(self, patterns=coarse, bin_projector=blocks[0])
+        return result if blocks[1] == (1, 1) else replace(result, bin_camera=blocks[1])
 
     def select(self, frames: Sequence[int] | NDArray[np.integer]) -> Capture:
         """The capture of some frames, given by their indices."""
@@ -361,7 +361,7 @@ class Capture:
 
     @cached_property
     def reader(self) -> Reader:
-        """The reader, which decodes frames and keeps their levels."""
+        """The reader, which decodes the frames and keeps the levels that it has read."""
         return Reader(self.frames, self.decoder, self.mask, self.bin_camera)
 
     @property

@@ -40,9 +40,9 @@ _MOST_FRAMES = 192
 # A row counts as predicted if less than 40 % of its variance is missed, and if at least 8 of its
 # samples can be compared.
 _MOST_MISSED, _FEWEST_TRUSTED = 0.4, 8
-# A sample cannot be predicted if its own frame alone shows what it sees: where a fitted sample
-# leaves to the others less than a tenth, or than a quarter of what samples of its row usually do.
-# Of few frames all leave less than a tenth; then half of the usual is enough. Chosen on intact
+# The other frames cannot tell of a sample if the fit follows it nearly alone. The share of a sample
+# that the fit leaves to the others must exceed a tenth, and a quarter of the median share of its
+# row. With few frames that median is below a tenth; then half of it is enough. Chosen on intact
 # captures of 15 scenes under 13 kinds of patterns (`benchmarks/synthetic_captures.py`).
 _LEFT, _OF_MUCH, _OF_LITTLE = 0.1, 0.25, 0.5
 

@@ -87,7 +87,7 @@ def find_line_spots(
 
     cuts = row_blocks(matrix.indptr, ENTRIES).tolist()
     with ThreadPoolExecutor(_THREADS) as threads:
-        # The list passes on what a thread raised.
+        # `list` raises what a thread raised.
         list(threads.map(find, cuts[:-1], cuts[1:]))
     return LineSpots(place, light, total + np.maximum(background, 0))
 
