@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 import lightmatrix as lm
 from benchmarks.synthetic_captures import draw
+from lightmatrix.estimators.coherent import held_out
 from lightmatrix.estimators.coherent.held_out import HeldOut
 from lightmatrix.estimators.coherent.row_errors import held_out_frames
 from lightmatrix.evaluation.doubts import estimated_error
@@ -51,6 +52,22 @@ def test_nothing_is_held_out_where_that_tests_nothing() -> None:
         held = HeldOut.choose(patterns)
         assert not len(held.frames)
         assert not len(held.judged)
+
+
+@pytest.mark.parametrize("count", [16, 64])
+def test_as_few_are_judged_as_asked(count: int) -> None:
+    held = HeldOut.choose(lm.BernoulliPatterns((16, 16), count, seed=2), judged=4)
+    assert len(held.judged) == min(4, count // 8)
+    assert set(held.judged) <= set(held_out_frames(count))
+
+
+def test_of_many_frames_the_twins_are_still_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    base = lm.BernoulliPatterns((16, 16), 64, seed=1).rows(0, 64).reshape(64, 16, 16)
+    many = images(np.concatenate([base, base]))
+    monkeypatch.setattr(held_out, "_COMPARED", 32)
+    held = HeldOut.choose(many, judged=4)
+    assert len(held.frames) == 2 * len(held.judged) == 4
+    assert set(held.frames % 64) == set(held.judged % 64)
 
 
 @pytest.mark.parametrize("patterns", ["shown twice", "shown four times", "with inverses"])

@@ -306,17 +306,36 @@ def test_large_cameras_are_tested_on_a_part(
     assert 50 < seen[0].rows <= 100
 
 
-def test_patterns_that_are_sums_of_others_are_not_held_out() -> None:
+class _Untouched:
+    def estimate(self, capture: lm.Capture, *, progress: Any = None) -> lm.LightTransport:
+        raise AssertionError("nothing can be tested")
+
+
+def test_photographs_that_follow_from_others_are_not_predicted() -> None:
+    truth = ProceduralScene((8, 8), (16, 16), seed=1, bounces=1).truth()
     stripes = np.stack([(np.arange(16) >> bit & 1) * np.ones((16, 1)) for bit in range(4)])
     gray = np.concatenate([stripes, 1 - stripes, np.ones((1, 16, 16))]).astype(np.float32)
-    reason = validation.choose_frames(lm.ImagePatterns(gray))
-    assert isinstance(reason, str)
-    assert "sum of others" in reason
-    random = lm.BernoulliPatterns((16, 16), 64)
-    chosen = validation.choose_frames(random)
-    assert not isinstance(chosen, str)
-    assert len(set(chosen)) == 4
-    assert isinstance(validation.choose_frames(lm.BernoulliPatterns((16, 16), 7)), str)
+    base = lm.BernoulliPatterns((16, 16), 2).rows(0, 2).reshape(2, 16, 16)
+    twice = np.repeat(base, 8, axis=0)
+    for patterns in (lm.ImagePatterns(gray), lm.ImagePatterns(twice)):
+        simulated = lm.simulate(truth, patterns)
+        assert "whatever T is" in str(validation.validate(simulated, _Untouched()))
+    few = lm.simulate(truth, lm.BernoulliPatterns((16, 16), 7))
+    assert validation.validate(few, _Untouched()) == "7 photographs are too few to hold any out"
+
+
+def test_what_explains_an_unseen_photograph_is_not_seen_either() -> None:
+    truth = ProceduralScene((8, 8), (16, 16), seed=1, bounces=1).truth()
+    base = lm.BernoulliPatterns((16, 16), 16).rows(0, 16).reshape(16, 16, 16)
+    pairs = lm.ImagePatterns(np.stack([base, 1 - base], axis=1).reshape(-1, 16, 16))
+    capture = lm.simulate(truth, pairs)
+    estimator = _Known(truth.transport())
+    tested = validation.validate(capture, estimator)
+    assert isinstance(tested, validation.Validation)
+    assert tested.others == estimator.seen[0].count == 32 - 2 * len(tested.frames)
+    seen = np.stack([estimator.seen[0].frame(k) for k in range(tested.others)])
+    unseen = np.stack([capture.frame(int(k) ^ 1) for k in tested.frames])
+    assert not any((seen == inverse).all(axis=(1, 2)).any() for inverse in unseen)
 
 
 # ---- recommendations

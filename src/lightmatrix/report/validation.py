@@ -16,23 +16,15 @@ from numpy.typing import NDArray
 from lightmatrix.capture.capture import Capture
 from lightmatrix.errors import LightMatrixError
 from lightmatrix.estimators.choice import choose_estimator
+from lightmatrix.estimators.coherent.held_out import HeldOut
+from lightmatrix.estimators.coherent.row_errors import FEWEST
 from lightmatrix.estimators.settings import EstimateSettings
 from lightmatrix.estimators.work import Progress
-from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.transport.matrix import LightTransport
 
-# One frame of 16 is held out, at most 4, and none of fewer than 8 frames. Chosen by hand: the
-# second estimate needs nearly all frames.
-_ONE_OF, _MOST = 16, 4
-_FEWEST = 8
-# A frame is held out only if the other patterns leave more than this share of its pattern's
-# contrast unexplained. Random patterns leave nearly all of it, sums of other patterns nothing.
-# Chosen by hand.
-_NEW = 0.2
-# That share is computed from this many projector pixels and at most about this many frames, which
-# bounds it to 32 MiB.
-_SAMPLED_PIXELS = 4096
-_NEIGHBOURS = 1024
+# At most this many unseen photographs are shown and predicted. Chosen by hand: a second estimate
+# needs nearly all frames.
+_MOST = 4
 # Cameras of more samples are tested on a rectangle of about this many, as the docs say.
 MOST_ROWS = 16_384
 
@@ -76,12 +68,15 @@ def validate(
     Cameras of more than 16,384 samples are tested on a rectangle of about as many, around the
     middle of their light.
     """
-    frames = choose_frames(capture.patterns)
-    if isinstance(frames, str):
-        return frames
+    held = HeldOut.choose(capture.patterns, judged=_MOST)
+    frames = held.judged
+    if capture.count < FEWEST:
+        return f"{capture.count} photographs are too few to hold any out"
+    if not len(frames):
+        return "each photograph is needed, or follows from others whatever T is (as in a Gray code)"
     region = _region(capture, frames)
     tested = capture if region is None else capture.window(*region)
-    others = np.setdiff1d(np.arange(capture.count), frames)
+    others = np.setdiff1d(np.arange(capture.count), held.frames)
     try:
         seen = tested.select(others)
         if isinstance(estimator, EstimateSettings):
@@ -118,46 +113,6 @@ def validate(
         len(others),
         region,
     )
-
-
-def choose_frames(patterns: PatternSet) -> NDArray[np.int64] | str:
-    """Frames to hold out, spread over the capture; or the reason why there are none.
-
-    If a pattern is a sum of others (as in a Gray code), so is its photograph, whatever T is:
-    predicting it would test nothing.
-    """
-    count = patterns.count
-    if count < _FEWEST:
-        return f"{count} photographs are too few to hold one out"
-    wanted = int(np.clip(count // _ONE_OF, 1, _MOST))
-    # Several candidates for each wanted frame, evenly spread.
-    candidates = np.linspace(0, count - 1, min(count, 8 * wanted + 2)).astype(np.int64)
-    candidates = np.unique(candidates[1:-1])
-    new = candidates[_unexplained(patterns, candidates) > _NEW]
-    if not len(new):
-        return (
-            "every pattern is a sum of others (as in a Gray code, where each is white minus its "
-            "inverse), and so is its photograph, whatever T is"
-        )
-    spread = np.linspace(0, len(new) - 1, wanted + 2)[1:-1].round().astype(np.int64)
-    return np.unique(new[spread])
-
-
-def _unexplained(patterns: PatternSet, frames: NDArray[np.int64]) -> NDArray[np.float64]:
-    """The share of each pattern's contrast that no linear combination of the others explains."""
-    count = patterns.count
-    pixels = np.random.default_rng(0).permutation(patterns.pixels)[:_SAMPLED_PIXELS]
-    # Inverse patterns have neighbouring numbers, so the neighbour of each frame is included.
-    step = -(-count // _NEIGHBOURS)
-    compared = np.union1d(np.arange(0, count, step), np.concatenate([frames, frames ^ 1]))
-    compared = compared[compared < count]
-    values = patterns.columns(np.sort(pixels))[compared].astype(np.float64)
-    contrast = np.square(values - values.mean(axis=1, keepdims=True)).sum(axis=1)
-    gram = values @ values.T
-    ridge = 1e-9 * np.trace(gram) / len(gram)
-    residual = 1 / np.diag(np.linalg.inv(gram + ridge * np.eye(len(gram))))
-    share = np.divide(residual, contrast, out=np.zeros_like(residual), where=contrast > 0)
-    return np.asarray(share[np.searchsorted(compared, frames)])
 
 
 def _region(capture: Capture, frames: NDArray[np.int64]) -> tuple[slice, slice] | None:

@@ -20,6 +20,9 @@ from lightmatrix.patterns.pattern_set import PatternSet
 _NEW = 0.5
 # At most a quarter of the frames is held out: the rows need the others. Chosen by hand.
 _MOST = 4
+# Of more frames, only about this many that are most like those to hold out are compared, which
+# bounds the time to a few seconds.
+_COMPARED = 1024
 # The contrast is computed from this many projector pixels, or from four for each frame.
 _SAMPLED_PIXELS, _PIXELS_PER_FRAME = 4096, 4
 # Patterns whose squared cosine exceeds this are the same, or inverses of each other.
@@ -42,16 +45,29 @@ class HeldOut:
     judged: NDArray[np.int64]
 
     @classmethod
-    def choose(cls, patterns: PatternSet) -> HeldOut:
-        """The frames to hold out of some patterns; none if they could test nothing."""
+    def choose(cls, patterns: PatternSet, judged: int | None = None) -> HeldOut:
+        """The frames to hold out of some patterns; none if they could test nothing.
+
+        About every eighth frame is judged, or as few as `judged`, which is at least 2.
+        """
         nothing = np.zeros(0, np.int64)
         usual = held_out_frames(patterns.count)
         # A code of stripes needs each of its bits, so nothing can be held out.
         if not len(usual) or is_separable(patterns):
             return cls(nothing, nothing)
+        if judged is not None and judged < len(usual):
+            usual = usual[np.linspace(0, len(usual) - 1, judged + 2)[1:-1].round().astype(int)]
         values = _values(patterns)
+        compared = _most_alike(values, usual)
+        chosen = cls._among(values[compared], np.searchsorted(compared, usual))
+        return cls(compared[chosen.frames], compared[chosen.judged])
+
+    @classmethod
+    def _among(cls, values: NDArray[np.float64], usual: NDArray[np.int64]) -> HeldOut:
+        """The frames to hold out of centred patterns, (K, n), if these are the usual ones."""
+        nothing = np.zeros(0, np.int64)
         gram, pixels = values @ values.T, values.shape[1]
-        most = max(patterns.count // _MOST, len(usual))
+        most = max(len(values) // _MOST, len(usual))
         firsts, groups = [int(k) for k in usual], dict[int, list[int]]()
         # Frames that were not held out in the end may explain others.
         while firsts != [*groups]:
@@ -65,6 +81,17 @@ class HeldOut:
         if len(judged) < 2 or _show_only_their_own(values, frames, judged):
             return cls(nothing, nothing)
         return cls(frames, judged)
+
+
+def _most_alike(values: NDArray[np.float64], usual: NDArray[np.int64]) -> NDArray[np.int64]:
+    """The usual frames, and all others or those that are most like one of them, in order."""
+    if len(values) <= _COMPARED:
+        return np.arange(len(values))
+    spread = np.linalg.norm(values, axis=1)
+    cosines = np.abs(values @ values[usual].T) / np.maximum(spread[:, None] * spread[usual], 1e-300)
+    each = _COMPARED // len(usual)
+    nearest = np.argpartition(-cosines, each, axis=0)[:each]
+    return np.union1d(nearest.ravel(), usual)
 
 
 def _complete(
