@@ -6,6 +6,7 @@ import math
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lightmatrix.errors import InputError
 
@@ -63,6 +64,18 @@ def check_unmasked(what: str, values: Any) -> None:
             f"{what} with {int(np.ma.getmaskarray(values).sum())} masked values",
             hint="give a plain array; which camera pixels count is said by the mask of a capture",
         )
+
+
+def real_array(what: str, values: Any) -> NDArray[Any]:
+    """The array of numbers that anything array-like holds; `what` names it if it holds others."""
+    check_unmasked(what, values)
+    try:
+        array = np.asarray(values)
+    except ValueError:
+        array = np.empty(0, object)  # Rows of different lengths.
+    if array.dtype.kind not in "buif":
+        raise InputError(f"{what} of type {array.dtype}", hint="give an array of real numbers")
+    return array
 
 
 def check_finite(what: str, values: Any) -> None:

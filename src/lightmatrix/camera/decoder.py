@@ -100,8 +100,18 @@ class Decoder:
             return None
         return np.asarray(np.asarray(self.black_frame) >= np.min(self.clip))
 
-    def check_count(self, count: int) -> None:
-        """Refuse lists of exposures or levels that do not have one number for each frame."""
+    def check_count(self, count: int, samples: int | None = None) -> None:
+        """Refuse lists of exposures or levels that do not have one number for each frame.
+
+        With `samples`, also a black frame of another size.
+        """
+        if samples is not None and self.black_frame is not None:
+            size = np.size(self.black_frame)
+            if size != samples:
+                raise InputError(
+                    f"a black frame of {size} samples for images of {samples}",
+                    hint="give one raw level for each camera sample",
+                )
         for name in ("clip", "black_level", "exposure"):
             value = np.asarray(getattr(self, name))
             if value.ndim and value.shape != (count,):

@@ -12,6 +12,8 @@ from lightmatrix.errors import InputError
 # The highest raw level that is accepted. No camera counts further; a larger number is a typing
 # error.
 MOST_LEVEL = 2.0**32
+# The least exposure. Samples are divided by it, and must stay within single precision (3e38).
+_LEAST_EXPOSURE = 1e-30
 
 
 def range_end(dtype: np.dtype[Any]) -> float:
@@ -66,5 +68,5 @@ def check_levels(
 def check_exposures(exposure: float | NDArray[Any]) -> None:
     """Refuse exposures that are not positive, finite numbers, one or one for each frame."""
     values = np.asarray(exposure, np.float64)
-    if values.ndim > 1 or not ((values > 0) & (values < np.inf)).all():
+    if values.ndim > 1 or not ((values >= _LEAST_EXPOSURE) & (values < np.inf)).all():
         raise InputError(f"an exposure of {values.min():g}", hint="use positive numbers, such as 1")

@@ -20,13 +20,12 @@ from lightmatrix.camera.samples import Samples
 from lightmatrix.camera.sensor import Sensor
 from lightmatrix.capture import summary
 from lightmatrix.capture.folder import holds_capture, read_capture, read_folders
-from lightmatrix.capture.frames import ArrayStack, CutFrames, Frames, Surroundings, cut
+from lightmatrix.capture.frames import CutFrames, Frames, Surroundings, cut, in_memory
 from lightmatrix.capture.reader import Reader
 from lightmatrix.capture.settings import ReadSettings
 from lightmatrix.errors import InputError
 from lightmatrix.patterns.grids import block_size
 from lightmatrix.patterns.pattern_set import PatternSet
-from lightmatrix.ranges import check_unmasked
 from lightmatrix.regions import Region
 from lightmatrix.reprs import html_table
 
@@ -205,11 +204,10 @@ class Capture:
         InputError
             On frames that do not fit the patterns.
         """
-        check_unmasked("frames", frames)
-        check_unmasked("a mask", mask)
+        stack, counts = in_memory(frames, mask)
         decoder = sensor.decoder() if isinstance(sensor, Sensor) else sensor
-        capture = cls(patterns, ArrayStack(frames), decoder, mask, provenance=provenance or {})
-        capture.decoder.check_count(capture.count)
+        capture = cls(patterns, stack, decoder, counts, provenance=provenance or {})
+        capture.decoder.check_count(capture.count, stack.array[0].size)
         return capture
 
     def _cut_and_binned(

@@ -22,6 +22,9 @@ from lightmatrix.patterns.pattern_set import PatternSet
 
 # Endings of JPEG files.
 JPEG = (".jpg", ".jpeg")
+# The highest level of float images whose clip level is not stated, and so 1. Noise and interpolated
+# colours reach somewhat above 1; levels of 8 bits and more reach far above 2.
+_MOST_OVERSHOOT = 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +116,11 @@ def check_depth(frames: Frames, decoder: Decoder) -> None:
     A camera of 12 bits clips at 4095. With 65535 in its place no sample would count as clipped: the
     estimate would be wrong without any sign of it.
     """
-    if not decoder.clip_assumed or frames.dtype != np.uint16:
+    if not decoder.clip_assumed:
+        return
+    if frames.dtype.kind == "f":
+        _check_float(frames)
+    if frames.dtype != np.uint16:
         return
     top = 0
     for block in level_blocks(frames):
@@ -125,6 +132,16 @@ def check_depth(frames: Frames, decoder: Decoder) -> None:
         f"the images have 16 bits, but no level above {top}: a camera that clips at {likely}?",
         hint=f'give --clip {likely}, or "clip" in capture.json; --clip 65535 if they are just dark',
     )
+
+
+def _check_float(frames: Frames) -> None:
+    """Refuse raw levels, such as 0 to 255, that were saved as float: nearly all would clip at 1."""
+    top = max(float(block.max()) for block in level_blocks(frames))
+    if top > _MOST_OVERSHOOT:
+        raise InputError(
+            f"the images are float with levels up to {top:g}, but float images clip at 1",
+            hint='give --clip LEVEL, or "clip" in capture.json, in the levels of the images',
+        )
 
 
 def read_mask(mask: str | Path | None, shape: tuple[int, ...]) -> NDArray[np.bool_] | None:

@@ -11,7 +11,9 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from lightmatrix.errors import InputError
 from lightmatrix.files.read_ahead import read_ahead
+from lightmatrix.ranges import check_finite, real_array
 from lightmatrix.regions import Region
 from lightmatrix.reprs import short_repr
 
@@ -120,6 +122,20 @@ class ArrayStack:
 
     def select(self, index: Sequence[int]) -> ArrayStack:
         return ArrayStack(self.array[list(index)])
+
+
+def in_memory(frames: Any, mask: Any) -> tuple[ArrayStack, NDArray[np.bool_] | None]:
+    """Frames and mask from anything array-like; an InputError says why they are none."""
+    array = real_array("frames", frames)
+    if array.ndim not in (3, 4) or array.size == 0:
+        raise InputError(
+            f"frames of shape {array.shape}", hint="give (K, rows, cols) or (K, rows, cols, 3)"
+        )
+    if mask is None:
+        return ArrayStack(array), None
+    values = real_array("a mask", mask)
+    check_finite("values of a mask", values)
+    return ArrayStack(array), np.asarray(values != 0)
 
 
 @dataclass(frozen=True)

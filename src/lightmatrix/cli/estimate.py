@@ -255,6 +255,7 @@ def estimate(
             as_json=as_json,
         )
         return
+    _check_report(output, report, viewer)
     if not dry_run:
         claim(output, STORE, overwrite=overwrite)
         if report is not None:
@@ -306,6 +307,17 @@ def estimate(
     _show_summary(output, transport, verbose)
     if report is not None:
         say(f"report: {(report / 'report.html').absolute()}")
+
+
+def _check_report(output: Path, report: Path | None, viewer: bool) -> None:
+    """Refuse a viewer without its report, and a report where the estimate goes."""
+    if viewer and report is None:
+        hint = "add --report, or run `lightmatrix view --export` on the estimate"
+        raise InputError("--viewer without --report", hint=hint)
+    if report is not None and output.absolute() in (report.absolute(), *report.absolute().parents):
+        raise InputError(
+            f"{report}: is where the estimate goes", hint="choose another folder for the report"
+        )
 
 
 def _geometry(capture: Capture, geometry: Path | None, report: Path | None) -> RigGeometry | None:

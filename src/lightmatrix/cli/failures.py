@@ -21,6 +21,8 @@ from lightmatrix.errors import LightMatrixError
 BAD, NO_MEMORY, BUG, STOPPED = 2, 3, 70, 130
 # What Linux says of a library that finds no room in memory.
 _NO_ROOM_FOR_LIBRARY = ("failed to map segment", "annot allocate memory", "cannot map zero-fill")
+# Variables that our libraries read when pictures are drawn, and that they refuse by a ValueError.
+_VARIABLES_OF_LIBRARIES = ("MPLBACKEND", "SOURCE_DATE_EPOCH")
 # If this variable is set, a bug prints its traceback.
 DEBUG = "LIGHTMATRIX_DEBUG"
 # Errors of a stream, such as a full disk behind standard output, that are no bug.
@@ -78,6 +80,10 @@ def _explain(error: BaseException) -> tuple[int, list[str]]:
     if isinstance(error, OSError) and error.filename is not None:
         hint = "check the name, its permissions and the free space"
         return BAD, [f"error: {error.filename}: {error.strerror or error}", hint]
+    for name in _VARIABLES_OF_LIBRARIES if isinstance(error, ValueError) else ():
+        if os.environ.get(name) and repr(os.environ[name]) in str(error):
+            message = f"the environment variable {name} cannot be {os.environ[name]!r}"
+            return BAD, [f"error: {message}", f"unset {name}, which lightmatrix does not need"]
     if os.environ.get(DEBUG):
         with suppress(OSError, ValueError):
             traceback.print_exception(error)

@@ -33,6 +33,7 @@ from lightmatrix.files.reading import check_image_size, regular_file
 from lightmatrix.files.tiff import read_tiff
 from lightmatrix.outputs.kinds import IMAGE
 from lightmatrix.outputs.writing import atomic_file
+from lightmatrix.ranges import real_array
 
 # The endings of files that are read, and their formats in words.
 READABLE = (".png", ".tif", ".tiff", ".npy", ".jpg", ".jpeg", ".bmp", ".pgm", ".exr", *RAW)
@@ -162,11 +163,12 @@ def read_light(path: str | Path) -> NDArray[np.float32]:
 def _warn_of_depth(name: str, image: NDArray[Any]) -> None:
     """Warn of a pattern of fewer bits in a file of 16, which is shown nearly black."""
     top = int(image.max())
-    if image.dtype == np.uint16 and top in HIGHEST_LEVELS:
+    if image.dtype == np.uint16 and 0 < top <= HIGHEST_LEVELS[-1]:
+        white = next(level for level in HIGHEST_LEVELS if level >= top)
         warn(
             f"{name}: has 16 bits, but no level above {top}, so that it is shown "
-            f"{65535 / top:.4g} times darker than a pattern of {top.bit_length()} bits; save it "
-            "over the full range if it is one",
+            f"{65535 / white:.4g} times darker than a pattern of {white.bit_length()} bits; "
+            "save it over the full range if it is one",
         )
 
 
@@ -174,7 +176,7 @@ def _as_light(name: str, image: NDArray[Any]) -> NDArray[np.float32]:
     if image.dtype == np.float32:
         if image.min() < 0 or image.max() > 1:
             raise InputError(
-                f"{name}: pattern values from {image.min():g} to {image.max():g}",
+                f"{name}: pattern values from {image.min():.9g} to {image.max():.9g}",
                 hint="scale the pattern to [0, 1]",
             )
         return image
@@ -230,7 +232,7 @@ def fill_image(path: Path, image: NDArray[Any], *, bits: int = 8, missing: bool 
 
     With `missing`, pixels may be NaN, which a PNG cannot hold.
     """
-    pixels = np.asarray(image)
+    pixels = real_array("an image", image)
     if pixels.ndim == 3 and pixels.shape[-1] == 1:
         pixels = pixels[..., 0]
     if pixels.ndim not in (2, 3) or pixels.size == 0 or (pixels.ndim == 3 and len(pixels.T) != 3):

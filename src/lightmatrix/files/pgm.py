@@ -37,6 +37,8 @@ def read_pgm(file: Path) -> NDArray[Any]:
     check_image_size(file, (rows, cols))
     if not 1 <= top <= 65535:
         raise ValueError(f"a largest level of {top}")
+    if top < 255:
+        raise ValueError(f"its white is {top}, not 255")
     kind = np.dtype(np.uint8 if top < 256 else ">u2")
     # One white space stands between the header and the levels.
     content = data[place + 1 :]

@@ -41,6 +41,8 @@ _BLOSC = struct.Struct("<4xIII")
 _CHECKSUM_DIGITS = 8
 # Python's words where there is no memory left for a thread, which is no damage.
 _NO_THREAD = "can't start new thread"
+# Variables of this beginning are settings of zarr-python, and wrong ones look like damage.
+_SETTINGS = "ZARR_"
 
 
 def create_array(
@@ -156,6 +158,9 @@ def as_damage_error(place: Path, hint: str) -> Iterator[None]:
         if _NO_THREAD in str(error):
             raise MemoryError(str(error)) from error
         words = " ".join(str(getattr(error, "message", error)).split())[:120]
+        settings = sorted(name for name in os.environ if name.startswith(_SETTINGS))
+        if settings:
+            hint = f"unset {' and '.join(settings)} and try again; if that does not help, {hint}"
         raise InputError(
             f"{place}: is damaged ({type(error).__name__}: {words})", hint=hint
         ) from error

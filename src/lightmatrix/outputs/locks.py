@@ -98,6 +98,7 @@ def _acquire(lock: FileLock, target: Path) -> bool:
     try:
         lock.acquire()
     except Timeout:
+        _check_place(target)
         raise _refusal(target) from None
     except OSError as error:
         if error.errno not in _UNSUPPORTED:
@@ -108,6 +109,14 @@ def _acquire(lock: FileLock, target: Path) -> bool:
         )
         return False
     return True
+
+
+def _check_place(target: Path) -> None:
+    """Refuse a place where no file can be made, such as /proc, where filelock waits in vain."""
+    file = lock_file(target)
+    with suppress(FileExistsError):
+        os.close(os.open(file, os.O_CREAT | os.O_EXCL | os.O_WRONLY))
+        file.unlink()
 
 
 def _release(lock: FileLock, target: Path) -> None:

@@ -22,6 +22,8 @@ from lightmatrix.outputs.targets import ANOTHER_NAME
 
 MARKER = ".lightmatrix"
 FORMAT, VERSION = "lightmatrix-output", 1
+# Where the marker of a folder can be: a JSON file, then the keys that lead to it inside.
+IN_FILE, IN_ZARR = (MARKER,), ("zarr.json", "attributes", "output")
 # Bytes of the largest JSON file that is read in search of a marker, far more than any marker takes.
 _MOST_BYTES = 1 << 28
 # Digests of files by what the system says of them, because an output is checked before the work
@@ -39,7 +41,7 @@ class FolderKind:
     # Permitted endings, in lower case; empty permits any.
     suffixes: tuple[str, ...] = ()
     # The JSON file that holds the marker, then the keys that lead to it inside.
-    marker: tuple[str, ...] = (MARKER,)
+    marker: tuple[str, ...] = IN_FILE
     # Ending of the folder beside the output for its running results; empty if none.
     running: str = ""
 
@@ -51,15 +53,16 @@ class FolderKind:
             )
         if not any(target.iterdir()):
             return False
-        marker = self._read(target)
-        if marker is None:
+        marker = _read_marker(target, self.marker)
+        other = _read_marker(target, IN_FILE if self.marker == IN_ZARR else IN_ZARR)
+        if marker is None and other is None:
             raise OutputError(
                 f"{shown}: is a folder that was not written by lightmatrix "
                 "(or before folders were marked)",
                 hint=f"{ANOTHER_NAME}, or remove the folder yourself",
             )
-        kind, files, digests = marker
-        if kind != self.name:
+        kind, files, digests = marker or other or ("", {}, {})
+        if marker is None or kind != self.name:
             raise OutputError(
                 f"{shown}: holds a {kind}, the output is a {self.name}",
                 hint=f"{ANOTHER_NAME}, or remove the folder yourself",
@@ -116,18 +119,6 @@ class FolderKind:
         inner.pop(self.marker[-1], None)
         return hashlib.sha256(json.dumps(copy, sort_keys=True).encode()).hexdigest()
 
-    def _read(self, folder: Path) -> tuple[str, dict[str, Any], dict[str, Any]] | None:
-        """Kind, files and digests (none if older) by a folder's marker; None without our marker."""
-        content = read_object(folder / self.marker[0])
-        for key in self.marker[1:]:
-            content = content.get(key) if isinstance(content, dict) else None
-        if not isinstance(content, dict) or content.get("format") != FORMAT:
-            return None
-        files, digests = content.get("files"), content.get("digests", {})
-        if not isinstance(files, dict) or not isinstance(digests, dict):
-            return None
-        return printable(str(content.get("kind"))), files, digests
-
 
 @dataclass(frozen=True)
 class FileKind:
@@ -161,6 +152,21 @@ class FileKind:
 
 
 OutputKind = FolderKind | FileKind
+
+
+def _read_marker(
+    folder: Path, place: tuple[str, ...]
+) -> tuple[str, dict[str, Any], dict[str, Any]] | None:
+    """Kind, files and digests (none if older) by a folder's marker; None without our marker."""
+    content = read_object(folder / place[0])
+    for key in place[1:]:
+        content = content.get(key) if isinstance(content, dict) else None
+    if not isinstance(content, dict) or content.get("format") != FORMAT:
+        return None
+    files, digests = content.get("files"), content.get("digests", {})
+    if not isinstance(files, dict) or not isinstance(digests, dict):
+        return None
+    return printable(str(content.get("kind"))), files, digests
 
 
 def holds_member(file: Path, name: str) -> bool:

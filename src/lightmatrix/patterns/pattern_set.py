@@ -25,7 +25,7 @@ from lightmatrix import _core
 from lightmatrix.errors import InputError
 from lightmatrix.patterns.grids import block_mean
 from lightmatrix.patterns.twins import far_twins, groups, mixture, of_surroundings, varying_axes
-from lightmatrix.ranges import check_unmasked
+from lightmatrix.ranges import real_array
 from lightmatrix.reprs import short_repr
 
 # Bytes of patterns that are unpacked at a time, as float32. Chosen by hand: little beside the
@@ -266,8 +266,7 @@ class ImagePatterns(PatternSet):
     __repr__ = short_repr
 
     def __post_init__(self) -> None:
-        stack = self.stack
-        check_unmasked("patterns", stack)
+        stack = real_array("patterns", self.stack)
         if stack.ndim != 3:
             raise InputError(
                 f"patterns of shape {stack.shape}", hint="give grey images as (K, rows, cols)"

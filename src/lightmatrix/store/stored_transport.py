@@ -15,6 +15,7 @@ from scipy.sparse import csr_array
 
 from lightmatrix.errors import InputError
 from lightmatrix.files.zarr_arrays import as_damage_error
+from lightmatrix.ranges import real_array
 from lightmatrix.resources.memory import check_memory
 from lightmatrix.store.matrix_checks import (
     check_indptr,
@@ -257,7 +258,7 @@ class StoredTransport(TransportOperator):
 
     def dual(self, lights: NDArray[Any]) -> NDArray[np.float32]:
         """The scene seen from the projector; see `LightTransport.dual`."""
-        light = np.asarray(lights, np.float32)
+        light = np.asarray(real_array("camera lights", lights), np.float32)
         if light.shape != self.camera_shape:
             raise InputError(
                 f"camera lights of shape {light.shape}", hint=f"give shape {self.camera_shape}"

@@ -13,7 +13,7 @@ from scipy.sparse import csr_array
 
 from lightmatrix.errors import InputError
 from lightmatrix.patterns.grids import check_grid, grid_cells
-from lightmatrix.ranges import check_finite, check_unmasked
+from lightmatrix.ranges import check_finite, check_unmasked, real_array
 from lightmatrix.regions import Region
 from lightmatrix.reprs import html_table
 from lightmatrix.transport.labels import labelled
@@ -186,7 +186,7 @@ class LightTransport(TransportOperator):
         `lights` has the camera's shape and says how strongly each camera sample acts as a light.
         The result is the image that the projector would see, (rows, cols).
         """
-        light = np.asarray(lights, np.float32)
+        light = np.asarray(real_array("camera lights", lights), np.float32)
         if light.shape != self.camera_shape:
             raise InputError(
                 f"camera lights of shape {light.shape}",

@@ -12,6 +12,7 @@ from . import (
     foreign,
     geometry,
     images,
+    misread,
     outputs,
     partial,
     resources,
@@ -25,6 +26,7 @@ from . import (
 _MODULES = (
     *(outputs, foreign, arguments, descriptions, captures, images, damaged_images, stores),
     *(archives, partial, together, streams, resources, views, geometry, uses),
+    misread,
 )
 
 
