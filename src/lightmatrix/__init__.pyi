@@ -116,6 +116,9 @@ from .estimators.resource_estimate import (
     estimate_resources as estimate_resources,
 )
 from .estimators.settings import EstimateSettings as EstimateSettings
+from .estimators.unknown_projector import (
+    find_projector_response as find_projector_response,
+)
 from .estimators.unknown_response import (
     find_response as find_response,
 )

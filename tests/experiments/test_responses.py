@@ -54,6 +54,7 @@ def test_the_table_has_the_worst_scene(tmp_path: Path) -> None:
         row = {
             "scene": scene, "blur": 0.0, "response": case.response, "patterns": 32, "gamma": 2.2,
             "gamma_found": gamma, "curve_difference": 0.01, "estimates": 1, "ratio": ratio,
+            "projector": 0.0, "projector_found": 0.0,
             **errors,
         }  # fmt: skip
         return case, Measured([row])
@@ -65,3 +66,11 @@ def test_the_table_has_the_worst_scene(tmp_path: Path) -> None:
     assert row["error_auto"] == pytest.approx(0.0125)
     responses._draw(tmp_path, results)
     assert (tmp_path / "responses.png").stat().st_size > 5000
+
+
+def test_grey_patterns_become_the_light_of_the_projector() -> None:
+    greys, light = responses.grey_patterns((16, 16), 4, 2.2)
+    assert light.dense() == pytest.approx(greys.dense() ** 2.2, abs=1e-5)
+    grey = [case for case in responses.cases(False) if case.projector]
+    assert len(grey) == 20
+    assert len({case.name for case in responses.cases(False)}) == 160

@@ -243,8 +243,9 @@ def estimate(
         cluster=cluster,
     )
     # A mistyped input is named first, whatever the output.
-    whole = source.open()
+    whole = source.open(finds_projector=True)
     if in_colour(whole):
+        source.refuse_unknown_projector()
         estimate_colour(
             whole.bin(projector=size(bin_projector), camera=size(bin_camera)),
             Path("scene") if output == _OUTPUT else output,
@@ -272,8 +273,8 @@ def estimate(
     with lm.open_workers(settings, resources) as pool:
         if pool is not None:
             warn(str(pool))
-        findings = _findings(capture, whole, check)
-        capture, found = _with_known_response(capture, settings)
+        findings = _findings(capture, whole, check, found_later=source.find_projector)
+        capture, found = _with_known_response(capture, settings, source.find_projector)
         with progress("estimating", "rows") as step:
             transport = lm.choose_estimator(capture, settings, resources).estimate(
                 capture,
@@ -364,12 +365,15 @@ def _warn_of_resources(resources: ResourceEstimate, check: bool) -> None:
         warn(f"less: {resources.advice}", style="yellow")
 
 
-def _findings(capture: Capture, whole: Capture, check: bool) -> list[Finding]:
-    """Refuse a capture that no estimate can come from, and warn of faults in the `whole` one."""
+def _findings(capture: Capture, whole: Capture, check: bool, *, found_later: bool) -> list[Finding]:
+    """Refuse a capture that no estimate can come from, and warn of faults in the `whole` one.
+
+    Nothing is said of the camera's curve if a curve is to be `found_later`.
+    """
     lm.refuse_unusable(capture)
     findings = lm.check(whole) if check else []
     lm.refuse_disorder(findings)
-    if whole.decoder.response.name == AUTO:
+    if found_later or whole.decoder.response.name == AUTO:
         findings = [finding for finding in findings if finding.kind != "response"]
     for finding in findings:
         warn(f"{finding.kind}: {finding.message}\n  {finding.advice}", style="yellow")
@@ -377,9 +381,14 @@ def _findings(capture: Capture, whole: Capture, check: bool) -> list[Finding]:
 
 
 def _with_known_response(
-    capture: Capture, settings: EstimateSettings
+    capture: Capture, settings: EstimateSettings, find_projector: bool
 ) -> tuple[Capture, FoundResponse | None]:
-    """The capture, and what was found of its response if it is read by --response auto."""
+    """The capture, and what was found of its responses if one of them is auto."""
+    if find_projector:
+        warn("looking for the projector's response ...")
+        found = lm.find_projector_response(capture, settings)
+        warn(f"response: {found}")
+        return found.applied_to(capture), found
     if capture.decoder.response.name != AUTO:
         return capture, None
     warn("looking for the camera's response ...")

@@ -100,10 +100,11 @@ Crop = Annotated[
 ]
 CameraCurve = Annotated[str | None, _reading("--response", help=FIND_HELP, show_default="linear")]
 ProjectorCurve = Annotated[
-    Path | None,
+    str | None,
     _reading(
         "--projector-response",
-        help="Light of the patterns' grey values, from `response --projector`.",
+        help="Light of the patterns' grey values, from `response --projector`; or auto (`estimate` "
+        "finds a gamma, of random grey patterns).",
         show_default="linear",
     ),
 ]
@@ -127,9 +128,13 @@ class Source:
     crop: tuple[tuple[int, int], tuple[int, int]] | None
     # Whether the response of a capture folder is to be found in its photographs.
     find_response: bool = False
+    # Whether the light of the patterns' grey values is to be found too.
+    find_projector: bool = False
 
-    def open(self) -> Capture:
-        """The capture, not binned."""
+    def open(self, *, finds_projector: bool = False) -> Capture:
+        """The capture, not binned; with grey values as patterns only if the caller asks for it."""
+        if not finds_projector:
+            self.refuse_unknown_projector()
         if self.folder is not None:
             capture = lm.Capture.open(self.folder, crop=self.crop)
             if not self.find_response:
@@ -142,6 +147,7 @@ class Source:
 
     def check(self) -> list[Finding]:
         """What is wrong with the capture, which may be one that cannot be opened."""
+        self.refuse_unknown_projector()
         return lm.check(
             self.folder,
             patterns=self.patterns,
@@ -149,6 +155,14 @@ class Source:
             settings=self.settings,
             crop=self.crop,
         )
+
+    def refuse_unknown_projector(self) -> None:
+        """Refuse --projector-response auto where grey values cannot be patterns yet."""
+        if self.find_projector:
+            raise InputError(
+                "--projector-response auto: only `estimate` finds it, of grey patterns",
+                hint="give a file of `lightmatrix response --projector`",
+            )
 
 
 def with_source(*, crop: bool = True) -> Callable[[Callable[..., None]], Callable[..., None]]:
@@ -223,6 +237,9 @@ def read_source(
     find = capture is not None and stated.get("response") == AUTO
     if find:
         del stated["response"]
+    find_projector = stated.get("projector_response") == AUTO
+    if find_projector:
+        del stated["projector_response"]
     if capture is not None:
         folders = {"patterns": patterns, "images": images}
         besides = [name for name, value in folders.items() if value is not None] + list(stated)
@@ -232,7 +249,7 @@ def read_source(
                 f"a capture folder and {options} were given",
                 hint="a capture folder has these settings in capture.json; give one or the other",
             )
-        return Source(capture, None, None, None, region, find)
+        return Source(capture, None, None, None, region, find, find_projector)
     if patterns is None and images is None:
         raise InputError(
             "no capture is given",
@@ -241,7 +258,8 @@ def read_source(
     if patterns is None or images is None:
         missing = "--patterns" if patterns is None else "--images"
         raise InputError(f"{missing} is missing", hint="give both, or a capture folder")
-    return Source(None, patterns, images, _read_settings(stated), region)
+    settings = _read_settings(stated)
+    return Source(None, patterns, images, settings, region, find_projector=find_projector)
 
 
 def _read_settings(stated: Mapping[str, Any]) -> ReadSettings:

@@ -17,9 +17,10 @@ rest (`workers/worker.py`).
 from __future__ import annotations
 
 from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
 
-from lightmatrix.camera.camera_curve import Response
+from lightmatrix.camera.camera_curve import AUTOMATIC, Response
 from lightmatrix.capture.capture import Capture, open_capture
 from lightmatrix.diagnosis.refusals import refuse_unordered, refuse_unusable, warn_of_stripes
 from lightmatrix.diagnosis.responses.found import with_response
@@ -27,12 +28,14 @@ from lightmatrix.errors import InputError
 from lightmatrix.estimators.choice import choose_estimator
 from lightmatrix.estimators.resource_estimate import estimate_resources
 from lightmatrix.estimators.settings import EstimateSettings
+from lightmatrix.estimators.unknown_projector import find_projector_response
 from lightmatrix.estimators.unknown_response import with_known_response
 from lightmatrix.estimators.work import Progress
 from lightmatrix.estimators.workers.startup import open_workers
 from lightmatrix.outputs.kinds import STORE
 from lightmatrix.outputs.writing import check_output
 from lightmatrix.patterns.colour import ColourPatterns
+from lightmatrix.patterns.projector_curve import ProjectorResponse
 from lightmatrix.progress_bar import progress_bar
 from lightmatrix.transport.matrix import LightTransport
 
@@ -41,6 +44,7 @@ def estimate(
     capture: Capture | str | Path,
     *,
     response: Response | str | None = None,
+    projector_response: ProjectorResponse | str | None = None,
     solver: str = "active-set",
     fidelity: str | None = None,
     regularization: str | float = "auto",
@@ -70,6 +74,9 @@ def estimate(
     response : Response or str, optional
         The camera's response in place of the capture's, see `Response.parse`. "auto" finds it in
         the photographs, see `find_response`. None: the capture's.
+    projector_response : ProjectorResponse or str, optional
+        The light of the patterns' grey values; "auto" finds a gamma in the photographs, see
+        `find_projector_response`. None: the patterns are light, or black and white.
     solver : {"active-set", "saturation-admm", "admm", "romp"}
         active-set certifies a duality gap of each row.
     fidelity : {"one-sided", "clipped", "likelihood", "rejection", "linear"}, optional
@@ -163,6 +170,14 @@ def estimate(
     if response is not None:
         known = Response.parse(response) if isinstance(response, str) else response
         capture = with_response(capture, known)
+    if isinstance(projector_response, ProjectorResponse):
+        light = projector_response.light_of_patterns(capture.patterns)
+        capture = replace(capture, patterns=light)
+    elif projector_response not in (None, AUTOMATIC):
+        raise InputError(
+            f"a projector's response of {projector_response!r}",
+            hint="give a ProjectorResponse, or auto",
+        )
     resources = estimate_resources(capture, settings)
     resources.check()
     # Workers are checked before the frames are read, which takes longer.
@@ -170,6 +185,8 @@ def estimate(
         refuse_unusable(capture)
         warn_of_stripes(capture.patterns)
         findings = refuse_unordered(capture) if check else ()
+        if projector_response == AUTOMATIC:
+            capture = find_projector_response(capture, settings).applied_to(capture)
         capture = with_known_response(capture, settings)
         estimator = choose_estimator(capture, settings, resources)
         with progress_bar("estimating", "rows") if progress is True else nullcontext(None) as bar:

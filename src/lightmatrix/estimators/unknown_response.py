@@ -92,7 +92,7 @@ def find_response(
     """
     settings = settings or EstimateSettings()
     whole = open_capture(capture)
-    _refuse_pictures(whole)
+    refuse_pictures(whole)
     compressed = any(whole.frames.name(k).lower().endswith(JPEG) for k in range(whole.count))
     if compressed:
         warn(
@@ -105,7 +105,7 @@ def find_response(
     if start is None:
         raise _undetermined()
     response, curved, estimates = raised(stated, start.power), False, 0
-    part = _window(whole)
+    part = brightest_window(whole)
     while True:
         read = with_response(part, response)
         transport = choose_estimator(read, settings).estimate(read)
@@ -159,7 +159,7 @@ def with_known_response(capture: Capture, settings: EstimateSettings) -> Capture
     return find_response(capture, settings).applied_to(capture)
 
 
-def _refuse_pictures(capture: Capture) -> None:
+def refuse_pictures(capture: Capture) -> None:
     """Refuse grey patterns whose neighbouring pixels are alike, such as photographs."""
     patterns = capture.patterns
     if capture.bin_projector != (1, 1) or patterns.as_bits() is not None or patterns.shape[1] < 2:
@@ -185,7 +185,7 @@ def _undetermined() -> InputError:
     )
 
 
-def _window(capture: Capture) -> Capture:
+def brightest_window(capture: Capture) -> Capture:
     """The capture's window of at most 64 x 64 camera pixels in which the most light changes."""
     rows, cols = capture.camera_shape[:2]
     high, wide = min(rows, _SIDE), min(cols, _SIDE)

@@ -14,10 +14,13 @@ from lightmatrix.capture.capture import Capture
 from lightmatrix.diagnosis.responses.bend import exponent
 from lightmatrix.diagnosis.responses.found import largest_difference, with_response
 from lightmatrix.estimators.estimate import estimate
+from lightmatrix.estimators.unknown_projector import find_projector_response
 from lightmatrix.estimators.unknown_response import find_response
 from lightmatrix.evaluation.metrics import relative_error
 from lightmatrix.experiments.harness import Experiment, Measured, Row, all_rows
 from lightmatrix.patterns.bits import BernoulliPatterns
+from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
+from lightmatrix.patterns.projector_curve import ProjectorResponse
 from lightmatrix.pictures.style import COLOURS, figure, fix_ticks, save
 from lightmatrix.planning.plan import plan
 from lightmatrix.simulation import library
@@ -31,6 +34,8 @@ BLURS = (0.0, 1.0)
 COUNTS = (32, 16)
 S_CURVE = "s-curve"
 RESPONSES = ("linear", "gamma:2.2", "srgb", S_CURVE, "gamma:0.8", "gamma:1.4", "gamma:3")
+# The projector shows random grey values with a gamma of its own: camera, then projector.
+GREYS = (("linear", 2.2), ("gamma:2.2", 2.2))
 # What an estimate reads the photographs by.
 READ_AS = ("known", "auto", "linear")
 # The error axis of the figure.
@@ -47,12 +52,15 @@ class Case:
     blur: float
     response: str
     patterns: int
+    # The projector's gamma under random grey patterns; 0: patterns are black and white.
+    projector: float = 0.0
 
     @property
     def name(self) -> str:
         """A file name."""
         response = self.response.replace(":", "-")
-        return f"{self.scene}-b{self.blur:g}-{response}-k{self.patterns}"
+        greys = f"-greys{self.projector:g}" if self.projector else ""
+        return f"{self.scene}-b{self.blur:g}-{response}-k{self.patterns}{greys}"
 
 
 def cases(quick: bool) -> Iterator[Case]:
@@ -66,6 +74,10 @@ def cases(quick: bool) -> Iterator[Case]:
             for blur in BLURS:
                 for scene in SCENES:
                     yield Case(scene, blur, response, count)
+    for response, projector in GREYS:
+        for blur in BLURS:
+            for scene in SCENES:
+                yield Case(scene, blur, response, COUNTS[0], projector)
 
 
 def camera_of(name: str) -> Response:
@@ -87,27 +99,47 @@ def coded(capture: Capture, response: Response, bits: int = BITS) -> Capture:
     return Capture.from_arrays(capture.patterns, frames, decoder)
 
 
+def grey_patterns(
+    shape: tuple[int, int], count: int, gamma: float
+) -> tuple[PatternSet, PatternSet]:
+    """Random grey values, of 8 bits and evenly distributed; and their light."""
+    random = np.random.default_rng(0).random((count, *shape))
+    greys = ImagePatterns((np.rint(255 * random) / 255).astype(np.float32))
+    return greys, ProjectorResponse.of_gamma(gamma).light_of_patterns(greys)
+
+
 def measure(case: Case) -> Measured:
     """The curve that is found, and errors of T by the known curve, by this one, and by none."""
     truth = library.truth(case.scene, (SIDE, SIDE))
     if case.blur:
         truth = defocus(truth, case.blur)
     exposure = plan(truth, frames=case.patterns, noise=NOISE).exposure
-    patterns = BernoulliPatterns(truth.projector_shape, case.patterns)
+    greys: PatternSet = BernoulliPatterns(truth.projector_shape, case.patterns)
+    patterns = greys
+    if case.projector:
+        greys, patterns = grey_patterns(truth.projector_shape, case.patterns, case.projector)
     light = simulate(truth, patterns, exposure=exposure, bits=None, noise=NOISE)
     response = camera_of(case.response)
-    capture = coded(light, response)
-    found = find_response(capture)
+    capture = replace(coded(light, response), patterns=greys)
+    if case.projector:
+        found = find_projector_response(capture, camera=True)
+    else:
+        found = find_response(capture)
     known = truth.transport()
-    by = {"known": response, "auto": found.response, "linear": Response()}
+    read = {
+        "known": replace(with_response(capture, response), patterns=patterns),
+        "auto": found.applied_to(capture),
+        "linear": capture,
+    }
     errors = {
-        f"error_{name}": relative_error(estimate(with_response(capture, curve), check=False), known)
-        for name, curve in by.items()
+        f"error_{name}": relative_error(estimate(each, check=False), known)
+        for name, each in read.items()
     }
     row = {
         **asdict(case),
         "gamma": exponent(response),
         "gamma_found": found.gamma,
+        "projector_found": found.projector.gamma if found.projector else 0.0,
         "uncertainty": found.uncertainty,
         "curve_difference": largest_difference(found.response, response),
         "estimates": found.estimates,
@@ -121,14 +153,18 @@ def _summary(rows: list[Row]) -> list[Row]:
     """Means and worst cases over the scenes."""
     groups: dict[tuple[Any, ...], list[Row]] = {}
     for row in rows:
-        groups.setdefault((row["response"], row["blur"], row["patterns"]), []).append(row)
+        groups.setdefault(
+            (row["response"], row["projector"], row["blur"], row["patterns"]), []
+        ).append(row)
     return [
         {
             "response": response,
+            "projector": projector,
             "blur": blur,
             "patterns": count,
             "scenes": len(group),
             "gamma_off_most": max(abs(r["gamma_found"] / r["gamma"] - 1) for r in group),
+            "projector_off_most": max(abs(r["projector_found"] - projector) for r in group),
             "curve_difference_most": max(r["curve_difference"] for r in group),
             "estimates_mean": float(np.mean([r["estimates"] for r in group])),
             **{
@@ -137,13 +173,14 @@ def _summary(rows: list[Row]) -> list[Row]:
             },
             "ratio_most": max(r["ratio"] for r in group),
         }
-        for (response, blur, count), group in groups.items()
+        for (response, projector, blur, count), group in groups.items()
     ]
 
 
 def _draw(out: Path, results: list[tuple[Case, Measured]]) -> None:
     """One panel for each blur: errors of T of all scenes by response, read in three ways."""
     rows = [row for row in all_rows(results) if row["patterns"] == COUNTS[0]]
+    rows = [row for row in rows if not row["projector"]]
     names = [name for name in RESPONSES if any(row["response"] == name for row in rows)]
     blurs = sorted({row["blur"] for row in rows})
     with figure(3.4 * len(blurs) + 0.6, 0.4 * len(names) + 1.6) as drawing:

@@ -74,6 +74,12 @@ class ProjectorResponse:
             gamma = float(np.clip(slope, 0.1, 10))
         return cls(tuple(map(int, grey)), tuple(map(float, share)), gamma)
 
+    @classmethod
+    def of_gamma(cls, gamma: float) -> ProjectorResponse:
+        """The response of a projector whose light is the grey value to the power `gamma`."""
+        levels = np.arange(_WHITE + 1)
+        return cls(tuple(map(int, levels)), tuple(map(float, (levels / _WHITE) ** gamma)), gamma)
+
     def grey_for(self, light: NDArray[np.floating]) -> NDArray[np.uint8]:
         """Grey values (uint8) that give the wanted light, in [0, 1]."""
         root = np.asarray(light, np.float64) ** (1 / self.gamma)

@@ -14,6 +14,7 @@ from lightmatrix.diagnosis.responses.bend import points
 from lightmatrix.files.curve_file import CurveFile
 from lightmatrix.outputs.kinds import RESPONSE
 from lightmatrix.outputs.writing import check_output
+from lightmatrix.patterns.projector_curve import ProjectorResponse
 from lightmatrix.reprs import short_repr
 
 
@@ -33,6 +34,10 @@ class FoundResponse:
         Largest difference from the response that the capture states, as a share of full light.
     estimates : int
         How many times T was estimated to find it.
+    projector : ProjectorResponse, optional
+        The projector's response, if it was found too by `find_projector_response`.
+    projector_uncertainty : float
+        Uncertainty of its gamma.
 
     Examples
     --------
@@ -47,12 +52,19 @@ class FoundResponse:
     uncertainty: float
     difference: float
     estimates: int
+    projector: ProjectorResponse | None = None
+    projector_uncertainty: float = 0.0
 
     __repr__ = short_repr
 
     def __str__(self) -> str:
         kind = "gamma" if self.is_gamma else "a curve near gamma"
-        return f"{kind} {self.gamma:.2f} +- {self.uncertainty:.2f}"
+        text = f"{kind} {self.gamma:.2f}"
+        text += f" +- {self.uncertainty:.2f}" if self.uncertainty else ", as stated"
+        if self.projector is None:
+            return text
+        of_projector = f"{self.projector.gamma:.2f} +- {self.projector_uncertainty:.2f}"
+        return f"{text}; the projector's gamma {of_projector}"
 
     @property
     def is_gamma(self) -> bool:
@@ -60,18 +72,25 @@ class FoundResponse:
         return self.response.levels is None or self.response.name.startswith("gamma:")
 
     def applied_to(self, capture: Capture) -> Capture:
-        """The capture, read by this response."""
-        return with_response(capture, self.response)
+        """The capture, read by this response, with the light of its grey values if it was found."""
+        read = with_response(capture, self.response)
+        if self.projector is None:
+            return read
+        return replace(read, patterns=self.projector.light_of_patterns(read.patterns))
 
     def as_dict(self) -> dict[str, Any]:
         """Everything besides the curve, JSON-ready."""
-        return {
+        facts = {
             "response": self.response.name,
             "gamma": round(self.gamma, 4),
             "uncertainty": round(self.uncertainty, 4),
             "difference": round(self.difference, 4),
             "estimates": self.estimates,
         }
+        if self.projector is not None:
+            facts["projector_gamma"] = round(self.projector.gamma, 4)
+            facts["projector_uncertainty"] = round(self.projector_uncertainty, 4)
+        return facts
 
     def save(self, path: str | Path, *, overwrite: bool = False) -> None:
         """Write the curve as JSON, which `Response.parse` and capture.json read.

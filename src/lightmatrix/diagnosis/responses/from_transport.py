@@ -14,7 +14,7 @@ from lightmatrix.transport.matrix import LightTransport
 # Rows that are used, drawn from at most so many runs of neighbouring rows of at most this length.
 _ROWS, _RUNS, _RUN = 2000, 64, 256
 # Fewer rows determine nothing.
-_FEWEST_ROWS = 20
+FEWEST_ROWS = 20
 # Rows clip in at most 30 % of the frames, and vary by more than 15 % of what the most varied tenth
 # does.
 _MOST_CLIPPED, _VARIED = 0.3, 0.15
@@ -27,10 +27,10 @@ def bends_from_transport(capture: Capture, transport: LightTransport, bend: Bend
 
     `transport` has a row for each camera sample of the capture. None if too few rows tell anything.
     """
-    index, samples = _varied_rows(capture)
-    if len(index) < _FEWEST_ROWS:
+    index, samples = choose_rows(capture)
+    if len(index) < FEWEST_ROWS:
         return None
-    strongest, weights = _strongest(transport, index, _pixels(capture.count))
+    strongest, weights = strongest_pixels(transport, index, capture.count)
     patterns = capture.patterns
     lit = np.moveaxis(
         patterns.columns(strongest.ravel()).reshape(capture.count, *strongest.shape), 0, 1
@@ -52,11 +52,7 @@ def bends_from_transport(capture: Capture, transport: LightTransport, bend: Bend
     return solve_bends(rows, capture.decoder.response, bend)
 
 
-def _pixels(frames: int) -> int:
-    return max(1, min(_PIXELS, frames // _PATTERNS_EACH))
-
-
-def _varied_rows(capture: Capture) -> tuple[NDArray[np.int64], Samples]:
+def choose_rows(capture: Capture) -> tuple[NDArray[np.int64], Samples]:
     """Rows of the capture that vary much and clip little, with their samples."""
     total = capture.rows
     length = min(_RUN, -(-total // _RUNS))
@@ -84,10 +80,14 @@ def _predicted(
     return shown
 
 
-def _strongest(
-    transport: LightTransport, index: NDArray[np.int64], count: int
+def strongest_pixels(
+    transport: LightTransport, index: NDArray[np.int64], frames: int
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """The strongest projector pixels of some rows, and their light, (m, count) each."""
+    """The strongest projector pixels of some rows, and their light, (m, count) each.
+
+    There are at most six, and one for five `frames`.
+    """
+    count = max(1, min(_PIXELS, frames // _PATTERNS_EACH))
     sparse = transport.sparse[index]
     pixels = np.zeros((len(index), count), np.int64)
     light = np.zeros((len(index), count))

@@ -47,6 +47,9 @@ class Rows:
         Which samples are not clipped and may be compared.
     columns : (m, K, d) float64
         What explains the light of each row up to weights.
+    change : (m, K) float64, optional
+        How the predicted light changes with the logarithm of the projector's gamma; it is then
+        solved for as the last bend.
     """
 
     light: Array
@@ -54,11 +57,14 @@ class Rows:
     dark: Array
     usable: NDArray[np.bool_]
     columns: Array
+    change: Array | None = None
 
     def select(self, index: NDArray[np.bool_]) -> Rows:
         """Some of the rows."""
+        change = None if self.change is None else self.change[index]
         names = ("light", "predicted", "dark", "usable", "columns")
-        return replace(self, **{name: getattr(self, name)[index] for name in names})
+        chosen = {name: getattr(self, name)[index] for name in names}
+        return replace(self, **chosen, change=change)
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,8 +92,11 @@ def light_of(
     return np.asarray(values * unit + dark, np.float64), np.asarray(dark, np.float64)
 
 
-def solve_bends(rows: Rows, response: Response, bend: Bend) -> Bends | None:
-    """The bends of rows that were decoded by a response; None if they do not determine any."""
+def solve_bends(rows: Rows, response: Response, bend: Bend | None) -> Bends | None:
+    """The bends of rows that were decoded by a response; None if they do not determine any.
+
+    Without `bend`, the response is right, and only the rows' `change` is solved for.
+    """
     usable = rows.usable
     basis = _orthonormal(rows.columns * usable[..., None])
 
@@ -97,12 +106,17 @@ def solve_bends(rows: Rows, response: Response, bend: Bend) -> Bends | None:
         return (masked - np.einsum("mkd,...md->...mk", basis, inside)) * usable
 
     def bends(light: Array) -> Array:
+        if bend is None:
+            return np.empty((0, *light.shape))
         shares = np.clip(light, 0, 1)
         return bend.functions(shares, response) - bend.functions(np.clip(rows.dark, 0, 1), response)
 
     faintest = _FAINTEST * float(rows.light.max(initial=0.0))
     instrument = projected(bends(np.clip(rows.predicted, faintest, 1)))
     bent = projected(bends(rows.light))
+    if rows.change is not None:
+        change = projected(-rows.change)[None]
+        instrument, bent = np.concatenate([instrument, change]), np.concatenate([bent, change])
     left = projected(rows.light - rows.dark)
     matrices = np.einsum("imk,jmk->mij", instrument, bent)
     sides = np.einsum("imk,mk->mi", instrument, left)
