@@ -1,6 +1,6 @@
 """Direct and global light on rendered scenes that `experiment uses` does not hold.
 
-The thresholds of `lightmatrix.uses.direct_light` were chosen on them. Needs the extra `render`, and
+The thresholds of `lightmatrix.uses.direct_light` and `stray_spots` were chosen on them. Needs the extra `render`, and
 half a minute a scene:
 
     python -m benchmarks.separation_scenes
@@ -90,6 +90,10 @@ def near_camera() -> Scene:
 SCENES: dict[str, Callable[[], Scene]] = {
     "parts": lambda: strewn_parts(5, View((0.7, -0.6, 4.0))),
     "other parts": lambda: strewn_parts(11, View((-0.6, 0.8, 4.0))),
+    "parts, seed 2": lambda: strewn_parts(2, View((0.7, 0.7, 4.0))),
+    "parts, seed 3": lambda: strewn_parts(3, View((-0.7, -0.5, 4.0))),
+    "parts, seed 8": lambda: strewn_parts(8, View((0.9, 0.1, 4.0))),
+    "parts, seed 13": lambda: strewn_parts(13, View((-0.1, 0.9, 4.0))),
     "clutter": clutter,
     "turned corner": turned_corner,
     "near camera": near_camera,

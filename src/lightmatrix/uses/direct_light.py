@@ -18,6 +18,7 @@ from lightmatrix.uses.epipolar import (
     on_surface,
 )
 from lightmatrix.uses.spots import ENTRIES, Spots, entries_of
+from lightmatrix.uses.stray_spots import crossing_spots, neighbours, outshone_spots
 
 # All thresholds of this file were chosen on the scenes of benchmarks/separation_scenes.py, which
 # `lightmatrix experiment uses` does not hold. Distances are in projector pixels: a constant, and a
@@ -32,13 +33,19 @@ _STRONG, _HALF = 0.3, 0.5
 # A neighbour agrees if its spot lies this close to where the mean surface puts it.
 _AGREEMENT = (1.3, 1.0)
 # Spots farther from the epipolar line, or beyond the parallax of good rows by more, are global.
-_FROM_LINE, _BEYOND_PARALLAX = (0.5, 0.5), (1.0, 0.5)
+_FROM_LINE, _BEYOND_PARALLAX = (0.6, 0.5), (1.0, 0.5)
 # A spot is global if fewer of its 24 neighbours agree; the strongest one, and the others.
 _LEAST_AGREEMENT, _LEAST_AGREEMENT_OF_WEAK = 0.1, 0.05
 # A spot is global if it holds less of the row's light; the strongest one, and the others.
-_LEAST_SHARE, _LEAST_SHARE_OF_WEAK = 0.1, 0.02
+_LEAST_SHARE, _LEAST_SHARE_OF_WEAK = 0.05, 0.02
 # Rounds in which spots that were rejected lose their vote on their neighbours.
 _VOTES = 3
+# A neighbour's spot continues one within this distance, whose place may move by two pixels from
+# one camera pixel to the next.
+_CROSSING = (2.0, 1.0)
+# A spot is global if another surface outshines it at its place, unless it lies within this share of
+# the allowed distance from the line, or this share of its neighbours agrees.
+_DOUBTFUL, _CERTAIN = 0.4, 0.9
 # Half width of the square of neighbours.
 _NEIGHBOURS = 2
 # The footprint: entries this close to a direct spot, and this close to the epipolar line. A sharp
@@ -96,15 +103,18 @@ def find_direct_spots(spots: Spots, shape: tuple[int, int], deviation: float) ->
     if good.sum() < _FEWEST:
         raise _no_direct_light(int(good.sum()), len(lit))
     geometry = fit_epipolar(camera[good], place[good, 0], surface)
-    possible = _on_line(camera, place, geometry, deviation) & lit[:, None]
+    distance, parallax = _along_lines(geometry, camera, place)
+    near_line = np.abs(distance) <= _scaled(_FROM_LINE, deviation)
+    possible = near_line & lit[:, None] & _within(geometry, parallax, deviation)
     possible &= light > _LEAST_SHARE_OF_WEAK * total[:, None]
     possible[:, 0] &= light[:, 0] >= _LEAST_SHARE * total
-    direct = possible
-    least = np.full(light.shape[1], _LEAST_AGREEMENT_OF_WEAK)
-    least[0] = _LEAST_AGREEMENT
-    for _ in range(_VOTES):
-        agreement = _agreement(relative, direct, shape, tolerance)
-        direct = possible & (agreement >= least)
+    possible &= ~crossing_spots(relative, light, near_line, shape, _scaled(_CROSSING, deviation))
+    direct, agreement = _voted(possible, relative, shape, tolerance)
+    doubtful = np.abs(distance) > _DOUBTFUL * _scaled(_FROM_LINE, deviation)
+    doubtful &= agreement < _CERTAIN
+    stray = outshone_spots(place[direct], parallax[direct], light[direct], doubtful[direct])
+    possible[direct] &= ~stray
+    direct, agreement = _voted(possible, relative, shape, tolerance)
     return DirectSpots(spots, direct, agreement, lit, geometry, deviation)
 
 
@@ -156,24 +166,40 @@ def _direct_of_block(
     return np.where(inside, np.maximum(light - beneath[owner], 0), 0)
 
 
-def _on_line(
-    camera: NDArray[np.float64],
-    place: NDArray[np.float64],
-    geometry: EpipolarGeometry,
-    deviation: float,
+def _voted(
+    possible: NDArray[np.bool_],
+    relative: NDArray[np.float64],
+    shape: tuple[int, int],
+    tolerance: float,
+) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
+    """Possible spots that enough neighbours agree with, and the agreement, (P, SPOTS) each."""
+    least = np.full(possible.shape[1], _LEAST_AGREEMENT_OF_WEAK)
+    least[0] = _LEAST_AGREEMENT
+    direct = possible
+    for _ in range(_VOTES):
+        agreement = _agreement(relative, direct, shape, tolerance)
+        direct = possible & (agreement >= least)
+    return direct, agreement
+
+
+def _along_lines(
+    geometry: EpipolarGeometry, camera: NDArray[np.float64], place: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Each spot's signed distance to its epipolar line and its parallax, (P, SPOTS) each."""
+    spots = range(place.shape[1])
+    distance = [geometry.distance(camera, place[:, number]) for number in spots]
+    parallax = [geometry.parallax(camera, place[:, number]) for number in spots]
+    return np.stack(distance, axis=1), np.stack(parallax, axis=1)
+
+
+def _within(
+    geometry: EpipolarGeometry, parallax: NDArray[np.float64], deviation: float
 ) -> NDArray[np.bool_]:
-    """Which spots lie on the epipolar line and within the parallax of good rows, (P, SPOTS)."""
-    from_line = _scaled(_FROM_LINE, deviation)
+    """Which spots lie within the parallax of good rows."""
     low, high = geometry.parallax_range
     beyond = _scaled(_BEYOND_PARALLAX, deviation)
-    fits = np.zeros(place.shape[:2], bool)
-    for number in range(place.shape[1]):
-        distance = np.abs(geometry.distance(camera, place[:, number]))
-        parallax = geometry.parallax(camera, place[:, number])
-        # Comparisons with NaN, where there is no spot, are False.
-        fits[:, number] = distance <= from_line
-        fits[:, number] &= (parallax >= low - beyond) & (parallax <= high + beyond)
-    return fits
+    # Comparisons with NaN, where there is no spot, are False.
+    return (parallax >= low - beyond) & (parallax <= high + beyond)
 
 
 def _agreement(
@@ -188,23 +214,15 @@ def _agreement(
     own = np.where(np.isnan(place), np.inf, place).reshape(rows, cols, spots, 2)
     votes = np.where(voters[..., None] & ~np.isnan(place), place, -np.inf)
     votes = votes.reshape(rows, cols, spots, 2)
-    agreeing, neighbours = np.zeros((rows, cols, spots)), np.zeros((rows, cols, 1))
-    reach = range(-_NEIGHBOURS, _NEIGHBOURS + 1)
-    for down, right in ((d, r) for d in reach for r in reach if d or r):
-        here = _shifted(rows, -down), _shifted(cols, -right)
-        there = _shifted(rows, down), _shifted(cols, right)
+    agreeing, number_of = np.zeros((rows, cols, spots)), np.zeros((rows, cols, 1))
+    for here, there in neighbours(shape, _NEIGHBOURS):
         agrees = np.zeros(own[here].shape[:3], bool)
         for number in range(spots):
             away = own[here] - votes[there][:, :, number, None]
             agrees |= (away**2).sum(axis=-1) <= tolerance**2
         agreeing[here] += agrees
-        neighbours[here] += 1
-    return (agreeing / np.maximum(neighbours, 1)).reshape(-1, spots)
-
-
-def _shifted(size: int, by: int) -> slice:
-    """The part of an axis that still lies inside once it is moved back by so many pixels."""
-    return slice(max(0, by), size - max(0, -by))
+        number_of[here] += 1
+    return (agreeing / np.maximum(number_of, 1)).reshape(-1, spots)
 
 
 def _scaled(threshold: tuple[float, float], deviation: float) -> float:
