@@ -1,7 +1,7 @@
 """Direct and global light on rendered scenes that `experiment uses` does not hold.
 
-The thresholds of `lightmatrix.uses.direct_light` and `stray_spots` were chosen on them. Needs the extra `render`, and
-half a minute a scene:
+The thresholds of `lightmatrix.uses.direct_light` and `stray_spots` were chosen on them. Needs the
+extra `render`, and half a minute a scene:
 
     python -m benchmarks.separation_scenes
 """
