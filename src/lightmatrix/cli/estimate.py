@@ -290,10 +290,7 @@ def estimate(
         outcome = write_report(
             report, output, source, transport, capture, settings, findings, viewer, rig, overwrite
         )
-    if outcome is None:
-        judged = lm.verdicts(transport)
-    else:
-        judged = lm.Verdicts.from_dict(outcome["verdicts"])
+    judged = lm.Verdicts.from_dict(outcome["verdicts"]) if outcome else lm.verdicts(transport)
     if as_json:
         overall = judged.transport
         result = {"output": str(output), "seconds": seconds, "resources": resources.as_dict()}
@@ -358,23 +355,19 @@ def _warn_of_resources(resources: ResourceEstimate, check: bool) -> None:
     """Refuse an estimate that does not fit, and warn of one that takes long or much."""
     if check or resources.limited:
         resources.check()
-    much = resources.memory > _MUCH * resources.available
-    if much or (resources.seconds or 0) > _LONG:
+    if resources.memory > _MUCH * resources.available or (resources.seconds or 0) > _LONG:
         warn(f"this takes {resources}")
     if resources.advice:
         warn(f"less: {resources.advice}", style="yellow")
 
 
 def _findings(capture: Capture, whole: Capture, check: bool, *, found_later: bool) -> list[Finding]:
-    """Refuse a capture that no estimate can come from, and warn of faults in the `whole` one.
-
-    Nothing is said of the camera's curve if a curve is to be `found_later`.
-    """
+    """Refuse a capture that no estimate can come from, and warn of faults in the `whole` one."""
     lm.refuse_unusable(capture)
     findings = lm.check(whole) if check else []
     lm.refuse_disorder(findings)
     if found_later or whole.decoder.response.name == AUTO:
-        findings = [finding for finding in findings if finding.kind != "response"]
+        findings = [each for each in findings if each.kind != "response"]
     for finding in findings:
         warn(f"{finding.kind}: {finding.message}\n  {finding.advice}", style="yellow")
     return findings
@@ -387,12 +380,11 @@ def _with_known_response(
     if find_projector:
         warn("looking for the projector's response ...")
         found = lm.find_projector_response(capture, settings)
-        warn(f"response: {found}")
-        return found.applied_to(capture), found
-    if capture.decoder.response.name != AUTO:
+    elif capture.decoder.response.name == AUTO:
+        warn("looking for the camera's response ...")
+        found = lm.find_response(capture, settings)
+    else:
         return capture, None
-    warn("looking for the camera's response ...")
-    found = lm.find_response(capture, settings)
     warn(f"response: {found}")
     return found.applied_to(capture), found
 
