@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -41,6 +43,17 @@ def test_the_change_of_a_frame_and_its_error_are_measured() -> None:
     assert np.median(brightness_changes(example)[1]) == pytest.approx(draws.std(), rel=0.25)
 
 
+def test_rows_that_miss_the_same_light_are_one_witness() -> None:
+    example = prediction(rows=64, frames=K, noise=0.01)
+    part = np.arange(64) // 4
+    shared = np.random.default_rng(3).normal(0, 0.05, (16, K))[part]
+    missed = replace(example, observed=example.observed + shared, part=part)
+    change, error = brightness_changes(missed)
+    assert (np.abs(change) < 4 * error).all()
+    alone = brightness_changes(replace(missed, part=np.arange(64)))[1]
+    assert np.median(error) > 1.5 * np.median(alone)
+
+
 def test_dark_untrusted_and_odd_samples_do_not_count() -> None:
     gain = np.ones(K)
     gain[3] = 1.1
@@ -51,7 +64,7 @@ def test_dark_untrusted_and_odd_samples_do_not_count() -> None:
     observed[example.expected < 0.29 * most] += 0.5
     observed[0, 5], trusted[0, 5] = 9, False
     observed[example.expected[:, 6].argmax(), 6] = 9
-    spoilt = FramePrediction(observed, example.expected, trusted, example.miss, ())
+    spoilt = FramePrediction(observed, example.expected, trusted, example.miss, (), example.part)
     # The noise is the same: that of a few odd samples is passed over.
     spoilt.__dict__["noise"] = example.noise
     change, _ = brightness_changes(spoilt)
@@ -62,13 +75,7 @@ def test_dark_untrusted_and_odd_samples_do_not_count() -> None:
 def test_frames_with_few_lit_samples_are_unknown() -> None:
     for rows, known in ((19, False), (20, True)):
         example = prediction(rows=rows, frames=K, noise=0.01)
-        lit = FramePrediction(
-            example.observed,
-            np.ones_like(example.expected),
-            example.trusted,
-            example.miss,
-            (),
-        )
+        lit = replace(example, expected=np.ones_like(example.expected))
         change, error = brightness_changes(lit)
         assert np.isfinite(error).all() == known
         assert (change != 0).all() == known

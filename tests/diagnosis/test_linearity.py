@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 import lightmatrix as lm
+from benchmarks.synthetic_captures import draw
+from lightmatrix.diagnosis import linearity
 from lightmatrix.diagnosis.finding import Finding
 from lightmatrix.diagnosis.linearity import check_linearity
 from lightmatrix.diagnosis.responses.from_windows import (
@@ -62,12 +64,35 @@ def test_a_search_that_settles_where_nothing_is_predicted_is_no_finding() -> Non
     linear = WindowPower(1.3, 0.01, settled=False, missed=(0.02, 0.02))
     assert not WindowPower(6.0, 0.004, settled=True, missed=(0.3, 0.37)).right_against(linear)
     assert WindowPower(2.2, 0.004, settled=True, missed=(0.01, 0.004)).right_against(linear)
+    # Whatever is predicted that well is right, whichever power misses a little less.
+    exact = WindowPower(1.0, 0.01, settled=False, missed=(0.0008, 0.0008))
+    assert WindowPower(2.2, 0.004, settled=True, missed=(0.01, 0.0013)).right_against(exact)
     for exposure in (0.1, 0.3):
         capture = lm.simulate(
             "corner", BernoulliPatterns((64, 64), K), exposure=exposure, noise=0.003
         )
         taken = Survey.take(capture.patterns, capture.frames, capture.decoder)
         assert found(taken) == []
+
+
+@pytest.mark.parametrize(
+    ("missed", "told"),
+    [((0.3, 0.29), False), ((0.3, 0.26), True), ((0.09, 0.09), True), ((0.11, 0.104), False)],
+)
+def test_a_power_under_which_as_much_is_missed_is_no_finding(
+    monkeypatch: pytest.MonkeyPatch, missed: tuple[float, float], told: bool
+) -> None:
+    power = WindowPower(1.4, 0.01, settled=True, missed=missed)
+    monkeypatch.setattr(linearity, "power_from_windows", lambda *_: power)
+    assert bool(found(survey(1.0))) == told
+
+
+@pytest.mark.parametrize(("scene", "patterns"), [("speckle", "random"), ("broad", "few")])
+def test_light_that_windows_explain_badly_is_no_curve(scene: str, patterns: str) -> None:
+    for seed in range(3):
+        capture = draw(scene, patterns, "intact", 32, seed).capture
+        taken = Survey.take(capture.patterns, capture.frames, capture.decoder)
+        assert check_linearity(taken, np.zeros(capture.count, bool), steady=True) == []
 
 
 def test_linear_photographs_are_left_alone() -> None:

@@ -61,6 +61,15 @@ def test_each_sample_is_predicted_without_itself() -> None:
                         pixel = (r + down) * SHAPE[1] + c + right
                         fall = np.exp(-(down**2 + right**2) / 4)
                         windows.append(scale * fall * PATTERNS.columns(np.array([pixel]))[:, 0])
+        r, c = divmod(int(made.places[0][row]), SHAPE[1])
+        around = np.zeros(K)
+        for down in range(-6, 7, 2):
+            for right in range(-6, 7, 2):
+                if 0 <= r + down < SHAPE[0] and 0 <= c + right < SHAPE[1]:
+                    pixel = (r + down) * SHAPE[1] + c + right
+                    fall = np.exp(-(down**2 + right**2) / 18)
+                    around += fall * PATTERNS.columns(np.array([pixel]))[:, 0]
+        windows.append(0.3 * (around - around.mean()) / around.std())
         means = PATTERNS.means
         windows.append(0.1 * (means - means.mean()) / means.std())
         explain = np.stack(windows, axis=1).astype(float)
@@ -83,10 +92,20 @@ def test_each_sample_is_predicted_without_itself() -> None:
         assert made.miss[row] == pytest.approx(missed[best] / target.var(), rel=0.02)
 
 
+def test_rows_know_the_part_of_the_projector_that_they_follow() -> None:
+    made = predict(PATTERNS, samples([(0, 0), (1, 1), (11, 8), (0, 8)]))
+    down, right = -(-SHAPE[0] // 4), -(-SHAPE[1] // 4)
+    row, col = np.divmod(made.places[0], SHAPE[1])
+    np.testing.assert_array_equal(made.part, row // down * 4 + col // right)
+    assert made.part[0] == made.part[1]
+    assert len(set(made.part.tolist())) == 3
+    assert made.rows(np.array([2])).part == made.part[2]
+
+
 def test_rows_in_chunks_are_predicted_alike(monkeypatch: pytest.MonkeyPatch) -> None:
     seen = samples([(3, 4), (8, 2), (5, 5)], noise=0.05)
     whole = predict(PATTERNS, seen)
-    monkeypatch.setattr(prediction, "_COLUMN_BYTES", 8 * 51 * K)
+    monkeypatch.setattr(prediction, "_COLUMN_BYTES", 8 * 100 * K)
     parts = predict(PATTERNS, seen)
     np.testing.assert_allclose(whole.expected, parts.expected)
     np.testing.assert_allclose(whole.miss, parts.miss)
@@ -126,7 +145,7 @@ def test_rows_that_can_be_predicted() -> None:
     trusted = np.ones((4, 10), bool)
     trusted[2, :2], trusted[3, :3] = False, False
     none = np.zeros((4, 10))
-    made = FramePrediction(none, none, trusted, np.array([0.35, 0.45, 0.1, 0.1]), ())
+    made = FramePrediction(none, none, trusted, np.array([0.35, 0.45, 0.1, 0.1]), (), np.arange(4))
     assert made.predicted.tolist() == [True, False, True, False]
 
 
@@ -134,7 +153,7 @@ def test_noise_is_the_median_deviation_of_trusted_samples() -> None:
     observed = np.random.default_rng(0).standard_normal((3, 2000)) * [[1], [2], [0]]
     trusted = np.ones(observed.shape, bool)
     observed[:, :500], trusted[:, :500] = 99, False
-    made = FramePrediction(observed, 0 * observed, trusted, np.zeros(3), ())
+    made = FramePrediction(observed, 0 * observed, trusted, np.zeros(3), (), np.arange(3))
     np.testing.assert_allclose(made.noise[:, 0], [1, 2, 0], rtol=0.05, atol=1e-8)
 
 

@@ -48,6 +48,28 @@ def test_a_frame_must_miss_more_than_the_others() -> None:
         assert wrong_frames(replace(noisy, observed=observed))[5] == wrong
 
 
+def test_a_frame_must_miss_more_than_misses_usually_differ() -> None:
+    """Misses that differ by factors of e accuse no frame that lies among them."""
+    sign = np.where(np.arange(M) % 2, 1.0, -1.0)[:, None]
+    example = off(5, 0.01)
+    usual = example.expected.mean(axis=1, keepdims=True)
+    variation = ((example.expected - usual) ** 2).mean(axis=0)
+    misses = 0.02 * np.exp(np.linspace(-1.5, 1.5, K))
+    for size, wrong in ((0.5, False), (1.5, True)):
+        misses[5] = size
+        observed = example.expected + sign * np.sqrt(misses * variation)
+        assert wrong_frames(replace(example, observed=observed))[5] == wrong
+
+
+def test_light_that_is_smooth_over_the_projector_accuses_nobody() -> None:
+    example = off(5, 0.01)
+    part = np.arange(M) // 15
+    smooth = np.where(np.arange(K) == 5, 1.0, 0.0) * np.array([1, -1, 1, -1])[part][:, None]
+    missed = replace(example, observed=example.observed + 0.9 * smooth, part=part)
+    assert not wrong_frames(missed).any()
+    assert wrong_frames(replace(missed, part=np.arange(M)))[5]
+
+
 def test_too_few_rows_accuse_nobody() -> None:
     assert not wrong_frames(off(5, 2.0, rows=19)).any()
     assert wrong_frames(off(5, 2.0, rows=20))[5]

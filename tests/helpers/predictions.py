@@ -21,4 +21,4 @@ def prediction(
     observed = expected * gain
     observed = observed + noise * np.random.default_rng(seed).standard_normal(observed.shape)
     trusted = np.ones((rows, frames), bool)
-    return FramePrediction(observed, expected, trusted, np.full(rows, 0.01), ())
+    return FramePrediction(observed, expected, trusted, np.full(rows, 0.01), (), np.arange(rows))

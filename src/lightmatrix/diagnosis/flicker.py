@@ -36,7 +36,10 @@ def brightness_changes(
     power = np.maximum((weight * expected**2).sum(axis=0), 1e-12)
     change = (weight * left * expected).sum(axis=0) / power
     rest = weight * expected * (left - change * expected)
-    error = np.sqrt((rest**2).sum(axis=0)) / power
+    # Rows of one part of the projector miss the same light, which would look like many witnesses.
+    parts = np.zeros((int(prediction.part.max(initial=0)) + 1, rest.shape[1]))
+    np.add.at(parts, prediction.part, rest)
+    error = np.sqrt((parts**2).sum(axis=0)) / power
     enough = (weight > 0).sum(axis=0) >= _FEWEST_ROWS
     return np.where(enough, change, 0), np.where(enough, error, np.inf)
 

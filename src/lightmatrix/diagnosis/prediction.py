@@ -1,9 +1,10 @@
 """What a camera pixel should show in each frame, predicted from its other frames.
 
 A camera pixel sees a few places of the projector and, faintly, all of it. Ridge regression explains
-its samples from windows of projector pixels around the two places that correlate best, and from the
-mean of the pattern. What it should show in frame k is predicted from the other frames only
-(leave-one-out, in closed form from the diagonal of the hat matrix).
+its samples from windows of projector pixels around the two places that correlate best, from the
+mean around the first of them, and from the mean of the pattern. What it should show in frame k is
+predicted from the other frames only (leave-one-out, in closed form from the diagonal of the hat
+matrix).
 
 The differences are the noise against which the checks measure everything else: they show how well
 the pixel can be predicted at all, and only larger differences mean that something is wrong. The
@@ -31,8 +32,14 @@ from lightmatrix.patterns.pattern_set import PatternSet
 _REACH, _SPREAD = 2, 1.0
 _PLACE_SCALES = (1.0, 0.5)
 _MEAN_SCALE = 0.1
+# Blurred light reaches further: the mean around the first place is one more column. Its weights are
+# a Gaussian of standard deviation 3 pixels, of which every other pixel within 6 is taken; its scale
+# is a prior, too. Chosen by hand.
+_AROUND_REACH, _AROUND_STEP, _AROUND_SPREAD, _AROUND_SCALE = 6, 2, 3.0, 0.3
 # Each row takes the ridge that predicts it best.
 _RIDGES = (0.003, 0.03, 0.3)
+# The projector has 4 x 4 parts. Chosen by hand.
+_PARTS = 4
 # At most 64 MiB of the explaining columns are held at a time, and rows are explained from at most
 # 192 frames, drawn at random. Both were chosen by hand and bound memory and time.
 _COLUMN_BYTES = 64 << 20
@@ -59,6 +66,9 @@ class FramePrediction:
     miss: NDArray[np.float64]
     # Projector pixels around which each row was explained, (m,) each.
     places: tuple[NDArray[np.int64], ...]
+    # The part of the projector that each row follows, (m,). What a window does not explain is alike
+    # in the rows of a part, which are therefore no independent witnesses.
+    part: NDArray[np.int64]
 
     @cached_property
     def noise(self) -> NDArray[np.float64]:
@@ -81,6 +91,7 @@ class FramePrediction:
             trusted=self.trusted[index],
             miss=self.miss[index],
             places=tuple(place[index] for place in self.places),
+            part=self.part[index],
         )
 
     def frames(self, index: NDArray[np.integer]) -> FramePrediction:
@@ -134,20 +145,27 @@ def predict(
     observed = np.asarray(samples.values, np.float64)
     level = np.broadcast_to(samples.clip_level, observed.shape)
     windows = [_window(place, patterns.shape) for place in places]
-    # Every pixel of a window is a column, and the mean is one more.
-    row_bytes = 8 * patterns.count * (sum(pixels.shape[1] for pixels, _ in windows) + 1)
+    around = _window(places[0], patterns.shape, _AROUND_REACH, _AROUND_SPREAD, _AROUND_STEP)
+    # Every pixel of a window is a column, and so are their surroundings and the mean.
+    row_bytes = 8 * patterns.count * (sum(pixels.shape[1] for pixels, _ in [*windows, around]) + 1)
     step = max(1, _COLUMN_BYTES // row_bytes)
     expected = np.empty_like(observed)
     miss = np.empty(len(observed))
     known = np.empty(observed.shape, bool)
     for start in range(0, len(observed), step):
         part = slice(start, start + step)
-        columns = _columns(patterns, [(n[part], scale[part]) for n, scale in windows])
+        columns = _columns(
+            patterns,
+            [(n[part], scale[part]) for n, scale in windows],
+            (around[0][part], around[1][part]),
+        )
         expected[part], miss[part], known[part] = _left_out(columns, observed[part], learned[part])
     usual = np.sqrt(miss * np.maximum(observed.var(axis=1), 1e-18))[:, None]
     # A row that is expected to come close to the clip level shows its noise from one side only.
     trusted = known & ~samples.clipped & (expected + 3 * usual < level)
-    return FramePrediction(observed, expected, trusted, miss, places)
+    return FramePrediction(
+        observed, expected, trusted, miss, places, _parts(places[0], patterns.shape)
+    )
 
 
 def _left_out(
@@ -194,13 +212,21 @@ def _left_out(
 
 
 def _columns(
-    patterns: PatternSet, windows: list[tuple[NDArray[np.int64], NDArray[np.float64]]]
+    patterns: PatternSet,
+    windows: list[tuple[NDArray[np.int64], NDArray[np.float64]]],
+    around: tuple[NDArray[np.int64], NDArray[np.float64]],
 ) -> NDArray[np.float64]:
     """What explains rows: (m, K, d), each column in the scale that is expected of it."""
     parts = []
     for (pixels, scale), size in zip(windows, _PLACE_SCALES, strict=True):
         shown = patterns.columns(pixels.ravel()).reshape(patterns.count, *pixels.shape)
         parts.append(np.moveaxis(shown, 0, 1) * (size * scale)[:, None, :])
+    pixels, scale = around
+    shown = patterns.columns(pixels.ravel()).reshape(patterns.count, *pixels.shape)
+    mean = np.einsum("kmd,md->mk", shown, scale**2)
+    mean = mean - mean.mean(axis=1, keepdims=True)
+    mean *= _AROUND_SCALE / np.maximum(mean.std(axis=1, keepdims=True), 1e-6)
+    parts.append(mean[..., None])
     spread = float(patterns.means.std())
     means = (
         (patterns.means - patterns.means.mean()) / spread if spread > 1e-6 else 0 * patterns.means
@@ -210,15 +236,29 @@ def _columns(
     return np.asarray(np.concatenate(parts, axis=2), np.float64)
 
 
+def _parts(places: NDArray[np.int64], shape: tuple[int, int]) -> NDArray[np.int64]:
+    """The number of the part of the projector that each place lies in, (m,)."""
+    row, col = np.divmod(places, shape[1])
+    down, right = (-(-size // _PARTS) for size in shape)
+    return np.asarray(row // down * _PARTS + col // right)
+
+
 def _window(
-    place: NDArray[np.int64], shape: tuple[int, int]
+    place: NDArray[np.int64],
+    shape: tuple[int, int],
+    reach: int = _REACH,
+    spread: float = _SPREAD,
+    step: int = 1,
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Pixels of the windows around places, (m, d), and the scale of each; 0 outside."""
-    offset = np.arange(-_REACH, _REACH + 1)
+    """Every `step`-th pixel of the windows around places, (m, d), and the scale of each; 0 outside.
+
+    The squared scale is a Gaussian of standard deviation `spread`.
+    """
+    offset = np.arange(-reach, reach + 1, step)
     down, right = (each.ravel() for each in np.meshgrid(offset, offset, indexing="ij"))
     row, col = np.divmod(place, shape[1])
     row, col = row[:, None] + down, col[:, None] + right
     inside = (row >= 0) & (row < shape[0]) & (col >= 0) & (col < shape[1])
-    scale = np.exp(-(down**2 + right**2) / (4 * _SPREAD**2))
+    scale = np.exp(-(down**2 + right**2) / (4 * spread**2))
     pixels = np.where(inside, row * shape[1] + col, 0).astype(np.int64)
     return pixels, np.where(inside, scale, 0.0)

@@ -108,7 +108,8 @@ def _step(capture: Capture, rows: _Rows, light: Array, camera: bool) -> Bends | 
         np.einsum("mkd,md->mk", columns, weights), samples, capture.decoder, exposures
     )
     change = turned_rest * weights[:, 1:2] + np.einsum("mkd,md->mk", turned, weights[:, 2:])
-    bent = Rows(values, predicted, dark, usable, columns * unit[..., None], change * unit)
+    alone = np.arange(len(values))
+    bent = Rows(values, predicted, dark, usable, columns * unit[..., None], alone, change * unit)
     return solve_bends(bent, capture.decoder.response, GammaBend() if camera else None)
 
 

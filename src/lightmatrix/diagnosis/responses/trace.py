@@ -47,6 +47,8 @@ class Rows:
         Which samples are not clipped and may be compared.
     columns : (m, K, d) float64
         What explains the light of each row up to weights.
+    part : (m,) int64
+        Rows with the same number may miss the same light: only their sums scatter independently.
     change : (m, K) float64, optional
         How the predicted light changes with the logarithm of the projector's gamma; it is then
         solved for as the last bend.
@@ -57,12 +59,13 @@ class Rows:
     dark: Array
     usable: NDArray[np.bool_]
     columns: Array
+    part: NDArray[np.int64]
     change: Array | None = None
 
     def select(self, index: NDArray[np.bool_]) -> Rows:
         """Some of the rows."""
         change = None if self.change is None else self.change[index]
-        names = ("light", "predicted", "dark", "usable", "columns")
+        names = ("light", "predicted", "dark", "usable", "columns", "part")
         chosen = {name: getattr(self, name)[index] for name in names}
         return replace(self, **chosen, change=change)
 
@@ -125,7 +128,8 @@ def solve_bends(rows: Rows, response: Response, bend: Bend | None) -> Bends | No
         return None
     inverse = np.linalg.inv(matrix)
     sizes = -inverse @ sides.sum(axis=0)
-    each = sides + matrices @ sizes
+    each = np.zeros((int(rows.part.max(initial=0)) + 1, len(sizes)))
+    np.add.at(each, rows.part, sides + matrices @ sizes)
     return Bends(sizes, inverse @ (each.T @ each) @ inverse.T)
 
 
