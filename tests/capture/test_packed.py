@@ -89,6 +89,7 @@ DECODERS: dict[str, dict[str, Any]] = {
         "exposure": np.linspace(0.5, 2, COUNT),
     },
     "gamma": {"response": Response.parse("gamma:2.2")},
+    "to be found": {"response": Response.parse("auto")},
     "a curve": {"response": Response(LEVELS, LEVELS**1.5, "curve:gone.txt")},
 }
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.camera.camera_curve import Response
+from lightmatrix.camera.camera_curve import AUTOMATIC, Response
 from lightmatrix.camera.decoder import Decoder
 from lightmatrix.capture.decoding import CaptureParts
 from lightmatrix.capture.description import KEYS, Description, parse_description
@@ -228,9 +228,9 @@ def _response(place: Path, attributes: Mapping[str, Any]) -> Response:
     if not isinstance(name, str):
         raise ValueError("its response has no name")
     if not (place / CURVE).exists():
-        if name != Response().name:
+        if name not in (Response().name, AUTOMATIC):
             raise ValueError(f"the curve of its response {name[:60]!r} is missing")
-        return Response()
+        return Response(name=name)
     curve = StoredArray.open(place / CURVE)
     if len(curve.shape) != 2 or curve.shape[0] != 2 or curve.shape[1] < 2:
         raise ValueError("the curve of its response has no points")
