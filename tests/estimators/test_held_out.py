@@ -54,7 +54,7 @@ def test_nothing_is_held_out_where_that_tests_nothing() -> None:
         assert not len(held.judged)
 
 
-@pytest.mark.parametrize("count", [16, 64])
+@pytest.mark.parametrize("count", [16, 40, 48, 56, 64, 200])
 def test_as_few_are_judged_as_asked(count: int) -> None:
     held = HeldOut.choose(lm.BernoulliPatterns((16, 16), count, seed=2), judged=4)
     assert len(held.judged) == min(4, count // 8)

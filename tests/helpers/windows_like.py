@@ -82,15 +82,19 @@ def _renaming(real: Callable[..., None], replaces: bool) -> Callable[..., None]:
 
 def _filelock_as_on_windows() -> None:
     """Let filelock go on with the functions of POSIX, and remove its file once it is unlocked."""
-    library: Any = importlib.import_module("filelock._unix")
-    library.os = types.SimpleNamespace(**vars(os))
-    unlock = library.UnixFileLock._release
+    lock_class: Any = importlib.import_module("filelock").UnixFileLock
+    posix = types.SimpleNamespace(**vars(os))
+    modules: Any = sys.modules
+    for name in [*modules]:
+        if name.startswith("filelock.") and hasattr(modules[name], "os"):
+            modules[name].os = posix
+    unlock = lock_class._release
 
     def release(lock: Any) -> None:
         unlock(lock)
         Path(lock.lock_file).unlink(missing_ok=True)
 
-    library.UnixFileLock._release = release
+    lock_class._release = release
 
 
 def pretend() -> None:

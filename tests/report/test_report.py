@@ -143,7 +143,7 @@ def test_the_numbers_are_those_of_the_estimate(
     numbers = json.loads((written / "report.json").read_text())
     assert numbers["relative_error"] == lm.evaluate(estimate, capture.truth).relative_error
     assert numbers["clipped_samples"] == pytest.approx(capture.clipped_share)
-    assert len(numbers["held_out_frames"]) == 2
+    assert len(numbers["held_out_frames"]) == 4
     assert numbers["held_out_error"] < 0.3 * numbers["mean_photograph_error"]
 
 

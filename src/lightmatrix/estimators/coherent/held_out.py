@@ -56,7 +56,7 @@ class HeldOut:
         if not len(usual) or is_separable(patterns):
             return cls(nothing, nothing)
         if judged is not None and judged < len(usual):
-            usual = usual[np.linspace(0, len(usual) - 1, judged + 2)[1:-1].round().astype(int)]
+            usual = usual[np.linspace(0, len(usual) - 1, judged).astype(int)]
         values = _values(patterns)
         compared = _most_alike(values, usual)
         chosen = cls._among(values[compared], np.searchsorted(compared, usual))
