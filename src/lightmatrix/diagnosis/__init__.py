@@ -20,5 +20,6 @@
 
 The checks share three foundations: ``survey`` reads the samples that they look at; ``pursuit``
 predicts frames for the judgement of their order (also in the live rig); ``prediction`` predicts
-them more exactly, for everything else. ``finding`` is what they return.
+them more exactly, for everything else. ``finding`` is what they return; ``statistics`` is what
+several of them compute.
 """

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from lightmatrix.diagnosis.finding import Finding, join_names
 from lightmatrix.diagnosis.prediction import FramePrediction
+from lightmatrix.diagnosis.statistics import robust_deviation, sums_by_group
 
 # A standard deviation of the light of up to 1.2 % does no harm; a single frame is named from 4 %
 # on, and only if it deviates by 6 times what frames usually do. A deviation counts if it exceeds 5
@@ -37,9 +38,7 @@ def brightness_changes(
     change = (weight * left * expected).sum(axis=0) / power
     rest = weight * expected * (left - change * expected)
     # Rows of one part of the projector miss the same light, which would look like many witnesses.
-    parts = np.zeros((int(prediction.part.max(initial=0)) + 1, rest.shape[1]))
-    np.add.at(parts, prediction.part, rest)
-    error = np.sqrt((parts**2).sum(axis=0)) / power
+    error = np.sqrt((sums_by_group(rest, prediction.part) ** 2).sum(axis=0)) / power
     enough = (weight > 0).sum(axis=0) >= _FEWEST_ROWS
     return np.where(enough, change, 0), np.where(enough, error, np.inf)
 
@@ -54,7 +53,7 @@ def check_flicker(
     if len(change) < 4:
         return []
     certain = np.abs(change) > _CERTAIN * error
-    usual = 1.4826 * float(np.median(np.abs(change - np.median(change))))
+    usual = robust_deviation(change)
     if usual > _HARMLESS and certain.mean() > 0.3:
         worst = int(np.argmax(np.abs(change)))
         spread = float(np.sqrt(np.mean(np.clip(change, -4 * usual, 4 * usual) ** 2)))

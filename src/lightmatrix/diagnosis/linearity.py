@@ -19,7 +19,8 @@ from lightmatrix.diagnosis.survey import Survey
 # blurred, predictions from windows are off by up to two of them.
 _ANNOUNCED, _CERTAIN = 0.02, 4.0
 # With 16 frames, windows of 50 pixels explain anything: powers of linear captures were off by up
-# to .1 under sharp light and .5 under broad light. The error falls faster than that of a mean.
+# to .1 under sharp light and .5 under broad light. The logarithm of a power gets a margin of .4 at
+# 16 frames, which falls with the cube of their number. Chosen by hand.
 _FEW_FRAMES, _OFF_BY = 16, 0.4
 # Where predictions miss more than 10 % of the variance under every power, what they miss may look
 # like a bend: the power must take a tenth of that away. Chosen on captures with and without curves

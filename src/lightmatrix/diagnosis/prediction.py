@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from lightmatrix.camera.samples import Samples
 from lightmatrix.diagnosis.pursuit import best_pixels, column_scale
+from lightmatrix.diagnosis.statistics import OF_MEDIAN
 from lightmatrix.patterns.pattern_set import PatternSet
 
 # A window reaches two projector pixels to each side of its place. Light is expected to fall off
@@ -74,7 +75,7 @@ class FramePrediction:
     def noise(self) -> NDArray[np.float64]:
         """Standard deviation of each row's differences, (m, 1), by the median absolute one."""
         difference = np.where(self.trusted, np.abs(self.observed - self.expected), np.nan)
-        deviation = 1.4826 * np.nanmedian(difference, axis=1, keepdims=True)
+        deviation = OF_MEDIAN * np.nanmedian(difference, axis=1, keepdims=True)
         return np.asarray(np.maximum(deviation, 1e-9))
 
     @property
@@ -153,13 +154,13 @@ def predict(
     miss = np.empty(len(observed))
     known = np.empty(observed.shape, bool)
     for start in range(0, len(observed), step):
-        part = slice(start, start + step)
+        some = slice(start, start + step)
         columns = _columns(
             patterns,
-            [(n[part], scale[part]) for n, scale in windows],
-            (around[0][part], around[1][part]),
+            [(pixels[some], scale[some]) for pixels, scale in windows],
+            (around[0][some], around[1][some]),
         )
-        expected[part], miss[part], known[part] = _left_out(columns, observed[part], learned[part])
+        expected[some], miss[some], known[some] = _left_out(columns, observed[some], learned[some])
     usual = np.sqrt(miss * np.maximum(observed.var(axis=1), 1e-18))[:, None]
     # A row that is expected to come close to the clip level shows its noise from one side only.
     trusted = known & ~samples.clipped & (expected + 3 * usual < level)
@@ -219,11 +220,9 @@ def _columns(
     """What explains rows: (m, K, d), each column in the scale that is expected of it."""
     parts = []
     for (pixels, scale), size in zip(windows, _PLACE_SCALES, strict=True):
-        shown = patterns.columns(pixels.ravel()).reshape(patterns.count, *pixels.shape)
-        parts.append(np.moveaxis(shown, 0, 1) * (size * scale)[:, None, :])
+        parts.append(np.moveaxis(patterns.at(pixels), 0, 1) * (size * scale)[:, None, :])
     pixels, scale = around
-    shown = patterns.columns(pixels.ravel()).reshape(patterns.count, *pixels.shape)
-    mean = np.einsum("kmd,md->mk", shown, scale**2)
+    mean = np.einsum("kmd,md->mk", patterns.at(pixels), scale**2)
     mean = mean - mean.mean(axis=1, keepdims=True)
     mean *= _AROUND_SCALE / np.maximum(mean.std(axis=1, keepdims=True), 1e-6)
     parts.append(mean[..., None])

@@ -129,7 +129,7 @@ def _pursue(
     chosen = np.empty((len(values), 0), np.int64)
     for _ in range(PROJECTOR_PIXELS):
         chosen = np.column_stack([chosen, choose(residual)])
-        columns = patterns.columns(chosen.ravel()).reshape(patterns.count, *chosen.shape)
+        columns = patterns.at(chosen)
         shown = columns[train]
         level = shown.mean(axis=0)
         basis = np.moveaxis(shown - level, 0, 1)
@@ -188,7 +188,7 @@ def _search_listed(
     train: NDArray[np.integer],
 ) -> Chooser:
     """Choose from the shortlist of a row's group, (groups, length)."""
-    columns = patterns.columns(listed.ravel()).reshape(patterns.count, *listed.shape)
+    columns = patterns.at(listed)
     shown = np.ascontiguousarray(np.moveaxis(columns[train], 0, 1))
 
     def choose(residual: NDArray[np.float32]) -> NDArray[np.int64]:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from lightmatrix.diagnosis.finding import Finding, join_names
 from lightmatrix.diagnosis.prediction import FramePrediction
+from lightmatrix.diagnosis.statistics import robust_deviation, sums_by_group
 
 # A frame is wrong if its prediction misses more than 30 % of its variation and 4 times what that of
 # the median frame does; from 12 % on it is suspected. It takes 20 rows to judge a frame. Chosen on
@@ -44,8 +45,7 @@ def wrong_frames(prediction: FramePrediction, share: float = WRONG) -> NDArray[n
     seen = np.where(prediction.trusted, prediction.expected, 0).sum(axis=0)
     lit = seen > _LIT * typical * np.maximum(prediction.trusted.sum(axis=0), 1)
     usual = float(np.median(miss))
-    logs = np.log(np.maximum(miss, 1e-12))
-    spread = 1.4826 * float(np.median(np.abs(logs - np.median(logs))))
+    spread = robust_deviation(np.log(np.maximum(miss, 1e-12)))
     least = max(share, usual * max(_UNUSUAL, float(np.exp(_DEVIATIONS * spread))))
     wrong = (miss > least) & (usual < WRONG)
     dark = lit & (gain < _DARK) & ((1 - gain) * strength > _CERTAIN)
@@ -84,12 +84,9 @@ def _part_means(
     left: NDArray[np.float64], trusted: NDArray[np.float64], part: NDArray[np.int64]
 ) -> NDArray[np.float64]:
     """The mean of what is left in the other rows of the same part of the projector, (m, K)."""
-    count = np.zeros((int(part.max(initial=0)) + 1, left.shape[1]))
-    total = count.copy()
-    np.add.at(count, part, trusted)
-    np.add.at(total, part, trusted * left)
-    others = np.maximum(count[part] - trusted, 0)
-    return np.asarray((total[part] - trusted * left) / (others + _FEW_OTHERS))
+    others = np.maximum(sums_by_group(trusted, part)[part] - trusted, 0)
+    total = sums_by_group(trusted * left, part)[part] - trusted * left
+    return np.asarray(total / (others + _FEW_OTHERS))
 
 
 def check_frames(

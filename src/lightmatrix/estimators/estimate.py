@@ -17,13 +17,12 @@ rest (`workers/worker.py`).
 from __future__ import annotations
 
 from contextlib import nullcontext
-from dataclasses import replace
 from pathlib import Path
 
 from lightmatrix.camera.camera_curve import AUTOMATIC, Response
 from lightmatrix.capture.capture import Capture, open_capture
 from lightmatrix.diagnosis.refusals import refuse_unordered, refuse_unusable, warn_of_stripes
-from lightmatrix.diagnosis.responses.found import with_response
+from lightmatrix.diagnosis.responses.found import with_projector, with_response
 from lightmatrix.errors import InputError
 from lightmatrix.estimators.choice import choose_estimator
 from lightmatrix.estimators.resource_estimate import estimate_resources
@@ -171,8 +170,7 @@ def estimate(
         known = Response.parse(response) if isinstance(response, str) else response
         capture = with_response(capture, known)
     if isinstance(projector_response, ProjectorResponse):
-        light = projector_response.light_of_patterns(capture.patterns)
-        capture = replace(capture, patterns=light)
+        capture = with_projector(capture, projector_response)
     elif projector_response not in (None, AUTOMATIC):
         raise InputError(
             f"a projector's response of {projector_response!r}",

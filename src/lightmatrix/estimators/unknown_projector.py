@@ -7,8 +7,12 @@ from pathlib import Path
 from lightmatrix.camera.camera_curve import AUTOMATIC
 from lightmatrix.capture.capture import Capture, open_capture
 from lightmatrix.diagnosis.responses.bend import exponent
-from lightmatrix.diagnosis.responses.found import FoundResponse, largest_difference
-from lightmatrix.diagnosis.responses.from_greys import gammas_from_greys, read_as
+from lightmatrix.diagnosis.responses.found import (
+    FoundResponse,
+    largest_difference,
+    with_projector,
+)
+from lightmatrix.diagnosis.responses.from_greys import gammas_from_greys
 from lightmatrix.errors import InputError
 from lightmatrix.estimators.choice import choose_estimator
 from lightmatrix.estimators.settings import EstimateSettings
@@ -61,6 +65,7 @@ def find_projector_response(
 
     Examples
     --------
+    >>> import numpy as np
     >>> import lightmatrix as lm
     >>> light = np.random.default_rng(0).random((32, 64, 64)) ** 2.2
     >>> capture = lm.simulate("metal", lm.ImagePatterns(light), exposure=0.5)
@@ -79,7 +84,7 @@ def find_projector_response(
     stated = whole.decoder.response
     part, gamma, estimates = brightest_window(whole), 1.0, 0
     while True:
-        read = read_as(part, gamma)
+        read = with_projector(part, ProjectorResponse.of_gamma(gamma))
         transport = choose_estimator(read, settings).estimate(read)
         estimates += 1
         better = gammas_from_greys(part, transport, gamma, camera=camera)

@@ -22,7 +22,7 @@ from lightmatrix.outputs.targets import ANOTHER_NAME
 
 MARKER = ".lightmatrix"
 FORMAT, VERSION = "lightmatrix-output", 1
-# Where the marker of a folder can be: a JSON file, then the keys that lead to it inside.
+# A folder holds its marker in one of two places: a JSON file, and the keys that lead to it inside.
 IN_FILE, IN_ZARR = (MARKER,), ("zarr.json", "attributes", "output")
 # Bytes of the largest JSON file that is read in search of a marker, far more than any marker takes.
 _MOST_BYTES = 1 << 28

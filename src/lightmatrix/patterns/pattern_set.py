@@ -75,6 +75,10 @@ class PatternSet(ABC):
     def columns(self, index: NDArray[np.integer]) -> NDArray[np.float32]:
         """Chosen columns of P: (K, len(index)) float32."""
 
+    def at(self, pixels: NDArray[np.integer]) -> NDArray[np.float32]:
+        """Values at pixels in an array of any shape: (K, *pixels.shape) float32."""
+        return self.columns(pixels.ravel()).reshape(self.count, *pixels.shape)
+
     @abstractmethod
     def rows(self, start: int, stop: int) -> NDArray[np.float32]:
         """Patterns start..stop of P as float32 (stop - start, N)."""

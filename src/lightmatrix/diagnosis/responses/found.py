@@ -74,9 +74,7 @@ class FoundResponse:
     def applied_to(self, capture: Capture) -> Capture:
         """The capture, read by this response, with the light of its grey values if it was found."""
         read = with_response(capture, self.response)
-        if self.projector is None:
-            return read
-        return replace(read, patterns=self.projector.light_of_patterns(read.patterns))
+        return read if self.projector is None else with_projector(read, self.projector)
 
     def as_dict(self) -> dict[str, Any]:
         """Everything besides the curve, JSON-ready."""
@@ -110,6 +108,11 @@ class FoundResponse:
 def with_response(capture: Capture, response: Response) -> Capture:
     """The capture, read by another response."""
     return replace(capture, decoder=replace(capture.decoder, response=response))
+
+
+def with_projector(capture: Capture, projector: ProjectorResponse) -> Capture:
+    """The capture, with the grey values of its patterns read as light."""
+    return replace(capture, patterns=projector.light_of_patterns(capture.patterns))
 
 
 def largest_difference(one: Response, other: Response) -> float:

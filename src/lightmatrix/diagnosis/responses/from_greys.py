@@ -11,7 +11,7 @@ of each row are those of an estimate of T; their weights are fitted again after 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -122,9 +122,3 @@ def _fitted(columns: Array, samples: Samples, usable: NDArray[np.bool_]) -> Arra
     weights = np.linalg.solve(gram + ridge, sides[..., None])[..., 0]
     weights[:, 2:] = np.maximum(weights[:, 2:], 0)
     return np.asarray(weights)
-
-
-def read_as(capture: Capture, gamma: float) -> Capture:
-    """The capture, with its grey values as the light of a projector of some gamma."""
-    projector = ProjectorResponse.of_gamma(gamma)
-    return replace(capture, patterns=projector.light_of_patterns(capture.patterns))

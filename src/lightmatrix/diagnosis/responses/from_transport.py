@@ -32,9 +32,7 @@ def bends_from_transport(capture: Capture, transport: LightTransport, bend: Bend
         return None
     strongest, weights = strongest_pixels(transport, index, capture.count)
     patterns = capture.patterns
-    lit = np.moveaxis(
-        patterns.columns(strongest.ravel()).reshape(capture.count, *strongest.shape), 0, 1
-    ).astype(np.float64)
+    lit = np.moveaxis(patterns.at(strongest), 0, 1).astype(np.float64)
     shown = _predicted(capture, transport, index)
     rest = shown - np.einsum("mkd,md->mk", lit, weights)
     exposures = capture.exposures

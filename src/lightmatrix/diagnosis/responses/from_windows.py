@@ -36,7 +36,7 @@ _STARTS = (1.0, 2.2, 0.5)
 # A search may also settle where nothing can be predicted. Predictions under the right power miss no
 # more than those under the stated response, but for chance: 5 %. On a linear capture of 32 faint
 # photographs they missed .017 of the variance, and .37 under a gamma of 6. Predictions that miss at
-# most .5 % are right in any case: where 128 photographs are predicted well, noise decides.
+# most .5 % are right in any case: which of two misses is smaller is then a matter of noise.
 _MISSED_MORE, _MISSED_LITTLE = 1.05, 0.005
 # Powers of the light lie well within this range.
 _POWERS = (0.2, 6.0)
@@ -143,7 +143,7 @@ def _bends(
     light, dark = light_of(prediction.observed, samples, decoder, exposures)
     expected, _ = light_of(prediction.expected, samples, decoder, exposures)
     shown = _cross(prediction.places[0], patterns.shape)
-    seen = np.moveaxis(patterns.columns(shown.ravel()).reshape(survey.count, *shown.shape), 0, 1)
+    seen = np.moveaxis(patterns.at(shown), 0, 1)
     columns = np.concatenate(
         [np.ones((*light.shape, 1)), (prediction.expected)[..., None], seen], axis=2
     )

@@ -22,6 +22,7 @@ from lightmatrix.camera.camera_curve import Response
 from lightmatrix.camera.decoder import Decoder
 from lightmatrix.camera.samples import Samples
 from lightmatrix.diagnosis.responses.bend import Bend
+from lightmatrix.diagnosis.statistics import sums_by_group
 
 Array = NDArray[np.float64]
 
@@ -128,8 +129,7 @@ def solve_bends(rows: Rows, response: Response, bend: Bend | None) -> Bends | No
         return None
     inverse = np.linalg.inv(matrix)
     sizes = -inverse @ sides.sum(axis=0)
-    each = np.zeros((int(rows.part.max(initial=0)) + 1, len(sizes)))
-    np.add.at(each, rows.part, sides + matrices @ sizes)
+    each = sums_by_group(sides + matrices @ sizes, rows.part)
     return Bends(sizes, inverse @ (each.T @ each) @ inverse.T)
 
 

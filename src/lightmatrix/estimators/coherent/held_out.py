@@ -20,8 +20,8 @@ from lightmatrix.patterns.pattern_set import PatternSet
 _NEW = 0.5
 # At most a quarter of the frames is held out: the rows need the others. Chosen by hand.
 _MOST = 4
-# Of more frames, only about this many that are most like those to hold out are compared, which
-# bounds the time to a few seconds.
+# Frames are compared with all others. If there are more than this, only about so many are compared
+# that are most like those to hold out, which bounds the time to a few seconds.
 _COMPARED = 1024
 # The contrast is computed from this many projector pixels, or from four for each frame.
 _SAMPLED_PIXELS, _PIXELS_PER_FRAME = 4096, 4
