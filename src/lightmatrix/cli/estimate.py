@@ -11,7 +11,7 @@ import typer
 import lightmatrix as lm
 from lightmatrix.cli.claims import claim, say_what_is_kept
 from lightmatrix.cli.estimate_colour import estimate_colour, in_colour
-from lightmatrix.cli.estimate_report import write_report
+from lightmatrix.cli.estimate_report import check_report, write_report
 from lightmatrix.cli.options import (
     ADMM_ITERATIONS,
     AUTO,
@@ -38,6 +38,7 @@ if TYPE_CHECKING:
         ResourceEstimate,
         RigGeometry,
     )
+    from lightmatrix.estimators.base import Estimator
 
 # The command says what an estimate takes if it takes longer than this many seconds, or more than
 # this share of the free memory. Chosen by hand: shorter and smaller ones need no warning.
@@ -86,7 +87,8 @@ Coherent = Annotated[
         "--coherent/--no-coherent",
         rich_help_panel=_SOLVER,
         help="Let camera pixels learn from their neighbours. The default with the active-set "
-        f"solver and up to {COHERENT_UP_TO} patterns.",
+        f"solver and up to {COHERENT_UP_TO} patterns, unless photographs held out are predicted "
+        "better without.",
     ),
 ]
 Iterations = Annotated[
@@ -256,7 +258,7 @@ def estimate(
             as_json=as_json,
         )
         return
-    _check_report(output, report, viewer)
+    check_report(output, report, viewer)
     if not dry_run:
         claim(output, STORE, overwrite=overwrite)
         if report is not None:
@@ -275,8 +277,9 @@ def estimate(
             warn(str(pool))
         findings = _findings(capture, whole, check, found_later=source.find_projector)
         capture, found = _with_known_response(capture, settings, source.find_projector)
+        estimator = _chosen(capture, settings, resources)
         with progress("estimating", "rows") as step:
-            transport = lm.choose_estimator(capture, settings, resources).estimate(
+            transport = estimator.estimate(
                 capture,
                 output=output,
                 overwrite=overwrite,
@@ -307,15 +310,12 @@ def estimate(
         say(f"report: {(report / 'report.html').absolute()}")
 
 
-def _check_report(output: Path, report: Path | None, viewer: bool) -> None:
-    """Refuse a viewer without its report, and a report where the estimate goes."""
-    if viewer and report is None:
-        hint = "add --report, or run `lightmatrix view --export` on the estimate"
-        raise InputError("--viewer without --report", hint=hint)
-    if report is not None and output.absolute() in (report.absolute(), *report.absolute().parents):
-        raise InputError(
-            f"{report}: is where the estimate goes", hint="choose another folder for the report"
-        )
+def _chosen(capture: Capture, settings: EstimateSettings, resources: ResourceEstimate) -> Estimator:
+    """The estimator; it is said if neighbours would mislead."""
+    estimator = lm.choose_estimator(capture, settings, resources)
+    if settings.is_coherent(capture) and isinstance(estimator, lm.PlainEstimator):
+        warn("estimating row by row, which predicts held-out photographs better (not --coherent)")
+    return estimator
 
 
 def _geometry(capture: Capture, geometry: Path | None, report: Path | None) -> RigGeometry | None:

@@ -9,9 +9,21 @@ from typing import TYPE_CHECKING, Any
 import lightmatrix as lm
 from lightmatrix.cli.source import Source
 from lightmatrix.cli.terminal import progress
+from lightmatrix.errors import InputError
 
 if TYPE_CHECKING:
     from lightmatrix import Capture, EstimateSettings, Finding, LightTransport, RigGeometry
+
+
+def check_report(output: Path, report: Path | None, viewer: bool) -> None:
+    """Refuse a viewer without its report, and a report where the estimate goes."""
+    if viewer and report is None:
+        hint = "add --report, or run `lightmatrix view --export` on the estimate"
+        raise InputError("--viewer without --report", hint=hint)
+    if report is not None and output.absolute() in (report.absolute(), *report.absolute().parents):
+        raise InputError(
+            f"{report}: is where the estimate goes", hint="choose another folder for the report"
+        )
 
 
 def write_report(

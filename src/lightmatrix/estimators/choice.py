@@ -7,6 +7,7 @@ from lightmatrix.estimators.automatic_regularization import held_out_path
 from lightmatrix.estimators.base import Estimator
 from lightmatrix.estimators.coherent.estimator import CoherentEstimator
 from lightmatrix.estimators.multiscale.estimator import MultiScaleEstimator
+from lightmatrix.estimators.neighbours_help import neighbours_help
 from lightmatrix.estimators.plain import PlainEstimator
 from lightmatrix.estimators.resource_estimate import ResourceEstimate, estimate_resources
 from lightmatrix.estimators.settings import EstimateSettings
@@ -18,7 +19,11 @@ def choose_estimator(
     settings: EstimateSettings | None = None,
     resources: ResourceEstimate | None = None,
 ) -> Estimator:
-    """Choose the estimator that suits a capture; the regularization "path" solves some rows for it.
+    """Choose the estimator that suits a capture.
+
+    The regularization "path" solves some rows for it. Where the settings leave open whether camera
+    pixels learn from their neighbours, a part of the camera is estimated both ways without some
+    frames; if these are predicted better row by row, that is the estimator.
 
     Parameters
     ----------
@@ -59,11 +64,12 @@ def choose_estimator(
     tile_rows = settings.tile_rows
     if settings.memory is not None:
         tile_rows = (resources or estimate_resources(capture, settings)).size.tile_rows
-    if settings.is_coherent(capture) and isinstance(solver, ActiveSet):
-        return CoherentEstimator(
-            regularization,
-            fidelity=solver.fidelity,
-            max_passes=solver.max_passes,
-            tile_rows=tile_rows,
-        )
-    return PlainEstimator(solver, regularization, nonnegative, settings.background, tile_rows)
+    row_by_row = PlainEstimator(solver, regularization, nonnegative, settings.background, tile_rows)
+    if not (settings.is_coherent(capture) and isinstance(solver, ActiveSet)):
+        return row_by_row
+    coherent = CoherentEstimator(
+        regularization, fidelity=solver.fidelity, max_passes=solver.max_passes, tile_rows=tile_rows
+    )
+    if settings.coherent or neighbours_help(capture, coherent, row_by_row):
+        return coherent
+    return row_by_row

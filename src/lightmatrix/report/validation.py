@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from lightmatrix.capture.capture import Capture
 from lightmatrix.errors import LightMatrixError
+from lightmatrix.estimators.camera_window import mean_image, window_of_light
 from lightmatrix.estimators.choice import choose_estimator
 from lightmatrix.estimators.coherent.held_out import HeldOut
 from lightmatrix.estimators.coherent.row_errors import FEWEST
@@ -74,7 +75,7 @@ def validate(
         return f"{capture.count} photographs are too few to hold any out"
     if not len(frames):
         return "each photograph is needed, or follows from others whatever T is (as in a Gray code)"
-    region = _region(capture, frames)
+    region = window_of_light(capture, frames, MOST_ROWS)
     tested = capture if region is None else capture.window(*region)
     others = np.setdiff1d(np.arange(capture.count), held.frames)
     try:
@@ -91,7 +92,7 @@ def validate(
     light = transport.relight(patterns).reshape(len(frames), -1).T
     # Predictions clip as the camera does, so that samples clipped in both count as right.
     predictions = np.minimum(light, level)
-    baseline = np.minimum(_mean_image(tested, others)[:, None], level)
+    baseline = np.minimum(mean_image(tested, others)[:, None], level)
     counted = samples.counted
 
     def error(guess: NDArray[np.float32]) -> float:
@@ -113,28 +114,3 @@ def validate(
         len(others),
         region,
     )
-
-
-def _region(capture: Capture, frames: NDArray[np.int64]) -> tuple[slice, slice] | None:
-    """The rows and columns of a large camera to test, around the middle of its light."""
-    rows, cols, *channels = capture.camera_shape
-    most = MOST_ROWS // (channels[0] if channels else 1)
-    if rows * cols <= most:
-        return None
-    height = min(rows, max(1, int(np.sqrt(most * rows / cols))))
-    width = min(cols, most // height)
-    light = _mean_image(capture, frames).reshape(rows, cols, -1).sum(axis=2)
-
-    def around_median(profile: NDArray[np.floating], length: int) -> slice:
-        total = np.cumsum(np.maximum(profile, 0), dtype=np.float64)
-        middle = int(np.searchsorted(total, total[-1] / 2))
-        start = int(np.clip(middle - length // 2, 0, len(profile) - length))
-        return slice(start, start + length)
-
-    return around_median(light.sum(axis=1), height), around_median(light.sum(axis=0), width)
-
-
-def _mean_image(capture: Capture, frames: NDArray[np.int64]) -> NDArray[np.float32]:
-    """The mean of some frames, (M,)."""
-    tiles = capture.select(frames).tiles()
-    return np.concatenate([tile.values.mean(axis=1) for _, tile in tiles])

@@ -1,0 +1,56 @@
+"""Photographs held out decide whether camera pixels learn from their neighbours."""
+
+import pytest
+
+import lightmatrix as lm
+from benchmarks.synthetic_captures import draw
+from lightmatrix.estimators import neighbours_help
+from lightmatrix.evaluation.metrics import relative_error
+
+SIZE = 24
+
+
+def test_independent_speckle_is_estimated_row_by_row() -> None:
+    drawn = draw("speckle", "random", "none", SIZE, seed=3)
+    chosen = lm.estimate(drawn.capture, progress=False)
+    coherent = lm.estimate(drawn.capture, coherent=True, progress=False)
+    assert chosen.provenance["estimator"] == "plain"
+    assert coherent.provenance["estimator"] == "coherent"
+    assert relative_error(chosen, drawn.truth) < 0.5 * relative_error(coherent, drawn.truth)
+
+
+@pytest.mark.parametrize("scene", ["wall", "fibres", "permutation", "glints"])
+def test_neighbours_are_used_where_they_do_no_harm(scene: str) -> None:
+    drawn = draw(scene, "random", "none", SIZE, seed=3)
+    assert isinstance(lm.choose_estimator(drawn.capture), lm.CoherentEstimator)
+
+
+def test_settings_come_first() -> None:
+    capture = draw("speckle", "random", "none", SIZE, seed=3).capture
+    coherent = lm.choose_estimator(capture, lm.EstimateSettings(coherent=True))
+    assert isinstance(coherent, lm.CoherentEstimator)
+    wall = draw("wall", "random", "none", SIZE, seed=3).capture
+    alone = lm.choose_estimator(wall, lm.EstimateSettings(coherent=False))
+    assert isinstance(alone, lm.PlainEstimator)
+
+
+def test_the_middle_of_the_light_stands_for_a_larger_camera(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    capture = draw("speckle", "random", "none", SIZE, seed=3).capture
+    monkeypatch.setattr(neighbours_help, "_TRIED", 144)
+    assert isinstance(lm.choose_estimator(capture), lm.PlainEstimator)
+
+
+@pytest.mark.parametrize("patterns", ["stripes", "one pixel"])
+def test_nothing_is_tried_where_no_frame_can_be_held_out(
+    patterns: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    capture = draw("wall", patterns, "none", 16, seed=3).capture
+
+    def fail(*_: object) -> None:
+        raise AssertionError("an estimate was tried")
+
+    monkeypatch.setattr(lm.PlainEstimator, "estimate", fail)
+    monkeypatch.setattr(lm.CoherentEstimator, "estimate", fail)
+    assert isinstance(lm.choose_estimator(capture), lm.CoherentEstimator)
