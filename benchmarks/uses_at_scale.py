@@ -5,9 +5,9 @@
 Answers come first: products against those of SciPy's sparse matrices in double precision, with the
 background as entries; compensation against `scipy.optimize.lsq_linear`; direct + global light
 against T. Then times, a line of JSON for each size. In memory, as seconds of one processor core:
-products with one image and with 16 at once, a compensation of 25 iterations, and a video of 20
-frames. On a store: whole commands, each in a process of its own, with its largest resident set. A
-size is camera:projector, each a side or ROWSxCOLS.
+a sum over all bytes of T, products with one image and with 16 at once, a compensation of 25
+iterations, and a video of 20 frames. On a store: whole commands, each in a process of its own, with
+its largest resident set. A size is camera:projector, each a side or ROWSxCOLS.
 
 The matrices are procedural: 4 direct and up to 32 other entries a row, three times as many as
 estimates have, and a background of 8 x 8 cells.
@@ -127,8 +127,12 @@ def _in_memory(camera: Shape, projector: Shape, repeats: int, place: Path) -> di
         )
     light, image = (random.random(n).astype(np.float32) for n in known.shape[::-1])
     many = random.random((known.shape[1], IMAGES)).astype(np.float32)
+    arrays = known.sparse.data, known.sparse.indices, known.sparse.indptr, known.background
     return {
         "entries_per_row": known.sparse.nnz / known.shape[0],
+        "reading_s": _best(
+            lambda: [part.view(np.uint32).sum(dtype=np.uint32) for part in arrays], repeats
+        ),
         "product_s": _best(lambda: known @ light, repeats),
         "transposed_s": _best(lambda: known.T @ image, repeats),
         f"{IMAGES}_products_s": _best(lambda: known @ many, repeats),

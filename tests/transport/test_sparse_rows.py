@@ -10,7 +10,7 @@ import pytest
 from scipy.sparse import csr_array
 
 from lightmatrix.errors import InputError
-from lightmatrix.transport.sparse_rows import SparseRows, footprint_sizes, row_blocks
+from lightmatrix.transport.sparse_rows import SparseRows, footprint_sizes, row_blocks, stack_rows
 
 
 def rows(count: int = 7, pixels: int = 9, background: int = 2) -> SparseRows:
@@ -101,6 +101,14 @@ def test_missing_arrays_are_refused() -> None:
     del arrays["indptr"]
     with pytest.raises(InputError, match="indptr"):
         SparseRows.from_arrays(arrays)
+
+
+def test_stacked_rows_have_indices_of_32_bits() -> None:
+    wide = csr_array(rows().coefficients)
+    wide.indices, wide.indptr = (part.astype(np.int64) for part in (wide.indices, wide.indptr))
+    stacked = stack_rows([wide, wide])
+    assert {stacked.indices.dtype, stacked.indptr.dtype} == {np.dtype(np.int32)}
+    np.testing.assert_array_equal(stacked.toarray(), np.vstack([wide.toarray()] * 2))
 
 
 def test_blocks_of_rows_have_about_equally_many_entries() -> None:

@@ -70,7 +70,7 @@ def inverse_light_rows(estimate: LightTransport, truth: Truth, scene: str) -> li
 
 def _white_level(transport: LightTransport) -> float:
     shared = compensator(transport)
-    return float(np.median(shared.white[shared.lit]))
+    return float(np.median(shared.light.white[shared.lit]))
 
 
 def _reachable(

@@ -83,8 +83,10 @@ def _window(transport: LightTransport) -> tuple[NDArray[np.float64], NDArray[np.
     """What lies in 5 x 5 projector pixels around the strongest one counts as direct."""
     strongest = correspondence(transport).pixel.reshape(-1, 2)
     matrix = transport.sparse
-    owner, pixel = entries_of(matrix, transport.projector_shape[1])
-    near = (np.abs(pixel - strongest[owner]) <= REACH).all(axis=1)
+    owner, row, col = entries_of(matrix, transport.projector_shape[1])
+    near = (np.abs(row - strongest[owner, 0]) <= REACH) & (
+        np.abs(col - strongest[owner, 1]) <= REACH
+    )
     kept = csr_array((np.where(near, matrix.data, 0), matrix.indices, matrix.indptr), matrix.shape)
     white = np.ones(matrix.shape[1])
     direct = kept @ white

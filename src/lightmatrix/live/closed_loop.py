@@ -228,7 +228,7 @@ class _ClosedLoop:
         whites = rig.persistently(lambda: take_white_and_black(photographer, exposure, _FRAMES))
         loop = cls(photographer, known, curve, whites, 1.0)
         light = loop.light(whites.white)
-        if light.size != shared.white.size:
+        if light.size != shared.light.white.size:
             raise InputError(
                 f"a matrix of a camera of shape {shared.light.camera_shape}, for a camera of shape "
                 f"{whites.white.mean.shape}",
@@ -236,7 +236,7 @@ class _ClosedLoop:
             )
         # Clipped samples are too dark.
         counted = shared.lit & (whites.white.mean.ravel() < _UNCLIPPED * whites.white.clip_level)
-        expected = shared.white[counted]
+        expected = shared.light.white[counted]
         unit = float(light[counted] @ expected / max(float(expected @ expected), 1e-30))
         if not unit > 0:
             raise UnfitRigError(

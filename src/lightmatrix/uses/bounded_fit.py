@@ -34,7 +34,7 @@ class BoundedFit:
     def _bounds(self) -> NDArray[np.float32]:
         """T' W T 1, (N,), of the magnitudes of T."""
         light = self.light.without_signs
-        return light.adjoint(self.weights * light.forward(np.ones(light.pixels, np.float32)))
+        return light.adjoint(self.weights * light.white)
 
     @cached_property
     def ridge(self) -> float:

@@ -157,14 +157,9 @@ class Compensator:
     weigh_errors: bool = True
 
     @cached_property
-    def white(self) -> NDArray[np.float32]:
-        """The photograph under white, (M,), without the room's light."""
-        return self.light.forward(np.ones(self.light.pixels, np.float32))
-
-    @cached_property
     def lit(self) -> NDArray[np.bool_]:
         """Samples that count and that are not in shadow, (M,)."""
-        white = self._by_channel(self.white)
+        white = self._by_channel(self.light.white)
         bright = np.quantile(white, _BRIGHT, axis=0)
         lit = ((white > _SHADOW * bright) & (white > 0)).ravel() & self.chosen
         if not lit.any():
@@ -177,7 +172,7 @@ class Compensator:
     @cached_property
     def white_point(self) -> NDArray[np.float32]:
         """The light of wanted white at full brightness, (M,): a median, for each channel."""
-        white, lit = self._by_channel(self.white), self._by_channel(self.lit)
+        white, lit = self._by_channel(self.light.white), self._by_channel(self.lit)
         medians = [np.median(white[lit[:, c], c]) if lit[:, c].any() else 0 for c in self._channels]
         return np.tile(np.array(medians, np.float32), len(white))
 
@@ -207,7 +202,7 @@ class Compensator:
                 "the wanted picture is black where the projector lights the scene",
                 hint="move the picture, or the mask",
             )
-        room = (self.white + self.ambient)[counted] / asked[counted]
+        room = (self.light.white + self.ambient)[counted] / asked[counted]
         return float(np.quantile(room, _TOO_DARK))
 
     def start(self, target: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -217,7 +212,7 @@ class Compensator:
         the samples ask that it lights.
         """
         asked = np.zeros_like(target)
-        np.divide(target - self.ambient, self.white, out=asked, where=self.lit)
+        np.divide(target - self.ambient, self.light.white, out=asked, where=self.lit)
         asked = np.clip(asked, 0, 1)
         weight = self.light.adjoint(self.lit.astype(np.float32))
         light = self.light.adjoint(asked)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -17,8 +18,9 @@ from lightmatrix.uses.epipolar import (
     mean_surface,
     on_surface,
 )
+from lightmatrix.uses.near_spots import NearSpots, as_images, by_pixel, near_spots
 from lightmatrix.uses.spots import ENTRIES, Spots, entries_of
-from lightmatrix.uses.stray_spots import crossing_spots, neighbours, outshone_spots
+from lightmatrix.uses.stray_spots import crossing_spots, outshone_spots
 
 # All thresholds of this file were chosen on the scenes of benchmarks/separation_scenes.py, which
 # `lightmatrix experiment uses` does not hold. Distances are in projector pixels: a constant, and a
@@ -95,10 +97,11 @@ def find_direct_spots(spots: Spots, shape: tuple[int, int], deviation: float) ->
     surface = mean_surface(camera[strong], place[strong, 0])
     # Relative to the mean surface, neighbours on one surface see their light at one place.
     relative = place - on_surface(surface, camera)[:, None]
-    tolerance = _scaled(_AGREEMENT, deviation)
+    reach, radius = _NEIGHBOURS, _scaled(_AGREEMENT, deviation)
+    pairs = list(near_spots(relative, shape, reach=reach, radius=radius))
     first = np.zeros(light.shape, bool)
     first[:, 0] = True
-    agreement = _agreement(relative, first, shape, tolerance)
+    agreement = _agreement(pairs, first, shape)
     good = strong & (agreement[:, 0] > _HALF)
     if good.sum() < _FEWEST:
         raise _no_direct_light(int(good.sum()), len(lit))
@@ -109,12 +112,12 @@ def find_direct_spots(spots: Spots, shape: tuple[int, int], deviation: float) ->
     possible &= light > _LEAST_SHARE_OF_WEAK * total[:, None]
     possible[:, 0] &= light[:, 0] >= _LEAST_SHARE * total
     possible &= ~crossing_spots(relative, light, near_line, shape, _scaled(_CROSSING, deviation))
-    direct, agreement = _voted(possible, relative, shape, tolerance)
+    direct, agreement = _voted(possible, pairs, shape)
     doubtful = np.abs(distance) > _DOUBTFUL * _scaled(_FROM_LINE, deviation)
     doubtful &= agreement < _CERTAIN
     stray = outshone_spots(place[direct], parallax[direct], light[direct], doubtful[direct])
     possible[direct] &= ~stray
-    direct, agreement = _voted(possible, relative, shape, tolerance)
+    direct, agreement = _voted(possible, pairs, shape)
     return DirectSpots(spots, direct, agreement, lit, geometry, deviation)
 
 
@@ -145,19 +148,21 @@ def _direct_of_block(
     width: int,
 ) -> NDArray[np.float64]:
     """The direct part of each entry of some rows, which belong to these camera pixels."""
-    owner, projector = entries_of(matrix, width)
+    owner, row, col = entries_of(matrix, width)
     own = pixels[owner]
     light = matrix.data.astype(np.float64)
     radius = _scaled(_FOOTPRINT, found.deviation)
     inside, around = np.zeros(len(own), bool), np.zeros(len(own), bool)
     for number in range(found.direct.shape[1]):
-        offset = projector - found.spots.place[own, number]
-        distance = np.sqrt((offset**2).sum(axis=1))
-        is_direct = found.direct[own, number]
-        inside |= is_direct & (distance <= radius)
-        around |= is_direct & (distance <= radius + _RING_WIDTH)
-    off_line = np.abs(found.geometry.distance(camera[own], projector))
-    inside &= off_line <= _scaled(_BAND, found.deviation)
+        lit = np.flatnonzero(found.direct[:, number][own])
+        place_row, place_col = (found.spots.place[:, number, axis][own[lit]] for axis in (0, 1))
+        distance = np.sqrt((row[lit] - place_row) ** 2 + (col[lit] - place_col) ** 2)
+        inside[lit] |= distance <= radius
+        around[lit] |= distance <= radius + _RING_WIDTH
+    chosen = np.flatnonzero(inside)
+    pixel = np.stack([row[chosen], col[chosen]], axis=1)
+    off_line = np.abs(found.geometry.distance(camera[own[chosen]], pixel))
+    inside[chosen] = off_line <= _scaled(_BAND, found.deviation)
     around &= ~inside
     ring = np.bincount(owner, np.where(around, light, 0), matrix.shape[0])
     area = np.pi * ((radius + _RING_WIDTH) ** 2 - radius**2)
@@ -167,17 +172,14 @@ def _direct_of_block(
 
 
 def _voted(
-    possible: NDArray[np.bool_],
-    relative: NDArray[np.float64],
-    shape: tuple[int, int],
-    tolerance: float,
+    possible: NDArray[np.bool_], pairs: Sequence[NearSpots], shape: tuple[int, int]
 ) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
     """Possible spots that enough neighbours agree with, and the agreement, (P, SPOTS) each."""
     least = np.full(possible.shape[1], _LEAST_AGREEMENT_OF_WEAK)
     least[0] = _LEAST_AGREEMENT
     direct = possible
     for _ in range(_VOTES):
-        agreement = _agreement(relative, direct, shape, tolerance)
+        agreement = _agreement(pairs, direct, shape)
         direct = possible & (agreement >= least)
     return direct, agreement
 
@@ -203,26 +205,15 @@ def _within(
 
 
 def _agreement(
-    place: NDArray[np.float64],
-    voters: NDArray[np.bool_],
-    shape: tuple[int, int],
-    tolerance: float,
+    pairs: Sequence[NearSpots], voters: NDArray[np.bool_], shape: tuple[int, int]
 ) -> NDArray[np.float64]:
     """The share of each spot's neighbours with a voting spot where the mean surface puts it."""
-    rows, cols = shape
-    spots = place.shape[1]
-    own = np.where(np.isnan(place), np.inf, place).reshape(rows, cols, spots, 2)
-    votes = np.where(voters[..., None] & ~np.isnan(place), place, -np.inf)
-    votes = votes.reshape(rows, cols, spots, 2)
-    agreeing, number_of = np.zeros((rows, cols, spots)), np.zeros((rows, cols, 1))
-    for here, there in neighbours(shape, _NEIGHBOURS):
-        agrees = np.zeros(own[here].shape[:3], bool)
-        for number in range(spots):
-            away = own[here] - votes[there][:, :, number, None]
-            agrees |= (away**2).sum(axis=-1) <= tolerance**2
-        agreeing[here] += agrees
-        number_of[here] += 1
-    return (agreeing / np.maximum(number_of, 1)).reshape(-1, spots)
+    votes = as_images(voters, shape)
+    agreeing, number_of = np.zeros(votes.shape, np.uint8), np.zeros(shape, np.uint8)
+    for here, there, near in pairs:
+        agreeing[here] += (near & votes[there]).any(axis=1)
+        number_of[here[1:]] += 1
+    return by_pixel(agreeing / np.maximum(number_of, 1))
 
 
 def _scaled(threshold: tuple[float, float], deviation: float) -> float:

@@ -92,7 +92,8 @@ class EpipolarGeometry:
     ) -> NDArray[np.float64]:
         """Signed distances of projector pixels (n, 2) to the lines of camera pixels (n, 2)."""
         line = self._lines(camera)
-        return np.asarray((line[:, :2] * projector).sum(axis=1) + line[:, 2])
+        row, col = projector.T
+        return np.asarray(line[:, 0] * row + line[:, 1] * col + line[:, 2])
 
     def parallax(
         self, camera: NDArray[np.float64], projector: NDArray[np.float64]

@@ -76,19 +76,28 @@ class JointLight:
         return np.concatenate(parts)
 
     @cached_property
+    def white(self) -> NDArray[np.float32]:
+        """The light of each camera sample under white of all projectors, (M,)."""
+        return np.asarray(sum(self._whites))
+
+    @cached_property
     def errors(self) -> NDArray[np.float32]:
         """Estimated relative error of what each camera sample sees under white, (M,).
 
         The errors of several matrices are independent. 0 where an estimate does not state one.
         """
-        squares, light = (np.zeros(self.matrices[0].shape[0], np.float32) for _ in range(2))
-        for matrix in self.matrices:
+        squares = np.zeros_like(self.white)
+        for matrix, white in zip(self.matrices, self._whites, strict=True):
             stated = matrix.diagnostics.get("estimated_error")
-            white = matrix @ np.ones(matrix.shape[1], np.float32)
-            light += white
             if stated is not None:
                 squares += (np.nan_to_num(stated, nan=0.0).astype(np.float32) * white) ** 2
-        return np.divide(np.sqrt(squares), light, out=np.zeros_like(light), where=light > 0)
+        relative = np.zeros_like(squares)
+        return np.divide(np.sqrt(squares), self.white, out=relative, where=self.white > 0)
+
+    @cached_property
+    def _whites(self) -> list[NDArray[np.float32]]:
+        """The light of each camera sample under white of each projector."""
+        return [matrix @ np.ones(matrix.shape[1], np.float32) for matrix in self.matrices]
 
     @cached_property
     def _transposed(self) -> list[tuple[Any, Any]]:

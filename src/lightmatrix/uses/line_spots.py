@@ -127,17 +127,17 @@ def _of_block(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Places, light and total light of the spots of some rows."""
     count = int(matrix.shape[0])
-    owner, pixel = entries_of(matrix, shape[1])
+    owner, row, col = entries_of(matrix, shape[1])
     # Some estimates allow negative light, which does not count.
     light = np.maximum(matrix.data, 0).astype(np.float64)
     total = np.bincount(owner, light, count).astype(np.float64)
     # Coordinate by coordinate: NumPy takes several times as long over pairs of them.
-    col, row = np.ascontiguousarray(pixels.T).take(matrix.indices, axis=1)
+    ideal_col, ideal_row = np.ascontiguousarray(pixels.T).take(matrix.indices, axis=1)
     across, down, shift = np.ascontiguousarray(lines.T)
-    distance = np.abs(across[owner] * col + down[owner] * row + shift[owner])
+    distance = np.abs(across[owner] * ideal_col + down[owner] * ideal_row + shift[owner])
     near = np.flatnonzero(distance <= _BAND + _REACH + half_width)
     owner, light, distance = owner[near], light[near], distance[near]
-    row, col = np.ascontiguousarray(pixel.T).take(near, axis=1)
+    row, col = row[near], col[near]
     middle_row, middle_col = _brightest(owner, row, col, light, distance <= _BAND, shape, count)
     # The window moves by up to a pixel.
     reach = half_width + _REACH

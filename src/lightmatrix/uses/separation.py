@@ -103,10 +103,11 @@ class Separation:
     def _part(self, *, on_line: bool) -> LightTransport:
         matrix = csr_array(self.direct.sparse + self.global_.sparse)
         shape = self.direct.camera_shape
-        owner, projector = entries_of(matrix, self.direct.projector_shape[1])
+        owner, *pixel = entries_of(matrix, self.direct.projector_shape[1])
         channels = int(np.prod(shape[2:]))
         camera = camera_pixels((shape[0], shape[1]))[owner // channels]
-        near = np.abs(self.geometry.distance(camera, projector)) <= _LINE[0] + _LINE[1] * self.spot
+        distance = np.abs(self.geometry.distance(camera, np.stack(pixel, axis=1)))
+        near = distance <= _LINE[0] + _LINE[1] * self.spot
         rows = _with_data(matrix, np.where(near == on_line, matrix.data, 0))
         background = self.global_.background
         return replace(

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
+
+from lightmatrix.uses.near_spots import as_images, by_pixel, near_spots
 
 # All thresholds of this file were chosen on the scenes of benchmarks/separation_scenes.py.
 # Distances are in projector pixels.
@@ -16,18 +16,6 @@ _CONTINUES = 0.5
 # Two spots share a place on the projector if they lie this close to each other. They belong to two
 # surfaces if their parallax differs by as much.
 _SAME_PLACE = 1.0
-
-Slices = tuple[slice, slice]
-
-
-def neighbours(shape: tuple[int, int], reach: int) -> Iterator[tuple[Slices, Slices]]:
-    """For each neighbour up to `reach` pixels away: the pixels that have it, and where it is."""
-    rows, cols = shape
-    steps = range(-reach, reach + 1)
-    for down, right in ((d, r) for d in steps for r in steps if d or r):
-        here = _shifted(rows, -down), _shifted(cols, -right)
-        there = _shifted(rows, down), _shifted(cols, right)
-        yield here, there
 
 
 def crossing_spots(
@@ -44,21 +32,13 @@ def crossing_spots(
     a neighbour's spot continues a spot within `radius` of it, with enough of its light. Of the 8
     neighbours, more than one, and more than half of those that continue it, lie off their lines.
     """
-    rows, cols = shape
-    count = light.shape[1]
-    place = relative.reshape(rows, cols, count, 2)
-    strength = light.reshape(rows, cols, count)
-    near_line = on_line.reshape(rows, cols, count)
-    on, off = np.zeros((2, rows, cols, count), np.int8)
-    for here, there in neighbours(shape, 1):
-        for own in range(count):
-            away = place[there] - place[here][:, :, own, None]
-            # Comparisons with NaN, where there is no spot, are False.
-            continues = away[..., 0] ** 2 + away[..., 1] ** 2 <= radius**2
-            continues &= strength[there] >= _CONTINUES * strength[here][:, :, own, None]
-            on[here][..., own] += (continues & near_line[there]).any(axis=-1)
-            off[here][..., own] += (continues & ~near_line[there]).any(axis=-1)
-    return np.asarray(off > np.maximum(on, 1)).reshape(-1, count)
+    strength, near_line = as_images(light, shape), as_images(on_line, shape)
+    on, off = np.zeros((2, *strength.shape), np.int8)
+    for here, there, near in near_spots(relative, shape, reach=1, radius=radius):
+        continues = near & (strength[there] >= _CONTINUES * strength[here][:, None])
+        on[here] += (continues & near_line[there]).any(axis=1)
+        off[here] += (continues & ~near_line[there]).any(axis=1)
+    return by_pixel(off > np.maximum(on, 1))
 
 
 def outshone_spots(
@@ -84,8 +64,3 @@ def outshone_spots(
     rivals, held = (np.bincount(own, light[near] * part, len(asked)) for part in (other, ~other))
     outshone[asked] = rivals > held
     return outshone
-
-
-def _shifted(size: int, by: int) -> slice:
-    """The part of an axis that still lies inside once it is moved back by so many pixels."""
-    return slice(max(0, by), size - max(0, -by))
