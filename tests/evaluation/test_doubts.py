@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import lightmatrix as lm
+from benchmarks import synthetic_captures
 from benchmarks.synthetic_captures import draw
 from lightmatrix.evaluation.doubts import doubts, estimated_error, stated_error
 from lightmatrix.evaluation.metrics import relative_error
@@ -57,6 +58,39 @@ def test_intact_captures_state_about_the_true_error(scene: str, patterns: str) -
     assert stated is not None
     assert true / 2 < stated < 2 * true
     assert lm.verdict(estimate).level in ("good", "fair")
+
+
+@pytest.mark.parametrize(
+    ("scene", "patterns", "damage"),
+    [
+        # All patterns show a pixel and its twin in the other half alike.
+        ("wall", "tiled", "intact"),
+        # The right half of the projector is never lit.
+        ("wall", "half dark", "intact"),
+        # Two glints hold most of the light, and clip.
+        ("glints", "random", "intact"),
+        ("wall", "random", "overexposed"),
+        ("gripper", "random", "overexposed"),
+        ("wall", "random", "leak"),
+        # Each camera pixel sees a line of the projector, and most samples clip.
+        ("columns", "few", "overexposed"),
+    ],
+)
+def test_a_wrong_estimate_is_doubtful(
+    scene: str, patterns: str, damage: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(synthetic_captures.PATTERNS, "half dark", _half_dark)
+    case = draw(scene, patterns, damage, 16, 5)
+    kinds = {finding.kind for finding in lm.check(case.capture)}
+    estimate = lm.estimate(case.capture, check=False)
+    assert relative_error(estimate, case.truth) > 0.25
+    assert lm.verdict(estimate).with_findings(kinds).level == "doubtful"
+
+
+def _half_dark(size: int, generator: np.random.Generator) -> synthetic_captures.Floats:
+    images = generator.integers(0, 2, (64, size, size)).astype(np.float32)
+    images[:, :, size // 2 :] = 0
+    return images
 
 
 def test_pixels_one_by_one_are_not_tested() -> None:
