@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -304,7 +305,7 @@ def test_a_store_is_loaded_or_refused(
     ("changed", "words"),
     [
         ({"wanted": np.ones((32, 64))}, "shape .32, 64., for a camera of 64 x 64"),
-        ({"wanted": np.ones((64, 64, 3)) * [1, 1, 0.5]}, "shape .64, 64, 3."),
+        ({"wanted": np.ones((64, 64, 3)) * [1, 1, 0.5]}, "picture is in colour"),
         ({"wanted": np.zeros((64, 64))}, "all black"),
         ({"wanted": np.full((64, 64), 255)}, "values from 255 to 255"),
         ({"wanted": np.full((64, 64), np.nan)}, "values from nan"),
@@ -319,6 +320,7 @@ def test_a_store_is_loaded_or_refused(
         ({"exposure": -1}, "exposure of -1"),
         ({"iterations": 0}, "0 iterations"),
         ({"transport": []}, "no light transport matrix"),
+        ({"transport": csr_array((4096, 4))}, "csr_array in place of a light transport matrix"),
         ({"transport": [_scene(), _scene((4, 4))]}, "cameras of shapes"),
         (
             {"transport": lm.LightTransport.from_matrix(csr_array((4096, 4)), (64, 64), (2, 2))},
@@ -332,6 +334,20 @@ def test_bad_input_is_refused(
     arguments: dict[str, Any] = {"transport": known, "wanted": _ramp(), **changed}
     with pytest.raises(lm.InputError, match=words):
         lm.compensate(**arguments)
+
+
+@pytest.mark.parametrize("part", ["sparse", "background"])
+def test_entries_that_are_not_finite_are_refused(part: str) -> None:
+    transport = _scene()
+    (transport.sparse.data if part == "sparse" else transport.background.reshape(-1))[3] = np.nan
+    uses: tuple[Callable[[], Any], ...] = (
+        lambda: lm.compensate(transport, np.ones(transport.camera_shape)),
+        lambda: lm.separate(transport),
+        lambda: lm.singular_values(transport, 3),
+    )
+    for use in uses:
+        with pytest.raises(lm.InputError, match="not all finite"):
+            use()
 
 
 def test_a_picture_that_is_black_where_there_is_light_is_refused() -> None:

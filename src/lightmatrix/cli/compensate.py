@@ -134,7 +134,7 @@ def compensate(
     if as_json:
         show_json(summary)
     else:
-        _show(summary)
+        _show(summary, cancelled=cancel_global)
 
 
 def _brightness(text: str) -> float | None:
@@ -183,18 +183,27 @@ def _check(
         )
 
 
-def _show(summary: dict[str, Any]) -> None:
-    say(
-        f"{summary['output']}: wanted white is {100 * summary['brightness']:.0f} % of what a white "
-        "pattern gives"
+def _show(summary: dict[str, Any], *, cancelled: bool) -> None:
+    reasons = {
+        "too_dark": "too dark",
+        "too_bright": "too bright",
+        "shadow": "in shadow",
+        "masked": "masked",
+    }
+    rest = ", ".join(
+        f"{100 * summary[key]:.1f} % {text}" for key, text in reasons.items() if summary.get(key)
     )
+    rest = f"; {rest}" if rest else ""
+    if cancelled:
+        say(f"{summary['output']}: the camera sees direct light, within 5 % of the light of white")
+    else:
+        white = f"{100 * summary['brightness']:.0f} %"
+        say(f"{summary['output']}: wanted white is {white} of what a white pattern gives")
     if "frames" in summary:
         say(f"{summary['frames']} frames; {100 * summary['reached']:.1f} % of the pixels reached")
         return
-    reasons = {"too_dark": "too dark", "too_bright": "too bright", "shadow": "in shadow"}
-    rest = ", ".join(f"{100 * summary[key]:.1f} % {text}" for key, text in reasons.items())
-    say(f"{100 * summary['reached']:.1f} % of the camera pixels are reached; {rest}")
+    say(f"{100 * summary['reached']:.1f} % of the camera pixels are reached{rest}")
     for step, decibels in enumerate(summary.get("photographed_psnr", ())):
         say(f"photograph {step}: {decibels:.1f} dB")
     if summary["clipped"]:
-        say(f"{100 * summary['clipped']:.1f} % of the pixels would clip", style="yellow")
+        say(f"{100 * summary['clipped']:.2g} % of the pixels would clip", style="yellow")

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.errors import InputError
-from lightmatrix.ranges import check_seed
+from lightmatrix.ranges import check_finite, check_seed
 from lightmatrix.transport.operator import TransportOperator
 
 # Random directions beyond the singular values that are asked for, and how often T'T is applied to
@@ -42,7 +42,7 @@ def singular_values(
     Raises
     ------
     InputError
-        If T does not have so many.
+        If T does not have so many, or has entries that are not finite.
 
     References
     ----------
@@ -68,5 +68,7 @@ def singular_values(
     for _ in range(_ROUNDS):
         image, _ = np.linalg.qr(transport @ basis)
         basis, _ = np.linalg.qr(transport.T @ image)
-    values = np.linalg.svd(transport @ basis, compute_uv=False)
+    image = transport @ basis
+    check_finite("entries of T", image)
+    values = np.linalg.svd(image, compute_uv=False)
     return np.asarray(values[: int(count)], np.float64)

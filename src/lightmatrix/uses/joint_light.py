@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix import store
 from lightmatrix.errors import InputError
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.uses.loading import Transport, loaded
@@ -110,8 +108,8 @@ def joint_light(transport: Transport | Sequence[Transport]) -> JointLight:
 
     An InputError says that they do not fit into memory, or that their cameras differ.
     """
-    single = isinstance(transport, LightTransport | store.StoredTransport | str | Path)
-    sources: list[Any] = [transport] if single else [*transport]  # type: ignore[misc]
+    several = isinstance(transport, Sequence) and not isinstance(transport, str)
+    sources: list[Any] = [*transport] if several else [transport]  # type: ignore[misc]
     if not sources:
         raise InputError("no light transport matrix", hint="give one, or one for each projector")
     matrices = tuple(loaded(source, _TIMES_ITS_SIZE) for source in sources)

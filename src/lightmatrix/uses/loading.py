@@ -6,6 +6,7 @@ from pathlib import Path
 
 from lightmatrix import store
 from lightmatrix.errors import InputError
+from lightmatrix.ranges import check_finite
 from lightmatrix.resources.memory import available_bytes
 from lightmatrix.transport.matrix import LightTransport
 
@@ -13,9 +14,18 @@ Transport = LightTransport | store.StoredTransport | str | Path
 
 
 def loaded(source: Transport, times: float) -> LightTransport:
-    """The matrix; an InputError if a use that takes `times` its memory does not fit."""
+    """The matrix, checked; an InputError if a use that takes `times` its memory does not fit."""
     if isinstance(source, LightTransport):
+        # A store was checked when it was read.
+        check_finite("entries of T", source.sparse.data)
+        check_finite("entries of T", source.background)
         return source
+    if not isinstance(source, store.StoredTransport | str | Path):
+        raise InputError(
+            f"{type(source).__name__} in place of a light transport matrix",
+            hint="give what `estimate` or `open` returned, a .zarr folder, or "
+            "lm.LightTransport.from_matrix(matrix, camera_shape, projector_shape)",
+        )
     if isinstance(source, str | Path):
         if Path(source).suffix.lower() == ".npz":
             return store.open(source)

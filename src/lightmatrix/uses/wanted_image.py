@@ -43,6 +43,11 @@ def wanted_samples(
     light = image.astype(np.float32) ** np.float32(gamma)
     if light.ndim == 3 and len(camera_shape) == 2 and (light == light[..., :1]).all():
         light = light[..., 0]
+    if light.ndim == 3 and len(camera_shape) == 2:
+        raise InputError(
+            f"{name} is in colour, for a camera that is not",
+            hint="convert it to grey, or take its mean over the colours",
+        )
     if resize and light.ndim >= 2 and light.shape[:2] != camera_shape[:2]:
         light = _resized(light, camera_shape[:2])
     samples = camera_samples(light, camera_shape, name, "resize it with --resize, or resize=True")
