@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import lightmatrix as lm
+from lightmatrix.cli import main
 from lightmatrix.patterns.folder import write_patterns
 from tests.helpers.surface import PROJECTOR, photographs
 
@@ -55,6 +56,14 @@ def test_an_estimate_is_as_good_as_with_the_known_curves() -> None:
     assert off(found) < 0.1 * off(wrong)
 
 
+def test_a_curve_that_was_found_does_not_spoil_the_verdict() -> None:
+    taken = capture(1.0, 2.2)
+    kinds = [each.kind for each in lm.check(taken)]
+    found = lm.estimate(taken, projector_response="auto", coherent=False, iterations=20)
+    assert kinds == ["projector"]
+    assert found.provenance["findings"] == []
+
+
 def test_black_and_white_patterns_need_no_curve() -> None:
     patterns = lm.BernoulliPatterns(PROJECTOR, K)
     frames = photographs(patterns)
@@ -79,19 +88,59 @@ def test_a_few_frames_determine_nothing() -> None:
         lm.find_projector_response(capture(1.0, 2.2).select(np.arange(4)), camera=True)
 
 
-def test_the_command_finds_both_gammas_of_a_capture_folder(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    from lightmatrix.cli import main
+def write_folder(folder: Path, taken: lm.Capture, **described: str) -> None:
+    """A capture folder, with a capture.json if something is `described`."""
+    for number in range(taken.count):
+        lm.write_image(folder / f"images/{number:03}.png", taken.frame(number))
+    write_patterns(folder / "patterns", taken.patterns)
+    if described:
+        content = {"format": "lightmatrix-capture", "version": 1, **described}
+        (folder / "capture.json").write_text(json.dumps(content))
 
+
+AUTOMATIC = {"response": "auto", "projector_response": "auto"}
+
+
+@pytest.mark.parametrize("described", [{}, AUTOMATIC])
+def test_the_command_finds_both_gammas_of_a_capture_folder(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], described: dict[str, str]
+) -> None:
     taken = capture(2.2, 1.8)
-    for number in range(K):
-        lm.write_image(tmp_path / f"c/images/{number:03}.png", taken.frame(number))
-    write_patterns(tmp_path / "c/patterns", taken.patterns)
+    write_folder(tmp_path / "c", taken, **described)
+    options = [] if described else ["--response", "auto", "--projector-response", "auto"]
     words = ["estimate", str(tmp_path / "c"), "-o", str(tmp_path / "scene.zarr"), "--json"]
-    assert main([*words, "--response", "auto", "--projector-response", "auto"]) == 0
+    assert main([*words, *options]) == 0
     printed = capsys.readouterr()
     response = json.loads(printed.out)["response"]
     assert response["gamma"] == pytest.approx(2.2, rel=0.02)
     assert response["projector_gamma"] == pytest.approx(1.8, rel=0.02)
     assert "the projector's gamma 1." in printed.err
+
+
+def test_a_capture_keeps_that_its_projector_is_unknown_until_the_curve_is_given(
+    tmp_path: Path,
+) -> None:
+    taken = capture(1.0, 2.2)
+    write_folder(tmp_path / "c", taken, **AUTOMATIC)
+    opened = lm.Capture.open(tmp_path / "c", crop=((2, 2), (16, 16)))
+    assert opened.projector_unknown
+    assert opened.whole.projector_unknown
+    assert opened.select([0, 2]).projector_unknown
+    assert opened.patterns.digest == taken.patterns.digest
+    settings = lm.ReadSettings(projector_response="auto")
+    folders = tmp_path / "c/patterns", tmp_path / "c/images"
+    assert lm.Capture.from_folders(*folders, settings).projector_unknown
+    curve = lm.ProjectorResponse.of_gamma(2.2)
+    found = lm.FoundResponse(lm.Response(), 1, 0, 0, 0, curve).applied_to(opened)
+    assert not found.projector_unknown
+    assert found.patterns.digest == curve.light_of_patterns(taken.patterns).digest
+
+
+def test_other_commands_refuse_grey_values_whose_light_is_unknown(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_folder(tmp_path / "c", capture(1.0, 2.2), **AUTOMATIC)
+    for command, output in (("pack", "c.zarr"), ("decode", "c.npz")):
+        assert main([command, str(tmp_path / "c"), "-o", str(tmp_path / output)]) == 2
+        message = capsys.readouterr().err
+        assert "to be found" in message or "only `estimate` finds it" in message

@@ -53,6 +53,9 @@ class Capture:
         What made the capture, JSON-ready.
     surroundings : Surroundings, optional
         What `crop` left out of the black frame and the mask; see `whole`.
+    projector_unknown : bool
+        Whether the patterns are grey values whose light `estimate` finds in the frames. They are
+        taken as light until then.
 
     Raises
     ------
@@ -76,6 +79,7 @@ class Capture:
     bin_camera: tuple[int, int] = (1, 1)
     provenance: Mapping[str, Any] = field(default_factory=dict)
     surroundings: Surroundings | None = None
+    projector_unknown: bool = False
 
     def __repr__(self) -> str:
         facts = (f"{name}={value}" for name, value in self.summary().items())
@@ -126,10 +130,7 @@ class Capture:
         InputError
             On files that cannot be read or do not fit together, naming the file.
         """
-        parts = read_capture(folder, allow_outside=allow_outside)
-        capture = cls(
-            parts.patterns, parts.frames, parts.decoder, parts.mask, provenance=parts.provenance
-        )
+        capture = cls(**vars(read_capture(folder, allow_outside=allow_outside)))
         return capture._cut_and_binned(crop, bin_projector, bin_camera)
 
     @staticmethod
@@ -170,8 +171,7 @@ class Capture:
         InputError
             On files that cannot be read or do not fit together, naming the file.
         """
-        parts = read_folders(patterns, images, settings or ReadSettings())
-        capture = cls(parts.patterns, parts.frames, parts.decoder, parts.mask)
+        capture = cls(**vars(read_folders(patterns, images, settings or ReadSettings())))
         return capture._cut_and_binned(crop, bin_projector, bin_camera)
 
     @classmethod
@@ -295,7 +295,8 @@ class Capture:
             return self
         around, frames = self.surroundings, self.frames.frames
         decoder = replace(self.decoder, black_frame=around.black_frame)
-        return Capture(self.patterns, frames, decoder, around.mask, self.bin_projector)
+        whole = replace(self, frames=frames, decoder=decoder, mask=around.mask)
+        return replace(whole, bin_camera=(1, 1), surroundings=None)
 
     def window(self, rows: slice, cols: slice) -> Capture:
         """The capture of a rectangle of its binned camera pixels; slices with start and stop."""

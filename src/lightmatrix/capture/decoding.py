@@ -36,6 +36,8 @@ class CaptureParts:
     decoder: Decoder
     mask: NDArray[np.bool_] | None = None
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    # Whether the patterns are grey values whose light is to be found in the frames.
+    projector_unknown: bool = False
 
 
 def make_decoder(stack: ImageStack, settings: ReadSettings) -> Decoder:

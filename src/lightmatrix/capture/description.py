@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.camera.camera_curve import RESPONSES, Response, curve_file
+from lightmatrix.camera.camera_curve import AUTOMATIC, RESPONSES, Response, curve_file
 from lightmatrix.camera.raw_levels import MOST_LEVEL
 from lightmatrix.capture.settings import ReadSettings
 from lightmatrix.errors import InputError
@@ -67,6 +67,7 @@ def parse_description(
     response = table.get("response", _text, RESPONSES)
     if response is not None:
         path(curve_file(response))
+    projector = table.get("projector_response", _text, "the name of a projector's curve, or auto")
     exposure = table.get("exposure", _several(_above_0), "a number above 0, or one for each frame")
     with errors_naming(file):
         settings = ReadSettings(
@@ -81,9 +82,7 @@ def parse_description(
             ),
             exposure=1.0 if exposure is None else exposure,
             response=None if response is None else Response.parse(response, file.parent),
-            projector_response=path(
-                table.get("projector_response", _text, "the name of a projector's curve")
-            ),
+            projector_response=projector if projector == AUTOMATIC else path(projector),
             mask=path(table.get("mask", _text, "the name of an image")),
             mosaic=bool(table.get("mosaic", _truth, "true or false")),
         )

@@ -21,6 +21,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
+from lightmatrix.camera.camera_curve import AUTOMATIC
 from lightmatrix.camera.sensor import Sensor
 from lightmatrix.capture.decoding import CaptureParts, make_decoder, read_mask
 from lightmatrix.capture.description import FORMAT, NAME, VERSION, Description, read_description
@@ -87,7 +88,8 @@ def read_capture(
         if counted:
             decoder.check_count(stack.count)
     mask = read_mask(settings.mask, stack.shape)
-    return CaptureParts(patterns, stack, decoder, mask, dict(description.provenance))
+    unknown = settings.projector_response == AUTOMATIC
+    return CaptureParts(patterns, stack, decoder, mask, dict(description.provenance), unknown)
 
 
 def read_folders(
@@ -111,7 +113,9 @@ def read_folders(
             projected = with_white(projected)
         stack = replace(stack, paths=(*stack.paths, Path(settings.white)))
     decoder = make_decoder(stack, settings)
-    return CaptureParts(projected, stack, decoder, read_mask(settings.mask, stack.shape))
+    unknown = settings.projector_response == AUTOMATIC
+    mask = read_mask(settings.mask, stack.shape)
+    return CaptureParts(projected, stack, decoder, mask, projector_unknown=unknown)
 
 
 def write_capture(
@@ -263,9 +267,9 @@ def _check_counts(patterns: PatternSet, stack: ImageStack, images: Path) -> None
 
 
 def _as_light(patterns: PatternSet, settings: ReadSettings) -> PatternSet:
-    """The light of patterns that the projector was sent as grey values."""
+    """The light of patterns that the projector was sent as grey values, if their light is known."""
     response = settings.projector_response
-    if response is None:
+    if response is None or response == AUTOMATIC:
         return patterns
     if not isinstance(response, ProjectorResponse):
         response = ProjectorResponse.load(response)

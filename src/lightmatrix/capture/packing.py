@@ -80,7 +80,8 @@ def pack(
     Raises
     ------
     InputError
-        On a capture that is binned, or frames that cannot be read.
+        On a capture that is binned, frames that cannot be read, or patterns whose light is to be
+        found.
     OutputError
         If the output exists or cannot be written, or the disk is too small, which is checked before
         a frame is read.
@@ -124,6 +125,11 @@ def pack_capture(
     """Pack a capture as `pack` does; `write_extras` writes further files into the folder."""
     if capture.bin_projector != (1, 1) or capture.bin_camera != (1, 1):
         raise InputError("a binned capture cannot be packed", hint="pack it first, then bin it")
+    if capture.projector_unknown:
+        raise InputError(
+            "a packed capture holds the light of its patterns, which is to be found",
+            hint="name the projector's curve in capture.json, or estimate from the folder",
+        )
     frames = capture.frames
     spooled = not isinstance(frames, PixelFrames) and _bytes(frames) > memory // 2
     folder = Path(output).absolute().parent

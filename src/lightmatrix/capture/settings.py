@@ -46,7 +46,8 @@ class ReadSettings:
     response : Response or str, optional
         See `Response.parse`. None: linear, with a warning where the files say otherwise.
     projector_response : str, Path or ProjectorResponse, optional
-        The light of the patterns' grey values. None: proportional to them.
+        The light of the patterns' grey values, or "auto": `estimate` finds it in the photographs.
+        None: proportional to them.
     mask : str or Path, optional
         Image that is 0 where camera pixels are left out. None: all count.
     mosaic : bool

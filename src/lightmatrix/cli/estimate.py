@@ -22,7 +22,7 @@ from lightmatrix.cli.options import (
     Verbose,
     size,
 )
-from lightmatrix.cli.source import Source, with_source
+from lightmatrix.cli.source import Source, refuse_unknown_projector, with_source
 from lightmatrix.cli.terminal import progress, say, show_json, show_table, warn
 from lightmatrix.errors import InputError
 from lightmatrix.outputs.kinds import REPORT, STORE
@@ -247,7 +247,7 @@ def estimate(
     # A mistyped input is named first, whatever the output.
     whole = source.open(finds_projector=True)
     if in_colour(whole):
-        source.refuse_unknown_projector()
+        refuse_unknown_projector(whole)
         estimate_colour(
             whole.bin(projector=size(bin_projector), camera=size(bin_camera)),
             Path("scene") if output == _OUTPUT else output,
@@ -275,8 +275,8 @@ def estimate(
     with lm.open_workers(settings, resources) as pool:
         if pool is not None:
             warn(str(pool))
-        findings = _findings(capture, whole, check, found_later=source.find_projector)
-        capture, found = _with_known_response(capture, settings, source.find_projector)
+        findings = _findings(capture, whole, check)
+        capture, found = _with_known_response(capture, settings)
         estimator = _chosen(capture, settings, resources)
         with progress("estimating", "rows") as step:
             transport = estimator.estimate(
@@ -361,23 +361,24 @@ def _warn_of_resources(resources: ResourceEstimate, check: bool) -> None:
         warn(f"less: {resources.advice}", style="yellow")
 
 
-def _findings(capture: Capture, whole: Capture, check: bool, *, found_later: bool) -> list[Finding]:
+def _findings(capture: Capture, whole: Capture, check: bool) -> list[Finding]:
     """Refuse a capture that no estimate can come from, and warn of faults in the `whole` one."""
     lm.refuse_unusable(capture)
     findings = lm.check(whole) if check else []
     lm.refuse_disorder(findings)
-    if found_later or whole.decoder.response.name == AUTO:
-        findings = [each for each in findings if each.kind != "response"]
+    found_later = [whole.projector_unknown and "projector"]
+    found_later += [whole.decoder.response.name == AUTO and "response"]
+    findings = [each for each in findings if each.kind not in found_later]
     for finding in findings:
         warn(f"{finding.kind}: {finding.message}\n  {finding.advice}", style="yellow")
     return findings
 
 
 def _with_known_response(
-    capture: Capture, settings: EstimateSettings, find_projector: bool
+    capture: Capture, settings: EstimateSettings
 ) -> tuple[Capture, FoundResponse | None]:
     """The capture, and what was found of its responses if one of them is auto."""
-    if find_projector:
+    if capture.projector_unknown:
         warn("looking for the projector's response ...")
         found = lm.find_projector_response(capture, settings)
     elif capture.decoder.response.name == AUTO:

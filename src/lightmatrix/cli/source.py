@@ -128,26 +128,36 @@ class Source:
     crop: tuple[tuple[int, int], tuple[int, int]] | None
     # Whether the response of a capture folder is to be found in its photographs.
     find_response: bool = False
-    # Whether the light of the patterns' grey values is to be found too.
+    # Whether the light of its patterns' grey values is to be found too.
     find_projector: bool = False
 
     def open(self, *, finds_projector: bool = False) -> Capture:
-        """The capture, not binned; with grey values as patterns only if the caller asks for it."""
-        if not finds_projector:
-            self.refuse_unknown_projector()
-        if self.folder is not None:
+        """The capture, not binned; its patterns may be grey values if the caller finds their light.
+
+        Raises
+        ------
+        InputError
+            If their light is to be found, but the caller does not.
+        """
+        if self.folder is None:
+            assert self.patterns is not None
+            assert self.images is not None
+            capture = lm.Capture.from_folders(
+                self.patterns, self.images, self.settings, crop=self.crop
+            )
+        else:
             capture = lm.Capture.open(self.folder, crop=self.crop)
-            if not self.find_response:
-                return capture
-            unknown = lm.Response.parse(AUTO)
-            return replace(capture, decoder=replace(capture.decoder, response=unknown))
-        assert self.patterns is not None
-        assert self.images is not None
-        return lm.Capture.from_folders(self.patterns, self.images, self.settings, crop=self.crop)
+            unknown = self.find_projector or capture.projector_unknown
+            capture = replace(capture, projector_unknown=unknown)
+            if self.find_response:
+                automatic = lm.Response.parse(AUTO)
+                capture = replace(capture, decoder=replace(capture.decoder, response=automatic))
+        if not finds_projector:
+            refuse_unknown_projector(capture)
+        return capture
 
     def check(self) -> list[Finding]:
         """What is wrong with the capture, which may be one that cannot be opened."""
-        self.refuse_unknown_projector()
         return lm.check(
             self.folder,
             patterns=self.patterns,
@@ -156,13 +166,14 @@ class Source:
             crop=self.crop,
         )
 
-    def refuse_unknown_projector(self) -> None:
-        """Refuse --projector-response auto where grey values cannot be patterns yet."""
-        if self.find_projector:
-            raise InputError(
-                "--projector-response auto: only `estimate` finds it, of grey patterns",
-                hint="give a file of `lightmatrix response --projector`",
-            )
+
+def refuse_unknown_projector(capture: Capture) -> None:
+    """Refuse patterns that are grey values whose light is to be found."""
+    if capture.projector_unknown:
+        raise InputError(
+            "a projector's response of auto: only `estimate` finds it, of grey patterns",
+            hint="give a file of `lightmatrix response --projector`",
+        )
 
 
 def with_source(*, crop: bool = True) -> Callable[[Callable[..., None]], Callable[..., None]]:
@@ -237,7 +248,7 @@ def read_source(
     find = capture is not None and stated.get("response") == AUTO
     if find:
         del stated["response"]
-    find_projector = stated.get("projector_response") == AUTO
+    find_projector = capture is not None and stated.get("projector_response") == AUTO
     if find_projector:
         del stated["projector_response"]
     if capture is not None:
@@ -259,7 +270,7 @@ def read_source(
         missing = "--patterns" if patterns is None else "--images"
         raise InputError(f"{missing} is missing", hint="give both, or a capture folder")
     settings = _read_settings(stated)
-    return Source(None, patterns, images, settings, region, find_projector=find_projector)
+    return Source(None, patterns, images, settings, region)
 
 
 def _read_settings(stated: Mapping[str, Any]) -> ReadSettings:

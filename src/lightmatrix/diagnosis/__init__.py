@@ -13,6 +13,7 @@
 ``wrong_frames``    Which frames show something else, and what?
 ``flicker``         Was the light the same in every frame?
 ``linearity``       Are the photographs linear in light?
+``grey_levels``     Are random grey patterns proportional to light?
 ``inverse_pairs``   The same questions where patterns come with their inverses (Gray code).
 ``refusals``        Can any estimate come from the capture?  Asked by `lm.estimate`.
 ``single_frame``    Is this one photograph usable?  Asked by the live rig after each.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -12,6 +13,7 @@ from lightmatrix.capture.capture import Capture
 from lightmatrix.diagnosis.finding import Finding
 from lightmatrix.diagnosis.flicker import brightness_changes, check_flicker
 from lightmatrix.diagnosis.frame_order import find_disorder
+from lightmatrix.diagnosis.grey_levels import check_grey_levels
 from lightmatrix.diagnosis.inverse_pairs import Pairs, check_pairs, pair_gains
 from lightmatrix.diagnosis.jpeg import check_jpeg
 from lightmatrix.diagnosis.light_levels import check_light_level, check_plain_frames
@@ -20,8 +22,10 @@ from lightmatrix.diagnosis.motion import check_motion
 from lightmatrix.diagnosis.pattern_faults import check_distinguishable, check_interchanged
 from lightmatrix.diagnosis.prediction import FramePrediction, predict
 from lightmatrix.diagnosis.relation import check_relation
+from lightmatrix.diagnosis.responses.greys_from_windows import show_pictures
 from lightmatrix.diagnosis.survey import Survey, high_variance_rows
 from lightmatrix.diagnosis.wrong_frames import LIKELY, SUSPECT, check_frames, wrong_frames
+from lightmatrix.patterns.colour import ColourPatterns
 from lightmatrix.resources.blas import one_blas_thread
 
 # Nothing is inferred from fewer frames, or from fewer camera pixels that can be predicted.
@@ -64,7 +68,11 @@ def _check(capture: Capture, order_only: bool) -> list[Finding]:
 
 
 def _survey(capture: Capture) -> Survey:
-    return Survey.take(capture.patterns, capture.frames, capture.decoder, capture.mask)
+    survey = Survey.take(capture.patterns, capture.frames, capture.decoder, capture.mask)
+    patterns = capture.patterns
+    grey = patterns.as_bits() is None and not isinstance(patterns, ColourPatterns)
+    greys = grey and capture.bin_projector == (1, 1) and not show_pictures(patterns)
+    return replace(survey, greys=greys)
 
 
 # In the two functions below, `light` is None if the light is not judged, and False if its linearity
@@ -136,7 +144,8 @@ def _check_by_prediction(
     findings += check_flicker(*brightness_changes(prediction.frames(right)), right, names)
     if light:
         steady = not any(each.kind == "flicker" for each in findings)
-        findings += check_linearity(survey, suspects | wrong, steady=steady)
+        judge_light = check_grey_levels if survey.greys else check_linearity
+        findings += judge_light(survey, suspects | wrong, steady=steady)
     return findings
 
 

@@ -87,7 +87,7 @@ def _check_parts(parts: CaptureParts, crop: Crop | None) -> list[Finding]:
         if parts.patterns.count != parts.frames.count:
             return _check_uncounted(parts)
         parts.decoder.check_count(parts.frames.count)
-        whole = Capture(parts.patterns, parts.frames, parts.decoder, parts.mask)
+        whole = Capture(**vars(parts))
         return check_capture(whole if crop is None else whole.crop(*crop))
     except InputError:
         unread = _unread(parts)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.diagnosis.finding import Finding
-from lightmatrix.diagnosis.responses.from_windows import power_from_windows
+from lightmatrix.diagnosis.responses.from_windows import WindowPower, power_from_windows
 from lightmatrix.diagnosis.survey import Survey
 
 # A power is announced if it differs from 1 by 2 % and by four standard errors more: where light is
@@ -35,21 +35,26 @@ def check_linearity(survey: Survey, doubted: NDArray[np.bool_], *, steady: bool)
     not `steady`: its changes look like one.
     """
     found = power_from_windows(survey, doubted)
-    if found is None or not found.settled:
+    if found is None or not is_certain(found, survey.count, steady=steady):
         return []
-    few = _OFF_BY * (_FEW_FRAMES / survey.count) ** 3
+    return [response_finding(found, survey.decoder.response.name)]
+
+
+def is_certain(found: WindowPower, count: int, *, steady: bool) -> bool:
+    """Whether a power that was found in `count` frames certainly differs from 1."""
+    if not found.settled:
+        return False
+    few = _OFF_BY * (_FEW_FRAMES / count) ** 3
     least = _ANNOUNCED + _CERTAIN * found.error + few
     before, after = found.missed
     if after > _MUCH and after > _REMAINS * before:
-        return []
-    if abs(np.log(found.power)) < least or (found.power < 1 and not steady):
-        return []
-    stated = survey.decoder.response.name
-    uncertainty = max(2 * found.error * found.power, 0.01)
-    return [_finding(found.power, uncertainty, stated)]
+        return False
+    return bool(abs(np.log(found.power)) >= least and (found.power > 1 or steady))
 
 
-def _finding(power: float, uncertainty: float, stated: str) -> Finding:
+def response_finding(found: WindowPower, stated: str) -> Finding:
+    """The finding of photographs that are not linear, decoded by the `stated` response."""
+    power, uncertainty = found.power, max(2 * found.error * found.power, 0.01)
     if power < 1:
         return Finding(
             "response",

@@ -60,6 +60,8 @@ class Survey:
     grid: tuple[int, int, int, int]
     # Which samples count, (S,): not masked, and not clipped without light.
     valid: NDArray[np.bool_]
+    # Whether the patterns are random grey values, as a projector is sent, not means of blocks.
+    greys: bool = False
 
     @classmethod
     def take(

@@ -17,6 +17,7 @@ rest (`workers/worker.py`).
 from __future__ import annotations
 
 from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
 
 from lightmatrix.camera.camera_curve import AUTOMATIC, Response
@@ -27,8 +28,7 @@ from lightmatrix.errors import InputError
 from lightmatrix.estimators.choice import choose_estimator
 from lightmatrix.estimators.resource_estimate import estimate_resources
 from lightmatrix.estimators.settings import EstimateSettings
-from lightmatrix.estimators.unknown_projector import find_projector_response
-from lightmatrix.estimators.unknown_response import with_known_response
+from lightmatrix.estimators.unknown_projector import find_responses
 from lightmatrix.estimators.work import Progress
 from lightmatrix.estimators.workers.startup import open_workers
 from lightmatrix.outputs.kinds import STORE
@@ -171,7 +171,9 @@ def estimate(
         capture = with_response(capture, known)
     if isinstance(projector_response, ProjectorResponse):
         capture = with_projector(capture, projector_response)
-    elif projector_response not in (None, AUTOMATIC):
+    elif projector_response == AUTOMATIC:
+        capture = replace(capture, projector_unknown=True)
+    elif projector_response is not None:
         raise InputError(
             f"a projector's response of {projector_response!r}",
             hint="give a ProjectorResponse, or auto",
@@ -183,9 +185,11 @@ def estimate(
         refuse_unusable(capture)
         warn_of_stripes(capture.patterns)
         findings = refuse_unordered(capture) if check else ()
-        if projector_response == AUTOMATIC:
-            capture = find_projector_response(capture, settings).applied_to(capture)
-        capture = with_known_response(capture, settings)
+        found = find_responses(capture, settings)
+        if found is not None:
+            # A curve that was found is no fault of the capture any more.
+            findings = [each for each in findings if each.kind not in found.remedies]
+            capture = found.applied_to(capture)
         estimator = choose_estimator(capture, settings, resources)
         with progress_bar("estimating", "rows") if progress is True else nullcontext(None) as bar:
             transport = estimator.estimate(

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lightmatrix.camera.camera_curve import AUTOMATIC, Response
+from lightmatrix.camera.camera_curve import Response
 from lightmatrix.capture.capture import Capture, open_capture
 from lightmatrix.capture.decoding import JPEG
 from lightmatrix.diagnosis.responses.bend import GammaBend, SmoothBends, exponent, raised
@@ -18,6 +18,7 @@ from lightmatrix.diagnosis.responses.found import (
 )
 from lightmatrix.diagnosis.responses.from_transport import bends_from_transport
 from lightmatrix.diagnosis.responses.from_windows import power_from_windows
+from lightmatrix.diagnosis.responses.greys_from_windows import show_pictures
 from lightmatrix.diagnosis.survey import Survey
 from lightmatrix.errors import InputError, warn
 from lightmatrix.estimators.choice import choose_estimator
@@ -37,9 +38,6 @@ _CURVED, _CERTAIN = 0.0025, 8.0
 # A curve is looked for only if photographs use half of the levels of their files: those of a camera
 # of 12 bits in files of 16 bits use a sixteenth. Chosen by hand.
 _WIDE = 0.5
-# Grey patterns are pictures if pixels beside each other correlate by more than 0.5, in 500 pairs.
-# Random grey patterns do not correlate, photographs by more than 0.9.
-_ALIKE, _PAIRS = 0.5, 500
 # The uncertainty is twice the standard error, and at least 0.5 % of the gamma: on simulated
 # captures the gamma is off by up to that where the standard error is smaller.
 _LEAST_UNCERTAINTY = 0.005
@@ -152,25 +150,9 @@ def refined_response(
     return Refined(curve if curved else gamma, uncertainty, curved)
 
 
-def with_known_response(capture: Capture, settings: EstimateSettings) -> Capture:
-    """The capture itself; or read by the response that is found, if its own is "auto"."""
-    if capture.decoder.response.name != AUTOMATIC:
-        return capture
-    return find_response(capture, settings).applied_to(capture)
-
-
 def refuse_pictures(capture: Capture) -> None:
     """Refuse grey patterns whose neighbouring pixels are alike, such as photographs."""
-    patterns = capture.patterns
-    if capture.bin_projector != (1, 1) or patterns.as_bits() is not None or patterns.shape[1] < 2:
-        return
-    rows, cols = patterns.shape
-    drawn = np.random.default_rng(0).integers(0, rows * (cols - 1), _PAIRS)
-    left = drawn // (cols - 1) * cols + drawn % (cols - 1)
-    one, other = (patterns.columns(pixels).astype(np.float64) for pixels in (left, left + 1))
-    one, other = one - one.mean(axis=0), other - other.mean(axis=0)
-    alike = float((one * other).sum() / max(np.sqrt((one**2).sum() * (other**2).sum()), 1e-12))
-    if alike > _ALIKE:
+    if capture.bin_projector == (1, 1) and show_pictures(capture.patterns):
         raise InputError(
             "patterns of pictures determine only the quotient of the camera's and the projector's "
             "curves",
@@ -185,10 +167,10 @@ def _undetermined() -> InputError:
     )
 
 
-def brightest_window(capture: Capture) -> Capture:
-    """The capture's window of at most 64 x 64 camera pixels in which the most light changes."""
+def brightest_window(capture: Capture, side: int = _SIDE) -> Capture:
+    """The capture's window of at most `side` x `side` camera pixels in which most light changes."""
     rows, cols = capture.camera_shape[:2]
-    high, wide = min(rows, _SIDE), min(cols, _SIDE)
+    high, wide = min(rows, side), min(cols, side)
     if (high, wide) == (rows, cols):
         return capture
     frames = np.linspace(0, capture.count - 1, min(_FRAMES, capture.count)).astype(int)

@@ -28,7 +28,7 @@ SINGLY_CLIPPED, _SOME_CLIPPED = 0.02, 0.002
 _MANY_CLIPPED, _MANY_UNFINISHED = 0.1, 0.01
 # Kinds of findings of `check` that spoil T where neither estimated errors nor unseen photographs
 # show it: these photographs are wrong alike.
-_SPOILING = ("order", "unrelated", "response", "motion", "patterns")
+_SPOILING = ("order", "unrelated", "response", "projector", "motion", "patterns")
 # The sentence that states an error, which such a finding makes void.
 _STATED = re.compile(r"Estimated error of T: [^%]*%\. ?")
 _UNTESTED = "It was not tested on unseen photographs (`estimate --report` does that)."

@@ -71,6 +71,12 @@ class FoundResponse:
         """Whether the curve is a gamma, 1 included."""
         return self.response.levels is None or self.response.name.startswith("gamma:")
 
+    @property
+    def remedies(self) -> tuple[str, ...]:
+        """The kinds of findings that it remedies: "response", "projector" or both."""
+        camera = ("response",) if self.uncertainty else ()
+        return camera if self.projector is None else (*camera, "projector")
+
     def applied_to(self, capture: Capture) -> Capture:
         """The capture, read by this response, with the light of its grey values if it was found."""
         read = with_response(capture, self.response)
@@ -112,7 +118,8 @@ def with_response(capture: Capture, response: Response) -> Capture:
 
 def with_projector(capture: Capture, projector: ProjectorResponse) -> Capture:
     """The capture, with the grey values of its patterns read as light."""
-    return replace(capture, patterns=projector.light_of_patterns(capture.patterns))
+    patterns = projector.light_of_patterns(capture.patterns)
+    return replace(capture, patterns=patterns, projector_unknown=False)
 
 
 def largest_difference(one: Response, other: Response) -> float:

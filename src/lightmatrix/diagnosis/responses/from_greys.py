@@ -33,12 +33,12 @@ Array = NDArray[np.float64]
 
 # Light below this counts as this much; its logarithm must be finite. A grey value of 1 of 255 at a
 # gamma of 2.5 is as bright.
-_DARKEST = 1e-6
+DARKEST = 1e-6
 # A step changes a gamma by at most 30 %, beyond which the linear change of the light misleads. The
 # steps end when one changes no gamma by 0.2 %, or after eight; five were the most that were needed.
 _LARGEST, _SMALL, _STEPS = 0.3, 0.002, 8
 # Gammas of projectors lie well within this range.
-_GAMMAS = (0.2, 6.0)
+GAMMAS = (0.2, 6.0)
 # Weights that the frames do not determine are kept small: a millionth of the mean power of columns.
 _RIDGE = 1e-6
 
@@ -83,7 +83,7 @@ def gammas_from_greys(
         if found is None:
             return None
         sizes = np.clip(found.sizes, -_LARGEST, _LARGEST)
-        gamma = float(np.clip(gamma * (1 + sizes[-1]), *_GAMMAS))
+        gamma = float(np.clip(gamma * (1 + sizes[-1]), *GAMMAS))
         if camera:
             better = raised(capture.decoder.response, 1 + float(sizes[0]))
             capture = with_response(capture, better)
@@ -100,10 +100,10 @@ def _step(capture: Capture, rows: _Rows, light: Array, camera: bool) -> Bends | 
     unit = light_of(np.ones_like(values), samples, capture.decoder, exposures)[0] - dark
     usable = samples.counted & ~samples.clipped
     lit, rest = rows.lit(light)
-    turned, turned_rest = rows.lit(light * np.log(np.maximum(light, _DARKEST)))
+    turned, turned_rest = rows.lit(light * np.log(np.maximum(light, DARKEST)))
     even = np.ones((*values.shape, 1))
     columns = np.concatenate([even, rest[..., None], lit], axis=2)
-    weights = _fitted(columns, samples, usable)
+    weights = explaining_weights(columns, samples, usable)
     predicted, _ = light_of(
         np.einsum("mkd,md->mk", columns, weights), samples, capture.decoder, exposures
     )
@@ -113,7 +113,7 @@ def _step(capture: Capture, rows: _Rows, light: Array, camera: bool) -> Bends | 
     return solve_bends(bent, capture.decoder.response, GammaBend() if camera else None)
 
 
-def _fitted(columns: Array, samples: Samples, usable: NDArray[np.bool_]) -> Array:
+def explaining_weights(columns: Array, samples: Samples, usable: NDArray[np.bool_]) -> Array:
     """The weights of columns (m, K, d) that explain samples best; pixels give no negative light."""
     counted = columns * usable[..., None]
     gram = np.einsum("mkd,mke->mde", counted, counted)

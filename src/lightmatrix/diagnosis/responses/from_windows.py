@@ -20,13 +20,13 @@ from lightmatrix.diagnosis.survey import Survey
 # At most so many rows are predicted, which takes about half a second; fewer than the second number
 # determine nothing. Rows clip in at most 30 % of the frames, and vary by more than 15 % of what the
 # most varied tenth does.
-_ROWS, _FEWEST_ROWS = 800, 20
+_ROWS, FEWEST_ROWS = 800, 20
 _MOST_CLIPPED, _VARIED = 0.3, 0.15
 # The projector pixels that are removed from each row: the one that it follows most, and its four
 # neighbours.
 _CROSS = ((0, 0), (0, 1), (0, -1), (1, 0), (-1, 0))
 # The search for a gamma ends after so many steps, or when a step is smaller than this.
-_STEPS, _SMALL = 7, 0.002
+_STEPS, SMALL = 7, 0.002
 # A step changes the logarithm of the gamma by at most 0.5. Where the equation hardly depends on the
 # gamma, secants lead astray; the step is then the bend itself.
 _LARGEST_STEP, _FLATTEST = 0.5, 0.2
@@ -78,7 +78,7 @@ def power_from_windows(survey: Survey, doubted: NDArray[np.bool_]) -> WindowPowe
     The light is that of the survey's response. Nothing is learned from `doubted` frames, (K,).
     """
     rows = varied_rows(survey)
-    if len(rows) < _FEWEST_ROWS:
+    if len(rows) < FEWEST_ROWS:
         return None
     first = _search(survey, rows, doubted, _STARTS[0])
     if first is None or first.right_against(first):
@@ -106,10 +106,10 @@ def _search(
             return None
         misses.append(float(np.median(prediction.miss)))
         sizes.append(float(found.sizes[0]))
-        if abs(sizes[-1]) < _SMALL or len(sizes) == _STEPS:
+        if abs(sizes[-1]) < SMALL or len(sizes) == _STEPS:
             break
         logs.append(float(np.clip(logs[-1] + _step(logs, sizes), *np.log(_POWERS))))
-    settled = abs(sizes[-1]) < 5 * _SMALL
+    settled = abs(sizes[-1]) < 5 * SMALL
     missed = (misses[0], misses[-1])
     return WindowPower(float(np.exp(logs[-1])), float(found.errors[0]), settled, missed)
 
@@ -136,13 +136,13 @@ def _bends(
     samples = survey.samples(rows, response)
     prediction = predict(patterns, samples, places, doubted)
     kept = prediction.predicted
-    if kept.sum() < _FEWEST_ROWS:
+    if kept.sum() < FEWEST_ROWS:
         return None, prediction
     decoder = replace(decoder, response=response)
     exposures = np.broadcast_to(np.asarray(decoder.exposure, np.float64), (survey.count,))
     light, dark = light_of(prediction.observed, samples, decoder, exposures)
     expected, _ = light_of(prediction.expected, samples, decoder, exposures)
-    shown = _cross(prediction.places[0], patterns.shape)
+    shown = cross(prediction.places[0], patterns.shape)
     seen = np.moveaxis(patterns.at(shown), 0, 1)
     columns = np.concatenate(
         [np.ones((*light.shape, 1)), (prediction.expected)[..., None], seen], axis=2
@@ -158,7 +158,7 @@ def _bends(
     return solve_bends(whole.select(kept), response, GammaBend()), prediction
 
 
-def _cross(places: NDArray[np.int64], shape: tuple[int, int]) -> NDArray[np.int64]:
+def cross(places: NDArray[np.int64], shape: tuple[int, int]) -> NDArray[np.int64]:
     """The pixels at some places and beside them, (m, 5), within the projector."""
     row, col = np.divmod(places, shape[1])
     pixels = [
