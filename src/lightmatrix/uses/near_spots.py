@@ -36,10 +36,11 @@ def near_spots(
     for down, right in ((d, r) for d in steps for r in steps if d or r):
         here = slice(None), _inside(shape[0], -down), _inside(shape[1], -right)
         there = slice(None), _inside(shape[0], down), _inside(shape[1], right)
-        away_row = row[there] - row[here][:, None]
-        away_col = col[there] - col[here][:, None]
+        # In place, as these are the largest arrays of a separation.
+        squared = (row[there] - row[here][:, None]) ** 2
+        squared += (col[there] - col[here][:, None]) ** 2
         # Comparisons with NaN are False.
-        yield NearSpots(here, there, away_row**2 + away_col**2 <= radius**2)
+        yield NearSpots(here, there, squared <= radius**2)
 
 
 def as_images(values: NDArray[Any], shape: tuple[int, int]) -> NDArray[Any]:
