@@ -266,6 +266,23 @@ def test_colour_is_compensated_jointly() -> None:
     np.testing.assert_allclose(ratios, ratios[0], rtol=0.05)
 
 
+def test_the_folder_of_a_colour_projector_stands_for_its_primaries(
+    known: lm.LightTransport, tmp_path: Path
+) -> None:
+    parts = [replace(known, sparse=known.sparse * np.float32(gain)) for gain in (0.5, 0.3, 0.2)]
+    lm.save_colour(tmp_path / "scene", lm.ColourTransport(*parts))
+    found = lm.compensate(tmp_path / "scene", _ramp(), output=tmp_path / "shown.png")
+    np.testing.assert_array_equal(found.pattern, lm.compensate(parts, _ramp()).pattern)
+    assert lm.read_image(tmp_path / "shown.png").shape == (64, 64, 3)
+    uses: tuple[Callable[[], Any], ...] = (
+        lambda: lm.cancel_global(tmp_path / "scene"),
+        lambda: lm.compensate_video(tmp_path / "scene", [_ramp()]),
+    )
+    for use in uses:
+        with pytest.raises(lm.InputError, match="3 matrices, for a use that takes one"):
+            use()
+
+
 def test_two_projectors_blend_into_each_other(tmp_path: Path) -> None:
     """Two projectors of different sizes, each on two thirds of a wall."""
     wall = np.zeros((12, 12, 4, 8), np.float32)

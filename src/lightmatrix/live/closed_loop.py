@@ -160,6 +160,7 @@ def refine_compensation(
     if output is not None:
         check_output(output, IMAGE, overwrite=overwrite)
     shared = compensator(transport, mask=mask)
+    shared.light.check_single()
     samples = wanted_samples(wanted, shared.light.camera_shape, gamma=gamma, resize=resize)
     if brightness is None:
         brightness = shared.automatic_brightness(samples)

@@ -128,6 +128,7 @@ def compensate_video(
     if not len(pictures):
         raise InputError("a video without frames", hint="give at least one frame")
     shared = compensator(transport, ambient=ambient, mask=mask)
+    shared.light.check_single()
     shape = shared.light.camera_shape
 
     def samples(index: int) -> NDArray[np.float32]:

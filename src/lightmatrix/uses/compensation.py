@@ -314,7 +314,8 @@ def compensate(
     ----------
     transport : LightTransport, StoredTransport, str or Path, or several of them
         T, or where `open` finds it. Several: projectors that light one scene together, or the
-        primaries of a colour projector; their patterns are found jointly. A store is loaded.
+        primaries of a colour projector, also as the folder that `save_colour` wrote; their patterns
+        are found jointly. A store is loaded.
     wanted : (rows, cols) or (rows, cols, channels) array, str or Path
         The picture in [0, 1], as the camera is to see it. Grey for a colour camera: in the colours
         that the scene has under a white pattern.

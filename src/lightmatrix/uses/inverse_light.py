@@ -71,7 +71,9 @@ def cancel_global(
     """
     if output is not None:
         check_output(output, IMAGE, overwrite=overwrite)
-    matrix = joint_light(transport).matrices[0]
+    light = joint_light(transport)
+    light.check_single()
+    matrix = light.matrices[0]
     shown = pattern_or_white(pattern, matrix.projector_shape)
     part = separate(matrix).direct if direct is None else direct
     if part.shape != matrix.shape:

@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.errors import InputError
+from lightmatrix.files.colours import colour_paths, holds_colour
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.uses.loading import Transport, loaded
 
@@ -35,6 +37,14 @@ class JointLight:
     def pixels(self) -> int:
         """Projector pixels N of all projectors."""
         return sum(matrix.shape[1] for matrix in self.matrices)
+
+    def check_single(self) -> None:
+        """Raise an InputError if there is more than one projector or primary."""
+        if len(self.matrices) > 1:
+            raise InputError(
+                f"{len(self.matrices)} matrices, for a use that takes one",
+                hint="single pictures are compensated with several projectors, or in colour",
+            )
 
     def split(self, light: NDArray[np.float32]) -> tuple[NDArray[np.float32], ...]:
         """The patterns, (rows, cols) each, of a vector (N,)."""
@@ -106,13 +116,15 @@ class JointLight:
 def joint_light(transport: Transport | Sequence[Transport]) -> JointLight:
     """The operator of one matrix, or of several of one camera, loaded if they are on disk.
 
+    The folder of a colour projector stands for the matrices of its primaries.
     An InputError says that they do not fit into memory, or that their cameras differ.
     """
     several = isinstance(transport, Sequence) and not isinstance(transport, str)
     sources: list[Any] = [*transport] if several else [transport]  # type: ignore[misc]
     if not sources:
         raise InputError("no light transport matrix", hint="give one, or one for each projector")
-    matrices = tuple(loaded(source, _TIMES_ITS_SIZE) for source in sources)
+    parts = [part for source in sources for part in _primaries(source)]
+    matrices = tuple(loaded(part, _TIMES_ITS_SIZE) for part in parts)
     shapes = sorted({matrix.camera_shape for matrix in matrices})
     if len(shapes) > 1:
         raise InputError(
@@ -120,3 +132,9 @@ def joint_light(transport: Transport | Sequence[Transport]) -> JointLight:
             hint="give matrices that one camera measured, with the same binning",
         )
     return JointLight(matrices)
+
+
+def _primaries(source: Any) -> Sequence[Any]:
+    """The stores of the primaries in a colour projector's folder; else the source itself."""
+    is_folder = isinstance(source, str | Path) and holds_colour(source)
+    return colour_paths(source) if is_folder else (source,)
