@@ -20,7 +20,7 @@ $(BIN)/python:
 $(VENV)/.installed: $(BIN)/python $(CORE)
 	@command -v cargo >/dev/null || { echo 'lightmatrix needs a Rust toolchain: see https://rustup.rs'; exit 1; }
 	@echo 'Installing lightmatrix into $(VENV); compiling its Rust core takes minutes.'
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
+	@$(BIN)/python -m pip install --disable-pip-version-check --progress-bar off --editable .
 	@touch $@
 
 $(VENV)/.test-installed: $(VENV)/.installed

@@ -47,6 +47,21 @@ def test_a_case_compares_the_found_curve_with_the_known_one(
     assert row["gamma"] == pytest.approx(2.2)
 
 
+def test_a_curve_that_is_not_determined_is_a_row_without_errors_by_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def undetermined(_: lm.Capture) -> lm.FoundResponse:
+        raise lm.InputError("the photographs do not determine the camera's response")
+
+    known = lm.truth("l_objects").transport()
+    brighter = replace(known, sparse=known.sparse * np.float32(1.01))
+    monkeypatch.setattr(responses, "estimate", lambda *_, **__: brighter)
+    monkeypatch.setattr(responses, "find_response", undetermined)
+    (row,) = responses.measure(responses.Case("l_objects", 0.0, "gamma:2.2", 16)).rows
+    assert not row["found"]
+    assert np.isnan(row["error_auto"])
+
+
 def test_the_table_has_the_worst_scene(tmp_path: Path) -> None:
     def measured(scene: str, gamma: float, ratio: float) -> tuple[responses.Case, Measured]:
         case = responses.Case(scene, 0.0, "gamma:2.2", 32)
@@ -54,15 +69,17 @@ def test_the_table_has_the_worst_scene(tmp_path: Path) -> None:
         row = {
             "scene": scene, "blur": 0.0, "response": case.response, "patterns": 32, "gamma": 2.2,
             "gamma_found": gamma, "curve_difference": 0.01, "estimates": 1, "ratio": ratio,
-            "projector": 0.0, "projector_found": 0.0,
+            "projector": 0.0, "projector_found": 0.0, "found": gamma > 0,
             **errors,
         }  # fmt: skip
         return case, Measured([row])
 
     results = [measured("metal", 2.2, 1.0), measured("gripper", 2.42, 1.5)]
+    results.append(measured("corner", np.nan, np.nan))
     (row,) = responses._summary([row for _, each in results for row in each.rows])
     assert row["gamma_off_most"] == pytest.approx(0.1)
     assert row["ratio_most"] == 1.5
+    assert (row["scenes"], row["found"]) == (3, 2)
     assert row["error_auto"] == pytest.approx(0.0125)
     responses._draw(tmp_path, results)
     assert (tmp_path / "responses.png").stat().st_size > 5000

@@ -12,7 +12,8 @@ import numpy as np
 from lightmatrix.camera.camera_curve import Response
 from lightmatrix.capture.capture import Capture
 from lightmatrix.diagnosis.responses.bend import exponent
-from lightmatrix.diagnosis.responses.found import largest_difference, with_response
+from lightmatrix.diagnosis.responses.found import FoundResponse, largest_difference, with_response
+from lightmatrix.errors import InputError
 from lightmatrix.estimators.estimate import estimate
 from lightmatrix.estimators.unknown_projector import find_projector_response
 from lightmatrix.estimators.unknown_response import find_response
@@ -121,10 +122,14 @@ def measure(case: Case) -> Measured:
     light = simulate(truth, patterns, exposure=exposure, bits=None, noise=NOISE)
     response = camera_of(case.response)
     capture = replace(coded(light, response), patterns=greys)
-    if case.projector:
-        found = find_projector_response(capture, camera=True)
-    else:
-        found = find_response(capture)
+    try:
+        if case.projector:
+            found = find_projector_response(capture, camera=True)
+        else:
+            found = find_response(capture)
+    except InputError:
+        # The photographs do not determine a curve, which `estimate` would refuse alike.
+        found = FoundResponse(Response(), np.nan, np.nan, np.nan, 0)
     known = truth.transport()
     read = {
         "known": replace(with_response(capture, response), patterns=patterns),
@@ -135,12 +140,15 @@ def measure(case: Case) -> Measured:
         f"error_{name}": relative_error(estimate(each, check=False), known)
         for name, each in read.items()
     }
+    if not found.estimates:
+        errors["error_auto"] = np.nan
     row = {
         **asdict(case),
         "gamma": exponent(response),
         "gamma_found": found.gamma,
         "projector_found": found.projector.gamma if found.projector else 0.0,
         "uncertainty": found.uncertainty,
+        "found": bool(found.estimates),
         "curve_difference": largest_difference(found.response, response),
         "estimates": found.estimates,
         **errors,
@@ -150,31 +158,37 @@ def measure(case: Case) -> Measured:
 
 
 def _summary(rows: list[Row]) -> list[Row]:
-    """Means and worst cases over the scenes."""
+    """Means and worst cases over the scenes in which a curve was found."""
     groups: dict[tuple[Any, ...], list[Row]] = {}
     for row in rows:
         groups.setdefault(
             (row["response"], row["projector"], row["blur"], row["patterns"]), []
         ).append(row)
-    return [
-        {
+    summary: list[Row] = []
+    for (response, projector, blur, count), group in groups.items():
+        found = [row for row in group if row["found"]]
+        line: Row = {
             "response": response,
             "projector": projector,
             "blur": blur,
             "patterns": count,
             "scenes": len(group),
-            "gamma_off_most": max(abs(r["gamma_found"] / r["gamma"] - 1) for r in group),
-            "projector_off_most": max(abs(r["projector_found"] - projector) for r in group),
-            "curve_difference_most": max(r["curve_difference"] for r in group),
-            "estimates_mean": float(np.mean([r["estimates"] for r in group])),
-            **{
-                f"error_{name}": float(np.mean([r[f"error_{name}"] for r in group]))
-                for name in READ_AS
-            },
-            "ratio_most": max(r["ratio"] for r in group),
+            "found": len(found),
         }
-        for (response, projector, blur, count), group in groups.items()
-    ]
+        if found:
+            line |= {
+                "gamma_off_most": max(abs(r["gamma_found"] / r["gamma"] - 1) for r in found),
+                "projector_off_most": max(abs(r["projector_found"] - projector) for r in found),
+                "curve_difference_most": max(r["curve_difference"] for r in found),
+                "estimates_mean": float(np.mean([r["estimates"] for r in found])),
+                **{
+                    f"error_{name}": float(np.mean([r[f"error_{name}"] for r in found]))
+                    for name in READ_AS
+                },
+                "ratio_most": max(r["ratio"] for r in found),
+            }
+        summary.append(line)
+    return summary
 
 
 def _draw(out: Path, results: list[tuple[Case, Measured]]) -> None:
