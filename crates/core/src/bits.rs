@@ -7,6 +7,11 @@ use crate::float::Float;
 use crate::subsets::subset_sums;
 use rayon::prelude::*;
 
+/// Correlations of a row that are summed together: they stay in the nearest cache.
+const BLOCK: usize = 2048;
+/// Blocks that one thread handles at a time, enough to hide the cost of starting a task.
+const TASK: usize = 8;
+
 /// K patterns over N pixels, each pattern in `stride = ceil(N / 8)` bytes.
 #[derive(Clone, Copy)]
 pub struct Bits<'a> {
@@ -123,14 +128,20 @@ pub fn adjoint<T: Float>(bits: Bits, rows: usize, e: &[T], out: &mut [T]) {
 }
 
 fn adjoint_row<T: Float>(codes: &[u8], e: &[T], out: &mut [T]) {
-    let mut table = [T::default(); 256];
-    out.fill(T::default());
-    for (values, codes) in e.chunks(8).zip(codes.chunks(out.len())) {
-        subset_sums(values, &mut table);
-        for (sum, code) in out.iter_mut().zip(codes) {
-            *sum += table[*code as usize];
-        }
+    let mut tables = vec![[T::default(); 256]; e.len().div_ceil(8)];
+    for (values, table) in e.chunks(8).zip(&mut tables) {
+        subset_sums(values, table);
     }
+    let pixels = out.len();
+    let blocks = out.par_chunks_mut(BLOCK).enumerate();
+    blocks.with_min_len(TASK).for_each(|(block, out)| {
+        out.fill(T::default());
+        for (table, codes) in tables.iter().zip(codes.chunks(pixels)) {
+            for (sum, code) in out.iter_mut().zip(&codes[block * BLOCK..]) {
+                *sum += table[*code as usize];
+            }
+        }
+    });
 }
 
 /// The transposed patterns, laid out (group, pixel): group g has one byte for each pixel, whose bit i is
@@ -142,15 +153,31 @@ pub fn column_codes(bits: Bits) -> Vec<u8> {
         .par_chunks_mut(pixels.max(1))
         .enumerate()
         .for_each(|(group, codes)| {
-            for k in 8 * group..(8 * group + 8).min(bits.patterns()) {
-                for (codes, byte) in codes.chunks_mut(8).zip(bits.pattern(k)) {
-                    for (i, code) in codes.iter_mut().enumerate() {
-                        *code |= (byte >> i & 1) << (k % 8);
-                    }
+            let patterns: Vec<&[u8]> = (8 * group..(8 * group + 8).min(bits.patterns()))
+                .map(|k| bits.pattern(k))
+                .collect();
+            for (place, codes) in codes.chunks_mut(8).enumerate() {
+                let mut square = [0u8; 8];
+                for (byte, pattern) in square.iter_mut().zip(&patterns) {
+                    *byte = pattern[place];
                 }
+                let transposed = transpose(u64::from_le_bytes(square)).to_le_bytes();
+                codes.copy_from_slice(&transposed[..codes.len()]);
             }
         });
     codes
+}
+
+/// Swaps the rows and columns of an 8 x 8 square of bits, of which a byte is a row (Warren, Hacker's Delight,
+/// 2012, section 7-3).
+fn transpose(square: u64) -> u64 {
+    let swap = |square: u64, distance: u32, mask: u64| {
+        let changed = (square ^ (square >> distance)) & mask;
+        square ^ changed ^ (changed << distance)
+    };
+    let square = swap(square, 7, 0x00aa_00aa_00aa_00aa);
+    let square = swap(square, 14, 0x0000_cccc_0000_cccc);
+    swap(square, 28, 0x0000_0000_f0f0_f0f0)
 }
 
 /// The columns `index` of P, as (K, index.len()).
@@ -189,8 +216,33 @@ mod tests {
     }
 
     #[test]
+    fn a_transposed_square_has_its_rows_as_columns() {
+        let mut square = 0x0123_4567_89ab_cdef_u64;
+        for _ in 0..20 {
+            square = square.wrapping_mul(6364136223846793005).wrapping_add(99);
+            let transposed = transpose(square);
+            for row in 0..8 {
+                for col in 0..8 {
+                    assert_eq!(
+                        transposed >> (8 * col + row) & 1,
+                        square >> (8 * row + col) & 1
+                    );
+                }
+            }
+        }
+    }
+
+    #[test]
     fn products_match_their_definition() {
-        for (patterns, pixels) in [(1, 1), (3, 7), (8, 8), (9, 65), (17, 130), (40, 200)] {
+        for (patterns, pixels) in [
+            (1, 1),
+            (3, 7),
+            (8, 8),
+            (9, 65),
+            (17, 130),
+            (40, 200),
+            (9, 2 * BLOCK + 5),
+        ] {
             let (bytes, x, e) = example(patterns, pixels);
             let bits = Bits::new(&bytes, patterns, pixels);
             let mut samples = vec![0.0; 3 * patterns];

@@ -37,9 +37,12 @@ _PROBABLE = 0.95
 # The least share of a row that no single pixel explains, so that samples without noise divide
 # nothing by zero. Far below the noise of any camera.
 _LEAST_MISFIT = 1e-8
-# Bytes of correlations of some rows with all projector pixels, of which five copies are held.
-# Chosen by hand, to lie far below the working memory of a tile.
-_BYTES = 4 << 20
+# Pixels that are less probable than the best one by a factor of exp(60) are not looked at: a
+# billion of them together would change no probability.
+_NEGLIGIBLE = 60.0
+# Bytes of correlations of some rows with all projector pixels. Chosen by hand, to lie far below the
+# working memory of a tile.
+_BYTES = 8 << 20
 
 
 def with_certainty(
@@ -97,21 +100,42 @@ def _probable(
     column = patterns.means / max(float(np.linalg.norm(patterns.means)), 1e-300)
     values = values - np.outer(values @ column, column)
     lengths = np.square(values).sum(axis=1)
+    contrasts = patterns.contrasts
+    inverse = np.divide(1, contrasts, out=np.zeros_like(contrasts), where=contrasts > 0)
     result = np.zeros(len(values), np.bool_)
     together = max(1, _BYTES // (8 * patterns.pixels))
     for first in range(0, len(values), together):
         some = slice(first, first + together)
-        products = np.maximum(patterns.adjoint(values[some]), 0)
-        scale = lengths[some, None] * patterns.contrasts
-        explained = np.divide(products**2, scale, out=np.zeros_like(products), where=scale > 0)
-        misfit = np.maximum(1 - explained, _LEAST_MISFIT)
-        best = misfit.min(axis=1, keepdims=True)
-        likely = np.exp((patterns.count - 2) / 2 * (1 - misfit / best))
-        total = likely.sum(axis=1)
-        for row, pixel in enumerate(pixels[some]):
-            near = likely[row].reshape(patterns.shape)[_window(int(pixel), patterns)]
-            result[first + row] = near.sum() >= _PROBABLE * total[row]
+        explained = patterns.adjoint(values[some])
+        np.maximum(explained, 0, out=explained)
+        np.square(explained, out=explained)
+        explained *= inverse
+        rows = zip(explained, lengths[some], pixels[some], strict=True)
+        for row, (parts, length, pixel) in enumerate(rows, first):
+            window = parts.reshape(patterns.shape)[_window(int(pixel), patterns)].ravel()
+            share = _probability(window, parts, float(length), patterns.count)
+            result[row] = share >= _PROBABLE
     return result
+
+
+def _probability(
+    window: NDArray[np.float64], explained: NDArray[np.float64], length: float, count: int
+) -> float:
+    """The probability of the pixels in a window, from the squares that each pixel explains.
+
+    `length` is the squared length of the row of `count` samples.
+    """
+    # A row without contrast explains no pixel more than any other.
+    length = length or 1.0
+    best = max(1 - float(explained.max()) / length, _LEAST_MISFIT)
+    sharpness = (count - 2) / 2
+
+    def likely(parts: NDArray[np.float64]) -> float:
+        misfit = np.maximum(1 - parts / length, _LEAST_MISFIT)
+        return float(np.exp(sharpness * (1 - misfit / best)).sum())
+
+    least = length * (1 - best * (1 + _NEGLIGIBLE / sharpness))
+    return likely(window) / likely(explained[explained >= least])
 
 
 def _beyond_error(
