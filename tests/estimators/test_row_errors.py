@@ -75,3 +75,16 @@ def test_masked_frames_say_nothing() -> None:
     assert np.isnan(misfit[1])
     assert np.isfinite(smooth_misfit(misfit, (1, 2, 1), 0)).all()
     assert np.isnan(smooth_misfit(np.full(4, np.nan, np.float32), (2, 2, 1), 0)).all()
+
+
+@pytest.mark.parametrize("spacing", [2, 4])
+def test_every_pixel_gets_the_mean_of_the_known_ones_around(spacing: int) -> None:
+    """A misfit that rises along both axes is interpolated linearly, at any spacing."""
+    known = np.add.outer(np.arange(12.0), 3 * np.arange(15.0))
+    image = np.full((11 * spacing + 1, 14 * spacing + 1), np.nan, np.float32)
+    image[::spacing, ::spacing] = known
+    smooth = smooth_misfit(image.ravel(), (*image.shape, 1), 0, spacing).reshape(image.shape)
+    np.testing.assert_allclose(smooth[::spacing, ::spacing], known, atol=1e-5)
+    half = spacing // 2
+    between = (known[:-1, :-1] + known[1:, 1:]) / 2
+    np.testing.assert_allclose(smooth[half::spacing, half::spacing], between, rtol=1e-5)

@@ -9,6 +9,8 @@ from __future__ import annotations
 import os
 import sys
 
+from lightmatrix.resources.allocator import keep_freed_memory
+
 # Bytes of address space below which NumPy and SciPy cannot be loaded: measured with `ulimit -v` on
 # two cores, where 300 MB are too little and 400 MB are enough.
 LEAST_ADDRESS_SPACE = 380 << 20
@@ -38,6 +40,7 @@ def console() -> None:
     """Entry point of the installed command."""
     try:
         _open_standard_streams()
+        keep_freed_memory()
         code = 3 if _lacks_address_space() else main()
     except KeyboardInterrupt:
         code = 130

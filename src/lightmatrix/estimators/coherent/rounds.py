@@ -55,9 +55,10 @@ SEARCHED, CERTIFIED = "searched_everywhere", "certified_everywhere"
 # The step that measures the misfit under the frames held out, and the diagnostic that holds it;
 # and the diagnostic that holds the misfit of some rows under the other frames.
 HELD_OUT, RESIDUAL = "held-out", "residual"
-# In large frames every second camera pixel along both axes is solved without the frames held out:
-# errors are smooth over the camera, and all pixels would take a sixth of the time.
-TESTED_EVERY = 2
+# Where light grows, only every second camera pixel along both axes is solved without the frames
+# held out, and every fourth one of cameras with at least this many pixels along both. Errors are
+# smooth over the camera, and all pixels would take a sixth of the time.
+MANY_PIXELS = 512
 # Mean squares of a row's misses at these frames, and of its samples there.
 _MISSED, _SEEN = "missed", "seen"
 
@@ -105,7 +106,8 @@ class Rounds:
         with np.errstate(divide="ignore", invalid="ignore"):
             missed = np.sqrt(before[_MISSED] / _mean(before[_SEEN]))
         if len(self._held_out.frames):
-            misfit = smooth_misfit(misfit, neighbours.camera, noise_of(before[RESIDUAL]))
+            noise = noise_of(before[RESIDUAL])
+            misfit = smooth_misfit(misfit, neighbours.camera, noise, self._tested_every)
         return partial(self._finish, neighbours, misfit, missed)
 
     def progress_of(self, step: str, start: int = 0) -> Progress | None:
@@ -197,7 +199,7 @@ class Rounds:
         names = (HELD_OUT, RESIDUAL, _MISSED, _SEEN)
         known = {name: np.full(stop - start, np.nan, np.float32) for name in names}
         misfits, residuals, missed, seen = known.values()
-        rows = self._every(TESTED_EVERY if self._grows else 1, start, stop)
+        rows = self._every(self._tested_every, start, stop)
         if not len(held) or not len(rows):
             return known
         samples = self.capture.samples(start, stop).rows(rows - start)
@@ -216,9 +218,16 @@ class Rounds:
         return known
 
     @property
+    def _tested_every(self) -> int:
+        """The spacing of the camera pixels that are solved without the frames held out."""
+        if not self._grows:
+            return 1
+        return 4 if min(self.capture.camera_shape[:2]) >= MANY_PIXELS else 2
+
+    @property
     def _looked_at(self) -> int:
         """The spacing of the camera pixels whose residuals are looked at, a power of two."""
-        spacing = TESTED_EVERY if self._grows else 1
+        spacing = self._tested_every
         while self.capture.rows > MOST_ROWS * spacing**2:
             spacing *= 2
         return spacing
@@ -313,7 +322,7 @@ class Rounds:
             for number, step in enumerate(self.rounds)
         ]
         last = costs[-1]
-        held_out = last / TESTED_EVERY**2 if self._grows else last
+        held_out = last / self._tested_every**2
         return [*costs[:-1], held_out, last]
 
 

@@ -18,7 +18,8 @@ from lightmatrix.estimators.coherent.camera_grid import mean_around
 EVERY = 8
 FEWEST = 8
 # Sides of the squares of camera pixels that errors are averaged over, as they are smooth over the
-# camera. A wider square stands in where a narrower one knows nothing.
+# camera: where every pixel or every second one is known, and in proportion where fewer are. A wider
+# square stands in where a narrower one knows nothing.
 SQUARES = (3, 9, 27)
 # The noise of the camera is at most this quantile of the misfits under the frames that rows were
 # solved with: most rows explain these but for noise. At least the second share of a misfit under
@@ -82,9 +83,12 @@ def held_out_energy(
 
 
 def smooth_misfit(
-    squares: NDArray[np.float32], camera: tuple[int, int, int], noise: float
+    squares: NDArray[np.float32], camera: tuple[int, int, int], noise: float, spacing: int = 1
 ) -> NDArray[np.float32]:
-    """Misfits averaged over neighbouring camera pixels, less the camera's noise, (M,)."""
+    """Misfits averaged over neighbouring camera pixels, less the camera's noise, (M,).
+
+    They are known at every `spacing`-th camera pixel at most.
+    """
     image = squares.reshape(camera).astype(np.float64)
     known = np.isfinite(image)
     means = np.full(camera, np.nan)
@@ -93,5 +97,6 @@ def smooth_misfit(
     for width in SQUARES:
         missing = ~np.isfinite(means)
         if missing.any():
-            means[missing] = mean_around(image, known, width)[missing]
+            side = 1 + (width - 1) * max(1, spacing // 2)
+            means[missing] = mean_around(image, known, side)[missing]
     return np.asarray(np.maximum(means - noise, LEAST_SHARE * means).ravel(), np.float32)
