@@ -11,6 +11,7 @@ of each row are those of an estimate of T; their weights are fitted again after 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,14 +27,16 @@ from lightmatrix.diagnosis.responses.from_transport import (
     strongest_pixels,
 )
 from lightmatrix.diagnosis.responses.trace import Bends, Rows, light_of, solve_bends
+from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.patterns.projector_curve import ProjectorResponse
 from lightmatrix.transport.matrix import LightTransport
 
 Array = NDArray[np.float64]
+Change = Callable[[Array], Array]
 
 # Light below this counts as this much; its logarithm must be finite. A grey value of 1 of 255 at a
 # gamma of 2.5 is as bright.
-DARKEST = 1e-6
+_DARKEST = 1e-6
 # A step changes a gamma by at most 30 %, beyond which the linear change of the light misleads. The
 # steps end when one changes no gamma by 0.2 %, or after eight; five were the most that were needed.
 _LARGEST, _SMALL, _STEPS = 0.3, 0.002, 8
@@ -52,14 +55,19 @@ class _Rows:
     weights: Array
     transport: LightTransport
 
-    def lit(self, light: Array) -> tuple[Array, Array]:
-        """Light (K, N) at the strongest pixels, (m, K, count), and what the others show, (m, K)."""
-        part = np.moveaxis(
-            light[:, self.strongest.ravel()].reshape(-1, *self.strongest.shape), 0, 1
-        )
+    def lit(self, patterns: PatternSet, change: Change) -> tuple[Array, Array]:
+        """The changed light at the strongest pixels, (m, K, count), and what others show, (m, K).
+
+        A chunk of the patterns is changed at a time: all of them may take gigabytes.
+        """
+        part = np.moveaxis(change(patterns.at(self.strongest).astype(np.float64)), 0, 1)
         sparse = self.transport.sparse[self.index]
         background = self.transport.background[self.index]
-        whole = sparse @ light.T + background @ (self.transport.pooling @ light.T)
+        whole = np.empty((len(self.index), patterns.count))
+        for start, chunk in patterns.chunks():
+            light = change(chunk.astype(np.float64)).T
+            seen = sparse @ light + background @ (self.transport.pooling @ light)
+            whole[:, start : start + len(chunk)] = seen
         return part, whole - np.einsum("mkd,md->mk", part, self.weights)
 
 
@@ -78,8 +86,7 @@ def gammas_from_greys(
     greys = capture.patterns
     for number in range(_STEPS):
         patterns = ProjectorResponse.of_gamma(gamma).light_of_patterns(greys)
-        light = patterns.dense().astype(np.float64)
-        found = _step(capture, rows, light, camera)
+        found = _step(capture, rows, patterns, camera)
         if found is None:
             return None
         sizes = np.clip(found.sizes, -_LARGEST, _LARGEST)
@@ -92,15 +99,15 @@ def gammas_from_greys(
     return None
 
 
-def _step(capture: Capture, rows: _Rows, light: Array, camera: bool) -> Bends | None:
+def _step(capture: Capture, rows: _Rows, patterns: PatternSet, camera: bool) -> Bends | None:
     """How much the camera's and the projector's gamma are off, as shares of them."""
     samples = capture.samples().rows(rows.index)
     exposures = capture.exposures
     values, dark = light_of(samples.values, samples, capture.decoder, exposures)
     unit = light_of(np.ones_like(values), samples, capture.decoder, exposures)[0] - dark
     usable = samples.counted & ~samples.clipped
-    lit, rest = rows.lit(light)
-    turned, turned_rest = rows.lit(light * np.log(np.maximum(light, DARKEST)))
+    lit, rest = rows.lit(patterns, np.asarray)
+    turned, turned_rest = rows.lit(patterns, bent_light)
     even = np.ones((*values.shape, 1))
     columns = np.concatenate([even, rest[..., None], lit], axis=2)
     weights = explaining_weights(columns, samples, usable)
@@ -111,6 +118,11 @@ def _step(capture: Capture, rows: _Rows, light: Array, camera: bool) -> Bends | 
     alone = np.arange(len(values))
     bent = Rows(values, predicted, dark, usable, columns * unit[..., None], alone, change * unit)
     return solve_bends(bent, capture.decoder.response, GammaBend() if camera else None)
+
+
+def bent_light(light: Array) -> Array:
+    """How light changes with the logarithm of the projector's gamma."""
+    return np.asarray(light * np.log(np.maximum(light, _DARKEST)))
 
 
 def explaining_weights(columns: Array, samples: Samples, usable: NDArray[np.bool_]) -> Array:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from lightmatrix.camera.camera_curve import Response
 from lightmatrix.diagnosis.prediction import FramePrediction, predict
 from lightmatrix.diagnosis.responses.bend import raised
-from lightmatrix.diagnosis.responses.from_greys import DARKEST, GAMMAS, explaining_weights
+from lightmatrix.diagnosis.responses.from_greys import GAMMAS, bent_light, explaining_weights
 from lightmatrix.diagnosis.responses.from_windows import (
     FEWEST_ROWS,
     SMALL,
@@ -125,18 +125,13 @@ def _bend(
     columns = np.concatenate([even, mean, lit], axis=2)
     weights = explaining_weights(columns, samples, usable)
     change = weights[:, 1:2] * _mean_bend(patterns)
-    change += np.einsum("mkd,md->mk", _bent(lit), weights[:, 2:])
+    change += np.einsum("mkd,md->mk", bent_light(lit), weights[:, 2:])
     part = prediction.part
     whole = Rows(light, expected, dark, usable, columns * unit[..., None], part, change * unit)
     return solve_bends(whole.select(prediction.predicted), decoder.response, None)
 
 
-def _bent(light: Array) -> Array:
-    """How light changes with the logarithm of the gamma."""
-    return np.asarray(light * np.log(np.maximum(light, DARKEST)))
-
-
 def _mean_bend(patterns: PatternSet) -> Array:
-    """The mean of `_bent` over the pixels of each pattern, (K,)."""
-    means = [_bent(chunk.astype(np.float64)).mean(axis=1) for _, chunk in patterns.chunks()]
+    """The mean of `bent_light` over the pixels of each pattern, (K,)."""
+    means = [bent_light(chunk.astype(np.float64)).mean(axis=1) for _, chunk in patterns.chunks()]
     return np.concatenate(means)
