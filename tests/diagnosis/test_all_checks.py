@@ -156,6 +156,14 @@ def test_faults_of_a_bundled_scene_are_named(fault: str) -> None:
     assert named, [each.message for each in findings]
 
 
+def test_a_shift_is_named_though_photographs_seem_unrelated_to_their_patterns() -> None:
+    draw = list(frame_checks.draws(7, seed=7))[-1]
+    findings, named = frame_checks.FAULTS["shifted 2 px from the middle on"](
+        draw, np.random.default_rng(6)
+    )
+    assert named, [each.message for each in findings]
+
+
 def test_several_exposures_of_a_bundled_scene_are_left_alone() -> None:
     patterns = lm.BernoulliPatterns((64, 64), 32)
     capture = lm.simulate("metal", patterns, exposure="0.4:0.5,0.1:0.5", leak=0.01, ambient=0.05)

@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 import time
+from dataclasses import fields, is_dataclass
 from pathlib import Path
 from types import ModuleType
 
@@ -52,6 +53,17 @@ def test_an_estimate_loads_no_more_than_it_needs() -> None:
     loaded = _loaded("import lightmatrix as lm; lm.EstimateSettings, lm.Capture")
     assert "scipy.sparse" in loaded
     assert not loaded.intersection({"scipy.signal", "scipy.stats", "scipy.optimize"})
+
+
+def test_objects_with_arrays_are_shown_in_a_few_lines() -> None:
+    with_arrays = [
+        kind
+        for kind in (getattr(lm, name) for name in NAMES)
+        if is_dataclass(kind) and any("NDArray" in str(field.type) for field in fields(kind))
+    ]
+    assert lm.Correspondence in with_arrays
+    # The `__repr__` that dataclasses make themselves is wrapped, and prints whole arrays.
+    assert [kind for kind in with_arrays if hasattr(kind.__repr__, "__wrapped__")] == []
 
 
 def test_help_is_shown_in_no_time() -> None:

@@ -17,6 +17,7 @@ from lightmatrix.errors import InputError
 from lightmatrix.files.curve_file import CurveFile
 from lightmatrix.files.numpy_files import read_npy
 from lightmatrix.files.reading import read_text
+from lightmatrix.reprs import short_repr
 
 RESPONSES = "linear, gamma:2.2, srgb, auto, or a curve's file"
 # The name of a response that `estimate` finds in the photographs; it is linear until then.
@@ -56,6 +57,8 @@ class Response:
 
     levels: NDArray[np.float64] | None = None
     light: NDArray[np.float64] | None = None
+
+    __repr__ = short_repr
     name: str = "linear"
     full_scale: float | None = None
 

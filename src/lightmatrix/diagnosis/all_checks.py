@@ -114,7 +114,7 @@ def _check_by_prediction(
     if displaced.mean() > _MOST_ODD:
         return disorder
     unrelated = check_relation(survey, names)
-    if unrelated:
+    if any(each.kind == "order" for each in unrelated):
         return unrelated
     findings = check_plain_frames(survey, rows, names)
     prediction = predict(survey.patterns, survey.samples(rows), doubted=displaced)
@@ -122,6 +122,9 @@ def _check_by_prediction(
     moved = check_motion(survey, rows, suspects, names)
     if moved:
         return findings + moved
+    # Photographs of which half are shifted may seem unrelated to their patterns, too.
+    if unrelated:
+        return unrelated
     first = prediction
     if (suspects & ~displaced).any():
         # Judged by the frames that are not suspected.

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
+from lightmatrix.reprs import short_repr
 from lightmatrix.transport.matrix import LightTransport
 
 # Half width, in projector pixels, of the window around the strongest pixel. It is wide enough for a
@@ -54,6 +55,8 @@ class Correspondence:
     uncertainty: NDArray[np.float32] | None = None
     light: NDArray[np.float32] | None = None
     projector_shape: tuple[int, int] | None = None
+
+    __repr__ = short_repr
 
     @property
     def valid(self) -> NDArray[np.bool_]:
