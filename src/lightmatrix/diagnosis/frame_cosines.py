@@ -27,17 +27,24 @@ MOST_PRODUCTS = 2048
 Floats = NDArray[np.float32]
 
 
+def counted_rows(survey: Survey) -> NDArray[np.bool_]:
+    """Which samples vary enough to be compared, (S,)."""
+    spread = survey.statistics.spread
+    usable = survey.valid & (spread > 0)
+    if usable.any():
+        usable &= spread > _VARIED * np.quantile(spread[usable], 0.9)
+    return usable
+
+
 def standardised_frames(survey: Survey, count: int) -> tuple[Floats, NDArray[np.int64]] | None:
     """Frames with mean 0 and variance 1 at each pixel that counts, 0 at others.
 
     They are (rows, cols, channels, K) with the numbers of the rows in the frame. Large frames are
     thinned out so that a turned frame has the same pixels.
     """
-    known = survey.statistics
-    usable = survey.valid & (known.spread > 0)
+    usable = counted_rows(survey)
     if usable.sum() < _FEWEST_ROWS:
         return None
-    usable &= known.spread > _VARIED * np.quantile(known.spread[usable], 0.9)
     tiles, rows, cols, channels = survey.grid
     step = max(1, int(np.sqrt(usable.size * count / _MOST_SAMPLES)))
     down, right = _thinned(tiles * rows, step), _thinned(cols, step)

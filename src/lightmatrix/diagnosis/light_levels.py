@@ -31,7 +31,7 @@ def unseen_pixels(survey: Survey) -> NDArray[np.bool_]:
     known = survey.statistics
     span = known.highest - known.lowest
     usual = float(np.quantile(span[survey.valid], 0.95))
-    level = _STILL_LEVELS * _one_level(survey)
+    level = _STILL_LEVELS * one_level(survey)
     # A pixel that always clips does not vary either, but sees too much.
     still = (span < max(_STILL * usual, level)) & (known.clipped < 0.5)
     return np.asarray(survey.valid & still)
@@ -61,7 +61,7 @@ def check_light_level(survey: Survey) -> list[Finding]:
             )
         ]
     brightest = float(np.quantile(known.highest[valid], 0.999))
-    levels = brightest / _one_level(survey)
+    levels = brightest / one_level(survey)
     if survey.raw.dtype.kind == "u" and levels < _FEWEST_LEVELS:
         return [
             Finding(
@@ -131,7 +131,7 @@ def check_plain_frames(
     return findings
 
 
-def _one_level(survey: Survey) -> float:
+def one_level(survey: Survey) -> float:
     """One raw level in units of the clip level at the longest exposure; a millionth of floats."""
     decoder = survey.decoder
     span = float(np.max(np.asarray(decoder.clip) - np.asarray(decoder.black_level)))

@@ -27,12 +27,14 @@ from lightmatrix.diagnosis.frame_cosines import (
     Floats,
     binned_shape,
     cosines_of,
+    counted_rows,
     gram_matrix,
     normalised,
     pattern_cosines,
     pattern_images,
     standardised_frames,
 )
+from lightmatrix.diagnosis.light_levels import one_level
 from lightmatrix.diagnosis.pattern_faults import is_separable
 from lightmatrix.diagnosis.survey import Survey
 
@@ -48,9 +50,12 @@ _FEWEST_FRAMES = 16
 _TRIPLES = 4000
 # Shuffles of these products cost more, so there are fewer.
 _SIGN_SHUFFLES = 12
-# Two halves of the camera pixels must agree about the frames by at least this correlation of
-# their cosines: otherwise noise hides what the photographs show.
+# Noise must not hide what the photographs show. So two halves of the camera pixels must agree about
+# the frames by at least this correlation of their cosines. If all camera pixels see other projector
+# pixels, they cannot; then the range of the usual one must be half of its brightest sample, and 24
+# raw levels: about twice the range that a noise of 2.5 levels has in 64 frames. Chosen by hand.
 _AGREE = 0.3
+_LIVELY, _LIVELY_LEVELS = 0.5, 24
 # The correlation of intact photographs of sharp footprints is about the root of the share of the
 # projector pixels that the camera pixels can see. Times the root of the number of pairs of frames
 # it must reach 8, so that photographs which follow their patterns would exceed 3.5 clearly.
@@ -97,6 +102,7 @@ class Relation:
     `rows` the numbers of their rows;
     `features` the cosines of the patterns through several blurs and in several parts of the
     projector, (F, K, K); `shown` some pixels of the patterns at each blur, (F', K, n), centred.
+    `lively` tells whether the usual camera pixel varies by far more than noise.
     """
 
     images: Floats
@@ -106,6 +112,7 @@ class Relation:
     whole: bool
     count: int
     pixels: int
+    lively: bool
 
     @classmethod
     def of(cls, survey: Survey) -> Relation | None:
@@ -121,7 +128,8 @@ class Relation:
         if not len(features):
             return None
         whole = survey.grid[0] == 1
-        return cls(*standardised, features, shown, whole, survey.count, pixels)
+        lively = _is_lively(survey)
+        return cls(*standardised, features, shown, whole, survey.count, pixels, lively)
 
     @cached_property
     def frames(self) -> NDArray[np.int64]:
@@ -185,7 +193,8 @@ class Relation:
         rows = int(np.any(self.images != 0, axis=-1).sum())
         clear = rows / self.pixels * count * (count - 1) / 2 > _CLEAR**2
         follows = max(self.as_they_are, self._settled) > _FOLLOWS
-        return bool(clear and not follows and random and self._agreement > _AGREE)
+        heard = self.lively or self._agreement > _AGREE
+        return bool(clear and not follows and random and heard)
 
     @cached_property
     def _agreement(self) -> float:
@@ -291,6 +300,14 @@ class Relation:
             "the photographs are dark where their patterns are bright: one is a negative",
             "invert the patterns, or the photographs",
         )
+
+
+def _is_lively(survey: Survey) -> bool:
+    """Whether the usual camera pixel that counts varies by far more than noise."""
+    known, counted = survey.statistics, counted_rows(survey)
+    span = known.highest[counted] - known.lowest[counted]
+    least = np.maximum(_LIVELY * known.highest[counted], _LIVELY_LEVELS * one_level(survey))
+    return bool(np.median(span - least) > 0)
 
 
 _TURNS: dict[str, Callable[[Floats], Floats]] = {
