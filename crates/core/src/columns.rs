@@ -292,17 +292,34 @@ multiversion! {
 multiversion! {
     /// Inner products of some columns, all as long as `e`.
     fn mixed_dots(columns: &[f32], pixels: &[u32], e: &[f64], out: &mut [f64]) {
-        for (out, pixel) in out.iter_mut().zip(pixels) {
-            let column = &columns[*pixel as usize * e.len()..][..e.len()];
-            let mut sums = [0.0; SUMS];
-            for (a, e) in column.as_chunks::<SUMS>().0.iter().zip(e.as_chunks::<SUMS>().0) {
-                for i in 0..SUMS {
-                    sums[i] += f64::from(a[i]) * e[i];
-                }
-            }
-            *out = fold(sums);
+        let (fours, rest) = pixels.as_chunks::<4>();
+        let (out_fours, out_rest) = out.as_chunks_mut::<4>();
+        for (out, pixels) in out_fours.iter_mut().zip(fours) {
+            *out = dots(columns, *pixels, e);
+        }
+        for (out, pixel) in out_rest.iter_mut().zip(rest) {
+            [*out] = dots(columns, [*pixel], e);
         }
     }
+}
+
+/// Inner products of columns that share each reading of `e`.
+#[inline(always)]
+fn dots<const C: usize>(columns: &[f32], pixels: [u32; C], e: &[f64]) -> [f64; C] {
+    let columns = pixels.map(|pixel| {
+        let column = &columns[pixel as usize * e.len()..][..e.len()];
+        column.as_chunks::<SUMS>().0
+    });
+    let mut sums = [[0.0; SUMS]; C];
+    for (place, e) in e.as_chunks::<SUMS>().0.iter().enumerate() {
+        for (sums, column) in sums.iter_mut().zip(&columns) {
+            let a = &column[place];
+            for i in 0..SUMS {
+                sums[i] += f64::from(a[i]) * e[i];
+            }
+        }
+    }
+    sums.map(fold)
 }
 
 multiversion! {

@@ -71,21 +71,39 @@ impl Dense {
 multiversion! {
     /// Inner products of a row with columns of its length.
     fn products(columns: &[f32], row: &[f32], out: &mut [f32]) {
-        for (column, out) in columns.chunks_exact(row.len()).zip(out) {
-            let mut sums = [0f32; SUMS];
-            for (a, e) in column.as_chunks::<SUMS>().0.iter().zip(row.as_chunks::<SUMS>().0) {
-                for i in 0..SUMS {
-                    sums[i] += a[i] * e[i];
-                }
-            }
-            for half in [8, 4, 2, 1] {
-                for i in 0..half {
-                    sums[i] += sums[i + half];
-                }
-            }
-            *out = sums[0];
+        let (fours, rest) = out.as_chunks_mut::<4>();
+        let (columns, last) = columns.split_at(4 * fours.len() * row.len());
+        for (columns, out) in columns.chunks_exact(4 * row.len()).zip(fours) {
+            *out = dots(columns, row);
+        }
+        for (column, out) in last.chunks_exact(row.len()).zip(rest) {
+            [*out] = dots(column, row);
         }
     }
+}
+
+/// Inner products of columns side by side that share each reading of the row.
+#[inline(always)]
+fn dots<const C: usize>(columns: &[f32], row: &[f32]) -> [f32; C] {
+    let each: [&[[f32; SUMS]]; C] =
+        std::array::from_fn(|c| columns[c * row.len()..][..row.len()].as_chunks().0);
+    let mut sums = [[0f32; SUMS]; C];
+    for (place, e) in row.as_chunks::<SUMS>().0.iter().enumerate() {
+        for (sums, column) in sums.iter_mut().zip(&each) {
+            let a = &column[place];
+            for i in 0..SUMS {
+                sums[i] += a[i] * e[i];
+            }
+        }
+    }
+    sums.map(|mut sums| {
+        for half in [8, 4, 2, 1] {
+            for i in 0..half {
+                sums[i] += sums[i + half];
+            }
+        }
+        sums[0]
+    })
 }
 
 multiversion! {
