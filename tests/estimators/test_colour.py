@@ -145,6 +145,10 @@ def test_grey_captures_are_refused_and_colour_ones_are_not_read_as_grey(
     grey = lm.simulate(SCENE, PATTERNS.red, exposure=0.3)
     with pytest.raises(InputError, match="grey, or of one colour"):
         lm.estimate_colour(grey)
+    unknown = replace(capture.decoder, response=lm.Response.parse("auto"))
+    for hidden in (replace(capture, decoder=unknown), replace(capture, projector_unknown=True)):
+        with pytest.raises(InputError, match="to be found"):
+            lm.estimate_colour(hidden)
     frames = np.stack([capture.frames.read(k)[..., 0] for k in range(capture.count)])
     one = lm.Capture.from_arrays(capture.patterns, frames, capture.decoder)
     with pytest.raises(InputError, match="without three channels"):

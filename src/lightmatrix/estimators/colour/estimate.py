@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from lightmatrix.camera.camera_curve import AUTOMATIC
 from lightmatrix.capture.capture import Capture, open_capture
 from lightmatrix.capture.known_samples import KnownSamples
 from lightmatrix.diagnosis.finding import FINDINGS
@@ -116,7 +117,7 @@ def estimate_colour(
     Raises
     ------
     InputError
-        If patterns or camera are grey, or the capture is unusable.
+        If patterns or camera are grey, responses are to be found, or the capture is unusable.
     OutputError
         If the output exists or cannot be written.
 
@@ -130,6 +131,11 @@ def estimate_colour(
     """
     capture = open_capture(capture)
     patterns = _checked(capture)
+    if capture.projector_unknown or capture.decoder.response.name == AUTOMATIC:
+        raise InputError(
+            "responses are to be found (auto), which photographs in colour do not allow yet",
+            hint="state the curves, which `lightmatrix response` measures",
+        )
     if output is not None:
         check_output(output, COLOUR_STORES, overwrite=overwrite)
     refuse_unusable(capture)
