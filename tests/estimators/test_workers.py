@@ -157,14 +157,20 @@ def test_a_worker_that_dies_costs_its_tile_only(
 
 
 @SIGNALS
-def test_a_tile_whose_worker_dies_before_its_status_is_read_ends_later(cluster: Any) -> None:
+def test_a_tile_whose_worker_dies_before_its_status_is_read_ends_later(
+    cluster: Any, tmp_path: Path
+) -> None:
+    solved_once, goes_on = tmp_path / "solved", tmp_path / "goes-on"
     with dask_pool(cluster=cluster.scheduler_address) as workers:
 
-        def slowly() -> int:
-            time.sleep(2.0)
+        def solve() -> int:
+            # The second worker waits until the test has looked.
+            while solved_once.exists() and not goes_on.exists():
+                time.sleep(0.01)
+            solved_once.touch()
             return os.getpid()
 
-        tile = workers.client.submit(slowly, pure=False)
+        tile = workers.client.submit(solve, pure=False)
         os.kill(tile.result(), signal.SIGKILL)
         deadline = time.monotonic() + 30
         while tile.status != "lost" and time.monotonic() < deadline:
@@ -172,6 +178,7 @@ def test_a_tile_whose_worker_dies_before_its_status_is_read_ends_later(cluster: 
         other = workers.client.submit(int, pure=False)
         assert other.result() == 0
         assert dict(workers._ended({tile: (0, 1), other: (1, 2)})) == {other: "finished"}
+        goes_on.touch()
         while not (ended := dict(workers._ended({tile: (0, 1)}))):
             assert time.monotonic() < deadline
         assert ended == {tile: "finished"}
