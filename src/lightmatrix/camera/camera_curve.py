@@ -57,10 +57,10 @@ class Response:
 
     levels: NDArray[np.float64] | None = None
     light: NDArray[np.float64] | None = None
-
-    __repr__ = short_repr
     name: str = "linear"
     full_scale: float | None = None
+
+    __repr__ = short_repr
 
     @classmethod
     def parse(cls, text: str, folder: Path = Path()) -> Response:

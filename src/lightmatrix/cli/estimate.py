@@ -311,10 +311,10 @@ def estimate(
 
 
 def _chosen(capture: Capture, settings: EstimateSettings, resources: ResourceEstimate) -> Estimator:
-    """The estimator; it is said if neighbours would mislead."""
+    """The estimator that suits a capture; a warning says if neighbours would mislead."""
     estimator = lm.choose_estimator(capture, settings, resources)
     if settings.is_coherent(capture) and isinstance(estimator, lm.PlainEstimator):
-        warn("estimating row by row, which predicts held-out photographs better (not --coherent)")
+        warn("estimating row by row, which predicts held-out photographs better than --coherent")
     return estimator
 
 

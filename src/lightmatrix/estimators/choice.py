@@ -23,7 +23,7 @@ def choose_estimator(
 
     The regularization "path" solves some rows for it. Where the settings leave open whether camera
     pixels learn from their neighbours, a part of the camera is estimated both ways without some
-    frames; if these are predicted better row by row, that is the estimator.
+    frames. If the estimate row by row predicts these clearly better, it is chosen.
 
     Parameters
     ----------
