@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter
+from scipy.ndimage import gaussian_filter1d
 
 from lightmatrix.diagnosis.survey import Survey
 from lightmatrix.patterns.pattern_set import PatternSet
@@ -95,13 +95,13 @@ def pattern_cosines(patterns: Floats) -> tuple[Floats, tuple[Floats, ...]]:
     for blur in _BLURS:
         if blur > min(rows, cols) / 4:
             continue
-        seen = gaussian_filter(patterns, (0, blur, blur)) if blur else patterns
+        seen = _blurred(patterns, blur) if blur else patterns
         seen = seen - seen.mean(axis=0)
         flat = seen.reshape(count, -1)
         grams.append(flat @ flat.T)
         # A camera pixel is standardised whatever it sees; so are these.
-        scaled = (flat / np.maximum(flat.std(axis=0), 1e-6)).T
-        shown.append(np.random.default_rng(4).permutation(scaled)[:MOST_PRODUCTS])
+        some = flat[:, np.random.default_rng(4).permutation(flat.shape[1])[:MOST_PRODUCTS]]
+        shown.append((some / np.maximum(some.std(axis=0), 1e-6)).T)
         for cells in _CELLS if blur == 0 else _CELLS[:1] if blur == 2 else ():
             for part in np.array_split(seen, cells, axis=1):
                 for cell in np.array_split(part, cells, axis=2):
@@ -115,6 +115,12 @@ def pattern_cosines(patterns: Floats) -> tuple[Floats, tuple[Floats, ...]]:
     # Cosines that do not differ tell nothing; the first stays, which says whether they are random.
     varied = [i for i, each in enumerate(cosines) if i == 0 or each[off].std() > 1e-5]
     return cosines[varied], tuple(shown)
+
+
+def _blurred(images: Floats, blur: float) -> Floats:
+    """Images (K, rows, cols), blurred as products of matrices, which are quicker than filters."""
+    down, right = (gaussian_filter1d(np.eye(n, dtype=np.float32), blur) for n in images.shape[1:])
+    return np.asarray(down @ images @ right.T)
 
 
 def gram_matrix(images: Floats) -> Floats:

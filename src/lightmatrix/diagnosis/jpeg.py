@@ -108,17 +108,17 @@ def comb_step(blocks: NDArray[np.float64]) -> float | None:
     coefficients = dctn(blocks, axes=(1, 2), norm="ortho").reshape(-1, BLOCK * BLOCK)
     frequencies, combs = 0, []
     # The mean of a block, the first, is left out: flat areas put it on a comb by chance.
-    for values in coefficients.T[1:]:
-        followed = []
-        for step in _STEPS:
-            # A comb of only one tooth, at zero, is a smooth image.
-            beyond = values[np.abs(values) > step / 2]
-            if len(beyond) < _FEWEST_COEFFICIENTS:
-                break
-            followed.append(float(np.cos(2 * np.pi / step * beyond).mean()) > _FOLLOWED)
-        frequencies += bool(followed)
-        if any(followed):
-            combs.append(float(_STEPS[: len(followed)][followed][-1]))
+    for values in np.abs(coefficients.T[1:]).astype(np.float32):
+        # A comb of only one tooth, at zero, is a smooth image.
+        beyond = values > _STEPS[:, None] / 2
+        count = beyond.sum(axis=1)
+        steps = _STEPS[count >= _FEWEST_COEFFICIENTS]
+        waves = np.cos((2 * np.pi / steps).astype(np.float32)[:, None] * values)
+        mean = (waves * beyond[: len(steps)]).sum(axis=1) / count[: len(steps)]
+        followed = mean > _FOLLOWED
+        frequencies += bool(len(steps))
+        if followed.any():
+            combs.append(float(steps[followed][-1]))
     if len(combs) >= max(_FEWEST_COMBS, _COMB_SHARE * frequencies):
         return float(np.median(combs))
     return None

@@ -41,9 +41,10 @@ _AROUND_REACH, _AROUND_STEP, _AROUND_SPREAD, _AROUND_SCALE = 6, 2, 3.0, 0.3
 _RIDGES = (0.003, 0.03, 0.3)
 # The projector has 4 x 4 parts. Chosen by hand.
 _PARTS = 4
-# At most 64 MiB of the explaining columns are held at a time, and rows are explained from at most
-# 192 frames, drawn at random. Both were chosen by hand and bound memory and time.
-_COLUMN_BYTES = 64 << 20
+# At most 4 MiB of the explaining columns are held at a time, which caches hold too, and rows are
+# explained from at most 192 frames, drawn at random. Both were chosen by hand and bound memory and
+# time.
+_COLUMN_BYTES = 4 << 20
 _MOST_FRAMES = 192
 # A row counts as predicted if less than 40 % of its variance is missed, and if at least 8 of its
 # samples can be compared.

@@ -157,9 +157,19 @@ class Relation:
     def _match(self, gram: Floats, known: NDArray[np.int64], shown: NDArray[np.int64]) -> float:
         """The best correlation of the cosines of some frames with those of the patterns."""
         upper = np.triu_indices(len(known), 1)
+        if len(known) == len(self.frames):
+            # The frames change places and not the patterns, of which there are more cosines.
+            known, features = np.argsort(shown), self._all_features
+        else:
+            features = normalised(self.features[:, shown[upper[0]], shown[upper[1]]])
         own = np.stack([each[upper] for each in cosines_of(gram[np.ix_(known, known)])])
-        features = self.features[:, shown[upper[0]], shown[upper[1]]]
-        return float((normalised(features) @ normalised(own).T).max())
+        return float((features @ normalised(own).T).max())
+
+    @cached_property
+    def _all_features(self) -> NDArray[np.float64]:
+        """The cosines of all pairs of patterns, of mean 0 and length 1, (F, pairs)."""
+        upper = np.triu_indices(len(self.frames), 1)
+        return normalised(self.features[:, upper[0], upper[1]])
 
     @cached_property
     def _chance(self) -> tuple[float, float]:
@@ -179,10 +189,8 @@ class Relation:
     @cached_property
     def _settled(self) -> float:
         """The same with each pixel's mean over some frames subtracted: something may have moved."""
-        images = self.images.copy()
-        for part in np.array_split(self.frames, min(4, len(self.frames) // 8)):
-            images[..., part] -= images[..., part].mean(axis=-1, keepdims=True)
-        return self.excess(gram_matrix(images))
+        parts = np.array_split(self.frames, min(4, len(self.frames) // 8))
+        return self.excess(_centred(self.cosines, parts))
 
     @property
     def unrelated(self) -> bool:
@@ -225,21 +233,21 @@ class Relation:
     def _turned(self, names: Sequence[str]) -> Iterator[tuple[float, tuple[str, str]]]:
         """The excess with the later frames turned or mirrored back."""
         count = len(self.frames)
+        flat = self.images.reshape(-1, count)
+        products = {}
+        for what, back in _TURNS.items():
+            turned = back(self.images)
+            if turned.shape == self.images.shape:
+                products[what] = flat.T @ np.ascontiguousarray(turned).reshape(-1, count)
         for start in (count // 2, count // 4, 3 * count // 4):
             late = self.frames >= start
             # A pixel sees another surface from there on, of another brightness.
-            images = self.images.copy()
-            for part in (late, ~late):
-                images[..., part] -= images[..., part].mean(axis=-1, keepdims=True)
-            flat = images.reshape(-1, count)
-            own = gram_matrix(images)
+            parts = [self.frames[late], self.frames[~late]]
+            own = _centred(self.cosines, parts)
             # Within its halves, the capture follows the patterns however these are turned.
             least = self.excess(own)
-            for what, back in _TURNS.items():
-                turned = np.ascontiguousarray(back(images))
-                if turned.shape != images.shape:
-                    continue
-                across = flat.T @ turned.reshape(-1, count)
+            for what, product in products.items():
+                across = _centred(product, parts)
                 mixed = np.where(late[None, :], across, across.T)
                 mixed = np.where(late[:, None] == late[None, :], own, mixed)
                 score = self.excess(mixed)
@@ -300,6 +308,14 @@ class Relation:
             "the photographs are dark where their patterns are bright: one is a negative",
             "invert the patterns, or the photographs",
         )
+
+
+def _centred(products: Floats, parts: Sequence[NDArray[np.int64]]) -> Floats:
+    """Products of frames (K, K) as they are if each pixel's mean over each part is subtracted."""
+    centre = np.eye(len(products), dtype=np.float32)
+    for part in parts:
+        centre[np.ix_(part, part)] -= 1 / len(part)
+    return np.asarray(centre @ products @ centre, np.float32)
 
 
 def _is_lively(survey: Survey) -> bool:

@@ -17,10 +17,10 @@ from lightmatrix.diagnosis.responses.bend import GammaBend, raised
 from lightmatrix.diagnosis.responses.trace import Bends, Rows, light_of, solve_bends
 from lightmatrix.diagnosis.survey import Survey
 
-# At most so many rows are predicted, which takes about half a second; fewer than the second number
-# determine nothing. Rows clip in at most 30 % of the frames, and vary by more than 15 % of what the
-# most varied tenth does.
-_ROWS, FEWEST_ROWS = 800, 20
+# At most so many rows are predicted, and of more than 64 frames fewer, so that samples are as many
+# (but 200 rows); that takes half a second. Fewer rows than the last number determine nothing. Rows
+# clip in at most 30 % of the frames, and vary by more than 15 % of what the most varied tenth does.
+_ROWS, _SAMPLES, _ENOUGH_ROWS, FEWEST_ROWS = 800, 800 * 64, 200, 20
 _MOST_CLIPPED, _VARIED = 0.3, 0.15
 # The projector pixels that are removed from each row: the one that it follows most, and its four
 # neighbours.
@@ -61,8 +61,10 @@ class WindowPower:
         return self.settled and self.missed[1] <= most
 
 
-def varied_rows(survey: Survey, most: int = _ROWS) -> NDArray[np.int64]:
+def varied_rows(survey: Survey, most: int | None = None) -> NDArray[np.int64]:
     """Rows that vary much and clip little, sorted; drawn at random if there are many."""
+    if most is None:
+        most = int(np.clip(_SAMPLES // survey.count, _ENOUGH_ROWS, _ROWS))
     known = survey.statistics
     usable = survey.valid & survey.inner & (known.clipped <= _MOST_CLIPPED)
     usable &= known.highest > known.lowest
