@@ -3,16 +3,14 @@
 python -m benchmarks.colour                    four scenes, about 15 minutes
 python -m benchmarks.colour --scenes l_objects
 
-"Tinted" surfaces have random colours, in squares of 8 x 8 camera pixels. With "other surfaces" all
-global light is tinted once more, by a colour that direct light never has.
+The rigs are those of `lightmatrix experiment rigs` (`experiments/colour_rigs.py`), at 64 x 64: with
+"other surfaces" the global light is tinted.
 """
 
 from __future__ import annotations
 
 import argparse
 import re
-from dataclasses import replace
-from unittest.mock import patch
 
 import numpy as np
 from rich.console import Console
@@ -21,41 +19,19 @@ from rich.table import Table
 import lightmatrix as lm
 from lightmatrix.estimators.coherent.estimator import CoherentEstimator
 from lightmatrix.evaluation.metrics import relative_error
-from lightmatrix.simulation import simulate
+from lightmatrix.experiments.colour_rigs import colour_capture, tinted
 from lightmatrix.simulation.colour import in_all_primaries
 
 SCENES = ("l_objects", "gripper", "metal", "corner")
-SIZE, NOISE, SQUARE = (64, 64), 0.003, 8
-# How much of red, green and blue light the surface passes on that tints global light.
-OTHER_SURFACE = (0.3, 1.0, 0.6)
-
-
-def tinted(truth: lm.Truth, other: bool) -> lm.Truth:
-    """A colour truth with surfaces of random colours; `other` tints global light once more."""
-    wide = in_all_primaries(truth)
-    rows, cols, channels = wide.camera_shape
-    squares = np.random.default_rng(5).uniform(
-        0.25, 1, (-(-rows // SQUARE), -(-cols // SQUARE), channels)
-    )
-    surface = np.kron(squares, np.ones((SQUARE, SQUARE, 1)))[:rows, :cols].reshape(-1)
-    of_global = np.tile(OTHER_SURFACE if other else np.ones(channels), rows * cols)
-    entries = np.diff(wide.matrix.indptr)
-    direct = wide.direct_data * np.repeat(surface, entries)
-    rest = (wide.matrix.data - wide.direct_data) * np.repeat(surface * of_global, entries)
-    data = (direct + rest).astype(np.float32)
-    return replace(wide, matrix=wide.with_data(data), direct_data=direct.astype(np.float32))
+SIZE, NOISE = (64, 64), 0.003
 
 
 def photographed(
-    scene: str, truth: lm.Truth, count: int, grey: int, wide: lm.Truth | None = None
+    truth: lm.Truth, count: int, grey: bool = True, wide: lm.Truth | None = None
 ) -> lm.SimulatedCapture:
     """Photographs under patterns in colour, at the exposure that `plan` advises for grey ones."""
-    patterns = lm.colour_bernoulli(SIZE, count, grey=grey)
     exposure = lm.plan(truth, frames=32, noise=NOISE).exposure
-    if wide is None:
-        return lm.simulate(scene, patterns, exposure=exposure, noise=NOISE)
-    with patch.object(simulate, "in_all_primaries", lambda _: wide):
-        return lm.simulate(scene, patterns, exposure=exposure, noise=NOISE)
+    return colour_capture(wide or in_all_primaries(truth), count, exposure, grey=grey)
 
 
 def shared(capture: lm.SimulatedCapture) -> str:
@@ -95,15 +71,15 @@ def main() -> None:
     table = Table("scene", "photographs", "error (stated)")
     for scene in chosen.scenes:
         truth = lm.truth(scene)
-        for count, grey in ((32, 16), (32, 0), (64, 16)):
-            error = shared(photographed(scene, truth, count, grey))
-            table.add_row(scene, f"{count}, {grey} grey", error)
+        for count, grey in ((32, True), (32, False), (64, True)):
+            error = shared(photographed(truth, count, grey))
+            table.add_row(scene, f"{count}, {16 if grey else 0} grey", error)
         for other in (False, True):
-            capture = photographed(scene, truth, 32, 16, tinted(truth, other))
+            capture = photographed(truth, 32, wide=tinted(truth, other))
             what = "other surfaces" if other else "tinted"
             table.add_row(scene, f"32, 16 grey, {what}", shared(capture))
         if chosen.before:
-            wide = side_by_side(photographed(scene, truth, 32, 0))
+            wide = side_by_side(photographed(truth, 32, grey=False))
             table.add_row(scene, "32, side by side", f"{wide:.4f}")
             for count in (11, 32):
                 each = three_captures(scene, truth, count)

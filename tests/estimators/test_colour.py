@@ -132,6 +132,15 @@ def test_a_scene_is_relit_in_colour() -> None:
         known.relight(np.ones((SIDE, SIDE, 2)))
 
 
+def test_a_truth_of_a_colour_projector_is_photographed_as_it_is() -> None:
+    wide = in_all_primaries(SCENE)
+    made, given = (lm.simulate(truth, PATTERNS, exposure=0.3) for truth in (SCENE, wide))
+    np.testing.assert_array_equal(made.frame(20), given.frame(20))
+    assert given.truth.projector_shape == (SIDE, 3 * SIDE)
+    with pytest.raises(InputError, match="side by side"):
+        lm.simulate(wide, PATTERNS, blur=1.0)
+
+
 def _part(wide: lm.LightTransport, primary: int) -> lm.LightTransport:
     columns = np.arange(3 * SIDE**2).reshape(SIDE, 3, SIDE)[:, primary].ravel()
     return lm.LightTransport.from_matrix(wide.sparse[:, columns], wide.camera_shape, (SIDE, SIDE))

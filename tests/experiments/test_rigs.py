@@ -15,6 +15,7 @@ from lightmatrix.cli import main
 from lightmatrix.estimators.coherent.estimator import CoherentEstimator
 from lightmatrix.evaluation.metrics import relative_error
 from lightmatrix.experiments import rigs
+from lightmatrix.experiments.colour_rigs import COLOUR_RIGS
 from lightmatrix.experiments.rigs import Case, measure, rig_capture, rig_truth
 from lightmatrix.experiments.run import EXPERIMENTS
 from lightmatrix.simulation.other_cameras import mapped, seen
@@ -52,6 +53,40 @@ def test_a_gamma_of_the_camera_costs_nothing_once_it_is_found() -> None:
     assert relative_error(lm.estimate(capture, check=False), truth.transport()) < 1.2 * straight
     as_linear = lm.estimate(capture, response="linear", check=False)
     assert relative_error(as_linear, truth.transport()) > 5 * straight
+
+
+def test_gammas_of_camera_and_projector_are_found_in_grey_patterns() -> None:
+    case = Case("l_objects", "both of gamma 2.2, found", 32, side=SIDE)
+    capture = rig_capture(case, rig_truth(case.scene, case.rig, SIDE))
+    assert capture.projector_unknown
+    found = lm.find_projector_response(capture, camera=True)
+    assert found.gamma == pytest.approx(2.2, rel=0.03)
+    assert found.projector is not None
+    assert found.projector.gamma == pytest.approx(2.2, rel=0.03)
+
+
+def test_colour_rigs_share_their_geometry_and_differ_in_colour() -> None:
+    truths = [rig_truth("metal", rig, SIDE) for rig in COLOUR_RIGS]
+    assert {truth.camera_shape for truth in truths} == {(SIDE, SIDE, 3)}
+    same, _, surfaces, global_light = truths
+    np.testing.assert_array_equal(surfaces.matrix.indices, same.matrix.indices)
+    # A tinted surface scales a row; what tints global light again leaves direct light alone.
+    row = slice(*surfaces.matrix.indptr[[600, 601]])
+    shares = surfaces.matrix.data[row] / same.matrix.data[row]
+    assert np.ptp(shares) < 1e-5
+    np.testing.assert_allclose(global_light.direct_data, surfaces.direct_data)
+    assert global_light.matrix.sum() < surfaces.matrix.sum()
+    for (rig, (_, some)), truth in zip(COLOUR_RIGS.items(), truths, strict=True):
+        patterns = rig_capture(Case("metal", rig, 8, side=SIDE), truth).patterns
+        assert isinstance(patterns, lm.ColourPatterns)
+        assert patterns.grey.sum() == (4 if some else 0)
+
+
+def test_rows_in_colour_have_the_errors_of_all_primaries() -> None:
+    measured = measure(Case("l_objects", "colour", 32, side=SIDE))
+    assert measured.rows[0]["relative_error"] < 0.025
+    assert measured.arrays["errors"].shape == measured.arrays["stated"].shape
+    assert measured.arrays["errors"].size > 2 * SIDE * SIDE
 
 
 def test_rows_have_an_estimated_error_and_a_footprint() -> None:

@@ -140,6 +140,18 @@ def errors_in_colour(
     each = [errors_by_rows(*pair, exposure) for pair in zip(estimates, truths, strict=True)]
     energies = np.array([float(row_energies(truth).sum()) for truth in truths])
     missed = np.array([one.relative_error for one in each]) ** 2 * energies
+    red, green, blue = each
+    whole = float(np.sqrt(missed.sum() / energies.sum()))
+    return ColourErrors(red, green, blue, whole, joint_relighting_error(estimates, truths))
+
+
+def joint_relighting_error(
+    estimates: Sequence[LightTransport], truths: Sequence[LightTransport]
+) -> float:
+    """Relative L2 error of linear, unclipped images by matrices whose light adds up.
+
+    It is averaged over unseen patterns. For one matrix it is `relighting_error` under them.
+    """
     patterns = np.stack(list(unseen_patterns(truths[0].projector_shape).values()))
     # Each primary shows a different pattern, so that the images have all colours.
     of_primaries = [np.roll(patterns, k, axis=0) for k in range(len(truths))]
@@ -151,9 +163,7 @@ def errors_in_colour(
 
     predicted, expected = images(estimates), images(truths)
     off = np.linalg.norm(predicted - expected, axis=1) / np.linalg.norm(expected, axis=1)
-    red, green, blue = each
-    whole = float(np.sqrt(missed.sum() / energies.sum()))
-    return ColourErrors(red, green, blue, whole, float(off.mean()))
+    return float(off.mean())
 
 
 def errors_by_rows(estimate: LightTransport, truth: LightTransport, exposure: float) -> Errors:

@@ -15,7 +15,7 @@ from lightmatrix.evaluation.estimate_errors import (
 )
 from lightmatrix.files.colours import COLOURS, colour_paths
 from lightmatrix.simulation import library
-from lightmatrix.simulation.colour import of_primary
+from lightmatrix.simulation.colour import is_of_all_primaries, of_primary
 from lightmatrix.simulation.scenes import scene as find_scene
 from lightmatrix.simulation.truth import Truth
 from lightmatrix.transport.colour import ColourTransport
@@ -123,7 +123,7 @@ def _known_in_colour(truth: Truth | str | Path) -> Sequence[LightTransport | str
         if all(folder.is_dir() for folder in folders):
             return folders
     known = library.truth(truth).transport()
-    if known.projector_shape[1] % len(COLOURS) or known.provenance.get("primary") != "all":
+    if known.projector_shape[1] % len(COLOURS) or not is_of_all_primaries(known):
         raise InputError(
             "a truth that is not of a colour projector",
             hint="give a capture that `lightmatrix simulate` made of patterns in colour, or a "

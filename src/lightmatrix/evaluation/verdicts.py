@@ -20,6 +20,7 @@ from lightmatrix.evaluation.verdict import (
     stored_findings,
     verdict,
 )
+from lightmatrix.transport.held_out import prediction_error
 from lightmatrix.transport.matrix import LightTransport
 
 # A correspondence is good if at least the first share of the lit camera pixels is certain of its
@@ -138,13 +139,6 @@ def relighting_verdict(transport: LightTransport, findings: Iterable[str] = ()) 
         return Verdict("not tested", "No photograph could be held out and predicted.")
     sentence = f"Prediction error on photographs held out: {percent(error)}."
     return _with_doubt(Verdict(level_of(error), sentence), findings)
-
-
-def prediction_error(transport: LightTransport) -> float | None:
-    """The relative error of photographs held out, over all rows; None if none was predicted."""
-    errors = np.asarray(transport.diagnostics.get("prediction_error", np.zeros(0)), float)
-    known = np.isfinite(errors)
-    return float(np.sqrt(np.mean(errors[known] ** 2))) if known.any() else None
 
 
 def _with_doubt(judged: Verdict, findings: Iterable[str]) -> Verdict:

@@ -27,6 +27,7 @@ from lightmatrix.planning.plan import plan
 from lightmatrix.simulation import library
 from lightmatrix.simulation.realism import defocus
 from lightmatrix.simulation.simulate import simulate
+from lightmatrix.simulation.truth import Truth
 
 SIDE, NOISE, BITS = 64, 0.003, 8
 SCENES = ("l_objects", "gripper", "metal", "corner", "translucent")
@@ -109,19 +110,34 @@ def grey_patterns(
     return greys, ProjectorResponse.of_gamma(gamma).light_of_patterns(greys)
 
 
+def photographed(
+    truth: Truth,
+    count: int,
+    exposure: float | str,
+    camera: Response,
+    projector: float = 0.0,
+    seed: int = 0,
+) -> tuple[Capture, PatternSet]:
+    """Photographs that a camera codes, read as linear, and the light of the patterns.
+
+    With a `projector` gamma the patterns are random grey values, else black and white.
+    """
+    greys: PatternSet = BernoulliPatterns(truth.projector_shape, count, seed=seed)
+    patterns = greys
+    if projector:
+        greys, patterns = grey_patterns(truth.projector_shape, count, projector)
+    light = simulate(truth, patterns, exposure=exposure, bits=None, noise=NOISE, seed=seed)
+    return replace(coded(light, camera), patterns=greys), patterns
+
+
 def measure(case: Case) -> Measured:
     """The curve that is found, and errors of T by the known curve, by this one, and by none."""
     truth = library.truth(case.scene, (SIDE, SIDE))
     if case.blur:
         truth = defocus(truth, case.blur)
     exposure = plan(truth, frames=case.patterns, noise=NOISE).exposure
-    greys: PatternSet = BernoulliPatterns(truth.projector_shape, case.patterns)
-    patterns = greys
-    if case.projector:
-        greys, patterns = grey_patterns(truth.projector_shape, case.patterns, case.projector)
-    light = simulate(truth, patterns, exposure=exposure, bits=None, noise=NOISE)
     response = camera_of(case.response)
-    capture = replace(coded(light, response), patterns=greys)
+    capture, patterns = photographed(truth, case.patterns, exposure, response, case.projector)
     try:
         if case.projector:
             found = find_projector_response(capture, camera=True)

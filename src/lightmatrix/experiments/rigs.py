@@ -1,4 +1,4 @@
-"""The default estimate on imperfect rigs: out of focus, turned, coarser, noisier."""
+"""The default estimate on other rigs: out of focus, turned, coarser, noisier, coded, in colour."""
 
 from __future__ import annotations
 
@@ -17,24 +17,33 @@ from lightmatrix.camera.camera_curve import Response
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.frames import ArrayStack
 from lightmatrix.diagnosis.responses.found import with_response
+from lightmatrix.estimators.colour.estimate import estimate_colour
 from lightmatrix.estimators.estimate import estimate
 from lightmatrix.evaluation.doubts import estimated_error
-from lightmatrix.evaluation.metrics import relighting_error, squared_errors, unseen_patterns
+from lightmatrix.evaluation.estimate_errors import joint_relighting_error
+from lightmatrix.evaluation.metrics import squared_errors
+from lightmatrix.experiments.colour_rigs import COLOUR_RIGS, colour_capture
 from lightmatrix.experiments.harness import Experiment, Measured, all_rows
 from lightmatrix.experiments.measured_scene import SCENES
-from lightmatrix.experiments.responses import S_CURVE, camera_of, coded
+from lightmatrix.experiments.responses import S_CURVE, camera_of, photographed
+from lightmatrix.files.colours import COLOURS as PRIMARIES
 from lightmatrix.patterns.bits import BernoulliPatterns
+from lightmatrix.patterns.colour import ColourPatterns
 from lightmatrix.pictures.style import COLOURS, figure, fix_ticks, save
 from lightmatrix.planning.plan import plan
 from lightmatrix.simulation import library
 from lightmatrix.simulation.binning import binned
+from lightmatrix.simulation.colour import of_primary
 from lightmatrix.simulation.other_cameras import depth_blur, mapped, seen
 from lightmatrix.simulation.realism import defocus, varying_defocus
 from lightmatrix.simulation.simulate import simulate
 from lightmatrix.simulation.truth import Truth
+from lightmatrix.transport.matrix import LightTransport
 
 SIDE = 128
 COUNTS = (16, 32, 64)
+# Photographs of colour rigs, the grey ones included. Each takes three estimates, so fewer counts.
+COLOUR_COUNTS = (32, 64)
 SEEDS = (0, 1, 2)
 # These rigs are measured with all seeds, the others with the first one.
 SEVERAL = ("sharp", "blur 1", "blur 2", "blur 0 to 2", "camera 2x coarser", "camera 4x coarser")
@@ -99,9 +108,16 @@ PHOTOGRAPHED: dict[str, dict[str, Any]] = {
     "12 bits, shot noise": {"bits": 12, "noise": 0.001, "shot_noise": 0.005},
     "response off by 5 %": {},
 }
-# Cameras that are not linear; `estimate` finds their response in the photographs.
-CODED = {"gamma 2.2, found": "gamma:2.2", "sRGB, found": "srgb", "S-curve, found": S_CURVE}
-RIGS = (*CHANGED, *VIEWS, *PHOTOGRAPHED, *CODED)
+# Cameras, and projectors of random grey patterns, that are not linear: the camera's response, and
+# the projector's gamma (0 for black and white patterns). `estimate` finds them in the photographs.
+UNKNOWN: dict[str, tuple[str, float]] = {
+    "gamma 2.2, found": ("gamma:2.2", 0.0),
+    "sRGB, found": ("srgb", 0.0),
+    "S-curve, found": (S_CURVE, 0.0),
+    "projector of gamma 2.2, found": ("linear", 2.2),
+    "both of gamma 2.2, found": ("gamma:2.2", 2.2),
+}
+RIGS = (*CHANGED, *VIEWS, *PHOTOGRAPHED, *UNKNOWN, *COLOUR_RIGS)
 
 
 @dataclass(frozen=True)
@@ -124,12 +140,12 @@ class Case:
 def cases(quick: bool) -> Iterator[Case]:
     """All cases, the first seed of all of them first."""
     if quick:
-        for rig in ("sharp", "blur 1"):
+        for rig in ("sharp", "blur 1", "colour"):
             yield Case("l_objects", rig, 32, side=64)
         return
     for rig in RIGS:
         for scene in SCENES:
-            for count in COUNTS:
+            for count in COLOUR_COUNTS if rig in COLOUR_RIGS else COUNTS:
                 yield Case(scene, rig, count)
     for seed in SEEDS[1:]:
         for rig in SEVERAL:
@@ -143,17 +159,22 @@ def measure(case: Case) -> Measured:
     truth = rig_truth(case.scene, case.rig, case.side)
     capture = rig_capture(case, truth)
     started = time.perf_counter()
-    transport = estimate(capture)
+    matrices = _estimated(capture)
     seconds = time.perf_counter() - started
-    known = truth.transport()
-    wrong, total = squared_errors(transport, known)
-    tests = np.stack(list(unseen_patterns(known.projector_shape).values()))
+    known = [truth.transport()]
+    if case.rig in COLOUR_RIGS:
+        known = [of_primary(known[0], primary) for primary in PRIMARIES]
+    pairs = zip(matrices, known, strict=True)
+    # The light of the primaries adds up, so a row has the squared errors of all matrices.
+    wrong, total = np.sum([squared_errors(*pair) for pair in pairs], axis=0)
+    # The matrices of a colour projector state the errors of one geometry.
+    first = matrices[0]
     row = {
         **asdict(case),
         "relative_error": float(np.sqrt(wrong.sum() / total.sum())),
-        "relighting_error": relighting_error(transport, known, tests),
-        "estimated_error": estimated_error(transport),
-        "footprint": float(np.median(transport.diagnostics["footprint"])),
+        "relighting_error": joint_relighting_error(matrices, known),
+        "estimated_error": estimated_error(first),
+        "footprint": float(np.median(first.diagnostics["footprint"])),
         "seconds": seconds,
         "full_frame": float("nan"),
     }
@@ -161,8 +182,15 @@ def measure(case: Case) -> Measured:
         row["full_frame"] = _same_rows(case)
     lit = total > LEAST_LIGHT**2 * total.max()
     errors = np.sqrt(wrong[lit] / total[lit])
-    arrays = {"errors": errors, "stated": transport.diagnostics["estimated_error"][lit]}
+    arrays = {"errors": errors, "stated": first.diagnostics["estimated_error"][lit]}
     return Measured([row], {name: values.astype(np.float32) for name, values in arrays.items()})
+
+
+def _estimated(capture: Capture) -> list[LightTransport]:
+    """The matrix of a capture, or those of a colour projector."""
+    if isinstance(capture.patterns, ColourPatterns):
+        return list(estimate_colour(capture))
+    return [estimate(capture)]
 
 
 @lru_cache(maxsize=2)
@@ -171,6 +199,9 @@ def rig_truth(scene: str, rig: str, side: int) -> Truth:
     truth = library.truth(scene, (side, side))
     if rig in VIEWS:
         return seen(truth, VIEWS[rig](_sides(truth)))
+    if rig in COLOUR_RIGS:
+        of_projector, _ = COLOUR_RIGS[rig]
+        return of_projector(truth)
     return CHANGED[rig](truth) if rig in CHANGED else truth
 
 
@@ -178,11 +209,16 @@ def rig_capture(case: Case, truth: Truth) -> Capture:
     """The capture of a case, exposed as the planner advises."""
     options = dict(PHOTOGRAPHED.get(case.rig, {}))
     noise = options.get("noise", 0.003)
-    exposure = plan(truth, frames=case.patterns, noise=noise).exposure
+    # The planner knows grey rigs only. At its exposure a channel of the colour camera gets up to
+    # 1.3 times the light that the grey one gets.
+    planned = rig_truth(case.scene, "sharp", case.side) if case.rig in COLOUR_RIGS else truth
+    exposure = plan(planned, frames=case.patterns, noise=noise).exposure
+    if case.rig in COLOUR_RIGS:
+        _, grey = COLOUR_RIGS[case.rig]
+        return colour_capture(truth, case.patterns, exposure, grey=grey, seed=case.seed)
+    if case.rig in UNKNOWN:
+        return _with_unknown_response(case, truth, exposure)
     patterns = BernoulliPatterns(truth.projector_shape, case.patterns, seed=case.seed)
-    if case.rig in CODED:
-        light = simulate(truth, patterns, exposure=exposure, seed=case.seed, bits=None)
-        return with_response(coded(light, camera_of(CODED[case.rig])), Response.parse("auto"))
     capture = simulate(truth, patterns, exposure=exposure, seed=case.seed, **options)
     if case.rig != "response off by 5 %":
         return capture
@@ -191,6 +227,17 @@ def rig_capture(case: Case, truth: Truth) -> Capture:
     bent = frames + 4 * RESPONSE_ERROR * frames * (1 - frames)
     stack = np.rint(np.minimum(bent, 1) * level).astype(np.uint8)
     return replace(capture, frames=ArrayStack(stack))
+
+
+def _with_unknown_response(case: Case, truth: Truth, exposure: float | str) -> Capture:
+    """Photographs that are not linear, in which `estimate` is to find the responses."""
+    camera, projector = UNKNOWN[case.rig]
+    capture, _ = photographed(
+        truth, case.patterns, exposure, camera_of(camera), projector, case.seed
+    )
+    if camera != "linear":
+        capture = with_response(capture, Response.parse("auto"))
+    return replace(capture, projector_unknown=bool(projector))
 
 
 def _same_rows(case: Case) -> float:

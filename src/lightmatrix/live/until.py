@@ -16,8 +16,8 @@ from lightmatrix.errors import InputError
 from lightmatrix.evaluation.doubts import doubts, stated_error
 from lightmatrix.evaluation.metrics import row_energies
 from lightmatrix.evaluation.verdict import percent
-from lightmatrix.evaluation.verdicts import prediction_error
 from lightmatrix.live.session import Session
+from lightmatrix.transport.held_out import prediction_error
 from lightmatrix.transport.matrix import LightTransport
 
 # Patterns photographed between two estimates, and before the first one: fewer frames hold out too

@@ -71,6 +71,12 @@ def in_all_primaries(truth: Truth) -> Truth:
     )
 
 
+def is_of_all_primaries(truth: Truth | LightTransport) -> bool:
+    """Whether a T is that of a colour projector, as `in_all_primaries` makes it."""
+    facts = truth.metadata if isinstance(truth, Truth) else truth.provenance
+    return facts.get("primary") == "all"
+
+
 def _share(part: Truth) -> NDArray[np.float32]:
     """The direct share of each entry."""
     data = part.matrix.data

@@ -22,7 +22,7 @@ from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.ranges import check_seed
 from lightmatrix.regions import Region
 from lightmatrix.simulation import library, realism
-from lightmatrix.simulation.colour import in_all_primaries, in_primary
+from lightmatrix.simulation.colour import in_all_primaries, in_primary, is_of_all_primaries
 from lightmatrix.simulation.irradiance import irradiance
 from lightmatrix.simulation.truth import Truth
 
@@ -148,7 +148,7 @@ def simulate(
     patterns : PatternSet, str or Path
         K patterns, or a folder of them. Patterns in colour (`ColourPatterns`) are photographed by a
         camera of three channels whose filters overlap; the truth then has the pixels of red, green
-        and blue side by side.
+        and blue side by side. A truth that has them already is photographed as it is.
     exposure : float or str
         Exposure e in sample = min(1, e T p), or several exposures with their shares of the frames,
         such as ``1:0.75,0.25:0.25``.
@@ -213,10 +213,15 @@ def simulate(
     )
     shape = patterns.primary_shape if isinstance(patterns, ColourPatterns) else patterns.shape
     truth = library.truth(scene, shape, progress=progress)
+    if blur and is_of_all_primaries(truth):
+        raise InputError(
+            "a blur of a colour projector's T, whose colours stand side by side",
+            hint="blur the grey scene that it was made of",
+        )
     if primary is not None:
         truth = in_primary(truth, primary)
     truth = realism.vignetting(realism.defocus(truth, blur), vignetting)
-    if isinstance(patterns, ColourPatterns):
+    if isinstance(patterns, ColourPatterns) and not is_of_all_primaries(truth):
         truth = in_all_primaries(truth)
     room = realism.ambient(truth, ambient)
     light = irradiance(truth.matrix, patterns, progress=progress)
