@@ -23,6 +23,11 @@ _CERTAIN = 5.0
 # 20 rows; a share of a dark sample says nothing. No sample counts for more than 6 standard
 # deviations, so that one odd pixel decides nothing.
 _LIT, _FEWEST_ROWS, _MOST_DEVIATIONS = 0.3, 20, 6
+# Where predictions miss more than 5 % of the variance, as those of blurred light do, what many
+# rows miss together may look like a change of the light. A frame then counts only if a change
+# explains half of what its rows miss, and none does if all changes explain less than 30 % of what
+# is missed. Chosen on captures with and without drifting light (`benchmarks/synthetic_captures.py`).
+_MUCH, _EXPLAINED, _EXPLAINED_OF_ALL = 0.05, 0.5, 0.3
 
 
 def brightness_changes(
@@ -40,6 +45,10 @@ def brightness_changes(
     # Rows of one part of the projector miss the same light, which would look like many witnesses.
     error = np.sqrt((sums_by_group(rest, prediction.part) ** 2).sum(axis=0)) / power
     enough = (weight > 0).sum(axis=0) >= _FEWEST_ROWS
+    if float(np.median(prediction.miss)) > _MUCH:
+        missed, explained = (weight * left**2).sum(axis=0), change**2 * power
+        enough &= explained > _EXPLAINED * missed
+        enough &= explained[enough].sum() > _EXPLAINED_OF_ALL * missed.sum()
     return np.where(enough, change, 0), np.where(enough, error, np.inf)
 
 

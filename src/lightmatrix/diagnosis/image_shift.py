@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,11 +14,16 @@ from lightmatrix.diagnosis.survey import MARGIN, Survey
 # image has 6 x 6 parts. Chosen on simulated captures: `python -m benchmarks.frame_checks`.
 _CERTAIN, _CLOSER = 4.0, 0.15
 _PARTS = 6
+# Every second part and the others agree on a shift to one pixel. In images without outlines, each
+# finds another one by chance.
+_HALVES_APART = 1
+
+Shift = tuple[int, int]
 
 
 def find_shift(
     survey: Survey, first: NDArray[np.float32], last: NDArray[np.float32]
-) -> tuple[int, int] | None:
+) -> Shift | None:
     """By how many camera pixels (down, right) the last image (S,) is shifted; None if not."""
     before, after = (_outlines(image.reshape(survey.grid)) for image in (first, last))
     tiles, rows, cols, _ = survey.grid
@@ -26,7 +32,7 @@ def find_shift(
     valid = survey.valid.reshape(survey.grid)[inner].all(axis=-1)
     reference = before[inner]
 
-    def distances(shift: tuple[int, int]) -> NDArray[np.float64]:
+    def distances(shift: Shift) -> NDArray[np.float64]:
         down, right = MARGIN + shift[0], MARGIN + shift[1]
         moved = after[:, down : down + reference.shape[1], right : right + reference.shape[2]]
         difference = np.where(valid, ((moved - reference) ** 2).sum(axis=-1), 0)
@@ -34,8 +40,9 @@ def find_shift(
 
     reach = range(-MARGIN, MARGIN + 1)
     by_shift = {shift: distances(shift) for shift in itertools.product(reach, reach)}
-    best = min(by_shift, key=lambda shift: float(by_shift[shift].sum()))
-    if best == (0, 0):
+    best = _closest(by_shift, slice(None))
+    halves = [_closest(by_shift, slice(start, None, 2)) for start in (0, 1)]
+    if best == (0, 0) or np.ptp(halves, axis=0).max() > _HALVES_APART:
         return None
     gain = by_shift[0, 0] - by_shift[best]
     error = np.sqrt(len(gain) * gain.var(ddof=1)) if len(gain) > 1 else np.inf
@@ -44,7 +51,12 @@ def find_shift(
     return best
 
 
-def describe_shift(shift: tuple[int, int]) -> str:
+def _closest(distances: Mapping[Shift, NDArray[np.float64]], parts: slice) -> Shift:
+    """The shift at which some parts of two images are closest."""
+    return min(distances, key=lambda shift: float(distances[shift][parts].sum()))
+
+
+def describe_shift(shift: Shift) -> str:
     """A shift in words."""
     down, right = shift
     words = []

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from lightmatrix.camera.samples import Samples
 from lightmatrix.diagnosis.finding import Finding
-from lightmatrix.diagnosis.image_shift import describe_shift, find_shift
+from lightmatrix.diagnosis.image_shift import Shift, describe_shift, find_shift
 from lightmatrix.diagnosis.prediction import predict
 from lightmatrix.diagnosis.survey import MARGIN, Survey
 
@@ -36,8 +36,6 @@ _PLACES = 24
 _BETTER, _CERTAIN = 0.15, 4.0
 # A search for the shift without outlines may take 1e11 multiplications, about ten seconds.
 _MOST_WORK = 1e11
-
-Shift = tuple[int, int]
 
 
 def check_motion(

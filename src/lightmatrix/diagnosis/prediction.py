@@ -146,8 +146,8 @@ def predict(
         places = find_places(patterns, samples, learned)
     observed = np.asarray(samples.values, np.float64)
     level = np.broadcast_to(samples.clip_level, observed.shape)
-    windows = [_window(place, patterns.shape) for place in places]
-    around = _window(places[0], patterns.shape, _AROUND_REACH, _AROUND_SPREAD, _AROUND_STEP)
+    windows = [window_around(place, patterns.shape) for place in places]
+    around = window_around(places[0], patterns.shape, _AROUND_REACH, _AROUND_SPREAD, _AROUND_STEP)
     # Every pixel of a window is a column, and so are their surroundings and the mean.
     row_bytes = 8 * patterns.count * (sum(pixels.shape[1] for pixels, _ in [*windows, around]) + 1)
     step = max(1, _COLUMN_BYTES // row_bytes)
@@ -222,11 +222,7 @@ def _columns(
     parts = []
     for (pixels, scale), size in zip(windows, _PLACE_SCALES, strict=True):
         parts.append(np.moveaxis(patterns.at(pixels), 0, 1) * (size * scale)[:, None, :])
-    pixels, scale = around
-    mean = np.einsum("kmd,md->mk", patterns.at(pixels), scale**2)
-    mean = mean - mean.mean(axis=1, keepdims=True)
-    mean *= _AROUND_SCALE / np.maximum(mean.std(axis=1, keepdims=True), 1e-6)
-    parts.append(mean[..., None])
+    parts.append(_AROUND_SCALE * mean_around(patterns, *around)[..., None])
     spread = float(patterns.means.std())
     means = (
         (patterns.means - patterns.means.mean()) / spread if spread > 1e-6 else 0 * patterns.means
@@ -236,6 +232,15 @@ def _columns(
     return np.asarray(np.concatenate(parts, axis=2), np.float64)
 
 
+def mean_around(
+    patterns: PatternSet, pixels: NDArray[np.int64], scale: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Weighted means of windows (m, d) in each pattern, (m, K), of mean 0 and deviation 1."""
+    mean = np.einsum("kmd,md->mk", patterns.at(pixels), scale**2)
+    mean = mean - mean.mean(axis=1, keepdims=True)
+    return np.asarray(mean / np.maximum(mean.std(axis=1, keepdims=True), 1e-6))
+
+
 def _parts(places: NDArray[np.int64], shape: tuple[int, int]) -> NDArray[np.int64]:
     """The number of the part of the projector that each place lies in, (m,)."""
     row, col = np.divmod(places, shape[1])
@@ -243,7 +248,7 @@ def _parts(places: NDArray[np.int64], shape: tuple[int, int]) -> NDArray[np.int6
     return np.asarray(row // down * _PARTS + col // right)
 
 
-def _window(
+def window_around(
     place: NDArray[np.int64],
     shape: tuple[int, int],
     reach: int = _REACH,

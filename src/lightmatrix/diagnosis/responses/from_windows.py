@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.camera.camera_curve import Response
-from lightmatrix.diagnosis.prediction import FramePrediction, predict
+from lightmatrix.diagnosis.prediction import FramePrediction, mean_around, predict, window_around
 from lightmatrix.diagnosis.responses.bend import GammaBend, raised
 from lightmatrix.diagnosis.responses.trace import Bends, Rows, light_of, solve_bends
 from lightmatrix.diagnosis.survey import Survey
@@ -25,6 +25,11 @@ _MOST_CLIPPED, _VARIED = 0.3, 0.15
 # The projector pixels that are removed from each row: the one that it follows most, and its four
 # neighbours.
 _CROSS = ((0, 0), (0, 1), (0, -1), (1, 0), (-1, 0))
+# Light that reaches far bends predictions as a curve does where patterns are coarse. With 20 frames
+# and more, what Gaussians of these standard deviations (in pixels) see around the place is removed
+# too. Chosen on captures with and without curves (`benchmarks/synthetic_captures.py`).
+_AROUND = (2, 4, 8, 16)
+_ENOUGH_FRAMES = 20
 # The search for a gamma ends after so many steps, or when a step is smaller than this.
 _STEPS, SMALL = 7, 0.002
 # A step changes the logarithm of the gamma by at most 0.5. Where the equation hardly depends on the
@@ -46,8 +51,8 @@ _POWERS = (0.2, 6.0)
 class WindowPower:
     """The power of the light that was found, its standard error, and whether the search settled.
 
-    `missed` is the share of the samples' variance that predictions miss, under the power at which
-    the search began and under the one that was found.
+    `missed` is the share of the samples' variance that predictions miss, under the response that
+    the capture states and under the power that was found.
     """
 
     power: float
@@ -88,7 +93,7 @@ def power_from_windows(survey: Survey, doubted: NDArray[np.bool_]) -> WindowPowe
     for start in _STARTS[1:]:
         found = _search(survey, rows, doubted, start)
         if found is not None and found.right_against(first):
-            return found
+            return replace(found, missed=(first.missed[0], found.missed[1]))
     return replace(first, settled=False)
 
 
@@ -146,15 +151,19 @@ def _bends(
     expected, _ = light_of(prediction.expected, samples, decoder, exposures)
     shown = cross(prediction.places[0], patterns.shape)
     seen = np.moveaxis(patterns.at(shown), 0, 1)
-    columns = np.concatenate(
-        [np.ones((*light.shape, 1)), (prediction.expected)[..., None], seen], axis=2
-    )
+    columns = [np.ones((*light.shape, 1)), (prediction.expected)[..., None], seen]
+    if survey.count >= _ENOUGH_FRAMES:
+        around = (
+            window_around(prediction.places[0], patterns.shape, 2 * spread, spread, spread // 2)
+            for spread in _AROUND
+        )
+        columns += [mean_around(patterns, *each)[..., None] for each in around]
     whole = Rows(
         light,
         expected,
         dark,
         prediction.trusted & ~doubted,
-        columns * exposures[None, :, None],
+        np.concatenate(columns, axis=2) * exposures[None, :, None],
         prediction.part,
     )
     return solve_bends(whole.select(kept), response, GammaBend()), prediction
