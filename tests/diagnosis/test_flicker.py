@@ -54,6 +54,22 @@ def test_rows_that_miss_the_same_light_are_one_witness() -> None:
     assert np.median(error) > 1.5 * np.median(alone)
 
 
+def test_what_badly_predicted_rows_miss_must_be_mostly_a_change() -> None:
+    gain = 1 + 0.05 * np.where(np.arange(K) % 2, 1.0, -1.0)
+    for noise, changes in ((0.01, True), (0.2, False)):
+        example = prediction(rows=400, frames=K, noise=noise, gain=gain)
+        for miss, known in ((0.04, True), (0.06, changes)):
+            change, error = brightness_changes(replace(example, miss=np.full(400, miss)))
+            assert (np.isfinite(error) & (change != 0)).all() == known
+    # One frame is mostly a change, but all frames together miss other light.
+    alone = np.where(np.arange(K) == 3, 1.3, 1.0)
+    one = prediction(rows=400, frames=K, noise=0.01, gain=alone)
+    assert brightness_changes(replace(one, miss=np.full(400, 0.06)))[0][3] > 0.05
+    other = np.random.default_rng(5).normal(0, 0.2, (400, K)) * (np.arange(K) != 3)
+    spoilt = replace(one, observed=one.observed + other, miss=np.full(400, 0.06))
+    assert (brightness_changes(spoilt)[0] == 0).all()
+
+
 def test_dark_untrusted_and_odd_samples_do_not_count() -> None:
     gain = np.ones(K)
     gain[3] = 1.1

@@ -124,3 +124,17 @@ def test_rows_vary_much_and_clip_little() -> None:
     assert taken.inner[chosen].all()
     assert known.clipped[chosen].max() <= 0.3
     assert known.spread[chosen].min() >= 0.1 * known.spread.max()
+
+
+def test_a_pattern_that_is_shown_again_tells_nothing_new() -> None:
+    capture = draw("permutation", "shown four times", "intact", 32, 31011).capture
+    taken = Survey.take(capture.patterns, capture.frames, capture.decoder)
+    assert (taken.count, taken.different) == (64, 16)
+    assert check_linearity(taken, np.zeros(capture.count, bool), steady=True) == []
+
+
+@pytest.mark.parametrize(("scene", "patterns"), [("diffuse", "mixed"), ("broad", "stripes")])
+def test_light_that_reaches_far_is_no_curve(scene: str, patterns: str) -> None:
+    capture = draw(scene, patterns, "intact", 32, 5).capture
+    taken = Survey.take(capture.patterns, capture.frames, capture.decoder)
+    assert check_linearity(taken, np.zeros(capture.count, bool), steady=True) == []

@@ -25,8 +25,8 @@ _CERTAIN = 5.0
 _LIT, _FEWEST_ROWS, _MOST_DEVIATIONS = 0.3, 20, 6
 # Where predictions miss more than 5 % of the variance, as those of blurred light do, what many
 # rows miss together may look like a change of the light. A frame then counts only if a change
-# explains half of what its rows miss, and none does if all changes explain less than 30 % of what
-# is missed. Chosen on captures with and without drifting light (`benchmarks/synthetic_captures.py`).
+# explains half of what its rows miss, and none does if all changes together explain less than 30 %.
+# Chosen on captures with and without drifting light (`benchmarks/synthetic_captures.py`).
 _MUCH, _EXPLAINED, _EXPLAINED_OF_ALL = 0.05, 0.5, 0.3
 
 

@@ -18,10 +18,10 @@ from lightmatrix.diagnosis.survey import Survey
 # A power is announced if it differs from 1 by 2 % and by four standard errors more: where light is
 # blurred, predictions from windows are off by up to two of them.
 _ANNOUNCED, _CERTAIN = 0.02, 4.0
-# With 16 frames, windows of 50 pixels explain anything: powers of linear captures were off by up
+# Under 16 patterns, windows of 50 pixels explain anything: powers of linear captures were off by up
 # to .1 under sharp light and .5 under broad light. The logarithm of a power gets a margin of .4 at
-# 16 frames, which falls with the cube of their number. Chosen by hand.
-_FEW_FRAMES, _OFF_BY = 16, 0.4
+# 16 patterns, which falls with the cube of their number. Chosen by hand.
+_FEW_PATTERNS, _OFF_BY = 16, 0.4
 # Where predictions miss more than 10 % of the variance under every power, what they miss may look
 # like a bend: the power must take a tenth of that away. Chosen on captures with and without curves
 # (`benchmarks/synthetic_captures.py`).
@@ -35,16 +35,16 @@ def check_linearity(survey: Survey, doubted: NDArray[np.bool_], *, steady: bool)
     not `steady`: its changes look like one.
     """
     found = power_from_windows(survey, doubted)
-    if found is None or not is_certain(found, survey.count, steady=steady):
+    if found is None or not is_certain(found, survey.different, steady=steady):
         return []
     return [response_finding(found, survey.decoder.response.name)]
 
 
 def is_certain(found: WindowPower, count: int, *, steady: bool) -> bool:
-    """Whether a power that was found in `count` frames certainly differs from 1."""
+    """Whether a power that was found under `count` different patterns certainly differs from 1."""
     if not found.settled:
         return False
-    few = _OFF_BY * (_FEW_FRAMES / count) ** 3
+    few = _OFF_BY * (_FEW_PATTERNS / count) ** 3
     least = _ANNOUNCED + _CERTAIN * found.error + few
     before, after = found.missed
     if after > _MUCH and after > _REMAINS * before:

@@ -88,6 +88,14 @@ class Survey:
         """Number of frames K."""
         return self.raw.shape[1]
 
+    @cached_property
+    def different(self) -> int:
+        """Number of different patterns: one that is shown again tells nothing new."""
+        # Equal patterns have equal sums of randomly weighted pixels.
+        weights = np.random.default_rng(0).standard_normal((1, self.patterns.pixels))
+        sums = self.patterns.forward(weights)[0] / np.sqrt(self.patterns.pixels)
+        return len(np.unique(np.round(sums, 4)))
+
     def select_frames(self, frames: NDArray[np.integer]) -> Survey:
         """The survey of some frames, in this order; the patterns stay."""
         return replace(self, decoder=self.decoder.select(frames), raw=self.raw[:, frames])

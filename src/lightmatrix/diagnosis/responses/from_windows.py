@@ -25,11 +25,11 @@ _MOST_CLIPPED, _VARIED = 0.3, 0.15
 # The projector pixels that are removed from each row: the one that it follows most, and its four
 # neighbours.
 _CROSS = ((0, 0), (0, 1), (0, -1), (1, 0), (-1, 0))
-# Light that reaches far bends predictions as a curve does where patterns are coarse. With 20 frames
-# and more, what Gaussians of these standard deviations (in pixels) see around the place is removed
-# too. Chosen on captures with and without curves (`benchmarks/synthetic_captures.py`).
+# Light that reaches far bends predictions as a curve does where patterns are coarse. Under 20
+# patterns and more, what Gaussians of these standard deviations (in pixels) see around the place is
+# removed too. Chosen on captures with and without curves (`benchmarks/synthetic_captures.py`).
 _AROUND = (2, 4, 8, 16)
-_ENOUGH_FRAMES = 20
+_ENOUGH_PATTERNS = 20
 # The search for a gamma ends after so many steps, or when a step is smaller than this.
 _STEPS, SMALL = 7, 0.002
 # A step changes the logarithm of the gamma by at most 0.5. Where the equation hardly depends on the
@@ -152,7 +152,7 @@ def _bends(
     shown = cross(prediction.places[0], patterns.shape)
     seen = np.moveaxis(patterns.at(shown), 0, 1)
     columns = [np.ones((*light.shape, 1)), (prediction.expected)[..., None], seen]
-    if survey.count >= _ENOUGH_FRAMES:
+    if survey.different >= _ENOUGH_PATTERNS:
         around = (
             window_around(prediction.places[0], patterns.shape, 2 * spread, spread, spread // 2)
             for spread in _AROUND
