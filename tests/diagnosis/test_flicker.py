@@ -58,7 +58,7 @@ def test_what_badly_predicted_rows_miss_must_be_mostly_a_change() -> None:
     gain = 1 + 0.05 * np.where(np.arange(K) % 2, 1.0, -1.0)
     for noise, changes in ((0.01, True), (0.2, False)):
         example = prediction(rows=400, frames=K, noise=noise, gain=gain)
-        for miss, known in ((0.04, True), (0.06, changes)):
+        for miss, known in ((0.03, True), (0.05, changes)):
             change, error = brightness_changes(replace(example, miss=np.full(400, miss)))
             assert (np.isfinite(error) & (change != 0)).all() == known
     # One frame is mostly a change, but all frames together miss other light.
