@@ -136,6 +136,20 @@ def test_a_capture_keeps_that_its_projector_is_unknown_until_the_curve_is_given(
     assert found.patterns.digest == curve.light_of_patterns(taken.patterns).digest
 
 
+def test_grey_values_are_packed_once_their_light_is_found(tmp_path: Path) -> None:
+    taken = capture(1.0, 2.2)
+    write_folder(tmp_path / "c", taken, projector_response="auto")
+    with pytest.raises(lm.InputError, match="which is to be found") as refused:
+        lm.pack(tmp_path / "c", tmp_path / "c.zarr")
+    assert "lm.find_projector_response(capture).applied_to(capture)" in str(refused.value)
+    found = lm.find_projector_response(tmp_path / "c").applied_to(lm.Capture.open(tmp_path / "c"))
+    lm.pack(found, tmp_path / "c.zarr")
+    opened = lm.Capture.open(tmp_path / "c.zarr")
+    assert not opened.projector_unknown
+    assert opened.patterns.dense() == pytest.approx(GREY.reshape(K, -1) ** 2.2, abs=0.01)
+    assert opened.digest == found.digest
+
+
 def test_other_commands_refuse_grey_values_whose_light_is_unknown(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

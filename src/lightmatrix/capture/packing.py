@@ -128,7 +128,9 @@ def pack_capture(
     if capture.projector_unknown:
         raise InputError(
             "a packed capture holds the light of its patterns, which is to be found",
-            hint="name the projector's curve in capture.json, or estimate from the folder",
+            hint="estimate from the folder, which finds it; name a file of the projector's curve "
+            "in capture.json; or, in Python, pack "
+            "lm.find_projector_response(capture).applied_to(capture)",
         )
     frames = capture.frames
     spooled = not isinstance(frames, PixelFrames) and _bytes(frames) > memory // 2
