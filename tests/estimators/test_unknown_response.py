@@ -18,9 +18,13 @@ from lightmatrix.diagnosis.responses.bend import (
     points,
     raised,
 )
-from lightmatrix.diagnosis.responses.found import largest_difference
+from lightmatrix.diagnosis.responses.found import largest_difference, with_response
+from lightmatrix.diagnosis.responses.from_windows import WindowPower
+from lightmatrix.estimators import unknown_response
 from lightmatrix.estimators.unknown_response import refined_response
+from lightmatrix.experiments.responses import photographed
 from lightmatrix.patterns.folder import write_patterns
+from lightmatrix.simulation.realism import defocus
 from tests.helpers.surface import PROJECTOR, photographs
 
 K = 32
@@ -57,6 +61,32 @@ def test_the_curve_is_found_by_few_estimates(name: str) -> None:
         true = 1.0 if name == "linear" else float(name.removeprefix("gamma:"))
         assert found.gamma == pytest.approx(true, rel=0.02)
         assert found.uncertainty < 0.05 * true
+
+
+def test_a_gamma_that_is_not_near_does_not_become_a_curve() -> None:
+    """The T of a wrong gamma bends in other ways, too; so the gamma is corrected first."""
+    read = with_response(coded("gamma:0.8"), response("gamma:1.1"))
+    refined = refined_response(read, lm.estimate(read, check=False))
+    assert refined is not None
+    assert not refined.curved
+    assert exponent(refined.response) == pytest.approx(0.8, rel=0.02)
+
+
+def test_few_frames_that_any_gamma_explains_are_searched_again_by_their_predictions(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Under 16 patterns a blurred T of a wrong gamma leaves no bend, but predicts badly."""
+    truth = defocus(lm.truth("metal"), 1.0)
+    # Half of the frames short, as the planner advises.
+    whole, _ = photographed(truth, 16, "0.587:0.5,0.146:0.5", response("gamma:2.2"))
+    capture = whole.crop((20, 20), (16, 16))
+    wrong = WindowPower(1.4, 0.004, True, (0.01, 0.01))
+    monkeypatch.setattr(unknown_response, "power_from_windows", lambda *_: wrong)
+    found = lm.find_response(capture)
+    assert found.gamma == pytest.approx(2.2, rel=0.04)
+    assert found.estimates <= 12
+    monkeypatch.setattr(unknown_response, "_FEW_FRAMES", 0)
+    assert lm.find_response(capture).gamma < 1.5
 
 
 def test_an_estimate_uses_the_curve_when_asked() -> None:
