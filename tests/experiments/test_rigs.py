@@ -65,6 +65,24 @@ def test_gammas_of_camera_and_projector_are_found_in_grey_patterns() -> None:
     assert found.projector.gamma == pytest.approx(2.2, rel=0.03)
 
 
+def test_responses_that_are_not_determined_are_a_row_without_errors(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    def refused(_: lm.Capture) -> lm.LightTransport:
+        raise lm.InputError("the photographs do not determine the camera's response")
+
+    case = Case("l_objects", "gamma 2.2, found", 32, side=SIDE)
+    found = measure(case)
+    monkeypatch.setattr(rigs, "estimate", refused)
+    undetermined = measure(case)
+    assert undetermined.rows[0].keys() == found.rows[0].keys()
+    assert np.isnan(undetermined.rows[0]["relative_error"])
+    rigs._draw(tmp_path, [(case, found), (case, undetermined)])
+    assert (tmp_path / "rigs.png").stat().st_size > 5000
+    with pytest.raises(lm.InputError, match="do not determine"):
+        measure(replace(case, rig="sharp"))
+
+
 def test_colour_rigs_share_their_geometry_and_differ_in_colour() -> None:
     truths = [rig_truth("metal", rig, SIDE) for rig in COLOUR_RIGS]
     assert {truth.camera_shape for truth in truths} == {(SIDE, SIDE, 3)}

@@ -17,6 +17,7 @@ from lightmatrix.camera.camera_curve import Response
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.frames import ArrayStack
 from lightmatrix.diagnosis.responses.found import with_response
+from lightmatrix.errors import InputError
 from lightmatrix.estimators.colour.estimate import estimate_colour
 from lightmatrix.estimators.estimate import estimate
 from lightmatrix.evaluation.doubts import estimated_error
@@ -53,6 +54,16 @@ ERROR_TICKS = (0.01, 0.03, 0.1, 0.3, 1)
 # Rows darker than this share of the brightest row (in norm) are left out of the comparison of
 # estimated and true errors.
 LEAST_LIGHT = 1e-3
+# What is measured of a case.
+KEPT = (
+    "relative_error",
+    "relighting_error",
+    "estimated_error",
+    "footprint",
+    "seconds",
+    "full_frame",
+)
+NOTHING = np.empty(0, np.float32)
 # A wrong response bends the samples by at most this share of the clip level.
 RESPONSE_ERROR = 0.05
 
@@ -159,7 +170,12 @@ def measure(case: Case) -> Measured:
     truth = rig_truth(case.scene, case.rig, case.side)
     capture = rig_capture(case, truth)
     started = time.perf_counter()
-    matrices = _estimated(capture)
+    try:
+        matrices = _estimated(capture)
+    except InputError:
+        if case.rig in UNKNOWN:
+            return _undetermined(case)
+        raise
     seconds = time.perf_counter() - started
     known = [truth.transport()]
     if case.rig in COLOUR_RIGS:
@@ -184,6 +200,12 @@ def measure(case: Case) -> Measured:
     errors = np.sqrt(wrong[lit] / total[lit])
     arrays = {"errors": errors, "stated": first.diagnostics["estimated_error"][lit]}
     return Measured([row], {name: values.astype(np.float32) for name, values in arrays.items()})
+
+
+def _undetermined(case: Case) -> Measured:
+    """The row of photographs that do not determine the responses, which `estimate` refuses."""
+    unknown = dict.fromkeys(KEPT, float("nan"))
+    return Measured([{**asdict(case), **unknown}], dict.fromkeys(("errors", "stated"), NOTHING))
 
 
 def _estimated(capture: Capture) -> list[LightTransport]:
@@ -263,21 +285,13 @@ def _summary(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     groups: dict[tuple[str, str, int], list[dict[str, Any]]] = {}
     for row in rows:
         groups.setdefault((row["rig"], row["scene"], row["patterns"]), []).append(row)
-    kept = (
-        "relative_error",
-        "relighting_error",
-        "estimated_error",
-        "footprint",
-        "seconds",
-        "full_frame",
-    )
     return [
         {
             "rig": rig,
             "scene": scene,
             "patterns": count,
             "seeds": len(group),
-            **{name: float(np.mean([row[name] for row in group])) for name in kept},
+            **{name: float(np.mean([row[name] for row in group])) for name in KEPT},
         }
         for (rig, scene, count), group in groups.items()
     ]
