@@ -89,6 +89,22 @@ def test_few_frames_that_any_gamma_explains_are_searched_again_by_their_predicti
     assert lm.find_response(capture).gamma < 1.5
 
 
+def test_the_window_shows_many_levels_and_not_only_bright_ones() -> None:
+    """A bright wall holds two levels; beside it are a scene of many, and a dark corner."""
+    random = np.random.default_rng(0)
+    albedo = np.full((24, 60), 0.95)
+    albedo[:, 20:40] = random.uniform(0.2, 1, (24, 20))
+    albedo[:, 40:] = random.uniform(0, 0.05, (24, 20))
+    frames = np.rint(255 * albedo * random.integers(0, 2, (K, 24, 60))).astype(np.uint8)
+    capture = lm.Capture.from_arrays(PATTERNS, frames, lm.Decoder(clip=255, full_scale=255))
+    window = unknown_response.window_of_levels(capture, 16)
+    _, left = window.description["crop"]["corner"]
+    assert window.camera_shape == (16, 16)
+    assert 20 <= left <= 24
+    small = coded("linear")
+    assert unknown_response.window_of_levels(small) is small
+
+
 def test_an_estimate_uses_the_curve_when_asked() -> None:
     capture = coded("gamma:2.2")
     known = lm.estimate(capture, response="gamma:2.2", check=False)

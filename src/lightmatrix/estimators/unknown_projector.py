@@ -25,9 +25,9 @@ from lightmatrix.errors import InputError
 from lightmatrix.estimators.choice import choose_estimator
 from lightmatrix.estimators.settings import EstimateSettings
 from lightmatrix.estimators.unknown_response import (
-    brightest_window,
     find_response,
     refuse_pictures,
+    window_of_levels,
 )
 from lightmatrix.patterns.colour import ColourPatterns
 from lightmatrix.patterns.projector_curve import ProjectorResponse
@@ -98,7 +98,7 @@ def find_projector_response(
     camera = camera or whole.decoder.response.name == AUTOMATIC
     stated = whole.decoder.response
     start, gamma = _start(whole, camera)
-    part, estimates = brightest_window(with_response(whole, start), _SIDE), 0
+    part, estimates = window_of_levels(with_response(whole, start), _SIDE), 0
     while True:
         read = with_projector(part, ProjectorResponse.of_gamma(gamma))
         transport = choose_estimator(read, settings).estimate(read)
