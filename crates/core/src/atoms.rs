@@ -188,9 +188,12 @@ impl Blurring {
         let stride = cols.next_multiple_of(STRETCH);
         self.line.clear();
         self.line.resize(stride + 2 * reach, 0.0);
-        self.middle.clear();
         self.middle.resize((rows + 2 * reach) * stride, 0.0);
-        let middle = &mut self.middle[reach * stride..][..rows * stride];
+        // The image lies between margins of zeros; what was there before is overwritten.
+        let (above, rest) = self.middle.split_at_mut(reach * stride);
+        let (middle, below) = rest.split_at_mut(rows * stride);
+        above.fill(0.0);
+        below.fill(0.0);
         for (image, middle) in image
             .chunks_exact(cols)
             .zip(middle.chunks_exact_mut(stride))
@@ -201,6 +204,10 @@ impl Blurring {
         self.line.resize(stride.max(self.line.len()), 0.0);
         for (row, out) in out.chunks_exact_mut(cols).enumerate() {
             let lines = &self.middle[row * stride..][..(2 * reach + 1) * stride];
+            if cols == stride {
+                along(level, &plane.kernel, plane.gain, stride, lines, out);
+                continue;
+            }
             let whole = &mut self.line[..stride];
             along(level, &plane.kernel, plane.gain, stride, lines, whole);
             out.copy_from_slice(&whole[..cols]);

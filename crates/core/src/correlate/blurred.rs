@@ -10,7 +10,8 @@ use crate::simd::{multiversion, Level};
 
 pub struct Blurred {
     atoms: Atoms,
-    /// The pixel of each score of the pass over single pixels; None for padding.
+    /// The pixel of each score of the pass over single pixels, None for padding; empty if the scores
+    /// are in the order of the pixels.
     pixel: Vec<Option<u32>>,
 }
 
@@ -28,7 +29,11 @@ pub struct Buffers {
 }
 
 impl Blurred {
-    pub fn new(atoms: Atoms, pixel: Vec<Option<u32>>) -> Self {
+    pub fn new(atoms: Atoms, mut pixel: Vec<Option<u32>>) -> Self {
+        let mut first = pixel.iter().take(atoms.pixels()).zip(0..);
+        if first.all(|(&pixel, place)| pixel == Some(place)) {
+            pixel.clear();
+        }
         Blurred { atoms, pixel }
     }
 
@@ -46,6 +51,9 @@ impl Blurred {
         image.resize(self.atoms.pixels(), 0.0);
         planes.resize(self.atoms.count(), 0.0);
         let shift = (single.offset + (single.up - single.down) / 2.0) as f32;
+        if self.pixel.is_empty() {
+            shifted(level, &single.values, shift, image);
+        }
         for (pixel, score) in self.pixel.iter().zip(&single.values) {
             if let Some(pixel) = pixel {
                 image[*pixel as usize] = f32::from(*score) + shift;
@@ -89,6 +97,14 @@ impl Blurred {
 
 /// 1.5 * 2^23: adding it rounds a float32 to the nearest integer, held in the low bits of the sum.
 const MAGIC: f32 = 12_582_912.0;
+
+multiversion! {
+    fn shifted(scores: &[i16], shift: f32, out: &mut [f32]) {
+        for (out, score) in out.iter_mut().zip(scores) {
+            *out = f32::from(*score) + shift;
+        }
+    }
+}
 
 multiversion! {
     fn rounded(values: &[f32], scale: f32, out: &mut [i16]) {

@@ -147,7 +147,8 @@ class Rounds:
     def _search(self, start: int, stop: int) -> SparseRows:
         """The rows start..stop of the first round, each by itself on all atoms."""
         samples = self._grid(0).samples(start, stop)
-        solved = self.solver.everywhere(samples, self.progress_of(round_name(0), start))
+        progress = self.progress_of(round_name(0), start)
+        solved = self.solver.everywhere(samples, progress, brief=not self._grows)
         return _searched(solved) if self._grows else _for_next_round(solved)
 
     def _solve(self, number: int, neighbours: Neighbourhood, start: int, stop: int) -> SparseRows:

@@ -28,6 +28,10 @@ DEFAULT_REGULARIZATION = 0.1
 # this round only has to show where light may be. Chosen by hand.
 FIRST_REGULARIZATION = 0.32
 FIRST_TOLERANCE = 1e-2
+# Passes over all atoms of the first round of a small frame, in which every row has neighbours that
+# have searched, too. Until the gap is reached there would be 3.5, with the same errors
+# (docs/measurements.md).
+FIRST_PASSES = 2
 # The contrast of patterns that regularizations are for, the standard deviation of their values.
 # Random patterns with half of the pixels lit have it; for others lambda changes in proportion.
 USUAL_CONTRAST = 0.5
@@ -101,10 +105,17 @@ class RowSolver:
         grid = min(self.background_grid[0], shape[0]), min(self.background_grid[1], shape[1])
         return Backgrounds(grid, self.capture.patterns, self.unseen.single)
 
-    def everywhere(self, samples: Samples, progress: Progress | None = None) -> Result:
-        """Solve each row by itself on all atoms."""
+    def everywhere(
+        self, samples: Samples, progress: Progress | None = None, *, brief: bool = False
+    ) -> Result:
+        """Solve each row by itself on all atoms; in `FIRST_PASSES` passes if it may be `brief`."""
         problem = self._problem(samples, FIRST_REGULARIZATION * self.level)
-        solver = replace(self.solver, tolerance=max(FIRST_TOLERANCE, self.solver.tolerance))
+        passes = self.solver.max_passes
+        solver = replace(
+            self.solver,
+            tolerance=max(FIRST_TOLERANCE, self.solver.tolerance),
+            max_passes=min(FIRST_PASSES, passes) if brief else passes,
+        )
         return solver.solve(problem, progress)
 
     def unexplained(self, samples: Samples, solved: Result) -> NDArray[np.int64]:
