@@ -232,7 +232,7 @@ def test_small_cameras_under_huge_projectors() -> None:
         assert resources.size.kind == ("growing" if len(steps) > 1 else "coherent"), shape
         assert resources.seconds is not None
         seconds[shape] = resources.seconds
-    assert seconds[48, 48] > 3 * seconds[64, 64]
+    assert seconds[48, 48] > 1.8 * seconds[64, 64]
     # The fewer rows are seeds, the less each row takes.
     each = [seconds[side, side] / side**2 for side in (48, 64, 128, 256)]
     assert each == sorted(each, reverse=True)
@@ -315,8 +315,8 @@ def test_samples_that_lie_on_disk_take_no_memory() -> None:
 def test_the_first_round_takes_a_larger_share_of_large_projectors() -> None:
     costs = [first_round_cost(64 * 64, side * side, 32, False) for side in (32, 64, 128, 256)]
     assert costs == sorted(costs)
-    # All rows searching 64 x 64 pixels take about as long as 2 to 9 of the later rounds.
-    assert 2 < costs[1] < 9
+    # All rows searching 64 x 64 pixels take about as long as 1 to 5 of the later rounds.
+    assert 1 < costs[1] < 5
 
 
 def test_threads_of_the_core(monkeypatch: pytest.MonkeyPatch) -> None:

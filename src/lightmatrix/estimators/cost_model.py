@@ -28,10 +28,10 @@ COEFFICIENTS: Mapping[str, Mapping[str, Mapping[str, float]]] = {
         "bytes": {"pixel": 2048, "value": 31, "tile": 0.62, "row": 1580, "sample": 1},
         "seconds": {
             "value": 3.0e-7,
-            "row": 2.4e-4,
-            "sample": 7.1e-6,
-            "entry": 5.7e-8,
-            "grey entry": 4.8e-10,
+            "row": 2.7e-4,
+            "sample": 4.1e-6,
+            "entry": 2.5e-8,
+            "grey entry": 3.7e-10,
         },
     },
     "growing": {
