@@ -19,12 +19,12 @@ Figures = dict[str, float]
 
 EXPECTED: dict[str, Figures] = {
     "coherent": {
-        "light": 424.096,
-        "pattern": 10.99339,
-        "background": 10.82104,
-        "entries": 8466,
+        "light": 424.079,
+        "pattern": 11.03238,
+        "background": 10.82218,
+        "entries": 8474,
         "clipped": 0.142485,
-        "footprint": 2450.11,
+        "footprint": 2450.219,
     },
     "growing": {
         "light": 423.484,

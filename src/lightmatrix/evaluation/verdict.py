@@ -91,7 +91,7 @@ def verdict(transport: LightTransport, why_untested: str = _UNTESTED) -> Verdict
     Returns
     -------
     Verdict
-        "not tested" where no row has an estimated error. A solver that converged certifies that it
+        "not tested" where no row has an estimated error, and nothing makes it doubtful. A solver that converged certifies that it
         solved its problem, not that the solution is T. Doubtful if `check` found in the capture
         what no error estimate shows; the provenance of an estimate holds its findings.
 
@@ -120,7 +120,9 @@ def verdict_by_rows(transport: LightTransport, why_untested: str = _UNTESTED) ->
         return Verdict("not tested", "The matrix has no diagnostics.")
     remarks = _remarks(transport)
     if estimated_error(transport) is None:
-        return Verdict("not tested", " ".join([*remarks, why_untested]))
+        reasons = doubts(transport)
+        level: Level = "doubtful" if reasons else "not tested"
+        return Verdict(level, " ".join([*reasons, *remarks, why_untested]))
     error = stated_error(transport)
     if error is None:
         reasons = ["The error of T is not known.", *doubts(transport)]
