@@ -91,9 +91,10 @@ def verdict(transport: LightTransport, why_untested: str = _UNTESTED) -> Verdict
     Returns
     -------
     Verdict
-        "not tested" where no row has an estimated error, and nothing makes it doubtful. A solver that converged certifies that it
-        solved its problem, not that the solution is T. Doubtful if `check` found in the capture
-        what no error estimate shows; the provenance of an estimate holds its findings.
+        "not tested" where no row has an estimated error, and nothing makes it doubtful. A solver
+        that converged certifies that it solved its problem, not that the solution is T. Doubtful if
+        `check` found in the capture what no error estimate shows; the provenance of an estimate
+        holds its findings.
 
     Examples
     --------
