@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shutil
+import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -18,7 +19,7 @@ import lightmatrix as lm
 from lightmatrix.cli import main
 from lightmatrix.errors import InputError
 from lightmatrix.files import zarr_arrays
-from lightmatrix.store import column_index, stored_transport
+from lightmatrix.store import column_index, stored_transport, zarr_store
 
 
 def transport(camera: tuple[int, ...] = (9, 8)) -> lm.LightTransport:
@@ -185,6 +186,20 @@ def test_a_store_that_is_replaced_while_it_is_open_is_noticed(tmp_path: Path, ho
             read()
     if how == "the same again":
         np.testing.assert_array_equal(stored.row(8, 7), whole.row(8, 7))
+
+
+def test_a_store_that_is_replaced_within_a_tick_of_the_clock_is_noticed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # The new file got the inode of the old one, in the same tick.
+    now = time.time_ns()
+    monkeypatch.setattr(zarr_store, "_stamp", lambda _: (1, now, 5))
+    whole = transport()
+    lm.save(tmp_path / "s.zarr", whole)
+    stored = lm.StoredTransport.open(tmp_path / "s.zarr")
+    lm.save(tmp_path / "s.zarr", replace(whole, sparse=2 * whole.sparse), overwrite=True)
+    with pytest.raises(InputError, match="was replaced"):
+        stored.row(1, 2)
 
 
 def test_relighting_from_files_reads_blocks(

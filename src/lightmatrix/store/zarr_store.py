@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import math
+import time
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -168,6 +169,9 @@ def open(path: str | Path) -> LightTransport:
 
 # Inode, time of the last change in nanoseconds, and size of a file.
 Stamp = tuple[int, int, int]
+# Inodes are used again, and the clocks of file systems tick every 10 ms, or every 2 s (FAT): so
+# many nanoseconds.
+_TICK = 2_000_000_000
 
 
 def _stamp(place: Path) -> Stamp | None:
@@ -177,6 +181,12 @@ def _stamp(place: Path) -> Stamp | None:
     except OSError:
         return None
     return facts.st_ino, facts.st_mtime_ns, facts.st_size
+
+
+def _lasting_stamp(place: Path) -> Stamp | None:
+    """The stamp; None if a store that is written now could get the same one."""
+    stamp = _stamp(place)
+    return None if stamp is None or time.time_ns() - stamp[1] < _TICK else stamp
 
 
 @dataclass(frozen=True, eq=False)
@@ -236,7 +246,7 @@ def read_store_header(path: str | Path) -> StoreHeader:
                 hint="run the same `lightmatrix estimate` again; it continues where it stopped",
             )
         raise InputError(f"{place}: no such file", hint="check the name")
-    stamp = _stamp(place)
+    stamp = _lasting_stamp(place)
     attributes = read_attributes(place)
     if attributes.get("format") != FORMAT:
         output = attributes.get("output")
