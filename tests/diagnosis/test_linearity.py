@@ -129,7 +129,7 @@ def test_rows_vary_much_and_clip_little() -> None:
 def test_a_pattern_that_is_shown_again_tells_nothing_new() -> None:
     capture = draw("permutation", "shown four times", "intact", 32, 31011).capture
     taken = Survey.take(capture.patterns, capture.frames, capture.decoder)
-    assert (taken.count, taken.different) == (64, 16)
+    assert (taken.count, taken.distinct_patterns) == (64, 16)
     assert check_linearity(taken, np.zeros(capture.count, bool), steady=True) == []
 
 

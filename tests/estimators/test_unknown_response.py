@@ -21,6 +21,7 @@ from lightmatrix.diagnosis.responses.bend import (
 from lightmatrix.diagnosis.responses.found import largest_difference, with_response
 from lightmatrix.diagnosis.responses.from_windows import WindowPower
 from lightmatrix.estimators import unknown_response
+from lightmatrix.estimators.camera_window import window_of_levels
 from lightmatrix.estimators.unknown_response import refined_response
 from lightmatrix.experiments.responses import photographed
 from lightmatrix.patterns.folder import write_patterns
@@ -97,12 +98,12 @@ def test_the_window_shows_many_levels_and_not_only_bright_ones() -> None:
     albedo[:, 40:] = random.uniform(0, 0.05, (24, 20))
     frames = np.rint(255 * albedo * random.integers(0, 2, (K, 24, 60))).astype(np.uint8)
     capture = lm.Capture.from_arrays(PATTERNS, frames, lm.Decoder(clip=255, full_scale=255))
-    window = unknown_response.window_of_levels(capture, 16)
+    window = window_of_levels(capture, 16)
     _, left = window.description["crop"]["corner"]
     assert window.camera_shape == (16, 16)
     assert 20 <= left <= 24
     small = coded("linear")
-    assert unknown_response.window_of_levels(small) is small
+    assert window_of_levels(small) is small
 
 
 def test_an_estimate_uses_the_curve_when_asked() -> None:

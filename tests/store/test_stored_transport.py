@@ -202,6 +202,20 @@ def test_a_store_that_is_replaced_within_a_tick_of_the_clock_is_noticed(
         stored.row(1, 2)
 
 
+def test_a_store_that_was_new_is_known_by_its_stamp_later(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = transport()
+    lm.save(tmp_path / "s.zarr", whole)
+    stored = lm.StoredTransport.open(tmp_path / "s.zarr")
+    assert stored.header.stamp is None
+    monkeypatch.setattr(zarr_store, "_TICK", 0)
+    stored.row(1, 2)
+    # The metadata are not read again.
+    monkeypatch.setattr(zarr_store, "read_attributes", None)
+    np.testing.assert_array_equal(stored.row(3, 4), whole.row(3, 4))
+
+
 def test_relighting_from_files_reads_blocks(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -23,9 +23,9 @@ _CERTAIN = 5.0
 # 20 rows; a share of a dark sample says nothing. No sample counts for more than 6 standard
 # deviations, so that one odd pixel decides nothing.
 _LIT, _FEWEST_ROWS, _MOST_DEVIATIONS = 0.3, 20, 6
-# Where predictions miss more than 4 % of the variance, as those of blurred light do, what many
-# rows miss together may look like a change of the light. A frame then counts only if a change
-# explains half of what its rows miss, and none does if all changes together explain less than 30 %.
+# Predictions of blurred light miss much that is alike in many rows, and looks like a change of the
+# light. Above 4 % of the variance a frame counts only if a change explains half of what its rows
+# miss, and none does if all changes together explain less than 30 %.
 # Chosen on captures with and without drifting light (`benchmarks/synthetic_captures.py`).
 _MUCH, _EXPLAINED, _EXPLAINED_OF_ALL = 0.04, 0.5, 0.3
 

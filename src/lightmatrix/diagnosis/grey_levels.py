@@ -30,18 +30,18 @@ def check_grey_levels(survey: Survey, doubted: NDArray[np.bool_], *, steady: boo
     camera = power_from_windows(survey, doubted)
     projector = gamma_from_windows(survey, doubted)
     if projector is None or (camera is not None and _missed(camera) < _missed(projector)):
-        if camera is None or not is_certain(camera, survey.different, steady=steady):
+        if camera is None or not is_certain(camera, survey.distinct_patterns, steady=steady):
             return []
         response = raised(survey.decoder.response, camera.power)
         read = replace(survey, decoder=replace(survey.decoder, response=response))
         other = gamma_from_windows(read, doubted)
         alone = response_finding(camera, survey.decoder.response.name)
     else:
-        if not is_certain(projector, survey.different, steady=True):
+        if not is_certain(projector, survey.distinct_patterns, steady=True):
             return []
         other = power_from_windows(with_gamma(survey, projector.power), doubted)
         alone = _projector_finding(projector)
-    if other is None or not is_certain(other, survey.different, steady=steady):
+    if other is None or not is_certain(other, survey.distinct_patterns, steady=steady):
         return [alone]
     return [
         Finding("response", (), "the photographs are not linear in light", _BOTH),

@@ -14,8 +14,8 @@ from lightmatrix.diagnosis.survey import MARGIN, Survey
 # image has 6 x 6 parts. Chosen on simulated captures: `python -m benchmarks.frame_checks`.
 _CERTAIN, _CLOSER = 4.0, 0.15
 _PARTS = 6
-# Every second part and the others agree on a shift to one pixel. In images without outlines, each
-# finds another one by chance.
+# The parts with even numbers and those with odd ones must show the same shift to one pixel. Where
+# an image has no outlines, each half shows another one by chance.
 _HALVES_APART = 1
 
 Shift = tuple[int, int]

@@ -23,12 +23,15 @@ from lightmatrix.diagnosis.frame_order import order_findings
 from lightmatrix.diagnosis.image_shift import find_shift
 from lightmatrix.diagnosis.motion import motion_finding
 from lightmatrix.diagnosis.prediction import find_places
-from lightmatrix.diagnosis.survey import MARGIN, Survey
+from lightmatrix.diagnosis.survey import MARGIN, Survey, random_sums
 from lightmatrix.diagnosis.wrong_frames import black_frames
 from lightmatrix.patterns.pattern_set import PatternSet
 
 # A set is one of inverse pairs if 60 % of its patterns are in pairs, and it has 4 pairs.
 _PAIRED, _FEWEST_PAIRS = 0.6, 4
+# The random sums of a pattern and its inverse add up to that of white, but for rounding, which is
+# less than this. Those of two other patterns are off by about 1.
+_SAME = 1e-4
 # A pair is odd if its sum differs by 15 % from the usual one, and by 4 times what that of the
 # median pair does.
 _ODD, _UNUSUAL = 0.15, 4.0
@@ -57,16 +60,12 @@ class Pairs:
     @classmethod
     def find(cls, patterns: PatternSet) -> Pairs | None:
         """The pairs of a set; None if most patterns have no inverse."""
-        # Two patterns add up to white if their random mixtures of pixels do.
-        mix = np.random.default_rng(0).standard_normal((1, patterns.pixels))
-        mixture = patterns.forward(mix)[0]
-        white = float(mix.sum())
-        near = 1e-4 * np.sqrt(patterns.pixels)
+        sums, white = random_sums(patterns)
         left = list(range(patterns.count))
         pairs: list[Pair] = []
         while left:
             k = left.pop(0)
-            inverse = next((j for j in left if abs(mixture[k] + mixture[j] - white) < near), None)
+            inverse = next((j for j in left if abs(sums[k] + sums[j] - white) < _SAME), None)
             if inverse is not None:
                 left.remove(inverse)
                 pairs.append((k, inverse))

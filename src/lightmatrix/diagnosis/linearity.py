@@ -35,13 +35,13 @@ def check_linearity(survey: Survey, doubted: NDArray[np.bool_], *, steady: bool)
     not `steady`: its changes look like one.
     """
     found = power_from_windows(survey, doubted)
-    if found is None or not is_certain(found, survey.different, steady=steady):
+    if found is None or not is_certain(found, survey.distinct_patterns, steady=steady):
         return []
     return [response_finding(found, survey.decoder.response.name)]
 
 
 def is_certain(found: WindowPower, count: int, *, steady: bool) -> bool:
-    """Whether a power that was found under `count` different patterns certainly differs from 1."""
+    """Whether a power that was found under `count` distinct patterns certainly differs from 1."""
     if not found.settled:
         return False
     few = _OFF_BY * (_FEW_PATTERNS / count) ** 3

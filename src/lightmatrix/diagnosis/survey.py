@@ -89,11 +89,9 @@ class Survey:
         return self.raw.shape[1]
 
     @cached_property
-    def different(self) -> int:
-        """Number of different patterns: one that is shown again tells nothing new."""
-        # Equal patterns have equal sums of randomly weighted pixels.
-        weights = np.random.default_rng(0).standard_normal((1, self.patterns.pixels))
-        sums = self.patterns.forward(weights)[0] / np.sqrt(self.patterns.pixels)
+    def distinct_patterns(self) -> int:
+        """Number of distinct patterns: one that is shown again tells nothing new."""
+        sums, _ = random_sums(self.patterns)
         return len(np.unique(np.round(sums, 4)))
 
     def select_frames(self, frames: NDArray[np.integer]) -> Survey:
@@ -146,6 +144,16 @@ class Survey:
         """The rows of the survey that lie (down, right) of the given inner ones."""
         _, _, cols, channels = self.grid
         return np.asarray(rows + (shift[0] * cols + shift[1]) * channels)
+
+
+def random_sums(patterns: PatternSet) -> tuple[NDArray[np.floating], float]:
+    """Randomly weighted sums of the pixels of each pattern (K,), and that of a white one.
+
+    They are about 1 in size. Equal patterns have equal sums; those of inverses add up to white's.
+    """
+    weights = np.random.default_rng(0).standard_normal((1, patterns.pixels))
+    scale = np.sqrt(patterns.pixels)
+    return patterns.forward(weights)[0] / scale, float(weights.sum() / scale)
 
 
 def high_variance_rows(survey: Survey) -> NDArray[np.int64]:

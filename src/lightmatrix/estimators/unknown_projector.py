@@ -22,12 +22,12 @@ from lightmatrix.diagnosis.responses.greys_from_windows import (
 )
 from lightmatrix.diagnosis.survey import Survey
 from lightmatrix.errors import InputError
+from lightmatrix.estimators.camera_window import window_of_levels
 from lightmatrix.estimators.choice import choose_estimator
 from lightmatrix.estimators.settings import EstimateSettings
 from lightmatrix.estimators.unknown_response import (
     find_response,
     refuse_pictures,
-    window_of_levels,
 )
 from lightmatrix.patterns.colour import ColourPatterns
 from lightmatrix.patterns.projector_curve import ProjectorResponse

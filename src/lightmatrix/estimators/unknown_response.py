@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lightmatrix.camera.camera_curve import Response
 from lightmatrix.capture.capture import Capture, open_capture
@@ -22,26 +21,19 @@ from lightmatrix.diagnosis.responses.from_windows import power_from_windows
 from lightmatrix.diagnosis.responses.greys_from_windows import show_pictures
 from lightmatrix.diagnosis.survey import Survey
 from lightmatrix.errors import InputError, warn
+from lightmatrix.estimators.camera_window import window_of_levels
 from lightmatrix.estimators.choice import choose_estimator
 from lightmatrix.estimators.settings import EstimateSettings
 from lightmatrix.transport.held_out import prediction_error
 from lightmatrix.transport.matrix import LightTransport
 
-# The search estimates T of a window of at most 64 x 64 camera pixels: enough for 2,000 rows.
-_SIDE = 64
-# Frames that tell how bright the camera's pixels are. Chosen by hand: a few light everything.
-_FRAMES = 8
-# The window has the most even distribution of light over ten levels of brightness, of pixels above
-# 15 % of the brightest, and at least half the light of the brightest window. Chosen on `gripper` at
-# 128 x 128: of its brightest window an S-curve was taken for a gamma, at 17 times the error.
-_LEVELS, _DIMMEST, _ENOUGH_LIGHT = 10, 0.15, 0.5
 # The search ends after four estimates, or when the curve changes by less than 1 % of full light.
 # Each step removes nearly all of a difference, so that what is left is much smaller.
 _MOST_ESTIMATES, _SMALL = 4, 0.01
-# With fewer frames than the first number, a search whose T misses photographs held out by more than
-# the second is repeated from the best of a scan, and the new response is taken if it misses at most
-# half of that. On simulated captures of 16 frames a T under the right curve missed at most .04, and
-# .14 to .19 where a search had ended at a wrong gamma. Such searches were not seen from 32 on.
+# A search in fewer than 32 frames is repeated from the best of a scan if its T misses photographs
+# held out by more than 6 %. The new response is taken if it misses at most half of that. On
+# simulated captures of 16 frames a T under the right curve missed at most 4 %, and 14 to 19 % where
+# a search had ended at a wrong gamma. From 32 frames on no search was seen to end at one.
 _FEW_FRAMES, _MISSED, _CLEARLY = 32, 0.06, 0.5
 # The powers of the scan, in steps at which an error of half a step can be told from a whole one.
 _SCAN_STEP = 1.25
@@ -49,7 +41,8 @@ _SCANNED = tuple(_SCAN_STEP**k for k in range(-1, 6))
 # A curve replaces a gamma if it differs from it by 0.25 % of full light, and one of its bends by
 # eight standard errors. Chosen on simulated captures: gammas stay gammas, sRGB becomes a curve.
 _CURVED, _CERTAIN = 0.0025, 8.0
-# Before, the gamma must be right to 5 %: the T of a wrong gamma bends in other ways, too.
+# A curve is looked for once the gamma is right to 5 %: the T of a wrong gamma bends in other ways,
+# too.
 _NEAR = 0.05
 # A curve is looked for only if photographs use half of the levels of their files: those of a camera
 # of 12 bits in files of 16 bits use a sixteenth. Chosen by hand.
@@ -235,37 +228,3 @@ def _undetermined() -> InputError:
         "the photographs do not determine the camera's response",
         hint="measure it with `lightmatrix response`, or give one, such as gamma:2.2 or srgb",
     )
-
-
-def window_of_levels(capture: Capture, side: int = _SIDE) -> Capture:
-    """The capture's window of at most `side` x `side` camera pixels of the most diverse brightness.
-
-    Where all pixels are alike, their photographs hold few levels, and do not determine a curve.
-    """
-    rows, cols = capture.camera_shape[:2]
-    high, wide = min(rows, side), min(cols, side)
-    if (high, wide) == (rows, cols):
-        return capture
-    frames = np.linspace(0, capture.count - 1, min(_FRAMES, capture.count)).astype(int)
-    some = capture.select(frames)
-    spread = np.concatenate([tile.values.std(axis=1) for _, tile in some.tiles()])
-    image = spread.reshape(rows, cols, -1).mean(axis=2)
-    # A few bright pixels shall not decide, nor dark ones count.
-    most = float(np.quantile(image, 0.95))
-    levels = np.linspace(_DIMMEST, 1, _LEVELS + 1)[:-1] * most
-    level = np.digitize(image, levels) - 1
-    light = np.stack([_sums(np.where(level == k, image, 0), high, wide) for k in range(_LEVELS)])
-    whole = light.sum(axis=0)
-    shares = light / np.maximum(whole, 1e-12)
-    entropy = -(shares * np.log(np.maximum(shares, 1e-12))).sum(axis=0)
-    entropy[whole < _ENOUGH_LIGHT * whole.max()] = -1
-    top, left = np.unravel_index(int(entropy.argmax()), entropy.shape)
-    return capture.window(slice(int(top), int(top) + high), slice(int(left), int(left) + wide))
-
-
-def _sums(image: NDArray[np.floating], high: int, wide: int) -> NDArray[np.float64]:
-    """The sums of an image over all of its windows of some height and width."""
-    sums = np.zeros((image.shape[0] + 1, image.shape[1] + 1))
-    sums[1:, 1:] = image.cumsum(axis=0, dtype=np.float64).cumsum(axis=1)
-    inside = sums[high:, wide:] - sums[:-high, wide:] - sums[high:, :-wide] + sums[:-high, :-wide]
-    return np.asarray(np.maximum(inside, 0))

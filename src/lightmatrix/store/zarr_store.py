@@ -169,8 +169,8 @@ def open(path: str | Path) -> LightTransport:
 
 # Inode, time of the last change in nanoseconds, and size of a file.
 Stamp = tuple[int, int, int]
-# Inodes are used again, and the clocks of file systems tick every 10 ms, or every 2 s (FAT): so
-# many nanoseconds.
+# Nanoseconds after which a file that is written gets another time than one before it: two seconds,
+# the tick of FAT; other file systems tick every 10 ms at most. Its inode may be the same.
 _TICK = 2_000_000_000
 
 
@@ -189,7 +189,7 @@ def _lasting_stamp(place: Path) -> Stamp | None:
     return None if stamp is None or time.time_ns() - stamp[1] < _TICK else stamp
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class StoreHeader:
     """What a store announces, with its unread arrays, whose shapes fit each other."""
 
@@ -201,7 +201,7 @@ class StoreHeader:
     # ``indptr``, ``indices``, ``data``, ``background`` and ``diagnostics/NAME``.
     arrays: Mapping[str, StoredArray]
     digest: str
-    # What the system said of the metadata's file before it was read.
+    # What the system said of the metadata's file before it was read; None if that may not last.
     stamp: Stamp | None = None
 
     @contextmanager
@@ -218,10 +218,13 @@ class StoreHeader:
         # The file is written anew when the columns of the store are indexed, too.
         if self.stamp is not None and _stamp(self.place) == self.stamp:
             return
+        stamp = _lasting_stamp(self.place)
         if read_attributes(self.place).get(DIGEST) != self.digest:
             raise InputError(
                 f"{self.place}: was replaced or removed since it was opened", hint="open it again"
             ) from cause
+        # The next check need not read the file.
+        self.stamp = stamp
 
     @property
     def shape(self) -> tuple[int, int]:

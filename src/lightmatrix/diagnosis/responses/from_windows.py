@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.camera.camera_curve import Response
-from lightmatrix.diagnosis.prediction import FramePrediction, mean_around, predict, window_around
+from lightmatrix.diagnosis.prediction import mean_around, predict, window_around
 from lightmatrix.diagnosis.responses.bend import GammaBend, raised
 from lightmatrix.diagnosis.responses.trace import Bends, Rows, light_of, solve_bends
 from lightmatrix.diagnosis.survey import Survey
@@ -66,6 +66,17 @@ class WindowPower:
         return self.settled and self.missed[1] <= most
 
 
+@dataclass(frozen=True, eq=False)
+class _Places:
+    """The projector pixels that rows follow, as `find_places` has them, and the light around them.
+
+    `lit` is what explains rows there, (m, K, d).
+    """
+
+    pixels: tuple[NDArray[np.int64], ...]
+    lit: NDArray[np.float64]
+
+
 def varied_rows(survey: Survey, most: int | None = None) -> NDArray[np.int64]:
     """Rows that vary much and clip little, sorted; drawn at random if there are many."""
     if most is None:
@@ -107,11 +118,11 @@ def _search(
         response = raised(survey.decoder.response, float(np.exp(logs[-1])))
         # The places that rows follow are looked for until the power is nearly right.
         known = places if len(sizes) > 1 else None
-        found, prediction = _bends(survey, rows, doubted, response, known)
-        places = prediction.places
-        if found is None:
+        step = _bends(survey, rows, doubted, response, known)
+        if step is None:
             return None
-        misses.append(float(np.median(prediction.miss)))
+        found, miss, places = step
+        misses.append(miss)
         sizes.append(float(found.sizes[0]))
         if abs(sizes[-1]) < SMALL or len(sizes) == _STEPS:
             break
@@ -136,37 +147,49 @@ def _bends(
     rows: NDArray[np.int64],
     doubted: NDArray[np.bool_],
     response: Response,
-    places: tuple[NDArray[np.int64], ...] | None,
-) -> tuple[Bends | None, FramePrediction]:
-    """The bend of one gamma, and the prediction from which it follows."""
+    places: _Places | None,
+) -> tuple[Bends, float, _Places] | None:
+    """The bend of one gamma, the usual share of the variance that is missed, and the places.
+
+    The places are those that are given, or are looked for. None if too few rows can be predicted.
+    """
     patterns, decoder = survey.patterns, survey.decoder
     samples = survey.samples(rows, response)
-    prediction = predict(patterns, samples, places, doubted)
+    prediction = predict(patterns, samples, None if places is None else places.pixels, doubted)
     kept = prediction.predicted
     if kept.sum() < FEWEST_ROWS:
-        return None, prediction
+        return None
     decoder = replace(decoder, response=response)
     exposures = np.broadcast_to(np.asarray(decoder.exposure, np.float64), (survey.count,))
     light, dark = light_of(prediction.observed, samples, decoder, exposures)
     expected, _ = light_of(prediction.expected, samples, decoder, exposures)
-    shown = cross(prediction.places[0], patterns.shape)
-    seen = np.moveaxis(patterns.at(shown), 0, 1)
-    columns = [np.ones((*light.shape, 1)), (prediction.expected)[..., None], seen]
-    if survey.different >= _ENOUGH_PATTERNS:
-        around = (
-            window_around(prediction.places[0], patterns.shape, 2 * spread, spread, spread // 2)
-            for spread in _AROUND
-        )
-        columns += [mean_around(patterns, *each)[..., None] for each in around]
+    if places is None:
+        places = _Places(prediction.places, _lit_around(survey, prediction.places[0]))
+    own = [np.ones((*light.shape, 1)), prediction.expected[..., None], places.lit]
     whole = Rows(
         light,
         expected,
         dark,
         prediction.trusted & ~doubted,
-        np.concatenate(columns, axis=2) * exposures[None, :, None],
+        np.concatenate(own, axis=2) * exposures[None, :, None],
         prediction.part,
     )
-    return solve_bends(whole.select(kept), response, GammaBend()), prediction
+    bends = solve_bends(whole.select(kept), response, GammaBend())
+    return None if bends is None else (bends, float(np.median(prediction.miss)), places)
+
+
+def _lit_around(survey: Survey, place: NDArray[np.int64]) -> NDArray[np.float64]:
+    """What the pixels of a cross, and far light, show around each row's place, (m, K, d)."""
+    patterns = survey.patterns
+    shown = patterns.at(cross(place, patterns.shape)).astype(np.float64)
+    columns = [np.moveaxis(shown, 0, 1)]
+    if survey.distinct_patterns >= _ENOUGH_PATTERNS:
+        windows = (
+            window_around(place, patterns.shape, 2 * spread, spread, spread // 2)
+            for spread in _AROUND
+        )
+        columns += [mean_around(patterns, *each)[..., None] for each in windows]
+    return np.concatenate(columns, axis=2)
 
 
 def cross(places: NDArray[np.int64], shape: tuple[int, int]) -> NDArray[np.int64]:
