@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import lightmatrix as lm
+from benchmarks import frame_checks
 from benchmarks.synthetic_captures import draw
+from lightmatrix.camera.camera_curve import Response
 from lightmatrix.diagnosis import linearity
 from lightmatrix.diagnosis.finding import Finding
-from lightmatrix.diagnosis.linearity import check_linearity
+from lightmatrix.diagnosis.linearity import check_linearity, is_certain
+from lightmatrix.diagnosis.responses.bend import GammaBend
 from lightmatrix.diagnosis.responses.from_windows import (
     WindowPower,
     power_from_windows,
     varied_rows,
 )
+from lightmatrix.diagnosis.responses.trace import Rows, solve_bends
 from lightmatrix.diagnosis.survey import Survey
 from lightmatrix.patterns.bits import BernoulliPatterns
 from tests.helpers.surface import PROJECTOR, photographs
@@ -138,3 +144,45 @@ def test_light_that_reaches_far_is_no_curve(scene: str, patterns: str) -> None:
     capture = draw(scene, patterns, "intact", 32, 5).capture
     taken = Survey.take(capture.patterns, capture.frames, capture.decoder)
     assert check_linearity(taken, np.zeros(capture.count, bool), steady=True) == []
+
+
+def test_rows_that_are_predicted_badly_do_not_hide_a_gamma() -> None:
+    """32 frames of `l_objects`: an eighth of the rows miss more than a twentieth of their light."""
+    scene = list(frame_checks.draws(5, seed=9))[4]
+    findings, named = frame_checks.FAULTS["gamma 2.2"](scene, np.random.default_rng(0))
+    assert named
+    (finding,) = (each for each in findings if each.kind == "response")
+    assert number(finding)[0] == pytest.approx(2.2, rel=0.05)
+
+
+@pytest.mark.parametrize("seed", [None, 1, 2])
+def test_rows_of_which_many_samples_clip_are_no_curve(seed: int | None) -> None:
+    """32 frames of `corner`, of whose samples 40 % clip or are expected to come close to it."""
+    scene = list(frame_checks.draws(8, seed=1009))[7]
+    if seed is not None:
+        patterns = BernoulliPatterns((64, 64), K, seed=100 + seed)
+        scene = replace(scene, patterns=patterns, seed=seed)
+    assert scene.check(scene.frames()) == []
+
+
+def test_few_samples_that_are_left_ask_for_a_larger_margin() -> None:
+    power = WindowPower(1.3, 0.02, settled=True, missed=(0.05, 0.04), freedom=18.0)
+    assert is_certain(power, K, steady=True)
+    assert not is_certain(replace(power, freedom=8.0), K, steady=True)
+    # However few are left, a display's gamma can be told under as many patterns.
+    assert is_certain(replace(power, power=2.2, freedom=-1.0), K, steady=True)
+
+
+def test_rows_of_no_weight_do_not_count() -> None:
+    generator = np.random.default_rng(0)
+    light = generator.uniform(0.1, 0.9, (40, K))
+    columns = np.stack([np.ones_like(light), light**1.2], axis=2)
+    usable, part = np.ones(light.shape, bool), np.arange(40) % 8
+    rows = Rows(light, light, np.zeros_like(light), usable, columns, part)
+    some = np.arange(40) >= 10
+    weighted = solve_bends(replace(rows, weight=np.where(some, 3.0, 0.0)), Response(), GammaBend())
+    chosen = solve_bends(rows.select(some), Response(), GammaBend())
+    assert weighted is not None
+    assert chosen is not None
+    np.testing.assert_allclose(weighted.sizes, chosen.sizes)
+    np.testing.assert_allclose(weighted.errors, chosen.errors)

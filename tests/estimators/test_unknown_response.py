@@ -55,7 +55,8 @@ def coded(name: str) -> lm.Capture:
 def test_the_curve_is_found_by_few_estimates(name: str) -> None:
     found = lm.find_response(coded(name))
     assert largest_difference(found.response, response(name)) < 0.02
-    assert found.estimates <= 3
+    # No power is near an S-shaped curve; from a gamma that windows find, it takes one step more.
+    assert found.estimates <= (4 if name == S_CURVE else 3)
     # So few camera pixels do not tell sRGB from a gamma.
     assert found.is_gamma == (name != S_CURVE)
     if name not in (S_CURVE, "srgb"):

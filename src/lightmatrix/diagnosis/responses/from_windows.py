@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from lightmatrix.camera.camera_curve import Response
 from lightmatrix.diagnosis.prediction import mean_around, predict, window_around
 from lightmatrix.diagnosis.responses.bend import GammaBend, raised
-from lightmatrix.diagnosis.responses.trace import Bends, Rows, light_of, solve_bends
+from lightmatrix.diagnosis.responses.trace import Rows, light_of, solve_bends
 from lightmatrix.diagnosis.survey import Survey
 
 # At most so many rows are predicted, and of more than 64 frames fewer, so that samples are as many
@@ -30,6 +30,12 @@ _CROSS = ((0, 0), (0, 1), (0, -1), (1, 0), (-1, 0))
 # removed too. Chosen on captures with and without curves (`benchmarks/synthetic_captures.py`).
 _AROUND = (2, 4, 8, 16)
 _ENOUGH_PATTERNS = 20
+# Rows that are predicted badly bias the power, by as much as they miss, and tell little of it. Each
+# row counts by the inverse of the variance that it misses, to which this share of the median is
+# added: a few rows that miss nothing by chance must not decide. Under fewer than 20 patterns rows
+# count alike: their variances are not known well, and broad light is missed, not noise. Chosen on
+# captures with and without curves (`benchmarks/frame_checks.py`, `synthetic_captures.py` there).
+_MISSED_ANYWAY = 0.3
 # The search for a gamma ends after so many steps, or when a step is smaller than this.
 _STEPS, SMALL = 7, 0.002
 # A step changes the logarithm of the gamma by at most 0.5. Where the equation hardly depends on the
@@ -52,13 +58,16 @@ class WindowPower:
     """The power of the light that was found, its standard error, and whether the search settled.
 
     `missed` is the share of the samples' variance that predictions miss, under the response that
-    the capture states and under the power that was found.
+    the capture states and under the power that was found. `freedom` is how many samples under
+    different patterns a row has left, on average, that do not clip and can be told from the others,
+    less the columns that are removed from it.
     """
 
     power: float
     error: float
     settled: bool
     missed: tuple[float, float]
+    freedom: float = np.inf
 
     def right_against(self, linear: WindowPower) -> bool:
         """Whether it may be right, by the search that began at the stated response."""
@@ -75,6 +84,20 @@ class _Places:
 
     pixels: tuple[NDArray[np.int64], ...]
     lit: NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class _Bend:
+    """The bend under one power: its size and standard error, and how it was found.
+
+    `missed` is the usual share of the variance that is missed, `freedom` as in `WindowPower`.
+    """
+
+    size: float
+    error: float
+    missed: float
+    freedom: float
+    places: _Places
 
 
 def varied_rows(survey: Survey, most: int | None = None) -> NDArray[np.int64]:
@@ -112,24 +135,25 @@ def _search(
     survey: Survey, rows: NDArray[np.int64], doubted: NDArray[np.bool_], start: float
 ) -> WindowPower | None:
     """The power that a search from one start finds; None if too few rows can be predicted."""
-    logs, sizes, misses = [float(np.log(start))], list[float](), list[float]()
-    places = None
+    logs, bends = [float(np.log(start))], list[_Bend]()
     while True:
         response = raised(survey.decoder.response, float(np.exp(logs[-1])))
         # The places that rows follow are looked for until the power is nearly right.
-        known = places if len(sizes) > 1 else None
-        step = _bends(survey, rows, doubted, response, known)
-        if step is None:
+        bend = _bend(survey, rows, doubted, response, bends[-1].places if len(bends) > 1 else None)
+        if bend is None:
             return None
-        found, miss, places = step
-        misses.append(miss)
-        sizes.append(float(found.sizes[0]))
-        if abs(sizes[-1]) < SMALL or len(sizes) == _STEPS:
+        bends.append(bend)
+        if abs(bend.size) < SMALL or len(bends) == _STEPS:
             break
-        logs.append(float(np.clip(logs[-1] + _step(logs, sizes), *np.log(_POWERS))))
-    settled = abs(sizes[-1]) < 5 * SMALL
-    missed = (misses[0], misses[-1])
-    return WindowPower(float(np.exp(logs[-1])), float(found.errors[0]), settled, missed)
+        step = _step(logs, [each.size for each in bends])
+        logs.append(float(np.clip(logs[-1] + step, *np.log(_POWERS))))
+    return WindowPower(
+        float(np.exp(logs[-1])),
+        bend.error,
+        settled=abs(bend.size) < 5 * SMALL,
+        missed=(bends[0].missed, bend.missed),
+        freedom=bend.freedom,
+    )
 
 
 def _step(logs: list[float], sizes: list[float]) -> float:
@@ -142,14 +166,14 @@ def _step(logs: list[float], sizes: list[float]) -> float:
     return float(np.clip(step, -_LARGEST_STEP, _LARGEST_STEP))
 
 
-def _bends(
+def _bend(
     survey: Survey,
     rows: NDArray[np.int64],
     doubted: NDArray[np.bool_],
     response: Response,
     places: _Places | None,
-) -> tuple[Bends, float, _Places] | None:
-    """The bend of one gamma, the usual share of the variance that is missed, and the places.
+) -> _Bend | None:
+    """The bend of one gamma under a response.
 
     The places are those that are given, or are looked for. None if too few rows can be predicted.
     """
@@ -173,9 +197,26 @@ def _bends(
         prediction.trusted & ~doubted,
         np.concatenate(own, axis=2) * exposures[None, :, None],
         prediction.part,
+    ).select(kept)
+    weight = _row_weights(whole) if survey.distinct_patterns >= _ENOUGH_PATTERNS else None
+    bends = solve_bends(replace(whole, weight=weight), response, GammaBend())
+    if bends is None:
+        return None
+    compared = float(whole.usable.mean()) * survey.distinct_patterns
+    return _Bend(
+        size=float(bends.sizes[0]),
+        error=float(bends.errors[0]),
+        missed=float(np.median(prediction.miss)),
+        freedom=compared - whole.columns.shape[2],
+        places=places,
     )
-    bends = solve_bends(whole.select(kept), response, GammaBend())
-    return None if bends is None else (bends, float(np.median(prediction.miss)), places)
+
+
+def _row_weights(rows: Rows) -> NDArray[np.float64]:
+    """How much each row counts, (m,): the inverse of the mean square that its predictions miss."""
+    missed = (rows.usable * (rows.light - rows.predicted) ** 2).sum(axis=1)
+    missed = missed / np.maximum(rows.usable.sum(axis=1), 1)
+    return np.asarray(1 / np.maximum(missed + _MISSED_ANYWAY * np.median(missed), 1e-18))
 
 
 def _lit_around(survey: Survey, place: NDArray[np.int64]) -> NDArray[np.float64]:

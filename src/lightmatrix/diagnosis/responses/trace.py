@@ -13,7 +13,7 @@ statistics): phi at the samples themselves holds their noise, which would shrink
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,6 +53,8 @@ class Rows:
     change : (m, K) float64, optional
         How the predicted light changes with the logarithm of the projector's gamma; it is then
         solved for as the last bend.
+    weight : (m,) float64, optional
+        How much each row counts; all count alike by default.
     """
 
     light: Array
@@ -62,13 +64,13 @@ class Rows:
     columns: Array
     part: NDArray[np.int64]
     change: Array | None = None
+    weight: Array | None = None
 
     def select(self, index: NDArray[np.bool_]) -> Rows:
         """Some of the rows."""
-        change = None if self.change is None else self.change[index]
-        names = ("light", "predicted", "dark", "usable", "columns", "part")
-        chosen = {name: getattr(self, name)[index] for name in names}
-        return replace(self, **chosen, change=change)
+        known = {each.name: getattr(self, each.name) for each in fields(self)}
+        chosen = {name: values[index] for name, values in known.items() if values is not None}
+        return replace(self, **chosen)
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,6 +123,8 @@ def solve_bends(rows: Rows, response: Response, bend: Bend | None) -> Bends | No
     if rows.change is not None:
         change = projected(-rows.change)[None]
         instrument, bent = np.concatenate([instrument, change]), np.concatenate([bent, change])
+    if rows.weight is not None:
+        instrument = instrument * rows.weight[:, None]
     left = projected(rows.light - rows.dark)
     matrices = np.einsum("imk,jmk->mij", instrument, bent)
     sides = np.einsum("imk,mk->mi", instrument, left)
