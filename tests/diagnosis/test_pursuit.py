@@ -16,6 +16,7 @@ from lightmatrix.diagnosis.pursuit import (
     fold_count,
     predict_by_pursuit,
 )
+from lightmatrix.patterns import pattern_set
 
 SHAPE, COUNT, ROWS = (48, 64), 64, 40
 
@@ -111,8 +112,8 @@ def test_the_scale_of_a_pixel_is_one_over_its_deviation() -> None:
 def test_the_best_pixel_correlates_most(
     patterns: lm.PatternSet, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    # Two rows at a time.
-    monkeypatch.setattr(pursuit, "_SEARCH_BYTES", 2 * 4 * patterns.pixels)
+    # Some pixels at a time.
+    monkeypatch.setattr(pattern_set, "_PIXELS_AT_ONCE", patterns.pixels // 3)
     residual = np.random.default_rng(1).standard_normal((7, COUNT)).astype(np.float32)
     residual -= residual.mean(axis=1, keepdims=True)
     columns = patterns.columns(np.arange(patterns.pixels)).astype(np.float64)

@@ -78,6 +78,10 @@ def test_products_match_the_dense_matrix_and_are_adjoint(
     tolerance = 1e-4 if dtype is np.float32 else 1e-10
     np.testing.assert_allclose(samples, x @ dense.T, atol=tolerance)
     np.testing.assert_allclose(correlations, e @ dense, atol=tolerance)
+    parts = np.full_like(correlations, np.nan)
+    for some, pixels, part in patterns.correlations(e):
+        parts[some, pixels] = part
+    np.testing.assert_allclose(parts, correlations, atol=tolerance)
     np.testing.assert_allclose((samples * e).sum(), (x * correlations).sum(), atol=10 * tolerance)
     np.testing.assert_allclose(patterns.means, dense.mean(axis=1), atol=1e-6)
     np.testing.assert_allclose(patterns.gram, dense @ dense.T, atol=1e-5)
@@ -89,6 +93,8 @@ def test_columns_rows_and_coarse_versions(patterns: PatternSet, data: st.DataObj
     dense = patterns.dense()
     index = np.array(data.draw(st.lists(st.integers(0, patterns.pixels - 1), max_size=5)), int)
     np.testing.assert_array_equal(patterns.columns(index), dense[:, index])
+    left, right = sorted(data.draw(st.integers(0, patterns.pixels)) for _ in range(2))
+    np.testing.assert_array_equal(patterns.span(left, right), dense[:, left:right])
     start = data.draw(st.integers(0, patterns.count))
     np.testing.assert_array_equal(patterns.rows(start, patterns.count), dense[start:])
     block = (data.draw(sizes), data.draw(sizes))

@@ -34,9 +34,9 @@ SEARCHED_WHOLE = 1 << 12
 # predictions from shortlists against those from all pixels.
 _LISTED, _GROUPS = 256, 1 << 14
 _NEIGHBOURS, _NEIGHBOURS_OF_GROUP = 7, 15
-# Correlations with all pixels take at most 64 MiB at a time when searching whole, and 256 MiB or
-# 64 rows when listing; chosen to stay small beside the frames.
-_SEARCH_BYTES, _LISTING_BYTES, _MOST_ROWS = 64 << 20, 256 << 20, 64
+# Correlations with all pixels take at most 256 MiB, or are of 64 rows, at a time when listing;
+# chosen to stay small beside the frames.
+_LISTING_BYTES, _MOST_ROWS = 256 << 20, 64
 # Equal correlations are decided by lot: scores are raised by up to 0.1 %, in four drawings by
 # turns.
 _LOT, _LOTS = 1e-3, 4
@@ -153,16 +153,19 @@ def best_pixels(
 
     Scores are multiplied by the lots (2 N,), from another one on in each row.
     """
-    size = max(1, _SEARCH_BYTES // (4 * patterns.pixels))
-    best = np.empty(len(residual), np.int64)
-    for start in range(0, len(residual), size):
-        some = residual[start : start + size].astype(np.float32)
-        for row, scores in enumerate(patterns.adjoint(some), start):
-            score = scores * scale
-            if lots is not None:
+    best = np.zeros(len(residual), np.int64)
+    highest = np.full(len(residual), -np.inf, np.float32)
+    for rows, pixels, scores in patterns.correlations(residual.astype(np.float32)):
+        scores *= scale[pixels]
+        if lots is not None:
+            for row, score in enumerate(scores, rows.start):
                 first = row * 7919 % patterns.pixels
-                score *= lots[first : first + patterns.pixels]
-            best[row] = score.argmax()
+                score *= lots[first:][pixels]
+        found = scores.argmax(axis=1)
+        score = np.take_along_axis(scores, found[:, None], axis=1)[:, 0]
+        better = score > highest[rows]
+        best[rows] = np.where(better, found + pixels.start, best[rows])
+        highest[rows] = np.maximum(score, highest[rows])
     return best
 
 

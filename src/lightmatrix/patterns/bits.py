@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -11,7 +12,12 @@ from numpy.typing import NDArray
 
 from lightmatrix import _core
 from lightmatrix.errors import InputError
-from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet, check_geometry
+from lightmatrix.patterns.pattern_set import (
+    ImagePatterns,
+    PatternSet,
+    check_geometry,
+    correlations_by_matrix,
+)
 from lightmatrix.ranges import check_seed
 from lightmatrix.reprs import short_repr
 
@@ -47,6 +53,13 @@ class BinaryPatterns(PatternSet):
 
     def columns(self, index: NDArray[np.integer]) -> NDArray[np.float32]:
         return _core.bits_columns(self.bits, self.pixels, np.asarray(index, np.int64))
+
+    def span(self, start: int, stop: int) -> NDArray[np.float32]:
+        lit = np.unpackbits(self.bits[:, start // 8 : -(-stop // 8)], axis=1, bitorder="little")
+        return lit[:, start % 8 :][:, : stop - start].astype(np.float32)
+
+    def correlations(self, e: NDArray[Any]) -> Iterator[tuple[slice, slice, NDArray[Any]]]:
+        return correlations_by_matrix(self, e)
 
     def rows(self, start: int, stop: int) -> NDArray[np.float32]:
         lit = np.unpackbits(self.bits[start:stop], axis=1, count=self.pixels, bitorder="little")

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import hashlib
 from abc import ABC, abstractmethod
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -31,6 +32,9 @@ from lightmatrix.reprs import short_repr
 # Bytes of patterns that are unpacked at a time, as float32. Chosen by hand: little beside the
 # memory of an estimate, and still 16 patterns of a megapixel.
 _CHUNK_BYTES = 64 << 20
+# Correlations take at most 64 MiB at a time where the fast product is that with all pixels, and are
+# those of 8192 pixels at a time, which caches hold, where it is one of matrices. Chosen by hand.
+_CORRELATION_BYTES, _PIXELS_AT_ONCE = 64 << 20, 1 << 13
 # The most pixels of a projector: sparse matrices number them in 32 bits.
 _MOST_PIXELS = 2**31 - 1
 # The most patterns of a set. Nobody takes so many photographs; a larger number is a typing error.
@@ -78,6 +82,17 @@ class PatternSet(ABC):
     def at(self, pixels: NDArray[np.integer]) -> NDArray[np.float32]:
         """Values at pixels in an array of any shape: (K, *pixels.shape) float32."""
         return self.columns(pixels.ravel()).reshape(self.count, *pixels.shape)
+
+    def span(self, start: int, stop: int) -> NDArray[np.float32]:
+        """Columns start..stop of P: (K, stop - start) float32."""
+        return self.columns(np.arange(start, stop))
+
+    def correlations(self, e: NDArray[Any]) -> Iterator[tuple[slice, slice, NDArray[Any]]]:
+        """The `adjoint` of e (M, K), part by part: some rows, some pixels, and theirs of e P."""
+        size = max(1, _CORRELATION_BYTES // (e.itemsize * self.pixels))
+        for start in range(0, len(e), size):
+            rows = slice(start, start + size)
+            yield rows, slice(0, self.pixels), self.adjoint(e[rows])
 
     @abstractmethod
     def rows(self, start: int, stop: int) -> NDArray[np.float32]:
@@ -230,6 +245,15 @@ class PatternSet(ABC):
         return ImagePatterns(np.stack([self.images(int(k), int(k) + 1)[0] for k in index]))
 
 
+def correlations_by_matrix(
+    patterns: PatternSet, e: NDArray[Any]
+) -> Iterator[tuple[slice, slice, NDArray[Any]]]:
+    """`PatternSet.correlations` by products with some columns of the matrix at a time."""
+    for start in range(0, patterns.pixels, _PIXELS_AT_ONCE):
+        pixels = slice(start, min(start + _PIXELS_AT_ONCE, patterns.pixels))
+        yield slice(0, len(e)), pixels, e @ patterns.span(pixels.start, pixels.stop)
+
+
 def to_grey(patterns: NDArray[Any]) -> NDArray[np.uint8]:
     """Patterns in [0, 1] as the 8-bit grey values that are projected."""
     return np.rint(np.asarray(patterns, np.float32) * 255).astype(np.uint8)
@@ -303,6 +327,12 @@ class ImagePatterns(PatternSet):
 
     def columns(self, index: NDArray[np.integer]) -> NDArray[np.float32]:
         return self.matrix[:, index]
+
+    def span(self, start: int, stop: int) -> NDArray[np.float32]:
+        return self.matrix[:, start:stop]
+
+    def correlations(self, e: NDArray[Any]) -> Iterator[tuple[slice, slice, NDArray[Any]]]:
+        return correlations_by_matrix(self, e)
 
     def rows(self, start: int, stop: int) -> NDArray[np.float32]:
         return self.matrix[start:stop]
