@@ -151,12 +151,12 @@ def test_uniform_patterns_tell_nothing() -> None:
 
 
 def test_normalized_columns() -> None:
-    columns = normalized_columns(PATTERNS, np.arange(7, 19))
+    columns = normalized_columns(PATTERNS, 7, 19)
     np.testing.assert_allclose(columns.mean(axis=0), 0, atol=1e-6)
     np.testing.assert_allclose((columns**2).sum(axis=0), 1, rtol=1e-5)
     images = PATTERNS.images().copy()
     images[:, 0, 0] = 0.5
-    assert not normalized_columns(ImagePatterns(images), np.array([0])).any()
+    assert not normalized_columns(ImagePatterns(images), 0, 1).any()
 
 
 def test_explained() -> None:
@@ -167,9 +167,13 @@ def test_explained() -> None:
 def test_mixtures_are_displaced_from_or_up_to_each_part() -> None:
     generator = np.random.default_rng(0)
     plain, displaced = ([generator.random(3, np.float32) for _ in range(4)] for _ in range(2))
-    sums = np.array([total.copy() for total in _mixtures(plain, displaced)])
-    expected = [np.sum(plain[:k] + displaced[k:], axis=0) for k in range(5)]
-    expected += [np.sum(displaced[:k] + plain[k:], axis=0) for k in range(1, 5)]
+    changes = [own - other for own, other in zip(plain, displaced, strict=True)]
+    mixed = _mixtures(np.sum(plain, axis=0), np.sum(displaced, axis=0), changes)
+    sums = np.array([total.copy() for total in mixed])
+    expected = [np.sum(displaced, axis=0)]
+    for k in range(1, 5):
+        expected.append(np.sum(plain[:k] + displaced[k:], axis=0))
+        expected.append(np.sum(displaced[:k] + plain[k:], axis=0))
     np.testing.assert_allclose(sums, np.array(expected), atol=1e-5)
 
 
@@ -203,7 +207,7 @@ def test_places_are_scored_by_the_pixels_that_follow_the_rows() -> None:
     count = 32
     patterns = BernoulliPatterns((4, 5), count, seed=2)
     frames = np.arange(count)
-    shown = normalized_columns(patterns, np.arange(20))
+    shown = normalized_columns(patterns, 0, 20)
     late = np.append(frames[1:], -1)
     # Three rows see one pixel each; from frame 16 on, each frame shows the next pattern.
     order = np.where(frames < 16, frames, late)
@@ -212,8 +216,15 @@ def test_places_are_scored_by_the_pixels_that_follow_the_rows() -> None:
     values = [np.where(each.order >= 0, light, 0).astype(np.float32) for each in hypotheses]
     parts = [(start, start + 8) for start in range(0, count, 8)]
     scores = _scan(patterns, hypotheses, values, parts)
-    assert [len(each) for each in scores] == [9, 9, 9, 9]
-    # Places are: all displaced, displaced from the parts 1, 2, 3 on or not at all, up to 1, 2, ...
-    assert int(scores[1].argmax()) == 2
+    # Places are: all displaced, displaced from part 1 on, up to it, from part 2 on, up to it, ...
+    assert [len(each) for each in scores] == [1, 9, 9, 1]
+    assert int(scores[1].argmax()) == 3
     assert scores[1].max() > 2 * max(scores[0].max(), scores[2].max(), scores[3].max())
-    assert np.isneginf(scores[3][1:]).all()
+    for each, value, score in zip(hypotheses, values, scores, strict=True):
+        for place, found in enumerate(score):
+            cut = 8 * ((place + 1) // 2)
+            displaced = (frames < cut) == (place % 2 == 0) if place else np.ones(count, bool)
+            mixed = np.where(displaced, value, values[0])
+            best = (mixed @ shown[np.where(displaced, each.order, frames)]).max(axis=1)
+            share = np.maximum(best, 0) ** 2 / (mixed**2).sum(axis=1)
+            assert found == pytest.approx(explained(share), rel=1e-3, abs=1e-4)

@@ -87,8 +87,8 @@ def _scores_by_place(patterns: PatternSet, samples: Samples) -> NDArray[np.float
     light = np.nan_to_num(values - mean).astype(np.float32)
     best = np.zeros((patterns.count, len(light)), np.float32)
     for start in range(0, patterns.pixels, _PIXELS_AT_ONCE):
-        pixels = np.arange(start, min(start + _PIXELS_AT_ONCE, patterns.pixels))
-        shown = normalized_columns(patterns, pixels)
+        stop = min(start + _PIXELS_AT_ONCE, patterns.pixels)
+        shown = normalized_columns(patterns, start, stop)
         total = light @ shown[1:]
         for place in range(patterns.count):
             # From here on the frame before `place` shows its own pattern, not the next.

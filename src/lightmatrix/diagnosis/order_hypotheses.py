@@ -9,7 +9,7 @@ longest exposure: up to there, every frame measures the light.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,7 +24,7 @@ from lightmatrix.patterns.pattern_set import PatternSet
 _FEWEST_ROWS, _MOST_ROWS, _SCAN_WORK = 24, 96, 2.5e9
 _PLACES = 16
 # Projector pixels at a time, so that sums stay in the processor's cache. Chosen by hand.
-_PIXELS_AT_ONCE = 1 << 9
+_PIXELS_AT_ONCE = 1 << 10
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,10 +165,10 @@ def likeliest_hypothesis(patterns: PatternSet, rows: RawRows) -> Hypothesis | No
     if winner == 0 or scores[winner][place] <= scores[0][0]:
         return None
     changed = np.ones(count, bool)
-    if 0 < place < len(cuts):
-        changed[: cuts[place]] = False
-    elif place >= len(cuts):
-        changed[cuts[place - len(cuts) + 1] :] = False
+    if place:
+        # Places are numbered as `_mixtures` yields them.
+        part, until = divmod(place + 1, 2)
+        changed[slice(cuts[part], None) if until else slice(cuts[part])] = False
     if not changed.any():
         return None
     best = hypotheses[winner]
@@ -193,32 +193,54 @@ def _scan(
     values: list[NDArray[np.float32]],
     parts: list[tuple[int, int]],
 ) -> list[NDArray[np.float64]]:
-    """How well single pixels follow the rows, by hypothesis and place; see `_mixtures`."""
-    best = [np.zeros((2 * len(parts) + 1, len(values[0])), np.float32) for _ in hypotheses]
+    """How well single pixels follow the rows, by hypothesis and place; see `_mixtures`.
+
+    Frames in order, as the first hypothesis has them, and frames backwards are so as a whole.
+    """
+    plain = values[0]
+    count = patterns.count
+    weights = [
+        _by_pattern(light, each.order, count)
+        for light, each in zip(values, hypotheses, strict=True)
+    ]
+    changes: list[list[tuple[slice, NDArray[np.float32]]]] = [[] for _ in hypotheses]
+    for each, light, of_parts in zip(hypotheses[1:], values[1:], changes[1:], strict=True):
+        for a, b in [] if each.reversed else parts:
+            change = -_by_pattern(light[:, a:b], each.order[a:b], count)
+            change[:, a:b] += plain[:, a:b]
+            # Frames are displaced by one.
+            near = slice(max(a - 1, 0), b + 1)
+            of_parts.append((near, change[:, near]))
+    best = [np.zeros((2 * len(of_parts) + 1, len(plain)), np.float32) for of_parts in changes]
     for start in range(0, patterns.pixels, _PIXELS_AT_ONCE):
-        pixels = np.arange(start, min(start + _PIXELS_AT_ONCE, patterns.pixels))
-        lit = normalized_columns(patterns, pixels)
-        products = [
-            [light[:, a:b] @ shown[a:b] for a, b in parts]
-            for light, shown in zip(values, (lit[each.order] for each in hypotheses), strict=True)
-        ]
-        for product, highest in zip(products, best, strict=True):
-            for k, sums in enumerate(_mixtures(products[0], product)):
+        lit = normalized_columns(patterns, start, min(start + _PIXELS_AT_ONCE, patterns.pixels))
+        in_order = plain @ lit
+        for weight, of_parts, highest in zip(weights, changes, best, strict=True):
+            products = (change @ lit[near] for near, change in of_parts)
+            for k, sums in enumerate(_mixtures(in_order, weight @ lit, products)):
                 np.maximum(highest[k], sums.max(axis=1), out=highest[k])
     scores = []
-    squares = [[(light[:, a:b] ** 2).sum(axis=1) for a, b in parts] for light in values]
-    for each, square, highest in zip(hypotheses, squares, best, strict=True):
-        power = np.stack([total.copy() for total in _mixtures(squares[0], square)])
+    squares = [light**2 for light in values]
+    for square, of_parts, highest in zip(squares, changes, best, strict=True):
+        more = [(squares[0] - square)[:, a:b].sum(axis=1) for a, b in parts if of_parts]
+        mixed = _mixtures(squares[0].sum(axis=1), square.sum(axis=1), more)
+        power = np.stack([total.copy() for total in mixed])
         scores.append(explained(highest**2 / np.maximum(power, 1e-12)))
-        if each.reversed:
-            # Frames are backwards as a whole or not at all.
-            scores[-1][1:] = -np.inf
     return scores
 
 
-def normalized_columns(patterns: PatternSet, pixels: NDArray[np.integer]) -> NDArray[np.float32]:
-    """Some projector pixels (K, n) with mean 0 and norm 1 over the patterns; 0 if constant."""
-    columns = patterns.columns(pixels)
+def _by_pattern(
+    light: NDArray[np.float32], order: NDArray[np.int64], count: int
+) -> NDArray[np.float32]:
+    """Samples of frames (m, k) at the patterns that these show, (m, count), 0 elsewhere."""
+    found = np.zeros((len(light), count), np.float32)
+    found[:, order[order >= 0]] = light[:, order >= 0]
+    return found
+
+
+def normalized_columns(patterns: PatternSet, start: int, stop: int) -> NDArray[np.float32]:
+    """Projector pixels start..stop, mean 0 and norm 1 over the patterns, (K, n); 0 if constant."""
+    columns = patterns.span(start, stop)
     columns = columns - columns.mean(axis=0)
     norm = np.sqrt((columns**2).sum(axis=0))
     return columns / np.where(norm < 1e-3 * np.sqrt(patterns.count), np.inf, norm)
@@ -230,15 +252,19 @@ def explained(share: NDArray[np.floating]) -> NDArray[np.float64]:
 
 
 def _mixtures(
-    plain: list[NDArray[np.float32]], displaced: list[NDArray[np.float32]]
+    plain: NDArray[np.float32],
+    displaced: NDArray[np.float32],
+    changes: Iterable[NDArray[np.float32]],
 ) -> Iterator[NDArray[np.float32]]:
-    """Sums over parts: displaced from each part on, or none, then up to each part."""
-    total = np.sum(displaced, axis=0)
-    yield total
-    changes = [own - other for own, other in zip(plain, displaced, strict=True)]
+    """Sums over parts: displaced as a whole; then from each part's end on, and up to there.
+
+    `plain` and `displaced` are sums over all parts, `changes` by how much more each is plain.
+    """
+    yield displaced
+    # The two sums that a place divides add up to this.
+    both = plain + displaced
+    total = displaced.copy()
     for change in changes:
         total += change
         yield total
-    for change in changes:
-        total -= change
-        yield total
+        yield both - total
