@@ -2,7 +2,7 @@
 
 use crate::bits::{column_codes, Bits};
 use crate::simd::{multiversion, Kind, Level};
-use crate::vector::{fold, padded, SUMS};
+use crate::vector::{fold, padded, LANES, SUMS};
 use crate::words::WordColumns;
 use rayon::prelude::*;
 
@@ -194,6 +194,19 @@ impl Columns {
         }
     }
 
+    /// u += factor a_j for all `terms` (j, factor), in float32.
+    pub fn add_singly(&self, level: Level, terms: &[(u32, f32)], u: &mut [f32]) {
+        match self {
+            Columns::Bits(bits) => {
+                for (pixel, factor) in terms {
+                    masked_add_singly(level, bits.column(*pixel), *factor, u);
+                }
+            }
+            Columns::Dense(dense) => add_columns(level, &dense.values, dense.stride, terms, u),
+            Columns::Words(words) => words.add_singly(level, terms, u),
+        }
+    }
+
     /// out = d a_j, element by element.
     pub fn scaled(&self, level: Level, pixel: u32, d: &[f64], out: &mut [f64]) {
         match self {
@@ -267,6 +280,17 @@ multiversion! {
 }
 
 multiversion! {
+    fn masked_add_singly(words: &[u64], factor: f32, u: &mut [f32]) {
+        for (word, u) in words.iter().zip(u.chunks_exact_mut(64)) {
+            for (i, u) in u.iter_mut().enumerate() {
+                let keep = 0u32.wrapping_sub((word >> i & 1) as u32);
+                *u += f32::from_bits(factor.to_bits() & keep);
+            }
+        }
+    }
+}
+
+multiversion! {
     fn masked(words: &[u64], d: &[f64], out: &mut [f64]) {
         for ((word, d), out) in words.iter().zip(d.chunks_exact(64)).zip(out.chunks_exact_mut(64)) {
             for (i, (d, out)) in d.iter().zip(out).enumerate() {
@@ -320,6 +344,22 @@ fn dots<const C: usize>(columns: &[f32], pixels: [u32; C], e: &[f64]) -> [f64; C
         }
     }
     sums.map(fold)
+}
+
+multiversion! {
+    /// u += factor a_j for all terms. The sums of a block of samples stay in registers.
+    fn add_columns(columns: &[f32], stride: usize, terms: &[(u32, f32)], u: &mut [f32]) {
+        for (block, u) in u.as_chunks_mut::<LANES>().0.iter_mut().enumerate() {
+            let mut sums = *u;
+            for (pixel, factor) in terms {
+                let column = &columns[*pixel as usize * stride + block * LANES..][..LANES];
+                for i in 0..LANES {
+                    sums[i] += factor * column[i];
+                }
+            }
+            *u = sums;
+        }
+    }
 }
 
 multiversion! {

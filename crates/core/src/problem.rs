@@ -60,6 +60,17 @@ impl Values<'_> {
         }
     }
 
+    pub(crate) fn copy_singly(&self, start: usize, out: &mut [f32]) {
+        match self {
+            Values::F32(values) => out.copy_from_slice(&values[start..start + out.len()]),
+            Values::F64(values) => {
+                for (out, v) in out.iter_mut().zip(&values[start..]) {
+                    *out = *v as f32;
+                }
+            }
+        }
+    }
+
     pub fn len(&self) -> usize {
         match self {
             Values::F32(values) => values.len(),

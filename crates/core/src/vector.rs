@@ -4,6 +4,7 @@
 //! a multiple of `SUMS`. Sums run in `SUMS` lanes, so that they are the same on every CPU.
 
 use crate::simd::multiversion;
+use std::ops::AddAssign;
 
 /// Vectors are padded to a multiple of this: the bits of a word of a bit column.
 pub const LANES: usize = 64;
@@ -22,7 +23,7 @@ pub fn summed(samples: usize) -> usize {
 
 /// Adds partial sums in a fixed order.
 #[inline(always)]
-pub(crate) fn fold(mut sums: [f64; SUMS]) -> f64 {
+pub(crate) fn fold<T: Copy + AddAssign>(mut sums: [T; SUMS]) -> T {
     let mut half = SUMS / 2;
     while half > 0 {
         for i in 0..half {

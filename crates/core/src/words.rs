@@ -3,7 +3,7 @@
 //! The rounding error is at most half a step of 1/65535, far below any camera's noise.
 
 use crate::simd::{multiversion, Level};
-use crate::vector::{fold, SUMS};
+use crate::vector::{fold, LANES, SUMS};
 
 /// The 16-bit number that stands for 1.
 const STEPS: f32 = 65_535.0;
@@ -47,6 +47,11 @@ impl WordColumns {
         word_add(level, self.column(pixel), factor / f64::from(STEPS), u);
     }
 
+    /// u += factor a_j for all `terms` (j, factor), in their order.
+    pub fn add_singly(&self, level: Level, terms: &[(u32, f32)], u: &mut [f32]) {
+        word_sums(level, &self.values, self.stride, terms, u);
+    }
+
     /// out = d a_j, element by element.
     pub fn scaled(&self, level: Level, pixel: u32, d: &[f64], out: &mut [f64]) {
         word_product(level, self.column(pixel), d, out);
@@ -86,6 +91,23 @@ multiversion! {
     fn word_add(column: &[u16], factor: f64, u: &mut [f64]) {
         for (a, u) in column.iter().zip(u) {
             *u += f64::from(*a) * factor;
+        }
+    }
+}
+
+multiversion! {
+    fn word_sums(words: &[u16], stride: usize, terms: &[(u32, f32)], u: &mut [f32]) {
+        for (block, u) in u.as_chunks_mut::<LANES>().0.iter_mut().enumerate() {
+            let mut sums = [0f32; LANES];
+            for (pixel, factor) in terms {
+                let column = &words[*pixel as usize * stride + block * LANES..][..LANES];
+                for i in 0..LANES {
+                    sums[i] += factor * f32::from(column[i]);
+                }
+            }
+            for i in 0..LANES {
+                u[i] += sums[i] * (1.0 / STEPS);
+            }
         }
     }
 }

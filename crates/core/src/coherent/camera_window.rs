@@ -14,7 +14,7 @@ pub(super) fn neighbours(
     jacobian: &[f32],
     row: usize,
     reach: usize,
-) -> impl Iterator<Item = (usize, impl Iterator<Item = ([isize; 2], f32)>)> + '_ {
+) -> impl Iterator<Item = (usize, impl Iterator<Item = ([i32; 2], f32)>)> + '_ {
     let (pixel, channel) = (row / channels, row % channels);
     let (r, c) = (pixel / cols, pixel % cols);
     let jacobian = &jacobian[4 * row..][..4];
@@ -32,7 +32,7 @@ fn displacements(
     jacobian: &[f32],
     from: [usize; 2],
     to: [usize; 2],
-) -> impl Iterator<Item = ([isize; 2], f32)> {
+) -> impl Iterator<Item = ([i32; 2], f32)> {
     let down = to[0] as f32 - from[0] as f32;
     let right = to[1] as f32 - from[1] as f32;
     let rows = whole(jacobian[0] * down + jacobian[1] * right);
@@ -43,24 +43,68 @@ fn displacements(
 }
 
 /// The two whole numbers around a number, and the share of each.
-fn whole(number: f32) -> [(isize, f32); 2] {
+fn whole(number: f32) -> [(i32, f32); 2] {
     let below = number.floor();
     let beyond = ((number - below - CLOSE) / (1.0 - 2.0 * CLOSE)).clamp(0.0, 1.0);
-    let below = below as i32 as isize;
-    [(below, 1.0 - beyond), (below + 1, beyond)]
+    let below = below as i32;
+    [(below, 1.0 - beyond), (below.wrapping_add(1), beyond)]
 }
 
-/// The atom at the place of `atom` after moving it back by `displacement`; None beyond the projector.
-pub(super) fn moved_back(
-    [_, rows, cols]: [usize; 3],
-    atom: i32,
-    displacement: [isize; 2],
-) -> Option<usize> {
-    let (plane, pixel) = (atom as usize / (rows * cols), atom as usize % (rows * cols));
-    let r = (pixel / cols) as isize - displacement[0];
-    let c = (pixel % cols) as isize - displacement[1];
-    let inside = (0..rows as isize).contains(&r) && (0..cols as isize).contains(&c);
-    inside.then(|| (plane * rows + r as usize) * cols + c as usize)
+/// The lit atoms of one row, ready to be moved.
+#[derive(Default)]
+pub(super) struct Footprint {
+    atoms: Vec<Atom>,
+}
+
+struct Atom {
+    /// The number of its plane's first atom.
+    plane: u32,
+    row: i32,
+    col: i32,
+    value: f32,
+}
+
+impl Footprint {
+    /// Takes the atoms of a row that hold light. The numbers are split here, once, as a row is moved to
+    /// several places and divisions are slow.
+    pub fn load(&mut self, [_, rows, cols]: [usize; 3], atoms: &[i32], values: &[f32]) {
+        let (pixels, cols) = ((rows * cols) as u32, cols as u32);
+        let lit = atoms.iter().zip(values).filter(|(_, &value)| value > 0.0);
+        self.atoms.clear();
+        self.atoms.extend(lit.map(|(&atom, &value)| {
+            let pixel = atom as u32 % pixels;
+            Atom {
+                plane: atom as u32 - pixel,
+                row: (pixel / cols) as i32,
+                col: (pixel % cols) as i32,
+                value,
+            }
+        }));
+    }
+
+    /// The largest value; 0 without light.
+    pub fn most(&self) -> f32 {
+        self.atoms
+            .iter()
+            .fold(0.0, |most, atom| most.max(atom.value))
+    }
+
+    /// The atoms after moving them back by a displacement, and their values; without those that then lie
+    /// beyond the projector.
+    pub fn moved_back(
+        &self,
+        [_, rows, cols]: [usize; 3],
+        displacement: [i32; 2],
+    ) -> impl Iterator<Item = (u32, f32)> + '_ {
+        let [down, right] = displacement;
+        self.atoms.iter().filter_map(move |atom| {
+            // Below 0 they wrap around to large numbers.
+            let row = atom.row.wrapping_sub(down) as u32;
+            let col = atom.col.wrapping_sub(right) as u32;
+            let inside = (row as usize) < rows && (col as usize) < cols;
+            inside.then(|| (atom.plane + row * cols as u32 + col, atom.value))
+        })
+    }
 }
 
 /// The places within `reach` of a place, on a line of `length`.

@@ -4,10 +4,10 @@
 //! better it explains the row's known samples. The mean of the guesses is the expected sample, their
 //! variance its uncertainty.
 
-use super::camera_window::{self, moved_back};
+use super::camera_window::{neighbours as camera_window, Footprint};
 use crate::problem::{Dictionary, Rows, Sparse};
 use crate::simd::{multiversion, Level};
-use crate::vector::{fold, one_sided, padded, SUMS};
+use crate::vector::{fold, padded, SUMS};
 use rayon::prelude::*;
 
 /// Rows that one thread handles at a time, enough to hide the cost of starting a task.
@@ -16,18 +16,18 @@ const TASK: usize = 64;
 // The constants below were chosen by hand.
 
 /// A neighbour may be brighter or darker than the row by at most this factor.
-const BRIGHTEST: f64 = 2.0;
+const BRIGHTEST: f32 = 2.0;
 /// The prior that a neighbour is as bright as the row, with the weight of this many samples at the clip
 /// level.
-const EQUAL_BRIGHTNESS: f64 = 1.0;
+const EQUAL_BRIGHTNESS: f32 = 1.0;
 /// Standard error of a perfect guess, in shares of the clip level: better fits gain no more weight.
-const PRECISION: f64 = 0.01;
+const PRECISION: f32 = 0.01;
 /// The mean guess may miss the known samples by this share of the brightest expected sample or of the clip
 /// level. A larger misfit raises the variance. With 0.05, clipping rows lose help that they need.
-const TOLERATED_MISFIT: f64 = 0.15;
+const TOLERATED_MISFIT: f32 = 0.15;
 /// A neighbour's light may have moved to several places. Where samples are known they distinguish the
 /// places; where all samples clip, each place has the weight of its share to this power.
-const SHARE_POWER: f64 = 4.0;
+const SHARE_POWER: f32 = 4.0;
 
 /// All rows, and the grids of camera and projector.
 #[derive(Clone, Copy)]
@@ -90,24 +90,30 @@ pub fn expected(
 }
 
 /// One row's samples and the sums over its neighbours' guesses: the buffers of one thread.
+///
+/// Float32 is enough: a variance that rounding adds is a millionth of the squared sample, and the error
+/// that neighbours share is at least some ten thousandths.
 struct Guesses {
     level: Level,
     /// Samples, padded, and their weights.
-    y: Vec<f64>,
-    weights: Vec<f64>,
+    y: Vec<f32>,
+    weights: Vec<f32>,
     /// The weights, but 0 for samples that clip.
-    known: Vec<f64>,
+    known: Vec<f32>,
     /// 0 for samples that clip, minus infinity for others.
-    lower: Vec<f64>,
+    lower: Vec<f32>,
     /// The power of the shares of places: `SHARE_POWER` times the share of clipped samples.
-    share_power: f64,
+    share_power: f32,
+    /// The row of a neighbour, and its atoms after moving them back.
+    footprint: Footprint,
+    terms: Vec<(u32, f32)>,
     /// One guess, under the patterns shown and the unseen ones.
-    shown: Vec<f64>,
-    unseen: Vec<f64>,
+    shown: Vec<f32>,
+    unseen: Vec<f32>,
     patterns: [usize; 2],
-    sums: Vec<f64>,
-    squares: Vec<f64>,
-    total: f64,
+    sums: Vec<f32>,
+    squares: Vec<f32>,
+    total: f32,
 }
 
 impl Guesses {
@@ -124,6 +130,8 @@ impl Guesses {
             known: samples(0.0),
             lower: samples(0.0),
             share_power: 0.0,
+            footprint: Footprint::default(),
+            terms: Vec::new(),
             shown: vec![0.0; padded(shown)],
             unseen: vec![0.0; padded(unseen)],
             patterns: [shown, unseen],
@@ -135,18 +143,22 @@ impl Guesses {
 
     fn load(&mut self, rows: Rows, row: usize) {
         let [n, _] = self.patterns;
-        rows.samples.copy(row * n, &mut self.y[..n]);
+        rows.samples.copy_singly(row * n, &mut self.y[..n]);
         if let Some(weights) = rows.weights {
             let start = if weights.len() == n { 0 } else { row * n };
-            weights.copy(start, &mut self.weights[..n]);
+            weights.copy_singly(start, &mut self.weights[..n]);
         }
         let clipped = &rows.clipped[row * n..][..n];
         let count = clipped.iter().filter(|&&clipped| clipped).count();
-        self.share_power = SHARE_POWER * count as f64 / n.max(1) as f64;
-        one_sided(self.level, clipped, &mut self.lower[..n]);
+        self.share_power = SHARE_POWER * count as f32 / n.max(1) as f32;
         self.known.copy_from_slice(&self.weights);
-        for (known, clipped) in self.known.iter_mut().zip(clipped) {
-            *known = if *clipped { 0.0 } else { *known };
+        let bounds = self.known.iter_mut().zip(&mut self.lower);
+        for ((known, lower), clipped) in bounds.zip(clipped) {
+            (*known, *lower) = if *clipped {
+                (0.0, 0.0)
+            } else {
+                (*known, f32::NEG_INFINITY)
+            };
         }
         self.sums.fill(0.0);
         self.squares.fill(0.0);
@@ -168,61 +180,52 @@ impl Guesses {
             reach,
             ..
         } = neighbours;
-        for (other, places) in camera_window::neighbours(camera, jacobian, row, reach) {
+        for (other, places) in camera_window(camera, jacobian, row, reach) {
             if other == row {
                 continue;
             }
-            for (moved, share) in places {
-                if self.guess(shown, unseen, neighbours, other, moved) {
+            let (atoms, values) = neighbours.matrix.row(other);
+            self.footprint.load(neighbours.projector, atoms, values);
+            for (displacement, share) in places {
+                if self.guess(shown, unseen, neighbours, other, displacement) {
                     self.add_weighted(level, share);
                 }
             }
         }
     }
 
-    /// Computes the samples of the row `other`, moved back by `moved`. Returns false if it has no light.
+    /// Computes the samples of the row `other`, moved back. Returns false if it then has no light.
     fn guess(
         &mut self,
         shown: &Dictionary,
         unseen: &Dictionary,
         neighbours: Neighbours,
         other: usize,
-        moved: [isize; 2],
+        displacement: [i32; 2],
     ) -> bool {
+        self.terms.clear();
+        let moved = (self.footprint).moved_back(neighbours.projector, displacement);
+        self.terms.extend(moved);
         let [k, e] = self.patterns;
         let background = &neighbours.background[(other - neighbours.first) * (k + e)..][..k + e];
-        for (out, b) in self.shown.iter_mut().zip(&background[..k]) {
-            *out = f64::from(*b);
-        }
-        for (out, b) in self.unseen.iter_mut().zip(&background[k..]) {
-            *out = f64::from(*b);
-        }
-        let mut any = false;
-        let (pixels, values) = neighbours.matrix.row(other);
-        for (&pixel, &value) in pixels.iter().zip(values) {
-            if value <= 0.0 {
-                continue;
-            }
-            if let Some(place) = moved_back(neighbours.projector, pixel, moved) {
-                let (place, value) = (place as u32, f64::from(value));
-                (shown.columns).add(shown.level, place, value, &mut self.shown);
-                (unseen.columns).add(unseen.level, place, value, &mut self.unseen);
-                any = true;
-            }
-        }
-        any
+        self.shown[..k].copy_from_slice(&background[..k]);
+        self.unseen[..e].copy_from_slice(&background[k..]);
+        (shown.columns).add_singly(shown.level, &self.terms, &mut self.shown);
+        (unseen.columns).add_singly(unseen.level, &self.terms, &mut self.unseen);
+        !self.terms.is_empty()
     }
 
     /// Scales the guess to the known samples and adds it to the sums. Its weight is the inverse square of
     /// its misfit, times a power of the share of its place that grows with the share of clipped samples.
     fn add_weighted(&mut self, level: f64, share: f32) {
         let (cpu, [n, _]) = (self.level, self.patterns);
-        let prior = EQUAL_BRIGHTNESS * level * level;
+        let square_level = (level * level) as f32;
+        let prior = EQUAL_BRIGHTNESS * square_level;
         let (product, square) = products(cpu, &self.known, &self.y, &self.shown);
         let scale = ((product + prior) / (square + prior)).clamp(1.0 / BRIGHTEST, BRIGHTEST);
         let misfit = misfit(cpu, &self.weights, &self.y, &self.lower, &self.shown, scale);
-        let error = misfit / (n as f64 * level * level) + PRECISION * PRECISION;
-        let weight = f64::from(share).powf(self.share_power) / (error * error);
+        let error = misfit / (n as f32 * square_level) + PRECISION * PRECISION;
+        let weight = share.powf(self.share_power) / (error * error);
         let (shown, unseen) = self.sums.split_at_mut(n);
         let (shown_squares, unseen_squares) = self.squares.split_at_mut(n);
         add_guess(cpu, &self.shown, scale, weight, shown, shown_squares);
@@ -236,31 +239,31 @@ impl Guesses {
             let sums = self.sums.iter().zip(&self.squares);
             for ((value, variance), (sum, square)) in values.iter_mut().zip(variances).zip(sums) {
                 let mean = sum / self.total;
-                *value = mean as f32;
-                *variance = (common + (square / self.total - mean * mean).max(0.0)) as f32;
+                *value = mean;
+                *variance = common + (square / self.total - mean * mean).max(0.0);
             }
         }
     }
 
     /// The squared misfit of the mean guess to the known samples, beyond the tolerated one. Neighbours may
     /// agree and still be wrong, for instance if all are moved by a pixel too many.
-    fn common_error(&self, level: f64) -> f64 {
+    fn common_error(&self, level: f64) -> f32 {
         let (mut misfit, mut total) = (0.0, 0.0);
         for k in 0..self.patterns[0] {
             let off = self.y[k] - self.sums[k] / self.total;
             misfit += self.known[k] * off * off;
             total += self.known[k];
         }
-        let brightest = self.sums.iter().fold(0.0, |most, sum| sum.max(most)) / self.total;
-        let tolerated = (TOLERATED_MISFIT * brightest.max(level)).powi(2);
-        (misfit / total.max(f64::MIN_POSITIVE) - tolerated).max(0.0)
+        let brightest = self.sums.iter().fold(0f32, |most, sum| sum.max(most)) / self.total;
+        let tolerated = (TOLERATED_MISFIT * brightest.max(level as f32)).powi(2);
+        (misfit / total.max(f32::MIN_POSITIVE) - tolerated).max(0.0)
     }
 }
 
 multiversion! {
     /// sum w y u and sum w u^2
-    fn products(weights: &[f64], y: &[f64], u: &[f64]) -> (f64, f64) {
-        let (mut product, mut square) = ([0.0; SUMS], [0.0; SUMS]);
+    fn products(weights: &[f32], y: &[f32], u: &[f32]) -> (f32, f32) {
+        let (mut product, mut square) = ([0f32; SUMS], [0f32; SUMS]);
         let samples = weights.as_chunks::<SUMS>().0.iter().zip(y.as_chunks::<SUMS>().0);
         for ((weights, y), u) in samples.zip(u.as_chunks::<SUMS>().0) {
             for i in 0..SUMS {
@@ -275,8 +278,8 @@ multiversion! {
 
 multiversion! {
     /// sum w max(y - scale u, lower)^2
-    fn misfit(weights: &[f64], y: &[f64], lower: &[f64], u: &[f64], scale: f64) -> f64 {
-        let mut sums = [0.0; SUMS];
+    fn misfit(weights: &[f32], y: &[f32], lower: &[f32], u: &[f32], scale: f32) -> f32 {
+        let mut sums = [0f32; SUMS];
         let samples = weights.as_chunks::<SUMS>().0.iter().zip(y.as_chunks::<SUMS>().0);
         let guesses = lower.as_chunks::<SUMS>().0.iter().zip(u.as_chunks::<SUMS>().0);
         for ((weights, y), (lower, u)) in samples.zip(guesses) {
@@ -291,7 +294,7 @@ multiversion! {
 }
 
 multiversion! {
-    fn add_guess(u: &[f64], scale: f64, weight: f64, sums: &mut [f64], squares: &mut [f64]) {
+    fn add_guess(u: &[f32], scale: f32, weight: f32, sums: &mut [f32], squares: &mut [f32]) {
         for ((sum, square), u) in sums.iter_mut().zip(squares).zip(u) {
             let u = scale * u;
             *sum += weight * u;

@@ -1,6 +1,6 @@
 //! Predicts which atoms a row holds from its neighbours' rows.
 
-use super::camera_window::{around, moved_back, neighbours};
+use super::camera_window::{around, neighbours, Footprint};
 use crate::problem::Sparse;
 use rayon::prelude::*;
 
@@ -50,19 +50,22 @@ pub fn likely(
         .par_iter()
         .with_min_len(TASK)
         .map_init(
-            || Sums {
-                values: vec![0.0; pixels],
-                touched: Vec::new(),
-            },
-            |sums, &row| {
+            || (Votes::new(pixels), Votes::new(pixels), Footprint::default()),
+            |(moved, spread, footprint), &row| {
                 let mut reach = windows.camera_reach;
-                sums.add_neighbours(matrix, windows, row, reach);
-                while sums.touched.is_empty() && 0 < reach && reach < FURTHEST {
+                moved.add_neighbours(matrix, windows, row, reach, footprint);
+                while moved.touched.is_empty() && 0 < reach && reach < FURTHEST {
                     reach *= 2;
-                    sums.add_neighbours(matrix, windows, row, reach);
+                    moved.add_neighbours(matrix, windows, row, reach, footprint);
                 }
-                sums.scale_single_pixels(windows, windows.singles[row]);
-                sums.strongest(windows.most)
+                // Neighbours mostly vote for the same few atoms, so votes are spread after they are added.
+                moved.drain(|atom, vote| {
+                    spread.add_blurred(windows, atom, vote);
+                    spread.add_within(windows, atom, vote);
+                    spread.add_wider(windows, atom, vote);
+                });
+                spread.scale_single_pixels(windows, windows.singles[row]);
+                spread.strongest(windows.most)
             },
         )
         .collect()
@@ -113,26 +116,48 @@ pub fn penalties(rows: &[(Vec<i32>, Vec<f32>)], doubts: &[f64]) -> Penalties {
 }
 
 /// The votes for all atoms, and the list of those with votes.
-struct Sums {
+struct Votes {
     values: Vec<f32>,
     touched: Vec<i32>,
 }
 
-impl Sums {
-    fn add_neighbours(&mut self, matrix: Sparse<f32>, windows: Windows, row: usize, reach: usize) {
+impl Votes {
+    fn new(atoms: usize) -> Self {
+        Votes {
+            values: vec![0.0; atoms],
+            touched: Vec::new(),
+        }
+    }
+
+    /// Adds the votes of a row's neighbours, moved back.
+    fn add_neighbours(
+        &mut self,
+        matrix: Sparse<f32>,
+        windows: Windows,
+        row: usize,
+        reach: usize,
+        footprint: &mut Footprint,
+    ) {
         for (other, places) in neighbours(windows.camera, windows.jacobian, row, reach) {
-            let (pixels, values) = matrix.row(other);
-            let most = values.iter().fold(0f32, |most, &v| most.max(v));
-            for (moved, share) in places {
-                for (&pixel, &value) in pixels.iter().zip(values).filter(|(_, &v)| v > 0.0) {
-                    if let Some(place) = moved_back(windows.projector, pixel, moved) {
-                        let vote = share * value / most;
-                        self.add_blurred(windows, place, vote);
-                        self.add_within(windows, place, vote);
-                        self.add_wider(windows, place, vote);
-                    }
+            let (atoms, values) = matrix.row(other);
+            footprint.load(windows.projector, atoms, values);
+            let most = footprint.most();
+            for (displacement, share) in places {
+                let factor = share / most;
+                for (atom, value) in footprint.moved_back(windows.projector, displacement) {
+                    self.add(atom as usize, factor * value);
                 }
             }
+        }
+    }
+
+    /// Calls `take` for each atom with votes, and sets all votes to zero.
+    fn drain(&mut self, mut take: impl FnMut(usize, f32)) {
+        for atom in self.touched.drain(..) {
+            take(
+                atom as usize,
+                std::mem::take(&mut self.values[atom as usize]),
+            );
         }
     }
 
@@ -209,9 +234,7 @@ impl Sums {
         }
         kept.sort_unstable();
         let shares = kept.iter().map(|&j| sums[j as usize] / strongest).collect();
-        for j in self.touched.drain(..) {
-            sums[j as usize] = 0.0;
-        }
+        self.drain(|_, _| ());
         (kept, shares)
     }
 }

@@ -280,46 +280,31 @@ impl Work {
         let stride = self.means.len();
         self.values.resize(self.penalties.len() * stride, 0.0);
         self.unseen.resize(padded(unseen), 0.0);
-        let (shown_places, unseen_places) = {
-            let first = self.added.partition_point(|&k| k < patterns);
-            self.added.split_at(first)
-        };
-        let mut places = self.values.chunks_exact_mut(stride).zip(&self.penalties);
-        for (&pixel, (out, penalty)) in pixels.iter().zip(&mut places) {
+        let first = self.added.partition_point(|&k| k < patterns);
+        let places = self.added.split_at(first);
+        let mut outs = self.values.chunks_exact_mut(stride).zip(&self.penalties);
+        for (&pixel, (out, penalty)) in pixels.iter().zip(&mut outs) {
             let (pixel, factor) = (pixel as u32, least / penalty);
             let columns = &dictionary.columns;
             columns.copy_scaled(dictionary.level, pixel, factor, &mut out[..own]);
-            let (shown, rest) = out.split_at_mut(patterns);
-            let (repeated, rest) = rest.split_at_mut(shown_places.len());
-            for (out, &k) in repeated.iter_mut().zip(shown_places) {
-                *out = shown[k];
-            }
             if let Some(pseudo_samples) = pseudo_samples {
                 let (level, columns) =
                     (pseudo_samples.unseen.level, &pseudo_samples.unseen.columns);
                 columns.copy_scaled(level, pixel, factor, &mut self.unseen);
             }
-            let (rest, end) = rest.split_at_mut(unseen_places.len());
-            if rest.len() == unseen {
-                rest.copy_from_slice(&self.unseen[..unseen]);
-            } else {
-                for (out, &k) in rest.iter_mut().zip(unseen_places) {
-                    *out = self.unseen[k - patterns];
-                }
-            }
-            end.fill(0.0);
+            append(places, &self.unseen[..unseen], patterns, out);
         }
-        for (column, (out, penalty)) in shared_columns
-            .columns
-            .chunks_exact((patterns + unseen).max(1))
-            .zip(places)
-        {
-            let (used, end) = out.split_at_mut(patterns + self.added.len());
-            let places = (0..patterns).chain(self.added.iter().copied());
-            for (out, k) in used.iter_mut().zip(places) {
-                *out = column[k] * (least / penalty);
+        let columns = shared_columns.columns;
+        for (column, (out, penalty)) in columns.chunks_exact((patterns + unseen).max(1)).zip(outs) {
+            let factor = least / penalty;
+            let (shown, beyond) = column.split_at(patterns);
+            for (out, value) in out.iter_mut().zip(shown) {
+                *out = value * factor;
             }
-            end.fill(0.0);
+            for (out, value) in self.unseen.iter_mut().zip(beyond) {
+                *out = value * factor;
+            }
+            append(places, &self.unseen[..unseen], patterns, out);
         }
     }
 
@@ -380,4 +365,23 @@ impl Work {
         }
         result
     }
+}
+
+/// Writes the values of a column under the patterns of the pseudo-samples behind those under the
+/// `patterns` shown, and zeros up to the end. `places` are of shown and of unseen patterns.
+fn append(places: (&[usize], &[usize]), unseen: &[f32], patterns: usize, column: &mut [f32]) {
+    let (shown, rest) = column.split_at_mut(patterns);
+    let (repeated, rest) = rest.split_at_mut(places.0.len());
+    for (out, &k) in repeated.iter_mut().zip(places.0) {
+        *out = shown[k];
+    }
+    let (added, end) = rest.split_at_mut(places.1.len());
+    if added.len() == unseen.len() {
+        added.copy_from_slice(unseen);
+    } else {
+        for (out, &k) in added.iter_mut().zip(places.1) {
+            *out = unseen[k - patterns];
+        }
+    }
+    end.fill(0.0);
 }
