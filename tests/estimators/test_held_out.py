@@ -11,7 +11,7 @@ from benchmarks.synthetic_captures import draw
 from lightmatrix.estimators.coherent import held_out
 from lightmatrix.estimators.coherent.held_out import HeldOut
 from lightmatrix.estimators.coherent.row_errors import held_out_frames
-from lightmatrix.evaluation.doubts import estimated_error
+from lightmatrix.evaluation.doubts import OwnError
 from lightmatrix.evaluation.metrics import relative_error
 
 BASE = lm.BernoulliPatterns((16, 16), 16, seed=1).rows(0, 16).reshape(16, 16, 16)
@@ -74,6 +74,6 @@ def test_of_many_frames_the_twins_are_still_found(monkeypatch: pytest.MonkeyPatc
 def test_frames_that_repeat_others_do_not_lower_the_stated_error(patterns: str) -> None:
     case = draw("speckle", patterns, "intact", 16, 0)
     estimate = lm.estimate(case.capture, check=False)
-    stated = estimated_error(estimate)
+    stated = OwnError(estimate).estimated
     assert stated is not None
     assert stated > 0.5 * relative_error(estimate, case.truth) > 0.1

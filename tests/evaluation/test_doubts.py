@@ -10,7 +10,7 @@ import pytest
 import lightmatrix as lm
 from benchmarks import synthetic_captures
 from benchmarks.synthetic_captures import draw
-from lightmatrix.evaluation.doubts import doubts, estimated_error, stated_error
+from lightmatrix.evaluation.doubts import OwnError
 from lightmatrix.evaluation.metrics import relative_error
 
 
@@ -30,10 +30,10 @@ def test_no_error_is_stated_where_it_cannot_be_known(
 ) -> None:
     case = draw(scene, patterns, damage, 16, 5)
     estimate = lm.estimate(case.capture, check=False)
-    error = estimated_error(estimate)
+    error = OwnError(estimate).estimated
     assert error is not None
     assert relative_error(estimate, case.truth) > max(0.05, 1.2 * error)
-    assert stated_error(estimate) is None
+    assert OwnError(estimate).stated is None
     verdict = lm.verdict(estimate)
     assert verdict.level == "doubtful"
     assert reason in verdict.sentence
@@ -53,8 +53,8 @@ def test_no_error_is_stated_where_it_cannot_be_known(
 def test_intact_captures_state_about_the_true_error(scene: str, patterns: str) -> None:
     case = draw(scene, patterns, "intact", 16, 5)
     estimate = lm.estimate(case.capture, check=False)
-    assert doubts(estimate) == []
-    stated, true = stated_error(estimate), relative_error(estimate, case.truth)
+    assert OwnError(estimate).doubts == []
+    stated, true = OwnError(estimate).stated, relative_error(estimate, case.truth)
     assert stated is not None
     assert true / 2 < stated < 2 * true
     assert lm.verdict(estimate).level in ("good", "fair")
@@ -103,11 +103,11 @@ def test_pixels_one_by_one_are_not_tested() -> None:
 def test_rows_that_are_only_bounded_raise_the_stated_error() -> None:
     case = draw("gripper", "few", "intact", 16, 5)
     estimate = lm.estimate(case.capture, check=False)
-    before = stated_error(estimate)
+    before = OwnError(estimate).stated
     light = np.asarray(estimate.sparse.sum(axis=1)).ravel()
     bounded = light > np.quantile(light, 0.9)
     changed = replace(estimate, diagnostics={**estimate.diagnostics, "only_bounded": bounded * 1.0})
-    after = stated_error(changed)
+    after = OwnError(changed).stated
     assert before is not None
     assert after is not None
     assert after > 2 * before

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import lightmatrix as lm
-from lightmatrix.evaluation.doubts import estimated_error
+from lightmatrix.evaluation.doubts import OwnError
 from lightmatrix.evaluation.verdict import Verdict, verdict
 from tests.helpers.transports import random_transport
 
@@ -38,7 +38,7 @@ def test_the_verdict_follows_the_estimated_errors(transport: lm.LightTransport) 
     energy = (transport.dense_rows(np.arange(30)).astype(float) ** 2).sum(axis=1)
     known = np.isfinite(errors)
     expected = np.sqrt((energy[known] * errors[known] ** 2).sum() / energy[known].sum())
-    assert estimated_error(mixed) == pytest.approx(expected, rel=1e-5)
+    assert OwnError(mixed).estimated == pytest.approx(expected, rel=1e-5)
     assert verdict(mixed).level == "fair"
 
 

@@ -8,6 +8,8 @@ they do, no error of T is stated, and the reason stands in its place.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,67 +37,83 @@ _BOUNDED, BOUNDED_ERROR = 0.65, 0.12
 _HIGHLIGHT, _APART = 3, 0.15
 
 
-def doubts(transport: LightTransport) -> list[str]:
-    """Why no error of T can be stated, in sentences; none for most estimates."""
-    return [*_doubts(transport)]
+@dataclass(frozen=True, eq=False)
+class OwnError:
+    """What the diagnostics of an estimate say of its error, each computed once."""
 
+    transport: LightTransport
 
-def stated_error(transport: LightTransport) -> float | None:
-    """The relative error of T that an estimate states.
+    @cached_property
+    def doubts(self) -> list[str]:
+        """Why no error of T can be stated, in sentences; none for most estimates."""
+        return [*self._doubts()]
 
-    It follows from the estimated errors of its rows and from the share of the light that only has a
-    lower bound. None if no row has an estimated error, or if there are `doubts`.
-    """
-    error = estimated_error(transport)
-    if error is None or doubts(transport):
-        return None
-    return float(np.hypot(error, BOUNDED_ERROR * np.sqrt(_bounded_share(transport))))
+    @cached_property
+    def stated(self) -> float | None:
+        """The relative error of T that the estimate states.
 
+        It follows from the estimated errors of its rows and from the share of the light that only
+        has a lower bound. None if no row has an estimated error, or if there are `doubts`.
+        """
+        if self.estimated is None or self.doubts:
+            return None
+        return float(np.hypot(self.estimated, BOUNDED_ERROR * np.sqrt(self._bounded_share)))
 
-def estimated_error(transport: LightTransport) -> float | None:
-    """The relative error of T that follows from the estimated errors of its rows.
+    @cached_property
+    def estimated(self) -> float | None:
+        """The relative error of T that follows from the estimated errors of its rows.
 
-    It is ||error of T|| / ||T|| in the Frobenius norm, over the rows that have an estimate of their
-    error; None if no row has.
-    """
-    errors = _diagnostic(transport, "estimated_error")
-    known = np.flatnonzero(np.isfinite(errors))
-    if not known.size:
-        return None
-    energy = row_energies(transport)[known]
-    total = float(energy.sum())
-    wrong = float((energy * errors[known] ** 2).sum())
-    return float(np.sqrt(wrong / total)) if total else float(np.median(errors[known]))
+        It is ||error of T|| / ||T|| in the Frobenius norm, over the rows that have an estimate of
+        their error; None if no row has.
+        """
+        errors = _diagnostic(self.transport, "estimated_error")
+        known = np.flatnonzero(np.isfinite(errors))
+        if not known.size:
+            return None
+        energy = self._energies[known]
+        total = float(energy.sum())
+        wrong = float((energy * errors[known] ** 2).sum())
+        return float(np.sqrt(wrong / total)) if total else float(np.median(errors[known]))
 
+    @cached_property
+    def _energies(self) -> NDArray[np.float64]:
+        return row_energies(self.transport)
 
-def _doubts(transport: LightTransport) -> Iterator[str]:
-    light = np.asarray(transport.sparse.sum(axis=1), float).ravel()
-    light = light + transport.background.sum(axis=1, dtype=float)
-    constant = _mean(_diagnostic(transport, "constant_light"), light)
-    if constant > _CONSTANT:
-        yield (
-            f"About {100 * constant:.0f} % of the light does not follow the patterns: an "
-            "electronic pedestal, light of the room, or a projector whose black is not dark. Take "
-            "a photograph under a black pattern, and give it as --black."
-        )
-    energies = row_energies(transport)
-    if _mean(_diagnostic(transport, "bend"), energies) < _BENT:
-        yield (
-            "Bright samples are darker than T predicts: the camera does not seem linear in light. "
-            "Give its response (--response), or take raw photographs."
-        )
-    glints = _glints(transport)
-    if glints:
-        pixels = "1 camera sample clips" if glints == 1 else f"{glints} camera samples clip"
-        yield (
-            f"{pixels} in most photographs, and none shows how bright it is: a glint, or a hot "
-            "pixel. Mask it, or add photographs of shorter exposure."
-        )
-    elif _bounded_share(transport) > _BOUNDED:
-        yield (
-            "Most of the light comes from camera pixels that clip whenever the projector pixel "
-            "that they see is lit. Add photographs of shorter exposure."
-        )
+    @cached_property
+    def _bounded_share(self) -> float:
+        """Share of the squared light in rows that are only bounded."""
+        bounded = _diagnostic(self.transport, "only_bounded")
+        total = float(self._energies.sum())
+        return float(self._energies[bounded > 0].sum()) / total if bounded.size and total else 0.0
+
+    def _doubts(self) -> Iterator[str]:
+        transport = self.transport
+        light = np.asarray(transport.sparse.sum(axis=1), float).ravel()
+        light = light + transport.background.sum(axis=1, dtype=float)
+        constant = _mean(_diagnostic(transport, "constant_light"), light)
+        if constant > _CONSTANT:
+            yield (
+                f"About {100 * constant:.0f} % of the light does not follow the patterns: an "
+                "electronic pedestal, light of the room, or a projector whose black is not dark. "
+                "Take a photograph under a black pattern, and give it as --black."
+            )
+        if _mean(_diagnostic(transport, "bend"), self._energies) < _BENT:
+            yield (
+                "Bright samples are darker than T predicts: the camera does not seem linear in "
+                "light. Give its response (--response), or take raw photographs."
+            )
+        glints = _glints(transport)
+        if glints:
+            pixels = "1 camera sample clips" if glints == 1 else f"{glints} camera samples clip"
+            yield (
+                f"{pixels} in most photographs, and none shows how bright it is: a glint, or a "
+                "hot pixel. Mask it, or add photographs of shorter exposure."
+            )
+        elif self._bounded_share > _BOUNDED:
+            yield (
+                "Most of the light comes from camera pixels that clip whenever the projector pixel "
+                "that they see is lit. Add photographs of shorter exposure."
+            )
 
 
 def _glints(transport: LightTransport) -> int:
@@ -110,14 +128,6 @@ def _glints(transport: LightTransport) -> int:
     image = _diagnostic(transport, "clipped_share").reshape(rows, cols, -1)
     neighbours = rank_filter(image, -1 - _HIGHLIGHT, size=(3, 3, 1))
     return int((glint & (image - neighbours > _APART).ravel()).sum())
-
-
-def _bounded_share(transport: LightTransport) -> float:
-    """Share of the squared light in rows that are only bounded."""
-    bounded = _diagnostic(transport, "only_bounded")
-    energies = row_energies(transport)
-    total = float(energies.sum())
-    return float(energies[bounded > 0].sum()) / total if bounded.size and total else 0.0
 
 
 def _diagnostic(transport: LightTransport, name: str) -> NDArray[np.float64]:

@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from lightmatrix.evaluation.doubts import doubts, estimated_error, stated_error
+from lightmatrix.evaluation.doubts import OwnError
 from lightmatrix.evaluation.metrics import unclipped_rows
 from lightmatrix.transport.matrix import LightTransport
 
@@ -119,14 +119,13 @@ def verdict_by_rows(transport: LightTransport, why_untested: str = _UNTESTED) ->
     """The verdict by the diagnostics of the rows alone, whatever was found in the capture."""
     if not transport.diagnostics:
         return Verdict("not tested", "The matrix has no diagnostics.")
-    remarks = _remarks(transport)
-    if estimated_error(transport) is None:
-        reasons = doubts(transport)
-        level: Level = "doubtful" if reasons else "not tested"
-        return Verdict(level, " ".join([*reasons, *remarks, why_untested]))
-    error = stated_error(transport)
+    remarks, own = _remarks(transport), OwnError(transport)
+    if own.estimated is None:
+        level: Level = "doubtful" if own.doubts else "not tested"
+        return Verdict(level, " ".join([*own.doubts, *remarks, why_untested]))
+    error = own.stated
     if error is None:
-        reasons = ["The error of T is not known.", *doubts(transport)]
+        reasons = ["The error of T is not known.", *own.doubts]
         return Verdict("doubtful", " ".join([*reasons, *remarks]))
     clipped = singly_clipped(transport, _shortest_exposure(transport))
     level, warnings = limited(level_of(error), clipped)

@@ -20,7 +20,7 @@ from lightmatrix.diagnosis.responses.found import with_response
 from lightmatrix.errors import InputError
 from lightmatrix.estimators.colour.estimate import estimate_colour
 from lightmatrix.estimators.estimate import estimate
-from lightmatrix.evaluation.doubts import estimated_error
+from lightmatrix.evaluation.doubts import OwnError
 from lightmatrix.evaluation.estimate_errors import joint_relighting_error
 from lightmatrix.evaluation.metrics import squared_errors
 from lightmatrix.experiments.colour_rigs import COLOUR_RIGS, colour_capture
@@ -189,7 +189,7 @@ def measure(case: Case) -> Measured:
         **asdict(case),
         "relative_error": float(np.sqrt(wrong.sum() / total.sum())),
         "relighting_error": joint_relighting_error(matrices, known),
-        "estimated_error": estimated_error(first),
+        "estimated_error": OwnError(first).estimated,
         "footprint": float(np.median(first.diagnostics["footprint"])),
         "seconds": seconds,
         "full_frame": float("nan"),

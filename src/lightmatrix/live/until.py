@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from lightmatrix.errors import InputError
-from lightmatrix.evaluation.doubts import doubts, stated_error
+from lightmatrix.evaluation.doubts import OwnError
 from lightmatrix.evaluation.metrics import row_energies
 from lightmatrix.evaluation.verdict import percent
 from lightmatrix.live.session import Session
@@ -51,7 +51,7 @@ class Target:
 
     def stated(self, transport: LightTransport) -> float | None:
         """What an estimate states of this error; None if it states none."""
-        return prediction_error(transport) if self.relighting else stated_error(transport)
+        return prediction_error(transport) if self.relighting else OwnError(transport).stated
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,7 @@ class Until:
             if error is not None and error <= self.target.error:
                 return self._outcome(True, f"{percent(error)} after {frames} frames")
             if error is None and frames >= _PATIENT_UNTIL:
-                reasons = [] if self.target.relighting else doubts(transport)
+                reasons = [] if self.target.relighting else OwnError(transport).doubts
                 return self._outcome(False, " ".join(["no error can be stated.", *reasons]))
             if self._stalled:
                 return self._outcome(False, f"more patterns do not help; {_cause(transport)}")

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.capture.capture import Capture
-from lightmatrix.evaluation.doubts import doubts, stated_error
+from lightmatrix.evaluation.doubts import OwnError
 from lightmatrix.evaluation.estimate_errors import Errors, errors_by_rows
 from lightmatrix.evaluation.metrics import relative_error, squared_errors
 from lightmatrix.evaluation.verdict import (
@@ -132,18 +132,18 @@ class Facts:
         if self.relative_error is not None:
             errors.append(self.relative_error)
             sentences.append(f"Error of T against the truth: {percent(self.relative_error)}.")
-        own_estimate, reasons = stated_error(self.transport), doubts(self.transport)
-        if own_estimate is not None:
-            errors.append(own_estimate)
-            sentences.append(f"Estimated error of T: {percent(own_estimate)}.")
+        own = OwnError(self.transport)
+        if own.stated is not None:
+            errors.append(own.stated)
+            sentences.append(f"Estimated error of T: {percent(own.stated)}.")
         if not errors:
             why = f"It was not tested on unseen photographs: {self.validation}."
             return verdict_by_rows(self.transport, why)
         level, warnings = level_of(max(errors)), list[str]()
         if self.relative_error is None:
             level, warnings = limited(level, self.singly_clipped)
-            if reasons:
-                level, warnings = "doubtful", [*reasons, *warnings]
+            if own.doubts:
+                level, warnings = "doubtful", [*own.doubts, *warnings]
         return Verdict(level, " ".join([*sentences, *warnings]))
 
 

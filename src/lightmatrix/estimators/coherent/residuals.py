@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from lightmatrix.camera.samples import Samples
+from lightmatrix.estimators.coherent.correspondence import strongest_entries
 from lightmatrix.estimators.coherent.row_solver import RowSolver, WeightedRows
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.solvers.problem import Result
@@ -162,7 +163,7 @@ def only_bounded(samples: Samples, pixels: csr_array, patterns: PatternSet) -> N
     bounded = np.zeros(len(entries), bool)
     if not len(lit):
         return bounded
-    strongest = np.asarray(pixels[lit].argmax(axis=1), np.int64).ravel()
+    strongest = strongest_entries(pixels)[lit]
     used, place = np.unique(strongest, return_inverse=True)
     shown = patterns.columns(used).T
     shown = (shown >= shown.max(axis=1, keepdims=True) / 2)[place]
