@@ -19,10 +19,11 @@ from lightmatrix._version import __version__
 from lightmatrix.camera.samples import Samples
 from lightmatrix.capture.capture import Capture
 from lightmatrix.diagnosis.finding import FINDINGS, Finding
-from lightmatrix.estimators.work import Progress, TilesInMemory, Work, WorkerPool, complete
+from lightmatrix.estimators.work import TilesInMemory, Work, WorkerPool, complete
 from lightmatrix.outputs.targets import final_target
 from lightmatrix.resources.disk import check_disk_space
 from lightmatrix.solvers import Solver
+from lightmatrix.solvers.loop import Progress
 from lightmatrix.solvers.problem import Result, check_regularization
 from lightmatrix.store import ROWS, Checkpoint
 from lightmatrix.transport.matrix import LightTransport
@@ -68,7 +69,7 @@ class Estimator(ABC):
     """From a capture to its light transport matrix, in one way."""
 
     @abstractmethod
-    def plan(self, capture: Capture, progress: Progress | None = None) -> Plan:
+    def plan(self, capture: Capture) -> Plan:
         """The estimate before it is made."""
 
     def estimate(
@@ -114,13 +115,13 @@ class Estimator(ABC):
         ClusterError
             If the workers cannot be reached, do not see the capture or the output, or all die.
         """
-        plan = self.plan(capture, progress)
+        plan = self.plan(capture)
         shapes = plan.shapes
         shapes["provenance"] |= {FINDINGS: [finding.as_dict() for finding in findings]}
         check_regularization(plan.provenance["regularization"])
         if output is None and pool is None:
             tiles = TilesInMemory()
-            complete(plan.work, tiles)
+            complete(plan.work, tiles, progress)
             rows = tiles.read(ROWS)
             return LightTransport(
                 rows.coefficients, rows.background, diagnostics=rows.diagnostics, **shapes
@@ -135,7 +136,7 @@ class Estimator(ABC):
             checkpoint = stack.enter_context(
                 Checkpoint.open(output, plan.fingerprint, overwrite=overwrite)
             )
-            complete(plan.work, checkpoint, pool=pool)
+            complete(plan.work, checkpoint, progress, pool=pool)
             return checkpoint.finish(**shapes)
 
 

@@ -29,13 +29,13 @@ from lightmatrix.estimators.choice import choose_estimator
 from lightmatrix.estimators.resource_estimate import estimate_resources
 from lightmatrix.estimators.settings import EstimateSettings
 from lightmatrix.estimators.unknown_projector import find_responses
-from lightmatrix.estimators.work import Progress
 from lightmatrix.estimators.workers.startup import open_workers
 from lightmatrix.outputs.kinds import STORE
 from lightmatrix.outputs.writing import check_output
 from lightmatrix.patterns.colour import ColourPatterns
 from lightmatrix.patterns.projector_curve import ProjectorResponse
 from lightmatrix.progress_bar import progress_bar
+from lightmatrix.solvers.loop import Progress
 from lightmatrix.transport.matrix import LightTransport
 
 

@@ -15,11 +15,11 @@ from lightmatrix.estimators.base import (
     solver_provenance,
 )
 from lightmatrix.estimators.certainty import with_certainty
-from lightmatrix.estimators.work import TILE_BYTES, OneStep, Progress, cut_rows
+from lightmatrix.estimators.work import TILE_BYTES, OneStep, cut_rows
 from lightmatrix.ranges import check_at_least_one
 from lightmatrix.solvers import Solver, solve
+from lightmatrix.solvers.loop import Progress
 from lightmatrix.solvers.problem import Problem
-from lightmatrix.store import ROWS
 from lightmatrix.store.tiles import Span
 from lightmatrix.transport.sparse_rows import SparseRows
 
@@ -59,7 +59,7 @@ class PlainEstimator(Estimator):
     def __post_init__(self) -> None:
         check_at_least_one(tile_rows=self.tile_rows)
 
-    def plan(self, capture: Capture, progress: Progress | None = None) -> Plan:
+    def plan(self, capture: Capture) -> Plan:
         """The estimate before it is made."""
         regularization = self.regularization
         if regularization is None:
@@ -72,7 +72,7 @@ class PlainEstimator(Estimator):
             "background": self.background,
             **capture_provenance(capture),
         }
-        return Plan(_Rows(capture, progress, self, regularization), provenance)
+        return Plan(_Rows(capture, self, regularization), provenance)
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +88,7 @@ class _Rows(OneStep):
         most = self.estimator.tile_rows or max(1, TILE_BYTES // row_bytes)
         return cut_rows(self.capture.rows, most, parts, shrinking)
 
-    def solve(self, start: int, stop: int) -> SparseRows:
+    def solve(self, start: int, stop: int, progress: Progress) -> SparseRows:
         samples = self.capture.samples(start, stop)
         problem = Problem(
             self.capture.patterns,
@@ -97,6 +97,6 @@ class _Rows(OneStep):
             nonnegative=self.estimator.nonnegative,
             background=self.estimator.background,
         )
-        result = solve(problem, self.estimator.solver, progress=self.progress_of(ROWS, start))
+        result = solve(problem, self.estimator.solver, progress=progress)
         rows = rows_with_diagnostics(samples, result)
         return with_certainty(rows, samples, problem.patterns, (1, 1), start, self.capture.rows)

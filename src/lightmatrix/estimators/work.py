@@ -4,23 +4,22 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
-from typing import Protocol, Self
+from dataclasses import dataclass, field
+from typing import Protocol
 
 from lightmatrix.capture.capture import Capture
+from lightmatrix.estimators.side_by_side import SolveTile, solve_tiles
+from lightmatrix.solvers.loop import Progress
 from lightmatrix.store import ROWS, Checkpoint
 from lightmatrix.store.tiles import Span, unfinished_spans
 from lightmatrix.transport.sparse_rows import SparseRows
 
-# Called with (done, total) rows.
-Progress = Callable[[int, int], None]
-# Solves the rows start..stop of a step.
-SolveTile = Callable[[int, int], SparseRows]
 # Reads all rows of a finished step by its name.
 ReadStep = Callable[[str], SparseRows]
 
-# Bytes of working memory of one tile. Half a gigabyte is chosen by hand: it holds enough rows to
-# keep all cores busy, and lies well below the 4 GiB that any estimate may take.
+# Bytes of working memory of the tiles that are solved side by side. Half a gigabyte is chosen by
+# hand: it holds enough rows to keep all cores busy, and lies well below the 4 GiB that any estimate
+# may take.
 TILE_BYTES = 512 << 20
 # Rows of the smallest tile that a step is cut into so that every worker gets some. Chosen by hand:
 # smaller tiles cost more to hand out than to solve.
@@ -58,11 +57,12 @@ class Work(Protocol):
         nothing else, whichever tile it is in.
         """
 
-    def progress_of(self, step: str, start: int = 0) -> Progress | None:
-        """What to call with the solved rows of a step from `start` on; None if nobody listens."""
+    @property
+    def together(self) -> int:
+        """How many tiles are solved side by side in one process."""
 
-    def without_progress(self) -> Work:
-        """The same work without progress reports, which cannot travel."""
+    def solved(self, step: str, done: int) -> int:
+        """How many rows of the estimate count as solved after `done` rows of a step."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +70,6 @@ class OneStep(ABC):
     """A `Work` of one step, whose rows depend on their own samples alone."""
 
     capture: Capture
-    progress: Progress | None
 
     @property
     def steps(self) -> Mapping[str, tuple[str, ...]]:
@@ -82,21 +81,21 @@ class OneStep(ABC):
         """The rows start..stop of the tiles, in order; see `Work`."""
 
     @abstractmethod
-    def solve(self, start: int, stop: int) -> SparseRows:
+    def solve(self, start: int, stop: int, progress: Progress) -> SparseRows:
         """The rows start..stop."""
 
     def prepare(self, step: str, read: ReadStep) -> SolveTile:
         """Return `solve`; nothing comes before it."""
         return self.solve
 
-    def progress_of(self, step: str, start: int = 0) -> Progress | None:
-        """What to call with the solved rows from `start` on; None if nobody listens."""
-        progress, total = self.progress, self.capture.rows
-        return None if progress is None else lambda done, _: progress(start + done, total)
+    @property
+    def together(self) -> int:
+        """One: each tile takes all cores, and Python has little to do."""
+        return 1
 
-    def without_progress(self) -> Self:
-        """The same work without progress reports."""
-        return replace(self, progress=None)
+    def solved(self, step: str, done: int) -> int:
+        """The rows themselves."""
+        return done
 
 
 class WorkerPool(Protocol):
@@ -106,8 +105,15 @@ class WorkerPool(Protocol):
     def parts(self) -> int:
         """Into how many tiles a step is cut at least, so that every worker has some."""
 
-    def solve(self, work: Work, step: str, spans: list[Span], checkpoint: Checkpoint) -> None:
-        """Solve tiles of a step, and count them as finished."""
+    def solve(
+        self,
+        work: Work,
+        step: str,
+        spans: list[Span],
+        checkpoint: Checkpoint,
+        report: Callable[[int], None],
+    ) -> None:
+        """Solve tiles of a step, and count them as finished; `report` the rows that are done."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,6 +143,7 @@ class TilesInMemory:
 def complete(
     work: Work,
     finished: Checkpoint | TilesInMemory,
+    progress: Progress | None = None,
     step: str = ROWS,
     pool: WorkerPool | None = None,
 ) -> None:
@@ -146,14 +153,26 @@ def complete(
     if not missing:
         return
     for before in work.steps[step]:
-        complete(work, finished, before, pool)
+        complete(work, finished, progress, before, pool)
+    total = work.capture.rows
+    # What an earlier run has finished counts as well.
+    already = max(stop for _, stop in missing) - sum(stop - start for start, stop in missing)
+
+    def report(done: int) -> None:
+        if progress is not None:
+            progress(work.solved(step, already + done), total)
+
     if pool is not None:
         assert isinstance(finished, Checkpoint), "workers write their tiles into its folder"
-        pool.solve(work, step, missing, finished)
+        pool.solve(work, step, missing, finished, report)
     else:
-        solve_tile = work.prepare(step, finished.read)
-        for start, stop in missing:
-            finished.write(start, stop, solve_tile(start, stop), step)
+        solve_tiles(
+            work.prepare(step, finished.read),
+            missing,
+            work.together,
+            lambda span, rows: finished.write(*span, rows, step),
+            report,
+        )
     for before in work.steps[step]:
         if [name for name, needed in work.steps.items() if before in needed] == [step]:
             finished.forget(before)

@@ -12,7 +12,6 @@ from lightmatrix.capture.capture import Capture
 from lightmatrix.diagnosis.finding import Finding
 from lightmatrix.errors import InputError
 from lightmatrix.estimators.settings import EstimateSettings
-from lightmatrix.estimators.work import Progress
 from lightmatrix.evaluation.verdict import percent, stored_findings
 from lightmatrix.evaluation.verdicts import Verdicts, correspondence_verdict
 from lightmatrix.geometry.rig_geometry import RigGeometry
@@ -30,6 +29,7 @@ from lightmatrix.report.sections.transport_matrix import transport_matrix
 from lightmatrix.report.sections.uses import uses
 from lightmatrix.report.validation import Estimator, Validation, validate
 from lightmatrix.simulation.truth import Truth
+from lightmatrix.solvers.loop import Progress
 from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.uses.triangulation import geometry_of
 from lightmatrix.viewer.export import export_viewer

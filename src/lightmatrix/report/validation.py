@@ -20,7 +20,7 @@ from lightmatrix.estimators.choice import choose_estimator
 from lightmatrix.estimators.coherent.held_out import HeldOut
 from lightmatrix.estimators.coherent.row_errors import FEWEST
 from lightmatrix.estimators.settings import EstimateSettings
-from lightmatrix.estimators.work import Progress
+from lightmatrix.solvers.loop import Progress
 from lightmatrix.transport.matrix import LightTransport
 
 # At most this many unseen photographs are shown and predicted. Chosen by hand: a second estimate

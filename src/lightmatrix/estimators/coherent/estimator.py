@@ -10,7 +10,6 @@ from lightmatrix.estimators.base import Estimator, Plan, capture_provenance, sol
 from lightmatrix.estimators.coherent.rounds import Rounds
 from lightmatrix.estimators.coherent.row_solver import RowSolver
 from lightmatrix.estimators.coherent.schedule import schedule, spacings
-from lightmatrix.estimators.work import Progress
 from lightmatrix.ranges import check_at_least_one
 from lightmatrix.solvers.active_set import ActiveSet
 from lightmatrix.solvers.fidelity import Fidelity
@@ -121,7 +120,7 @@ class CoherentEstimator(Estimator):
                 f"a background grid of {self.background_grid}", hint="use (1, 1) or more"
             )
 
-    def plan(self, capture: Capture, progress: Progress | None = None) -> Plan:
+    def plan(self, capture: Capture) -> Plan:
         """The estimate before it is made."""
         rounds = schedule(capture.camera_shape, capture.patterns.pixels, self.windows)
         solver = RowSolver(
@@ -134,7 +133,7 @@ class CoherentEstimator(Estimator):
             self.background_grid,
             narrow=rounds[0].spacing > 1,
         )
-        work = Rounds(solver, rounds, self.tile_rows, progress)
+        work = Rounds(solver, rounds, self.tile_rows)
         return Plan(work, self._provenance(capture, solver.penalty), solver.backgrounds.grid)
 
     def _provenance(self, capture: Capture, regularization: float) -> dict[str, object]:

@@ -42,8 +42,14 @@ from lightmatrix.estimators.coherent.row_errors import (
 )
 from lightmatrix.estimators.coherent.row_solver import RowSolver
 from lightmatrix.estimators.coherent.schedule import Round
-from lightmatrix.estimators.cost_model import coherent_row_bytes, first_round_cost
-from lightmatrix.estimators.work import TILE_BYTES, Progress, ReadStep, SolveTile, cut_rows
+from lightmatrix.estimators.cost_model import (
+    coherent_row_bytes,
+    core_threads,
+    first_round_cost,
+)
+from lightmatrix.estimators.side_by_side import SolveTile
+from lightmatrix.estimators.work import TILE_BYTES, ReadStep, cut_rows
+from lightmatrix.solvers.loop import Progress
 from lightmatrix.solvers.problem import Result
 from lightmatrix.store import ROWS
 from lightmatrix.store.tiles import Span
@@ -70,7 +76,6 @@ class Rounds:
     solver: RowSolver
     rounds: tuple[Round, ...]
     tile_rows: int | None
-    progress: Progress | None
     _latest: dict[int, Neighbourhood] = field(default_factory=dict, init=False, repr=False)
 
     @property
@@ -88,7 +93,7 @@ class Rounds:
     def tiles(self, step: str, parts: int = 1, *, shrinking: bool = False) -> Iterator[Span]:
         """The rows start..stop of the tiles of a step, in order."""
         row_bytes = coherent_row_bytes(self.capture.count, self.solver.candidates)
-        most = self.tile_rows or max(1, TILE_BYTES // row_bytes)
+        most = max(1, (self.tile_rows or TILE_BYTES // row_bytes) // self.together)
         return cut_rows(self._grid(self._number(step)).count, most, parts, shrinking)
 
     def prepare(self, step: str, read: ReadStep) -> SolveTile:
@@ -110,20 +115,17 @@ class Rounds:
             misfit = smooth_misfit(misfit, neighbours.camera, noise, self._tested_every)
         return partial(self._finish, neighbours, misfit, missed)
 
-    def progress_of(self, step: str, start: int = 0) -> Progress | None:
-        """What to call with the solved rows of a step: each round counts by its usual time."""
-        progress = self.progress
-        if progress is None:
-            return None
-        rows, costs = self.capture.rows, self._costs
-        number = len(self.rounds) if step == ROWS else self._number(step)
-        before, cost = sum(costs[:number]) / sum(costs), costs[number] / sum(costs)
-        count = self._grid(self._number(step)).count
-        return lambda done, _: progress(int(rows * (before + cost * (start + done) / count)), rows)
+    @property
+    def together(self) -> int:
+        """Two if the core has several threads: Python prepares one while it solves the other."""
+        return 2 if (self.solver.solver.threads or core_threads()) > 1 else 1
 
-    def without_progress(self) -> Rounds:
-        """The same work without progress reports."""
-        return replace(self, progress=None)
+    def solved(self, step: str, done: int) -> int:
+        """Each round counts by its usual time."""
+        number = len(self.rounds) if step == ROWS else self._number(step)
+        before, cost = sum(self._costs[:number]), self._costs[number]
+        share = done / self._grid(self._number(step)).count
+        return int(self.capture.rows * (before + cost * share) / sum(self._costs))
 
     def _number(self, step: str) -> int:
         """The number of the round of a step."""
@@ -144,18 +146,19 @@ class Rounds:
         """The camera pixels of a round."""
         return self._grids[self.rounds[number].spacing]
 
-    def _search(self, start: int, stop: int) -> SparseRows:
+    def _search(self, start: int, stop: int, progress: Progress) -> SparseRows:
         """The rows start..stop of the first round, each by itself on all atoms."""
         samples = self._grid(0).samples(start, stop)
-        progress = self.progress_of(round_name(0), start)
         solved = self.solver.everywhere(samples, progress, brief=not self._grows)
         return _searched(solved) if self._grows else _for_next_round(solved)
 
-    def _solve(self, number: int, neighbours: Neighbourhood, start: int, stop: int) -> SparseRows:
+    def _solve(
+        self, number: int, neighbours: Neighbourhood, start: int, stop: int, progress: Progress
+    ) -> SparseRows:
         """The rows start..stop of a round, with what their neighbours say of them."""
         this_round = self.rounds[number]
         samples = self._grid(number).samples(start, stop)
-        rows, progress = np.arange(start, stop), self.progress_of(round_name(number), start)
+        rows = np.arange(start, stop)
         if not self._grows:
             solved, _ = self.solver.near(samples, rows, this_round, neighbours, progress)
             return _for_next_round(solved)
@@ -164,7 +167,7 @@ class Rounds:
             solved, _ = self.solver.near(samples, rows, this_round, neighbours, progress)
             result = _for_next_round(solved, before)
             if this_round.search_unexplained:
-                result = self._search_unexplained(samples, solved, result)
+                result = self._search_unexplained(samples, solved, result, progress)
             return with_change(result, before)
         moving = np.flatnonzero(unsettled(neighbours.rows, neighbours.camera)[start:stop])
         if not len(moving):
@@ -175,25 +178,35 @@ class Rounds:
         )
         return replaced(before, with_change(_for_next_round(solved, part), part), moving)
 
-    def _search_unexplained(self, samples: Samples, solved: Result, rows: SparseRows) -> SparseRows:
+    def _search_unexplained(
+        self, samples: Samples, solved: Result, rows: SparseRows, progress: Progress
+    ) -> SparseRows:
         """Rows of which the unexplained ones have searched all atoms."""
         unexplained = self.solver.unexplained(samples, solved)
         if not len(unexplained):
             return rows
-        again = _searched(self.solver.everywhere(samples.rows(unexplained)))
+
+        def still_solved(done: int, total: int) -> None:
+            progress(rows.count, rows.count)
+
+        again = _searched(self.solver.everywhere(samples.rows(unexplained), still_solved))
         lit = np.flatnonzero(np.diff(again.coefficients.indptr) > 0)
         return replaced(rows, again.rows(lit), unexplained[lit]) if len(lit) else rows
 
-    def _hold_out(self, neighbours: Neighbourhood, start: int, stop: int) -> SparseRows:
+    def _hold_out(
+        self, neighbours: Neighbourhood, start: int, stop: int, progress: Progress
+    ) -> SparseRows:
         """Misfits of the rows start..stop under the last round's held-out frames."""
         count = stop - start
         nothing = csr_array((count, self.solver.atoms.pixels), dtype=np.float32)
         return SparseRows(
-            nothing, np.zeros((count, 1), np.float32), self._misfits(neighbours, start, stop)
+            nothing,
+            np.zeros((count, 1), np.float32),
+            self._misfits(neighbours, start, stop, progress),
         )
 
     def _misfits(
-        self, neighbours: Neighbourhood, start: int, stop: int
+        self, neighbours: Neighbourhood, start: int, stop: int, progress: Progress
     ) -> dict[str, NDArray[np.float32]]:
         """Misfits of rows at the frames held out, and of some of them at the other frames."""
         solver, held = self.solver, self._held_out.judged
@@ -205,7 +218,6 @@ class Rounds:
             return known
         samples = self.capture.samples(start, stop).rows(rows - start)
         kept = without(samples, self._held_out.frames)
-        progress = self.progress_of(HELD_OUT, start)
         solved, weighted = solver.near(kept, rows, self.rounds[-1], neighbours, progress)
         light = solved.background[:, None] * weighted.background[:, held]
         if solved.cells.shape[1]:
@@ -257,11 +269,11 @@ class Rounds:
         missed: NDArray[np.float32],
         start: int,
         stop: int,
+        progress: Progress,
     ) -> SparseRows:
         """The rows start..stop of the result, in pixels, with their backgrounds on the cells."""
         solver, rows = self.solver, np.arange(start, stop)
         samples = self.capture.samples(start, stop)
-        progress = self.progress_of(ROWS, start)
         solved, weighted = solver.near(samples, rows, self.rounds[-1], neighbours, progress)
         shares = solver.backgrounds.spread(neighbours.centres[start:stop])
         background = solved.background[:, None] * shares

@@ -14,10 +14,10 @@ from lightmatrix.capture.capture import Capture
 from lightmatrix.estimators.coherent.backgrounds import Backgrounds
 from lightmatrix.estimators.coherent.neighbourhood import Neighbourhood, unseen_patterns
 from lightmatrix.estimators.coherent.schedule import Round
-from lightmatrix.estimators.work import Progress
 from lightmatrix.patterns.atoms import AtomPatterns
 from lightmatrix.solvers.active_set import ActiveSet
 from lightmatrix.solvers.fidelity import Fidelity
+from lightmatrix.solvers.loop import Progress
 from lightmatrix.solvers.problem import Problem, Result
 from lightmatrix.solvers.weighted import Candidates, Cells, PseudoSamples, solve_weighted
 

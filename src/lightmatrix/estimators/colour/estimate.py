@@ -26,12 +26,12 @@ from lightmatrix.estimators.colour.mixing import (
     usual_gains,
 )
 from lightmatrix.estimators.colour.unmixing import grey_capture, unmixed_capture
-from lightmatrix.estimators.work import Progress
 from lightmatrix.files.colours import COLOURS
 from lightmatrix.outputs.kinds import COLOUR_STORES
 from lightmatrix.outputs.writing import check_output
 from lightmatrix.patterns.colour import ColourPatterns
 from lightmatrix.progress_bar import progress_bar
+from lightmatrix.solvers.loop import Progress
 from lightmatrix.store.colour_stores import save_colour
 from lightmatrix.transport.colour import ColourTransport
 from lightmatrix.transport.matrix import LightTransport

@@ -23,10 +23,10 @@ from lightmatrix.estimators.base import (
 )
 from lightmatrix.estimators.certainty import with_certainty
 from lightmatrix.estimators.multiscale.scales import Scale, active_blocks, grid_of, scales, split
-from lightmatrix.estimators.work import OneStep, Progress
+from lightmatrix.estimators.work import OneStep
 from lightmatrix.solvers import Solver, solve
+from lightmatrix.solvers.loop import Progress
 from lightmatrix.solvers.problem import Problem, Result
-from lightmatrix.store import ROWS
 from lightmatrix.store.tiles import Span
 from lightmatrix.transport.sparse_rows import SparseRows
 
@@ -103,7 +103,7 @@ class MultiScaleEstimator(Estimator):
                 hint="use a share from 0 to below 1, such as 0.1",
             )
 
-    def plan(self, capture: Capture, progress: Progress | None = None) -> Plan:
+    def plan(self, capture: Capture) -> Plan:
         """The estimate before it is made."""
         regularization = self.regularization
         if regularization is None:
@@ -122,7 +122,7 @@ class MultiScaleEstimator(Estimator):
             "active": self.active,
             **capture_provenance(capture),
         }
-        return Plan(_Strips(capture, progress, self, regularization), provenance)
+        return Plan(_Strips(capture, self, regularization), provenance)
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,7 +139,7 @@ class _Strips(OneStep):
         for start in range(0, rows, self.estimator.camera_block):
             yield start * width, min(start + self.estimator.camera_block, rows) * width
 
-    def solve(self, start: int, stop: int) -> SparseRows:
+    def solve(self, start: int, stop: int, progress: Progress) -> SparseRows:
         samples = self.capture.samples(start, stop)
         patterns = self.capture.patterns
         strip = Problem(
@@ -150,12 +150,10 @@ class _Strips(OneStep):
             background=self.estimator.background,
         )
         parts, order = [], []
-        progress = self.progress_of(ROWS, start)
         for rows in self._camera_blocks(stop - start):
             parts.append(self._solve_block(strip.take(rows), samples.rows(rows)))
             order.append(rows)
-            if progress is not None:
-                progress(sum(map(len, order)), stop - start)
+            progress(sum(map(len, order)), stop - start)
         solved = SparseRows.joined(parts).rows(np.argsort(np.concatenate(order)))
         return with_certainty(solved, samples, patterns, (1, 1), start, self.capture.rows)
 

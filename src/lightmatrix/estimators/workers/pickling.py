@@ -17,7 +17,7 @@ def pack_work(work: Work) -> bytes:
     """An estimate as bytes: absolute paths of frames in files, frames in memory, no caches."""
     stream = io.BytesIO()
     try:
-        _Pickler(stream, protocol=pickle.HIGHEST_PROTOCOL).dump(work.without_progress())
+        _Pickler(stream, protocol=pickle.HIGHEST_PROTOCOL).dump(work)
     except (pickle.PicklingError, AttributeError, TypeError) as error:
         raise InputError(
             f"the estimate cannot be sent to workers ({error})",

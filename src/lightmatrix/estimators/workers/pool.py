@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import time
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
@@ -75,7 +75,14 @@ class DaskPool:
         """Into how many tiles a step is cut at least."""
         return TILES_EACH * max(1, len(self.threads))
 
-    def solve(self, work: Work, step: str, spans: list[Span], checkpoint: Checkpoint) -> None:
+    def solve(
+        self,
+        work: Work,
+        step: str,
+        spans: list[Span],
+        checkpoint: Checkpoint,
+        report: Callable[[int], None],
+    ) -> None:
         """Let workers solve tiles of a step whose earlier steps are finished; see `WorkerPool`.
 
         Raises
@@ -89,8 +96,7 @@ class DaskPool:
         job = self._job(work, checkpoint)
         waiting, running = deque(spans), dict[Any, Span]()
         before = {name: checkpoint.spans(name) for name in work.steps[step]}
-        progress, total = work.progress_of(step), sum(stop - start for start, stop in spans)
-        done = max((stop for _, stop in spans), default=0) - total
+        done = 0
         threads: dict[str, int] = {}
         counted = time.monotonic()
         try:
@@ -113,8 +119,7 @@ class DaskPool:
                     self._check(future, status, checkpoint, step, span)
                     checkpoint.add(*span, step)
                     done += span[1] - span[0]
-                    if progress is not None:
-                        progress(done, total)
+                    report(done)
         finally:
             # After an error or Ctrl-C the tiles that no worker has begun are taken back.
             if running:

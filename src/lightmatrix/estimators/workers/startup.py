@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import logging
 import os
 import warnings
@@ -192,6 +193,9 @@ def _without_monitoring(threads: str) -> Iterator[None]:
 def _connected(address: str) -> Iterator[Client]:
     from distributed import Client
 
+    # A client that could not connect is closed when it is collected. Within the constructor of
+    # another one, this would wait for ever for a lock that the constructor holds.
+    gc.collect()
     try:
         client = Client(
             address, timeout=SCHEDULER_TIMEOUT, set_as_default=False, name="lightmatrix"

@@ -21,7 +21,8 @@ from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.frames import PixelFrames
 from lightmatrix.errors import ClusterError, InputError, LightMatrixError
 from lightmatrix.estimators.cost_model import core_threads
-from lightmatrix.estimators.work import SolveTile, Work
+from lightmatrix.estimators.side_by_side import SolveTile
+from lightmatrix.estimators.work import Work
 from lightmatrix.estimators.workers.pickling import unpack_work
 from lightmatrix.resources.memory import available_bytes
 from lightmatrix.store.checkpoint import fingerprint_token
@@ -148,7 +149,7 @@ def solve_tile(
                 step, lambda name: _read_step(job, name, before[name])
             )
             _open_job.step = step
-        rows = _open_job.solve_tile(*span)
+        rows = _open_job.solve_tile(*span, lambda done, total: None)
         write_tile(Path(job.folder) / tile_name(step, span), job.token, rows)
 
 
