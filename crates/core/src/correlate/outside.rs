@@ -1,6 +1,6 @@
 //! Collects the scores outside two thresholds, and their places.
 
-use crate::simd::{multiversion, Kind, Level};
+use crate::simd::{Kind, Level};
 
 /// Number of scores in an AVX-512 register.
 pub const WIDTH: usize = 32;
@@ -26,22 +26,30 @@ pub fn collect_outside(
                 avx512::collect::<true>(first as u32, scores, below, above, places, collected);
             }
         },
-        _ => collect_plain(level, first as u32, scores, below, above, places, collected),
+        #[cfg(target_arch = "x86_64")]
+        // SAFETY: the level proves the instructions.
+        Kind::Avx2 => unsafe {
+            avx2::collect(first as u32, scores, below, above, places, collected);
+        },
+        Kind::Portable => collect_plain(first as u32, scores, below, above, places, collected),
     }
 }
 
-multiversion! {
-    fn collect_plain(
-        first: u32, scores: &[i16], below: i16, above: i16, places: &mut Vec<u32>, collected: &mut Vec<i16>
-    ) {
-        for (block, group) in scores.chunks(GROUP).enumerate() {
-            let outside = |any, &score: &i16| any | (score > above) | (score < below);
-            if group.iter().fold(false, outside) {
-                for (i, &score) in group.iter().enumerate() {
-                    if score > above || score < below {
-                        places.push(first + (block * GROUP + i) as u32);
-                        collected.push(score);
-                    }
+fn collect_plain(
+    first: u32,
+    scores: &[i16],
+    below: i16,
+    above: i16,
+    places: &mut Vec<u32>,
+    collected: &mut Vec<i16>,
+) {
+    for (block, group) in scores.chunks(GROUP).enumerate() {
+        let outside = |any, &score: &i16| any | (score > above) | (score < below);
+        if group.iter().fold(false, outside) {
+            for (i, &score) in group.iter().enumerate() {
+                if score > above || score < below {
+                    places.push(first + (block * GROUP + i) as u32);
+                    collected.push(score);
                 }
             }
         }
@@ -63,6 +71,53 @@ pub fn collect_marked(
     // SAFETY: the level proves the instructions; there is room for all.
     unsafe { appender.append(first as u32, scores, mask) };
     appender.finish();
+}
+
+#[cfg(target_arch = "x86_64")]
+mod avx2 {
+    use std::arch::x86_64::*;
+
+    /// Number of scores in a register.
+    const WIDTH: usize = 16;
+
+    #[target_feature(enable = "avx2,bmi1")]
+    pub fn collect(
+        first: u32,
+        scores: &[i16],
+        below: i16,
+        above: i16,
+        places: &mut Vec<u32>,
+        collected: &mut Vec<i16>,
+    ) {
+        assert!(scores.len().is_multiple_of(2 * WIDTH));
+        let (lowest, highest) = (_mm256_set1_epi16(below), _mm256_set1_epi16(above));
+        // Two registers are tested together, as few scores lie outside.
+        for (pair, scores) in scores.as_chunks::<{ 2 * WIDTH }>().0.iter().enumerate() {
+            // SAFETY: there are two registers of scores.
+            let values =
+                [0, WIDTH].map(|at| unsafe { _mm256_loadu_si256(scores[at..].as_ptr().cast()) });
+            let marks = values.map(|values| {
+                _mm256_or_si256(
+                    _mm256_cmpgt_epi16(values, highest),
+                    _mm256_cmpgt_epi16(lowest, values),
+                )
+            });
+            let any = _mm256_or_si256(marks[0], marks[1]);
+            if _mm256_testz_si256(any, any) == 1 {
+                continue;
+            }
+            // A byte for each score, in order.
+            let bytes =
+                _mm256_permute4x64_epi64::<0b11_01_10_00>(_mm256_packs_epi16(marks[0], marks[1]));
+            let mut mask = _mm256_movemask_epi8(bytes) as u32;
+            while mask != 0 {
+                let place = mask.trailing_zeros();
+                places.push(first + (pair * 2 * WIDTH) as u32 + place);
+                collected.push(scores[place as usize]);
+                mask &= mask - 1;
+            }
+        }
+    }
 }
 
 #[cfg(target_arch = "x86_64")]
