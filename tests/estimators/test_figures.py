@@ -28,11 +28,11 @@ EXPECTED: dict[str, Figures] = {
     },
     "growing": {
         "light": 423.484,
-        "pattern": 10.86031,
-        "background": 11.10834,
-        "entries": 8848,
+        "pattern": 10.86317,
+        "background": 11.11079,
+        "entries": 8833,
         "clipped": 0.142485,
-        "footprint": 2455.285,
+        "footprint": 2456.903,
     },
     "row_by_row": {
         "light": 370.337,

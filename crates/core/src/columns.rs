@@ -159,11 +159,7 @@ impl Columns {
     pub fn copy_scaled(&self, level: Level, pixel: u32, factor: f32, out: &mut [f32]) {
         match self {
             Columns::Bits(bits) => expand(level, bits.column(pixel), factor, out),
-            Columns::Dense(dense) => {
-                for (out, a) in out.iter_mut().zip(dense.column(pixel)) {
-                    *out = factor * a;
-                }
-            }
+            Columns::Dense(dense) => times(level, dense.column(pixel), factor, out),
             Columns::Words(words) => words.copy_scaled(level, pixel, factor, out),
         }
     }
@@ -297,6 +293,14 @@ multiversion! {
                 let keep = 0u64.wrapping_sub(word >> i & 1);
                 *out = f64::from_bits(d.to_bits() & keep);
             }
+        }
+    }
+}
+
+multiversion! {
+    pub(crate) fn times(values: &[f32], factor: f32, out: &mut [f32]) {
+        for (out, value) in out.iter_mut().zip(values) {
+            *out = factor * value;
         }
     }
 }

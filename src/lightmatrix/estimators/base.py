@@ -21,6 +21,7 @@ from lightmatrix.capture.capture import Capture
 from lightmatrix.diagnosis.finding import FINDINGS, Finding
 from lightmatrix.estimators.work import TilesInMemory, Work, WorkerPool, complete
 from lightmatrix.outputs.targets import final_target
+from lightmatrix.resources.blas import one_blas_thread
 from lightmatrix.resources.disk import check_disk_space
 from lightmatrix.solvers import Solver
 from lightmatrix.solvers.loop import Progress
@@ -119,14 +120,17 @@ class Estimator(ABC):
         shapes = plan.shapes
         shapes["provenance"] |= {FINDINGS: [finding.as_dict() for finding in findings]}
         check_regularization(plan.provenance["regularization"])
-        if output is None and pool is None:
-            tiles = TilesInMemory()
-            complete(plan.work, tiles, progress)
-            rows = tiles.read(ROWS)
-            return LightTransport(
-                rows.coefficients, rows.background, diagnostics=rows.diagnostics, **shapes
-            )
         with ExitStack() as stack:
+            if plan.work.together > 1:
+                # Tiles side by side keep all cores busy. More threads of a product would only wait.
+                stack.enter_context(one_blas_thread())
+            if output is None and pool is None:
+                tiles = TilesInMemory()
+                complete(plan.work, tiles, progress)
+                rows = tiles.read(ROWS)
+                return LightTransport(
+                    rows.coefficients, rows.background, diagnostics=rows.diagnostics, **shapes
+                )
             if output is None:
                 # Workers hand over their tiles through a folder.
                 folder = stack.enter_context(TemporaryDirectory(prefix="lightmatrix-"))

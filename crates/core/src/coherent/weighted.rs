@@ -5,7 +5,7 @@
 //! on these columns.
 
 use crate::active_set::SingleRowSolver;
-use crate::columns::{Columns, DenseColumns};
+use crate::columns::{times, Columns, DenseColumns};
 use crate::correlate::Correlator;
 use crate::problem::{Dictionary, Rows, Settings, Solution, Sparse, Start, Values};
 use crate::simd::Level;
@@ -296,14 +296,10 @@ impl Work {
         }
         let columns = shared_columns.columns;
         for (column, (out, penalty)) in columns.chunks_exact((patterns + unseen).max(1)).zip(outs) {
-            let factor = least / penalty;
+            let (factor, level) = (least / penalty, dictionary.level);
             let (shown, beyond) = column.split_at(patterns);
-            for (out, value) in out.iter_mut().zip(shown) {
-                *out = value * factor;
-            }
-            for (out, value) in self.unseen.iter_mut().zip(beyond) {
-                *out = value * factor;
-            }
+            times(level, shown, factor, out);
+            times(level, beyond, factor, &mut self.unseen);
             append(places, &self.unseen[..unseen], patterns, out);
         }
     }

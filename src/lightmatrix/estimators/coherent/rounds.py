@@ -189,7 +189,9 @@ class Rounds:
         def still_solved(done: int, total: int) -> None:
             progress(rows.count, rows.count)
 
-        again = _searched(self.solver.everywhere(samples.rows(unexplained), still_solved, brief=True))
+        again = _searched(
+            self.solver.everywhere(samples.rows(unexplained), still_solved, brief=True)
+        )
         lit = np.flatnonzero(np.diff(again.coefficients.indptr) > 0)
         return replaced(rows, again.rows(lit), unexplained[lit]) if len(lit) else rows
 
