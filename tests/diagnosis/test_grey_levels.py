@@ -66,3 +66,9 @@ def test_means_of_blocks_are_light() -> None:
     decoder = lm.Decoder(clip=255, full_scale=255)
     capture = lm.Capture.from_arrays(patterns, photographs(patterns, noise=0.001), decoder)
     assert lm.check(capture.bin(projector=2)) == []
+
+
+def test_rows_without_usable_samples_are_passed_over() -> None:
+    # At the usual exposure, of some rows no prediction can be compared with a sample.
+    greys = np.random.default_rng(0).random((40, 64, 64), np.float32)
+    assert lm.check(lm.simulate("l_objects", lm.ImagePatterns(greys))) == []

@@ -130,7 +130,10 @@ def explaining_weights(columns: Array, samples: Samples, usable: NDArray[np.bool
     counted = columns * usable[..., None]
     gram = np.einsum("mkd,mke->mde", counted, counted)
     sides = np.einsum("mkd,mk->md", counted, samples.values)
-    ridge = _RIDGE * np.trace(gram, axis1=1, axis2=2)[:, None, None] * np.eye(gram.shape[1])
-    weights = np.linalg.solve(gram + ridge, sides[..., None])[..., 0]
+    ridge = _RIDGE * np.trace(gram, axis1=1, axis2=2)
+    # Rows without usable samples get no weights.
+    ridge[ridge == 0] = 1
+    diagonal = ridge[:, None, None] * np.eye(gram.shape[1])
+    weights = np.linalg.solve(gram + diagonal, sides[..., None])[..., 0]
     weights[:, 2:] = np.maximum(weights[:, 2:], 0)
     return np.asarray(weights)
