@@ -50,6 +50,17 @@ def test_two_tiles_are_solved_at_a_time() -> None:
     solve_tiles(meet, SPANS[:4], 2, lambda span, part: None, lambda done: None)
 
 
+def test_one_tile_is_solved_by_the_thread_that_asks() -> None:
+    threads = list[int]()
+
+    def solve(start: int, stop: int, progress: Progress) -> SparseRows:
+        threads.append(threading.get_ident())
+        return rows(start, stop, progress)
+
+    solve_tiles(solve, SPANS[:1], 2, lambda span, part: None, lambda done: None)
+    assert threads == [threading.get_ident()]
+
+
 @pytest.mark.parametrize("together", [1, 2])
 def test_after_an_error_finished_tiles_are_kept_and_running_ones_end(together: int) -> None:
     kept, ended = list[tuple[int, int]](), list[int]()

@@ -33,11 +33,12 @@ def solve_tiles(
     keep: Callable[[Span, SparseRows], None],
     report: Callable[[int], None],
 ) -> None:
-    """Solve tiles, `together` of them at a time, and `keep` each at once; all in this thread if 1.
+    """Solve tiles, `together` of them at a time, and `keep` each at once.
 
-    `report` is called with the rows that are done, always in this thread.
+    `report` is called with the rows that are done, always in this thread. Where there is one tile,
+    or one at a time, this thread solves, too: others would only delay small estimates.
     """
-    if together == 1:
+    if min(together, len(spans)) == 1:
         _solve_in_turn(solve_tile, spans, keep, report)
         return
     stopped, rows_done = Event(), dict.fromkeys(spans, 0)
