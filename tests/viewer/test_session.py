@@ -310,18 +310,19 @@ def test_a_matrix_that_the_page_has_takes_no_messages(transport: lm.LightTranspo
             scene.session().answer(struct.pack("<4I", kind, 1, 2, 3))
 
 
-def test_a_store_that_changes_is_told(transport: lm.LightTransport, tmp_path: Path) -> None:
+def test_a_store_that_changes_is_told(
+    transport: lm.LightTransport, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # The thread that makes the coarse matrix reads all rows. If it is done before the store is
+    # replaced, painting goes on from memory, and nothing has to be told.
+    monkeypatch.setattr(Scene, "_make_coarse", lambda scene: None)
     lm.save(tmp_path / "scene.zarr", transport)
-    scene = Scene(tmp_path / "scene.zarr", page_bytes=0)
-    window = Window(scene)
+    window = Window(Scene(tmp_path / "scene.zarr", page_bytes=0))
     window.paint(0, 0, np.full((2, 2), 255, np.uint8))
-    # What was read before stays, and fits together. The coarse matrix has read all rows by then.
-    assert scene._coarse_maker is not None
-    scene._coarse_maker.join()
     other = replace(transport, sparse=csr_array(2 * transport.sparse))
     lm.save(tmp_path / "scene.zarr", other, overwrite=True)
-    # The far corner lies in a cell of the background that nobody has read.
-    window.paint(14, 16, np.full((2, 2), 9, np.uint8))
+    for levels in (np.full((2, 2), 9, np.uint8), np.full((16, 18), 9, np.uint8)):
+        window.paint(0, 0, levels)
     errors = [part for part in window.parts if part["kind"] == "error"]
     assert "was replaced" in errors[0]["message"]
     assert not window.session.unfinished

@@ -2,7 +2,7 @@
 
 use crate::bits::{column_codes, Bits};
 use crate::simd::{multiversion, Kind, Level};
-use crate::vector::{fold, padded, LANES, SUMS};
+use crate::vector::{add_terms, fold, padded, LANES, SUMS};
 use crate::words::WordColumns;
 use rayon::prelude::*;
 
@@ -191,15 +191,15 @@ impl Columns {
     }
 
     /// u += factor a_j for all `terms` (j, factor), in float32.
-    pub fn add_singly(&self, level: Level, terms: &[(u32, f32)], u: &mut [f32]) {
+    pub fn add_all_f32(&self, level: Level, terms: &[(u32, f32)], u: &mut [f32]) {
         match self {
             Columns::Bits(bits) => {
                 for (pixel, factor) in terms {
-                    masked_add_singly(level, bits.column(*pixel), *factor, u);
+                    masked_add_f32(level, bits.column(*pixel), *factor, u);
                 }
             }
             Columns::Dense(dense) => add_columns(level, &dense.values, dense.stride, terms, u),
-            Columns::Words(words) => words.add_singly(level, terms, u),
+            Columns::Words(words) => words.add_all_f32(level, terms, u),
         }
     }
 
@@ -276,7 +276,7 @@ multiversion! {
 }
 
 multiversion! {
-    fn masked_add_singly(words: &[u64], factor: f32, u: &mut [f32]) {
+    fn masked_add_f32(words: &[u64], factor: f32, u: &mut [f32]) {
         for (word, u) in words.iter().zip(u.chunks_exact_mut(64)) {
             for (i, u) in u.iter_mut().enumerate() {
                 let keep = 0u32.wrapping_sub((word >> i & 1) as u32);
@@ -298,6 +298,7 @@ multiversion! {
 }
 
 multiversion! {
+    /// out = factor values
     pub(crate) fn times(values: &[f32], factor: f32, out: &mut [f32]) {
         for (out, value) in out.iter_mut().zip(values) {
             *out = factor * value;
@@ -351,17 +352,10 @@ fn dots<const C: usize>(columns: &[f32], pixels: [u32; C], e: &[f64]) -> [f64; C
 }
 
 multiversion! {
-    /// u += factor a_j for all terms. The sums of a block of samples stay in registers.
+    /// u += factor a_j for all terms.
     fn add_columns(columns: &[f32], stride: usize, terms: &[(u32, f32)], u: &mut [f32]) {
         for (block, u) in u.as_chunks_mut::<LANES>().0.iter_mut().enumerate() {
-            let mut sums = *u;
-            for (pixel, factor) in terms {
-                let column = &columns[*pixel as usize * stride + block * LANES..][..LANES];
-                for i in 0..LANES {
-                    sums[i] += factor * column[i];
-                }
-            }
-            *u = sums;
+            *u = add_terms(columns, stride, block, terms, *u);
         }
     }
 }

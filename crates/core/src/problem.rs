@@ -60,7 +60,7 @@ impl Values<'_> {
         }
     }
 
-    pub(crate) fn copy_singly(&self, start: usize, out: &mut [f32]) {
+    pub(crate) fn copy_f32(&self, start: usize, out: &mut [f32]) {
         match self {
             Values::F32(values) => out.copy_from_slice(&values[start..start + out.len()]),
             Values::F64(values) => {

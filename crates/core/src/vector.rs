@@ -34,6 +34,25 @@ pub(crate) fn fold<T: Copy + AddAssign>(mut sums: [T; SUMS]) -> T {
     sums[0]
 }
 
+/// Sums of one block of samples, plus that of factor a_j for all `terms` (j, factor). They stay in
+/// registers. `columns` has the a_j side by side, `stride` values each.
+#[inline(always)]
+pub(crate) fn add_terms<T: Copy + Into<f32>>(
+    columns: &[T],
+    stride: usize,
+    block: usize,
+    terms: &[(u32, f32)],
+    mut sums: [f32; LANES],
+) -> [f32; LANES] {
+    for (pixel, factor) in terms {
+        let column = &columns[*pixel as usize * stride + block * LANES..][..LANES];
+        for i in 0..LANES {
+            sums[i] += factor * column[i].into();
+        }
+    }
+    sums
+}
+
 multiversion! {
     /// sum a b
     pub fn dot(a: &[f64], b: &[f64]) -> f64 {

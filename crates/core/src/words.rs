@@ -3,7 +3,7 @@
 //! The rounding error is at most half a step of 1/65535, far below any camera's noise.
 
 use crate::simd::{multiversion, Level};
-use crate::vector::{fold, LANES, SUMS};
+use crate::vector::{add_terms, fold, LANES, SUMS};
 
 /// The 16-bit number that stands for 1.
 const STEPS: f32 = 65_535.0;
@@ -48,7 +48,7 @@ impl WordColumns {
     }
 
     /// u += factor a_j for all `terms` (j, factor), in their order.
-    pub fn add_singly(&self, level: Level, terms: &[(u32, f32)], u: &mut [f32]) {
+    pub fn add_all_f32(&self, level: Level, terms: &[(u32, f32)], u: &mut [f32]) {
         word_sums(level, &self.values, self.stride, terms, u);
     }
 
@@ -98,13 +98,7 @@ multiversion! {
 multiversion! {
     fn word_sums(words: &[u16], stride: usize, terms: &[(u32, f32)], u: &mut [f32]) {
         for (block, u) in u.as_chunks_mut::<LANES>().0.iter_mut().enumerate() {
-            let mut sums = [0f32; LANES];
-            for (pixel, factor) in terms {
-                let column = &words[*pixel as usize * stride + block * LANES..][..LANES];
-                for i in 0..LANES {
-                    sums[i] += factor * f32::from(column[i]);
-                }
-            }
+            let sums = add_terms(words, stride, block, terms, [0.0; LANES]);
             for i in 0..LANES {
                 u[i] += sums[i] * (1.0 / STEPS);
             }

@@ -35,7 +35,7 @@ COEFFICIENTS: Mapping[str, Mapping[str, Mapping[str, float]]] = {
         },
     },
     "growing": {
-        "bytes": {"pixel": 1200, "value": 14, "tile": 0.4, "row": 1310, "sample": 1},
+        "bytes": {"pixel": 1200, "value": 14, "tile": 0.4, "row": 1250, "sample": 1},
         "seconds": {
             "value": 3.0e-7,
             "row": 1.2e-4,

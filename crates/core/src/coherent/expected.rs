@@ -4,7 +4,7 @@
 //! better it explains the row's known samples. The mean of the guesses is the expected sample, their
 //! variance its uncertainty.
 
-use super::camera_window::{neighbours as camera_window, Footprint};
+use super::camera_window::{self, Footprint};
 use crate::problem::{Dictionary, Rows, Sparse};
 use crate::simd::{multiversion, Level};
 use crate::vector::{fold, padded, SUMS};
@@ -143,10 +143,10 @@ impl Guesses {
 
     fn load(&mut self, rows: Rows, row: usize) {
         let [n, _] = self.patterns;
-        rows.samples.copy_singly(row * n, &mut self.y[..n]);
+        rows.samples.copy_f32(row * n, &mut self.y[..n]);
         if let Some(weights) = rows.weights {
             let start = if weights.len() == n { 0 } else { row * n };
-            weights.copy_singly(start, &mut self.weights[..n]);
+            weights.copy_f32(start, &mut self.weights[..n]);
         }
         let clipped = &rows.clipped[row * n..][..n];
         let count = clipped.iter().filter(|&&clipped| clipped).count();
@@ -180,7 +180,7 @@ impl Guesses {
             reach,
             ..
         } = neighbours;
-        for (other, places) in camera_window(camera, jacobian, row, reach) {
+        for (other, places) in camera_window::neighbours(camera, jacobian, row, reach) {
             if other == row {
                 continue;
             }
@@ -210,8 +210,8 @@ impl Guesses {
         let background = &neighbours.background[(other - neighbours.first) * (k + e)..][..k + e];
         self.shown[..k].copy_from_slice(&background[..k]);
         self.unseen[..e].copy_from_slice(&background[k..]);
-        (shown.columns).add_singly(shown.level, &self.terms, &mut self.shown);
-        (unseen.columns).add_singly(unseen.level, &self.terms, &mut self.unseen);
+        (shown.columns).add_all_f32(shown.level, &self.terms, &mut self.shown);
+        (unseen.columns).add_all_f32(unseen.level, &self.terms, &mut self.unseen);
         !self.terms.is_empty()
     }
 
