@@ -11,6 +11,11 @@ const LOOK_AHEAD: f64 = 0.02;
 /// above the rounding of scores.
 const CLEAR_VIOLATION: f64 = 0.01;
 
+/// Pixels that join the working set after a pass, at most. Under few patterns of many pixels thousands
+/// may violate their condition by about as much; the Gram matrix of all of them took gigabytes. Chosen
+/// by hand: usually up to 128 join.
+const MOST_NEW: usize = 1024;
+
 // Under random patterns, correlations scatter about the one with the means; their standard deviation
 // is at most half the norm of the dual point. Few pixels without light lie beyond these thresholds.
 
@@ -61,6 +66,7 @@ pub struct Pricing {
     /// The pixels outside the working set that scores point at, then the working set.
     candidates: Vec<u32>,
     correlations: Vec<f64>,
+    violators: Vec<(u32, f64)>,
     /// Number of candidates that form the working set.
     set_size: usize,
 }
@@ -113,14 +119,24 @@ impl Pricing {
         &self.correlations[self.candidates.len() - self.set_size..]
     }
 
-    /// Pixels outside the working set that violate their condition, or nearly do, and their correlations.
-    pub fn violators(&self, lambda: f64) -> impl Iterator<Item = (u32, f64)> + '_ {
+    /// Pixels outside the working set that violate their condition, or nearly do, and their correlations;
+    /// `MOST_NEW` of them at most, which violate it most.
+    pub fn violators(&mut self, lambda: f64) -> &[(u32, f64)] {
         let others = &self.candidates[..self.candidates.len() - self.set_size];
-        others
+        let pairs = others
             .iter()
-            .zip(&self.correlations)
-            .map(|(&pixel, &correlation)| (pixel, correlation))
-            .filter(move |(_, correlation)| correlation.abs() > lambda * (1.0 - LOOK_AHEAD))
+            .copied()
+            .zip(self.correlations.iter().copied());
+        self.violators.clear();
+        self.violators.extend(
+            pairs.filter(|(_, correlation)| correlation.abs() > lambda * (1.0 - LOOK_AHEAD)),
+        );
+        if self.violators.len() > MOST_NEW {
+            let largest = |&(_, a): &(u32, f64), &(_, b): &(u32, f64)| b.abs().total_cmp(&a.abs());
+            self.violators.select_nth_unstable_by(MOST_NEW, largest);
+            self.violators.truncate(MOST_NEW);
+        }
+        &self.violators
     }
 
     /// Correlates the collected pixels and the working set; returns the largest correlation.

@@ -207,7 +207,7 @@ impl RowSolver {
         self.gradient.clear();
         self.gradient.extend_from_slice(self.pricing.working_set());
         let lambda = settings.regularization;
-        for (pixel, correlation) in self.pricing.violators(lambda) {
+        for &(pixel, correlation) in self.pricing.violators(lambda) {
             self.point.push(pixel, 0.0);
             self.gradient.push(correlation);
         }
