@@ -30,7 +30,7 @@ def compressed(frames: NDArray[np.uint8], quality: int) -> NDArray[np.uint8]:
     return np.stack([imageio.imread(io.BytesIO(each)) for each in saved])
 
 
-def blocks_of(frames: NDArray[np.uint8]) -> NDArray[np.float64]:
+def blocks_of(frames: NDArray[np.uint8]) -> NDArray[np.floating]:
     return jpeg._blocks(frames[:, None].astype(np.float64))
 
 

@@ -1,4 +1,4 @@
-"""Reading ahead keeps the order, holds little, and fails in its turn."""
+"""Working ahead keeps the order, holds little, and fails in its turn."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ import threading
 
 import pytest
 
-from lightmatrix.files.read_ahead import read_ahead
+from lightmatrix.resources.work_ahead import work_ahead
 
 
 @pytest.mark.parametrize("threads", [1, 2, 5, None])
 def test_results_come_in_order(threads: int | None) -> None:
-    assert list(read_ahead(lambda k: k * k, range(40), threads)) == [k * k for k in range(40)]
-    assert list(read_ahead(lambda k: k, [], threads)) == []
+    assert list(work_ahead(lambda k: k * k, range(40), threads)) == [k * k for k in range(40)]
+    assert list(work_ahead(lambda k: k, [], threads)) == []
 
 
 def test_no_more_is_read_than_is_soon_wanted() -> None:
@@ -24,7 +24,7 @@ def test_no_more_is_read_than_is_soon_wanted() -> None:
             read.append(k)
         return k
 
-    results = read_ahead(one, range(1000), 3)
+    results = work_ahead(one, range(1000), 3)
     assert [next(results) for _ in range(5)] == [0, 1, 2, 3, 4]
     results.close()  # type: ignore[attr-defined]
     assert len(read) <= 5 + 2 * 3
@@ -37,7 +37,7 @@ def test_an_error_is_raised_in_its_turn(threads: int) -> None:
             raise ValueError(f"{k} is damaged")
         return k
 
-    results = read_ahead(one, range(9), threads)
+    results = work_ahead(one, range(9), threads)
     assert [next(results) for _ in range(4)] == [0, 1, 2, 3]
     with pytest.raises(ValueError, match="4 is damaged"):
         next(results)

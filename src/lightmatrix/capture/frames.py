@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.errors import InputError
-from lightmatrix.files.read_ahead import read_ahead
 from lightmatrix.ranges import check_finite, real_array
 from lightmatrix.regions import Region
 from lightmatrix.reprs import short_repr
+from lightmatrix.resources.work_ahead import work_ahead
 
 # Raw levels that are read together, of all frames at some camera pixels. Chosen by hand: they take
 # 16 to 64 MB, depending on their type.
@@ -65,7 +65,7 @@ def in_order(frames: Frames, start: int = 0, stop: int | None = None) -> Iterato
     """The frames start..stop one after the other; files are read ahead."""
     stop = frames.count if stop is None else stop
     threads = 1 if isinstance(frames, ArrayStack | PixelFrames) else None
-    return read_ahead(frames.read, range(start, stop), threads)
+    return work_ahead(frames.read, range(start, stop), threads)
 
 
 def level_blocks(frames: Frames) -> Iterator[NDArray[Any]]:

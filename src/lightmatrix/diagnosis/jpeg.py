@@ -74,7 +74,7 @@ def check_jpeg(survey: Survey, names: Sequence[str]) -> list[Finding]:
     ]
 
 
-def likely_quality(blocks: NDArray[np.float64]) -> int | None:
+def likely_quality(blocks: NDArray[np.floating]) -> int | None:
     """The quality at which libjpeg's table compressed blocks (n, 8, 8) of levels, if any."""
     if len(blocks) < _FEWEST_COEFFICIENTS:
         return None
@@ -93,13 +93,13 @@ def likely_quality(blocks: NDArray[np.float64]) -> int | None:
     return None
 
 
-def _steps(quality: int) -> NDArray[np.int64]:
+def _steps(quality: int) -> NDArray[np.float32]:
     """The steps by which libjpeg rounds the frequencies of the luminance, (8, 8)."""
     scale = 5000 // quality if quality < 50 else 200 - 2 * quality
-    return np.clip((_TABLE * scale + 50) // 100, 1, 255)
+    return np.clip((_TABLE * scale + 50) // 100, 1, 255).astype(np.float32)
 
 
-def comb_step(blocks: NDArray[np.float64]) -> float | None:
+def comb_step(blocks: NDArray[np.floating]) -> float | None:
     """The median step of the combs that blocks (n, 8, 8) of levels lie on; None if on none."""
     # Levels that were cut off lie on no comb.
     blocks = blocks[(blocks.min(axis=(1, 2)) > 0) & (blocks.max(axis=(1, 2)) < 255)]
@@ -124,14 +124,14 @@ def comb_step(blocks: NDArray[np.float64]) -> float | None:
     return None
 
 
-def _luminance(images: NDArray[Any]) -> NDArray[np.float64]:
+def _luminance(images: NDArray[Any]) -> NDArray[np.float32]:
     """The luminance (frames, tiles, rows, cols), which JPEG codes first."""
     if images.shape[-1] == 1:
-        return images[..., 0].astype(np.float64)
-    return np.asarray(images @ np.array([0.299, 0.587, 0.114]))
+        return images[..., 0].astype(np.float32)
+    return np.asarray(images @ np.array([0.299, 0.587, 0.114], np.float32))
 
 
-def _blocks(images: NDArray[np.float64]) -> NDArray[np.float64]:
+def _blocks(images: NDArray[np.floating]) -> NDArray[np.floating]:
     """Some of the blocks that are not uniform, (n, 8, 8)."""
     frames, tiles, rows, cols = images.shape
     rows, cols = rows // BLOCK * BLOCK, cols // BLOCK * BLOCK

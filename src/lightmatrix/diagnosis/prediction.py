@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,7 @@ from lightmatrix.camera.samples import Samples
 from lightmatrix.diagnosis.pursuit import best_pixels, column_scale
 from lightmatrix.diagnosis.statistics import OF_MEDIAN
 from lightmatrix.patterns.pattern_set import PatternSet
+from lightmatrix.resources.work_ahead import work_ahead
 
 # A window reaches two projector pixels to each side of its place. Light is expected to fall off
 # around the place like a Gaussian of standard deviation 1 pixel, at half the scale around the
@@ -44,7 +46,7 @@ _PARTS = 4
 # At most 4 MiB of the explaining columns are held at a time, which caches hold too, and rows are
 # explained from at most 192 frames, drawn at random. Both were chosen by hand and bound memory and
 # time.
-_COLUMN_BYTES = 4 << 20
+_COLUMN_BYTES = 2 << 20
 _MOST_FRAMES = 192
 # A row counts as predicted if less than 40 % of its variance is missed, and if at least 8 of its
 # samples can be compared.
@@ -154,14 +156,18 @@ def predict(
     expected = np.empty_like(observed)
     miss = np.empty(len(observed))
     known = np.empty(observed.shape, bool)
-    for start in range(0, len(observed), step):
-        some = slice(start, start + step)
+
+    def explain(some: slice) -> tuple[NDArray[Any], ...]:
         columns = _columns(
             patterns,
             [(pixels[some], scale[some]) for pixels, scale in windows],
             (around[0][some], around[1][some]),
         )
-        expected[some], miss[some], known[some] = _left_out(columns, observed[some], learned[some])
+        return _left_out(columns, observed[some], learned[some])
+
+    blocks = [slice(start, start + step) for start in range(0, len(observed), step)]
+    for some, explained in zip(blocks, work_ahead(explain, blocks), strict=True):
+        expected[some], miss[some], known[some] = explained
     usual = np.sqrt(miss * np.maximum(observed.var(axis=1), 1e-18))[:, None]
     # A row that is expected to come close to the clip level shows its noise from one side only.
     trusted = known & ~samples.clipped & (expected + 3 * usual < level)

@@ -15,6 +15,7 @@ same surroundings elsewhere.
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +24,7 @@ from scipy.sparse import csr_array
 from lightmatrix.camera.samples import Samples
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.patterns.twins import NEAR
+from lightmatrix.resources.work_ahead import work_ahead
 from lightmatrix.transport.matrix import cell_means
 from lightmatrix.transport.sparse_rows import SparseRows
 
@@ -102,20 +104,26 @@ def _probable(
     lengths = np.square(values).sum(axis=1)
     contrasts = patterns.contrasts
     inverse = np.divide(1, contrasts, out=np.zeros_like(contrasts), where=contrasts > 0)
-    result = np.zeros(len(values), np.bool_)
     together = max(1, _BYTES // (8 * patterns.pixels))
-    for first in range(0, len(values), together):
+
+    def shares(first: int) -> list[float]:
         some = slice(first, first + together)
         explained = patterns.adjoint(values[some])
         np.maximum(explained, 0, out=explained)
         np.square(explained, out=explained)
         explained *= inverse
-        rows = zip(explained, lengths[some], pixels[some], strict=True)
-        for row, (parts, length, pixel) in enumerate(rows, first):
-            window = parts.reshape(patterns.shape)[_window(int(pixel), patterns)].ravel()
-            share = _probability(window, parts, float(length), patterns.count)
-            result[row] = share >= _PROBABLE
-    return result
+        return [
+            _probability(
+                parts.reshape(patterns.shape)[_window(int(pixel), patterns)].ravel(),
+                parts,
+                float(length),
+                patterns.count,
+            )
+            for parts, length, pixel in zip(explained, lengths[some], pixels[some], strict=True)
+        ]
+
+    found = work_ahead(shares, range(0, len(values), together))
+    return np.fromiter(chain.from_iterable(found), np.float64, len(values)) >= _PROBABLE
 
 
 def _probability(

@@ -27,7 +27,6 @@ from lightmatrix.files.images import (
 )
 from lightmatrix.files.json_files import errors_naming, read_json
 from lightmatrix.files.pages import Page
-from lightmatrix.files.read_ahead import read_ahead
 from lightmatrix.outputs.kinds import PATTERNS
 from lightmatrix.outputs.writing import atomic_folder
 from lightmatrix.patterns.bits import BitPatterns
@@ -35,6 +34,7 @@ from lightmatrix.patterns.colour import ColourPatterns, colour_images
 from lightmatrix.patterns.making import remake_patterns
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet, to_grey
 from lightmatrix.resources.memory import check_memory
+from lightmatrix.resources.work_ahead import work_ahead
 
 DESCRIPTION = "patterns.json"
 # Every patterns.json states its format and version; a later version is refused.
@@ -159,7 +159,7 @@ def _from_images(place: Path, entries: list[Path | Page]) -> PatternSet:
     bits = np.empty((count, (pixels + 7) // 8), np.uint8)
     images: NDArray[np.float32] | None = None
     colours, brightest = _Colours(), 0.0
-    for k, image in enumerate(read_ahead(stack.read, range(count))):
+    for k, image in enumerate(work_ahead(stack.read, range(count))):
         grey = colours.grey(entries[k], image)
         brightest = max(brightest, float(grey.max()))
         if images is None:
@@ -182,7 +182,7 @@ def _from_images(place: Path, entries: list[Path | Page]) -> PatternSet:
 
 def _shows_colours(stack: ImageStack) -> bool:
     """Whether an image of a stack shows more than one colour."""
-    for image in read_ahead(stack.read, range(stack.count)):
+    for image in work_ahead(stack.read, range(stack.count)):
         lit = [channel.any() for channel in np.moveaxis(image, 2, 0)]
         if sum(lit) > 1 and not is_grey(image):
             return True
@@ -194,7 +194,7 @@ def _in_colour(place: Path, stack: ImageStack) -> PatternSet:
     check_memory(place, 4 * stack.count * int(np.prod(stack.shape)))
     images = np.empty((stack.count, *stack.shape), np.float32)
     top = 1.0 if stack.dtype.kind == "f" else np.iinfo(stack.dtype).max
-    for k, image in enumerate(read_ahead(stack.read, range(stack.count))):
+    for k, image in enumerate(work_ahead(stack.read, range(stack.count))):
         images[k] = image / np.float32(top)
     _check_depth(place, stack.dtype, float(images.max()))
     return colour_images(images)
@@ -270,7 +270,7 @@ def _first_difference(operator: PatternSet, paths: list[Path]) -> str | None:
     for start, block in operator.chunks():
         expected = to_grey(block.reshape(-1, *operator.shape))
         some = paths[start : start + len(block)]
-        images = read_ahead(read_image, some)
+        images = work_ahead(read_image, some)
         for path, image, grey in zip(some, images, expected, strict=True):
             if not np.array_equal(to_grey(colours.grey(path, image)), grey):
                 return f"{path.name} is not among"

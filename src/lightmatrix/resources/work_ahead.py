@@ -1,4 +1,4 @@
-"""Reading ahead: threads read and decode the next files while one is being used."""
+"""Working ahead: threads work on the next items while the result of one is being used."""
 
 from __future__ import annotations
 
@@ -14,23 +14,24 @@ T = TypeVar("T")
 _MOST_THREADS = 8
 
 
-def read_ahead(
-    read: Callable[[S], T], items: Iterable[S], threads: int | None = None
+def work_ahead(
+    function: Callable[[S], T], items: Iterable[S], threads: int | None = None
 ) -> Iterator[T]:
-    """The results of `read` in order, while threads work on the next items; 1 reads nothing ahead.
+    """The results of a function in order, while threads work on the next items; 1 does not.
 
-    Threads (None: one a core, at most eight) help since zlib and Pillow decode without Python's
-    lock. They hold at most two results each, and an error is raised in its turn.
+    Threads (None: one a core, at most eight) help where the function decodes images or multiplies
+    matrices, which takes no lock of Python's. They hold at most two results each, and an error is
+    raised in its turn.
     """
     workers = min(_MOST_THREADS, os.cpu_count() or 1) if threads is None else threads
     if workers == 1:
-        yield from map(read, items)
+        yield from map(function, items)
         return
-    pool = ThreadPoolExecutor(workers, "read-ahead")
+    pool = ThreadPoolExecutor(workers, "work-ahead")
     waiting: deque[Future[T]] = deque()
     try:
         for item in items:
-            waiting.append(pool.submit(read, item))
+            waiting.append(pool.submit(function, item))
             if len(waiting) >= 2 * workers:
                 yield waiting.popleft().result()
         while waiting:

@@ -38,6 +38,8 @@ _ENOUGH_PATTERNS = 20
 _MISSED_ANYWAY = 0.3
 # The search for a gamma ends after so many steps, or when a step is smaller than this.
 _STEPS, SMALL = 7, 0.002
+# Rows follow the same places under powers whose logarithms differ by less than this.
+_NEARLY = 0.05
 # A step changes the logarithm of the gamma by at most 0.5. Where the equation hardly depends on the
 # gamma, secants lead astray; the step is then the bend itself.
 _LARGEST_STEP, _FLATTEST = 0.5, 0.2
@@ -139,7 +141,8 @@ def _search(
     while True:
         response = raised(survey.decoder.response, float(np.exp(logs[-1])))
         # The places that rows follow are looked for until the power is nearly right.
-        bend = _bend(survey, rows, doubted, response, bends[-1].places if len(bends) > 1 else None)
+        settled = len(bends) > 1 or (bends and abs(bends[-1].size) < _NEARLY)
+        bend = _bend(survey, rows, doubted, response, bends[-1].places if settled else None)
         if bend is None:
             return None
         bends.append(bend)
