@@ -8,7 +8,6 @@ of a spot under a pattern is the blurred pattern at its place.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from itertools import pairwise
 from typing import Any
 
@@ -20,6 +19,7 @@ from scipy.sparse import csr_array, vstack
 from lightmatrix import _core
 from lightmatrix.errors import InputError
 from lightmatrix.patterns.pattern_set import PatternSet
+from lightmatrix.resources.computed_once import computed_once
 
 # Standard deviations that a kernel reaches to each side; beyond lies 0.3 % of a Gaussian.
 _REACH = 3.0
@@ -78,17 +78,17 @@ class AtomPatterns(PatternSet):
         """Number of sizes S."""
         return len(self.sizes)
 
-    @cached_property
+    @computed_once
     def kernels(self) -> tuple[NDArray[np.float32], ...]:
         """One side of each separable kernel, from its middle outwards; each sums to 1."""
         return tuple(_kernel(size) for size in self.sizes)
 
-    @cached_property
+    @computed_once
     def spots(self) -> list[NDArray[np.float32]]:
         """One side of each kernel over its middle, in [0, 1]."""
         return [kernel / kernel[0] for kernel in self.kernels]
 
-    @cached_property
+    @computed_once
     def single_contrast(self) -> float:
         """Standard deviation of the values of the single pixels' patterns."""
         return self._contrast(0)

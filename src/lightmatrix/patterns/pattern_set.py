@@ -16,7 +16,6 @@ import hashlib
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -28,6 +27,7 @@ from lightmatrix.patterns.grids import block_mean
 from lightmatrix.patterns.twins import far_twins, groups, mixture, of_surroundings, varying_axes
 from lightmatrix.ranges import real_array
 from lightmatrix.reprs import short_repr
+from lightmatrix.resources.computed_once import computed_once
 
 # Bytes of patterns that are unpacked at a time, as float32. Chosen by hand: little beside the
 # memory of an estimate, and still 16 patterns of a megapixel.
@@ -103,22 +103,22 @@ class PatternSet(ABC):
     def description(self) -> dict[str, Any]:
         """The parameters that remake the set, JSON-ready, with its ``kind``."""
 
-    @cached_property
+    @computed_once
     def sums(self) -> NDArray[np.float64]:
         """Sum of each pattern over its pixels, (K,) float64."""
         return np.concatenate([chunk.sum(axis=1, dtype=np.float64) for _, chunk in self.chunks()])
 
-    @cached_property
+    @computed_once
     def means(self) -> NDArray[np.float64]:
         """Mean of each pattern, (K,) float64."""
         return self.sums / self.pixels
 
-    @cached_property
+    @computed_once
     def kinds(self) -> NDArray[np.int64]:
         """The kind of each pattern, (K,): all are of one kind, except in a mix."""
         return np.zeros(self.count, np.int64)
 
-    @cached_property
+    @computed_once
     def digest(self) -> str:
         """Hash of the patterns' content (8-bit grey, as projected) and shape, 16 hex digits."""
         hasher = hashlib.sha256(repr((self.shape, self.count)).encode())
@@ -132,7 +132,7 @@ class PatternSet(ABC):
         for start in range(0, self.count, size):
             yield start, self.rows(start, min(start + size, self.count))
 
-    @cached_property
+    @computed_once
     def contrasts(self) -> NDArray[np.float64]:
         """Squared norm of each pixel's values, less what follows the patterns' means, (N,)."""
         total, along = np.zeros(self.pixels), np.zeros(self.pixels)
@@ -141,17 +141,17 @@ class PatternSet(ABC):
             along += self.means[start : start + len(chunk)] @ chunk
         return np.maximum(total - along**2 / max(float(self.means @ self.means), 1e-300), 0)
 
-    @cached_property
+    @computed_once
     def axes(self) -> tuple[bool, bool]:
         """Whether any pattern varies along rows, and along columns."""
         return varying_axes(chunk.reshape(-1, *self.shape) for _, chunk in self.chunks())
 
-    @cached_property
+    @computed_once
     def twins(self) -> NDArray[np.int64]:
         """The number of each pixel's group: pixels that all patterns show alike, (N,)."""
         return groups(self._mixture)
 
-    @cached_property
+    @computed_once
     def alike_surroundings(self) -> NDArray[np.bool_]:
         """Whether all patterns show a pixel and its neighbours like those farther away, (N,)."""
         mixed = of_surroundings(self._mixture.reshape(self.shape))
@@ -170,7 +170,7 @@ class PatternSet(ABC):
         """The whole of P, (K, N) float32; for small sets and tests."""
         return self.rows(0, self.count)
 
-    @cached_property
+    @computed_once
     def gram(self) -> NDArray[np.float64]:
         """P P', (K, K) float64."""
         dense = np.empty((self.count, self.count))
@@ -216,7 +216,7 @@ class PatternSet(ABC):
             packed.append(np.packbits(lit, axis=1, bitorder="little"))
         return np.concatenate(packed)
 
-    @cached_property
+    @computed_once
     def prepared(self) -> _core.PreparedPatterns:
         """The set as the compiled solver uses it, made once for all tiles of a capture."""
         return self.prepare()
@@ -340,7 +340,7 @@ class ImagePatterns(PatternSet):
     def _matrix_as(self, dtype: np.dtype[Any]) -> NDArray[Any]:
         return self._double if dtype == np.float64 else self.matrix
 
-    @cached_property
+    @computed_once
     def _double(self) -> NDArray[np.float64]:
         return self.matrix.astype(np.float64)
 

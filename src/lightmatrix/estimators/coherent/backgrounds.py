@@ -9,8 +9,8 @@ cells of projector pixels for light that differs from the halo.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
-from typing import Any
+from functools import lru_cache
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,7 @@ from scipy.sparse import csr_array
 
 from lightmatrix import _core
 from lightmatrix.patterns.pattern_set import PatternSet
+from lightmatrix.resources.computed_once import computed_once
 from lightmatrix.solvers.weighted import Cells
 from lightmatrix.transport.matrix import cell_means
 from lightmatrix.transport.sparse_rows import SparseRows
@@ -83,15 +84,15 @@ class Backgrounds:
         """Mean of each pattern shown, (K,) in [0, 1]."""
         return np.asarray(self._sizes @ self.shown_means / self._sizes.sum(), np.float64)
 
-    @cached_property
+    @computed_once
     def _pooling(self) -> csr_array:
         return cell_means(self.shown.shape, self.grid)
 
-    @cached_property
+    @computed_once
     def _sizes(self) -> NDArray[np.float64]:
         return np.asarray(np.diff(self._pooling.indptr), np.float64)
 
-    @cached_property
+    @computed_once
     def _means(self) -> NDArray[np.float32]:
         """Mean of each pattern over each cell, (B, K + E) in [0, 1]."""
         parts = [
@@ -101,48 +102,50 @@ class Backgrounds:
         ]
         return np.clip(np.concatenate(parts, axis=1), 0, 1).astype(np.float32)
 
-    @cached_property
-    def _side(self) -> int:
-        """Side of a square in pixels."""
-        return -(-max(self.shown.shape) // SQUARES)
-
-    @cached_property
-    def _squares(self) -> tuple[int, int]:
-        """Rows and columns of squares."""
-        rows, cols = self.shown.shape
-        return -(-rows // self._side), -(-cols // self._side)
-
-    def _squares_shape(self, rows: csr_array) -> tuple[int, int]:
-        return rows.shape[0], self._squares[0] * self._squares[1]
-
-    @cached_property
+    @property
     def _square(self) -> NDArray[np.int64]:
         """The square of each pixel, (N,)."""
-        r, c = np.indices(self.shown.shape) // self._side
-        return (r * self._squares[1] + c).ravel()
+        return _squares(self.shown.shape)[1]
 
-    @cached_property
+    def _squares_shape(self, rows: csr_array) -> tuple[int, int]:
+        squares, _ = _squares(self.shown.shape)
+        return rows.shape[0], squares[0] * squares[1]
+
+    @property
     def _halos(self) -> NDArray[np.float32]:
         """The light of each cell in the halo around each square, (squares, B)."""
-        rows, cols = self._squares
-        down, right = np.ogrid[1 - rows : rows, 1 - cols : cols]
-        kernel = 1 / (down**2 + right**2 + (WALL * max(rows, cols)) ** 2) ** 2
-        # Convolution by scipy.fft, as importing scipy.signal takes a second.
-        sides = zip(kernel.shape, (rows, cols), strict=True)
-        shape = [next_fast_len(n + m - 1, True) for n, m in sides]
-        spread = rfft2(kernel, shape)
-        result = np.empty((rows * cols, len(self._sizes)), np.float32)
-        for cell, part in enumerate(self._cells_on_squares()):
-            light = irfft2(rfft2(part, shape) * spread, shape)
-            near = light[rows - 1 : 2 * rows - 1, cols - 1 : 2 * cols - 1]
-            result[:, cell] = np.maximum(near, 0).ravel()
-        return result
+        return _halos(self.shown.shape, self.grid)
 
-    def _cells_on_squares(self) -> NDArray[Any]:
-        """The number of pixels of each cell in each square, (B, rows, columns)."""
-        cells, squares = len(self._sizes), self._squares
-        cell = np.repeat(np.arange(cells), np.diff(self._pooling.indptr))
-        square = self._square[self._pooling.indices]
-        place = cell * (squares[0] * squares[1]) + square
-        counts = np.bincount(place, minlength=cells * squares[0] * squares[1])
-        return counts.reshape(cells, *squares)
+
+# The two functions below keep their results for the windows of a capture that are estimated before
+# all of it.
+
+
+@lru_cache(maxsize=4)
+def _squares(shape: tuple[int, int]) -> tuple[tuple[int, int], NDArray[np.int64]]:
+    """Rows and columns of squares of a projector, and the square of each pixel, (N,)."""
+    side = -(-max(shape) // SQUARES)
+    r, c = np.indices(shape) // side
+    rows, cols = (-(-length // side) for length in shape)
+    return (rows, cols), (r * cols + c).ravel()
+
+
+@lru_cache(maxsize=4)
+def _halos(shape: tuple[int, int], grid: tuple[int, int]) -> NDArray[np.float32]:
+    """The light of each of the B cells of a grid in the halo around each square, (squares, B)."""
+    (rows, cols), square = _squares(shape)
+    down, right = np.ogrid[1 - rows : rows, 1 - cols : cols]
+    kernel = 1 / (down**2 + right**2 + (WALL * max(rows, cols)) ** 2) ** 2
+    # Convolution by scipy.fft, as importing scipy.signal takes a second.
+    sides = zip(kernel.shape, (rows, cols), strict=True)
+    fast = [next_fast_len(n + m - 1, True) for n, m in sides]
+    spread = rfft2(kernel, fast)
+    pooling = cell_means(shape, grid)
+    result = np.empty((rows * cols, pooling.shape[0]), np.float32)
+    for cell, (first, last) in enumerate(pairwise(pooling.indptr)):
+        # The number of the cell's pixels in each square.
+        counts = np.bincount(square[pooling.indices[first:last]], minlength=rows * cols)
+        light = irfft2(rfft2(counts.reshape(rows, cols), fast) * spread, fast)
+        near = light[rows - 1 : 2 * rows - 1, cols - 1 : 2 * cols - 1]
+        result[:, cell] = np.maximum(near, 0).ravel()
+    return result

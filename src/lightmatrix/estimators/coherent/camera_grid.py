@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -13,6 +12,7 @@ from scipy.sparse import csr_array
 
 from lightmatrix.camera.samples import Samples
 from lightmatrix.capture.capture import Capture
+from lightmatrix.resources.computed_once import computed_once
 from lightmatrix.transport.sparse_rows import SparseRows
 
 # Camera samples that are read at a time to pick those on the grid. Chosen by hand: their frames fit
@@ -81,7 +81,7 @@ class CameraGrid:
         times = self.spacing // finer.spacing
         return index[::times, ::times].ravel()
 
-    @cached_property
+    @computed_once
     def _all(self) -> Samples:
         """All samples on the grid, which are picked from those of the camera once."""
         whole = CameraGrid(self.capture)

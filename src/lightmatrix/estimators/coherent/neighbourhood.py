@@ -11,7 +11,6 @@ were never shown (`docs/few-patterns.md`).
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +23,7 @@ from lightmatrix.estimators.coherent.correspondence import measure_jacobian
 from lightmatrix.patterns.atoms import AtomPatterns
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.pattern_set import PatternSet
+from lightmatrix.resources.computed_once import computed_once
 from lightmatrix.solvers.weighted import Candidates, PseudoSamples
 from lightmatrix.transport.sparse_rows import SparseRows
 
@@ -165,19 +165,19 @@ class Neighbourhood:
         """Planes, rows and columns of the atoms."""
         return self.atoms.planes, *self.atoms.shape
 
-    @cached_property
+    @computed_once
     def jacobian(self) -> NDArray[np.float32]:
         """The Jacobian of the correspondence, (M, 4); see `measure_jacobian`."""
         if self.known_jacobian is not None:
             return self.known_jacobian
         return measure_jacobian(self.rows.coefficients, self.camera, self.atoms.shape, self.spacing)
 
-    @cached_property
+    @computed_once
     def centres(self) -> csr_array:
         """The rows with the light of each spot at its centre, (M, N)."""
         return self.atoms.centres(self.rows.coefficients)
 
-    @cached_property
+    @computed_once
     def singles(self) -> NDArray[np.float32]:
         """How far single pixels count, in [0, 1], by the light that they hold around, (M,)."""
         constants, rows = LIKELY_ATOMS, self.rows.coefficients
@@ -242,7 +242,7 @@ class Neighbourhood:
         independence = np.clip(known, 1, enough) / enough / np.maximum(size, 1)
         return independence * (1 + LIKELY_ATOMS.spread * self._background_share[rows] ** 2)
 
-    @cached_property
+    @computed_once
     def _background_share(self) -> NDArray[np.float64]:
         """Share of each row's light that its background holds, (M,)."""
         background = self.rows.background.sum(axis=1, dtype=np.float64)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +14,7 @@ from lightmatrix.estimators.coherent.backgrounds import Backgrounds
 from lightmatrix.estimators.coherent.neighbourhood import Neighbourhood, unseen_patterns
 from lightmatrix.estimators.coherent.schedule import Round
 from lightmatrix.patterns.atoms import AtomPatterns
+from lightmatrix.resources.computed_once import computed_once
 from lightmatrix.solvers.active_set import ActiveSet
 from lightmatrix.solvers.fidelity import Fidelity
 from lightmatrix.solvers.loop import Progress
@@ -71,7 +71,7 @@ class RowSolver:
     background_grid: tuple[int, int]
     narrow: bool = False
 
-    @cached_property
+    @computed_once
     def atoms(self) -> AtomPatterns:
         """Pixels and spots under the patterns shown."""
         patterns = self.capture.patterns
@@ -79,13 +79,13 @@ class RowSolver:
         sizes = tuple(size for size in self.sizes if size <= widest)
         return AtomPatterns(patterns, sizes, narrow=self.narrow)
 
-    @cached_property
+    @computed_once
     def unseen(self) -> AtomPatterns:
         """Pixels and spots under the patterns that were never shown."""
         atoms = self.atoms
         return AtomPatterns(unseen_patterns(atoms.shape), atoms.sizes, atoms.gains, self.narrow)
 
-    @cached_property
+    @computed_once
     def level(self) -> float:
         """The clip level, in proportion to the contrast of the patterns."""
         contrast = self.atoms.single_contrast / USUAL_CONTRAST
@@ -98,7 +98,7 @@ class RowSolver:
             return DEFAULT_REGULARIZATION * self.level
         return self.regularization
 
-    @cached_property
+    @computed_once
     def backgrounds(self) -> Backgrounds:
         """The cells of the background, at most one a pixel."""
         shape = self.capture.projector_shape
