@@ -72,13 +72,21 @@ def same(one: LightTransport, other: LightTransport) -> bool:
 
 
 def test_all_rows_of_small_frames_search_and_large_ones_grow() -> None:
-    usual = schedule.schedule((128, 128, 3), 128 * 128, WINDOWS)
+    usual = schedule.schedule((64, 64, 3), 64 * 64, WINDOWS)
     assert [stage.window for stage in usual] == [None, *WINDOWS]
     assert {stage.spacing for stage in usual} == {1}
     assert not any(stage.search_unexplained for stage in usual)
+    between = schedule.schedule((128, 128, 3), 128 * 128, WINDOWS)
+    assert [stage.window for stage in between] == [None, *WINDOWS]
+    assert [stage.spacing for stage in between] == [2] * 3 + [1] * 6
+    assert [stage.age for stage in between] == [*range(9)]
+    assert [i for i, stage in enumerate(between) if stage.search_unexplained] == [4]
+    one_round = schedule.schedule((128, 128), 128 * 128, ((2, 1),))
+    assert [stage.spacing for stage in one_round] == [2, 1]
     grown = schedule.schedule((1024, 1024), 768 * 1024, WINDOWS)
     assert [stage.spacing for stage in grown] == [32] * 8 + [8] * 3 + [4] * 3 + [1] * 3
     assert [stage.window is None for stage in grown] == [True] + [False] * 16
+    assert not grown[0].brief
     assert [stage.last for stage in grown] == [False] * 16 + [True]
     assert [i for i, stage in enumerate(grown) if stage.search_unexplained] == [9, 12, 15]
     assert [i for i, stage in enumerate(grown) if stage.skip_settled] == [10, 13]

@@ -8,8 +8,9 @@ the weights of a row taken from the rows around it. It runs in rounds (`schedule
 1. **Search.** Every row is solved by itself on all atoms (`RowSolver.everywhere` in
    `row_solver.py`). An atom is a single projector pixel, or a Gaussian spot of one of six sizes,
    since a footprint out of focus is a spot. With few patterns most of these rows are wrong, but
-   they are wrong at random. In large frames only every 32nd camera pixel along both axes searches;
-   the light then grows to the pixels between (`camera_grid.py`).
+   they are wrong at random. Above 64 x 64 pixels only every second camera pixel along both axes
+   searches, in large frames every 32nd; the light then grows to the pixels between
+   (`camera_grid.py`).
 2. **Correspondence.** Between neighbouring rows the strongest pixel moves by some displacement; the
    commonest one is the true one, however many rows are wrong. It is measured for the whole frame,
    then locally: the Jacobian of the map from camera to projector pixels (`correspondence.py`).
@@ -28,7 +29,7 @@ the weights of a row taken from the rows around it. It runs in rounds (`schedule
    round, whose neighbourhood windows are narrower, and skips rows that have settled
    (`row_changes.py`).
 7. **Error of each row.** The last round is solved once more without an eighth of the frames. How
-   well it predicts these gives the estimated error of each row (`row_errors.py`). In large frames
+   well it predicts these gives the estimated error of each row (`row_errors.py`). Where light grew,
    some rows are also checked against all atoms (`certificate.py`).
 
 `estimator.py` holds the parameters. `docs/few-patterns.md` gives the mathematics and measurements.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import partial
 from itertools import pairwise
 from typing import Any
 
@@ -49,14 +49,15 @@ from lightmatrix.estimators.cost_model import (
 )
 from lightmatrix.estimators.side_by_side import SolveTile
 from lightmatrix.estimators.work import TILE_BYTES, ReadStep, cut_rows
+from lightmatrix.resources.computed_once import computed_once
 from lightmatrix.solvers.loop import Progress
 from lightmatrix.solvers.problem import Result
 from lightmatrix.store import ROWS
 from lightmatrix.store.tiles import Span
 from lightmatrix.transport.sparse_rows import SparseRows, footprint_sizes
 
-# Diagnostics of large frames: whether a row has searched all projector pixels; and whether no atom
-# beside its candidates would enter it, NaN for rows that were not checked.
+# Diagnostics where light grows: whether a row has searched all projector pixels; and whether no
+# atom beside its candidates would enter it, NaN for rows that were not checked.
 SEARCHED, CERTIFIED = "searched_everywhere", "certified_everywhere"
 # The step that measures the misfit under the frames held out, and the diagnostic that holds it;
 # and the diagnostic that holds the misfit of some rows under the other frames.
@@ -134,10 +135,10 @@ class Rounds:
 
     @property
     def _grows(self) -> bool:
-        """Whether light grows from seeds, as in large frames."""
+        """Whether light grows from seeds, as in all but small frames."""
         return self.rounds[0].spacing > 1
 
-    @cached_property
+    @computed_once
     def _grids(self) -> dict[int, CameraGrid]:
         spacings = {step.spacing for step in self.rounds}
         return {spacing: CameraGrid(self.capture, spacing) for spacing in spacings}
@@ -149,7 +150,7 @@ class Rounds:
     def _search(self, start: int, stop: int, progress: Progress) -> SparseRows:
         """The rows start..stop of the first round, each by itself on all atoms."""
         samples = self._grid(0).samples(start, stop)
-        solved = self.solver.everywhere(samples, progress, brief=not self._grows)
+        solved = self.solver.everywhere(samples, progress, brief=self.rounds[0].brief)
         return _searched(solved) if self._grows else _for_next_round(solved)
 
     def _solve(
@@ -254,13 +255,13 @@ class Rounds:
         row, col = np.divmod(rows // channels, cols)
         return rows[(row % spacing == 0) & (col % spacing == 0)]
 
-    @cached_property
+    @computed_once
     def _held_out_atoms(self) -> NDArray[np.float32]:
         """The atoms under the H judged frames, (S N, H)."""
         atoms = self.solver.atoms
         return np.stack([atoms.rows(k, k + 1)[0] for k in self._held_out.judged], axis=1)
 
-    @cached_property
+    @computed_once
     def _held_out(self) -> HeldOut:
         return HeldOut.choose(self.capture.patterns)
 
@@ -326,7 +327,7 @@ class Rounds:
             self._latest[number] = neighbours
         return self._latest[number]
 
-    @cached_property
+    @computed_once
     def _costs(self) -> list[float]:
         """The cost of each step, the frames held out before the last, in rows on likely atoms."""
         patterns = self.capture.patterns
@@ -353,7 +354,7 @@ def _for_next_round(solved: Result, before: SparseRows | None = None) -> SparseR
 
 
 def _searched(solved: Result) -> SparseRows:
-    """Rows of a large frame that have searched all atoms, as the next round needs them."""
+    """Rows where light grows that have searched all atoms, as the next round needs them."""
     ones = np.ones(solved.rows.count, np.float32)
     return replace(solved.rows.single(), diagnostics={SEARCHED: ones, CHANGE: ones})
 

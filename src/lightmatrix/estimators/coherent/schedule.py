@@ -1,10 +1,11 @@
 """The rounds of a coherent estimate: which camera pixels are solved, and where they seek light.
 
 In a small frame every camera pixel first searches all projector pixels. The cost of this grows with
-the product of both. In a large frame only seeds search: every 32nd camera pixel along both axes,
-or every sixteenth. After some rounds among themselves, their light grows to camera pixels that are
-closer and closer, at last to all, as matches do in PatchMatch stereo (Barnes et al. 2009). Camera
-pixels whose samples this does not explain then search for themselves.
+the product of both. In other frames only seeds search. After some rounds among themselves, their
+light grows to camera pixels that are closer and closer, at last to all, as matches do in PatchMatch
+stereo (Barnes et al. 2009). Camera pixels whose samples this does not explain then search for
+themselves. Seeds are every second camera pixel along both axes, and in large frames every 32nd one,
+or every sixteenth.
 """
 
 from __future__ import annotations
@@ -14,15 +15,22 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Growth:
-    """How light grows from seeds in large frames.
+    """How light grows from seeds.
 
     With `settling` 4 and seeds every 16 pixels, a procedural capture of 512 x 512 took half as much
     time again, and its error was .05946 in place of .0595. The other values are chosen by hand.
     """
 
-    # A frame is large if camera samples times projector pixels exceed this. 128 x 128 pixels of
-    # both, in colour too, stay below.
+    # A frame is small if camera samples times projector pixels do not exceed this, as with 64 x 64
+    # pixels of both.
+    small: int = 1 << 26
+    # A frame is large if they exceed this. 128 x 128 pixels of both, in colour too, stay below.
     large: int = 1 << 30
+    # The spacing of the seeds in frames between small and large ones, and their rounds after the
+    # search; the others are rounds of all camera pixels. At 128 x 128 errors are at most 2 % above
+    # those of a search by all, and up to 3 % with seeds every 4 pixels (docs/measurements.md).
+    near_seeds: int = 2
+    near_seed_rounds: int = 2
     # Spacings of the solved camera pixels, level by level. The first sequence applies for which the
     # camera has enough seeds. A spacing is at most four times the next one, since rows reach only
     # `reach` pixels to both sides and would leave gaps.
@@ -43,6 +51,9 @@ GROWTH = Growth()
 # right by then, so that their neighbours can rely on them.
 PSEUDO_SAMPLES_FROM = 3
 
+# Half widths of a window in camera and in projector pixels.
+Window = tuple[int, int]
+
 
 @dataclass(frozen=True)
 class Round:
@@ -54,6 +65,8 @@ class Round:
     # Rounds that the rows, or those that they grow from, have behind them.
     age: int
     last: bool = False
+    # The search ends early, as all its rows have close neighbours that will correct it.
+    brief: bool = False
     search_unexplained: bool = False
     # Rows stay as they are if nothing changed around them.
     skip_settled: bool = False
@@ -65,17 +78,14 @@ class Round:
 
 
 def schedule(
-    camera: tuple[int, ...], pixels: int, windows: tuple[tuple[int, int], ...]
+    camera: tuple[int, ...], pixels: int, windows: tuple[Window, ...]
 ) -> tuple[Round, ...]:
     """All rounds in turn; `windows` are those of a small frame after the search."""
-    first, *finer = spacings(camera, pixels, windows)
-    seed_windows = windows[:-1] if finer else windows
-    rounds = [Round(first, None, 0)]
+    steps = spacings(camera, pixels, windows)
+    (first, seed_windows), *finer = zip(steps, _windows_by_level(steps, windows), strict=True)
+    rounds = [Round(first, None, 0, brief=first <= GROWTH.near_seeds)]
     rounds += [Round(first, window, age) for age, window in enumerate(seed_windows, start=1)]
-    for spacing in finer:
-        own = (windows[0], *windows[-GROWTH.settling :])
-        if spacing > 1:
-            own = (windows[0], *windows[-GROWTH.settling - 1 : -1])
+    for spacing, own in finer:
         searched = min(GROWTH.search_after, len(own) - 1)
         for i, window in enumerate(own):
             rounds.append(
@@ -91,18 +101,35 @@ def schedule(
     return (*rounds, Round(last.spacing, last.window, last.age, last=True))
 
 
+def _windows_by_level(
+    steps: tuple[int, ...], windows: tuple[Window, ...]
+) -> list[tuple[Window, ...]]:
+    """The windows of the rounds of each spacing; those of the seeds come after the search."""
+    if len(steps) == 1:
+        return [windows]
+    if steps[0] == GROWTH.near_seeds:
+        seed_rounds = min(GROWTH.near_seed_rounds, len(windows) - 1)
+        return [windows[:seed_rounds], windows[seed_rounds:]]
+    between = (windows[0], *windows[-GROWTH.settling - 1 : -1])
+    return [
+        windows[:-1],
+        *([between] * (len(steps) - 2)),
+        (windows[0], *windows[-GROWTH.settling :]),
+    ]
+
+
 def is_large(samples: int, pixels: int) -> bool:
     """Whether a frame is too large for all of its camera samples to search."""
     return samples * pixels > GROWTH.large
 
 
-def spacings(
-    camera: tuple[int, ...], pixels: int, windows: tuple[tuple[int, int], ...]
-) -> tuple[int, ...]:
+def spacings(camera: tuple[int, ...], pixels: int, windows: tuple[Window, ...]) -> tuple[int, ...]:
     """The spacings from the seeds to all camera pixels; (1,) of a small frame."""
     rows, cols, *channels = camera
     samples = rows * cols * (channels[0] if channels else 1)
-    if not is_large(samples, pixels) or windows[0][0] < GROWTH.reach:
+    if windows[0][0] < GROWTH.reach:
         return (1,)
+    if not is_large(samples, pixels):
+        return (GROWTH.near_seeds, 1) if samples * pixels > GROWTH.small else (1,)
     enough = min(rows, cols) // GROWTH.fewest_seeds
     return next((steps for steps in GROWTH.spacings if enough >= steps[0]), (1,))
