@@ -108,6 +108,7 @@ from .calibration.responses.camera import (
 from .calibration.responses.projector import projector_response as projector_response
 
 # Estimates.
+from .estimators.choice import check_and_choose as check_and_choose
 from .estimators.choice import choose_estimator as choose_estimator
 from .estimators.estimate import estimate as estimate
 from .estimators.colour.estimate import estimate_colour as estimate_colour

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 import lightmatrix as lm
 from lightmatrix.cli.claims import claim, say_what_is_kept
 from lightmatrix.cli.estimate_colour import estimate_colour, in_colour
+from lightmatrix.cli.estimate_preparation import prepared
 from lightmatrix.cli.estimate_report import check_report, write_report
 from lightmatrix.cli.options import (
     ADMM_ITERATIONS,
-    AUTO,
     COHERENT_UP_TO,
     PASSES,
     Json,
@@ -31,14 +31,10 @@ from lightmatrix.transport.labels import labelled
 if TYPE_CHECKING:
     from lightmatrix import (
         Capture,
-        EstimateSettings,
-        Finding,
-        FoundResponse,
         LightTransport,
         ResourceEstimate,
         RigGeometry,
     )
-    from lightmatrix.estimators.base import Estimator
 
 # The command says what an estimate takes if it takes longer than this many seconds, or more than
 # this share of the free memory. Chosen by hand: shorter and smaller ones need no warning.
@@ -275,9 +271,8 @@ def estimate(
     with lm.open_workers(settings, resources) as pool:
         if pool is not None:
             warn(str(pool))
-        findings = _findings(capture, whole, check)
-        capture, found = _with_known_response(capture, settings)
-        estimator = _chosen(capture, settings, resources)
+        lm.refuse_unusable(capture)
+        capture, found, estimator, findings = prepared(capture, whole, settings, resources, check)
         with progress("estimating", "rows") as step:
             transport = estimator.estimate(
                 capture,
@@ -287,8 +282,7 @@ def estimate(
                 progress=step,
                 pool=pool,
             )
-    seconds = round(time.perf_counter() - started, 2)
-    outcome: dict[str, Any] | None = None
+    seconds, outcome = round(time.perf_counter() - started, 2), None
     if report is not None:
         outcome = write_report(
             report, output, source, transport, capture, settings, findings, viewer, rig, overwrite
@@ -308,14 +302,6 @@ def estimate(
     _show_summary(output, transport, verbose)
     if report is not None:
         say(f"report: {(report / 'report.html').absolute()}")
-
-
-def _chosen(capture: Capture, settings: EstimateSettings, resources: ResourceEstimate) -> Estimator:
-    """The estimator that suits a capture; a warning says if neighbours would mislead."""
-    estimator = lm.choose_estimator(capture, settings, resources)
-    if settings.is_coherent(capture) and isinstance(estimator, lm.PlainEstimator):
-        warn("estimating row by row, which predicts held-out photographs better than --coherent")
-    return estimator
 
 
 def _geometry(capture: Capture, geometry: Path | None, report: Path | None) -> RigGeometry | None:
@@ -359,35 +345,6 @@ def _warn_of_resources(resources: ResourceEstimate, check: bool) -> None:
         warn(f"this takes {resources}")
     if resources.advice:
         warn(f"less: {resources.advice}", style="yellow")
-
-
-def _findings(capture: Capture, whole: Capture, check: bool) -> list[Finding]:
-    """Refuse a capture that no estimate can come from, and warn of faults in the `whole` one."""
-    lm.refuse_unusable(capture)
-    findings = lm.check(whole) if check else []
-    lm.refuse_disorder(findings)
-    found_later = [whole.projector_unknown and "projector"]
-    found_later += [whole.decoder.response.name == AUTO and "response"]
-    findings = [each for each in findings if each.kind not in found_later]
-    for finding in findings:
-        warn(f"{finding.kind}: {finding.message}\n  {finding.advice}", style="yellow")
-    return findings
-
-
-def _with_known_response(
-    capture: Capture, settings: EstimateSettings
-) -> tuple[Capture, FoundResponse | None]:
-    """The capture, and what was found of its responses if one of them is auto."""
-    if capture.projector_unknown:
-        warn("looking for the projector's response ...")
-        found = lm.find_projector_response(capture, settings)
-    elif capture.decoder.response.name == AUTO:
-        warn("looking for the camera's response ...")
-        found = lm.find_response(capture, settings)
-    else:
-        return capture, None
-    warn(f"response: {found}")
-    return found.applied_to(capture), found
 
 
 def _regularization(text: str) -> str | float:

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+
 from lightmatrix.capture.capture import Capture
+from lightmatrix.diagnosis.finding import Finding
 from lightmatrix.estimators.automatic_regularization import held_out_path
 from lightmatrix.estimators.base import Estimator
 from lightmatrix.estimators.coherent.estimator import CoherentEstimator
 from lightmatrix.estimators.multiscale.estimator import MultiScaleEstimator
-from lightmatrix.estimators.neighbours_help import neighbours_help
+from lightmatrix.estimators.neighbours_help import can_be_tried, neighbours_help
 from lightmatrix.estimators.plain import PlainEstimator
 from lightmatrix.estimators.resource_estimate import ResourceEstimate, estimate_resources
 from lightmatrix.estimators.settings import EstimateSettings
+from lightmatrix.resources.blas import one_blas_thread
 from lightmatrix.solvers import ActiveSet
 
 
@@ -73,3 +78,55 @@ def choose_estimator(
     if settings.coherent or neighbours_help(capture, coherent, row_by_row):
         return coherent
     return row_by_row
+
+
+def check_and_choose(
+    check: Callable[[], list[Finding]],
+    capture: Capture,
+    settings: EstimateSettings,
+    resources: ResourceEstimate | None = None,
+) -> tuple[Estimator, list[Finding]]:
+    """Choose the estimator that suits a capture, while a thread checks the frames.
+
+    A check keeps one core busy, and so does much of the choice. Where the choice takes no time, the
+    check comes first and has no thread.
+
+    Parameters
+    ----------
+    check : callable
+        Checks the frames, and may refuse them; what it raises comes before what the choice raises.
+    capture : Capture
+        What is estimated from.
+    settings : EstimateSettings
+        How it is estimated.
+    resources : ResourceEstimate, optional
+        What `estimate_resources` says of this estimate, if it is known already.
+
+    Returns
+    -------
+    CoherentEstimator, PlainEstimator or MultiScaleEstimator
+        The result of `choose_estimator`.
+    list of Finding
+        The result of the check.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> capture = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 32))
+    >>> settings = lm.EstimateSettings()
+    >>> estimator, found = lm.check_and_choose(lambda: lm.check(capture), capture, settings)
+    >>> type(estimator).__name__, found
+    ('CoherentEstimator', [])
+    """
+    undecided = settings.coherent is None and settings.is_coherent(capture)
+    if not (undecided and can_be_tried(capture)):
+        findings = check()
+        return choose_estimator(capture, settings, resources), findings
+    # Results must not depend on which thread is the first to limit those of matrix products.
+    with one_blas_thread(), ThreadPoolExecutor(1) as pool:
+        checked = pool.submit(check)
+        try:
+            estimator = choose_estimator(capture, settings, resources)
+        finally:
+            findings = checked.result()
+    return estimator, findings

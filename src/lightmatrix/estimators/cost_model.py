@@ -15,14 +15,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 from lightmatrix.estimators.coherent.neighbourhood import PSEUDO_SAMPLES
-from lightmatrix.estimators.coherent.schedule import spacings
+from lightmatrix.estimators.coherent.schedule import GROWTH, spacings
 from lightmatrix.estimators.work import TILE_BYTES
 from lightmatrix.resources.disk import SCRATCH_MEMORY_BYTES
 from lightmatrix.solvers.active_set import ActiveSet
 
 # Bytes per unit of `memory_terms` and seconds of one core per unit of `time_terms`, by the method.
-# "growing" is the coherent estimate of large frames, in which light grows from seeds and few rows
-# search all projector pixels.
+# "growing" is the coherent estimate of large frames, in which few rows search all projector pixels.
+# An entry is a projector pixel that a row searches, or solves by itself.
 COEFFICIENTS: Mapping[str, Mapping[str, Mapping[str, float]]] = {
     "coherent": {
         "bytes": {"pixel": 2048, "value": 31, "tile": 0.62, "row": 1580, "sample": 1},
@@ -49,12 +49,9 @@ COEFFICIENTS: Mapping[str, Mapping[str, Mapping[str, float]]] = {
         "seconds": {"row": 8.8e-6, "sample": 2.2e-7, "entry": 1.9e-11, "grey entry": 8.3e-10},
     },
 }
-# Share of the rows of a large frame that search all projector pixels again, because the light that
-# grew onto them does not explain their samples. Estimated by hand; it is part of the fit of
-# "growing".
+# Share of the rows that search all projector pixels although they are no seeds, because the light
+# that grew onto them does not explain their samples. Estimated by hand.
 _UNEXPLAINED_SHARE = 0.003
-# The spacing of seeds to which the coefficients of "growing" belong.
-_FITTED_SPACING = 16
 # Bytes that Python, the libraries and the patterns take before the estimate begins.
 LOADED_BYTES = 130 << 20
 # Bytes of the smallest tile that a memory limit may lead to. Chosen by hand: rows that are solved
@@ -95,13 +92,19 @@ class EstimateSize:
     def kind(self) -> str:
         """The key of the coefficients that apply."""
         if self.method == "coherent":
-            return "growing" if self._seed_spacing > 1 else "coherent"
+            return "growing" if self._seed_spacing > GROWTH.near_seeds else "coherent"
         return "plain"
 
     @property
     def _seed_spacing(self) -> int:
         """Camera pixels between those that search all projector pixels."""
         return spacings(self.camera, self.pixels, self.windows)[0]
+
+    @property
+    def searching(self) -> float:
+        """Share of the rows that search all projector pixels."""
+        spacing = 1 if self.method != "coherent" else self._seed_spacing
+        return 1.0 if spacing == 1 else 1 / spacing**2 + _UNEXPLAINED_SHARE
 
     @property
     def solved_row_bytes(self) -> int:
@@ -143,17 +146,10 @@ class EstimateSize:
         """Time on some cores; None where it is not known."""
         if self.method == "other":
             return None
-        terms = time_terms(self.kind, self.rows, self.pixels, self.count, self.grey)
-        if self.kind == "growing":
-            times = _searching_share(self._seed_spacing) / _searching_share(_FITTED_SPACING)
-            terms |= {name: times * terms[name] for name in terms if "entry" in name}
+        size = self.rows, self.pixels, self.count, self.grey
+        terms = time_terms(self.kind, *size, self.searching)
         coefficients = COEFFICIENTS[self.kind]["seconds"]
         return sum(coefficients[name] * terms[name] for name in coefficients) / cores
-
-
-def _searching_share(spacing: int) -> float:
-    """Share of the rows of a large frame that search all projector pixels."""
-    return 1 / spacing**2 + _UNEXPLAINED_SHARE
 
 
 def coherent_row_bytes(count: int, candidates: int = 250) -> int:
@@ -180,13 +176,16 @@ def memory_terms(kind: str, rows: int, pixels: int, count: int, grey: bool) -> d
     }
 
 
-def time_terms(kind: str, rows: int, pixels: int, count: int, grey: bool) -> dict[str, float]:
-    """The quantities that the time is a sum of."""
-    others = {"row": rows, "sample": rows * count, "grey entry": rows * pixels * count * grey}
+def time_terms(
+    kind: str, rows: int, pixels: int, count: int, grey: bool, searching: float = 1.0
+) -> dict[str, float]:
+    """The quantities that the time is a sum of; some of the rows are `searching`."""
+    entries = rows * searching * pixels
+    others = {"row": rows, "sample": rows * count, "grey entry": entries * count * grey}
     if kind != "plain":
         values = pixels * (count + PSEUDO_SAMPLES.unseen)
-        return {"value": values, "entry": rows * pixels, **others}
-    return {"entry": rows * pixels * count, **others}
+        return {"value": values, "entry": entries, **others}
+    return {"entry": entries * count, **others}
 
 
 def first_round_cost(rows: int, pixels: int, count: int, grey: bool) -> float:

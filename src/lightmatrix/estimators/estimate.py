@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from contextlib import nullcontext
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from lightmatrix.camera.camera_curve import AUTOMATIC, Response
@@ -25,7 +26,7 @@ from lightmatrix.capture.capture import Capture, open_capture
 from lightmatrix.diagnosis.refusals import refuse_unordered, refuse_unusable, warn_of_stripes
 from lightmatrix.diagnosis.responses.found import with_projector, with_response
 from lightmatrix.errors import InputError
-from lightmatrix.estimators.choice import choose_estimator
+from lightmatrix.estimators.choice import check_and_choose, choose_estimator
 from lightmatrix.estimators.resource_estimate import estimate_resources
 from lightmatrix.estimators.settings import EstimateSettings
 from lightmatrix.estimators.unknown_projector import find_responses
@@ -184,13 +185,16 @@ def estimate(
     with open_workers(settings, resources) as pool:
         refuse_unusable(capture)
         warn_of_stripes(capture.patterns)
-        findings = refuse_unordered(capture) if check else ()
-        found = find_responses(capture, settings)
-        if found is not None:
+        check_frames = partial(refuse_unordered, capture) if check else list
+        if capture.projector_unknown or capture.decoder.response.name == AUTOMATIC:
+            findings = check_frames()
+            found = find_responses(capture, settings)
             # A curve that was found is no fault of the capture any more.
             findings = [each for each in findings if each.kind not in found.remedies]
             capture = found.applied_to(capture)
-        estimator = choose_estimator(capture, settings, resources)
+            estimator = choose_estimator(capture, settings, resources)
+        else:
+            estimator, findings = check_and_choose(check_frames, capture, settings, resources)
         with progress_bar("estimating", "rows") if progress is True else nullcontext(None) as bar:
             transport = estimator.estimate(
                 capture,

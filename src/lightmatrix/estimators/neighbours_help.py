@@ -28,6 +28,11 @@ _LEFT = 0.1
 _BETTER = 0.5
 
 
+def can_be_tried(capture: Capture) -> bool:
+    """Whether all camera pixels of a part of the frame can search for light; not if it is large."""
+    return not is_large(capture.rows, capture.patterns.pixels)
+
+
 def neighbours_help(capture: Capture, coherent: Estimator, row_by_row: Estimator) -> bool:
     """Whether the coherent estimate predicts frames held out as well as that row by row, or better.
 
@@ -35,7 +40,7 @@ def neighbours_help(capture: Capture, coherent: Estimator, row_by_row: Estimator
     their camera pixels could search for light.
     """
     held = HeldOut.choose(capture.patterns)
-    if not len(held.judged) or is_large(capture.rows, capture.patterns.pixels):
+    if not len(held.judged) or not can_be_tried(capture):
         return True
     others = np.setdiff1d(np.arange(capture.count), held.frames)
     region = window_of_light(capture, held.judged, _TRIED)

@@ -140,13 +140,10 @@ def _start(capture: Capture, camera: bool) -> tuple[Response, float]:
     return capture.decoder.response, 1.0 if found is None else found.power
 
 
-def find_responses(capture: Capture, settings: EstimateSettings) -> FoundResponse | None:
-    """The responses that a capture leaves to be found; None if it states both."""
-    if capture.projector_unknown:
-        return find_projector_response(capture, settings)
-    if capture.decoder.response.name == AUTOMATIC:
-        return find_response(capture, settings)
-    return None
+def find_responses(capture: Capture, settings: EstimateSettings) -> FoundResponse:
+    """The responses that a capture leaves to be found."""
+    find = find_projector_response if capture.projector_unknown else find_response
+    return find(capture, settings)
 
 
 def _refuse_other_patterns(capture: Capture) -> None:
