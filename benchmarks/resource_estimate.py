@@ -1,31 +1,31 @@
 """The memory and time of estimates: the coefficients of `lightmatrix.estimators.cost_model`.
 
-    python -m benchmarks.resource_estimate [--quick] [-o resources.json]
+    python -m benchmarks.resource_estimate [--quick] [--old resources.json] [-o resources.json]
 
-Every case is a capture folder of a procedural scene, estimated by a process of its own on one core
-after what has been loaded and opened: its peak of resident memory above that of a process that has
-only opened the capture, and its CPU time. Afterwards the model's coefficients are fitted to them,
-by least squares of relative errors with coefficients >= 0, and printed beside those in the code.
-Sizes are sides of square cameras and projectors.
+Every case is a capture folder of a procedural scene. `lightmatrix estimate` takes it, with all its
+checks, as a process of its own: its largest resident set and its processor time are compared with
+what the model says. Afterwards the model's coefficients are fitted to them: those of the time by
+least squares of relative errors, those of the memory so that no case takes more than is said, and
+that what is said is otherwise as little as possible. All are >= 0. Sizes are sides of square
+cameras and projectors. `--old` fits and compares earlier measurements.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-import os
 import subprocess
 import sys
 import tempfile
-import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import psutil
-from scipy.optimize import nnls
+from numpy.typing import NDArray
+from scipy.optimize import linprog, nnls
 
 import lightmatrix as lm
+from benchmarks.growth import command_cost
 from lightmatrix.estimators import cost_model
 from lightmatrix.simulation.procedural_scene import ProceduralScene
 
@@ -43,9 +43,17 @@ CASES: tuple[Case, ...] = (
     ("coherent", 64, 256, 128, False),
     ("coherent", 64, 256, 128, True),
     ("coherent", 128, 64, 32, False),
+    ("coherent", 128, 128, 32, False),
     ("coherent", 128, 128, 64, True),
     ("coherent", 256, 64, 32, False),
     ("coherent", 256, 128, 64, False),
+    ("coherent", 192, 256, 32, False),
+    ("coherent", 256, 256, 64, False),
+    ("coherent", 256, 256, 64, True),
+    ("coherent", 256, 512, 32, False),
+    ("coherent", 384, 192, 128, False),
+    ("coherent", 512, 256, 64, False),
+    ("coherent", 512, 512, 64, False),
     ("plain", 64, 64, 64, False),
     ("plain", 64, 256, 64, False),
     ("plain", 64, 512, 64, False),
@@ -56,6 +64,7 @@ CASES: tuple[Case, ...] = (
     ("plain", 128, 64, 256, False),
     ("plain", 128, 64, 512, False),
     ("plain", 256, 64, 64, False),
+    ("plain", 128, 128, 256, False),
     ("plain", 256, 128, 256, False),
 )
 QUICK = 32 * 64
@@ -75,57 +84,92 @@ def make(case: Case, folder: Path) -> None:
     lm.simulate(truth, patterns, exposure=exposure, noise=0.003).save(folder)
 
 
-def estimate(case: Case, folder: Path) -> dict[str, float]:
-    """Peak of memory in bytes beyond what is loaded anyway, and CPU seconds, of one estimate."""
-    capture = lm.Capture.open(folder)
-    settings = lm.EstimateSettings(coherent=case[0] == "coherent")
-    estimator = lm.choose_estimator(capture, settings)
-    loaded = psutil.Process().memory_info().rss
-    started = time.process_time()
-    estimator.estimate(capture, output=folder / "scene.zarr")
+def measure(case: Case) -> dict[str, Any]:
+    """One case, in processes of its own."""
+    with tempfile.TemporaryDirectory() as place:
+        in_process_of_its_own("--make", json.dumps(case), place)
+        cost = in_process_of_its_own("--estimate", case[0], place)
+    names = ("method", "camera", "projector", "count", "grey")
+    return dict(zip(names, case, strict=True)) | cost
+
+
+def in_process_of_its_own(*words: str) -> dict[str, Any]:
+    """What this program prints for some words.
+
+    The resident set of the estimate's process begins with the largest that its parent ever had.
+    """
+    command = [sys.executable, "-m", MODULE, *words]
+    ran = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True)
+    return dict(json.loads(ran.stdout or "{}"))
+
+
+def estimate(method: str, folder: Path) -> dict[str, float]:
+    """Peak of memory in bytes, and processor seconds, of the command; and what checks may take."""
+    way = [] if method == "coherent" else ["--no-coherent"]
+    capture = folder / "capture"
+    cost = command_cost("estimate", capture, *way, "-o", folder / "scene.zarr")
+    said = lm.estimate_resources(capture, lm.EstimateSettings(coherent=method == "coherent"))
     return {
-        "bytes": _peak() - loaded,
-        "loaded": loaded,
-        "seconds": time.process_time() - started,
+        "bytes": cost["peak_gib"] * 2**30,
+        "seconds": cost["processor_s"],
+        "checking": said.size.check_bytes,
     }
 
 
-def _peak() -> int:
-    """Most resident memory that this process ever had, in bytes."""
-    status = Path("/proc/self/status").read_text()
-    return 1024 * int(status.split("VmHWM:")[1].split()[0])
+def size_of(row: dict[str, Any]) -> cost_model.EstimateSize:
+    """The size of a case, as the model knows it."""
+    camera, projector = row["camera"], row["projector"]
+    shape, count, grey = (camera, camera), row["count"], row["grey"]
+    windows = lm.CoherentEstimator.windows
+    return cost_model.EstimateSize(row["method"], shape, projector**2, count, grey, windows=windows)
 
 
-def measure(case: Case) -> dict[str, Any]:
-    """One case, in processes of its own."""
-    costs: dict[str, float] = {}
-    with tempfile.TemporaryDirectory() as place:
-        for step in ("make", "estimate"):
-            ran = subprocess.run(
-                [sys.executable, "-m", MODULE, "--step", step, json.dumps(case), place],
-                check=True, capture_output=True, text=True,
-                env={**os.environ, "RAYON_NUM_THREADS": "1"},
-            )  # fmt: skip
-            costs = json.loads(ran.stdout or "{}")
-    return dict(zip(("method", "camera", "projector", "count", "grey"), case, strict=True)) | costs
+def fit(rows: list[dict[str, Any]], kind: str) -> None:
+    """Print the coefficients that fit best, beside those in the code, and what the code says."""
+    some = [row for row in rows if size_of(row).kind == kind]
+    if not some:
+        return
+    sizes = [size_of(row) for row in some]
+    numbers = [(size.rows, size.pixels, size.count, size.grey) for size in sizes]
+    memory = [cost_model.memory_terms(kind, *each) for each in numbers]
+    time = [
+        cost_model.time_terms(kind, *each, size.searching)
+        for each, size in zip(numbers, sizes, strict=True)
+    ]
+    own = np.array([row["bytes"] for row in some]) - cost_model.LOADED_BYTES
+    print(f"\n{kind}, bytes:")
+    show(kind, "bytes", memory, covering(matrix_of(memory) / own[:, None]))
+    print(f"{kind}, seconds:")
+    seconds = np.array([row["seconds"] for row in some])
+    fitted, _ = nnls(matrix_of(time) / seconds[:, None], np.ones(len(some)))
+    show(kind, "seconds", time, fitted)
+    for row, size in zip(some, sizes, strict=True):
+        times = size.memory / row["bytes"], (size.seconds(1) or 0) / row["seconds"]
+        print(
+            f"    {_words(row):<44} {row['bytes'] / 2**20:7.0f} MiB, {row['seconds']:7.1f} s; "
+            f"the code says {times[0]:.2f} and {times[1]:.2f} times as much"
+        )
 
 
-def fit(rows: list[dict[str, Any]], method: str) -> None:
-    """Print the coefficients that fit best, beside those in the code."""
-    some = [row for row in rows if row["method"] == method]
-    sizes = [(r["camera"] ** 2, r["projector"] ** 2, r["count"], r["grey"]) for r in some]
-    for what, terms in (("bytes", cost_model.memory_terms), ("seconds", cost_model.time_terms)):
-        measured = np.array([row[what] for row in some])
-        columns = [terms(method, *size) for size in sizes]
-        names = list(columns[0])
-        matrix = np.array([[column[name] for name in names] for column in columns])
-        fitted, _ = nnls(matrix / measured[:, None], np.ones(len(some)))
-        now = cost_model.COEFFICIENTS[method][what]
-        print(f"\n{method}, {what}:")
-        for name, value in zip(names, fitted, strict=True):
-            print(f"  {name:<20} {value:12.4g}   in the code {now.get(name, 0):.4g}")
-        for row, model, own in zip(some, matrix @ fitted, measured, strict=True):
-            print(f"    {_words(row):<44} measured {own:10.4g}, model {model / own:5.2f} of it")
+def matrix_of(columns: list[dict[str, float]]) -> NDArray[np.float64]:
+    """The terms of each case, a row each."""
+    return np.array([list(column.values()) for column in columns])
+
+
+def covering(shares: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Coefficients >= 0 that give each case at least 1, and as little more as possible."""
+    cases = len(shares)
+    result = linprog(shares.sum(axis=0), A_ub=-shares, b_ub=-np.ones(cases))
+    return np.asarray(result.x)
+
+
+def show(
+    kind: str, what: str, columns: list[dict[str, float]], fitted: NDArray[np.float64]
+) -> None:
+    """Print coefficients beside those in the code."""
+    now = cost_model.COEFFICIENTS[kind][what]
+    for name, value in zip(columns[0], fitted, strict=True):
+        print(f"  {name:<12} {value:10.3g}   in the code {now.get(name, 0):.3g}")
 
 
 def _words(row: dict[str, Any]) -> str:
@@ -136,25 +180,27 @@ def _words(row: dict[str, Any]) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help="small cases only")
-    parser.add_argument("--step", nargs=3, metavar=("STEP", "CASE", "FOLDER"))
+    parser.add_argument("--make", nargs=2, metavar=("CASE", "FOLDER"))
+    parser.add_argument("--estimate", nargs=2, metavar=("METHOD", "FOLDER"))
+    parser.add_argument("--old", type=Path)
     parser.add_argument("-o", "--output", type=Path, default=Path("resources.json"))
     arguments = parser.parse_args()
-    if arguments.step:
-        step, text, place = arguments.step
-        case: Case = tuple(json.loads(text))
-        if step == "make":
-            make(case, Path(place) / "capture")
-        else:
-            print(json.dumps(estimate(case, Path(place) / "capture")))
+    if arguments.make:
+        text, place = arguments.make
+        make(tuple(json.loads(text)), Path(place) / "capture")
         return
-    rows = []
-    for case in CASES:
+    if arguments.estimate:
+        method, place = arguments.estimate
+        print(json.dumps(estimate(method, Path(place))))
+        return
+    rows = json.loads(arguments.old.read_text()) if arguments.old else []
+    for case in () if arguments.old else CASES:
         if not arguments.quick or case[1] * case[2] <= QUICK * 2:
             rows.append(measure(case))
             print(json.dumps(rows[-1]), flush=True)
             arguments.output.write_text(json.dumps(rows, indent=1))
-    for method in ("coherent", "plain"):
-        fit(rows, method)
+    for kind in cost_model.COEFFICIENTS:
+        fit(rows, kind)
 
 
 if __name__ == "__main__":

@@ -1,10 +1,10 @@
 """How much memory and time an estimate takes, by its size.
 
 `python -m benchmarks.resource_estimate` measures the coefficients: it makes procedural captures of
-many sizes, estimates each in a process of its own on one core (peak of resident memory beyond what
-is loaded anyway, CPU seconds), and fits `COEFFICIENTS` to the measurements. On the machine of these
-measurements (AMD EPYC, 2026-11) they are right within a factor of about 1.5 in memory and 2 in
-time.
+many sizes, runs `lightmatrix estimate` on each with all checks, and fits `COEFFICIENTS` to its
+largest resident set and processor time. Of these 33 estimates (AMD EPYC with AVX-512, 2 cores,
+2026-11) none takes more than 1.05 times the memory that is said, nor less than .7 of it; times are
+right within 1.4. Other machines are up to twice as slow.
 """
 
 from __future__ import annotations
@@ -22,38 +22,61 @@ from lightmatrix.solvers.active_set import ActiveSet
 
 # Bytes per unit of `memory_terms` and seconds of one core per unit of `time_terms`, by the method.
 # "growing" is the coherent estimate of large frames, in which few rows search all projector pixels.
-# An entry is a projector pixel that a row searches, or solves by itself.
+# An entry is a projector pixel that a row searches, or solves by itself; the start is what every
+# command takes, and most checks.
 COEFFICIENTS: Mapping[str, Mapping[str, Mapping[str, float]]] = {
     "coherent": {
-        "bytes": {"pixel": 2048, "value": 31, "tile": 0.62, "row": 1580, "sample": 1},
+        "bytes": {
+            "pixel": 300,
+            "value": 38,
+            "grey value": 40,
+            "tile": 0.71,
+            "row": 300,
+            "sample": 16,
+        },
         "seconds": {
-            "value": 3.0e-7,
-            "row": 2.7e-4,
-            "sample": 4.1e-6,
-            "entry": 2.5e-8,
-            "grey entry": 3.7e-10,
+            "start": 2.3,
+            "value": 6.4e-7,
+            "entry": 1.0e-8,
+            "row": 1.2e-4,
+            "sample": 1.2e-6,
+            "grey entry": 2.4e-10,
         },
     },
     "growing": {
-        "bytes": {"pixel": 1200, "value": 14, "tile": 0.4, "row": 1250, "sample": 1},
+        "bytes": {"pixel": 1850, "value": 8, "tile": 0.84, "row": 600, "sample": 9},
         "seconds": {
-            "value": 3.0e-7,
-            "row": 1.2e-4,
-            "sample": 3.4e-6,
-            "entry": 4.0e-10,
-            "grey entry": 1.0e-11,
+            "start": 2.5,
+            "value": 3.8e-7,
+            "entry": 2.5e-8,
+            "row": 3.3e-5,
+            "sample": 1.45e-6,
         },
     },
     "plain": {
-        "bytes": {"pixel": 640, "value": 0.71, "row": 400, "sample": 15},
-        "seconds": {"row": 8.8e-6, "sample": 2.2e-7, "entry": 1.9e-11, "grey entry": 8.3e-10},
+        "bytes": {
+            "pixel": 1270,
+            "value": 7,
+            "grey value": 28,
+            "tile": 0.12,
+            "row": 200,
+            "sample": 13,
+        },
+        "seconds": {
+            "start": 2.0,
+            "value": 2.3e-7,
+            "entry": 1.3e-11,
+            "row": 4.7e-7,
+            "sample": 2.5e-7,
+            "grey entry": 3.5e-10,
+        },
     },
 }
 # Share of the rows that search all projector pixels although they are no seeds, because the light
 # that grew onto them does not explain their samples. Estimated by hand.
 _UNEXPLAINED_SHARE = 0.003
 # Bytes that Python, the libraries and the patterns take before the estimate begins.
-LOADED_BYTES = 130 << 20
+LOADED_BYTES = 170 << 20
 # Bytes of the smallest tile that a memory limit may lead to. Chosen by hand: rows that are solved
 # together keep all cores busy.
 _LEAST_TILE_BYTES = 8 << 20
@@ -180,19 +203,22 @@ def time_terms(
     kind: str, rows: int, pixels: int, count: int, grey: bool, searching: float = 1.0
 ) -> dict[str, float]:
     """The quantities that the time is a sum of; some of the rows are `searching`."""
-    entries = rows * searching * pixels
-    others = {"row": rows, "sample": rows * count, "grey entry": entries * count * grey}
-    if kind != "plain":
-        values = pixels * (count + PSEUDO_SAMPLES.unseen)
-        return {"value": values, "entry": entries, **others}
-    return {"entry": entries * count, **others}
+    entries, plain = rows * searching * pixels, kind == "plain"
+    return {
+        "start": 1.0,
+        "value": pixels * (count if plain else count + PSEUDO_SAMPLES.unseen),
+        "entry": entries * (count if plain else 1),
+        "row": rows,
+        "sample": rows * count,
+        "grey entry": entries * count * grey,
+    }
 
 
 def first_round_cost(rows: int, pixels: int, count: int, grey: bool) -> float:
     """Time of a coherent estimate's first round, over all projector pixels, in later rounds."""
     terms = time_terms("coherent", rows, pixels, count, grey)
     coefficients = COEFFICIENTS["coherent"]["seconds"]
-    whole = sum(coefficients[name] * terms[name] for name in coefficients)
+    whole = sum(coefficients[name] * terms[name] for name in coefficients if name != "start")
     first = sum(coefficients[name] * terms[name] for name in coefficients if "entry" in name)
     return _ROUNDS * first / (whole - first)
 
