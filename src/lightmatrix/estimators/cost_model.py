@@ -3,7 +3,7 @@
 `python -m benchmarks.resource_estimate` measures the coefficients: it makes procedural captures of
 many sizes, runs `lightmatrix estimate` on each with all checks, and fits `COEFFICIENTS` to its
 largest resident set and processor time. Of these 33 estimates (AMD EPYC with AVX-512, 2 cores,
-2026-11) none takes more than 1.05 times the memory that is said, nor less than .7 of it; times are
+2026-11) none takes more than 1.07 times the memory that is said, nor less than .7 of it; times are
 right within 1.4. Other machines are up to twice as slow.
 """
 
@@ -44,7 +44,7 @@ COEFFICIENTS: Mapping[str, Mapping[str, Mapping[str, float]]] = {
         },
     },
     "growing": {
-        "bytes": {"pixel": 1850, "value": 8, "tile": 0.84, "row": 600, "sample": 9},
+        "bytes": {"pixel": 1800, "value": 8, "tile": 0.82, "row": 600, "sample": 8.5},
         "seconds": {
             "start": 2.5,
             "value": 3.8e-7,

@@ -41,7 +41,7 @@ from lightmatrix.estimators.coherent.row_errors import (
     without,
 )
 from lightmatrix.estimators.coherent.row_solver import RowSolver
-from lightmatrix.estimators.coherent.schedule import Round
+from lightmatrix.estimators.coherent.schedule import GROWTH, Round
 from lightmatrix.estimators.cost_model import (
     coherent_row_bytes,
     core_threads,
@@ -62,9 +62,9 @@ SEARCHED, CERTIFIED = "searched_everywhere", "certified_everywhere"
 # The step that measures the misfit under the frames held out, and the diagnostic that holds it;
 # and the diagnostic that holds the misfit of some rows under the other frames.
 HELD_OUT, RESIDUAL = "held-out", "residual"
-# Where light grows, only every second camera pixel along both axes is solved without the frames
-# held out, and every fourth one of cameras with at least this many pixels along both. Errors are
-# smooth over the camera, and all pixels would take a sixth of the time.
+# In large frames only every second camera pixel along both axes is solved without the frames held
+# out, and every fourth one of cameras with at least this many pixels along both. Errors are smooth
+# over the camera, and all pixels would take a sixth of the time.
 MANY_PIXELS = 512
 # Mean squares of a row's misses at these frames, and of its samples there.
 _MISSED, _SEEN = "missed", "seen"
@@ -236,7 +236,7 @@ class Rounds:
     @property
     def _tested_every(self) -> int:
         """The spacing of the camera pixels that are solved without the frames held out."""
-        if not self._grows:
+        if self.rounds[0].spacing <= GROWTH.near_seeds:
             return 1
         return 4 if min(self.capture.camera_shape[:2]) >= MANY_PIXELS else 2
 
