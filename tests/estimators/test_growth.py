@@ -35,8 +35,9 @@ from lightmatrix.transport.matrix import LightTransport
 from lightmatrix.transport.sparse_rows import SparseRows
 
 CAMERA = (40, 36)
-# Every frame counts as large.
+# Every frame counts as large, or as one between small and large ones.
 LARGE_FRAMES = replace(schedule.GROWTH, large=0, fewest_seeds=4)
+BETWEEN = replace(schedule.GROWTH, small=0)
 
 
 def photographed(truth: Truth, count: int = 32) -> Capture:
@@ -122,13 +123,32 @@ def test_grown_rows_are_as_good_and_say_whether_they_searched(
     assert grown.provenance["solver_parameters"]["spacings"] == [8, 4, 1]
 
 
-@pytest.mark.usefixtures("growing")
-def test_what_no_seed_sees_is_found(scene: Truth) -> None:
+def test_frames_between_small_and_large_ones_are_as_good_as_small_ones(
+    scene: Truth, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    usual, known = CoherentEstimator().estimate(photographed(scene)), scene.transport()
+    monkeypatch.setattr(schedule, "GROWTH", BETWEEN)
+    between = CoherentEstimator().estimate(photographed(scene))
+    assert relative_error(between, known) < 1.02 * relative_error(usual, known)
+    # Seeds are a quarter of the rows, and all rows are tested.
+    assert 0.25 <= between.diagnostics[SEARCHED].mean() < 0.3
+    assert np.nanmean(between.diagnostics[CERTIFIED]) > 0.95
+    stated = [each.diagnostics["estimated_error"] for each in (usual, between)]
+    assert np.array_equal(np.isfinite(stated[0]), np.isfinite(stated[1]))
+    assert np.nanmedian(stated[1]) < 1.1 * np.nanmedian(stated[0])
+
+
+@pytest.mark.parametrize("growth", [LARGE_FRAMES, BETWEEN])
+def test_what_no_seed_sees_is_found(
+    scene: Truth, growth: schedule.Growth, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """A few camera pixels between seeds look at another place than all around them."""
+    monkeypatch.setattr(schedule, "GROWTH", growth)
     rows = np.arange(CAMERA[0] * CAMERA[1]).reshape(CAMERA)
-    odd = rows[17:20, 21:24].ravel()
+    side = 3 if growth is LARGE_FRAMES else 1
+    odd = rows[17 : 17 + side, 21 : 21 + side].ravel()
     changed = scene.matrix.tolil()
-    places = 40 * np.arange(3, 6)[:, None] + np.arange(33, 36)
+    places = 40 * np.arange(3, 3 + side)[:, None] + np.arange(33, 33 + side)
     for row, place in zip(odd, places.ravel(), strict=True):
         changed[row] = 0
         changed[row, place] = 0.5

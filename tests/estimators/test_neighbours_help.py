@@ -1,5 +1,7 @@
 """Photographs held out decide whether camera pixels learn from their neighbours."""
 
+import threading
+
 import pytest
 
 import lightmatrix as lm
@@ -40,6 +42,38 @@ def test_the_middle_of_the_light_stands_for_a_larger_camera(
     capture = draw("speckle", "random", "none", SIZE, seed=3).capture
     monkeypatch.setattr(neighbours_help, "_TRIED", 144)
     assert isinstance(lm.choose_estimator(capture), lm.PlainEstimator)
+
+
+@pytest.mark.parametrize(("coherent", "beside"), [(None, True), (True, False), (False, False)])
+def test_frames_are_checked_while_both_ways_are_tried(coherent: bool | None, beside: bool) -> None:
+    capture = draw("speckle", "random", "none", SIZE, seed=3).capture
+    settings = lm.EstimateSettings(coherent=coherent)
+    threads: list[threading.Thread] = []
+
+    def check() -> list[lm.Finding]:
+        threads.append(threading.current_thread())
+        return lm.check(capture)
+
+    estimator, findings = lm.check_and_choose(check, capture, settings)
+    assert [each is not threading.main_thread() for each in threads] == [beside]
+    assert estimator == lm.choose_estimator(capture, settings)
+    assert findings == lm.check(capture)
+
+
+def test_what_a_check_raises_comes_first(monkeypatch: pytest.MonkeyPatch) -> None:
+    capture = draw("speckle", "random", "none", SIZE, seed=3).capture
+
+    def refuse() -> list[lm.Finding]:
+        raise lm.InputError("frame 1 and frame 2 look swapped")
+
+    def fail(*_: object, **__: object) -> None:
+        raise lm.SolverError("no solution")
+
+    monkeypatch.setattr(lm.PlainEstimator, "estimate", fail)
+    with pytest.raises(lm.InputError, match="look swapped"):
+        lm.check_and_choose(refuse, capture, lm.EstimateSettings())
+    with pytest.raises(lm.SolverError, match="no solution"):
+        lm.check_and_choose(list, capture, lm.EstimateSettings())
 
 
 @pytest.mark.parametrize("patterns", ["stripes", "one pixel"])

@@ -173,3 +173,30 @@ impl Pricing {
         })
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_largest_violators_join_if_there_are_too_many() {
+        let count = 2 * MOST_NEW;
+        // Pixel i violates its condition by (7 i mod count), an order of its own for each pixel.
+        let size = |pixel: u32| 1.0 + f64::from(7 * pixel % count as u32);
+        let mut pricing = Pricing {
+            candidates: (0..=count as u32).collect(),
+            correlations: (0..=count as u32).map(size).collect(),
+            set_size: 1,
+            ..Pricing::default()
+        };
+        let mut joined: Vec<f64> = pricing.violators(0.5).iter().map(|pair| pair.1).collect();
+        joined.sort_by(f64::total_cmp);
+        let largest: Vec<f64> = (MOST_NEW..count).map(|rank| 1.0 + rank as f64).collect();
+        assert_eq!(joined, largest);
+        // Few violators all join, in their order, without the working set.
+        pricing.candidates.truncate(10);
+        pricing.correlations.truncate(10);
+        let few: Vec<u32> = pricing.violators(0.5).iter().map(|pair| pair.0).collect();
+        assert_eq!(few, (0..9).collect::<Vec<_>>());
+    }
+}
