@@ -121,7 +121,15 @@ def size_of(row: dict[str, Any]) -> cost_model.EstimateSize:
     camera, projector = row["camera"], row["projector"]
     shape, count, grey = (camera, camera), row["count"], row["grey"]
     windows = lm.CoherentEstimator.windows
-    return cost_model.EstimateSize(row["method"], shape, projector**2, count, grey, windows=windows)
+    return cost_model.EstimateSize(
+        row["method"],
+        shape,
+        projector**2,
+        count,
+        grey,
+        check_bytes=row["checking"],
+        windows=windows,
+    )
 
 
 def fit(rows: list[dict[str, Any]], kind: str) -> None:
@@ -136,7 +144,9 @@ def fit(rows: list[dict[str, Any]], kind: str) -> None:
         cost_model.time_terms(kind, *each, size.searching)
         for each, size in zip(numbers, sizes, strict=True)
     ]
+    # Small cases take what is loaded anyway.
     own = np.array([row["bytes"] for row in some]) - cost_model.LOADED_BYTES
+    own = np.maximum(own, cost_model.LOADED_BYTES / 10)
     print(f"\n{kind}, bytes:")
     show(kind, "bytes", memory, covering(matrix_of(memory) / own[:, None]))
     print(f"{kind}, seconds:")
@@ -159,8 +169,12 @@ def matrix_of(columns: list[dict[str, float]]) -> NDArray[np.float64]:
 def covering(shares: NDArray[np.float64]) -> NDArray[np.float64]:
     """Coefficients >= 0 that give each case at least 1, and as little more as possible."""
     cases = len(shares)
-    result = linprog(shares.sum(axis=0), A_ub=-shares, b_ub=-np.ones(cases))
-    return np.asarray(result.x)
+    # Terms differ by orders of magnitude, which the solver does not like.
+    scale = np.maximum(shares.max(axis=0), 1e-300)
+    result = linprog((shares / scale).sum(axis=0), A_ub=-shares / scale, b_ub=-np.ones(cases))
+    if not result.success:
+        raise SystemExit(f"no coefficients cover all cases: {result.message}")
+    return np.asarray(result.x) / scale
 
 
 def show(

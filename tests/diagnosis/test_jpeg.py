@@ -31,7 +31,7 @@ def compressed(frames: NDArray[np.uint8], quality: int) -> NDArray[np.uint8]:
 
 
 def blocks_of(frames: NDArray[np.uint8]) -> NDArray[np.floating]:
-    return jpeg._blocks(frames[:, None].astype(np.float64))
+    return jpeg._blocks(frames[:, None].astype(np.float32))
 
 
 @pytest.mark.parametrize("quality", [30, 60, 90])

@@ -82,8 +82,12 @@ def test_all_rows_of_small_frames_search_and_large_ones_grow() -> None:
     assert [stage.spacing for stage in between] == [2] * 3 + [1] * 6
     assert [stage.age for stage in between] == [*range(9)]
     assert [i for i, stage in enumerate(between) if stage.search_unexplained] == [4]
-    one_round = schedule.schedule((128, 128), 128 * 128, ((2, 1),))
-    assert [stage.spacing for stage in one_round] == [2, 1]
+    assert [i for i, stage in enumerate(between) if stage.skip_settled] == [6, 7]
+    # Seeds that search briefly need some rounds after them, and neighbours.
+    for rounds, steps in ((1, (1,)), (3, (1,)), (4, (2, 1))):
+        assert schedule.spacings((128, 128), 128 * 128, WINDOWS[:rounds]) == steps
+    for camera, steps in (((31, 9000), (1,)), ((32, 9000), (2, 1)), ((9, 9), (1,))):
+        assert schedule.spacings(camera, 128 * 128, WINDOWS) == steps
     grown = schedule.schedule((1024, 1024), 768 * 1024, WINDOWS)
     assert [stage.spacing for stage in grown] == [32] * 8 + [8] * 3 + [4] * 3 + [1] * 3
     assert [stage.window is None for stage in grown] == [True] + [False] * 16
@@ -97,6 +101,7 @@ def test_all_rows_of_small_frames_search_and_large_ones_grow() -> None:
     short = schedule.schedule((1024, 1024), 768 * 1024, ((2, 1),))
     assert [stage.spacing for stage in short] == [32, 8, 4, 1, 1]
     assert schedule.spacings((128, 1000), 768 * 1024, WINDOWS) == (8, 4, 1)
+    assert schedule.spacings((60, 1000), 768 * 1024, WINDOWS) == (2, 1)
 
 
 @pytest.fixture(scope="module")
@@ -160,11 +165,13 @@ def test_what_no_seed_sees_is_found(
     assert np.array_equal(strongest, places.ravel())
 
 
-@pytest.mark.usefixtures("growing")
+@pytest.mark.parametrize("growth", [LARGE_FRAMES, BETWEEN])
 def test_tiles_and_interruptions_do_not_matter(
-    scene: Truth, grown: LightTransport, tmp_path: Path
+    scene: Truth, growth: schedule.Growth, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(schedule, "GROWTH", growth)
     capture = photographed(scene)
+    whole = CoherentEstimator().estimate(capture)
     estimator = CoherentEstimator(tile_rows=477)
 
     def interrupt(done: int, total: int) -> None:
@@ -180,7 +187,7 @@ def test_tiles_and_interruptions_do_not_matter(
     )
     assert min(reached) > 0.4 * len(scene.matrix.indptr)
     assert reached == sorted(reached)
-    assert same(again, grown)
+    assert same(again, whole)
 
 
 @pytest.mark.parametrize("channels", [(), (3,)])

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +27,7 @@ from lightmatrix.patterns.grids import block_size
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.regions import Region
 from lightmatrix.reprs import html_table
+from lightmatrix.resources.computed_once import computed_once
 
 # Corner and shape of a rectangle of photographs, in pixels.
 Crop = tuple[tuple[int, int], tuple[int, int]]
@@ -358,7 +358,7 @@ class Capture:
         """
         return self.reader.samples(start, self.rows if stop is None else stop)
 
-    @cached_property
+    @computed_once
     def reader(self) -> Reader:
         """The reader, which decodes the frames and keeps the levels that it has read."""
         return Reader(self.frames, self.decoder, self.mask, self.bin_camera)
@@ -372,13 +372,13 @@ class Capture:
         """Iterate over (first row, samples) of the whole camera."""
         return self.reader.tiles(rows)
 
-    @cached_property
+    @computed_once
     def clipped_share(self) -> float:
         """Share of the valid samples that are clipped."""
         clipped = sum(int(tile.clipped.sum()) for _, tile in self.tiles())
         return clipped / max(1, int(self.valid.sum()) * self.count)
 
-    @cached_property
+    @computed_once
     def digest(self) -> str:
         """Hash of the patterns and of all samples, 16 hex digits."""
         return summary.digest(self.patterns, self.reader)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -15,6 +14,7 @@ from lightmatrix.camera.decoder import Decoder
 from lightmatrix.camera.noise import frame_weights
 from lightmatrix.camera.samples import Samples, bin_samples
 from lightmatrix.capture.frames import BLOCK_LEVELS, Frames, PixelFrames, in_order
+from lightmatrix.resources.computed_once import computed_once
 from lightmatrix.resources.disk import scratch_array
 
 # Samples of one frame that are binned at a time. Chosen by hand: a whole frame of 24 megapixels
@@ -77,7 +77,7 @@ class Reader:
             valid[:, None] * weights,
         )
 
-    @cached_property
+    @computed_once
     def valid(self) -> NDArray[np.bool_]:
         """Which camera samples count: not masked, and not clipped without light; (M,)."""
         if self.block == (1, 1):
@@ -99,7 +99,7 @@ class Reader:
             stop = min(start + step, height)
             yield slice(start, stop), slice(start * width, stop * width)
 
-    @cached_property
+    @computed_once
     def _valid_pixels(self) -> NDArray[np.bool_]:
         hot = self.decoder.hot
         valid = np.ones(int(np.prod(self.frames.shape)), bool) if hot is None else ~hot
@@ -118,7 +118,7 @@ class Reader:
         for start in range(0, pixels, step):
             yield self.levels(start, min(start + step, pixels))
 
-    @cached_property
+    @computed_once
     def raw(self) -> NDArray[Any]:
         """Raw levels (M, K): the frames of a camera sample lie side by side, as tiles need them."""
         pixels = int(np.prod(self.frames.shape))
@@ -130,7 +130,7 @@ class Reader:
             raw[:, start:stop] = np.stack(images, axis=1)
         return raw
 
-    @cached_property
+    @computed_once
     def _binned(self) -> Samples:
         """Binned samples (M, K), which take less memory than the raw levels from 2 x 2 on."""
         values = scratch_array((self.rows, self.frames.count), np.dtype(np.float32))

@@ -26,6 +26,7 @@ from lightmatrix.camera.samples import Samples
 from lightmatrix.diagnosis.pursuit import best_pixels, column_scale
 from lightmatrix.diagnosis.statistics import OF_MEDIAN
 from lightmatrix.patterns.pattern_set import PatternSet
+from lightmatrix.resources.blas import one_blas_thread
 from lightmatrix.resources.work_ahead import work_ahead
 
 # A window reaches two projector pixels to each side of its place. Light is expected to fall off
@@ -43,9 +44,9 @@ _AROUND_REACH, _AROUND_STEP, _AROUND_SPREAD, _AROUND_SCALE = 6, 2, 3.0, 0.3
 _RIDGES = (0.003, 0.03, 0.3)
 # The projector has 4 x 4 parts. Chosen by hand.
 _PARTS = 4
-# At most 4 MiB of the explaining columns are held at a time, which caches hold too, and rows are
-# explained from at most 192 frames, drawn at random. Both were chosen by hand and bound memory and
-# time.
+# Each thread holds at most 2 MiB of the explaining columns at a time, which caches hold too, and
+# rows are explained from at most 192 frames, drawn at random. Both were chosen by hand and bound
+# memory and time.
 _COLUMN_BYTES = 2 << 20
 _MOST_FRAMES = 192
 # A row counts as predicted if less than 40 % of its variance is missed, and if at least 8 of its
@@ -166,8 +167,9 @@ def predict(
         return _left_out(columns, observed[some], learned[some])
 
     blocks = [slice(start, start + step) for start in range(0, len(observed), step)]
-    for some, explained in zip(blocks, work_ahead(explain, blocks), strict=True):
-        expected[some], miss[some], known[some] = explained
+    with one_blas_thread():
+        for some, explained in zip(blocks, work_ahead(explain, blocks), strict=True):
+            expected[some], miss[some], known[some] = explained
     usual = np.sqrt(miss * np.maximum(observed.var(axis=1), 1e-18))[:, None]
     # A row that is expected to come close to the clip level shows its noise from one side only.
     trusted = known & ~samples.clipped & (expected + 3 * usual < level)

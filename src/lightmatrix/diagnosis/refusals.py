@@ -58,17 +58,18 @@ def refuse_unusable(capture: Capture) -> None:
 
 
 def refuse_unordered(capture: Capture) -> list[Finding]:
-    """Refuse a capture whose frames do not follow its patterns; warn if they follow nothing.
-
-    Returns what `check` finds.
-    """
+    """Refuse a capture whose frames do not follow its patterns; returns what `check` finds."""
     findings = check_capture(capture)
     refuse_disorder(findings)
+    return findings
+
+
+def warn_of_unrelated(findings: Iterable[Finding]) -> None:
+    """Warn if `check` found that the frames follow nothing."""
     for finding in findings:
         if finding.kind == "unrelated":
             message = f"{finding.message}; {finding.advice}"
             warn(message)
-    return findings
 
 
 def warn_of_stripes(patterns: PatternSet) -> None:

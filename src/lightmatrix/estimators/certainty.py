@@ -42,8 +42,8 @@ _LEAST_MISFIT = 1e-8
 # Pixels that are less probable than the best one by a factor of exp(60) are not looked at: a
 # billion of them together would change no probability.
 _NEGLIGIBLE = 60.0
-# Bytes of correlations of some rows with all projector pixels. Chosen by hand, to lie far below the
-# working memory of a tile.
+# Bytes of correlations of some rows with all projector pixels, of each thread. Chosen by hand, to
+# lie far below the working memory of a tile.
 _BYTES = 8 << 20
 
 

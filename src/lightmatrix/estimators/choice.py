@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
@@ -17,6 +18,10 @@ from lightmatrix.estimators.resource_estimate import ResourceEstimate, estimate_
 from lightmatrix.estimators.settings import EstimateSettings
 from lightmatrix.resources.blas import one_blas_thread
 from lightmatrix.solvers import ActiveSet
+
+# A capture of at most so many raw levels is checked within a second or two: 512 x 512 pixels in 64
+# frames. Chosen by hand.
+_BRIEFLY_CHECKED = 1 << 24
 
 
 def choose_estimator(
@@ -88,13 +93,13 @@ def check_and_choose(
 ) -> tuple[Estimator, list[Finding]]:
     """Choose the estimator that suits a capture, while a thread checks the frames.
 
-    A check keeps one core busy, and so does much of the choice. Where the choice takes no time, the
-    check comes first and has no thread.
+    A check keeps one core busy, and so does much of the choice. Where no estimate is tried, and
+    where a check takes long, so that Ctrl-C would wait for it, the check comes first.
 
     Parameters
     ----------
     check : callable
-        Checks the frames, and may refuse them; what it raises comes before what the choice raises.
+        Checks the frames, and may refuse them; its errors come before those of the choice.
     capture : Capture
         What is estimated from.
     settings : EstimateSettings
@@ -119,7 +124,8 @@ def check_and_choose(
     ('CoherentEstimator', [])
     """
     undecided = settings.coherent is None and settings.is_coherent(capture)
-    if not (undecided and can_be_tried(capture)):
+    levels = math.prod(capture.whole.frames.shape) * capture.count
+    if not (undecided and can_be_tried(capture)) or levels > _BRIEFLY_CHECKED:
         findings = check()
         return choose_estimator(capture, settings, resources), findings
     # Results must not depend on which thread is the first to limit those of matrix products.
@@ -127,6 +133,7 @@ def check_and_choose(
         checked = pool.submit(check)
         try:
             estimator = choose_estimator(capture, settings, resources)
-        finally:
-            findings = checked.result()
-    return estimator, findings
+        except Exception:
+            checked.result()
+            raise
+        return estimator, checked.result()

@@ -1,16 +1,15 @@
 """How much memory and time an estimate takes, by its size.
 
 `python -m benchmarks.resource_estimate` measures the coefficients: it makes procedural captures of
-many sizes, runs `lightmatrix estimate` on each with all checks, and fits `COEFFICIENTS` to its
-largest resident set and processor time. Of these 33 estimates (AMD EPYC with AVX-512, 2 cores,
-2026-11) none takes more than 1.07 times the memory that is said, nor less than .7 of it; times are
-right within 1.4. Other machines are up to twice as slow.
+many sizes, runs `lightmatrix estimate` on each with all checks, and fits `COEFFICIENTS` to the
+largest resident set and the processor time of that process. Of these 33 estimates (AMD EPYC with
+AVX-512, 2 cores, 2026-11) none takes more than 1.07 times the memory that is said, nor less than .7
+of it; times are right within 1.4. A machine without AVX-512 took 2.3 to 2.6 times as long.
 """
 
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
@@ -44,7 +43,14 @@ COEFFICIENTS: Mapping[str, Mapping[str, Mapping[str, float]]] = {
         },
     },
     "growing": {
-        "bytes": {"pixel": 1800, "value": 8, "tile": 0.82, "row": 600, "sample": 8.5},
+        "bytes": {
+            "pixel": 1800,
+            "value": 8,
+            "grey value": 8,
+            "tile": 0.82,
+            "row": 600,
+            "sample": 8.5,
+        },
         "seconds": {
             "start": 2.5,
             "value": 3.8e-7,
@@ -172,7 +178,10 @@ class EstimateSize:
         size = self.rows, self.pixels, self.count, self.grey
         terms = time_terms(self.kind, *size, self.searching)
         coefficients = COEFFICIENTS[self.kind]["seconds"]
-        return sum(coefficients[name] * terms[name] for name in coefficients) / cores
+        start = coefficients["start"]
+        whole = sum(coefficients[name] * terms[name] for name in coefficients)
+        # Python starts on one core.
+        return start + (whole - start) / cores
 
 
 def coherent_row_bytes(count: int, candidates: int = 250) -> int:
@@ -221,9 +230,3 @@ def first_round_cost(rows: int, pixels: int, count: int, grey: bool) -> float:
     whole = sum(coefficients[name] * terms[name] for name in coefficients if name != "start")
     first = sum(coefficients[name] * terms[name] for name in coefficients if "entry" in name)
     return _ROUNDS * first / (whole - first)
-
-
-def core_threads() -> int:
-    """Threads that the compiled core uses."""
-    wanted = os.environ.get("RAYON_NUM_THREADS", "")
-    return int(wanted) if wanted.isdecimal() and int(wanted) else os.cpu_count() or 1

@@ -23,7 +23,12 @@ from pathlib import Path
 
 from lightmatrix.camera.camera_curve import AUTOMATIC, Response
 from lightmatrix.capture.capture import Capture, open_capture
-from lightmatrix.diagnosis.refusals import refuse_unordered, refuse_unusable, warn_of_stripes
+from lightmatrix.diagnosis.refusals import (
+    refuse_unordered,
+    refuse_unusable,
+    warn_of_stripes,
+    warn_of_unrelated,
+)
 from lightmatrix.diagnosis.responses.found import with_projector, with_response
 from lightmatrix.errors import InputError
 from lightmatrix.estimators.choice import check_and_choose, choose_estimator
@@ -195,6 +200,7 @@ def estimate(
             estimator = choose_estimator(capture, settings, resources)
         else:
             estimator, findings = check_and_choose(check_frames, capture, settings, resources)
+        warn_of_unrelated(findings)
         with progress_bar("estimating", "rows") if progress is True else nullcontext(None) as bar:
             transport = estimator.estimate(
                 capture,

@@ -12,10 +12,11 @@ from lightmatrix.capture.capture import Capture, open_capture
 from lightmatrix.capture.frames import CutFrames
 from lightmatrix.errors import InputError
 from lightmatrix.estimators.coherent.estimator import CoherentEstimator
-from lightmatrix.estimators.cost_model import EstimateSize, core_threads
+from lightmatrix.estimators.cost_model import EstimateSize
 from lightmatrix.estimators.settings import EstimateSettings
 from lightmatrix.patterns.pattern_set import ImagePatterns
 from lightmatrix.resources.memory import available_bytes
+from lightmatrix.resources.threads import core_threads
 
 # The check of the photographs reads at most this many levels of them (`_MOST_LEVELS` in
 # `diagnosis/survey.py`), and takes this many bytes of memory for each.
@@ -138,8 +139,8 @@ def estimate_resources(
     Returns
     -------
     ResourceEstimate
-        Right within a factor of about 1.5 in memory and 2 in time. For the workers of a cluster it
-        is the memory of each.
+        Right within a factor of about 1.5 in memory, and 2.6 in time, as machines differ. For the
+        workers of a cluster it is the memory of each.
 
     Raises
     ------

@@ -13,7 +13,8 @@ T = TypeVar("T")
 class computed_once(cached_property[T]):  # noqa: N801 - a decorator, written like the one it extends
     """A `cached_property` that one thread computes while others wait for it.
 
-    From Python 3.12 on, threads that ask a `cached_property` at the same time all compute it.
+    From Python 3.12 on, threads that ask a `cached_property` at the same time all compute it. One
+    lock serves all instances, so the function must not wait for threads that ask for the same.
     """
 
     def __init__(self, function: Callable[[Any], T]) -> None:

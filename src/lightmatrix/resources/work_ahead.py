@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import TypeVar
+
+from lightmatrix.resources.threads import core_threads
 
 S = TypeVar("S")
 T = TypeVar("T")
@@ -17,13 +18,13 @@ _MOST_THREADS = 8
 def work_ahead(
     function: Callable[[S], T], items: Iterable[S], threads: int | None = None
 ) -> Iterator[T]:
-    """The results of a function in order, while threads work on the next items; 1 does not.
+    """The results of a function in order, while threads work on the next items.
 
-    Threads (None: one a core, at most eight) help where the function decodes images or multiplies
-    matrices, which takes no lock of Python's. They hold at most two results each, and an error is
-    raised in its turn.
+    Threads (None: as many as the core uses, at most eight) help where the function decodes images
+    or multiplies matrices, which releases Python's lock. They hold at most two results each, and an
+    error is raised in its turn. With one thread nothing is done ahead.
     """
-    workers = min(_MOST_THREADS, os.cpu_count() or 1) if threads is None else threads
+    workers = min(_MOST_THREADS, core_threads()) if threads is None else threads
     if workers == 1:
         yield from map(function, items)
         return

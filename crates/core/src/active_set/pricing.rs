@@ -132,9 +132,12 @@ impl Pricing {
             pairs.filter(|(_, correlation)| correlation.abs() > lambda * (1.0 - LOOK_AHEAD)),
         );
         if self.violators.len() > MOST_NEW {
-            let largest = |&(_, a): &(u32, f64), &(_, b): &(u32, f64)| b.abs().total_cmp(&a.abs());
+            let largest = |a: &(u32, f64), b: &(u32, f64)| {
+                b.1.abs().total_cmp(&a.1.abs()).then(a.0.cmp(&b.0))
+            };
             self.violators.select_nth_unstable_by(MOST_NEW, largest);
             self.violators.truncate(MOST_NEW);
+            self.violators.sort_unstable_by_key(|&(pixel, _)| pixel);
         }
         &self.violators
     }
@@ -193,6 +196,10 @@ mod tests {
         joined.sort_by(f64::total_cmp);
         let largest: Vec<f64> = (MOST_NEW..count).map(|rank| 1.0 + rank as f64).collect();
         assert_eq!(joined, largest);
+        // Of equal ones the first join.
+        pricing.correlations.fill(1.0);
+        let equal: Vec<u32> = pricing.violators(0.5).iter().map(|pair| pair.0).collect();
+        assert_eq!(equal, (0..MOST_NEW as u32).collect::<Vec<_>>());
         // Few violators all join, in their order, without the working set.
         pricing.candidates.truncate(10);
         pricing.correlations.truncate(10);

@@ -38,7 +38,8 @@ _ENOUGH_PATTERNS = 20
 _MISSED_ANYWAY = 0.3
 # The search for a gamma ends after so many steps, or when a step is smaller than this.
 _STEPS, SMALL = 7, 0.002
-# Rows follow the same places under powers whose logarithms differ by less than this.
+# The bend is about the logarithm of the power that is missing. Rows follow the same places under
+# powers that differ by less than this. Chosen by hand.
 _NEARLY = 0.05
 # A step changes the logarithm of the gamma by at most 0.5. Where the equation hardly depends on the
 # gamma, secants lead astray; the step is then the bend itself.

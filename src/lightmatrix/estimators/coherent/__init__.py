@@ -8,8 +8,8 @@ the weights of a row taken from the rows around it. It runs in rounds (`schedule
 1. **Search.** Every row is solved by itself on all atoms (`RowSolver.everywhere` in
    `row_solver.py`). An atom is a single projector pixel, or a Gaussian spot of one of six sizes,
    since a footprint out of focus is a spot. With few patterns most of these rows are wrong, but
-   they are wrong at random. Above 64 x 64 pixels only every second camera pixel along both axes
-   searches, in large frames every 32nd; the light then grows to the pixels between
+   they are wrong at random. Above about 91 x 91 pixels only every second camera pixel along both
+   axes searches, in large frames every 32nd; the light then grows to the pixels between
    (`camera_grid.py`).
 2. **Correspondence.** Between neighbouring rows the strongest pixel moves by some displacement; the
    commonest one is the true one, however many rows are wrong. It is measured for the whole frame,

@@ -102,38 +102,42 @@ class Backgrounds:
         ]
         return np.clip(np.concatenate(parts, axis=1), 0, 1).astype(np.float32)
 
-    @property
+    @computed_once
     def _square(self) -> NDArray[np.int64]:
         """The square of each pixel, (N,)."""
-        return _squares(self.shown.shape)[1]
+        return _square_of_each(self.shown.shape)
 
     def _squares_shape(self, rows: csr_array) -> tuple[int, int]:
-        squares, _ = _squares(self.shown.shape)
-        return rows.shape[0], squares[0] * squares[1]
+        down, right = _squares(self.shown.shape)
+        return rows.shape[0], down * right
 
-    @property
+    @computed_once
     def _halos(self) -> NDArray[np.float32]:
         """The light of each cell in the halo around each square, (squares, B)."""
         return _halos(self.shown.shape, self.grid)
 
 
-# The two functions below keep their results for the windows of a capture that are estimated before
-# all of it.
+def _side(shape: tuple[int, int]) -> int:
+    """Side of a square in pixels."""
+    return -(-max(shape) // SQUARES)
 
 
-@lru_cache(maxsize=4)
-def _squares(shape: tuple[int, int]) -> tuple[tuple[int, int], NDArray[np.int64]]:
-    """Rows and columns of squares of a projector, and the square of each pixel, (N,)."""
-    side = -(-max(shape) // SQUARES)
-    r, c = np.indices(shape) // side
-    rows, cols = (-(-length // side) for length in shape)
-    return (rows, cols), (r * cols + c).ravel()
+def _squares(shape: tuple[int, int]) -> tuple[int, int]:
+    """Rows and columns of squares of a projector."""
+    return -(-shape[0] // _side(shape)), -(-shape[1] // _side(shape))
 
 
-@lru_cache(maxsize=4)
+def _square_of_each(shape: tuple[int, int]) -> NDArray[np.int64]:
+    """The square of each pixel, (N,)."""
+    r, c = np.indices(shape) // _side(shape)
+    return np.asarray(r * _squares(shape)[1] + c).ravel()
+
+
+# The estimate of a capture begins with estimates of a part of it, of the same projector.
+@lru_cache(maxsize=2)
 def _halos(shape: tuple[int, int], grid: tuple[int, int]) -> NDArray[np.float32]:
     """The light of each of the B cells of a grid in the halo around each square, (squares, B)."""
-    (rows, cols), square = _squares(shape)
+    (rows, cols), square = _squares(shape), _square_of_each(shape)
     down, right = np.ogrid[1 - rows : rows, 1 - cols : cols]
     kernel = 1 / (down**2 + right**2 + (WALL * max(rows, cols)) ** 2) ** 2
     # Convolution by scipy.fft, as importing scipy.signal takes a second.
@@ -148,4 +152,5 @@ def _halos(shape: tuple[int, int], grid: tuple[int, int]) -> NDArray[np.float32]
         light = irfft2(rfft2(counts.reshape(rows, cols), fast) * spread, fast)
         near = light[rows - 1 : 2 * rows - 1, cols - 1 : 2 * cols - 1]
         result[:, cell] = np.maximum(near, 0).ravel()
+    result.setflags(write=False)
     return result

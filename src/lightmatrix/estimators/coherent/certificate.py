@@ -13,8 +13,8 @@ from scipy.sparse import csr_array
 
 from lightmatrix import _core
 from lightmatrix.estimators.coherent.row_solver import RowSolver, WeightedRows
-from lightmatrix.estimators.cost_model import core_threads
 from lightmatrix.patterns.atoms import AtomPatterns
+from lightmatrix.resources.threads import core_threads
 from lightmatrix.solvers.fidelity import Fidelity
 from lightmatrix.solvers.problem import Result
 

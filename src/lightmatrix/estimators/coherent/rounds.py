@@ -44,12 +44,12 @@ from lightmatrix.estimators.coherent.row_solver import RowSolver
 from lightmatrix.estimators.coherent.schedule import GROWTH, Round
 from lightmatrix.estimators.cost_model import (
     coherent_row_bytes,
-    core_threads,
     first_round_cost,
 )
 from lightmatrix.estimators.side_by_side import SolveTile
 from lightmatrix.estimators.work import TILE_BYTES, ReadStep, cut_rows
 from lightmatrix.resources.computed_once import computed_once
+from lightmatrix.resources.threads import core_threads
 from lightmatrix.solvers.loop import Progress
 from lightmatrix.solvers.problem import Result
 from lightmatrix.store import ROWS

@@ -21,8 +21,7 @@ class Growth:
     time again, and its error was .05946 in place of .0595. The other values are chosen by hand.
     """
 
-    # A frame is small if camera samples times projector pixels do not exceed this, as with 64 x 64
-    # pixels of both.
+    # A frame is small if camera samples times projector pixels do not exceed this: 91 x 91 of both.
     small: int = 1 << 26
     # A frame is large if they exceed this. 128 x 128 pixels of both, in colour too, stay below.
     large: int = 1 << 30
@@ -61,7 +60,7 @@ class Round:
 
     spacing: int
     # Half widths in camera and projector pixels; None searches all projector pixels by row.
-    window: tuple[int, int] | None
+    window: Window | None
     # Rounds that the rows, or those that they grow from, have behind them.
     age: int
     last: bool = False
@@ -92,7 +91,7 @@ def schedule(
                 Round(
                     spacing,
                     window,
-                    PSEUDO_SAMPLES_FROM + i,
+                    rounds[-1].age + 1,
                     search_unexplained=i + 1 == searched,
                     skip_settled=i >= searched and window == own[i - 1],
                 )
@@ -108,8 +107,7 @@ def _windows_by_level(
     if len(steps) == 1:
         return [windows]
     if steps[0] == GROWTH.near_seeds:
-        seed_rounds = min(GROWTH.near_seed_rounds, len(windows) - 1)
-        return [windows[:seed_rounds], windows[seed_rounds:]]
+        return [windows[: GROWTH.near_seed_rounds], windows[GROWTH.near_seed_rounds :]]
     between = (windows[0], *windows[-GROWTH.settling - 1 : -1])
     return [
         windows[:-1],
@@ -119,7 +117,7 @@ def _windows_by_level(
 
 
 def is_large(samples: int, pixels: int) -> bool:
-    """Whether a frame is too large for all of its camera samples to search."""
+    """Whether a frame is so large that only few of its camera samples can search."""
     return samples * pixels > GROWTH.large
 
 
@@ -127,9 +125,14 @@ def spacings(camera: tuple[int, ...], pixels: int, windows: tuple[Window, ...]) 
     """The spacings from the seeds to all camera pixels; (1,) of a small frame."""
     rows, cols, *channels = camera
     samples = rows * cols * (channels[0] if channels else 1)
-    if windows[0][0] < GROWTH.reach:
+    large = is_large(samples, pixels)
+    small = not large and samples * pixels <= GROWTH.small
+    if small or windows[0][0] < GROWTH.reach:
         return (1,)
-    if not is_large(samples, pixels):
-        return (GROWTH.near_seeds, 1) if samples * pixels > GROWTH.small else (1,)
     enough = min(rows, cols) // GROWTH.fewest_seeds
-    return next((steps for steps in GROWTH.spacings if enough >= steps[0]), (1,))
+    near = (GROWTH.near_seeds, 1)
+    possible = (*GROWTH.spacings, near) if large else (near,)
+    # Seeds that search briefly need rounds after them: some of their own, and two of all pixels.
+    if len(windows) < GROWTH.near_seed_rounds + 2:
+        possible = possible[:-1]
+    return next((steps for steps in possible if enough >= steps[0]), (1,))

@@ -14,12 +14,12 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 from lightmatrix.errors import ClusterError, MissingExtraError
-from lightmatrix.estimators.cost_model import core_threads
 from lightmatrix.estimators.resource_estimate import ResourceEstimate
 from lightmatrix.estimators.settings import EstimateSettings
 from lightmatrix.estimators.workers import preload
 from lightmatrix.estimators.workers.pool import SAME_VERSIONS, DaskPool
 from lightmatrix.estimators.workers.worker import describe_worker, versions
+from lightmatrix.resources.threads import core_threads
 
 if TYPE_CHECKING:
     from distributed import Client

@@ -20,11 +20,11 @@ from lightmatrix._version import __version__
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.frames import PixelFrames
 from lightmatrix.errors import ClusterError, InputError, LightMatrixError
-from lightmatrix.estimators.cost_model import core_threads
 from lightmatrix.estimators.side_by_side import SolveTile
 from lightmatrix.estimators.work import Work
 from lightmatrix.estimators.workers.pickling import unpack_work
 from lightmatrix.resources.memory import available_bytes
+from lightmatrix.resources.threads import core_threads
 from lightmatrix.store.checkpoint import fingerprint_token
 from lightmatrix.store.tiles import Span, read_tile, tile_name, write_tile
 from lightmatrix.transport.sparse_rows import SparseRows
