@@ -10,7 +10,7 @@ import numpy as np
 from lightmatrix.camera.samples import Samples
 from lightmatrix.camera.sensor import Sensor
 from lightmatrix.capture.capture import Capture
-from lightmatrix.estimators.coherent.row_solver import UNEXPLAINED, RowSolver
+from lightmatrix.estimators.coherent.row_solver import RowSolver
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.solvers import ActiveSet
 
@@ -29,6 +29,6 @@ def test_rows_are_unexplained_by_their_share_of_what_an_even_background_leaves()
     samples = Samples(values, np.zeros((4, 24), bool), np.ones(24, np.float32), weights)
     mean = (weights * values).sum(axis=1, keepdims=True) / weights.sum(axis=1, keepdims=True)
     left = (weights * (values - mean) ** 2).sum(axis=1) / 2
-    objective = UNEXPLAINED * left * np.array([0.9, 1.1, 1.1, 10])
+    objective = 0.25 * left * np.array([0.9, 1.1, 1.1, 10])
     solved: Any = SimpleNamespace(rows=SimpleNamespace(diagnostics={"objective": objective}))
-    assert solver.unexplained(samples, solved).tolist() == [1, 2]
+    assert solver.unexplained(samples, solved, 0.25).tolist() == [1, 2]

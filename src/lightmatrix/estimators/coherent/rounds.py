@@ -168,7 +168,8 @@ class Rounds:
             solved, _ = self.solver.near(samples, rows, this_round, neighbours, progress)
             result = _for_next_round(solved, before)
             if this_round.search_unexplained:
-                result = self._search_unexplained(samples, solved, result, progress)
+                share = this_round.search_unexplained
+                result = self._search_unexplained(samples, solved, result, share, progress)
             return with_change(result, before)
         moving = np.flatnonzero(unsettled(neighbours.rows, neighbours.camera)[start:stop])
         if not len(moving):
@@ -180,10 +181,15 @@ class Rounds:
         return replaced(before, with_change(_for_next_round(solved, part), part), moving)
 
     def _search_unexplained(
-        self, samples: Samples, solved: Result, rows: SparseRows, progress: Progress
+        self,
+        samples: Samples,
+        solved: Result,
+        rows: SparseRows,
+        share: float,
+        progress: Progress,
     ) -> SparseRows:
-        """Rows of which the unexplained ones have searched all atoms."""
-        unexplained = self.solver.unexplained(samples, solved)
+        """Rows of which those that leave more than a share unexplained have searched all atoms."""
+        unexplained = self.solver.unexplained(samples, solved, share)
         if not len(unexplained):
             return rows
 

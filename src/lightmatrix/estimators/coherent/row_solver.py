@@ -38,10 +38,6 @@ USUAL_CONTRAST = 0.5
 # The standard deviation of a spot is at most this share of the projector's shorter side. Chosen by
 # hand.
 WIDEST = 1 / 16
-# A row is unexplained if its objective exceeds this share of what an even background leaves of its
-# samples. Measured on procedural scenes: the share is at most .02 in rows that are right, and at
-# least .4 in rows that are wrong.
-UNEXPLAINED = 0.25
 # The norm of an atom's column is at most this times its contrast times the root of the number of
 # patterns. Chosen by hand.
 LONGEST = 1.5
@@ -118,8 +114,11 @@ class RowSolver:
         )
         return solver.solve(problem, progress)
 
-    def unexplained(self, samples: Samples, solved: Result) -> NDArray[np.int64]:
-        """Rows whose samples the solution does not explain, but other atoms might."""
+    def unexplained(self, samples: Samples, solved: Result, share: float) -> NDArray[np.int64]:
+        """Rows whose samples the solution does not explain, but other atoms might.
+
+        Their objective exceeds a share of what an even background leaves of their samples.
+        """
         weights = samples.weights_of_all().astype(np.float64)
         total = np.maximum(weights.sum(axis=1, keepdims=True), 1e-30)
         means = (weights * samples.values).sum(axis=1, keepdims=True) / total
@@ -127,7 +126,7 @@ class RowSolver:
         # No atom can enter darker rows than this, if they search all atoms.
         reach = LONGEST * self.atoms.single_contrast * np.sqrt(self.capture.count)
         bright = np.sqrt(left) * reach > FIRST_REGULARIZATION * self.level
-        wrong = solved.rows.diagnostics["objective"] > UNEXPLAINED * left / 2
+        wrong = solved.rows.diagnostics["objective"] > share * left / 2
         return np.flatnonzero(bright & wrong)
 
     def weighted_rows(
