@@ -217,7 +217,7 @@ def test_large_frames_take_less_than_a_search_by_all_rows(large: lm.Capture) -> 
 
 
 def test_small_cameras_under_huge_projectors() -> None:
-    """They have few camera pixels for seeds, so that many of them search, or all."""
+    """They have too few camera pixels for seeds, so that all of them search."""
 
     def capture(rows: int, cols: int, *channels: int) -> lm.Capture:
         patterns = lm.BernoulliPatterns((1024, 1024), 32)
@@ -225,16 +225,16 @@ def test_small_cameras_under_huge_projectors() -> None:
         return lm.Capture(patterns, frames, lm.Decoder(255, 255))
 
     seconds = {}
-    for shape in ((30, 30), (48, 48), (48, 500), (64, 64), (64, 64, 3), (128, 128), (256, 256)):
+    for shape in ((48, 48), (48, 500), (64, 64), (64, 64, 3), (128, 128), (256, 256)):
         case = capture(*shape)
         resources = lm.estimate_resources(case)
         steps = spacings(case.camera_shape, case.patterns.pixels, lm.CoherentEstimator.windows)
-        assert resources.size.kind == ("growing" if steps[0] > 2 else "coherent"), shape
+        assert resources.size.kind == ("growing" if len(steps) > 1 else "coherent"), shape
         assert resources.seconds is not None
         seconds[shape] = resources.seconds
-    assert seconds[30, 30] > seconds[48, 48]
+    assert seconds[48, 48] > 1.8 * seconds[64, 64]
     # The fewer rows are seeds, the less each row takes.
-    each = [seconds[side, side] / side**2 for side in (30, 48, 64, 128, 256)]
+    each = [seconds[side, side] / side**2 for side in (48, 64, 128, 256)]
     assert each == sorted(each, reverse=True)
     # A proposal is judged by its own sides.
     proposed = dict(lm.estimate_resources(capture(400_000, 70)).options)

@@ -30,6 +30,9 @@ class Growth:
     # those of a search by all, and up to 3 % with seeds every 4 pixels (docs/measurements.md).
     near_seeds: int = 2
     near_seed_rounds: int = 2
+    # They need this many camera pixels for each projector pixel. Where cameras are coarser, seeds
+    # hardly help each other: metal at 256 x 256 under a camera of 64 x 64 errs by 3 % more.
+    near_density: float = 0.5
     # Spacings of the solved camera pixels, level by level. The first sequence applies for which the
     # camera has enough seeds. A spacing is at most four times the next one, since rows reach only
     # `reach` pixels to both sides and would leave gaps.
@@ -138,10 +141,10 @@ def spacings(camera: tuple[int, ...], pixels: int, windows: tuple[Window, ...]) 
     small = not large and samples * pixels <= GROWTH.small
     if small or windows[0][0] < GROWTH.reach:
         return (1,)
-    enough = min(rows, cols) // GROWTH.fewest_seeds
-    near = (GROWTH.near_seeds, 1)
-    possible = (*GROWTH.spacings, near) if large else (near,)
+    possible = GROWTH.spacings if large else ((GROWTH.near_seeds, 1),)
     # Seeds that search briefly need rounds after them: some of their own, and two of all pixels.
-    if len(windows) < GROWTH.near_seed_rounds + 2:
-        possible = possible[:-1]
+    too_few = len(windows) < GROWTH.near_seed_rounds + 2
+    if not large and (too_few or rows * cols < GROWTH.near_density * pixels):
+        return (1,)
+    enough = min(rows, cols) // GROWTH.fewest_seeds
     return next((steps for steps in possible if enough >= steps[0]), (1,))
