@@ -26,8 +26,8 @@ class Growth:
     # A frame is large if they exceed this. 128 x 128 pixels of both, in colour too, stay below.
     large: int = 1 << 30
     # The spacing of the seeds in frames between small and large ones, and their rounds after the
-    # search; the others are rounds of all camera pixels. At 128 x 128 errors are at most 2 % above
-    # those of a search by all, and up to 3 % with seeds every 4 pixels (docs/measurements.md).
+    # search; the others are rounds of all camera pixels. At 128 x 128 metal errs by 1 % more than
+    # after a search by all, and by 3 % more with seeds every 4 pixels (docs/measurements.md).
     near_seeds: int = 2
     near_seed_rounds: int = 2
     # They need this many camera pixels for each projector pixel. Where cameras are coarser, seeds
