@@ -53,12 +53,6 @@ def scene() -> Truth:
     return ProceduralScene(CAMERA, (40, 40), seed=4, background=0.02, bounces=4).truth()
 
 
-@pytest.fixture
-def growing(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Every frame is large."""
-    monkeypatch.setattr(schedule, "GROWTH", LARGE_FRAMES)
-
-
 def same(one: LightTransport, other: LightTransport) -> bool:
     facts = one.diagnostics.keys() == other.diagnostics.keys()
     return (

@@ -196,7 +196,7 @@ mod tests {
         joined.sort_by(f64::total_cmp);
         let largest: Vec<f64> = (MOST_NEW..count).map(|rank| 1.0 + rank as f64).collect();
         assert_eq!(joined, largest);
-        // Of equal ones the first join.
+        // If all violate it equally, those of the lowest numbers join.
         pricing.correlations.fill(1.0);
         let equal: Vec<u32> = pricing.violators(0.5).iter().map(|pair| pair.0).collect();
         assert_eq!(equal, (0..MOST_NEW as u32).collect::<Vec<_>>());

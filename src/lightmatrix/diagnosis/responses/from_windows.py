@@ -142,8 +142,8 @@ def _search(
     while True:
         response = raised(survey.decoder.response, float(np.exp(logs[-1])))
         # The places that rows follow are looked for until the power is nearly right.
-        settled = len(bends) > 1 or (bends and abs(bends[-1].size) < _NEARLY)
-        bend = _bend(survey, rows, doubted, response, bends[-1].places if settled else None)
+        found = len(bends) > 1 or (len(bends) == 1 and abs(bends[0].size) < _NEARLY)
+        bend = _bend(survey, rows, doubted, response, bends[-1].places if found else None)
         if bend is None:
             return None
         bends.append(bend)
