@@ -27,12 +27,12 @@ EXPECTED: dict[str, Figures] = {
         "footprint": 2450.219,
     },
     "growing": {
-        "light": 423.484,
-        "pattern": 10.86317,
-        "background": 11.11079,
-        "entries": 8833,
+        "light": 423.461,
+        "pattern": 10.86457,
+        "background": 11.14268,
+        "entries": 8527,
         "clipped": 0.142485,
-        "footprint": 2456.903,
+        "footprint": 2457.433,
     },
     "row_by_row": {
         "light": 370.337,

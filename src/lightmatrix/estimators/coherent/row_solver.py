@@ -117,16 +117,19 @@ class RowSolver:
     def unexplained(self, samples: Samples, solved: Result, share: float) -> NDArray[np.int64]:
         """Rows whose samples the solution does not explain, but other atoms might.
 
-        Their objective exceeds a share of what an even background leaves of their samples.
+        Their objective exceeds a share of what an even background leaves of their samples, beside
+        the penalty that they would pay if a single pixel explained everything. Without it, all
+        dark rows would search.
         """
         weights = samples.weights_of_all().astype(np.float64)
         total = np.maximum(weights.sum(axis=1, keepdims=True), 1e-30)
         means = (weights * samples.values).sum(axis=1, keepdims=True) / total
         left = (weights * (samples.values - means) ** 2).sum(axis=1)
         # No atom can enter darker rows than this, if they search all atoms.
-        reach = LONGEST * self.atoms.single_contrast * np.sqrt(self.capture.count)
-        bright = np.sqrt(left) * reach > FIRST_REGULARIZATION * self.level
-        wrong = solved.rows.diagnostics["objective"] > share * left / 2
+        column = self.atoms.single_contrast * np.sqrt(self.capture.count)
+        bright = np.sqrt(left) * LONGEST * column > FIRST_REGULARIZATION * self.level
+        penalty = self.penalty * np.sqrt(left) / column
+        wrong = solved.rows.diagnostics["objective"] > share * left / 2 + penalty
         return np.flatnonzero(bright & wrong)
 
     def weighted_rows(
