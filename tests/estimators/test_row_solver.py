@@ -15,7 +15,6 @@ from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.solvers import ActiveSet
 from lightmatrix.solvers.problem import Problem
 
-
 PATTERNS = BernoulliPatterns((16, 16), 24)
 
 
