@@ -10,7 +10,7 @@ use crate::threads::{on_all_cores, run_interruptibly, thread_count};
 use lightmatrix_core::active_set;
 use lightmatrix_core::atoms::Atoms;
 use lightmatrix_core::columns::{BitColumns, Columns, DenseColumns};
-use lightmatrix_core::correlate::{Correlator, Scores, Scratch};
+use lightmatrix_core::correlate::{self, Correlator, Scores, Scratch};
 use lightmatrix_core::problem::Dictionary;
 use lightmatrix_core::vector::padded;
 use numpy::{IntoPyArray, PyArray1, PyUntypedArrayMethods};
@@ -198,17 +198,11 @@ impl PreparedPatterns {
         let rows = self.checked_rows(e)?;
         check_memory::<i16>(&[rows.len(), dictionary.pixels], "the scores")?;
         let (values, bounds) = py.detach(|| {
-            let n = dictionary.pixels;
-            let mut values = vec![0i16; rows.len() * n];
+            let mut values = Vec::with_capacity(rows.len() * dictionary.pixels);
             let mut bounds = Vec::with_capacity(4 * rows.len());
-            self.each_batch(&rows, |first, scores| {
-                for (i, scores) in scores.iter().enumerate() {
-                    let row = &mut values[(first + i) * n..][..n];
-                    for (place, score) in scores.values.iter().enumerate() {
-                        if let Some(pixel) = dictionary.correlator.pixel(place) {
-                            row[pixel as usize] = *score;
-                        }
-                    }
+            self.each_batch(&rows, |scores| {
+                for scores in scores {
+                    values.extend_from_slice(&dictionary.correlator.by_pixel(scores));
                     bounds.extend([scores.unit, scores.offset, scores.up, scores.down]);
                 }
             });
@@ -222,7 +216,7 @@ impl PreparedPatterns {
     /// Runs the pass over all rows of `e` on one thread and discards the scores, for timing.
     fn pass_only(&self, py: Python<'_>, e: &Bound<'_, PyAny>) -> PyResult<()> {
         let rows = self.checked_rows(e)?;
-        py.detach(|| self.each_batch(&rows, |_, _| {}));
+        py.detach(|| self.each_batch(&rows, |_| {}));
         Ok(())
     }
 
@@ -263,7 +257,7 @@ impl PreparedPatterns {
         Ok(())
     }
 
-    fn checked_rows(&self, e: &Bound<'_, PyAny>) -> PyResult<Vec<Vec<f64>>> {
+    pub fn checked_rows(&self, e: &Bound<'_, PyAny>) -> PyResult<Vec<Vec<f64>>> {
         let patterns = self.dictionary.patterns;
         let e = Values::<f64>::reals(e, "e")?;
         let why = format!("there are {patterns} patterns");
@@ -279,25 +273,89 @@ impl PreparedPatterns {
             .collect())
     }
 
-    fn each_batch(&self, rows: &[Vec<f64>], mut use_scores: impl FnMut(usize, &[Scores])) {
+    fn each_batch(&self, rows: &[Vec<f64>], mut use_scores: impl FnMut(&[Scores])) {
         let batch = self.dictionary.correlator.batch();
         let mut scores = vec![Scores::default(); batch];
         let mut scratch = Scratch::default();
-        for (number, rows) in rows.chunks(batch).enumerate() {
-            let e: Vec<&[f64]> = rows.iter().map(Vec::as_slice).collect();
-            let mut out: Vec<&mut Scores> = scores.iter_mut().take(e.len()).collect();
-            let Dictionary {
-                columns,
-                correlator,
-                ..
-            } = &*self.dictionary;
-            correlator.run(columns, &e, &mut out, &mut scratch);
-            use_scores(number * batch, &scores[..e.len()]);
+        for rows in rows.chunks(batch) {
+            let scores = &mut scores[..rows.len()];
+            self.pass(rows, scores, &mut scratch);
+            use_scores(scores);
         }
     }
+
+    /// All scores of some rows.
+    fn all_scores(&self, rows: &[Vec<f64>]) -> Vec<Scores> {
+        let batch = self.dictionary.correlator.batch();
+        let mut scores = vec![Scores::default(); rows.len()];
+        let mut scratch = Scratch::default();
+        for (rows, scores) in rows.chunks(batch).zip(scores.chunks_mut(batch)) {
+            self.pass(rows, scores, &mut scratch);
+        }
+        scores
+    }
+
+    /// The scores of at most a batch of rows.
+    fn pass(&self, rows: &[Vec<f64>], scores: &mut [Scores], scratch: &mut Scratch) {
+        let e: Vec<&[f64]> = rows.iter().map(Vec::as_slice).collect();
+        let mut out: Vec<&mut Scores> = scores.iter_mut().collect();
+        let Dictionary {
+            columns,
+            correlator,
+            ..
+        } = &*self.dictionary;
+        correlator.run(columns, &e, &mut out, scratch);
+    }
+}
+
+/// For each row of several sets the atoms whose correlations, summed over the sets, may exceed `limit`.
+#[pyfunction]
+fn may_exceed<'py>(
+    py: Python<'py>,
+    parts: Vec<(Bound<'py, PreparedPatterns>, Bound<'py, PyAny>)>,
+    limit: f64,
+) -> PyResult<Vec<Bound<'py, PyArray1<i64>>>> {
+    let mut rows = Vec::with_capacity(parts.len());
+    for (prepared, e) in &parts {
+        rows.push(prepared.get().checked_rows(e)?);
+    }
+    let sets: Vec<&PreparedPatterns> = parts.iter().map(|(prepared, _)| prepared.get()).collect();
+    let (count, pixels) = match (rows.first(), sets.first()) {
+        (Some(rows), Some(set)) => (rows.len(), set.dictionary.pixels),
+        _ => return Ok(Vec::new()),
+    };
+    let alike = sets.iter().all(|set| set.dictionary.pixels == pixels);
+    if !alike || rows.iter().any(|rows| rows.len() != count) {
+        return Err(PyValueError::new_err(
+            "the sets differ in their rows or atoms",
+        ));
+    }
+    check_memory::<i16>(&[sets.len(), count, pixels], "the scores")?;
+    let level = sets[0].dictionary.level;
+    let found = py.detach(|| {
+        let scores: Vec<_> = sets
+            .iter()
+            .zip(&rows)
+            .map(|(set, rows)| set.all_scores(rows))
+            .collect();
+        let of_row = |row: usize| {
+            let passes = sets.iter().zip(&scores).map(|(set, scores)| {
+                let values = set.dictionary.correlator.by_pixel(&scores[row]);
+                (&scores[row], values)
+            });
+            correlate::may_exceed(level, &passes.collect::<Vec<_>>(), limit)
+        };
+        (0..count).map(of_row).collect::<Vec<_>>()
+    });
+    let wide = |places: Vec<u32>| places.into_iter().map(i64::from).collect::<Vec<_>>();
+    let found = found
+        .into_iter()
+        .map(|places| wide(places).into_pyarray(py));
+    Ok(found.collect())
 }
 
 pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<Settings>()?;
-    module.add_class::<PreparedPatterns>()
+    module.add_class::<PreparedPatterns>()?;
+    module.add_function(wrap_pyfunction!(may_exceed, module)?)
 }

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -27,6 +27,7 @@ from lightmatrix.diagnosis.survey import Survey, high_variance_rows
 from lightmatrix.diagnosis.wrong_frames import LIKELY, SUSPECT, check_frames, wrong_frames
 from lightmatrix.patterns.colour import ColourPatterns
 from lightmatrix.resources.blas import one_blas_thread
+from lightmatrix.resources.work_ahead import work_ahead
 
 # Nothing is inferred from fewer frames, or from fewer camera pixels that can be predicted.
 _FEWEST_FRAMES, _FEWEST_ROWS = 12, 20
@@ -54,17 +55,33 @@ def _check(capture: Capture, order_only: bool) -> list[Finding]:
     findings = check_interchanged(survey)
     if findings:
         return findings
-    if not order_only:
-        seen = survey if whole is capture else _survey(capture)
-        findings = check_distinguishable(survey.patterns) + check_light_level(seen)
-        findings += check_jpeg(survey, names)
     rows = high_variance_rows(survey)
+
+    def of_light() -> list[Finding]:
+        if order_only:
+            return []
+        seen = survey if whole is capture else _survey(capture)
+        found = check_distinguishable(survey.patterns) + check_light_level(seen)
+        return found + check_jpeg(survey, names)
+
     if survey.count < _FEWEST_FRAMES or len(rows) < _FEWEST_ROWS:
-        return findings
+        return of_light()
     pairs = Pairs.find(survey.patterns)
-    judge = _check_by_prediction if pairs is None else partial(_check_by_pairs, pairs)
+
+    def of_order() -> list[Finding]:
+        if pairs is not None:
+            return []
+        tiles = survey.tiles()
+        return find_disorder(survey.patterns, tiles, len(survey.raw), names.__getitem__)
+
+    # The longest first; each of them keeps about one core busy.
+    jobs: list[Callable[[], list[Finding]]]
+    jobs = [of_order, of_light, partial(check_relation, survey, names)]
+    disorder, findings, unrelated = work_ahead(lambda job: job(), jobs)
     light = None if order_only else not any(each.kind == "jpeg" for each in findings)
-    return findings + judge(survey, rows, names, light)
+    if pairs is None:
+        return findings + _check_by_prediction(survey, rows, names, light, disorder, unrelated)
+    return findings + _check_by_pairs(survey, rows, names, light, pairs, unrelated)
 
 
 def _survey(capture: Capture) -> Survey:
@@ -75,19 +92,20 @@ def _survey(capture: Capture) -> Survey:
     return replace(survey, greys=greys)
 
 
-# In the two functions below, `light` is None if the light is not judged, and False if its linearity
-# is not: JPEG rounds dark and bright samples by different steps, which looks like a gamma.
+# In the two functions below, `disorder` and `unrelated` are what the checks of the order and of the
+# relation found. `light` is None if the light is not judged, and False if its linearity is not:
+# JPEG rounds dark and bright samples by different steps, which looks like a gamma.
 
 
 def _check_by_pairs(
-    pairs: Pairs,
     survey: Survey,
     rows: NDArray[np.int64],
     names: Sequence[str],
     light: bool | None,
+    pairs: Pairs,
+    unrelated: list[Finding],
 ) -> list[Finding]:
     """Checks of patterns that come with their inverses."""
-    unrelated = check_relation(survey, names)
     if unrelated:
         return unrelated
     findings = check_plain_frames(survey, rows, names)
@@ -104,16 +122,19 @@ def _check_by_pairs(
 
 
 def _check_by_prediction(
-    survey: Survey, rows: NDArray[np.int64], names: Sequence[str], light: bool | None
+    survey: Survey,
+    rows: NDArray[np.int64],
+    names: Sequence[str],
+    light: bool | None,
+    disorder: list[Finding],
+    unrelated: list[Finding],
 ) -> list[Finding]:
     """Checks of patterns that have nothing to do with each other."""
-    disorder = find_disorder(survey.patterns, survey.tiles(), len(survey.raw), names.__getitem__)
     displaced = np.zeros(survey.count, bool)
     for each in disorder:
         displaced[list(each.frames)] = True
     if displaced.mean() > _MOST_ODD:
         return disorder
-    unrelated = check_relation(survey, names)
     if any(each.kind == "order" for each in unrelated):
         return unrelated
     findings = check_plain_frames(survey, rows, names)

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from lightmatrix.diagnosis.pursuit import fold_count, predict_by_pursuit
 from lightmatrix.patterns.pattern_set import PatternSet
+from lightmatrix.resources.work_ahead import work_ahead
 
 # The scan looks at 24 to 96 rows, as many as 2.5e9 multiplications allow (about a second). A
 # displacement may begin or end at 16 places; the runs of `frame_order.py` find the exact frame.
@@ -211,14 +212,21 @@ def _scan(
             # Frames are displaced by one.
             near = slice(max(a - 1, 0), b + 1)
             of_parts.append((near, change[:, near]))
-    best = [np.zeros((2 * len(of_parts) + 1, len(plain)), np.float32) for of_parts in changes]
-    for start in range(0, patterns.pixels, _PIXELS_AT_ONCE):
+
+    def followed(start: int) -> list[NDArray[np.float32]]:
+        """The largest sums over some pixels, by hypothesis: (places, m) each."""
         lit = normalized_columns(patterns, start, min(start + _PIXELS_AT_ONCE, patterns.pixels))
-        in_order = plain @ lit
-        for weight, of_parts, highest in zip(weights, changes, best, strict=True):
+        in_order, largest = plain @ lit, []
+        for weight, of_parts in zip(weights, changes, strict=True):
             products = (change @ lit[near] for near, change in of_parts)
-            for k, sums in enumerate(_mixtures(in_order, weight @ lit, products)):
-                np.maximum(highest[k], sums.max(axis=1), out=highest[k])
+            mixed = _mixtures(in_order, weight @ lit, products)
+            largest.append(np.stack([sums.max(axis=1) for sums in mixed]))
+        return largest
+
+    best = [np.zeros((2 * len(of_parts) + 1, len(plain)), np.float32) for of_parts in changes]
+    for largest in work_ahead(followed, range(0, patterns.pixels, _PIXELS_AT_ONCE)):
+        for highest, of_some in zip(best, largest, strict=True):
+            np.maximum(highest, of_some, out=highest)
     scores = []
     squares = [light**2 for light in values]
     for square, of_parts, highest in zip(squares, changes, best, strict=True):

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from functools import reduce
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,12 +54,8 @@ def fold_count(frames: int) -> int:
 
 def column_scale(patterns: PatternSet) -> NDArray[np.float32]:
     """One over the standard deviation of each projector pixel over the patterns; 0 if constant."""
-    total = np.zeros(patterns.pixels)
-    squares = np.zeros(patterns.pixels)
-    for _, block in patterns.chunks():
-        total += block.sum(axis=0, dtype=np.float64)
-        squares += np.einsum("kn,kn->n", block, block)
-    variance = squares / patterns.count - (total / patterns.count) ** 2
+    mean = patterns.weighted_sum(np.full(patterns.count, 1 / patterns.count))
+    variance = patterns.squares / patterns.count - mean**2
     scale = np.zeros(patterns.pixels, np.float32)
     varied = variance > 1e-6
     scale[varied] = 1 / np.sqrt(variance[varied])
@@ -153,18 +150,21 @@ def best_pixels(
 
     Scores are multiplied by the lots (2 N,), from another one on in each row.
     """
-    best = np.zeros(len(residual), np.int64)
-    highest = np.full(len(residual), -np.inf, np.float32)
-    for rows, pixels, scores in patterns.correlations(residual.astype(np.float32)):
+
+    def best_of(rows: slice, pixels: slice, scores: NDArray[np.float32]) -> tuple[Any, ...]:
         scores *= scale[pixels]
         if lots is not None:
             for row, score in enumerate(scores, rows.start):
                 first = row * 7919 % patterns.pixels
                 score *= lots[first:][pixels]
         found = scores.argmax(axis=1)
-        score = np.take_along_axis(scores, found[:, None], axis=1)[:, 0]
+        return rows, found + pixels.start, np.take_along_axis(scores, found[:, None], axis=1)[:, 0]
+
+    best = np.zeros(len(residual), np.int64)
+    highest = np.full(len(residual), -np.inf, np.float32)
+    for rows, found, score in patterns.correlations(residual.astype(np.float32), best_of):
         better = score > highest[rows]
-        best[rows] = np.where(better, found + pixels.start, best[rows])
+        best[rows] = np.where(better, found, best[rows])
         highest[rows] = np.maximum(score, highest[rows])
     return best
 

@@ -15,7 +15,6 @@ same surroundings elsewhere.
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,8 +23,6 @@ from scipy.sparse import csr_array
 from lightmatrix.camera.samples import Samples
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.patterns.twins import NEAR
-from lightmatrix.resources.work_ahead import work_ahead
-from lightmatrix.transport.matrix import cell_means
 from lightmatrix.transport.sparse_rows import SparseRows
 
 # The diagnostic: 1 where the strongest projector pixel is certain, 0 where it is not, NaN for rows
@@ -36,34 +33,35 @@ CERTAIN = "certain"
 SAMPLED = 1024
 # The least probability of a certain pixel: the usual level of confidence.
 _PROBABLE = 0.95
-# The least share of a row that no single pixel explains, so that samples without noise divide
-# nothing by zero. Far below the noise of any camera.
-_LEAST_MISFIT = 1e-8
-# Pixels that are less probable than the best one by a factor of exp(60) are not looked at: a
-# billion of them together would change no probability.
-_NEGLIGIBLE = 60.0
-# Bytes of correlations of some rows with all projector pixels, of each thread. Chosen by hand, to
-# lie far below the working memory of a tile.
-_BYTES = 8 << 20
+# The least share of a row that no single pixel explains: a noise of 1 % of the row's contrast. It
+# is a hundred times what single precision loses, and pixels that are not twins differ by far more.
+_LEAST_MISFIT = 1e-4
+
+Misfits = NDArray[np.float32]
 
 
 def with_certainty(
     rows: SparseRows,
     samples: Samples,
     patterns: PatternSet,
-    background_grid: tuple[int, int],
     start: int,
     total: int,
+    cell_means: NDArray[np.floating] | None = None,
 ) -> SparseRows:
-    """Rows of T from row `start` on, of `total`, with the diagnostic `certain`."""
+    """Rows of T from row `start` on, of `total`, with the diagnostic `certain`.
+
+    `cell_means` (B, K) are the means of the patterns over the cells of the rows' background. None:
+    it has one cell.
+    """
     step = max(1, total // SAMPLED)
     index = np.arange(start, start + rows.count)
     chosen = np.flatnonzero(index % step == step // 2)
     certain = np.full(rows.count, np.nan, np.float32)
+    means = patterns.means[None] if cell_means is None else cell_means
     # Two samples say nothing beside the strength of the light and the background.
     if len(chosen) and patterns.count > 2:
         some, seen = rows.rows(chosen), samples.rows(chosen)
-        values = _direct_light(some, seen, patterns, background_grid)
+        values = _direct_light(some, seen, patterns, means)
         pixels = _strongest(some.coefficients)
         lit = np.flatnonzero(pixels >= 0)
         result = np.zeros(len(chosen), np.bool_)
@@ -74,7 +72,7 @@ def with_certainty(
 
 
 def _direct_light(
-    rows: SparseRows, samples: Samples, patterns: PatternSet, background_grid: tuple[int, int]
+    rows: SparseRows, samples: Samples, patterns: PatternSet, cell_means: NDArray[np.floating]
 ) -> NDArray[np.float64]:
     """The samples less the diffuse light, (n, K).
 
@@ -84,10 +82,7 @@ def _direct_light(
     matrix = rows.coefficients
     own = csr_array((matrix.data, place, matrix.indptr), shape=(rows.count, len(used)))
     predicted = own @ patterns.columns(used).T.astype(np.float64)
-    diffuse = np.empty_like(predicted)
-    cells = cell_means(patterns.shape, background_grid)
-    for start, chunk in patterns.chunks():
-        diffuse[:, start : start + len(chunk)] = rows.background @ (cells @ chunk.T)
+    diffuse = rows.background @ cell_means
     predicted += diffuse
     values = samples.values.astype(np.float64)
     hidden = samples.weights_of_all() == 0
@@ -101,49 +96,48 @@ def _probable(
     """Whether the photographs alone leave no doubt that each row sees its pixel most, (n,)."""
     column = patterns.means / max(float(np.linalg.norm(patterns.means)), 1e-300)
     values = values - np.outer(values @ column, column)
-    lengths = np.square(values).sum(axis=1)
-    contrasts = patterns.contrasts
-    inverse = np.divide(1, contrasts, out=np.zeros_like(contrasts), where=contrasts > 0)
-    together = max(1, _BYTES // (8 * patterns.pixels))
-
-    def shares(first: int) -> list[float]:
-        some = slice(first, first + together)
-        explained = patterns.adjoint(values[some])
-        np.maximum(explained, 0, out=explained)
-        np.square(explained, out=explained)
-        explained *= inverse
-        return [
-            _probability(
-                parts.reshape(patterns.shape)[_window(int(pixel), patterns)].ravel(),
-                parts,
-                float(length),
-                patterns.count,
-            )
-            for parts, length, pixel in zip(explained, lengths[some], pixels[some], strict=True)
-        ]
-
-    found = work_ahead(shares, range(0, len(values), together))
-    return np.fromiter(chain.from_iterable(found), np.float64, len(values)) >= _PROBABLE
-
-
-def _probability(
-    window: NDArray[np.float64], explained: NDArray[np.float64], length: float, count: int
-) -> float:
-    """The probability of the pixels in a window, from the squares that each pixel explains.
-
-    `length` is the squared length of the row of `count` samples.
-    """
+    lengths = np.linalg.norm(values, axis=1, keepdims=True)
     # A row without contrast explains no pixel more than any other.
-    length = length or 1.0
-    best = max(1 - float(explained.max()) / length, _LEAST_MISFIT)
-    sharpness = (count - 2) / 2
+    rows = (values / np.where(lengths > 0, lengths, 1)).astype(np.float32)
+    contrasts = patterns.contrasts
+    inverse = np.zeros(patterns.pixels, np.float32)
+    np.divide(1, contrasts, out=inverse, where=contrasts > 0, casting="same_kind")
+    windows = _windows(pixels, patterns)
 
-    def likely(parts: NDArray[np.float64]) -> float:
-        misfit = np.maximum(1 - parts / length, _LEAST_MISFIT)
-        return float(np.exp(sharpness * (1 - misfit / best)).sum())
+    def misfits(some: slice, part: slice, correlations: NDArray[np.float32]) -> Misfits:
+        """The shares of the rows that each pixel alone leaves unexplained, not below the least."""
+        np.maximum(correlations, 0, out=correlations)
+        np.square(correlations, out=correlations)
+        correlations *= -inverse[part]
+        correlations += 1
+        return np.maximum(correlations, _LEAST_MISFIT, out=correlations)
 
-    least = length * (1 - best * (1 + _NEGLIGIBLE / sharpness))
-    return likely(window) / likely(explained[explained >= least])
+    def least(some: slice, part: slice, correlations: NDArray[np.float32]) -> tuple[slice, Misfits]:
+        return some, misfits(some, part, correlations).min(axis=1)
+
+    best = np.ones(len(rows), np.float32)
+    for some, found in patterns.correlations(rows, least):
+        np.minimum(best[some], found, out=best[some])
+    sharpness = np.float32((patterns.count - 2) / 2)
+
+    def likelihoods(
+        some: slice, part: slice, correlations: NDArray[np.float32]
+    ) -> tuple[slice, NDArray[np.float64], NDArray[np.float64]]:
+        """Sums over all pixels of a part, and over those in the rows' windows."""
+        likely = misfits(some, part, correlations)
+        likely *= (-sharpness / best[some])[:, None]
+        likely += sharpness
+        np.exp(likely, out=likely)
+        near = windows[some] - part.start
+        inside = (near >= 0) & (near < likely.shape[1])
+        in_window = np.take_along_axis(likely, np.where(inside, near, 0), axis=1)
+        return some, likely.sum(axis=1, dtype=np.float64), (in_window * inside).sum(axis=1)
+
+    whole, near = np.zeros(len(rows)), np.zeros(len(rows))
+    for some, of_all, of_window in patterns.correlations(rows, likelihoods):
+        whole[some] += of_all
+        near[some] += of_window
+    return np.asarray(near >= _PROBABLE * whole)
 
 
 def _beyond_error(
@@ -166,14 +160,21 @@ def _beyond_error(
     return result
 
 
-def _window(pixel: int, patterns: PatternSet) -> tuple[slice, slice]:
-    """A pixel and its neighbours; whole columns or rows if no pattern varies along them."""
-    row, col = divmod(pixel, patterns.shape[1])
-    along = [
-        slice(max(0, place - NEAR), place + NEAR + 1) if varies else slice(None)
-        for place, varies in zip((row, col), patterns.axes, strict=True)
-    ]
-    return along[0], along[1]
+def _windows(pixels: NDArray[np.int64], patterns: PatternSet) -> NDArray[np.int64]:
+    """Each pixel and its neighbours, (n, d), -1 outside the projector.
+
+    Where no pattern varies along columns or rows, whole ones are neighbours.
+    """
+    places = []
+    for place, length, varies in zip(
+        np.divmod(pixels, patterns.shape[1]), patterns.shape, patterns.axes, strict=True
+    ):
+        near = place[:, None] + np.arange(-NEAR, NEAR + 1)
+        whole = np.broadcast_to(np.arange(length), (len(pixels), length))
+        places.append(np.where((near >= 0) & (near < length), near, -1) if varies else whole)
+    row, col = np.broadcast_arrays(places[0][:, :, None], places[1][:, None, :])
+    numbers = np.where((row >= 0) & (col >= 0), row * patterns.shape[1] + col, -1)
+    return np.asarray(numbers.reshape(len(pixels), row.shape[1] * row.shape[2]))
 
 
 def _strongest(matrix: csr_array) -> NDArray[np.int64]:

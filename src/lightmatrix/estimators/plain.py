@@ -99,4 +99,4 @@ class _Rows(OneStep):
         )
         result = solve(problem, self.estimator.solver, progress=progress)
         rows = rows_with_diagnostics(samples, result)
-        return with_certainty(rows, samples, problem.patterns, (1, 1), start, self.capture.rows)
+        return with_certainty(rows, samples, problem.patterns, start, self.capture.rows)

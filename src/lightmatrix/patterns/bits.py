@@ -2,24 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix import _core
 from lightmatrix.errors import InputError
-from lightmatrix.patterns.pattern_set import (
-    ImagePatterns,
-    PatternSet,
-    check_geometry,
-    correlations_by_matrix,
-)
+from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet, check_geometry
 from lightmatrix.ranges import check_seed
 from lightmatrix.reprs import short_repr
+from lightmatrix.resources.computed_once import computed_once
 
 # The iterative solvers multiply the same patterns many times. A product of float matrices is then
 # faster than sums of bits, if the matrix has at most _DENSE_BYTES and multiplies _DENSE_ROWS rows
@@ -32,6 +27,7 @@ class BinaryPatterns(PatternSet):
     """Black and white patterns as bits, (K, ceil(N / 8)) uint8, least significant bit first."""
 
     bits: NDArray[np.uint8]
+    has_matrix: ClassVar[bool] = True
 
     def forward(self, x: NDArray[Any]) -> NDArray[Any]:
         if self._multiply_dense(x):
@@ -44,22 +40,31 @@ class BinaryPatterns(PatternSet):
         return _core.bits_adjoint(self.bits, self.pixels, np.ascontiguousarray(e))
 
     def _multiply_dense(self, rows: NDArray[Any]) -> bool:
-        small = 4 * self.count * self.pixels <= _DENSE_BYTES
-        return small and rows.dtype == np.float32 and len(rows) >= _DENSE_ROWS
+        return self._is_small and rows.dtype == np.float32 and len(rows) >= _DENSE_ROWS
 
-    @cached_property
+    @property
+    def _is_small(self) -> bool:
+        return 4 * self.count * self.pixels <= _DENSE_BYTES
+
+    @computed_once
     def _dense(self) -> NDArray[np.float32]:
         return self.dense()
+
+    @computed_once
+    def squares(self) -> NDArray[np.float64]:
+        return self.weighted_sum(np.ones(self.count))
+
+    def weighted_sum(self, weights: NDArray[np.floating]) -> NDArray[np.float64]:
+        return _core.bits_adjoint(self.bits, self.pixels, np.ascontiguousarray(weights[None]))[0]
 
     def columns(self, index: NDArray[np.integer]) -> NDArray[np.float32]:
         return _core.bits_columns(self.bits, self.pixels, np.asarray(index, np.int64))
 
     def span(self, start: int, stop: int) -> NDArray[np.float32]:
+        if self._is_small:
+            return self._dense[:, start:stop]
         lit = np.unpackbits(self.bits[:, start // 8 : -(-stop // 8)], axis=1, bitorder="little")
         return lit[:, start % 8 :][:, : stop - start].astype(np.float32)
-
-    def correlations(self, e: NDArray[Any]) -> Iterator[tuple[slice, slice, NDArray[Any]]]:
-        return correlations_by_matrix(self, e)
 
     def rows(self, start: int, stop: int) -> NDArray[np.float32]:
         lit = np.unpackbits(self.bits[start:stop], axis=1, count=self.pixels, bitorder="little")

@@ -14,9 +14,9 @@ from __future__ import annotations
 
 import hashlib
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,10 +24,13 @@ from numpy.typing import NDArray
 from lightmatrix import _core
 from lightmatrix.errors import InputError
 from lightmatrix.patterns.grids import block_mean
-from lightmatrix.patterns.twins import far_twins, groups, mixture, of_surroundings, varying_axes
+from lightmatrix.patterns.twins import far_twins, groups, of_surroundings, varying_axes
 from lightmatrix.ranges import real_array
 from lightmatrix.reprs import short_repr
 from lightmatrix.resources.computed_once import computed_once
+from lightmatrix.resources.work_ahead import work_ahead
+
+T = TypeVar("T")
 
 # Bytes of patterns that are unpacked at a time, as float32. Chosen by hand: little beside the
 # memory of an estimate, and still 16 patterns of a megapixel.
@@ -61,6 +64,8 @@ class PatternSet(ABC):
 
     shape: tuple[int, int]
     count: int
+    # Whether parts of the matrix are at hand, so that products with them are fast.
+    has_matrix: ClassVar[bool] = False
 
     @property
     def pixels(self) -> int:
@@ -87,12 +92,26 @@ class PatternSet(ABC):
         """Columns start..stop of P: (K, stop - start) float32."""
         return self.columns(np.arange(start, stop))
 
-    def correlations(self, e: NDArray[Any]) -> Iterator[tuple[slice, slice, NDArray[Any]]]:
-        """The `adjoint` of e (M, K), part by part: some rows, some pixels, and theirs of e P."""
-        size = max(1, _CORRELATION_BYTES // (e.itemsize * self.pixels))
-        for start in range(0, len(e), size):
-            rows = slice(start, start + size)
-            yield rows, slice(0, self.pixels), self.adjoint(e[rows])
+    def correlations(
+        self, e: NDArray[Any], use: Callable[[slice, slice, NDArray[Any]], T]
+    ) -> Iterator[T]:
+        """Use the `adjoint` of e (M, K) part by part, in order; threads work on several at a time.
+
+        `use` gets some rows, some pixels, and theirs of e P, which it may overwrite.
+        """
+
+        def used(part: tuple[slice, slice]) -> T:
+            rows, pixels = part
+            if self.has_matrix:
+                return use(rows, pixels, e[rows] @ self.span(pixels.start, pixels.stop))
+            return use(rows, pixels, self.adjoint(e[rows]))
+
+        if self.has_matrix:
+            parts = [(slice(0, len(e)), part) for part in _cut(self.pixels, _PIXELS_AT_ONCE)]
+        else:
+            size = max(1, _CORRELATION_BYTES // (e.itemsize * self.pixels))
+            parts = [(part, slice(0, self.pixels)) for part in _cut(len(e), size)]
+        return work_ahead(used, parts)
 
     @abstractmethod
     def rows(self, start: int, stop: int) -> NDArray[np.float32]:
@@ -135,11 +154,23 @@ class PatternSet(ABC):
     @computed_once
     def contrasts(self) -> NDArray[np.float64]:
         """Squared norm of each pixel's values, less what follows the patterns' means, (N,)."""
-        total, along = np.zeros(self.pixels), np.zeros(self.pixels)
-        for start, chunk in self.chunks():
+        along = self.weighted_sum(self.means)
+        return np.maximum(self.squares - along**2 / max(float(self.means @ self.means), 1e-300), 0)
+
+    @computed_once
+    def squares(self) -> NDArray[np.float64]:
+        """Squared norm of each pixel's values, (N,)."""
+        total = np.zeros(self.pixels)
+        for _, chunk in self.chunks():
             total += np.einsum("kn,kn->n", chunk, chunk)
-            along += self.means[start : start + len(chunk)] @ chunk
-        return np.maximum(total - along**2 / max(float(self.means @ self.means), 1e-300), 0)
+        return total
+
+    def weighted_sum(self, weights: NDArray[np.floating]) -> NDArray[np.float64]:
+        """The sum of all patterns, each times its weight of (K,): (N,)."""
+        total = np.zeros(self.pixels)
+        for start, chunk in self.chunks():
+            total += weights[start : start + len(chunk)] @ chunk.astype(np.float64)
+        return total
 
     @computed_once
     def axes(self) -> tuple[bool, bool]:
@@ -159,7 +190,8 @@ class PatternSet(ABC):
 
     @property
     def _mixture(self) -> NDArray[np.float64]:
-        return mixture((chunk for _, chunk in self.chunks()), self.pixels)
+        """A random mixture of all patterns, (N,): pixels that all show alike have the same."""
+        return self.weighted_sum(np.random.default_rng(0).standard_normal(self.count))
 
     def images(self, start: int = 0, stop: int | None = None) -> NDArray[np.float32]:
         """Patterns as images: (stop - start, rows, cols) float32 in [0, 1]."""
@@ -245,13 +277,9 @@ class PatternSet(ABC):
         return ImagePatterns(np.stack([self.images(int(k), int(k) + 1)[0] for k in index]))
 
 
-def correlations_by_matrix(
-    patterns: PatternSet, e: NDArray[Any]
-) -> Iterator[tuple[slice, slice, NDArray[Any]]]:
-    """`PatternSet.correlations` by products with some columns of the matrix at a time."""
-    for start in range(0, patterns.pixels, _PIXELS_AT_ONCE):
-        pixels = slice(start, min(start + _PIXELS_AT_ONCE, patterns.pixels))
-        yield slice(0, len(e)), pixels, e @ patterns.span(pixels.start, pixels.stop)
+def _cut(length: int, size: int) -> list[slice]:
+    """Parts of at most `size`."""
+    return [slice(start, min(start + size, length)) for start in range(0, length, size)]
 
 
 def to_grey(patterns: NDArray[Any]) -> NDArray[np.uint8]:
@@ -290,6 +318,8 @@ class ImagePatterns(PatternSet):
     """
 
     stack: NDArray[np.float32]
+
+    has_matrix: ClassVar[bool] = True
 
     __repr__ = short_repr
 
@@ -330,9 +360,6 @@ class ImagePatterns(PatternSet):
 
     def span(self, start: int, stop: int) -> NDArray[np.float32]:
         return self.matrix[:, start:stop]
-
-    def correlations(self, e: NDArray[Any]) -> Iterator[tuple[slice, slice, NDArray[Any]]]:
-        return correlations_by_matrix(self, e)
 
     def rows(self, start: int, stop: int) -> NDArray[np.float32]:
         return self.matrix[start:stop]

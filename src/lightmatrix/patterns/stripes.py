@@ -106,19 +106,19 @@ def stripes_of(patterns: PatternSet) -> Stripes | None:
     if isinstance(patterns, StripePatterns):
         return patterns.stripes
     axes, profiles = [], []
-    for _, block in patterns.chunks():
-        for image in block.reshape(-1, *patterns.shape):
-            # A pattern of two rows that differ varies along rows, one of equal rows does not.
-            upright = bool((np.abs(image - image[:1]) <= _SAME).all())
-            level = bool((np.abs(image - image[:, :1]) <= _SAME).all())
-            if upright and level:
-                axes.append(NOTHING)
-                profiles.append(np.full(1, image.mean(), np.float32))
-            elif upright or level:
-                axes.append(COLUMNS if upright else ROWS)
-                profiles.append(image.mean(axis=0 if upright else 1, dtype=np.float32))
-            else:
-                return None
+    for k in range(patterns.count):
+        image = patterns.images(k, k + 1)[0]
+        # A pattern of two rows that differ varies along rows, one of equal rows does not.
+        upright = bool((np.abs(image - image[:1]) <= _SAME).all())
+        level = bool((np.abs(image - image[:, :1]) <= _SAME).all())
+        if upright and level:
+            axes.append(NOTHING)
+            profiles.append(np.full(1, image.mean(), np.float32))
+        elif upright or level:
+            axes.append(COLUMNS if upright else ROWS)
+            profiles.append(image.mean(axis=0 if upright else 1, dtype=np.float32))
+        else:
+            return None
     return Stripes(np.array(axes), tuple(profiles))
 
 

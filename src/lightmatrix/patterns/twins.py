@@ -27,18 +27,6 @@ def varying_axes(images: Iterable[NDArray[np.float32]]) -> tuple[bool, bool]:
     return varies[0], varies[1]
 
 
-def mixture(blocks: Iterable[NDArray[np.float32]], pixels: int) -> NDArray[np.float64]:
-    """A random mixture of all patterns, (N,): pixels that all show alike have the same.
-
-    The blocks hold patterns as rows, (k, N).
-    """
-    generator = np.random.default_rng(0)
-    seen = np.zeros(pixels)
-    for block in blocks:
-        seen += generator.standard_normal(len(block)) @ block.astype(np.float64)
-    return seen
-
-
 def of_surroundings(mixed: NDArray[np.float64]) -> NDArray[np.float64]:
     """A mixture of each pixel with its eight neighbours, (rows, cols).
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sized
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import TypeVar
 
@@ -22,10 +22,10 @@ def work_ahead(
 
     Threads (None: as many as the core uses, at most eight) help where the function decodes images
     or multiplies matrices, which releases Python's lock. They hold at most two results each, and an
-    error is raised in its turn. With one thread nothing is done ahead.
+    error is raised in its turn. With one thread, or one item, nothing is done ahead.
     """
     workers = min(_MOST_THREADS, core_threads()) if threads is None else threads
-    if workers == 1:
+    if workers == 1 or (isinstance(items, Sized) and len(items) <= 1):
         yield from map(function, items)
         return
     pool = ThreadPoolExecutor(workers, "work-ahead")

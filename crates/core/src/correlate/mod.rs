@@ -7,7 +7,8 @@
 //! `Correlator::run` chooses the kernel: `lookup` for 0/1 patterns (tables of partial sums in portable
 //! code, `avx2` or `avx512`, or byte tiles in `amx`), `transform` for Hadamard patterns, `dense` for any
 //! other values, and `blurred` for atoms, which blurs the scores of single pixels. `Scores` keeps the
-//! scores beyond a threshold (`outside`); `select` finds the largest among them.
+//! scores beyond a threshold (`outside`); `select` finds the largest among them, and `summed` the large
+//! sums of several passes.
 
 #[cfg(target_arch = "x86_64")]
 mod amx;
@@ -22,6 +23,7 @@ mod outside;
 mod quantise;
 mod scores;
 mod select;
+mod summed;
 mod tables;
 mod transform;
 
@@ -36,6 +38,8 @@ use lookup::Lookup;
 use quantise::{quantise, Sums};
 pub use scores::{ScoreFilter, Scores};
 use scores::{BATCH, GROUP};
+use std::borrow::Cow;
+pub use summed::may_exceed;
 use transform::Transform;
 
 /// Computes scores in the way that suits the patterns.
@@ -140,6 +144,20 @@ impl Correlator {
             Kind::Transform(transform) => transform.pixel(score),
             _ => (score < self.pixels).then_some(score as u32),
         }
+    }
+
+    /// All scores of a pass, by pixel.
+    pub fn by_pixel<'a>(&self, scores: &'a Scores) -> Cow<'a, [i16]> {
+        let Kind::Transform(transform) = &self.kind else {
+            return Cow::Borrowed(&scores.values[..self.pixels]);
+        };
+        let mut values = vec![0; self.pixels];
+        for (place, score) in scores.values.iter().enumerate() {
+            if let Some(pixel) = transform.pixel(place) {
+                values[pixel as usize] = *score;
+            }
+        }
+        Cow::Owned(values)
     }
 
     /// Whether patterns are of 0/1 values without structure, so that a row's first passes should return

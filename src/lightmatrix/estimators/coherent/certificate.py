@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from itertools import chain
 from typing import Any
@@ -24,9 +23,7 @@ SAMPLED = 256
 # A correlation may exceed its bound by this share, which is ten times the relative gap of the rows.
 SLACK = 0.01
 # Rows whose correlations with all atoms a thread holds in memory together.
-_ROWS_TOGETHER = 4
-# The most that single precision loses where 16-bit scores are added, in units of a score.
-_ROUNDING = 2**-7
+_ROWS_TOGETHER = 3
 
 
 def sampled_rows(start: int, stop: int, count: int) -> NDArray[np.int64]:
@@ -54,26 +51,13 @@ def certified_everywhere(
         some = [(prepared, e[first : first + _ROWS_TOGETHER]) for prepared, e in parts]
         return [
             not (sum(prepared.columns(near) @ e[i] for prepared, e in some) > limit).any()
-            for i, near in enumerate(_suspects(some, limit))
+            # Scores of 16 bits bound the correlations; few may exceed the limit.
+            for i, near in enumerate(_core.may_exceed(some, limit))
         ]
 
     with ThreadPoolExecutor(solver.solver.threads or core_threads()) as pool:
         holds = chain.from_iterable(pool.map(none_exceeds, range(0, len(rows), _ROWS_TOGETHER)))
         return np.fromiter(holds, np.bool_, len(rows))
-
-
-def _suspects(
-    parts: list[tuple[_core.PreparedPatterns, NDArray[np.float64]]], limit: float
-) -> Iterator[NDArray[np.int64]]:
-    """For each row the atoms whose summed correlation may exceed the limit: scores are 16-bit."""
-    scored = []
-    for prepared, e in parts:
-        scores, bounds = prepared.scores(np.ascontiguousarray(e))
-        unit, offset, up, _ = bounds.reshape(-1, 4).T
-        scored.append((scores, unit, unit * (offset + up + _ROUNDING)))
-    for i in range(len(scored[0][0])):
-        upper = sum(scores[i] * np.float32(unit[i]) for scores, unit, _ in scored)
-        yield np.flatnonzero(upper > limit - sum(most[i] for _, _, most in scored))
 
 
 def _residuals(

@@ -314,8 +314,8 @@ class Rounds:
             diagnostics |= {SEARCHED: searched, CERTIFIED: holds}
         further = {name: values.astype(np.float32) for name, values in diagnostics.items()}
         pixels = replace(pixels, diagnostics=dict(pixels.diagnostics) | further)
-        grid, patterns = solver.backgrounds.grid, self.capture.patterns
-        return with_certainty(pixels, samples, patterns, grid, start, self.capture.rows)
+        patterns, means = self.capture.patterns, solver.backgrounds.shown_means
+        return with_certainty(pixels, samples, patterns, start, self.capture.rows, means)
 
     def _neighbours(self, number: int, read: ReadStep) -> Neighbourhood:
         """The neighbourhood of all rows of a round, from the rows of the round before."""

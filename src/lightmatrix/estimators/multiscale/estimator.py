@@ -155,7 +155,7 @@ class _Strips(OneStep):
             order.append(rows)
             progress(sum(map(len, order)), stop - start)
         solved = SparseRows.joined(parts).rows(np.argsort(np.concatenate(order)))
-        return with_certainty(solved, samples, patterns, (1, 1), start, self.capture.rows)
+        return with_certainty(solved, samples, patterns, start, self.capture.rows)
 
     def _camera_blocks(self, rows: int) -> Iterator[NDArray[np.int64]]:
         """The rows of each camera block of a strip."""
