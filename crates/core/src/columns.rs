@@ -139,8 +139,9 @@ impl Columns {
                 for (out, pixels) in out_fours.iter_mut().zip(fours) {
                     *out = masked_sums(level, pixels.map(|pixel| bits.column(pixel)), e);
                 }
-                for (out, pixel) in out_rest.iter_mut().zip(rest) {
-                    [*out] = masked_sums(level, [bits.column(*pixel)], e);
+                if let Some(pixels) = filled(rest) {
+                    let sums = masked_sums(level, pixels.map(|pixel| bits.column(pixel)), e);
+                    out_rest.copy_from_slice(&sums[..rest.len()]);
                 }
             }
             Columns::Dense(dense) => {
@@ -326,10 +327,17 @@ multiversion! {
         for (out, pixels) in out_fours.iter_mut().zip(fours) {
             *out = dots(columns, *pixels, e);
         }
-        for (out, pixel) in out_rest.iter_mut().zip(rest) {
-            [*out] = dots(columns, [*pixel], e);
+        if let Some(pixels) = filled(rest) {
+            out_rest.copy_from_slice(&dots(columns, pixels, e)[..rest.len()]);
         }
     }
+}
+
+/// The last pixels of many, repeated to make four: four columns take hardly longer than one.
+#[inline(always)]
+fn filled(rest: &[u32]) -> Option<[u32; 4]> {
+    let last = *rest.last()?;
+    Some(std::array::from_fn(|i| *rest.get(i).unwrap_or(&last)))
 }
 
 /// Inner products of columns that share each reading of `e`.

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +26,7 @@ from lightmatrix.diagnosis.survey import Survey, high_variance_rows
 from lightmatrix.diagnosis.wrong_frames import LIKELY, SUSPECT, check_frames, wrong_frames
 from lightmatrix.patterns.colour import ColourPatterns
 from lightmatrix.resources.blas import one_blas_thread
-from lightmatrix.resources.work_ahead import work_ahead
+from lightmatrix.resources.work_ahead import side_by_side
 
 # Nothing is inferred from fewer frames, or from fewer camera pixels that can be predicted.
 _FEWEST_FRAMES, _FEWEST_ROWS = 12, 20
@@ -75,9 +74,9 @@ def _check(capture: Capture, order_only: bool) -> list[Finding]:
         return find_disorder(survey.patterns, tiles, len(survey.raw), names.__getitem__)
 
     # The longest first; each of them keeps about one core busy.
-    jobs: list[Callable[[], list[Finding]]]
-    jobs = [of_order, of_light, partial(check_relation, survey, names)]
-    disorder, findings, unrelated = work_ahead(lambda job: job(), jobs)
+    disorder, findings, unrelated = side_by_side(
+        [of_order, of_light, lambda: check_relation(survey, names)]
+    )
     light = None if order_only else not any(each.kind == "jpeg" for each in findings)
     if pairs is None:
         return findings + _check_by_prediction(survey, rows, names, light, disorder, unrelated)

@@ -119,9 +119,12 @@ def _refuse_useless_patterns(patterns: PatternSet) -> None:
         )
     first = patterns.rows(0, 1)[0]
     alike, flat = True, True
-    for _, block in patterns.chunks():
-        flat = flat and bool((np.ptp(block, axis=1) < _SAME).all())
-        alike = alike and bool((np.abs(block - first) < _SAME).all())
+    for k in range(patterns.count):
+        pattern = patterns.rows(k, k + 1)[0]
+        flat = flat and bool(np.ptp(pattern) < _SAME)
+        alike = alike and bool((np.abs(pattern - first) < _SAME).all())
+        if not (flat or alike):
+            break
     if flat:
         raise InputError(
             "no pattern varies: each shows one grey value all over",

@@ -67,8 +67,14 @@ class BinaryPatterns(PatternSet):
         return lit[:, start % 8 :][:, : stop - start].astype(np.float32)
 
     def rows(self, start: int, stop: int) -> NDArray[np.float32]:
-        lit = np.unpackbits(self.bits[start:stop], axis=1, count=self.pixels, bitorder="little")
-        return lit.astype(np.float32)
+        return self._lit(start, stop).astype(np.float32)
+
+    def greys(self, start: int, stop: int) -> NDArray[np.uint8]:
+        return (self._lit(start, stop) * np.uint8(255)).reshape(-1, *self.shape)
+
+    def _lit(self, start: int, stop: int) -> NDArray[np.uint8]:
+        some = self.bits[start:stop]
+        return np.unpackbits(some, axis=1, count=self.pixels, bitorder="little")
 
     def as_bits(self) -> NDArray[np.uint8]:
         return self.bits

@@ -88,13 +88,12 @@ def fill_pattern_folder(folder: Path, patterns: PatternSet, colour: str | None =
     """Write the files of a pattern folder into an empty folder."""
     digits = max(4, len(str(patterns.count - 1)))
     primary = np.array([name == colour for name in COLOURS], np.uint8)
-    for start, block in patterns.chunks():
-        images = to_grey(block.reshape(-1, *patterns.shape))
+    for k in range(patterns.count):
+        image = patterns.greys(k, k + 1)[0]
         if isinstance(patterns, ColourPatterns):
-            images = np.stack(np.split(images, 3, axis=2), axis=-1)
-        for k, image in enumerate(images, start):
-            coloured = image if colour is None else image[..., None] * primary
-            fill_image(folder / f"pattern_{k:0{digits}d}.png", coloured)
+            image = np.stack(np.split(image, 3, axis=1), axis=-1)
+        coloured = image if colour is None else image[..., None] * primary
+        fill_image(folder / f"pattern_{k:0{digits}d}.png", coloured)
     header = {"format": FORMAT, "version": VERSION, "digest": patterns.digest}
     content = {**header, "description": patterns.description}
     (folder / DESCRIPTION).write_text(json.dumps(content, indent=2) + "\n")
@@ -267,11 +266,8 @@ def _first_difference(operator: PatternSet, paths: list[Path]) -> str | None:
     if len(paths) != operator.count:
         return f"its {len(paths)} images are not"
     colours = _Colours()
-    for start, block in operator.chunks():
-        expected = to_grey(block.reshape(-1, *operator.shape))
-        some = paths[start : start + len(block)]
-        images = work_ahead(read_image, some)
-        for path, image, grey in zip(some, images, expected, strict=True):
-            if not np.array_equal(to_grey(colours.grey(path, image)), grey):
-                return f"{path.name} is not among"
+    for k, image in enumerate(work_ahead(read_image, paths)):
+        grey = to_grey(colours.grey(paths[k], image))
+        if not np.array_equal(grey, operator.greys(k, k + 1)[0]):
+            return f"{paths[k].name} is not among"
     return None

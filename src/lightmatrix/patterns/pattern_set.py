@@ -141,8 +141,8 @@ class PatternSet(ABC):
     def digest(self) -> str:
         """Hash of the patterns' content (8-bit grey, as projected) and shape, 16 hex digits."""
         hasher = hashlib.sha256(repr((self.shape, self.count)).encode())
-        for _, chunk in self.chunks():
-            hasher.update(to_grey(chunk).tobytes())
+        for k in range(self.count):
+            hasher.update(self.greys(k, k + 1).tobytes())
         return hasher.hexdigest()[:16]
 
     def chunks(self, size: int | None = None) -> Any:
@@ -225,6 +225,10 @@ class PatternSet(ABC):
             for _, part in self.chunks()
         ]
         return ImagePatterns(np.concatenate(parts))
+
+    def greys(self, start: int, stop: int) -> NDArray[np.uint8]:
+        """Patterns as images of the 8-bit grey values that are projected: (n, rows, cols)."""
+        return to_grey(self.images(start, stop))
 
     @property
     def transform(self) -> tuple[int, NDArray[np.int64], NDArray[np.int64]] | None:

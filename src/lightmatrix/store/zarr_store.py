@@ -12,6 +12,7 @@ import time
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +30,7 @@ from lightmatrix.files.zarr_arrays import (
 from lightmatrix.outputs.kinds import PACKED_CAPTURE, PARTIAL, STORE
 from lightmatrix.outputs.writing import atomic_folder
 from lightmatrix.resources.memory import check_memory
+from lightmatrix.resources.work_ahead import side_by_side
 from lightmatrix.store.matrix_checks import (
     checked_diagnostics,
     checked_float32,
@@ -103,17 +105,21 @@ def save_rows(
         entries = 0
         for rows in parts:
             matrix = rows.coefficients
-            arrays["indptr"].add(entries + matrix.indptr[1:].astype(np.int64))
-            arrays["indices"].add(matrix.indices)
-            arrays["data"].add(matrix.data)
-            arrays["background"].add(rows.background)
-            entries += int(matrix.nnz)
             for name, values in rows.diagnostics.items():
                 if name not in diagnostics:
                     diagnostics[name] = GrowingArray(inner, name, values.dtype)
-                diagnostics[name].add(values)
-        for array in (*arrays.values(), *diagnostics.values()):
-            array.close()
+            # Most of the time goes into compressing, which threads do side by side.
+            side_by_side(
+                [
+                    partial(arrays["background"].add, rows.background),
+                    partial(arrays["indices"].add, matrix.indices),
+                    partial(arrays["data"].add, matrix.data),
+                    partial(arrays["indptr"].add, entries + matrix.indptr[1:].astype(np.int64)),
+                    *(partial(diagnostics[name].add, v) for name, v in rows.diagnostics.items()),
+                ]
+            )
+            entries += int(matrix.nnz)
+        side_by_side([array.close for array in (*arrays.values(), *diagnostics.values())])
         # The attributes come last, so that a group without them is recognized as incomplete.
         group.attrs.update(
             {
