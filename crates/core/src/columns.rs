@@ -5,6 +5,7 @@ use crate::simd::{multiversion, Kind, Level};
 use crate::vector::{add_terms, fold, padded, LANES, SUMS};
 use crate::words::WordColumns;
 use rayon::prelude::*;
+use std::ops::AddAssign;
 
 /// Columns of 0/1 patterns as words of 64 samples, least significant bit first.
 pub struct BitColumns {
@@ -46,6 +47,8 @@ pub struct DenseColumns {
     values: Vec<f32>,
     stride: usize,
     largest: f64,
+    /// Whether inner products of two columns may be summed in float32.
+    quick_products: bool,
 }
 
 impl DenseColumns {
@@ -72,6 +75,7 @@ impl DenseColumns {
             values,
             stride,
             largest,
+            quick_products: false,
         }
     }
 
@@ -86,6 +90,16 @@ impl DenseColumns {
             values,
             stride,
             largest,
+            quick_products: false,
+        }
+    }
+
+    /// The same columns, of which inner products are summed in float32: three times as fast, and to
+    /// within about a millionth. Enough where the columns themselves are not known any better.
+    pub fn with_quick_products(self) -> Self {
+        DenseColumns {
+            quick_products: true,
+            ..self
         }
     }
 
@@ -125,6 +139,23 @@ impl Columns {
         }
     }
 
+    /// Whether `quick_products` applies.
+    pub fn has_quick_products(&self) -> bool {
+        matches!(self, Columns::Dense(dense) if dense.quick_products)
+    }
+
+    /// a_j . e for each of `pixels`, summed in float32, for columns that allow it; `e` is padded.
+    ///
+    /// # Panics
+    /// For columns that do not.
+    pub fn quick_products(&self, level: Level, pixels: &[u32], e: &[f32], out: &mut [f64]) {
+        let Columns::Dense(dense) = self else {
+            panic!("only dense columns have quick products");
+        };
+        assert!(pixels.len() == out.len() && dense.stride == e.len());
+        single_dots(level, &dense.values, pixels, e, out);
+    }
+
     /// a_j . e for each of `pixels`, in float64; `e` is padded.
     pub fn correlate(&self, level: Level, pixels: &[u32], e: &[f64], out: &mut [f64]) {
         assert_eq!(pixels.len(), out.len());
@@ -134,14 +165,9 @@ impl Columns {
                 for pixel in pixels {
                     prefetch(bits.column(*pixel));
                 }
-                let (fours, rest) = pixels.as_chunks::<4>();
-                let (out_fours, out_rest) = out.as_chunks_mut::<4>();
-                for (out, pixels) in out_fours.iter_mut().zip(fours) {
-                    *out = masked_sums(level, pixels.map(|pixel| bits.column(pixel)), e);
-                }
-                if let Some(pixels) = filled(rest) {
-                    let sums = masked_sums(level, pixels.map(|pixel| bits.column(pixel)), e);
-                    out_rest.copy_from_slice(&sums[..rest.len()]);
+                for (out, pixels) in out.chunks_mut(4).zip(pixels.chunks(4)) {
+                    let columns = filled(pixels).map(|pixel| bits.column(pixel));
+                    out.copy_from_slice(&masked_sums(level, columns, e)[..out.len()]);
                 }
             }
             Columns::Dense(dense) => {
@@ -322,37 +348,57 @@ multiversion! {
 multiversion! {
     /// Inner products of some columns, all as long as `e`.
     fn mixed_dots(columns: &[f32], pixels: &[u32], e: &[f64], out: &mut [f64]) {
-        let (fours, rest) = pixels.as_chunks::<4>();
-        let (out_fours, out_rest) = out.as_chunks_mut::<4>();
-        for (out, pixels) in out_fours.iter_mut().zip(fours) {
-            *out = dots(columns, *pixels, e);
-        }
-        if let Some(pixels) = filled(rest) {
-            out_rest.copy_from_slice(&dots(columns, pixels, e)[..rest.len()]);
+        by_fours(columns, pixels, e, out, |sum, a, e| *sum += f64::from(a) * e);
+    }
+}
+
+multiversion! {
+    /// The same, summed in float32.
+    fn single_dots(columns: &[f32], pixels: &[u32], e: &[f32], out: &mut [f64]) {
+        by_fours(columns, pixels, e, out, |sum, a, e| *sum += a * e);
+    }
+}
+
+/// Inner products of some columns, four at a time: they share each reading of `e`.
+#[inline(always)]
+fn by_fours<T: Copy + Default + AddAssign + Into<f64>>(
+    columns: &[f32],
+    pixels: &[u32],
+    e: &[T],
+    out: &mut [f64],
+    add_product: impl Fn(&mut T, f32, T) + Copy,
+) {
+    for (out, pixels) in out.chunks_mut(4).zip(pixels.chunks(4)) {
+        let dots = dots(columns, filled(pixels), e, add_product);
+        for (out, dot) in out.iter_mut().zip(dots) {
+            *out = dot.into();
         }
     }
 }
 
-/// The last pixels of many, repeated to make four: four columns take hardly longer than one.
+/// One to four pixels, the last one repeated to make four: four columns take hardly longer than one.
 #[inline(always)]
-fn filled(rest: &[u32]) -> Option<[u32; 4]> {
-    let last = *rest.last()?;
-    Some(std::array::from_fn(|i| *rest.get(i).unwrap_or(&last)))
+fn filled(pixels: &[u32]) -> [u32; 4] {
+    std::array::from_fn(|i| pixels[i.min(pixels.len() - 1)])
 }
 
-/// Inner products of columns that share each reading of `e`.
 #[inline(always)]
-fn dots<const C: usize>(columns: &[f32], pixels: [u32; C], e: &[f64]) -> [f64; C] {
+fn dots<T: Copy + Default + AddAssign>(
+    columns: &[f32],
+    pixels: [u32; 4],
+    e: &[T],
+    add_product: impl Fn(&mut T, f32, T),
+) -> [T; 4] {
     let columns = pixels.map(|pixel| {
         let column = &columns[pixel as usize * e.len()..][..e.len()];
         column.as_chunks::<SUMS>().0
     });
-    let mut sums = [[0.0; SUMS]; C];
+    let mut sums = [[T::default(); SUMS]; 4];
     for (place, e) in e.as_chunks::<SUMS>().0.iter().enumerate() {
         for (sums, column) in sums.iter_mut().zip(&columns) {
             let a = &column[place];
             for i in 0..SUMS {
-                sums[i] += f64::from(a[i]) * e[i];
+                add_product(&mut sums[i], a[i], e[i]);
             }
         }
     }

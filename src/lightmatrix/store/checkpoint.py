@@ -13,6 +13,7 @@ import json
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -24,6 +25,7 @@ from lightmatrix.outputs.kinds import PARTIAL, STORE
 from lightmatrix.outputs.markers import read_object
 from lightmatrix.outputs.running import RunningResults
 from lightmatrix.outputs.writing import claimed
+from lightmatrix.resources.work_ahead import work_ahead
 from lightmatrix.store.tiles import Span, read_tile, tile_name, tile_of, without_overlap, write_tile
 from lightmatrix.store.zarr_store import open as open_store
 from lightmatrix.store.zarr_store import save_rows
@@ -191,8 +193,7 @@ class Checkpoint:
 
     def _tiles(self, step: str) -> Iterator[SparseRows]:
         """Finished tiles one after the other, so that they are never all in memory."""
-        for span in self.spans(step):
-            yield self._whole(step, span)
+        return work_ahead(partial(self._whole, step), self.spans(step))
 
     def _whole(self, step: str, span: Span) -> SparseRows:
         tile = self._tile(step, span)

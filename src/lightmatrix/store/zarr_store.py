@@ -21,6 +21,7 @@ import zarr
 
 from lightmatrix.errors import InputError
 from lightmatrix.files.zarr_arrays import (
+    CHUNK,
     HEADER,
     GrowingArray,
     StoredArray,
@@ -48,6 +49,9 @@ _DIAGNOSTICS = "diagnostics"
 _ARRAYS = {"indptr": np.int64, "indices": np.int32, "data": np.float32, "background": np.float32}
 # The attributes that the seal covers.
 _SHAPES = ("camera_shape", "projector_shape", "background_grid")
+# Chunks of the background that are compressed together, 4 MiB each. Chosen by hand: enough for some
+# cores, and little memory.
+_CHUNKS_TOGETHER = 8
 RESTORE = "restore it from a copy, or run `lightmatrix estimate --overwrite` again"
 
 
@@ -103,7 +107,7 @@ def save_rows(
         inner = group.create_group(_DIAGNOSTICS)
         arrays["indptr"].add(np.zeros(1, np.int64))
         entries = 0
-        for rows in parts:
+        for rows in _in_several_chunks(parts):
             matrix = rows.coefficients
             for name, values in rows.diagnostics.items():
                 if name not in diagnostics:
@@ -132,6 +136,18 @@ def save_rows(
             }
         )
         seal_store(part)
+
+
+def _in_several_chunks(parts: Iterable[SparseRows]) -> Iterator[SparseRows]:
+    """Parts, joined until their background fills chunks, which Zarr compresses side by side."""
+    waiting: list[SparseRows] = []
+    for part in parts:
+        waiting.append(part)
+        if sum(each.background.size for each in waiting) >= _CHUNKS_TOGETHER * CHUNK:
+            yield SparseRows.joined(waiting)
+            waiting = []
+    if waiting:
+        yield SparseRows.joined(waiting)
 
 
 def seal_store(place: Path) -> None:

@@ -78,9 +78,10 @@ impl Exact {
                 slope[j] - lambda.copysign(side(target[j], slope[j]))
             });
             self.change.extend(changes);
+            let (rows, places, set) = (&model.rows, &self.places, &self.set);
             let solved = self
                 .factor
-                .solve(&model.rows, &self.places, &self.set, &mut self.change);
+                .solve(rows, places, set, &mut self.change, model.dependent);
             if let Err(place) = solved {
                 self.move_along_dependency(model, lambda, place, target, slope);
                 continue;

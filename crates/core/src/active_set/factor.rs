@@ -14,7 +14,9 @@ const LANES: usize = 8;
 const STRIDE: usize = LARGEST + 2 * LANES;
 /// If a pivot is below this share of its diagonal element, the column depends on those before it. Well
 /// above the rounding of 256 subtractions (6e-14).
-const DEPENDENT: f64 = 1e-10;
+pub const DEPENDENT: f64 = 1e-10;
+/// The same where inner products are summed in float32, and off by up to a millionth.
+pub const QUICK_DEPENDENT: f64 = 1e-5;
 /// Rows that are factorised together: with two octets each, their sums fill eight registers.
 const PANEL: usize = 4;
 
@@ -31,7 +33,8 @@ impl Factor {
         }
     }
 
-    /// Solves H z = right in place, with H the columns `set` of the rows that begin at `places`.
+    /// Solves H z = right in place, with H the columns `set` of the rows that begin at `places`. A pivot
+    /// below the share `dependent` of its diagonal element is rounding.
     ///
     /// # Errors
     /// The place of a column that depends on those before it. `right` is unchanged then.
@@ -44,6 +47,7 @@ impl Factor {
         places: &[usize],
         set: &[u32],
         right: &mut [f64],
+        dependent: f64,
     ) -> Result<(), usize> {
         let size = set.len();
         assert!(size <= LARGEST && places.len() == size && right.len() == size);
@@ -52,7 +56,7 @@ impl Factor {
             self.r.resize(needed, 0.0);
         }
         gather(self.level, &mut self.r, rows, places, set, right);
-        let order = factorise(self.level, &mut self.r, size);
+        let order = factorise(self.level, &mut self.r, size, dependent);
         if order < size {
             return Err(order);
         }
@@ -90,7 +94,7 @@ multiversion! {
 
 octets! {
     /// Replaces H by R; returns the order, or the place of the first dependent column.
-    fn factorise<O>(r: &mut [f64], size: usize) -> usize {
+    fn factorise<O>(r: &mut [f64], size: usize, dependent: f64) -> usize {
         let mut squares = [0.0; LARGEST];
         for (k, square) in squares[..size].iter_mut().enumerate() {
             *square = r[k * STRIDE + k];
@@ -137,7 +141,7 @@ octets! {
                     }
                 }
                 let pivot = row[0][first + k - start * LANES];
-                if pivot <= DEPENDENT * squares[first + k] {
+                if pivot <= dependent * squares[first + k] {
                     return first + k;
                 }
                 let scale = O::splat(1.0 / pivot.sqrt());
@@ -235,7 +239,9 @@ mod tests {
                 let right: Vec<f64> = (0..set.len()).map(|i| i as f64 - 3.0).collect();
                 let mut z = right.clone();
                 let mut factor = Factor::new(level);
-                assert!(factor.solve(&rows, &places, &set, &mut z).is_ok());
+                assert!(factor
+                    .solve(&rows, &places, &set, &mut z, DEPENDENT)
+                    .is_ok());
                 for (place, right) in places.iter().zip(right) {
                     let terms = set.iter().zip(&z);
                     let left: f64 = terms.map(|(&j, z)| rows[place + j as usize] * z).sum();
@@ -255,7 +261,8 @@ mod tests {
             let set: Vec<u32> = (0..8).collect();
             let places: Vec<usize> = (0..8).map(|j| 8 * j).collect();
             let mut factor = Factor::new(level);
-            assert_eq!(factor.solve(&rows, &places, &set, &mut [1.0; 8]), Err(5));
+            let solved = factor.solve(&rows, &places, &set, &mut [1.0; 8], DEPENDENT);
+            assert_eq!(solved, Err(5));
             let mut way = Vec::new();
             factor.dependency(5, &mut way);
             for (way, expected) in way.iter().zip([0.0, -1.0, 0.0, -2.0, 0.0, 1.0]) {

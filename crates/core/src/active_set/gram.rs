@@ -16,6 +16,7 @@ const MANY: usize = 24;
 pub struct GramSource {
     packed: Vec<u64>,
     scaled: Vec<f64>,
+    quickly_scaled: Vec<f32>,
     products: Vec<f64>,
     query: Vec<u64>,
     tables: Vec<f64>,
@@ -102,7 +103,14 @@ impl GramSource {
         self.scaled.resize(d.len(), 0.0);
         columns.scaled(level, pixel, d, &mut self.scaled);
         self.products.resize(others.len(), 0.0);
-        columns.correlate(level, others, &self.scaled, &mut self.products);
+        if columns.has_quick_products() {
+            self.quickly_scaled.clear();
+            let scaled = self.scaled.iter().map(|&value| value as f32);
+            self.quickly_scaled.extend(scaled);
+            columns.quick_products(level, others, &self.quickly_scaled, &mut self.products);
+        } else {
+            columns.correlate(level, others, &self.scaled, &mut self.products);
+        }
         &self.products
     }
 }

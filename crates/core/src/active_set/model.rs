@@ -4,6 +4,7 @@
 //! Where the background is free it is eliminated ('centred'): A' D A - A' D m m' D A / (m' D m). Rows of
 //! the matrix are computed on first use, as most are never used.
 
+use super::factor::{DEPENDENT, QUICK_DEPENDENT};
 use super::gram::GramSource;
 use crate::octet::{octets, WIDTH};
 use crate::problem::Dictionary;
@@ -13,6 +14,8 @@ use crate::vector::{dot, DataTerm};
 /// A column whose curvature is below this, per sample, counts as a multiple of the background: it is
 /// rounding. Curvature per sample is at most the largest weight.
 const FLAT: f64 = 1e-9;
+/// Where inner products are summed in float32, less than this share of a column's curvature is rounding.
+const QUICK_FLAT: f64 = 3e-6;
 /// Marks rows that have not been computed.
 const UNSET: u32 = u32::MAX;
 
@@ -35,6 +38,8 @@ pub struct Model {
     pub rows: Vec<f64>,
     pub slot: Vec<u32>,
     pub stride: usize,
+    /// If a pivot is below this share of its diagonal element, the column depends on those before it.
+    pub dependent: f64,
     /// Buffers: the pixels with which no computed row holds products.
     missing: Vec<usize>,
     missing_pixels: Vec<u32>,
@@ -60,6 +65,7 @@ impl Model {
             rows: Vec::new(),
             slot: Vec::new(),
             stride: 0,
+            dependent: DEPENDENT,
             missing: Vec::new(),
             missing_pixels: Vec::new(),
             inverse: Vec::new(),
@@ -80,6 +86,11 @@ impl Model {
     /// Loads the columns of a new working set.
     pub fn load_pixels(&mut self, dictionary: &Dictionary, pixels: &[u32]) {
         self.gram.load(&dictionary.columns, pixels);
+        self.dependent = if dictionary.columns.has_quick_products() {
+            QUICK_DEPENDENT
+        } else {
+            DEPENDENT
+        };
         self.stride = pixels.len().next_multiple_of(WIDTH);
         self.coupling.clear();
         self.coupling.resize(self.stride, 0.0);
@@ -204,7 +215,12 @@ impl Model {
                 row[i] = product + factor * coupling[i];
             }
         }
-        if row[j] > FLAT * self.curvature.len() as f64 {
+        let rounding = if columns.has_quick_products() {
+            QUICK_FLAT * (row[j] - factor * coupling[j])
+        } else {
+            FLAT * self.curvature.len() as f64
+        };
+        if row[j] > rounding {
             self.inverse[j] = 1.0 / row[j];
             self.diagonal[j] = row[j];
             self.ready[j / WIDTH] |= 1 << (j % WIDTH);

@@ -184,11 +184,10 @@ impl Work {
         let start = rows.start.is_some() || shared_columns.start.is_some();
         let local = Dictionary {
             level: dictionary.level,
-            columns: Columns::Dense(DenseColumns::from_padded(
-                std::mem::take(&mut self.values),
-                self.means.len(),
-                1.0,
-            )),
+            columns: Columns::Dense(
+                DenseColumns::from_padded(std::mem::take(&mut self.values), self.means.len(), 1.0)
+                    .with_quick_products(),
+            ),
             correlator: Correlator::dense(dictionary.level, patterns, pixels.len() + shared),
             means: std::mem::take(&mut self.means),
             patterns,
