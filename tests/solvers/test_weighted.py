@@ -48,6 +48,23 @@ def test_equal_weights_are_the_plain_problem() -> None:
     np.testing.assert_allclose(solved.objective, plain.objective, rtol=1e-6)
 
 
+@pytest.mark.parametrize("seed", range(8))
+def test_equal_nearly_equal_and_constant_columns_converge(seed: int) -> None:
+    # Inner products of columns are summed in float32, which cannot tell such columns apart.
+    random = np.random.default_rng(seed)
+    images = random.random((24, 6, 6)).astype(np.float32)
+    images[:, 1], images[:, 2] = images[:, 0], images[:, 0] * (1 - 1e-6 * random.random((24, 6)))
+    images[:, 3] = 0.5
+    truth = random.random((5, 36)) * (random.random((5, 36)) < 0.3)
+    patterns = ImagePatterns(images)
+    values = patterns.forward(truth.astype(np.float32))
+    samples = Samples(values, np.zeros(values.shape, bool), np.full_like(values, np.inf), None)
+    problem = Problem(patterns, samples, 1e-3)
+    solved = solve_weighted(problem, every_pixel(problem), Cells.none(patterns), SOLVER)
+    assert solved.converged.all()
+    np.testing.assert_allclose(solved.objective, SOLVER.solve(problem).objective, rtol=1e-6)
+
+
 @settings(max_examples=25, deadline=None)
 @given(
     st.integers(1, 90),

@@ -382,6 +382,7 @@ fn filled(pixels: &[u32]) -> [u32; 4] {
     std::array::from_fn(|i| pixels[i.min(pixels.len() - 1)])
 }
 
+/// Inner products of four columns.
 #[inline(always)]
 fn dots<T: Copy + Default + AddAssign>(
     columns: &[f32],

@@ -257,7 +257,7 @@ impl PreparedPatterns {
         Ok(())
     }
 
-    pub fn checked_rows(&self, e: &Bound<'_, PyAny>) -> PyResult<Vec<Vec<f64>>> {
+    fn checked_rows(&self, e: &Bound<'_, PyAny>) -> PyResult<Vec<Vec<f64>>> {
         let patterns = self.dictionary.patterns;
         let e = Values::<f64>::reals(e, "e")?;
         let why = format!("there are {patterns} patterns");

@@ -14,6 +14,8 @@ const MANY: usize = 24;
 /// a few vector instructions per word and group.
 #[derive(Default)]
 pub struct GramSource {
+    /// Whether products of columns that allow it are summed in float32.
+    pub quick: bool,
     packed: Vec<u64>,
     scaled: Vec<f64>,
     quickly_scaled: Vec<f32>,
@@ -103,7 +105,7 @@ impl GramSource {
         self.scaled.resize(d.len(), 0.0);
         columns.scaled(level, pixel, d, &mut self.scaled);
         self.products.resize(others.len(), 0.0);
-        if columns.has_quick_products() {
+        if self.quick {
             self.quickly_scaled.clear();
             let scaled = self.scaled.iter().map(|&value| value as f32);
             self.quickly_scaled.extend(scaled);

@@ -21,6 +21,8 @@ const UNSET: u32 = u32::MAX;
 
 pub struct Model {
     pub level: Level,
+    /// Whether inner products are exact, also of columns that allow quick ones.
+    pub exact: bool,
     gram: GramSource,
     /// Whether all weights are 0 or 1.
     unit_weights: bool,
@@ -54,6 +56,7 @@ impl Model {
     pub fn new(level: Level) -> Self {
         Model {
             level,
+            exact: false,
             gram: GramSource::default(),
             unit_weights: false,
             curvature: Vec::new(),
@@ -86,7 +89,8 @@ impl Model {
     /// Loads the columns of a new working set.
     pub fn load_pixels(&mut self, dictionary: &Dictionary, pixels: &[u32]) {
         self.gram.load(&dictionary.columns, pixels);
-        self.dependent = if dictionary.columns.has_quick_products() {
+        self.gram.quick = !self.exact && dictionary.columns.has_quick_products();
+        self.dependent = if self.gram.quick {
             QUICK_DEPENDENT
         } else {
             DEPENDENT
@@ -215,7 +219,7 @@ impl Model {
                 row[i] = product + factor * coupling[i];
             }
         }
-        let rounding = if columns.has_quick_products() {
+        let rounding = if gram.quick {
             QUICK_FLAT * (row[j] - factor * coupling[j])
         } else {
             FLAT * self.curvature.len() as f64

@@ -59,9 +59,11 @@ impl Restricted {
         }
     }
 
-    /// Loads a row's data, and `held` of its last restricted solve.
-    pub fn load(&mut self, data: &DataTerm, held: bool) {
+    /// Loads a row's data, and `held` of its last restricted solve. With `exact`, inner products are
+    /// those of float64, whatever the columns allow.
+    pub fn load(&mut self, data: &DataTerm, held: bool, exact: bool) {
         self.held = held;
+        self.model.exact = exact;
         self.model.load_row(data);
         self.theta.resize(data.y.len(), 0.0);
         self.direction.resize(data.y.len(), 0.0);

@@ -43,6 +43,9 @@ const REFRESH_PASSES: u32 = 8;
 /// The gap is relative to the objective, but at least to this share of ||y||^2 / 2, so that rows
 /// without light can converge.
 const FLOOR_SHARE: f64 = 1e-6;
+/// Rows that need more passes have columns that quick inner products cannot tell apart. Most rows need two
+/// or three.
+const QUICK_PASSES: u32 = 8;
 
 pub enum Next {
     /// A pass with `RowSolver::dual` is needed.
@@ -300,7 +303,7 @@ impl RowSolver {
         accuracy: f64,
         gradient_known: bool,
     ) {
-        restricted.load(&self.data, self.held);
+        restricted.load(&self.data, self.held, self.passes > QUICK_PASSES);
         restricted.solve(
             problem.dictionary,
             problem.settings,
