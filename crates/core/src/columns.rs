@@ -1,11 +1,11 @@
 //! Columns of P. Column j says how much projector pixel j contributes to each sample of a row.
 
 use crate::bits::{column_codes, Bits};
+use crate::dots::{filled, mixed_dots, single_dots};
 use crate::simd::{multiversion, Kind, Level};
 use crate::vector::{add_terms, fold, padded, LANES, SUMS};
 use crate::words::WordColumns;
 use rayon::prelude::*;
-use std::ops::AddAssign;
 
 /// Columns of 0/1 patterns as words of 64 samples, least significant bit first.
 pub struct BitColumns {
@@ -251,8 +251,8 @@ fn prefetch(words: &[u64]) {
     }
 }
 
-/// For several columns, the sums of the values whose bits are set.
-fn masked_sums<const C: usize>(level: Level, columns: [&[u64]; C], e: &[f64]) -> [f64; C] {
+/// For four columns, the sums of the values whose bits are set.
+fn masked_sums(level: Level, columns: [&[u64]; 4], e: &[f64]) -> [f64; 4] {
     match level.kind() {
         #[cfg(target_arch = "x86_64")]
         Kind::Avx512 => {
@@ -346,67 +346,6 @@ multiversion! {
 }
 
 multiversion! {
-    /// Inner products of some columns, all as long as `e`.
-    fn mixed_dots(columns: &[f32], pixels: &[u32], e: &[f64], out: &mut [f64]) {
-        by_fours(columns, pixels, e, out, |sum, a, e| *sum += f64::from(a) * e);
-    }
-}
-
-multiversion! {
-    /// The same, summed in float32.
-    fn single_dots(columns: &[f32], pixels: &[u32], e: &[f32], out: &mut [f64]) {
-        by_fours(columns, pixels, e, out, |sum, a, e| *sum += a * e);
-    }
-}
-
-/// Inner products of some columns, four at a time: they share each reading of `e`.
-#[inline(always)]
-fn by_fours<T: Copy + Default + AddAssign + Into<f64>>(
-    columns: &[f32],
-    pixels: &[u32],
-    e: &[T],
-    out: &mut [f64],
-    add_product: impl Fn(&mut T, f32, T) + Copy,
-) {
-    for (out, pixels) in out.chunks_mut(4).zip(pixels.chunks(4)) {
-        let dots = dots(columns, filled(pixels), e, add_product);
-        for (out, dot) in out.iter_mut().zip(dots) {
-            *out = dot.into();
-        }
-    }
-}
-
-/// One to four pixels, the last one repeated to make four: four columns take hardly longer than one.
-#[inline(always)]
-fn filled(pixels: &[u32]) -> [u32; 4] {
-    std::array::from_fn(|i| pixels[i.min(pixels.len() - 1)])
-}
-
-/// Inner products of four columns.
-#[inline(always)]
-fn dots<T: Copy + Default + AddAssign>(
-    columns: &[f32],
-    pixels: [u32; 4],
-    e: &[T],
-    add_product: impl Fn(&mut T, f32, T),
-) -> [T; 4] {
-    let columns = pixels.map(|pixel| {
-        let column = &columns[pixel as usize * e.len()..][..e.len()];
-        column.as_chunks::<SUMS>().0
-    });
-    let mut sums = [[T::default(); SUMS]; 4];
-    for (place, e) in e.as_chunks::<SUMS>().0.iter().enumerate() {
-        for (sums, column) in sums.iter_mut().zip(&columns) {
-            let a = &column[place];
-            for i in 0..SUMS {
-                add_product(&mut sums[i], a[i], e[i]);
-            }
-        }
-    }
-    sums.map(fold)
-}
-
-multiversion! {
     /// u += factor a_j for all terms.
     fn add_columns(columns: &[f32], stride: usize, terms: &[(u32, f32)], u: &mut [f32]) {
         for (block, u) in u.as_chunks_mut::<LANES>().0.iter_mut().enumerate() {
@@ -439,8 +378,8 @@ mod avx512 {
     /// # Safety
     /// `e` holds 64 values for each word of every column.
     #[target_feature(enable = "avx512f")]
-    pub unsafe fn masked_sums<const C: usize>(columns: [&[u64]; C], e: &[f64]) -> [f64; C] {
-        let mut sums = [[_mm512_setzero_pd(); 2]; C];
+    pub unsafe fn masked_sums(columns: [&[u64]; 4], e: &[f64]) -> [f64; 4] {
+        let mut sums = [[_mm512_setzero_pd(); 2]; 4];
         for w in 0..e.len() / 64 {
             // SAFETY: w is below the number of words of every column.
             let words = columns.map(|column| unsafe { *column.get_unchecked(w) });

@@ -32,6 +32,7 @@ pub mod bits;
 pub mod coherent;
 pub mod columns;
 pub mod correlate;
+mod dots;
 pub mod float;
 pub mod hadamard;
 mod octet;

@@ -49,9 +49,9 @@ _DIAGNOSTICS = "diagnostics"
 _ARRAYS = {"indptr": np.int64, "indices": np.int32, "data": np.float32, "background": np.float32}
 # The attributes that the seal covers.
 _SHAPES = ("camera_shape", "projector_shape", "background_grid")
-# Chunks of the background that are compressed together, 4 MiB each. Chosen by hand: enough for some
-# cores, and little memory.
-_CHUNKS_TOGETHER = 8
+# Values of backgrounds and entries that are compressed together, eight chunks of 4 MiB. Chosen by
+# hand: enough for some cores, and little memory.
+_TOGETHER = 8 * CHUNK
 RESTORE = "restore it from a copy, or run `lightmatrix estimate --overwrite` again"
 
 
@@ -139,13 +139,15 @@ def save_rows(
 
 
 def _in_several_chunks(parts: Iterable[SparseRows]) -> Iterator[SparseRows]:
-    """Parts, joined until their background fills chunks, which Zarr compresses side by side."""
+    """Parts, joined until they fill several chunks, which Zarr compresses side by side."""
     waiting: list[SparseRows] = []
+    values = 0
     for part in parts:
         waiting.append(part)
-        if sum(each.background.size for each in waiting) >= _CHUNKS_TOGETHER * CHUNK:
+        values += part.background.size + part.coefficients.nnz
+        if values >= _TOGETHER:
             yield SparseRows.joined(waiting)
-            waiting = []
+            waiting, values = [], 0
     if waiting:
         yield SparseRows.joined(waiting)
 

@@ -63,7 +63,12 @@ class SparseRows:
 
     @classmethod
     def joined(cls, parts: Sequence[SparseRows]) -> SparseRows:
-        """The rows of one or more parts, which have the same diagnostics, below each other."""
+        """The rows of one or more parts, which have the same diagnostics, below each other.
+
+        A single part is returned as it is, so that T is not in memory twice.
+        """
+        if len(parts) == 1:
+            return parts[0]
         return cls(
             stack_rows([part.coefficients for part in parts]),
             np.concatenate([part.background for part in parts]),
