@@ -19,7 +19,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
-import imageio.v3 as imageio
 import numpy as np
 from numpy.typing import NDArray
 
@@ -29,6 +28,7 @@ from lightmatrix.diagnosis.all_checks import check_capture
 from lightmatrix.diagnosis.counts import missing_places
 from lightmatrix.diagnosis.finding import Finding
 from lightmatrix.diagnosis.survey import Survey
+from lightmatrix.files.pillow_images import decode_image, encode_image
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.simulation import library
@@ -153,8 +153,8 @@ def coded(draw: Draw, generator: np.random.Generator) -> tuple[list[Finding], bo
 
 def compressed(draw: Draw, generator: np.random.Generator) -> tuple[list[Finding], bool]:
     """Saved as JPEG at quality 60; the files' names do not say so."""
-    coded = [imageio.imwrite("<bytes>", f, extension=".jpg", quality=60) for f in draw.frames()]
-    findings = draw.check(np.stack([imageio.imread(each) for each in coded]))
+    coded = [encode_image(f, "jpeg", quality=60) for f in draw.frames()]
+    findings = draw.check(np.stack([decode_image(each) for each in coded]))
     return findings, any(f.kind == "jpeg" for f in findings)
 
 

@@ -11,7 +11,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
-import imageio.v3 as imageio
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
@@ -19,6 +18,7 @@ from scipy.sparse import csr_array
 
 from lightmatrix.camera.sensor import Sensor
 from lightmatrix.capture.capture import Capture
+from lightmatrix.files.pillow_images import decode_image, encode_image
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
 from lightmatrix.simulation import library
@@ -351,8 +351,8 @@ def _torn(frames: NDArray[np.uint8], generator: Generator) -> NDArray[np.uint8]:
 
 def _jpeg(frames: NDArray[np.uint8], generator: Generator) -> NDArray[np.uint8]:
     def through(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        coded = imageio.imwrite("<bytes>", image, extension=".jpg", quality=60)
-        return np.asarray(imageio.imread(coded, extension=".jpg"), np.uint8)
+        coded = encode_image(image, "jpeg", quality=60)
+        return np.asarray(decode_image(coded), np.uint8)
 
     return np.stack([through(image) for image in frames])
 

@@ -54,7 +54,7 @@ SUITES = [
 # instead of five.
 HEAVY = (
     "pytest hypothesis numpy scipy.sparse scipy.optimize scipy.ndimage scipy.signal scipy.io zarr "
-    "matplotlib.pyplot typer rich imageio tifffile"
+    "matplotlib.pyplot typer rich tifffile"
 )
 # Each mutant gets tests of at most this many recorded seconds of the processor.
 BUDGET = 60.0

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from PIL import Image
 
 import lightmatrix as lm
 from lightmatrix.camera.decoder import Decoder
@@ -365,11 +366,9 @@ def test_files_with_unused_bits_are_refused(tmp_path: Path, bits: int) -> None:
 
 
 def test_jpeg_without_a_response_is_warned_about(tmp_path: Path) -> None:
-    import imageio.v3 as imageio
-
     (tmp_path / "photos").mkdir()
     for k, frame in enumerate(photographs(SETS[0], Sensor())):
-        imageio.imwrite(tmp_path / "photos" / f"{k}.jpg", frame, plugin="pillow")
+        Image.fromarray(frame).save(tmp_path / "photos" / f"{k}.jpg")
     with pytest.warns(LightMatrixWarning, match="JPEG, so probably not linear"):
         Capture.from_folders(SETS[0], tmp_path / "photos")
     for response in ("linear", "srgb"):

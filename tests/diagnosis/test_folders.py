@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import imageio.v3 as imageio
 import numpy as np
 import pytest
 
@@ -51,7 +50,7 @@ def test_files_that_do_not_fit_together_are_findings(
 ) -> None:
     images = sorted((folder / "images").iterdir())
     for image in images[5:7]:
-        imageio.imwrite(image, np.zeros((9, 9), np.uint8))
+        lm.write_image(image, np.zeros((9, 9), np.uint8), overwrite=True)
     images[8].write_bytes(b"no image")
     code, found = run(str(folder), capsys)
     assert code == 1
@@ -73,8 +72,9 @@ def test_estimate_says_what_check_finds(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     for image in (folder / "images").iterdir():
-        levels = imageio.imread(image) / 255
-        imageio.imwrite(image, np.rint(255 * levels ** (1 / 2.2)).astype(np.uint8))
+        levels = lm.read_image(image) / 255
+        bent = np.rint(255 * levels ** (1 / 2.2)).astype(np.uint8)
+        lm.write_image(image, bent, overwrite=True)
     words = ["estimate", str(folder), "-o", str(tmp_path / "x.zarr"), "--no-coherent", "--json"]
     assert main([*words, "--iterations", "2"]) == 0
     shown = capsys.readouterr()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 
-import imageio.v3 as imageio
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -14,6 +13,7 @@ from scipy.fft import dctn, idctn
 import lightmatrix as lm
 from lightmatrix.diagnosis import jpeg
 from lightmatrix.diagnosis.survey import Survey
+from lightmatrix.files.pillow_images import decode_image, encode_image
 from lightmatrix.patterns.bits import BernoulliPatterns
 
 K = 12
@@ -26,8 +26,8 @@ def smooth(count: int = 4, seed: int = 0) -> NDArray[np.uint8]:
 
 
 def compressed(frames: NDArray[np.uint8], quality: int) -> NDArray[np.uint8]:
-    saved = [imageio.imwrite("<bytes>", f, extension=".jpg", quality=quality) for f in frames]
-    return np.stack([imageio.imread(io.BytesIO(each)) for each in saved])
+    saved = [encode_image(f, "jpeg", quality=quality) for f in frames]
+    return np.stack([decode_image(each) for each in saved])
 
 
 def blocks_of(frames: NDArray[np.uint8]) -> NDArray[np.floating]:
@@ -43,7 +43,7 @@ def test_the_quality_is_measured(quality: int) -> None:
 
 @pytest.mark.parametrize("quality", [*range(1, 100, 7), 49, 51, 95])
 def test_the_steps_are_those_of_libjpeg(quality: int) -> None:
-    saved = imageio.imwrite("<bytes>", smooth(1)[0], extension=".jpg", quality=quality)
+    saved = encode_image(smooth(1)[0], "jpeg", quality=quality)
     with Image.open(io.BytesIO(saved)) as image:
         table = image.quantization[0]  # type: ignore[attr-defined]
     np.testing.assert_array_equal(np.reshape(table, (8, 8)), jpeg._steps(quality))

@@ -5,13 +5,11 @@ The tests use a window of it; LIGHTMATRIX_BOARD names a folder with the whole of
 
 from __future__ import annotations
 
-import io
 import os
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-import imageio.v3 as imageio
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -22,6 +20,7 @@ from lightmatrix.diagnosis.finding import KINDS
 from lightmatrix.diagnosis.inverse_pairs import Pairs
 from lightmatrix.diagnosis.survey import Survey
 from lightmatrix.files.image_stack import ImageStack
+from lightmatrix.files.pillow_images import decode_image, encode_image
 
 WINDOW = Path(__file__).parents[1] / "data" / "graycode-board"
 BOARD = Path(os.environ.get("LIGHTMATRIX_BOARD", WINDOW))
@@ -34,8 +33,8 @@ def coded(frames: Images) -> Images:
 
 
 def compressed(frames: Images, quality: int = 60) -> Images:
-    saved = [imageio.imwrite("<bytes>", f, extension=".jpg", quality=quality) for f in frames]
-    return np.stack([imageio.imread(io.BytesIO(each)) for each in saved])
+    saved = [encode_image(f, "jpeg", quality=quality) for f in frames]
+    return np.stack([decode_image(each) for each in saved])
 
 
 def exchanged(frames: Images, a: int, b: int) -> Images:

@@ -30,7 +30,7 @@ _HEAVY = ("zarr", "scipy.io", "scipy.signal", "scipy.sparse.linalg", "tifffile",
 
 def preload() -> None:
     """Import what commands import, so that a child need not."""
-    for name in (*_HEAVY, "pydantic", "imageio.v3", "matplotlib.pyplot", "rich.progress", "typer"):
+    for name in (*_HEAVY, "pydantic", "matplotlib.pyplot", "rich.progress", "typer"):
         with contextlib.suppress(ImportError):
             importlib.import_module(name)
     import lightmatrix

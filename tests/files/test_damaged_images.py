@@ -12,18 +12,19 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-import imageio.v3 as imageio
 import numpy as np
 import pytest
 import tifffile
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from PIL import Image
 
 from lightmatrix.errors import InputError
 from lightmatrix.files import png
 from lightmatrix.files.image_stack import ImageStack, list_images
 from lightmatrix.files.images import read_image, write_image
+from lightmatrix.files.pillow_images import encode_image
 from tests.helpers.systems import PIPES
 
 SHAPES = {"grey": (24, 31), "colour": (24, 31, 3)}
@@ -224,8 +225,8 @@ def test_what_is_too_large_is_refused_before_it_is_inflated(tmp_path: Path) -> N
 
 def test_other_formats_under_a_wrong_name_are_refused(tmp_path: Path) -> None:
     image = picture((9, 8), np.uint8)
-    for right, wrong in ((".jpg", ".png"), (".png", ".jpg"), (".bmp", ".jpeg"), (".gif", ".bmp")):
-        data = imageio.imwrite("<bytes>", image, extension=right, plugin="pillow")
+    for kind, wrong in (("jpeg", ".png"), ("png", ".jpg"), ("bmp", ".jpeg"), ("gif", ".bmp")):
+        data = encode_image(image, kind)
         (tmp_path / f"a{wrong}").write_bytes(data)
         with pytest.raises(InputError, match=r"not a (PNG|JPEG|BMP) file"):
             read_image(tmp_path / f"a{wrong}")
@@ -273,7 +274,7 @@ def test_a_strip_that_is_whole_but_holds_too_few_lines(tmp_path: Path) -> None:
 
 def test_strips_of_other_compressions(tmp_path: Path) -> None:
     image = picture((20, 30), np.uint8)
-    imageio.imwrite(tmp_path / "a.tif", image, plugin="pillow", compression="tiff_lzw")
+    Image.fromarray(image).save(tmp_path / "a.tif", compression="tiff_lzw")
     np.testing.assert_array_equal(read_image(tmp_path / "a.tif"), image)
     patched(tmp_path / "a.tif", tmp_path / "bad.tif", "StripByteCounts", 0)
     with pytest.raises(InputError, match="a strip of 0 bytes"):

@@ -8,13 +8,13 @@ import zlib
 from pathlib import Path
 from typing import Any
 
-import imageio.v3 as imageio
 import numpy as np
 import pytest
 import tifffile
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from PIL import Image
 
 from lightmatrix.errors import InputError, OutputError
 from lightmatrix.files import png
@@ -94,13 +94,13 @@ def test_every_line_filter_of_16_bit_colour_png(rows: int, cols: int, kind: int,
 def test_black_and_white_and_opaque_alpha(tmp_path: Path) -> None:
     grey = noise((4, 6), np.uint8)
     opaque = np.dstack([grey, grey, grey, np.full_like(grey, 255)])
-    imageio.imwrite(tmp_path / "opaque.png", opaque, plugin="pillow")
+    Image.fromarray(opaque).save(tmp_path / "opaque.png")
     np.testing.assert_array_equal(read_image(tmp_path / "opaque.png"), opaque[..., :3])
     opaque[0, 0, 3] = 7
-    imageio.imwrite(tmp_path / "clear.png", opaque, plugin="pillow")
+    Image.fromarray(opaque).save(tmp_path / "clear.png")
     with pytest.raises(InputError, match="transparent"):
         read_image(tmp_path / "clear.png")
-    imageio.imwrite(tmp_path / "bits.png", grey > 99, plugin="pillow")
+    Image.fromarray(grey > 99).save(tmp_path / "bits.png")
     np.testing.assert_array_equal(read_image(tmp_path / "bits.png"), (grey > 99) * np.uint8(255))
 
 

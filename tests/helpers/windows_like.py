@@ -27,7 +27,7 @@ from pathlib import Path
 from typing import Any
 
 LIBRARIES = (
-    "asyncio", "concurrent.futures", "filelock", "imageio.v3", "jinja2", "matplotlib.pyplot",
+    "asyncio", "concurrent.futures", "filelock", "jinja2", "matplotlib.pyplot",
     "numpy", "psutil", "platformdirs", "rich.console", "rich.progress", "rich.table", "scipy.io",
     "scipy.sparse", "scipy.fft", "scipy.ndimage", "tempfile", "tifffile", "typer", "typer.testing",
     "zarr", "multiprocessing", "subprocess", "PIL.Image",

@@ -17,7 +17,7 @@ import pytest
 import lightmatrix as lm
 from lightmatrix.patterns import making
 
-HEAVY = ("numpy", "scipy", "matplotlib", "zarr", "rich", "typer", "PIL", "imageio")
+HEAVY = ("numpy", "scipy", "matplotlib", "zarr", "rich", "typer", "PIL")
 NAMES = sorted(name for name in dir(lm) if not name.startswith("_"))
 # Errors have no example: their names say what they are.
 PLAIN = {"InputError", "OutputError", "SolverError", "MissingExtraError", "LightMatrixWarning"}

@@ -16,11 +16,10 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import imageio.v3 as imageio
 import numpy as np
 import tifffile
 from numpy.typing import NDArray
-from PIL import Image
+from PIL import Image, UnidentifiedImageError
 
 from lightmatrix.errors import InputError, LightMatrixError, warn
 from lightmatrix.files import png
@@ -28,6 +27,7 @@ from lightmatrix.files.colours import COLOURS
 from lightmatrix.files.exr import read_exr, write_exr
 from lightmatrix.files.numpy_files import as_float32, read_npy
 from lightmatrix.files.pgm import read_pgm
+from lightmatrix.files.pillow_images import decode_image, encode_image
 from lightmatrix.files.raw import RAW, read_raw
 from lightmatrix.files.reading import check_image_size, regular_file
 from lightmatrix.files.tiff import read_tiff
@@ -99,7 +99,7 @@ def as_image_error(name: str) -> Iterator[None]:
     except Exception as error:
         # Their words do not help where the file ends early, or where no reader knows the format.
         reason = " ".join(str(error).split())[:120]
-        if isinstance(error, (IndexError, struct.error)) or "given uri" in reason:
+        if isinstance(error, (IndexError, struct.error, UnidentifiedImageError)):
             reason = ""
         raise InputError(
             f"{name}: cannot be read as an image, damaged or truncated"
@@ -257,9 +257,8 @@ def fill_image(path: Path, image: NDArray[Any], *, bits: int = 8, missing: bool 
         if levels.ndim == 3 and levels.dtype == np.uint16:
             png.write_deep_colour(path, levels)
         else:
-            # Encoded in memory first: Pillow's plugin fails twice if the disk is full.
-            encoded = imageio.imwrite("<bytes>", levels, extension=".png", plugin="pillow")
-            path.write_bytes(encoded)
+            # Encoded in memory first: Pillow fails twice if the disk is full.
+            path.write_bytes(encode_image(levels, "png"))
 
 
 def _check_file(file: Path) -> None:
@@ -304,24 +303,21 @@ def _read_signed(file: Path, signature: bytes, kind: str) -> NDArray[Any]:
     data = file.read_bytes()
     if not data.startswith(signature):
         raise ValueError(f"not a {kind} file")
-    shape = imageio.improps(data, plugin="pillow", index=0).shape
-    check_image_size(file, shape)
     with Image.open(io.BytesIO(data)) as opened:
+        cols, rows = opened.size
+        check_image_size(file, (rows, cols, len(opened.getbands())))
         if opened.mode == "CMYK":
             raise InputError(f"{file}: has printing colours (CMYK)", hint="save it in grey or RGB")
-    return _read_by_pillow(data, math.prod(shape[:2]))
+    return _read_by_pillow(data, rows * cols)
 
 
-def _read_by_pillow(data: bytes, pixels: int, **options: Any) -> NDArray[Any]:
-    def read() -> NDArray[Any]:
-        return np.asarray(imageio.imread(data, plugin="pillow", index=0, **options))
-
+def _read_by_pillow(data: bytes, pixels: int, mode: str | None = None) -> NDArray[Any]:
     if pixels <= (Image.MAX_IMAGE_PIXELS or math.inf):
-        return read()
+        return decode_image(data, mode=mode)
     with _filters, warnings.catch_warnings():
         # Pillow warns of large images, whose size was checked.
         warnings.filterwarnings("ignore", message=".*decompression bomb", category=Warning)
-        return read()
+        return decode_image(data, mode=mode)
 
 
 _READERS = {

@@ -7,13 +7,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import imageio.v3 as imageio
 import numpy as np
 import tifffile
 from numpy.typing import NDArray
 
 from lightmatrix.errors import InputError
 from lightmatrix.files.inflating import inflated_size
+from lightmatrix.files.pillow_images import decode_image
 from lightmatrix.files.reading import check_image_size
 
 # Numbers of the TIFF specification: compressions, and photometric interpretations.
@@ -58,7 +58,7 @@ def read_page(file: Path, page: tifffile.TiffPage, index: int) -> NDArray[Any]:
             image = np.moveaxis(image, 0, -1)
     else:
         # Pillow reads other compressions, unless it would reduce their depth.
-        image = _as_it_lies(page, imageio.imread(file, plugin="pillow", index=index))
+        image = _as_it_lies(page, decode_image(file, index=index))
         if image.dtype != page.dtype:
             kind = int(page.compression)
             raise InputError(

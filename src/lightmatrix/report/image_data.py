@@ -6,12 +6,12 @@ import base64
 from pathlib import Path
 from typing import Any, Literal
 
-import imageio.v3 as imageio
 import matplotlib as mpl
 import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.files.images import read_image
+from lightmatrix.files.pillow_images import encode_image
 from lightmatrix.patterns.grids import block_mean
 from lightmatrix.pictures.maps import Map
 from lightmatrix.pictures.style import display
@@ -131,7 +131,7 @@ def _address(pixels: NDArray[np.uint8], exact: bool = True) -> str:
     if exact:
         options = {"lossless": True, "quality": _LOSSLESS_QUALITY}
     coloured = pixels if pixels.ndim == 3 else np.repeat(pixels[..., None], 3, axis=2)
-    encoded = imageio.imwrite("<bytes>", coloured, extension=".webp", plugin="pillow", **options)
+    encoded = encode_image(coloured, "webp", **options)
     return "data:image/webp;base64," + base64.b64encode(encoded).decode("ascii")
 
 

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import io
 import struct
 import zlib
 from pathlib import Path
 
-import imageio.v3 as imageio
 import numpy as np
 import tifffile
+from PIL import Image
+
+from lightmatrix.files.pillow_images import decode_image, encode_image
 
 from ..case import Case, Prepare, Ran
 from ..checks import if_accepted
@@ -22,11 +23,9 @@ def _written(name: str, **options: object) -> Prepare:
     return lambda folder: tifffile.imwrite(folder / name, levels(16), **options) and None  # type: ignore[arg-type]
 
 
-def _encoded(name: str, pixels: np.ndarray, **options: object) -> Prepare:
+def _encoded(name: str, pixels: np.ndarray) -> Prepare:
     def fault(folder: Path) -> None:
-        (folder / name).write_bytes(
-            imageio.imwrite("<bytes>", pixels, extension=Path(name).suffix, **options)  # type: ignore[call-overload]
-        )
+        Image.fromarray(pixels).save(folder / name)
 
     return fault
 
@@ -165,9 +164,7 @@ def _colours(palette: bytes) -> np.ndarray:
 
 
 def _renamed_gif(folder: Path) -> None:
-    stream = io.BytesIO()
-    imageio.imwrite(stream, levels(8), extension=".gif")
-    (folder / "a.png").write_bytes(stream.getvalue())
+    (folder / "a.png").write_bytes(encode_image(levels(8), "gif"))
 
 
 def _arrays() -> list[Case]:
@@ -240,9 +237,9 @@ def _meaning() -> list[Case]:
 
     def twelve_bits(folder: Path) -> None:
         for file in sorted((folder / "photos").glob("*.png")):
-            frame = imageio.imread(file).astype(np.uint16)
+            frame = decode_image(file).astype(np.uint16)
             bright = np.minimum(frame * 64, 4095).astype(np.uint16)
-            file.write_bytes(imageio.imwrite("<bytes>", bright, extension=".png"))
+            file.write_bytes(encode_image(bright, "png"))
 
     def not_empty(folder: Path, ran: Ran) -> str | None:
         shown = run_command("info new.zarr --json", folder)

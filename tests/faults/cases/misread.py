@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import imageio.v3 as imageio
 import numpy as np
+
+from lightmatrix.files.pillow_images import decode_image
 
 from ..case import Case, nothing
 from ..put import array, described, text
@@ -19,7 +20,7 @@ _LEVELS = np.arange(64, dtype=np.uint8).reshape(SHAPE)
 def _float_levels(folder: Path) -> None:
     """Photographs of 0 to 255, saved as float."""
     files = sorted((folder / "photos").glob("*.png"))
-    frames = np.stack([imageio.imread(file) for file in files])
+    frames = np.stack([decode_image(file) for file in files])
     np.save(folder / "photos.npy", frames.astype(np.float32))
 
 

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import imageio.v3 as imageio
 import numpy as np
 import tifffile
 import zarr
@@ -17,6 +16,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 from zarr.codecs import Crc32cCodec
 
+from lightmatrix.files.pillow_images import encode_image
 from lightmatrix.files.zarr_arrays import SMALL
 from lightmatrix.store.zarr_store import seal_store
 
@@ -117,7 +117,7 @@ def _images(draw: Generator, folder: Path) -> str:
     if kind < 6:
         suffix = ".png"
         image = (pixels, deep, colour, pixels, deep, (pixels > 99).astype(np.uint8) * 255)[kind]
-        stream.write(imageio.imwrite("<bytes>", image, extension=suffix))
+        stream.write(encode_image(image, "png"))
     elif kind < 9:
         suffix = ".tif"
         options: tuple[dict[str, Any], ...] = ({}, {"compression": "zlib"}, {"byteorder": ">"})
@@ -127,7 +127,7 @@ def _images(draw: Generator, folder: Path) -> str:
         np.save(stream, deep)
     else:
         suffix = (".bmp", ".jpg")[kind - 10]
-        stream.write(imageio.imwrite("<bytes>", pixels, extension=suffix))
+        stream.write(encode_image(pixels, ("bmp", "jpeg")[kind - 10]))
     file = folder / "picture"
     file.write_bytes(stream.getvalue())
     (folder / f"sound{suffix}").write_bytes(stream.getvalue())
