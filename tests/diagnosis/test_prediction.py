@@ -92,6 +92,19 @@ def test_each_sample_is_predicted_without_itself() -> None:
         assert made.miss[row] == pytest.approx(missed[best] / target.var(), rel=0.02)
 
 
+@pytest.mark.parametrize("frames", [5, 20])
+def test_fits_follow_their_definition_for_fewer_and_more_frames_than_columns(frames: int) -> None:
+    draw = np.random.default_rng(0)
+    columns, values = draw.normal(size=(3, frames, 9)), draw.normal(size=(3, frames))
+    weight = (draw.uniform(size=(3, frames)) < 0.7).astype(float)
+    made = list(prediction._ridge_fits(columns, weight, values))
+    for ridge, (fitted, lever) in zip(prediction._RIDGES, made, strict=True):
+        for x, w, y, fit, own in zip(columns, weight, values, fitted, lever, strict=True):
+            hat = x @ np.linalg.inv(x.T @ np.diag(w) @ x + ridge * np.eye(9)) @ x.T
+            np.testing.assert_allclose(fit, hat @ (w * y), rtol=1e-8, atol=1e-10)
+            np.testing.assert_allclose(own, np.diag(hat), rtol=1e-8)
+
+
 def test_rows_know_the_part_of_the_projector_that_they_follow() -> None:
     made = predict(PATTERNS, samples([(0, 0), (1, 1), (11, 8), (0, 8)]))
     down, right = -(-SHAPE[0] // 4), -(-SHAPE[1] // 4)

@@ -1,7 +1,9 @@
 """Photographs held out decide whether camera pixels learn from their neighbours."""
 
 import threading
+from dataclasses import replace
 
+import numpy as np
 import pytest
 
 import lightmatrix as lm
@@ -34,6 +36,19 @@ def test_settings_come_first() -> None:
     wall = draw("wall", "random", "none", SIZE, seed=3).capture
     alone = lm.choose_estimator(wall, lm.EstimateSettings(coherent=False))
     assert isinstance(alone, lm.PlainEstimator)
+
+
+@pytest.mark.parametrize(
+    "whole", [lm.CoherentEstimator(), lm.PlainEstimator(lm.ActiveSet())], ids=["coherent", "plain"]
+)
+def test_what_is_only_compared_has_the_same_light(
+    whole: lm.CoherentEstimator | lm.PlainEstimator,
+) -> None:
+    capture = draw("wall", "random", "none", SIZE, seed=3).capture
+    bare, judged = replace(whole, judged=False).estimate(capture), whole.estimate(capture)
+    np.testing.assert_array_equal(bare.sparse.toarray(), judged.sparse.toarray())
+    np.testing.assert_array_equal(bare.background, judged.background)
+    assert set(bare.diagnostics) < set(judged.diagnostics)
 
 
 def test_the_middle_of_the_light_stands_for_a_larger_camera(

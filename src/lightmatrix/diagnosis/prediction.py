@@ -15,6 +15,7 @@ judged by the stricter, but less exact, `pursuit.py`.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -194,17 +195,12 @@ def _left_out(
     centre = np.einsum("mk,mkd->md", weight, columns) / total[:, None]
     columns = columns - centre[:, None, :]
     difference = observed - mean[:, None]
-    weighted = columns * weight[:, :, None]
-    gram = np.swapaxes(weighted, 1, 2) @ columns
-    slope = (np.swapaxes(weighted, 1, 2) @ difference[:, :, None])[..., 0]
     variance = np.maximum((weight * difference**2).sum(axis=1) / total, 1e-18)
     best = np.full(len(observed), np.inf)
     expected = np.zeros_like(observed)
     known = np.zeros(observed.shape, bool)
-    for ridge in _RIDGES:
-        inverse = np.linalg.inv(gram + ridge * np.eye(gram.shape[1]))
-        fitted = (columns @ (inverse @ slope[:, :, None]))[..., 0]
-        lever = np.einsum("mkd,mkd->mk", columns @ inverse, columns) + 1 / total[:, None]
+    for fitted, lever in _ridge_fits(columns, weight, difference):
+        lever += 1 / total[:, None]
         own = weight * lever
         # What is left of a sample once it no longer explains itself.
         left = (difference - fitted) / np.maximum(1 - own, 0.02)
@@ -219,6 +215,36 @@ def _left_out(
         least = np.where(much, np.maximum(_LEFT, _OF_MUCH * usual), _OF_LITTLE * usual)
         known = np.where(better[:, None], others > least, known)
     return expected, best / variance, known
+
+
+def _ridge_fits(
+    columns: NDArray[np.float64], weight: NDArray[np.float64], values: NDArray[np.float64]
+) -> Iterator[tuple[NDArray[np.float64], NDArray[np.float64]]]:
+    """Each ridge's fit of the values (m, K), and how much each value sways its own fit, (m, K).
+
+    With columns X (m, K, d) and weights W, 0 or 1, the second is the diagonal of
+    ``X (X'WX + r)^-1 X'``. Where frames are fewer than columns, the equal
+    ``(XX' - XX'W (WXX'W + r)^-1 WXX') / r`` has the smaller inverse.
+    """
+    turned = np.swapaxes(columns, 1, 2)
+    lit = (weight * values)[:, :, None]
+    frames, size = columns.shape[1:]
+    if frames < size:
+        alike = columns @ turned
+        seen = alike * weight[:, None, :]
+        gram = weight[:, :, None] * seen
+        whole = np.einsum("mkk->mk", alike)
+        for ridge in _RIDGES:
+            share = seen @ np.linalg.inv(gram + ridge * np.eye(frames))
+            lever = (whole - np.einsum("mkl,mkl->mk", share, seen)) / ridge
+            yield (share @ lit)[..., 0], lever
+        return
+    gram = turned @ (columns * weight[:, :, None])
+    slope = turned @ lit
+    for ridge in _RIDGES:
+        inverse = np.linalg.inv(gram + ridge * np.eye(size))
+        lever = np.einsum("mkd,mkd->mk", columns @ inverse, columns)
+        yield (columns @ (inverse @ slope))[..., 0], lever
 
 
 def _columns(

@@ -6,14 +6,17 @@ the estimate row by row predicts photographs that it has not seen better than th
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from lightmatrix.capture.capture import Capture
-from lightmatrix.estimators.base import Estimator
 from lightmatrix.estimators.camera_window import window_of_light
+from lightmatrix.estimators.coherent.estimator import CoherentEstimator
 from lightmatrix.estimators.coherent.held_out import HeldOut
 from lightmatrix.estimators.coherent.row_errors import squared_misfit
 from lightmatrix.estimators.coherent.schedule import is_large
+from lightmatrix.estimators.plain import PlainEstimator
 
 # Both are tried on about this many camera samples around the middle of the light. Chosen by hand: a
 # square of 24 x 24 takes a thirtieth of the time of all 128 x 128 pixels.
@@ -33,7 +36,9 @@ def can_be_tried(capture: Capture) -> bool:
     return not is_large(capture.rows, capture.patterns.pixels)
 
 
-def neighbours_help(capture: Capture, coherent: Estimator, row_by_row: Estimator) -> bool:
+def neighbours_help(
+    capture: Capture, coherent: CoherentEstimator, row_by_row: PlainEstimator
+) -> bool:
     """Whether the coherent estimate predicts frames held out as well as that row by row, or better.
 
     True without a test if no frame can be held out, or if the frames are so large that only some of
@@ -49,10 +54,11 @@ def neighbours_help(capture: Capture, coherent: Estimator, row_by_row: Estimator
     shown = capture.patterns.subset(held.judged)
     patterns = shown.rows(0, shown.count).reshape(-1, *capture.projector_shape)
 
-    def misfit(estimator: Estimator | None) -> float:
+    def misfit(estimator: CoherentEstimator | PlainEstimator | None) -> float:
         predicted = np.zeros((tried.rows, shown.count), np.float32)
         if estimator is not None:
-            predicted = estimator.estimate(seen).relight(patterns).reshape(shown.count, -1).T
+            quick = replace(estimator, judged=False)
+            predicted = quick.estimate(seen).relight(patterns).reshape(shown.count, -1).T
         squares = squared_misfit(samples, predicted, held.judged)
         known = squares[np.isfinite(squares)]
         return float(known.mean()) if len(known) else 0.0

@@ -41,6 +41,8 @@ class PlainEstimator(Estimator):
         Whether each camera sample has a coefficient of the patterns' means (diffuse light).
     tile_rows : int or None
         Rows solved at a time. None: as many as fit half a gigabyte. Results do not depend on it.
+    judged : bool
+        Whether rows say if their strongest pixel is certain. T does not depend on it.
 
     Examples
     --------
@@ -55,6 +57,7 @@ class PlainEstimator(Estimator):
     nonnegative: bool = True
     background: bool = True
     tile_rows: int | None = None
+    judged: bool = True
 
     def __post_init__(self) -> None:
         check_at_least_one(tile_rows=self.tile_rows)
@@ -99,4 +102,6 @@ class _Rows(OneStep):
         )
         result = solve(problem, self.estimator.solver, progress=progress)
         rows = rows_with_diagnostics(samples, result)
+        if not self.estimator.judged:
+            return rows
         return with_certainty(rows, samples, problem.patterns, start, self.capture.rows)

@@ -103,15 +103,16 @@ class GrowingArray:
 
     def _write(self, chunk: int, *, last: bool) -> None:
         values = np.concatenate(self._waiting)
-        if self._array is None:
-            shape = (0, *values.shape[1:])
-            chunks = (chunk, *(max(1, n) for n in values.shape[1:]))
-            self._array = create_array(
-                self._group, self._name, shape, self._dtype, chunks, self._blosc
-            )
         ready = len(values) if last else len(values) // chunk * chunk
-        done = self._array.shape[0]
-        self._array.resize((done + ready, *values.shape[1:]))
+        shape, done = values.shape[1:], 0
+        if self._array is None:
+            chunks = (chunk, *(max(1, n) for n in shape))
+            self._array = create_array(
+                self._group, self._name, (ready, *shape), self._dtype, chunks, self._blosc
+            )
+        else:
+            done = self._array.shape[0]
+            self._array.resize((done + ready, *shape))
         if ready:
             self._array[done : done + ready] = values[:ready]
         self._waiting = [values[ready:]]

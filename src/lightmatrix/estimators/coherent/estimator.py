@@ -79,6 +79,9 @@ class CoherentEstimator(Estimator):
         Threads of the solver. None: one per core.
     tile_rows : int or None
         Rows solved at a time. None: as many as fit half a gigabyte. Results do not depend on it.
+    judged : bool
+        Whether rows have the diagnostics that say how far to trust them, such as estimated_error. T
+        does not depend on it.
 
     Raises
     ------
@@ -104,6 +107,7 @@ class CoherentEstimator(Estimator):
     max_passes: int = 200
     threads: int | None = None
     tile_rows: int | None = None
+    judged: bool = True
 
     def __post_init__(self) -> None:
         # The solver checks its own parameters.
@@ -133,7 +137,7 @@ class CoherentEstimator(Estimator):
             self.background_grid,
             narrow=rounds[0].spacing > 1,
         )
-        work = Rounds(solver, rounds, self.tile_rows)
+        work = Rounds(solver, rounds, self.tile_rows, self.judged)
         return Plan(work, self._provenance(capture, solver.penalty), solver.backgrounds.grid)
 
     def _provenance(self, capture: Capture, regularization: float) -> dict[str, object]:

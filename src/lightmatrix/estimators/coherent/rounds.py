@@ -77,6 +77,7 @@ class Rounds:
     solver: RowSolver
     rounds: tuple[Round, ...]
     tile_rows: int | None
+    judged: bool
     _latest: dict[int, Neighbourhood] = field(default_factory=dict, init=False, repr=False)
 
     @property
@@ -89,7 +90,10 @@ class Rounds:
         """One step for each round; the last is solved twice, first without the frames held out."""
         names = [round_name(number) for number in range(len(self.rounds) - 1)]
         rounds = {name: (before,) for before, name in pairwise(names)}
-        return {names[0]: (), **rounds, HELD_OUT: (names[-1],), ROWS: (names[-1], HELD_OUT)}
+        steps = {names[0]: (), **rounds}
+        if not self.judged:
+            return steps | {ROWS: (names[-1],)}
+        return steps | {HELD_OUT: (names[-1],), ROWS: (names[-1], HELD_OUT)}
 
     def tiles(self, step: str, parts: int = 1, *, shrinking: bool = False) -> Iterator[Span]:
         """The rows start..stop of the tiles of a step, in order."""
@@ -107,6 +111,8 @@ class Rounds:
             return partial(self._hold_out, neighbours)
         if step != ROWS:
             return partial(self._solve, number, neighbours)
+        if not self.judged:
+            return partial(self._finish, neighbours)
         before = read(HELD_OUT).diagnostics
         misfit = before[HELD_OUT]
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -114,7 +120,7 @@ class Rounds:
         if len(self._held_out.frames):
             noise = noise_of(before[RESIDUAL])
             misfit = smooth_misfit(misfit, neighbours.camera, noise, self._tested_every)
-        return partial(self._finish, neighbours, misfit, missed)
+        return partial(self._judge, neighbours, misfit, missed)
 
     @property
     def together(self) -> int:
@@ -272,6 +278,30 @@ class Rounds:
         return HeldOut.choose(self.capture.patterns)
 
     def _finish(
+        self, neighbours: Neighbourhood, start: int, stop: int, progress: Progress
+    ) -> SparseRows:
+        """The rows start..stop of the result, in pixels, with their backgrounds on the cells."""
+        rows, samples = np.arange(start, stop), self.capture.samples(start, stop)
+        solved, _ = self.solver.near(samples, rows, self.rounds[-1], neighbours, progress)
+        return self._in_pixels(neighbours, samples, solved, start)
+
+    def _in_pixels(
+        self, neighbours: Neighbourhood, samples: Samples, solved: Result, start: int
+    ) -> SparseRows:
+        """Solved rows of the last round from row `start` on, in pixels, with their diagnostics."""
+        solver = self.solver
+        shares = solver.backgrounds.spread(neighbours.centres[start : start + solved.rows.count])
+        background = solved.background[:, None] * shares
+        if solved.cells.shape[1]:
+            background += solved.cells
+        atoms = rows_with_diagnostics(samples, solved)
+        return replace(
+            atoms,
+            coefficients=solver.atoms.expand(atoms.coefficients),
+            background=background.astype(np.float32),
+        )
+
+    def _judge(
         self,
         neighbours: Neighbourhood,
         misfit: NDArray[np.float32],
@@ -280,20 +310,11 @@ class Rounds:
         stop: int,
         progress: Progress,
     ) -> SparseRows:
-        """The rows start..stop of the result, in pixels, with their backgrounds on the cells."""
+        """The rows start..stop of the result, which also say how far to trust them."""
         solver, rows = self.solver, np.arange(start, stop)
         samples = self.capture.samples(start, stop)
         solved, weighted = solver.near(samples, rows, self.rounds[-1], neighbours, progress)
-        shares = solver.backgrounds.spread(neighbours.centres[start:stop])
-        background = solved.background[:, None] * shares
-        if solved.cells.shape[1]:
-            background += solved.cells
-        atoms = rows_with_diagnostics(samples, solved)
-        pixels = replace(
-            atoms,
-            coefficients=solver.atoms.expand(atoms.coefficients),
-            background=background.astype(np.float32),
-        )
+        pixels = self._in_pixels(neighbours, samples, solved, start)
         length = solver.backgrounds.lengths(pixels)
         with np.errstate(divide="ignore", invalid="ignore"):
             error = np.sqrt(misfit[start:stop]) / (solver.atoms.single_contrast * length)
