@@ -19,6 +19,10 @@ LEAST_ADDRESS_SPACE = 380 << 20
 # New objects after which Python looks for garbage. Loading libraries makes hundreds of thousands
 # that stay; with Python's own 700 this took .07 s. Commands make little garbage.
 NEW_OBJECTS = 10_000
+# The power of two of the processor cycles after which an idle thread of OpenBLAS sleeps: 2^16 are
+# some 20 microseconds. With its own 2^26 it turns for 20 ms after each product, which took 3 to 4 %
+# of the processor time of an estimate of 128 x 128 pixels.
+IDLE_CYCLES = "16"
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -47,6 +51,7 @@ def console() -> None:
         _open_standard_streams()
         keep_freed_memory()
         gc.set_threshold(NEW_OBJECTS)
+        os.environ.setdefault("OPENBLAS_THREAD_TIMEOUT", IDLE_CYCLES)
         code = 3 if _lacks_address_space() else main()
     except KeyboardInterrupt:
         code = 130
