@@ -108,6 +108,9 @@ def estimate(method: str, folder: Path) -> dict[str, float]:
     way = [] if method == "coherent" else ["--no-coherent"]
     capture = folder / "capture"
     cost = command_cost("estimate", capture, *way, "-o", folder / "scene.zarr")
+    ran = lm.StoredTransport.open(folder / "scene.zarr").provenance["estimator"]
+    if ran != method:
+        raise SystemExit(f"{capture}: was estimated by {ran}, not by {method}")
     said = lm.estimate_resources(capture, lm.EstimateSettings(coherent=method == "coherent"))
     return {
         "bytes": cost["peak_gib"] * 2**30,
