@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 import lightmatrix as lm
 from lightmatrix.cli import main
 from lightmatrix.cli.source import rectangle
-from lightmatrix.estimators import resource_estimate
+from lightmatrix.estimators import machine_speed, resource_estimate
 from lightmatrix.estimators.coherent.schedule import spacings
 from lightmatrix.estimators.cost_model import (
     COEFFICIENTS,
@@ -63,6 +63,7 @@ def large() -> lm.Capture:
 @pytest.fixture(autouse=True)
 def _memory(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(resource_estimate, "available_bytes", lambda: 16 * GIB)
+    monkeypatch.setattr(resource_estimate, "slowness", lambda: 1.0)
     monkeypatch.setenv("RAYON_NUM_THREADS", "2")
 
 
@@ -342,6 +343,28 @@ def test_threads_of_the_core(monkeypatch: pytest.MonkeyPatch) -> None:
 )
 def test_words_for_times(seconds: float, words: str) -> None:
     assert resource_estimate._time(seconds) == words
+
+
+def test_long_times_are_those_of_this_machine(
+    large: lm.Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    small = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 16))
+    usual = [lm.estimate_resources(capture) for capture in (small, large)]
+    monkeypatch.setattr(resource_estimate, "slowness", lambda: 3.0)
+    slow = [lm.estimate_resources(capture) for capture in (small, large)]
+    assert slow[0] == usual[0]
+    assert slow[1].seconds == pytest.approx(3 * (usual[1].seconds or 0))
+    options = slow[1].as_dict()["options"]
+    cores = core_threads()
+    for (_, size), option in zip(slow[1].options, options, strict=True):
+        assert option["seconds"] == pytest.approx(3 * (size.seconds(cores) or 0))
+        assert option["seconds"] <= 3600
+
+
+def test_a_machine_is_measured_once() -> None:
+    # The machine of the coefficients has 1; this one may be busy, or have fewer instructions.
+    assert 0.2 < machine_speed.slowness() < 20
+    assert machine_speed.slowness() == machine_speed.slowness()
 
 
 def test_words_for_memory() -> None:

@@ -13,6 +13,7 @@ from lightmatrix.capture.frames import CutFrames
 from lightmatrix.errors import InputError
 from lightmatrix.estimators.coherent.estimator import CoherentEstimator
 from lightmatrix.estimators.cost_model import EstimateSize
+from lightmatrix.estimators.machine_speed import slowness
 from lightmatrix.estimators.settings import EstimateSettings
 from lightmatrix.patterns.pattern_set import ImagePatterns
 from lightmatrix.resources.memory import available_bytes
@@ -24,6 +25,9 @@ _CHECKED_LEVELS, _CHECK_BYTES = 48 << 20, 12
 # Settings are proposed if they take at most this share of the free memory and this many seconds.
 # Chosen by hand: the estimate of the memory may be too low, and an hour is a bearable wait.
 _SHARE, _PATIENCE = 0.8, 3600.0
+# Longer times, in seconds, are worth a measurement of the machine's speed, which takes a tenth of a
+# second. Chosen by hand.
+_BRIEF = 15.0
 # Bin sizes that are tried for a proposal, in pixels of the present bins.
 _BLOCKS = (2, 3, 4, 5, 6, 8, 10, 12, 16, 20, 24, 32)
 # Sides and corners of proposed crops are multiples of this many pixels, so that they are easy to
@@ -51,6 +55,9 @@ class ResourceEstimate:
         Whether a memory limit, and not the free memory, says what is available.
     workers : int
         Processes that take this memory together.
+    slowness : float
+        How many times as long this machine takes as the one that times were measured on; measured
+        only for long estimates.
 
     Examples
     --------
@@ -69,6 +76,7 @@ class ResourceEstimate:
     options: tuple[tuple[str, EstimateSize], ...] = ()
     limited: bool = False
     workers: int = 1
+    slowness: float = 1.0
 
     @property
     def fits(self) -> bool:
@@ -83,9 +91,8 @@ class ResourceEstimate:
     @property
     def advice(self) -> str:
         """The options in words; empty if there are none."""
-        cores = core_threads()
         return "; ".join(
-            f"{words} takes {_memory_and_time(size.memory, size.seconds(cores))}"
+            f"{words} takes {_memory_and_time(size.memory, _seconds(size, self.slowness))}"
             for words, size in self.options
         )
 
@@ -109,7 +116,6 @@ class ResourceEstimate:
 
     def as_dict(self) -> dict[str, Any]:
         """The same, JSON-ready."""
-        cores = core_threads()
         return {
             "memory_bytes": self.memory,
             "temporary_bytes": self.temporary,
@@ -118,7 +124,11 @@ class ResourceEstimate:
             "fits": self.fits,
             "workers": self.workers,
             "options": [
-                {"option": words, "memory_bytes": size.memory, "seconds": size.seconds(cores)}
+                {
+                    "option": words,
+                    "memory_bytes": size.memory,
+                    "seconds": _seconds(size, self.slowness),
+                }
                 for words, size in self.options
             ],
         }
@@ -156,7 +166,10 @@ def estimate_resources(
     """
     capture, settings = open_capture(capture), settings or EstimateSettings()
     size = _size(capture, settings)
-    seconds, available = size.seconds(core_threads()), available_bytes()
+    seconds, available, slow = _seconds(size), available_bytes(), 1.0
+    if seconds is not None and seconds > _BRIEF:
+        slow = slowness()
+        seconds *= slow
     limit, workers = settings.memory_limit, settings.workers or 1
     # The free memory of this machine says nothing about the machines of a cluster.
     elsewhere = settings.cluster is not None
@@ -168,9 +181,17 @@ def estimate_resources(
         available = size.memory
     memory = workers * size.memory
     fine = memory <= available and (seconds is None or seconds <= _PATIENCE)
-    options = () if fine else tuple(_options(capture, size, available // workers))
+    options = () if fine else tuple(_options(capture, size, available // workers, slow))
     temporary = workers * size.temporary
-    return ResourceEstimate(size, memory, temporary, seconds, available, options, limited, workers)
+    return ResourceEstimate(
+        size, memory, temporary, seconds, available, options, limited, workers, slow
+    )
+
+
+def _seconds(size: EstimateSize, slow: float = 1.0) -> float | None:
+    """Time on the threads of the core; None if it is not known."""
+    seconds = size.seconds(core_threads())
+    return None if seconds is None else slow * seconds
 
 
 def _size(capture: Capture, settings: EstimateSettings) -> EstimateSize:
@@ -196,13 +217,12 @@ def _size(capture: Capture, settings: EstimateSettings) -> EstimateSize:
 
 
 def _options(
-    capture: Capture, size: EstimateSize, available: int
+    capture: Capture, size: EstimateSize, available: int, slow: float
 ) -> Iterator[tuple[str, EstimateSize]]:
     """Options that make the estimate fit: of each kind the one that loses least."""
-    cores = core_threads()
 
     def fine(other: EstimateSize) -> bool:
-        seconds = other.seconds(cores)
+        seconds = _seconds(other, slow)
         patient = seconds is None or seconds <= _PATIENCE
         return patient and other.memory <= _SHARE * available
 
