@@ -58,6 +58,8 @@ CASES: tuple[Case, ...] = (
     ("plain", 64, 256, 64, False),
     ("plain", 64, 512, 64, False),
     ("plain", 64, 512, 256, False),
+    ("plain", 128, 512, 64, False),
+    ("plain", 128, 1024, 256, False),
     ("plain", 64, 64, 64, True),
     ("plain", 64, 256, 64, True),
     ("plain", 64, 256, 256, True),

@@ -70,7 +70,7 @@ def _memory(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_what_cannot_fit_is_refused_before_any_frame_is_read(large: lm.Capture) -> None:
     resources = lm.estimate_resources(large)
     assert not resources.fits
-    assert resources.memory > 25 * GIB
+    assert resources.memory > 16 * GIB
     assert resources.temporary == 24_000_000 * 64 * 2
     with pytest.raises(lm.InputError, match="24,000,000 camera samples") as refused:
         lm.estimate(large)
@@ -233,7 +233,7 @@ def test_small_cameras_under_huge_projectors() -> None:
         assert resources.size.kind == ("growing" if len(steps) > 1 else "coherent"), shape
         assert resources.seconds is not None
         seconds[shape] = resources.seconds
-    assert seconds[48, 48] > 1.8 * seconds[64, 64]
+    assert seconds[48, 48] > 1.5 * seconds[64, 64]
     # The fewer rows are seeds, the less each row takes.
     each = [seconds[side, side] / side**2 for side in (48, 64, 128, 256)]
     assert each == sorted(each, reverse=True)

@@ -26,58 +26,61 @@ from lightmatrix.solvers.active_set import ActiveSet
 COEFFICIENTS: Mapping[str, Mapping[str, Mapping[str, float]]] = {
     "coherent": {
         "bytes": {
-            "pixel": 300,
-            "value": 38,
-            "grey value": 40,
-            "tile": 0.71,
-            "row": 300,
-            "sample": 16,
+            "pixel": 2700,
+            "value": 34.5,
+            "grey value": 26,
+            "tile": 0.22,
+            "row": 1500,
+            "sample": 5,
         },
         "seconds": {
-            "start": 2.3,
-            "value": 6.4e-7,
-            "entry": 1.0e-8,
-            "row": 1.2e-4,
-            "sample": 1.2e-6,
-            "grey entry": 2.4e-10,
+            "start": 1.6,
+            "value": 3.6e-7,
+            "entry": 1.96e-8,
+            "row": 1.23e-4,
+            "sample": 1.56e-6,
+            "grey entry": 2.8e-10,
         },
     },
     "growing": {
         "bytes": {
-            "pixel": 1800,
-            "value": 8,
-            "grey value": 8,
-            "tile": 0.82,
-            "row": 600,
-            "sample": 8.5,
+            "pixel": 1400,
+            "value": 12.5,
+            "grey value": 11.5,
+            "tile": 0.45,
+            "row": 100,
+            "sample": 11,
         },
         "seconds": {
-            "start": 2.5,
-            "value": 3.8e-7,
+            "start": 4.3,
+            "pixel": 3.6e-5,
             "entry": 2.5e-8,
-            "row": 3.3e-5,
-            "sample": 1.45e-6,
+            "row": 5e-6,
+            "sample": 1.66e-6,
         },
     },
     "plain": {
         "bytes": {
-            "pixel": 1270,
-            "value": 7,
-            "grey value": 28,
-            "tile": 0.12,
-            "row": 200,
-            "sample": 13,
+            "pixel": 100,
+            "value": 18.5,
+            "grey value": 27.5,
+            "tile": 0.225,
+            "row": 380,
+            "sample": 8.2,
         },
         "seconds": {
-            "start": 2.0,
-            "value": 2.3e-7,
-            "entry": 1.3e-11,
-            "row": 4.7e-7,
-            "sample": 2.5e-7,
-            "grey entry": 3.5e-10,
+            "start": 1.5,
+            "pixel": 1.45e-5,
+            "value": 9e-8,
+            "entry": 9e-12,
+            "row": 2.3e-6,
+            "sample": 3e-7,
+            "grey entry": 3.64e-10,
         },
     },
 }
+# Row by row, more values of patterns than this take no further memory, as far as measured.
+_MOST_VALUES = 1 << 25
 # Share of the rows that search all projector pixels although they are no seeds, because the light
 # that grew onto them does not explain their samples. Estimated by hand.
 _UNEXPLAINED_SHARE = 0.003
@@ -197,7 +200,9 @@ def _row_bytes(kind: str, count: int, pixels: int) -> int:
 def memory_terms(kind: str, rows: int, pixels: int, count: int, grey: bool) -> dict[str, float]:
     """The quantities that the peak of memory is a sum of."""
     row_bytes = _row_bytes(kind, count, pixels)
-    values = pixels * (count if kind == "plain" else count + PSEUDO_SAMPLES.unseen)
+    values = pixels * (count + PSEUDO_SAMPLES.unseen)
+    if kind == "plain":
+        values = min(pixels * count, _MOST_VALUES)
     return {
         "pixel": pixels,
         "value": values,
@@ -215,6 +220,7 @@ def time_terms(
     entries, plain = rows * searching * pixels, kind == "plain"
     return {
         "start": 1.0,
+        "pixel": pixels,
         "value": pixels * (count if plain else count + PSEUDO_SAMPLES.unseen),
         "entry": entries * (count if plain else 1),
         "row": rows,
