@@ -306,6 +306,18 @@ def test_grey_patterns_take_longer_and_binned_samples_more_memory() -> None:
         assert replace(size, check_bytes=10 * GIB).memory == LOADED_BYTES + 10 * GIB
 
 
+def test_stripes_take_more() -> None:
+    stripes = lm.GrayCodePatterns((512, 512))
+    frames = Unread(stripes.count, (64, 64), np.dtype(np.uint8))
+    sizes = [
+        lm.estimate_resources(lm.Capture(patterns, frames, lm.Decoder(255, 255)))
+        for patterns in (stripes, lm.BernoulliPatterns((512, 512), stripes.count))
+    ]
+    assert [each.size.striped for each in sizes] == [True, False]
+    assert sizes[0].memory > sizes[1].memory
+    assert (sizes[0].seconds or 0) > 1.3 * (sizes[1].seconds or 0)
+
+
 def test_samples_that_lie_on_disk_take_no_memory() -> None:
     small = EstimateSize("plain", (1000, 1000), 64, 1000, False, sample_bytes=2)
     assert small.temporary == 0

@@ -2,9 +2,10 @@
 
 `python -m benchmarks.resource_estimate` measures the coefficients: it makes procedural captures of
 many sizes, runs `lightmatrix estimate` on each with all checks, and fits `COEFFICIENTS` to the
-largest resident set and the processor time of that process. Of these 33 estimates (AMD EPYC with
-AVX-512, 2 cores, 2026-11) none takes more than 1.07 times the memory that is said, nor less than .7
-of it; times are right within 1.4. A machine without AVX-512 took 2.3 to 2.6 times as long.
+largest resident set and the processor time of that process. Of these 35 estimates (AMD EPYC with
+AVX-512, 2 cores, 2026-11) none takes more memory than is said; coherent ones take at least .84 of
+it, others at least .55. Times are right within 1.3. On other machines the time is in proportion to
+`machine_speed.slowness`.
 """
 
 from __future__ import annotations
@@ -81,6 +82,9 @@ COEFFICIENTS: Mapping[str, Mapping[str, Mapping[str, float]]] = {
 }
 # Row by row, more values of patterns than this take no further memory, as far as measured.
 _MOST_VALUES = 1 << 25
+# Under stripes, which tell places less apart, coherent rows have more entries: bytes that each
+# takes more, and how many times as long they take. Measured on the unbinned board of docs/scale.md.
+_STRIPED_ROW_BYTES, _STRIPED_TIME = 1400, 1.5
 # Share of the rows that search all projector pixels although they are no seeds, because the light
 # that grew onto them does not explain their samples. Estimated by hand.
 _UNEXPLAINED_SHARE = 0.003
@@ -114,6 +118,8 @@ class EstimateSize:
     tile_bytes: int = TILE_BYTES
     # Windows of the coherent estimate's rounds.
     windows: tuple[tuple[int, int], ...] = ()
+    # Whether each pattern varies along rows or columns only.
+    striped: bool = False
 
     @property
     def rows(self) -> int:
@@ -166,6 +172,8 @@ class EstimateSize:
         solving = sum(coefficients[name] * terms[name] for name in coefficients) + samples
         if self.method == "other":
             solving += terms["tile"]
+        if self.method == "coherent" and self.striped:
+            solving += _STRIPED_ROW_BYTES * self.rows
         return int(LOADED_BYTES + max(solving, self.check_bytes))
 
     @property
@@ -183,6 +191,8 @@ class EstimateSize:
         coefficients = COEFFICIENTS[self.kind]["seconds"]
         start = coefficients["start"]
         whole = sum(coefficients[name] * terms[name] for name in coefficients)
+        if self.method == "coherent" and self.striped:
+            whole *= _STRIPED_TIME
         # Python starts on one core.
         return start + (whole - start) / cores
 
