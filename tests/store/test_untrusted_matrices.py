@@ -270,6 +270,18 @@ def test_forms_of_scipy(tmp_path: Path, form: str) -> None:
         store.import_npz(tmp_path / "T.npz", (5, 4), (6, 7))
 
 
+def test_a_matrix_has_more_elements_than_rows_or_columns_can_be(tmp_path: Path) -> None:
+    """Only its sides are limited: 250 x 250 pixels under 250 x 250 make 3.9e9 elements."""
+    side = 250
+    matrix = scipy.sparse.csr_array(
+        (np.ones(1, np.float32), ([70], [80])), shape=(side**2, side**2)
+    )
+    scipy.sparse.save_npz(tmp_path / "T.npz", matrix)
+    read = store.import_npz(tmp_path / "T.npz", (side, side), (side, side))
+    assert read.sparse[70, 80] == 1
+    assert read.sparse.nnz == 1
+
+
 def member(shape: tuple[int, ...], values: bytes, kind: str = "<f4") -> bytes:
     stream = io.BytesIO()
     header = {"descr": kind, "fortran_order": False, "shape": shape}

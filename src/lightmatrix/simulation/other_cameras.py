@@ -32,7 +32,10 @@ def seen(truth: Truth, place: NDArray[np.integer]) -> Truth:
         csr_array(vstack([part, dark], format="csr")[place.ravel()])
         for part in (truth.matrix, truth.direct)
     )
-    return replace(truth, matrix=matrix, direct_data=direct.data, camera_shape=place.shape)
+    # The geometry was that of another camera.
+    return replace(
+        truth, matrix=matrix, direct_data=direct.data, camera_shape=place.shape, geometry=None
+    )
 
 
 def mapped(shape: tuple[int, int], homography: NDArray[np.float64]) -> NDArray[np.int64]:

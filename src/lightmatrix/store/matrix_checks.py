@@ -6,7 +6,7 @@ Each check raises a ValueError that says what is wrong; the reader adds the name
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -19,15 +19,24 @@ from lightmatrix.files.numpy_files import as_float32
 _MOST_PIXELS = 1 << 31
 
 
-def checked_shape(value: Any, lengths: Sequence[int], name: str) -> tuple[int, ...]:
-    """A stored shape of a permitted length: positive whole numbers, not too many pixels."""
+def checked_shape(
+    value: Any,
+    lengths: Sequence[int],
+    name: str,
+    pixels: Callable[[tuple[int, ...]], int] = math.prod,
+) -> tuple[int, ...]:
+    """A stored shape of a permitted length: positive whole numbers, not too many pixels.
+
+    `pixels` counts those of a shape. The shape of a matrix, camera samples and projector pixels,
+    has as many as its longer side.
+    """
     # True counts as 1 in an array, but is no number of pixels.
     exact = not isinstance(value, list) or all(type(n) is int for n in value)
     array = np.asarray(value)
     if not exact or array.ndim != 1 or len(array) not in lengths or array.dtype.kind not in "iu":
         raise ValueError(f"{name} is no shape")
     shape = tuple(int(n) for n in array)
-    if min(shape) < 1 or math.prod(shape) >= _MOST_PIXELS:
+    if min(shape) < 1 or pixels(shape) >= _MOST_PIXELS:
         raise ValueError(f"{name} is {' x '.join(map(str, shape))}")
     return shape
 

@@ -112,7 +112,7 @@ def _check_headers(headers: Mapping[str, NpyHeader]) -> None:
 
 
 def _checked(file: Path, content: Mapping[str, NDArray[Any]]) -> SparseFile:
-    rows, cols = checked_shape(content["shape"], (2,), "the matrix")
+    rows, cols = checked_shape(content["shape"], (2,), "the matrix", pixels=max)
     matrix = _matrix(content, (rows, cols))
     camera, projector = None, None
     if "camera_shape" in content:
