@@ -8,7 +8,8 @@ import pytest
 
 import lightmatrix as lm
 from benchmarks.synthetic_captures import draw
-from lightmatrix.estimators import neighbours_help
+from lightmatrix.estimators import neighbours_help, plain
+from lightmatrix.estimators.coherent import rounds
 from lightmatrix.evaluation.metrics import relative_error
 
 SIZE = 24
@@ -49,6 +50,19 @@ def test_what_is_only_compared_has_the_same_light(
     np.testing.assert_array_equal(bare.sparse.toarray(), judged.sparse.toarray())
     np.testing.assert_array_equal(bare.background, judged.background)
     assert set(bare.diagnostics) < set(judged.diagnostics)
+    # Neither goes on with the tiles of the other.
+    plans = (replace(whole, judged=False).plan(capture), whole.plan(capture))
+    assert plans[0].fingerprint != plans[1].fingerprint
+
+
+def test_what_is_tried_is_not_judged(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refused(*_: object) -> None:
+        raise AssertionError("judged")
+
+    for module in (plain, rounds):
+        monkeypatch.setattr(module, "with_certainty", refused)
+    capture = draw("speckle", "random", "none", SIZE, seed=3).capture
+    assert isinstance(lm.choose_estimator(capture), lm.PlainEstimator)
 
 
 def test_the_middle_of_the_light_stands_for_a_larger_camera(

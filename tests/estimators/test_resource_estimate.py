@@ -367,16 +367,44 @@ def test_long_times_are_those_of_this_machine(
     assert slow[0] == usual[0]
     assert slow[1].seconds == pytest.approx(3 * (usual[1].seconds or 0))
     options = slow[1].as_dict()["options"]
+    assert options
+    assert slow[1].advice != usual[1].advice
     cores = core_threads()
     for (_, size), option in zip(slow[1].options, options, strict=True):
         assert option["seconds"] == pytest.approx(3 * (size.seconds(cores) or 0))
         assert option["seconds"] <= 3600
 
 
-def test_a_machine_is_measured_once() -> None:
-    # The machine of the coefficients has 1; this one may be busy, or have fewer instructions.
-    assert 0.2 < machine_speed.slowness() < 20
-    assert machine_speed.slowness() == machine_speed.slowness()
+def test_a_machine_is_measured_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    solved: list[lm.Problem] = []
+    solve = lm.ActiveSet.solve
+
+    def counted(self: lm.ActiveSet, problem: lm.Problem) -> Any:
+        solved.append(problem)
+        return solve(self, problem)
+
+    monkeypatch.setattr(lm.ActiveSet, "solve", counted)
+    machine_speed.slowness.cache_clear()
+    first = machine_speed.slowness()
+    assert machine_speed.slowness() == first > 0
+    assert len(solved) == 10
+    monkeypatch.setattr(machine_speed, "_USUAL_SECONDS", 1e-3)
+    machine_speed.slowness.cache_clear()
+    assert machine_speed.slowness() > 2 * first
+
+
+def test_the_speed_of_this_machine_says_nothing_of_a_cluster(
+    large: lm.Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(resource_estimate, "slowness", lambda: 3.0)
+    settings = lm.EstimateSettings(cluster="tcp://127.0.0.1:8786")
+    assert lm.estimate_resources(large, settings).slowness == 1
+
+
+def test_other_solvers_keep_all_values_of_patterns() -> None:
+    """Only the active set takes no more memory for further ones."""
+    few, many = (EstimateSize("other", (9, 9), 1 << 14, count, False) for count in (4096, 8192))
+    assert many.memory > 1.8 * few.memory
 
 
 def test_words_for_memory() -> None:

@@ -45,6 +45,13 @@ def test_the_orientation_of_the_camera_does_not_matter() -> None:
     assert error_of(Case("gripper", "quarter turn", 32, side=SIDE)) < 1.1 * straight
 
 
+def test_a_view_can_be_saved(tmp_path: Path) -> None:
+    """Its camera is another one, whose geometry nobody knows."""
+    turned = rig_truth("gripper", "cut-out", SIDE)
+    turned.save(tmp_path / "T.npz")
+    assert lm.truth(tmp_path / "T.npz").camera_shape == (SIDE // 2, SIDE // 2)
+
+
 def test_a_gamma_of_the_camera_costs_nothing_once_it_is_found() -> None:
     straight = error_of(Case("l_objects", "sharp", 32, side=SIDE))
     case = Case("l_objects", "gamma 2.2, found", 32, side=SIDE)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from lightmatrix.errors import InputError, OutputError
-from lightmatrix.files import png
+from lightmatrix.files import png, reading
 from lightmatrix.files.image_stack import ImageStack, list_images, nonlinear_tag
 from lightmatrix.files.images import read_grey, read_image, write_image
 from tests.helpers.limits import largest_file
@@ -89,6 +89,18 @@ def test_every_line_filter_of_16_bit_colour_png(rows: int, cols: int, kind: int,
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(png, "_DECODED_AT_ONCE", at_once)
             np.testing.assert_array_equal(png.decode_deep_colour(chunks), image)
+
+
+def test_a_palette_counts_as_the_colours_that_it_becomes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    grey = noise((4, 6), np.uint8)
+    Image.fromarray(grey).convert("P").save(tmp_path / "a.bmp")
+    monkeypatch.setattr(reading, "MOST_VALUES", 3 * grey.size)
+    assert read_image(tmp_path / "a.bmp").shape[:2] == grey.shape
+    monkeypatch.setattr(reading, "MOST_VALUES", 3 * grey.size - 1)
+    with pytest.raises(InputError, match="4 x 6 x 3 values"):
+        read_image(tmp_path / "a.bmp")
 
 
 def test_black_and_white_and_opaque_alpha(tmp_path: Path) -> None:

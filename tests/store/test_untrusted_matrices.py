@@ -270,8 +270,8 @@ def test_forms_of_scipy(tmp_path: Path, form: str) -> None:
         store.import_npz(tmp_path / "T.npz", (5, 4), (6, 7))
 
 
-def test_a_matrix_has_more_elements_than_rows_or_columns_can_be(tmp_path: Path) -> None:
-    """Only its sides are limited: 250 x 250 pixels under 250 x 250 make 3.9e9 elements."""
+def test_only_the_sides_of_a_matrix_are_limited(tmp_path: Path) -> None:
+    """250 x 250 pixels under 250 x 250 make 3.9e9 elements."""
     side = 250
     matrix = scipy.sparse.csr_array(
         (np.ones(1, np.float32), ([70], [80])), shape=(side**2, side**2)
@@ -280,6 +280,11 @@ def test_a_matrix_has_more_elements_than_rows_or_columns_can_be(tmp_path: Path) 
     read = store.import_npz(tmp_path / "T.npz", (side, side), (side, side))
     assert read.sparse[70, 80] == 1
     assert read.sparse.nnz == 1
+    changed = content(tmp_path / "T.npz")
+    changed["shape"] = np.array([side**2, 1 << 31])
+    save(tmp_path / "T.npz", changed)
+    with pytest.raises(InputError, match="2147483648"):
+        store.import_npz(tmp_path / "T.npz", (side, side), (side, side))
 
 
 def member(shape: tuple[int, ...], values: bytes, kind: str = "<f4") -> bytes:

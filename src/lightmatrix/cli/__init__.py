@@ -20,7 +20,7 @@ LEAST_ADDRESS_SPACE = 380 << 20
 # that stay; with Python's own 700 this took .07 s. Commands make little garbage.
 NEW_OBJECTS = 10_000
 # The power of two of the processor cycles after which an idle thread of OpenBLAS sleeps: 2^16 are
-# some 20 microseconds. With its own 2^26 it turns for 20 ms after each product, which took 3 to 4 %
+# some 20 microseconds. With its own 2^26 it spins for 20 ms after each product, which took 3 to 4 %
 # of the processor time of an estimate of 128 x 128 pixels.
 IDLE_CYCLES = "16"
 

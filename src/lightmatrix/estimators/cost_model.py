@@ -80,10 +80,11 @@ COEFFICIENTS: Mapping[str, Mapping[str, Mapping[str, float]]] = {
         },
     },
 }
-# Row by row, more values of patterns than this take no further memory, as far as measured.
+# With the active set row by row, memory does not grow with further values of patterns: measured up
+# to 2^28.
 _MOST_VALUES = 1 << 25
-# Under stripes, which tell places less apart, coherent rows have more entries: bytes that each
-# takes more, and how many times as long they take. Measured on the unbinned board of docs/scale.md.
+# Stripes tell places less apart, so that coherent rows have more entries. Each row takes this many
+# bytes more, and the estimate this many times as long. Measured on the board of docs/scale.md.
 _STRIPED_ROW_BYTES, _STRIPED_TIME = 1400, 1.5
 # Share of the rows that search all projector pixels although they are no seeds, because the light
 # that grew onto them does not explain their samples. Estimated by hand.
@@ -167,6 +168,8 @@ class EstimateSize:
         """Bytes of memory at its peak."""
         terms = memory_terms(self.kind, self.rows, self.pixels, self.count, self.grey)
         terms["tile"] = min(self.rows * self.solved_row_bytes, self.tile_bytes)
+        if self.method == "other":
+            terms["value"] = self.pixels * self.count
         coefficients = COEFFICIENTS[self.kind]["bytes"]
         samples = self.rows * self.count * (self.sample_bytes - 1) - self.temporary
         solving = sum(coefficients[name] * terms[name] for name in coefficients) + samples
@@ -191,10 +194,9 @@ class EstimateSize:
         coefficients = COEFFICIENTS[self.kind]["seconds"]
         start = coefficients["start"]
         whole = sum(coefficients[name] * terms[name] for name in coefficients)
-        if self.method == "coherent" and self.striped:
-            whole *= _STRIPED_TIME
+        times = _STRIPED_TIME if self.method == "coherent" and self.striped else 1.0
         # Python starts on one core.
-        return start + (whole - start) / cores
+        return start + times * (whole - start) / cores
 
 
 def coherent_row_bytes(count: int, candidates: int = 250) -> int:

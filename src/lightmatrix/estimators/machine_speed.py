@@ -14,9 +14,10 @@ from lightmatrix.solvers.problem import Problem
 
 # A small problem: rows that see some projector pixels each, the side of the projector, patterns.
 _ROWS, _SEEN, _SIDE, _PATTERNS = 32, 40, 64, 64
-# Seconds in which one core solved it while `cost_model.COEFFICIENTS` were measured. It is solved
-# this often, and the shortest time counts: other programs can only prolong it.
+# Seconds in which one core of the machine of `cost_model.COEFFICIENTS` solves it.
 _USUAL_SECONDS = 11.9e-3
+# It is solved this often, and the shortest time counts, since other programs can only prolong it.
+# Chosen by hand.
 _TRIES = 10
 
 

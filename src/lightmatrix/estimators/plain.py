@@ -73,6 +73,8 @@ class PlainEstimator(Estimator):
             "regularization": regularization,
             "nonnegative": self.nonnegative,
             "background": self.background,
+            # What tiles hold depends on it.
+            **({} if self.judged else {"judged": False}),
             **capture_provenance(capture),
         }
         return Plan(_Rows(capture, self, regularization), provenance)

@@ -150,8 +150,9 @@ def estimate_resources(
     Returns
     -------
     ResourceEstimate
-        Right within a factor of about 1.3 where camera pixels learn from their neighbours, 1.8 in
-        memory row by row. For the workers of a cluster it is the memory of each.
+        Memory is right within a factor of about 1.3 where camera pixels learn from their
+        neighbours, and 1.8 row by row. Time is right within about 1.3; below 15 s only on machines
+        like that of `cost_model`. For the workers of a cluster it is the memory of each.
 
     Raises
     ------
@@ -168,12 +169,12 @@ def estimate_resources(
     capture, settings = open_capture(capture), settings or EstimateSettings()
     size = _size(capture, settings)
     seconds, available, slow = _seconds(size), available_bytes(), 1.0
-    if seconds is not None and seconds > _BRIEF:
+    limit, workers = settings.memory_limit, settings.workers or 1
+    # The free memory and the speed of this machine say nothing about the machines of a cluster.
+    elsewhere = settings.cluster is not None
+    if seconds is not None and seconds > _BRIEF and not elsewhere:
         slow = slowness()
         seconds *= slow
-    limit, workers = settings.memory_limit, settings.workers or 1
-    # The free memory of this machine says nothing about the machines of a cluster.
-    elsewhere = settings.cluster is not None
     limited = limit is not None and (elsewhere or limit < available)
     if limit is not None:
         available = limit if elsewhere else min(limit, available)

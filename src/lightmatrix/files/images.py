@@ -305,7 +305,9 @@ def _read_signed(file: Path, signature: bytes, kind: str) -> NDArray[Any]:
         raise ValueError(f"not a {kind} file")
     with Image.open(io.BytesIO(data)) as opened:
         cols, rows = opened.size
-        check_image_size(file, (rows, cols, len(opened.getbands())))
+        # A palette has colours.
+        channels = 3 if opened.mode == "P" else len(opened.getbands())
+        check_image_size(file, (rows, cols, channels))
         if opened.mode == "CMYK":
             raise InputError(f"{file}: has printing colours (CMYK)", hint="save it in grey or RGB")
     return _read_by_pillow(data, rows * cols)

@@ -27,8 +27,8 @@ def checked_shape(
 ) -> tuple[int, ...]:
     """A stored shape of a permitted length: positive whole numbers, not too many pixels.
 
-    `pixels` counts those of a shape. The shape of a matrix, camera samples and projector pixels,
-    has as many as its longer side.
+    `pixels` counts the pixels that are limited: the product of the sides of an image, the longer
+    side of a matrix, whose sides are camera samples and projector pixels.
     """
     # True counts as 1 in an array, but is no number of pixels.
     exact = not isinstance(value, list) or all(type(n) is int for n in value)

@@ -9,7 +9,7 @@ the weights of a row taken from the rows around it. It runs in rounds (`schedule
    `row_solver.py`). An atom is a single projector pixel, or a Gaussian spot of one of six sizes,
    since a footprint out of focus is a spot. With few patterns most of these rows are wrong, but
    they are wrong at random. Above about 91 x 91 pixels only every second camera pixel along both
-   axes searches, in large frames every 32nd; the light then grows to the pixels between
+   axes searches, in large frames every fourth to 32nd; the light then grows to the pixels between
    (`camera_grid.py`).
 2. **Correspondence.** Between neighbouring rows the strongest pixel moves by some displacement; the
    commonest one is the true one, however many rows are wrong. It is measured for the whole frame,

@@ -160,6 +160,8 @@ class CoherentEstimator(Estimator):
             **made_by,
             "regularization": regularization,
             "certificate": certificate,
+            # What tiles hold depends on it.
+            **({} if self.judged else {"judged": False}),
             **capture_provenance(capture),
         }
 

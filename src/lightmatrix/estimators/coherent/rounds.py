@@ -365,7 +365,7 @@ class Rounds:
             for number, step in enumerate(self.rounds)
         ]
         last = costs[-1]
-        held_out = last / self._tested_every**2
+        held_out = last / self._tested_every**2 if self.judged else 0.0
         return [*costs[:-1], held_out, last]
 
 
