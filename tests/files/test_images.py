@@ -94,11 +94,11 @@ def test_every_line_filter_of_16_bit_colour_png(rows: int, cols: int, kind: int,
 def test_a_palette_counts_as_the_colours_that_it_becomes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    grey = noise((4, 6), np.uint8)
-    Image.fromarray(grey).convert("P").save(tmp_path / "a.bmp")
-    monkeypatch.setattr(reading, "MOST_VALUES", 3 * grey.size)
-    assert read_image(tmp_path / "a.bmp").shape[:2] == grey.shape
-    monkeypatch.setattr(reading, "MOST_VALUES", 3 * grey.size - 1)
+    colours = noise((4, 6, 3), np.uint8)
+    Image.fromarray(colours).quantize(16).save(tmp_path / "a.bmp")
+    monkeypatch.setattr(reading, "MOST_VALUES", colours.size)
+    assert read_image(tmp_path / "a.bmp").shape == colours.shape
+    monkeypatch.setattr(reading, "MOST_VALUES", colours.size - 1)
     with pytest.raises(InputError, match="4 x 6 x 3 values"):
         read_image(tmp_path / "a.bmp")
 
