@@ -18,8 +18,7 @@ class Growth:
     """How light grows from seeds.
 
     With `settling` 4, a procedural capture of 512 x 512 took a third more time, and its error was
-    .05946 in place of .0595. Values without a
-    measurement beside them are chosen by hand.
+    .05946 in place of .0595. Values without a measurement beside them are chosen by hand.
     """
 
     # A frame is small if camera samples times projector pixels do not exceed this: 91 x 91 of both.
