@@ -8,7 +8,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -19,16 +19,8 @@ from numpy.typing import NDArray
 import lightmatrix as lm
 from lightmatrix.cli import main
 from lightmatrix.cli.source import rectangle
-from lightmatrix.estimators import machine_speed, resource_estimate
+from lightmatrix.estimators import resource_estimate
 from lightmatrix.estimators.coherent.schedule import spacings
-from lightmatrix.estimators.cost_model import (
-    COEFFICIENTS,
-    LOADED_BYTES,
-    EstimateSize,
-    first_round_cost,
-    memory_terms,
-    time_terms,
-)
 from lightmatrix.resources.threads import core_threads
 
 GIB = 2**30
@@ -70,7 +62,7 @@ def _memory(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_what_cannot_fit_is_refused_before_any_frame_is_read(large: lm.Capture) -> None:
     resources = lm.estimate_resources(large)
     assert not resources.fits
-    assert resources.memory > 16 * GIB
+    assert resources.memory > 19 * GIB
     assert resources.temporary == 24_000_000 * 64 * 2
     with pytest.raises(lm.InputError, match="24,000,000 camera samples") as refused:
         lm.estimate(large)
@@ -107,23 +99,6 @@ def test_a_proposal_bins_both_camera_and_projector() -> None:
     assert size.camera == (-(-4001 // camera), -(-6001 // camera))
     assert size.pixels == -(-768 // projector) * -(-1024 // projector)
     assert 1.5 < size.rows / size.pixels <= 2.1
-
-
-def test_more_of_everything_takes_more() -> None:
-    for kind in COEFFICIENTS:
-        for terms, what in ((memory_terms, "bytes"), (time_terms, "seconds")):
-            coefficients = COEFFICIENTS[kind][what]
-
-            def total(rows: int, pixels: int, count: int, grey: bool) -> float:
-                quantities = terms(kind, rows, pixels, count, grey)  # noqa: B023
-                return sum(coefficients[name] * quantities[name] for name in coefficients)  # noqa: B023
-
-            usual = total(4096, 4096, 64, False)
-            assert usual > 0
-            assert total(8192, 4096, 64, False) > usual
-            assert total(4096, 8192, 64, False) > usual
-            assert total(4096, 4096, 128, False) > usual
-            assert total(4096, 4096, 64, True) >= usual
 
 
 def test_the_command_reports_and_refuses(
@@ -233,7 +208,7 @@ def test_small_cameras_under_huge_projectors() -> None:
         assert resources.size.kind == ("growing" if len(steps) > 1 else "coherent"), shape
         assert resources.seconds is not None
         seconds[shape] = resources.seconds
-    assert seconds[48, 48] > 1.5 * seconds[64, 64]
+    assert seconds[48, 48] > 1.6 * seconds[64, 64]
     # The fewer rows are seeds, the less each row takes.
     each = [seconds[side, side] / side**2 for side in (48, 64, 128, 256)]
     assert each == sorted(each, reverse=True)
@@ -251,61 +226,6 @@ def test_a_tile_holds_as_many_rows_as_its_memory_does(estimator: str, large: lm.
     assert size.tile_bytes - size.solved_row_bytes < taken <= size.tile_bytes
 
 
-def test_the_coherent_estimate_has_pseudo_samples_beside_the_frames() -> None:
-    plain, coherent = (
-        memory_terms(kind, 100, 1000, 32, False)["value"] for kind in ("plain", "coherent")
-    )
-    assert plain == 1000 * 32
-    assert coherent > plain
-
-
-# ---- the model
-
-
-def documented() -> list[tuple[tuple[int, int], int, float, float]]:
-    """Camera, projector pixels, processor seconds and GiB of each estimate in docs/scale.md."""
-    page = Path(__file__).parents[2] / "docs" / "scale.md"
-    cells = [line.replace(",", "").split("|")[1:-1] for line in page.read_text().splitlines()]
-    rows = []
-    for row in cells:
-        sides = re.fullmatch(r"(\d+) x (\d+) \D*(\d+) x (\d+) ", "".join(row[:2]).lstrip())
-        if sides and len(row) == 5:
-            a, b, c, d = map(int, sides.groups())
-            rows.append(((a, b), c * d, float(row[3]), float(row[4])))
-    return rows
-
-
-def test_forecasts_agree_with_the_measurements_in_the_documentation() -> None:
-    cases = documented()
-    assert len(cases) == 2
-    for camera, pixels, seconds, gigabytes in cases:
-        size = EstimateSize(
-            "coherent", camera, pixels, 64, False, windows=lm.CoherentEstimator.windows
-        )
-        assert size.memory / GIB == pytest.approx(gigabytes, rel=0.2), camera
-        assert 1 / 1.7 < (size.seconds(1) or 0) / seconds < 1.7, camera
-    # Row by row with 256 patterns: a megapixel takes 18 to 22 minutes of two cores and 2.0 GiB.
-    plain = EstimateSize("plain", (1024, 1024), 768 * 1024, 256, False)
-    assert 18 * 60 / 1.7 < (plain.seconds(2) or 0) < 22 * 60 * 1.7
-    assert 1.5 < plain.memory / GIB < 6
-
-
-def test_grey_patterns_take_longer_and_binned_samples_more_memory() -> None:
-    for method in ("coherent", "plain"):
-        size = EstimateSize(
-            method, (64, 64), 256 * 256, 64, False, windows=lm.CoherentEstimator.windows
-        )
-        grey = replace(size, grey=True)
-        seconds = [each.seconds(1) or 0 for each in (size, grey)]
-        assert 1.1 < seconds[1] / seconds[0] < 100
-        start = COEFFICIENTS[size.kind]["seconds"]["start"]
-        assert size.seconds(4) == pytest.approx(start + (seconds[0] - start) / 4)
-        # Each sample that is kept in 5 bytes takes 4 more than one of 1 byte.
-        binned = replace(size, sample_bytes=5)
-        assert binned.memory - size.memory == 4 * 64 * 64 * 64
-        assert replace(size, check_bytes=10 * GIB).memory == LOADED_BYTES + 10 * GIB
-
-
 def test_stripes_take_more() -> None:
     stripes = lm.GrayCodePatterns((512, 512))
     frames = Unread(stripes.count, (64, 64), np.dtype(np.uint8))
@@ -316,21 +236,6 @@ def test_stripes_take_more() -> None:
     assert [each.size.striped for each in sizes] == [True, False]
     assert sizes[0].memory > sizes[1].memory
     assert (sizes[0].seconds or 0) > 1.3 * (sizes[1].seconds or 0)
-
-
-def test_samples_that_lie_on_disk_take_no_memory() -> None:
-    small = EstimateSize("plain", (1000, 1000), 64, 1000, False, sample_bytes=2)
-    assert small.temporary == 0
-    large = replace(small, camera=(1200, 1000))
-    assert large.temporary == 1200 * 1000 * 1000 * 2
-    assert large.memory < small.memory + GIB
-
-
-def test_the_first_round_takes_a_larger_share_of_large_projectors() -> None:
-    costs = [first_round_cost(64 * 64, side * side, 32, False) for side in (32, 64, 128, 256)]
-    assert costs == sorted(costs)
-    # All rows searching 64 x 64 pixels take about as long as 1 to 5 of the later rounds.
-    assert 1 < costs[1] < 5
 
 
 def test_threads_of_the_core(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -375,36 +280,12 @@ def test_long_times_are_those_of_this_machine(
         assert option["seconds"] <= 3600
 
 
-def test_a_machine_is_measured_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    solved: list[lm.Problem] = []
-    solve = lm.ActiveSet.solve
-
-    def counted(self: lm.ActiveSet, problem: lm.Problem) -> Any:
-        solved.append(problem)
-        return solve(self, problem)
-
-    monkeypatch.setattr(lm.ActiveSet, "solve", counted)
-    machine_speed.slowness.cache_clear()
-    first = machine_speed.slowness()
-    assert machine_speed.slowness() == first > 0
-    assert len(solved) == 10
-    monkeypatch.setattr(machine_speed, "_USUAL_SECONDS", 1e-3)
-    machine_speed.slowness.cache_clear()
-    assert machine_speed.slowness() > 2 * first
-
-
 def test_the_speed_of_this_machine_says_nothing_of_a_cluster(
     large: lm.Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(resource_estimate, "slowness", lambda: 3.0)
     settings = lm.EstimateSettings(cluster="tcp://127.0.0.1:8786")
     assert lm.estimate_resources(large, settings).slowness == 1
-
-
-def test_other_solvers_keep_all_values_of_patterns() -> None:
-    """Only the active set takes no more memory for further ones."""
-    few, many = (EstimateSize("other", (9, 9), 1 << 14, count, False) for count in (4096, 8192))
-    assert many.memory > 1.8 * few.memory
 
 
 def test_words_for_memory() -> None:

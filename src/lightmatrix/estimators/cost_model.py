@@ -81,8 +81,8 @@ COEFFICIENTS: Mapping[str, Mapping[str, Mapping[str, float]]] = {
         },
     },
 }
-# With the active set row by row, memory does not grow with further values of patterns: measured up
-# to 2^28.
+# The memory of an estimate row by row grows with the values of the patterns (projector pixels times
+# patterns) up to this number, and no further. Measured with the active set on up to 2^28 values.
 _MOST_VALUES = 1 << 25
 # Stripes tell places less apart, so that coherent rows have more entries. Each row takes this many
 # bytes more, and the estimate this many times as long. Measured on the board of docs/scale.md.
@@ -120,7 +120,7 @@ class EstimateSize:
     tile_bytes: int = TILE_BYTES
     # Windows of the coherent estimate's rounds.
     windows: tuple[tuple[int, int], ...] = ()
-    # Whether each pattern varies along rows or columns only.
+    # Whether a coherent estimate is made from stripes: each pattern varies along one axis only.
     striped: bool = False
 
     @property
@@ -176,7 +176,7 @@ class EstimateSize:
         solving = sum(coefficients[name] * terms[name] for name in coefficients) + samples
         if self.method == "other":
             solving += terms["tile"]
-        if self.method == "coherent" and self.striped:
+        if self.striped:
             solving += _STRIPED_ROW_BYTES * self.rows
         return int(LOADED_BYTES + max(solving, self.check_bytes))
 
@@ -195,7 +195,7 @@ class EstimateSize:
         coefficients = COEFFICIENTS[self.kind]["seconds"]
         start = coefficients["start"]
         whole = sum(coefficients[name] * terms[name] for name in coefficients)
-        times = _STRIPED_TIME if self.method == "coherent" and self.striped else 1.0
+        times = _STRIPED_TIME if self.striped else 1.0
         # Python starts on one core.
         return start + times * (whole - start) / cores
 

@@ -215,7 +215,7 @@ def _size(capture: Capture, settings: EstimateSettings) -> EstimateSize:
         row_bytes,
         _CHECK_BYTES * min(math.prod(frames.shape) * capture.count, _CHECKED_LEVELS),
         windows=CoherentEstimator.windows,
-        striped=stripes_of(patterns) is not None,
+        striped=method == "coherent" and stripes_of(patterns) is not None,
     )
 
 

@@ -305,7 +305,7 @@ def _read_signed(file: Path, signature: bytes, kind: str) -> NDArray[Any]:
         raise ValueError(f"not a {kind} file")
     with Image.open(io.BytesIO(data)) as opened:
         cols, rows = opened.size
-        # A palette has colours.
+        # An image with a palette becomes one of three channels.
         channels = 3 if opened.mode == "P" else len(opened.getbands())
         check_image_size(file, (rows, cols, channels))
         if opened.mode == "CMYK":

@@ -25,7 +25,7 @@ def decode_image(source: bytes | Path, *, index: int = 0, mode: str | None = Non
         elif opened.mode == "P" and opened.palette is not None:
             image = opened.convert(opened.palette.mode)
         elif opened.format == "PNG" and opened.mode == "I":
-            # Older versions read 16 bits as 32.
+            # Older versions of Pillow read 16 bits as 32.
             image = opened.convert("I;16")
         return np.array(image)
 

@@ -32,7 +32,7 @@ def seen(truth: Truth, place: NDArray[np.integer]) -> Truth:
         csr_array(vstack([part, dark], format="csr")[place.ravel()])
         for part in (truth.matrix, truth.direct)
     )
-    # The geometry was that of another camera.
+    # The geometry of the scene is that of another camera.
     return replace(
         truth, matrix=matrix, direct_data=direct.data, camera_shape=place.shape, geometry=None
     )

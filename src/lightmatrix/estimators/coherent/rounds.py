@@ -87,7 +87,7 @@ class Rounds:
 
     @property
     def steps(self) -> Mapping[str, tuple[str, ...]]:
-        """One step for each round; the last is solved twice, first without the frames held out."""
+        """One step for each round; of judged rows the last is solved without some frames first."""
         names = [round_name(number) for number in range(len(self.rounds) - 1)]
         rounds = {name: (before,) for before, name in pairwise(names)}
         steps = {names[0]: (), **rounds}
