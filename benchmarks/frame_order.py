@@ -107,10 +107,10 @@ def complaint(
     frames = np.ascontiguousarray(raw.T).reshape(len(order), *shape)
     sensor = Sensor(exposure, read_noise=NOISE)
     try:
-        refuse_unordered(Capture.from_arrays(patterns, frames, sensor))
+        findings = refuse_unordered(Capture.from_arrays(patterns, frames, sensor))
     except InputError as error:
         return error.message
-    return None
+    return next((found.message for found in findings if found.kind == "unrelated"), None)
 
 
 def right(fault: str, order: Order, message: str) -> bool:
@@ -121,7 +121,8 @@ def right(fault: str, order: Order, message: str) -> bool:
     if fault == "repeated":
         return f"frame {wrong[0]} shows the pattern of frame {order[wrong[0]]}:" in message
     if fault == "backwards":
-        return "backwards" in message
+        # Only a few kinds of disorder have names.
+        return "do not follow the patterns" in message
     return ("after its own" if order[wrong[0]] > wrong[0] else "before its own") in message
 
 

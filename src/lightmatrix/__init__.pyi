@@ -96,8 +96,8 @@ from .diagnosis.refusals import (
     refuse_disorder as refuse_disorder,
     refuse_unusable as refuse_unusable,
 )
-from .diagnosis.folders import check as check
-from .diagnosis.responses.found import FoundResponse as FoundResponse
+from .diagnosis.all_checks import check as check
+from .diagnosis.curves import FoundResponse as FoundResponse
 
 # Responses, measured from photographs.
 from .patterns.projector_curve import ProjectorResponse as ProjectorResponse

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import lightmatrix as lm
-from lightmatrix.diagnosis.counts import (
+from lightmatrix.diagnosis.frame_order import (
     _missing_numbers,
     _ordinal,
     _scores_by_place,

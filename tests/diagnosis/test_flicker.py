@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from lightmatrix.diagnosis.flicker import brightness_changes, check_flicker
 from lightmatrix.diagnosis.prediction import FramePrediction
+from lightmatrix.diagnosis.wrong_frames import brightness_changes, check_flicker
 from tests.helpers.predictions import prediction
 
 K = 12

@@ -14,8 +14,14 @@ import lightmatrix as lm
 from lightmatrix.camera.sensor import Sensor
 from lightmatrix.capture.capture import Capture
 from lightmatrix.diagnosis import all_checks, frame_order
-from lightmatrix.diagnosis.frame_order import find_disorder, order_findings
-from lightmatrix.diagnosis.order_hypotheses import Hypothesis, Misses, RawRows, find_misses
+from lightmatrix.diagnosis.frame_order import (
+    Hypothesis,
+    Misses,
+    RawRows,
+    find_disorder,
+    find_misses,
+    order_findings,
+)
 from lightmatrix.diagnosis.pursuit import column_scale
 from lightmatrix.diagnosis.refusals import refuse_unordered, refuse_unusable
 from lightmatrix.errors import InputError

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 import lightmatrix as lm
-from lightmatrix.diagnosis.counts import missing_places
+from lightmatrix.diagnosis.frame_order import missing_places
 from lightmatrix.diagnosis.inverse_pairs import Pairs, PairSums
 from lightmatrix.diagnosis.survey import Survey
 from lightmatrix.patterns.bits import BernoulliPatterns

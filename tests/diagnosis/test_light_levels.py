@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 import lightmatrix as lm
-from lightmatrix.diagnosis.light_levels import check_light_level, check_plain_frames, unseen_pixels
+from lightmatrix.diagnosis.levels import check_light_level, check_plain_frames, unseen_pixels
 from lightmatrix.diagnosis.survey import Survey
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.pattern_set import ImagePatterns

@@ -12,15 +12,16 @@ from benchmarks import frame_checks
 from benchmarks.synthetic_captures import draw
 from lightmatrix.camera.camera_curve import Response
 from lightmatrix.diagnosis import linearity
+from lightmatrix.diagnosis.bends import Rows, solve_bends
+from lightmatrix.diagnosis.curves import GammaBend
 from lightmatrix.diagnosis.finding import Finding
-from lightmatrix.diagnosis.linearity import check_linearity, is_certain
-from lightmatrix.diagnosis.responses.bend import GammaBend
-from lightmatrix.diagnosis.responses.from_windows import (
+from lightmatrix.diagnosis.linearity import (
     WindowPower,
+    check_linearity,
+    is_certain,
     power_from_windows,
     varied_rows,
 )
-from lightmatrix.diagnosis.responses.trace import Rows, solve_bends
 from lightmatrix.diagnosis.survey import Survey
 from lightmatrix.patterns.bits import BernoulliPatterns
 from tests.helpers.surface import PROJECTOR, photographs

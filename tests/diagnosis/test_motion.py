@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 import lightmatrix as lm
 from lightmatrix.diagnosis import motion
-from lightmatrix.diagnosis.image_shift import describe_shift, find_shift
-from lightmatrix.diagnosis.motion import _Follower, check_motion
+from lightmatrix.diagnosis.motion import _Follower, check_motion, describe_shift, find_shift
 from lightmatrix.diagnosis.survey import Survey, high_variance_rows
 from lightmatrix.patterns.bits import BernoulliPatterns
 from tests.helpers.surface import PROJECTOR, photographs

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from lightmatrix.diagnosis.order_hypotheses import (
+from lightmatrix.diagnosis.frame_order import (
     Hypothesis,
     RawRows,
     _hypotheses,

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import lightmatrix as lm
-from lightmatrix.diagnosis.responses.bend import exponent
+from lightmatrix.diagnosis.curves import exponent
 from lightmatrix.experiments import responses
 from lightmatrix.experiments.harness import Measured
 

@@ -18,10 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.camera.samples import Samples
-from lightmatrix.diagnosis.finding import Finding
-from lightmatrix.diagnosis.frame_order import order_findings
-from lightmatrix.diagnosis.image_shift import find_shift
-from lightmatrix.diagnosis.motion import motion_finding
+from lightmatrix.diagnosis.finding import Finding, order_findings
+from lightmatrix.diagnosis.motion import find_shift, motion_finding
 from lightmatrix.diagnosis.prediction import find_places
 from lightmatrix.diagnosis.survey import MARGIN, Survey, random_sums
 from lightmatrix.diagnosis.wrong_frames import black_frames

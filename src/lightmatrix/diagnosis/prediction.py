@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from lightmatrix.camera.samples import Samples
 from lightmatrix.diagnosis.pursuit import best_pixels, column_scale
-from lightmatrix.diagnosis.statistics import OF_MEDIAN
+from lightmatrix.diagnosis.survey import OF_MEDIAN
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.resources.blas import one_blas_thread
 from lightmatrix.resources.work_ahead import work_ahead

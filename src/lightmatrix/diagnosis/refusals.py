@@ -13,9 +13,9 @@ from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.decoding import check_depth
 from lightmatrix.diagnosis.all_checks import check_capture
 from lightmatrix.diagnosis.finding import Finding
-from lightmatrix.diagnosis.pattern_faults import is_separable
 from lightmatrix.errors import InputError, warn
 from lightmatrix.patterns.pattern_set import PatternSet
+from lightmatrix.patterns.stripes import is_separable
 
 # The brightest levels of cameras of 10, 12 and 14 bits whose levels are stored in 16 bits, aligned
 # to the lowest bit and to the highest one.

@@ -23,13 +23,13 @@ from pathlib import Path
 
 from lightmatrix.camera.camera_curve import AUTOMATIC, Response
 from lightmatrix.capture.capture import Capture, open_capture
+from lightmatrix.diagnosis.curves import with_projector, with_response
 from lightmatrix.diagnosis.refusals import (
     refuse_unordered,
     refuse_unusable,
     warn_of_stripes,
     warn_of_unrelated,
 )
-from lightmatrix.diagnosis.responses.found import with_projector, with_response
 from lightmatrix.errors import InputError
 from lightmatrix.estimators.choice import check_and_choose, choose_estimator
 from lightmatrix.estimators.resource_estimate import estimate_resources

@@ -11,8 +11,7 @@ import numpy as np
 
 from lightmatrix.camera.camera_curve import Response
 from lightmatrix.capture.capture import Capture
-from lightmatrix.diagnosis.responses.bend import exponent
-from lightmatrix.diagnosis.responses.found import FoundResponse, largest_difference, with_response
+from lightmatrix.diagnosis.curves import FoundResponse, exponent, largest_difference, with_response
 from lightmatrix.errors import InputError
 from lightmatrix.estimators.estimate import estimate
 from lightmatrix.estimators.unknown_projector import find_projector_response

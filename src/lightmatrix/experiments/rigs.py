@@ -16,7 +16,7 @@ from scipy.stats import spearmanr
 from lightmatrix.camera.camera_curve import Response
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.frames import ArrayStack
-from lightmatrix.diagnosis.responses.found import with_response
+from lightmatrix.diagnosis.curves import with_response
 from lightmatrix.errors import InputError
 from lightmatrix.estimators.colour.estimate import estimate_colour
 from lightmatrix.estimators.estimate import estimate

@@ -134,3 +134,11 @@ def both_axes(shape: tuple[int, int]) -> tuple[tuple[int, int], ...]:
     """Axis and length of the columns, then of the rows; an axis of one pixel needs no code."""
     lengths = ((COLUMNS, shape[1]), (ROWS, shape[0]))
     return tuple((axis, length) for axis, length in lengths if length > 1)
+
+
+def is_separable(patterns: PatternSet) -> bool:
+    """Whether no pattern varies along both rows and columns."""
+    if min(patterns.shape) == 1:
+        return False
+    stripes = stripes_of(patterns)
+    return stripes is not None and bool((stripes.axes != NOTHING).any())

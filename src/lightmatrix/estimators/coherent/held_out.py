@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.diagnosis.pattern_faults import is_separable
 from lightmatrix.estimators.coherent.row_errors import held_out_frames
 from lightmatrix.patterns.pattern_set import PatternSet
+from lightmatrix.patterns.stripes import is_separable
 
 # A held-out frame tests an estimate if the remaining patterns leave at least half as much of its
 # contrast unexplained as they leave of a random pattern. Chosen on 60 small captures.
