@@ -20,28 +20,11 @@ from lightmatrix.diagnosis.finding import Finding
 from lightmatrix.diagnosis.prediction import predict
 from lightmatrix.diagnosis.survey import MARGIN, Survey
 
-# Fewer than 9 frames have no thirds to compare, and fewer than 20 rows no reliable mean.
-_FEWEST_FRAMES, _FEWEST_ROWS = 9, 20
-# About 80 rows are followed, about 30 while the shift is searched; more take longer.
-_ROWS, _SEARCH_ROWS = 80, 30
-# If the predictions of half the rows miss less than 3 % of their variance, nothing has moved.
-_STILL = 0.03
-# Samples without noise may be predicted exactly; less than this share counts as this.
-_LEAST_MISS = 1e-9
-# The frame of the motion is searched at about 24 places, then frame by frame around the best.
-_PLACES = 24
-# Followed rows must be predicted better by 0.15 (mean logarithm of the miss) and by 4 standard
-# errors. Chosen on simulated captures: `python -m benchmarks.frame_checks`.
-_BETTER, _CERTAIN = 0.15, 4.0
-# A search for the shift without outlines may take 1e11 multiplications, about ten seconds.
-_MOST_WORK = 1e11
-# Shifted images must be closer by 4 standard errors over the parts of the image, and by 15 %. The
-# image has 6 x 6 parts. Chosen on simulated captures: `python -m benchmarks.frame_checks`.
-_CLOSER = 0.15
+# Followed rows must be predicted better by 4 standard errors, and shifted images be closer by as
+# many. Chosen on simulated captures: `python -m benchmarks.frame_checks`.
+_CERTAIN = 4.0
+# An image has 6 x 6 parts, over which its standard error is taken.
 _PARTS = 6
-# The parts with even numbers and those with odd ones must show the same shift to one pixel. Where
-# an image has no outlines, each half shows another one by chance.
-_HALVES_APART = 1
 
 Shift = tuple[int, int]
 
@@ -53,10 +36,13 @@ def check_motion(
 
     `rows` are high-variance rows; nothing is learned from `doubted` frames (K,).
     """
-    if survey.count < _FEWEST_FRAMES or len(rows) < _FEWEST_ROWS:
+    # Fewer frames have no thirds to compare, and fewer rows no reliable mean.
+    if survey.count < 9 or len(rows) < 20:
         return []
-    follower = _Follower(survey, rows[:: max(1, len(rows) // _ROWS)], doubted)
-    if float(np.median(follower.miss())) < np.log(_STILL):
+    # More rows take longer.
+    follower = _Follower(survey, rows[:: max(1, len(rows) // 80)], doubted)
+    # If the predictions of half the rows miss less than 3 % of their variance, nothing has moved.
+    if float(np.median(follower.miss())) < np.log(0.03):
         return []
     known = survey.statistics
     shift = find_shift(survey, known.first, known.last) or follower.likeliest_shift()
@@ -93,7 +79,8 @@ class _Follower:
             pairs = zip(_arrays(there), _arrays(self.here), strict=True)
             samples = Samples(*(np.where(late, moved, stayed) for moved, stayed in pairs))
         missed = predict(self.survey.patterns, samples, doubted=self.doubted).miss
-        return np.asarray(np.log(np.maximum(missed, _LEAST_MISS)))
+        # Samples without noise may be predicted exactly.
+        return np.asarray(np.log(np.maximum(missed, 1e-9)))
 
     def likeliest_shift(self) -> Shift | None:
         """The shift that predicts best if it happened after one, two or three quarters.
@@ -103,9 +90,10 @@ class _Follower:
         reach = range(-MARGIN, MARGIN + 1)
         shifts = [shift for shift in itertools.product(reach, reach) if shift != (0, 0)]
         starts = [self.survey.count * part // 4 for part in (2, 1, 3)]
-        rows = self.rows[:: max(1, len(self.rows) // _SEARCH_ROWS)]
-        work = 4 * min(_SEARCH_ROWS, len(self.rows)) * self.survey.count
-        if work * self.survey.patterns.pixels * len(shifts) * len(starts) > _MOST_WORK:
+        rows = self.rows[:: max(1, len(self.rows) // 30)]
+        work = 4 * min(30, len(self.rows)) * self.survey.count
+        # So many multiplications take about ten seconds.
+        if work * self.survey.patterns.pixels * len(shifts) * len(starts) > 1e11:
             return None
         few = _Follower(self.survey, rows, self.doubted)
         misses = {
@@ -120,7 +108,8 @@ class _Follower:
         # Either side must be more than an odd frame.
         first = max(3, self.survey.count // 10)
         last = self.survey.count - first
-        step = max(1, (last - first) // _PLACES)
+        # About 24 places, then frame by frame around the best.
+        step = max(1, (last - first) // 24)
         misses = {k: float(np.mean(self.miss(shift, k))) for k in range(first, last + 1, step)}
         best = min(misses, key=misses.__getitem__)
         near = range(max(first, best - step), min(last, best + step) + 1)
@@ -131,7 +120,7 @@ class _Follower:
         still = np.minimum(self.miss(), self.miss(shift))
         gain = still - self.miss(shift, best)
         error = float(gain.std() / np.sqrt(len(gain)))
-        certain = gain.mean() > _BETTER and gain.mean() > _CERTAIN * error
+        certain = gain.mean() > max(0.15, _CERTAIN * error)
         return best if certain else None
 
 
@@ -162,11 +151,12 @@ def find_shift(
     by_shift = {shift: distances(shift) for shift in itertools.product(reach, reach)}
     best = _closest(by_shift, slice(None))
     halves = [_closest(by_shift, slice(start, None, 2)) for start in (0, 1)]
-    if best == (0, 0) or np.ptp(halves, axis=0).max() > _HALVES_APART:
+    # Where an image has no outlines, each half of its parts shows another shift by chance.
+    if best == (0, 0) or np.ptp(halves, axis=0).max() > 1:
         return None
     gain = by_shift[0, 0] - by_shift[best]
     error = np.sqrt(len(gain) * gain.var(ddof=1)) if len(gain) > 1 else np.inf
-    if gain.sum() < _CERTAIN * error or gain.sum() < _CLOSER * by_shift[0, 0].sum():
+    if gain.sum() < max(_CERTAIN * error, 0.15 * by_shift[0, 0].sum()):
         return None
     return best
 

@@ -1,4 +1,4 @@
-"""Too much light, too little, and black and white frames that are not so."""
+"""Too much light, too little, black and white frames that are not so, and JPEG."""
 
 from __future__ import annotations
 
@@ -7,14 +7,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.fft import dctn, idctn
 
 import lightmatrix as lm
-from lightmatrix.diagnosis.levels import check_light_level, check_plain_frames, unseen_pixels
+from lightmatrix.diagnosis import levels
+from lightmatrix.diagnosis.levels import check_light_level, check_plain_frames
 from lightmatrix.diagnosis.survey import Survey
+from lightmatrix.files.pillow_images import decode_image, encode_image
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.pattern_set import ImagePatterns
 
 K, SIDE = 12, 20
+
+
 CAMERA = lm.Decoder(clip=255, full_scale=255)
 
 
@@ -48,24 +53,9 @@ def test_two_thirds_of_the_samples_may_clip() -> None:
 @pytest.mark.parametrize("black", [0, 10])
 def test_24_levels_above_black_are_enough(black: int) -> None:
     decoder = lm.Decoder(clip=255, full_scale=255, black_level=black)
-    for levels, found in ((22, ["light"]), (26, [])):
-        frames = black + np.minimum(random_frames(2 * levels), levels)
+    for top, found in ((22, ["light"]), (26, [])):
+        frames = black + np.minimum(random_frames(2 * top), top)
         assert kinds(frames.astype(np.uint8), decoder) == found
-
-
-def test_levels_are_counted_at_the_longest_exposure() -> None:
-    exposure = np.where(np.arange(K) % 2, 0.25, 1.0)
-    decoder = lm.Decoder(clip=255, full_scale=255, exposure=exposure)
-    frames = random_frames(20)
-    frames[1::2] //= 4
-    check = check_light_level(survey(frames, decoder))
-    assert [each.kind for each in check] == ["light"]
-    assert "reach 20 raw levels" in check[0].message
-
-
-def test_floats_have_no_levels() -> None:
-    frames = (random_frames() / 255 / 20).astype(np.float32)
-    assert kinds(frames, lm.Decoder(clip=1, full_scale=1)) == []  # type: ignore[arg-type]
 
 
 def test_nothing_counts_where_all_is_masked() -> None:
@@ -73,22 +63,6 @@ def test_nothing_counts_where_all_is_masked() -> None:
     found = check_light_level(masked)
     assert [each.kind for each in found] == ["light"]
     assert "no camera pixel counts" in found[0].message
-
-
-def test_pixels_that_hardly_vary_have_not_seen_the_projector() -> None:
-    frames = random_frames()
-    span = np.linspace(0, 200, K)
-    # Less than 5 % of 200; more; always clipped; fewer than 3 levels.
-    frames[:, 0, 0] = 50 + 0.04 * span
-    frames[:, 0, 1] = 50 + 0.06 * span
-    frames[:, 0, 2] = 255
-    frames[:, 0, 3] = 50
-    assert np.flatnonzero(unseen_pixels(survey(frames))).tolist() == [0, 3]
-    dim = np.zeros_like(frames)
-    dim[:] = np.linspace(0, 30, K).astype(np.uint8)[:, None, None]
-    dim[:, 1, 1] = np.arange(K) % 3
-    dim[:, 1, 2] = np.arange(K) % 5
-    assert np.flatnonzero(unseen_pixels(survey(dim))).tolist() == [SIDE + 1]
 
 
 def test_a_tenth_of_the_pixels_must_see_the_projector() -> None:
@@ -149,3 +123,74 @@ def test_a_black_frame_must_be_the_darkest() -> None:
     # Without a black frame nothing is said of it.
     bright = replace(survey(frames), decoder=replace(CAMERA, black_level=90))
     assert check_plain_frames(bright, np.arange(40), names) == []
+
+
+def smooth(count: int = 4, seed: int = 0) -> NDArray[np.uint8]:
+    generator = np.random.default_rng(seed)
+    levels = np.cumsum(generator.normal(0, 6, (count, 96, 96)), axis=2) + 128
+    return np.rint(levels.clip(0, 255)).astype(np.uint8)
+
+
+def compressed(frames: NDArray[np.uint8], quality: int) -> NDArray[np.uint8]:
+    saved = [encode_image(f, "jpeg", quality=quality) for f in frames]
+    return np.stack([decode_image(each) for each in saved])
+
+
+def blocks_of(frames: NDArray[np.uint8]) -> NDArray[np.floating]:
+    return levels._blocks(frames[:, None, ..., None].astype(np.float32))
+
+
+@pytest.mark.parametrize("quality", [30, 60, 90])
+def test_the_quality_is_measured(quality: int) -> None:
+    measured = levels.likely_quality(blocks_of(compressed(smooth(), quality)))
+    assert measured is not None
+    assert abs(measured - quality) <= 2
+
+
+def test_lossless_photographs_have_no_quality() -> None:
+    assert levels.likely_quality(blocks_of(smooth())) is None
+    few = blocks_of(compressed(smooth(), 60))
+    assert levels.likely_quality(few[:39]) is None
+    assert levels.likely_quality(few[:60]) is not None
+
+
+def rounded(step: float, fine: float = 0, frequencies: int = 64) -> NDArray[np.float64]:
+    """Blocks whose first coefficients, row by row, are rounded to a step; the others to `fine`."""
+    blocks = np.random.default_rng(0).normal(128, 20, (400, 8, 8))
+    coefficients = dctn(blocks, axes=(1, 2), norm="ortho")
+    flat = coefficients.reshape(-1, 64)
+    flat[:, :frequencies] = step * np.rint(flat[:, :frequencies] / step)
+    if fine:
+        flat[:, frequencies:] = fine * np.rint(flat[:, frequencies:] / fine)
+    return np.rint(idctn(coefficients, axes=(1, 2), norm="ortho").clip(1, 254))
+
+
+def test_steps_of_an_unknown_table_are_measured() -> None:
+    assert levels.comb_step(rounded(11)) in (11, 12)
+    assert levels.comb_step(rounded(11, frequencies=40)) in (11, 12)
+    assert levels.comb_step(rounded(11, fine=7, frequencies=50)) in (11, 12)
+    # Less than half of the frequencies on combs.
+    assert levels.comb_step(rounded(11, frequencies=30)) is None
+    assert levels.comb_step(np.random.default_rng(0).normal(128, 20, (400, 8, 8))) is None
+
+
+def test_words_and_which_frames_are_looked_at() -> None:
+    def check(frames: NDArray[np.generic], name: str = "a.png") -> list[str]:
+        top = 255 if frames.dtype == np.uint8 else 65535
+        camera = lm.Decoder(clip=top, full_scale=top)
+        patterns = BernoulliPatterns((4, 4), len(frames))
+        capture = lm.Capture.from_arrays(patterns, frames, camera)
+        survey = Survey.take(capture.patterns, capture.frames, capture.decoder)
+        return [each.message for each in levels.check_jpeg(survey, [name])]
+
+    frames = compressed(smooth(), 60)
+    assert check(frames) == [
+        "the photographs went through JPEG of quality 60, whatever their files are now"
+    ]
+    assert check(frames, "A.JPG") == ["the photographs went through JPEG of quality 60"]
+    assert check(frames.astype(np.uint16)) == []
+    other_table = rounded(11).reshape(4, 10, 10, 8, 8).swapaxes(2, 3).reshape(4, 80, 80)
+    (message,) = check(other_table.astype(np.uint8))
+    assert message.startswith("the photographs went through JPEG with steps of about 1")
+    assert check(frames[:, :7]) == []
+    assert check(smooth()) == []
