@@ -1,7 +1,7 @@
 """What is wrong with T although unseen photographs are predicted well, and the error to state.
 
 Photographs held out of an estimate do not show what is wrong with all photographs alike, nor what
-none of them shows. Its rows tell some of this (`lightmatrix.estimators.coherent.residuals`). Where
+none of them shows. Its rows tell some of this (`lightmatrix.estimators.coherent.row_errors`). Where
 they do, no error of T is stated, and the reason stands in its place.
 """
 

@@ -36,7 +36,7 @@ from lightmatrix.outputs.kinds import STORE
 from lightmatrix.outputs.locks import check_unlocked
 from lightmatrix.outputs.targets import as_output_error, final_target
 from lightmatrix.outputs.writing import claimed
-from lightmatrix.patterns.grids import grid_cells
+from lightmatrix.patterns.pattern_set import grid_cells
 from lightmatrix.reprs import short_repr
 from lightmatrix.resources.disk import check_disk_space
 from lightmatrix.store.matrix_checks import check_indptr, checked_float32
