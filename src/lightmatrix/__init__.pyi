@@ -232,10 +232,9 @@ from .evaluation.verdicts import (
     verdicts as verdicts,
 )
 
-# Plans and experiments.
-from .experiments.run import (
+# Plans and the demo.
+from .demo import (
     demo as demo,
-    experiment as experiment,
 )
 from .planning.plan import (
     Advice as Advice,
