@@ -24,8 +24,8 @@ from lightmatrix.diagnosis.responses.found import with_response
 from lightmatrix.errors import InputError
 from lightmatrix.estimators.colour.estimate import estimate_colour
 from lightmatrix.estimators.estimate import estimate
-from lightmatrix.evaluation.doubts import OwnError
-from lightmatrix.evaluation.estimate_errors import joint_relighting_error
+from lightmatrix.evaluation.evaluate import joint_relighting_error
+from lightmatrix.evaluation.judgement import OwnError
 from lightmatrix.evaluation.metrics import squared_errors
 from lightmatrix.files.colours import COLOURS as PRIMARIES
 from lightmatrix.patterns.bits import BernoulliPatterns

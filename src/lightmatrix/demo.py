@@ -22,6 +22,7 @@ from lightmatrix.capture.folder import write_capture
 from lightmatrix.estimators.choice import choose_estimator
 from lightmatrix.estimators.plain import PlainEstimator
 from lightmatrix.estimators.settings import EstimateSettings
+from lightmatrix.evaluation.judgement import percent
 from lightmatrix.evaluation.metrics import (
     relative_error,
     relighting_error,
@@ -29,7 +30,6 @@ from lightmatrix.evaluation.metrics import (
     row_maximum,
     unseen_patterns,
 )
-from lightmatrix.evaluation.verdict import percent
 from lightmatrix.outputs.kinds import DEMO
 from lightmatrix.outputs.writing import atomic_folder
 from lightmatrix.patterns.bits import BernoulliPatterns
