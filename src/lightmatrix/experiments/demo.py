@@ -22,6 +22,7 @@ from lightmatrix.capture.folder import write_capture
 from lightmatrix.estimators.choice import choose_estimator
 from lightmatrix.estimators.plain import PlainEstimator
 from lightmatrix.estimators.settings import EstimateSettings
+from lightmatrix.evaluation.judgement import percent
 from lightmatrix.evaluation.metrics import (
     relative_error,
     relighting_error,
@@ -29,7 +30,6 @@ from lightmatrix.evaluation.metrics import (
     row_maximum,
     unseen_patterns,
 )
-from lightmatrix.evaluation.verdict import percent
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.pictures.maps import WHITE_TO_RED
 from lightmatrix.pictures.style import display, figure, mark_clipped, panel, save

@@ -20,8 +20,8 @@ from lightmatrix.diagnosis.responses.found import with_response
 from lightmatrix.errors import InputError
 from lightmatrix.estimators.colour.estimate import estimate_colour
 from lightmatrix.estimators.estimate import estimate
-from lightmatrix.evaluation.doubts import OwnError
-from lightmatrix.evaluation.estimate_errors import joint_relighting_error
+from lightmatrix.evaluation.evaluate import joint_relighting_error
+from lightmatrix.evaluation.judgement import OwnError
 from lightmatrix.evaluation.metrics import squared_errors
 from lightmatrix.experiments.colour_rigs import COLOUR_RIGS, colour_capture
 from lightmatrix.experiments.harness import Experiment, Measured, all_rows

@@ -26,9 +26,8 @@ from lightmatrix.camera.exposure_sequence import exposure_sequence
 from lightmatrix.capture.capture import Capture
 from lightmatrix.errors import DeviceError, InputError, warn
 from lightmatrix.estimators.estimate import estimate
-from lightmatrix.evaluation.doubts import OwnError
+from lightmatrix.evaluation.judgement import OwnError, percent
 from lightmatrix.evaluation.metrics import row_energies
-from lightmatrix.evaluation.verdict import percent
 from lightmatrix.live.devices.base import exposure_limits
 from lightmatrix.live.photograph import Photographer
 from lightmatrix.live.record import CaptureFacts, CaptureRecord
