@@ -230,10 +230,9 @@ from .evaluation.judgement import (
     verdicts as verdicts,
 )
 
-# Plans and experiments.
-from .experiments.run import (
+# Plans and the demo.
+from .demo import (
     demo as demo,
-    experiment as experiment,
 )
 from .planning.plan import (
     Advice as Advice,
