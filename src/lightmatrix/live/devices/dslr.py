@@ -16,17 +16,16 @@ import numpy as np
 
 from lightmatrix.errors import DeviceError, InputError
 from lightmatrix.files.images import READABLE, read_image
-from lightmatrix.live.devices.addresses import Address, AvailableDevice, missing_extra
-from lightmatrix.live.devices.cameras.base import BaseCamera, stated_exposure
-from lightmatrix.live.devices.protocols import Frame
+from lightmatrix.live.devices.base import (
+    Address,
+    AvailableDevice,
+    BaseCamera,
+    Frame,
+    missing_extra,
+)
 
-EXTRA = "dslr"
-# Names of the exposure time among the settings of different makers.
-_SHUTTERS = ("shutterspeed", "shutterspeed2", "exptime")
 # The setting that chooses where pictures are stored, and its value for the camera's own memory.
 _TARGET, _MEMORY = "capturetarget", "Internal RAM"
-# An exposure time as cameras write it: "1/125", "0.0100s" or "30".
-_TIME = re.compile(r"(?:([0-9]+)/)?([0-9]*\.?[0-9]+)s?")
 
 
 class DSLRCamera(BaseCamera):
@@ -64,14 +63,16 @@ class DSLRCamera(BaseCamera):
                     f"{name} cannot be {value!r}", f"it can be {', '.join(settings[name])}"
                 )
             self._set(name, value)
-        self._shutter = next((name for name in _SHUTTERS if name in settings), None)
+        # Makers have different names for the exposure time.
+        names = ("shutterspeed", "shutterspeed2", "exptime")
+        self._shutter = next((name for name in names if name in settings), None)
         self._speeds: dict[float, str] = {}
         if self._shutter is not None:
             read = {text: _seconds(text) for text in settings[self._shutter]}
             self._speeds = {value: text for text, value in read.items() if value is not None}
         if not self._speeds:
             # In its automatic modes the camera does not let the exposure be set.
-            self._stated = stated_exposure(self._address)
+            self._stated = self._address.stated_exposure
 
     def get_image(self, timeout: float) -> Frame:
         """The next picture, timed when the camera reported it, which is after its exposure."""
@@ -226,7 +227,7 @@ def _load() -> Any:
     try:
         import gphoto2
     except ImportError as error:
-        raise missing_extra(EXTRA, "digital cameras through gphoto2") from error
+        raise missing_extra("dslr", "digital cameras through gphoto2") from error
     return gphoto2
 
 
@@ -260,7 +261,7 @@ def _translated_errors(gphoto2: Any, address: Address, what: str) -> Iterator[No
 
 def _seconds(text: str) -> float | None:
     """An exposure time that a camera writes as "1/125", "0.0100s" or "30"; None for "bulb"."""
-    match = _TIME.fullmatch(text.strip())
+    match = re.fullmatch(r"(?:([0-9]+)/)?([0-9]*\.?[0-9]+)s?", text.strip())
     if match is None or not float(match[2]):
         return None
     return float(match[1] or 1) / float(match[2]) if match[1] else float(match[2])

@@ -8,17 +8,14 @@ from contextlib import contextmanager, suppress
 from typing import Any
 
 from lightmatrix.errors import DeviceError, FrameTimeoutError
-from lightmatrix.live.devices.addresses import Address, AvailableDevice, missing_extra
-from lightmatrix.live.devices.cameras.genicam import BUFFERS, GenICamCamera
-from lightmatrix.live.devices.cameras.pixel_formats import PixelFormat
-from lightmatrix.live.devices.cameras.timestamps import FrameStamps
-from lightmatrix.live.devices.protocols import Frame
-
-EXTRA = "aravis"
-# GigE Vision numbers frames from 1 to this, unless the camera extends the numbers to 64 bits.
-_LARGEST_GIGE_ID = 0xFFFF
-_SYSTEM = "install Aravis (Debian, Ubuntu: apt-get install gir1.2-aravis-0.8; macOS: brew install "
-_SYSTEM += "aravis)"
+from lightmatrix.live.devices.base import (
+    Address,
+    AvailableDevice,
+    Frame,
+    FrameStamps,
+    missing_extra,
+)
+from lightmatrix.live.devices.genicam import BUFFERS, GenICamCamera, PixelFormat
 
 
 class AravisCamera(GenICamCamera):
@@ -58,7 +55,8 @@ class AravisCamera(GenICamCamera):
         self._set_shape(height, width)
         shortest, longest = self._camera.get_exposure_time_bounds()
         self._range = (1e-6 * shortest, 1e-6 * longest)
-        largest = _LARGEST_GIGE_ID if self._has_short_ids() else None
+        # GigE Vision numbers frames from 1 to 65,535, unless the camera extends the numbers.
+        largest = 0xFFFF if self._has_short_ids() else None
         self._stamps = FrameStamps(largest_id=largest, first_id=1)
         self._stream = self._camera.create_stream(None, None)
         for _ in range(BUFFERS):
@@ -255,6 +253,9 @@ def _load() -> tuple[Any, Any]:
     # A ValueError means that PyGObject is installed but Aravis is not.
     except (ImportError, ValueError) as error:
         raise missing_extra(
-            EXTRA, "GigE and USB3 Vision cameras through Aravis", system=_SYSTEM
+            "aravis",
+            "GigE and USB3 Vision cameras through Aravis",
+            system="install Aravis (Debian, Ubuntu: apt-get install gir1.2-aravis-0.8; macOS: brew "
+            "install aravis)",
         ) from error
     return Aravis, GLib.Error

@@ -1,4 +1,4 @@
-"""Frames that arrive as files in a folder, from whatever takes them."""
+"""Folders as devices: images for another program to show, and frames that another program takes."""
 
 from __future__ import annotations
 
@@ -11,17 +11,65 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.errors import DeviceError, InputError
-from lightmatrix.files.images import FORMATS, READABLE, read_image
-from lightmatrix.live.devices.addresses import Address, size_in_words
-from lightmatrix.live.devices.cameras.base import BaseCamera, stated_exposure
-from lightmatrix.live.devices.protocols import Frame
+from lightmatrix.files.images import FORMATS, READABLE, read_image, write_image
+from lightmatrix.live.devices.base import Address, BaseCamera, Frame, check_image, size_in_words
 
-# Seconds between two looks at the folder; short beside the time that a file takes to be written.
-_POLL = 0.02
-# A file is complete if it can be read and did not change for this many seconds. Chosen by hand: it
-# covers the pauses of a program that writes to a slow disk.
-_QUIET = 0.1
-_NUMBER = re.compile(r"([0-9]+)[^0-9]*$")
+# The file that the other program watches.
+SHOWN = "shown.png"
+
+
+class FolderProjector:
+    """Writes ``shown.png``, which is a complete image at any moment; made by `open_folder`."""
+
+    def __init__(self, address: Address, folder: Path, shape: tuple[int, int]) -> None:
+        self._address, self._folder, self._shape = address, folder, shape
+        self._closed = False
+        self.black()
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns, as the address states them."""
+        return self._shape
+
+    def info(self) -> dict[str, Any]:
+        """JSON-ready facts."""
+        return {
+            "name": f"folder {self._folder}",
+            "kind": "folder",
+            "shape": self._shape,
+            "file": str(self._folder / SHOWN),
+        }
+
+    def show(self, image: NDArray[np.uint8]) -> float:
+        """Write an image; return when the file was in place.
+
+        When the other program shows it is not known; `measure_settle` measures it.
+        """
+        if self._closed:
+            raise DeviceError(f"{self._address}: is closed", hint="open it again")
+        check_image(image, self._shape)
+        write_image(self._folder / SHOWN, image, overwrite=True)
+        return time.monotonic()
+
+    def black(self) -> float:
+        """Show no light; return when."""
+        return self.show(np.zeros(self._shape, np.uint8))
+
+    def close(self) -> None:
+        """Write no more; the last image stays."""
+        self._closed = True
+
+
+def open_folder(address: Address) -> FolderProjector:
+    """Open "folder:DIR,size=1024x768", width first as monitors have it; makes a missing folder."""
+    address.check_options(("size",))
+    size = re.fullmatch(r"([1-9][0-9]{0,4})x([1-9][0-9]{0,4})", address.options.get("size", ""))
+    if not address.argument or size is None:
+        raise InputError(
+            f"{address}: a folder and its size are needed",
+            hint="give folder:DIR,size=WIDTHxHEIGHT, with the pixels of the projector",
+        )
+    return FolderProjector(address, Path(address.argument), (int(size[2]), int(size[1])))
 
 
 class WatchedFolder(BaseCamera):
@@ -33,7 +81,7 @@ class WatchedFolder(BaseCamera):
         super().__init__(address)
         self._folder, self._stated, self._clip = folder, exposure, clip
         self._name, self._trigger = f"folder {folder}", "elsewhere"
-        self._by_name = address.choice("numbers", ("order", "name"), "order") == "name"
+        self._by_name = address.choice("numbers", ("order", "name")) == "name"
         self._seen = set(self._files())
         self._count = 0
 
@@ -46,13 +94,15 @@ class WatchedFolder(BaseCamera):
         while True:
             # Later files wait for the oldest one.
             for file in self._new_files()[:1]:
-                state = _state(file)
+                state = _size_and_time(file)
                 now = time.monotonic()
                 if state is None:
                     break
                 if file not in changes or changes[file][0] != state:
                     changes[file] = (state, now)
-                if now - changes[file][1] >= _QUIET:
+                # A file is complete if it can be read and did not change for 0.1 s, which covers
+                # the pauses of a program that writes to a slow disk.
+                if now - changes[file][1] >= 0.1:
                     try:
                         image = read_image(file)
                     # The file is still being written, or damaged; time will tell.
@@ -66,7 +116,7 @@ class WatchedFolder(BaseCamera):
                     raise self._timeout(timeout, hint)
                 hint = "have files written elsewhere and moved here when they are whole"
                 raise self._timeout(timeout, hint, f"; {failure.message}")
-            time.sleep(_POLL)
+            time.sleep(0.02)
 
     def flush(self) -> None:
         """Pass over the files that are there."""
@@ -90,7 +140,7 @@ class WatchedFolder(BaseCamera):
     def _new_files(self) -> list[Path]:
         """Files that are not frames yet, the oldest first; those of one moment by name."""
         files = [file for file in self._files() if file not in self._seen]
-        states = {file: state for file in files if (state := _state(file)) is not None}
+        states = {file: state for file in files if (state := _size_and_time(file)) is not None}
         return sorted(states, key=lambda file: (states[file][1], file.name))
 
     def _frame(self, file: Path, image: NDArray[Any], state: tuple[int, int]) -> Frame:
@@ -108,21 +158,19 @@ class WatchedFolder(BaseCamera):
                 hint="do not turn the camera or change its image size meanwhile",
             )
         self._shape, self._bits = image.shape, 8 * image.dtype.itemsize
+        number = self._count
+        if self._by_name:
+            match = re.search(r"([0-9]+)[^0-9]*$", file.stem)
+            if match is None:
+                raise DeviceError(
+                    f"{file}: has no number in its name",
+                    hint="leave out numbers=name, or have frames saved as frame-0001.png",
+                )
+            number = int(match[1])
         # The wall clock may be set meanwhile, so only its difference to now is used.
         age = max(0.0, time.time() - state[1] * 1e-9)
         clip_level = self._clip or float(np.iinfo(image.dtype).max)
-        return Frame(image, self._number(file), time.monotonic() - age, clip_level)
-
-    def _number(self, file: Path) -> int:
-        if not self._by_name:
-            return self._count
-        match = _NUMBER.search(file.stem)
-        if match is None:
-            raise DeviceError(
-                f"{file}: has no number in its name",
-                hint="leave out numbers=name, or have frames saved as frame-0001.png",
-            )
-        return int(match[1])
+        return Frame(image, number, time.monotonic() - age, clip_level)
 
 
 def open_watched(address: Address) -> WatchedFolder:
@@ -134,7 +182,7 @@ def open_watched(address: Address) -> WatchedFolder:
     are noticed; numbers=order, the default, counts.
     """
     address.check_options(("exposure", "clip", "numbers"))
-    exposure = stated_exposure(address)
+    exposure = address.stated_exposure
     clip = address.number("clip", 0.0) if "clip" in address.options else None
     folder = Path(address.argument)
     if not address.argument or not folder.is_dir():
@@ -144,7 +192,7 @@ def open_watched(address: Address) -> WatchedFolder:
     return WatchedFolder(address, folder, exposure, clip)
 
 
-def _state(file: Path) -> tuple[int, int] | None:
+def _size_and_time(file: Path) -> tuple[int, int] | None:
     """Size and time of the last change; None if the file was moved away meanwhile."""
     try:
         status = file.stat()

@@ -11,20 +11,17 @@ from pathlib import Path
 from typing import Any
 
 from lightmatrix.errors import DeviceError
-from lightmatrix.live.devices.addresses import Address, AvailableDevice, missing_extra
-from lightmatrix.live.devices.cameras.base import stated_exposure
-from lightmatrix.live.devices.cameras.genicam import BUFFERS, GenICamCamera
-from lightmatrix.live.devices.cameras.pixel_formats import PixelFormat
-from lightmatrix.live.devices.cameras.timestamps import FrameStamps
-from lightmatrix.live.devices.protocols import Frame
+from lightmatrix.live.devices.base import (
+    Address,
+    AvailableDevice,
+    Frame,
+    FrameStamps,
+    missing_extra,
+)
+from lightmatrix.live.devices.genicam import BUFFERS, GenICamCamera, PixelFormat
 
-EXTRA = "gentl"
 # The standard's environment variable for the folders of producers.
 _PATHS = "GENICAM_GENTL64_PATH"
-# Features that let a camera alter pictures by itself; all of them have the value Off.
-_AUTOMATICS = ("ExposureAuto", "GainAuto", "BlackLevelAuto", "BalanceWhiteAuto")
-# Seconds to wait for a frame that is to be discarded: such frames have arrived already.
-_AT_ONCE = 0.001
 
 
 class GenTLCamera(GenICamCamera):
@@ -58,7 +55,7 @@ class GenTLCamera(GenICamCamera):
         self._set_shape(int(nodes.Height.value), int(nodes.Width.value))
         self._exposure_node = self._node("ExposureTime") or self._node("ExposureTimeAbs")
         if self._exposure_node is None:
-            self._stated = stated_exposure(self._address)
+            self._stated = self._address.stated_exposure
         self._acquirer.num_buffers = max(BUFFERS, self._acquirer.min_num_buffers)
         self._acquirer.start()
 
@@ -68,7 +65,7 @@ class GenTLCamera(GenICamCamera):
         try:
             with (
                 self._talking("deliver frames"),
-                self._acquirer.fetch(timeout=max(_AT_ONCE, timeout)) as buffer,
+                self._acquirer.fetch(timeout=max(0.001, timeout)) as buffer,
             ):
                 return self._frame(buffer)
         except self._gentl.TimeoutException:
@@ -80,7 +77,7 @@ class GenTLCamera(GenICamCamera):
         # No more than the buffers hold: a camera that runs freely goes on meanwhile.
         for _ in range(self._acquirer.num_buffers):
             try:
-                with self._talking("be flushed"), self._acquirer.fetch(timeout=_AT_ONCE):
+                with self._talking("be flushed"), self._acquirer.fetch(timeout=0.001):
                     pass
             except self._gentl.TimeoutException:
                 return
@@ -130,7 +127,7 @@ class GenTLCamera(GenICamCamera):
         return Frame(data, int(buffer.module.frame_id), timestamp, self._format.clip_level)
 
     def _switch_off_automatics(self) -> None:
-        for name in _AUTOMATICS:
+        for name in ("ExposureAuto", "GainAuto", "BlackLevelAuto", "BalanceWhiteAuto"):
             if (node := self._node(name)) is not None:
                 # Some cameras have the feature without the value Off.
                 with suppress(self._gentl.GenericException):
@@ -218,7 +215,7 @@ def _harvester(address: Address) -> tuple[Any, Any]:
         from genicam import gentl
         from harvesters.core import Harvester
     except ImportError as error:
-        raise missing_extra(EXTRA, "cameras through GenTL") from error
+        raise missing_extra("gentl", "cameras through GenTL") from error
     producers = _producers(address)
     # Harvesters logs every error that it raises as well.
     logging.getLogger("harvesters").setLevel(logging.CRITICAL)

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.errors import FrameTimeoutError
-from lightmatrix.live.devices.exposures import same_exposure, set_exposure
-from lightmatrix.live.frames.photograph import Photographer
-from lightmatrix.live.measurements.white_and_black import (
+from lightmatrix.live.devices.base import same_exposure, set_exposure
+from lightmatrix.live.photograph import (
     FIRST_SETTLE,
+    Photographer,
     WhiteAndBlack,
     find_white_and_black,
     plain_images,

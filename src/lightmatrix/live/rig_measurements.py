@@ -1,4 +1,6 @@
 """All that is measured of a rig, as rig.json keeps it, and measuring it."""
+# MERGED DOCS
+# """Which measurements of a rig no longer hold, found by a short look at the rig."""
 
 from __future__ import annotations
 
@@ -9,21 +11,31 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from lightmatrix.errors import InputError
 from lightmatrix.files.json_files import read_json
-from lightmatrix.live.devices.exposures import set_exposure
-from lightmatrix.live.frames.photograph import Photographer
-from lightmatrix.live.measurements.exposure import ExposureAdvice, measure_exposure
-from lightmatrix.live.measurements.flicker import Flicker, measure_flicker
-from lightmatrix.live.measurements.grey_ramp import measure_response
-from lightmatrix.live.measurements.linearity import CameraLinearity, measure_linearity
-from lightmatrix.live.measurements.settle import SettleTime, measure_settle
-from lightmatrix.live.measurements.white_and_black import (
+from lightmatrix.live.devices.base import set_exposure
+from lightmatrix.live.flicker import Flicker, flicker_has_grown, measure_flicker
+from lightmatrix.live.light_levels import (
+    CameraLinearity,
+    ExposureAdvice,
+    measure_exposure,
+    measure_linearity,
+    measure_response,
+)
+from lightmatrix.live.photograph import (
     FIRST_SETTLE,
+    Photographer,
+    UntrustedFrameError,
+    WhiteAndBlack,
     find_white_and_black,
+    plain_images,
+    take_average,
     take_white_and_black,
 )
 from lightmatrix.live.rig import Rig
+from lightmatrix.live.settle import SettleTime, measure_settle
 from lightmatrix.outputs.kinds import RIG, RIG_FORMAT
 from lightmatrix.outputs.writing import atomic_file
 from lightmatrix.patterns.projector_curve import ProjectorResponse
@@ -270,3 +282,59 @@ def _measured(
         known = replace(known, linearity=linearity)
     now = datetime.now().astimezone().isoformat(timespec="seconds")
     return replace(known, brightness=whites.brightness, measured=now)
+
+
+# The exposures are outdated if the brightness changed by more than this share. Chosen by hand.
+_SAME_LIGHT = 0.05
+# The responses are outdated if a middle grey changed by more than this share of the way from black
+# to white. Chosen by hand.
+_SAME_GREY = 0.03
+# The settle time is outdated if, of so many changes between black and white, more than the second
+# number are farther from their end than the last share. Single late images are normal.
+_CHANGES, _MOST_LATE, _NEAR = 6, 2, 0.05
+
+
+def outdated_parts(rig: Rig, known: RigMeasurements) -> list[str]:
+    """Names of the parts that no longer hold; `known` has a settle time and exposures."""
+    # Each look begins anew if the camera is lost: some cameras have memory for a few pictures only.
+    whites, parts = rig.persistently(lambda: _changed_levels(rig, known))
+    assert known.settle is not None
+    settle, flicker = known.settle.seconds, known.flicker
+    if flicker is not None and rig.persistently(
+        lambda: flicker_has_grown(rig, flicker, settle=settle, whites=whites)
+    ):
+        # Exposures are multiples of the period of a flicker.
+        parts += [part for part in ("flicker", "exposure") if part not in parts]
+    return parts
+
+
+def _changed_levels(rig: Rig, known: RigMeasurements) -> tuple[WhiteAndBlack, list[str]]:
+    """White and black, and the parts that the levels of frames show to be outdated."""
+    assert known.settle is not None
+    assert known.exposure is not None
+    exposure = known.exposure.seconds[-1]
+    whites = take_white_and_black(Photographer(rig, FIRST_SETTLE), exposure)
+    parts = []
+    photographer = Photographer(rig, known.settle.seconds)
+    late = 0
+    for change in range(_CHANGES):
+        image = plain_images(rig)[change % 2]
+        try:
+            level = whites.level(photographer.take(image, exposure).data)
+        except UntrustedFrameError:
+            continue
+        late += not abs(level - change % 2) < _NEAR
+    if late > _MOST_LATE:
+        parts.append("settle")
+    if known.response is not None:
+        grey = known.response.grey_for(np.array([0.5]))[0]
+        light = float(np.interp(grey, known.response.levels, known.response.light))
+        image = np.full_like(plain_images(rig)[0], grey)
+        shown = take_average(photographer, image, exposure, 3)
+        if abs(whites.level(shown.mean) - light) > _SAME_GREY:
+            # The projector's curve has changed, or the camera's.
+            parts += ["response", "linearity"]
+    if abs(whites.brightness / known.brightness - 1) > _SAME_LIGHT:
+        # The aperture, the distance, the scene or the lamp has changed.
+        parts.append("exposure")
+    return whites, parts

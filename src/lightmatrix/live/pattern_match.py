@@ -6,8 +6,13 @@ patterns are predicted. A frame shows its pattern if it meets the prediction. If
 meets a mixture with the pattern shown before, all over or from some row on, it is late or torn.
 Frames that came before enough was known are judged again later.
 
-Scenes without direct light, few patterns, and patterns of single pixels predict nothing. Frames are
-then confirmed by a second photograph instead.
+An image that comes late may come within the exposure. The frame is then (1 - a) times its own
+pattern's and a times that of the pattern before. Weighted least squares fits the share a and its
+standard error, from predictions for both patterns. The frame's own contrast and level are fitted
+too: predictions are off in these, in all samples alike, by more than the shares that matter.
+
+Scenes without direct light, few patterns, and patterns of single pixels predict nothing. Frames
+are then confirmed by a second photograph instead.
 """
 
 from __future__ import annotations
@@ -23,39 +28,105 @@ from lightmatrix.diagnosis.pursuit import (
     fold_count,
     predict_by_pursuit,
 )
-from lightmatrix.live.frames.previous_pattern import Mixture, fit_mixture
+from lightmatrix.live.photograph import MEDIAN_TO_DEVIATION
 from lightmatrix.patterns.pattern_set import PatternSet
 
-# Prediction begins with this many frames more than the logarithm (base 2) of the projector pixels,
-# which is the least that tells pixels apart. Chosen by hand.
-_SPARE_FRAMES = 8
-# Learning takes seconds for projectors of more pixels than this. They are learnt from when the
-# frames have doubled instead of grown by half, and with fewer parts of cross-validation.
-_LARGE_PIXELS = 100_000
-_LARGE_GROWTH, _USUAL_GROWTH = 2.0, 1.5
-_LARGE_FOLDS = 3
-# Number of samples that are watched if each is searched for among all projector pixels, and number
-# of groups of 25 neighbours if only the middle one of a group is. Chosen by hand for the time that
-# learning takes.
-_SAMPLES, _GROUPS = 1024, 64
-# Neighbours in a group are at most this many camera pixels apart.
-_NEIGHBOUR_STEP = 3
-# Samples are chosen from bands of rows, at most this many, so that they cover the whole image.
-_ROW_BANDS = 64
-# A sample is lit if it has this share of the light of the brightest 1 % of the samples.
-_LIT = 0.1
-# A sample is predictable if the prediction explains this share of its variance. Frames are judged
-# only if there are this many such samples. Chosen by hand.
-_EXPLAINED = 0.5
-_FEWEST_PREDICTABLE = 24
-# A frame is wrong if the prediction misses this share of its variance, and so many times the usual
-# share. Chosen by hand.
-_MOST_MISSED = 0.25
-_TIMES_USUAL = 3.0
-# A squared error counts at most this much, in variances, lest a glint decide for all samples.
-_MOST_SQUARE = 25.0
-# Times the median of absolute errors this is their standard deviation.
-_MEDIAN_TO_DEVIATION = 1.48
+
+@dataclass(frozen=True)
+class _Tolerances:
+    """When a frame is doubted, and when it is certain that something is wrong with it.
+
+    Chosen by `python -m tests.live.rig_mixtures`, which measures what passes.
+    """
+
+    # Up to so many standard errors of a share it may be none at all; beyond the second number it is
+    # certain that there is one.
+    doubted: float = 1.5
+    certain: float = 5.0
+    # Shares below this are harmless, and so are those that add less light than the noise. A larger
+    # share is doubted unless chance lowers it by 2 standard errors, which happens once in 40 times.
+    harmless: float = 0.01
+    missed_errors: float = 2.0
+    # Rows at one end of the image are torn if their share is above the first and above so many
+    # standard errors. The bound is high because many rows are tested, and because predictions of
+    # neighbouring rows err alike.
+    torn: float = 0.015
+    torn_errors: float = 6.0
+    # A sample is predictable if the prediction explains this share of its variance, and frames are
+    # judged only if there are this many such samples.
+    explained: float = 0.5
+    fewest: int = 24
+    # A frame is wrong if the prediction misses this share of its variance, and so many times the
+    # usual share.
+    most_missed: float = 0.25
+    times_usual: float = 3.0
+    # An error counts at most this many standard deviations, lest a glint decide for all samples.
+    farthest: float = 5.0
+
+
+_TOLERANCES = _Tolerances()
+
+
+@dataclass(frozen=True)
+class Mixture:
+    """Share of another pattern in a frame."""
+
+    # The share over the whole frame, and its standard error.
+    share: float
+    error: float
+    # Whether some rows at the top or bottom show the other pattern.
+    torn: bool
+    # Difference between the light of both patterns (root mean square), in levels.
+    contrast: float
+
+    def excluded(self, noise: float) -> bool:
+        """Whether no harmful share is in the frame; `noise` is that of a sample, in levels."""
+        harmful = max(_TOLERANCES.harmless, noise / max(self.contrast, 1e-9))
+        doubted = _TOLERANCES.doubted * self.error
+        visible = doubted + _TOLERANCES.missed_errors * self.error <= harmful
+        return visible and self.share <= doubted
+
+    def complaint(self) -> str | None:
+        """What is wrong with the frame; None if nothing is certain."""
+        if self.share > _TOLERANCES.certain * self.error:
+            return f"shows {100 * min(self.share, 1):.0f} % of the pattern before"
+        if self.torn:
+            return "shows some of the pattern before in some of its rows"
+        return None
+
+
+def fit_mixture(
+    missed: NDArray[np.float64],
+    other: NDArray[np.float64],
+    own: NDArray[np.float64],
+    error: NDArray[np.float64],
+    rows: NDArray[np.int64],
+) -> Mixture:
+    """Fit the share of another pattern in a frame, as a whole and from each row up and down.
+
+    All are (m,): what the own pattern's prediction `missed`, both predictions, the standard
+    deviation of `missed` where all is right, and each sample's image row.
+    """
+    nuisance, _ = np.linalg.qr(np.column_stack([own, np.ones_like(own)]) / error[:, None])
+
+    def without_nuisance(values: NDArray[np.float64]) -> NDArray[np.float64]:
+        weighted = values / error
+        return np.asarray(weighted - nuisance @ (nuisance.T @ weighted))
+
+    rest, towards = without_nuisance(missed), without_nuisance(other)
+    order = np.argsort(rows, kind="stable")
+    scale = max(1.0, float(np.sqrt((rest**2).mean())))
+    torn = False
+    # The last cumulative sums of the second direction are those of the whole frame.
+    for ordered in (order[::-1], order):
+        weight = np.maximum(np.cumsum(towards[ordered] ** 2), 1e-9)
+        share = np.cumsum(rest[ordered] * towards[ordered]) / weight
+        errors = share * np.sqrt(weight) / scale
+        clear = (share > _TOLERANCES.torn) & (errors > _TOLERANCES.torn_errors)
+        # A single sample may be a glint, so at least four are needed.
+        torn = torn or bool(clear[3:].any())
+    contrast = float(np.sqrt(((other - own) ** 2).mean()))
+    return Mixture(float(share[-1]), scale / float(np.sqrt(weight[-1])), torn, contrast)
 
 
 @dataclass(eq=False)
@@ -96,12 +167,17 @@ class PatternMatcher:
     def due(self) -> bool:
         """Whether enough frames have been added for another `learn`."""
         count = int(np.isfinite(self._values[0]).sum())
-        growth = _LARGE_GROWTH if self.patterns.pixels > _LARGE_PIXELS else _USUAL_GROWTH
-        return count >= max(self._fewest, growth * self._learnt)
+        return count >= max(self._fewest, (2.0 if self._large else 1.5) * self._learnt)
+
+    @property
+    def _large(self) -> bool:
+        """Whether learning takes seconds, so that it is done less often and by fewer folds."""
+        return self.patterns.pixels > 100_000
 
     @property
     def _fewest(self) -> int:
-        return _SPARE_FRAMES + int(np.ceil(np.log2(self.patterns.pixels)))
+        # Pixels can be told apart by the logarithm of their number at the least.
+        return 8 + int(np.ceil(np.log2(self.patterns.pixels)))
 
     def put(self, frame: int, samples: NDArray[np.float32]) -> None:
         """Note the samples (m,) of a frame."""
@@ -127,15 +203,15 @@ class PatternMatcher:
         spread = observed - observed.mean(axis=1, keepdims=True)
         missed = observed - predicted[:, frames]
         explained = 1 - (missed**2).sum(axis=1) / np.maximum((spread**2).sum(axis=1), 1e-12)
-        predictable = explained > _EXPLAINED
-        if predictable.sum() < _FEWEST_PREDICTABLE:
+        predictable = explained > _TOLERANCES.explained
+        if predictable.sum() < _TOLERANCES.fewest:
             return
         self._predicted, self._predictable = predicted, predictable
         # Medians describe the many right frames, not the few wrong ones.
-        deviation = _MEDIAN_TO_DEVIATION * np.median(np.abs(missed), axis=1)
+        deviation = MEDIAN_TO_DEVIATION * np.median(np.abs(missed), axis=1)
         self._error = np.maximum(deviation, 1e-3 * self.ceiling)
         self._usual_miss = float(np.median([self._missed(int(k)) for k in frames]))
-        if self._usual_miss > _EXPLAINED:
+        if self._usual_miss > _TOLERANCES.explained:
             self._predicted = None
             return
         # Predictions of neighbouring samples err alike, which makes fitted shares less certain than
@@ -143,14 +219,15 @@ class PatternMatcher:
         self._error_scale = 1.0
         mixes = [self._mixture(int(k), int(k) - 1) for k in frames if k > 0]
         ratios = [abs(mix.share) / mix.error for mix in mixes if mix is not None]
-        self._error_scale = max(1.0, _MEDIAN_TO_DEVIATION * float(np.median(ratios)))
+        self._error_scale = max(1.0, MEDIAN_TO_DEVIATION * float(np.median(ratios)))
 
     def complaint(self, frame: int, before: int) -> str | None:
         """What is wrong with a frame shown after pattern `before` (below 0: black or white)."""
         mix = self._mixture(frame, before)
         if mix is not None and (complaint := mix.complaint()) is not None:
             return complaint
-        if self._missed(frame) > max(_MOST_MISSED, _TIMES_USUAL * self._usual_miss):
+        usual = max(_TOLERANCES.most_missed, _TOLERANCES.times_usual * self._usual_miss)
+        if self._missed(frame) > usual:
             return "does not show its pattern"
         return None
 
@@ -172,7 +249,7 @@ class PatternMatcher:
         light = np.full_like(self._values, np.nan)
         light[:, frames] = self._values[:, frames]
         light[:, frames] -= light[:, frames].mean(axis=0)
-        parts = _LARGE_FOLDS if self.patterns.pixels > _LARGE_PIXELS else fold_count(len(frames))
+        parts = 3 if self._large else fold_count(len(frames))
         fold = np.full(self.patterns.count, -1)
         fold[frames] = np.random.default_rng(0).permutation(len(frames)) % parts
         predicted = predict_by_pursuit(self.patterns, self._scale, light, fold, self.group)
@@ -182,8 +259,9 @@ class PatternMatcher:
         """Share of a frame's variance that its prediction misses."""
         observed, expected, error = self._compared(frame)
         usual = np.nanmean(self._values[self._predictable], axis=1, dtype=np.float64)
-        power = np.minimum(((observed - usual) / error) ** 2, _MOST_SQUARE).sum()
-        missed = np.minimum(((observed - expected) / error) ** 2, _MOST_SQUARE).sum()
+        most = _TOLERANCES.farthest**2
+        power = np.minimum(((observed - usual) / error) ** 2, most).sum()
+        missed = np.minimum(((observed - expected) / error) ** 2, most).sum()
         return float(missed / max(float(power), 1))
 
     def _mixture(self, frame: int, before: int) -> Mixture | None:
@@ -192,7 +270,7 @@ class PatternMatcher:
             return None
         observed, expected, error = self._compared(frame)
         other = self._at_level(before, observed)
-        limit = np.sqrt(_MOST_SQUARE) * error
+        limit = _TOLERANCES.farthest * error
         missed = np.clip(observed - expected, -limit, limit)
         mixture = fit_mixture(missed, other, expected, error, self.rows[self._predictable])
         return replace(mixture, error=self._error_scale * mixture.error)
@@ -224,21 +302,23 @@ def choose_samples(
     generator = np.random.default_rng(0)
     rows, cols = light.shape[:2]
     by_row = np.asarray(light).reshape(rows, -1)
-    wanted, places = _SAMPLES, np.zeros(1, np.int64)
-    if patterns.pixels > SEARCHED_WHOLE and min(rows, cols) > 8 * _NEIGHBOUR_STEP:
+    # The numbers of samples and of groups are those that can be learnt in about a second.
+    wanted, places = 1024, np.zeros(1, np.int64)
+    if patterns.pixels > SEARCHED_WHOLE and min(rows, cols) > 24:
         # Neighbours should see other projector pixels than the middle one, but near ones.
-        step = int(np.clip(_NEIGHBOUR_STEP * rows / patterns.shape[0], 1, _NEIGHBOUR_STEP))
-        wanted, places = _GROUPS, step * np.arange(-2, 3)
+        step = int(np.clip(3 * rows / patterns.shape[0], 1, 3))
+        wanted, places = 64, step * np.arange(-2, 3)
         inner = np.zeros(light.shape, bool)
         inner[places[-1] : places[0], places[-1] : places[0]] = True
         by_row = np.where(inner.reshape(rows, -1), by_row, 0)
-    threshold = _LIT * np.quantile(by_row, 0.99)
-    bands = min(rows, _ROW_BANDS)
-    share = -(-wanted // bands)
+    # A sample is lit if it has a tenth of the light of the brightest 1 %. Bands of rows give the
+    # same number each, so that the samples cover the whole image.
+    threshold = 0.1 * np.quantile(by_row, 0.99)
+    bands = min(rows, 64)
     chosen = []
     for band in np.array_split(np.arange(rows), bands):
         lit = np.flatnonzero(by_row[band] > threshold)
-        pick = generator.permutation(lit)[:share]
+        pick = generator.permutation(lit)[: -(-wanted // bands)]
         chosen.append(band[0] * by_row.shape[1] + pick)
     index = np.sort(np.concatenate(chosen)).astype(np.int64)
     down, across = np.meshgrid(places, places, indexing="ij")

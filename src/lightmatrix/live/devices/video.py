@@ -20,12 +20,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.errors import DeviceError, InputError
-from lightmatrix.live.devices.addresses import Address, AvailableDevice, missing_extra
-from lightmatrix.live.devices.cameras.base import BaseCamera, stated_exposure
-from lightmatrix.live.devices.cameras.timestamps import FrameStamps
-from lightmatrix.live.devices.protocols import Frame
+from lightmatrix.live.devices.base import (
+    Address,
+    AvailableDevice,
+    BaseCamera,
+    Frame,
+    FrameStamps,
+    missing_extra,
+)
 
-EXTRA = "video"
 # FFmpeg's input format on each system.
 _SYSTEMS = {"linux": "v4l2", "darwin": "avfoundation", "win32": "dshow"}
 _OPTIONS = ("exposure", "format", "fps", "pixels", "size")
@@ -33,13 +36,6 @@ _OPTIONS = ("exposure", "format", "fps", "pixels", "size")
 _FFMPEG_OPTIONS = (
     "channel", "draw_mouse", "grab_x", "grab_y", "input_format", "pixel_format", "rtbufsize",
 )  # fmt: skip
-# At most this many frames wait. Older ones are dropped, and their numbers are missing. Chosen by
-# hand: more frames would only be older.
-_WAITING = 4
-_GREY = re.compile(r"gray(?:([0-9]+)le)?")
-# Seconds that closing waits for the reading thread. A device that hangs for longer is left to the
-# end of the program.
-_CLOSING = 2.0
 
 
 class VideoCamera(BaseCamera):
@@ -51,9 +47,9 @@ class VideoCamera(BaseCamera):
         super().__init__(address)
         self._container, self._stated = container, exposure
         self._name = f"{container.format.name} {address.argument}"
-        self._pixels = address.choice("pixels", ("all", "green"), "all")
+        self._pixels = address.choice("pixels", ("all", "green"))
         self._stream = container.streams.video[0]
-        grey = _GREY.fullmatch(self._stream.format.name)
+        grey = re.fullmatch(r"gray(?:([0-9]+)le)?", self._stream.format.name)
         self._grey = grey is not None
         self._bits = depth = int(grey[1] or 8) if grey is not None else 8
         self._clip_level = float(2**depth - 1)
@@ -61,7 +57,8 @@ class VideoCamera(BaseCamera):
         if not self._grey and self._pixels == "all":
             self._shape += (3,)
         self._stamps = FrameStamps()
-        self._frames: deque[tuple[Any, int, float]] = deque(maxlen=_WAITING)
+        # Older frames are dropped, and their numbers are missing.
+        self._frames: deque[tuple[Any, int, float]] = deque(maxlen=4)
         self._news = threading.Condition()
         self._failure: Exception | None = None
         self._reader = threading.Thread(target=self._read, daemon=True)
@@ -95,7 +92,8 @@ class VideoCamera(BaseCamera):
             self._closed = True
             self._frames.clear()
             self._news.notify_all()
-        self._reader.join(_CLOSING)
+        # A device that hangs for longer is left to the end of the program.
+        self._reader.join(2.0)
         if not self._reader.is_alive():
             self._container.close()
 
@@ -149,7 +147,7 @@ def open_video(address: Address) -> VideoCamera:
     rtbufsize, grab_x, grab_y and draw_mouse.
     """
     address.check_options((*_OPTIONS, *_FFMPEG_OPTIONS))
-    exposure = stated_exposure(address)
+    exposure = address.stated_exposure
     if not address.argument:
         raise InputError(
             f"{address}: which video device?",
@@ -189,7 +187,7 @@ def _load() -> Any:
     try:
         import av
     except ImportError as error:
-        raise missing_extra(EXTRA, "video devices through PyAV") from error
+        raise missing_extra("video", "video devices through PyAV") from error
     return av
 
 

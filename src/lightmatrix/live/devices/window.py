@@ -15,15 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.errors import DeviceError, InputError
-from lightmatrix.live.devices.addresses import (
+from lightmatrix.live.devices.base import (
     Address,
     AvailableDevice,
+    check_image,
     missing_extra,
     size_in_words,
 )
-from lightmatrix.live.devices.protocols import check_image
 
-EXTRA = "window"
 _VERTEX = """
 #version 330
 void main() {
@@ -41,10 +40,6 @@ void main() {
     light = texelFetch(image, ivec2(at.x, textureSize(image, 0).y - 1 - at.y), 0);
 }
 """
-_GL_DITHER = 0x0BD0
-_GLFW_MESSAGE = re.compile(r"^\([0-9]+\) b?['\"]?(.*?) ?['\"]?$")
-# A gamma ramp that is not linear is reported at this many grey values from 0 to 1.
-_RAMP_STEPS = 17
 # Number of open windows: GLFW ends with the last one.
 _windows = 0
 
@@ -64,7 +59,8 @@ class WindowProjector:
         glfw.set_input_mode(self._window, glfw.CURSOR, glfw.CURSOR_HIDDEN)
         glfw.set_key_callback(self._window, self._pressed)
         self._context = moderngl.create_context()
-        self._context.disable_direct(_GL_DITHER)
+        # This is GL_DITHER, which ModernGL has no name for.
+        self._context.disable_direct(0x0BD0)
         width, height = glfw.get_framebuffer_size(self._window)
         self._shape = (height, width)
         self._context.viewport = (0, 0, width, height)
@@ -160,7 +156,7 @@ def open_window(address: Address) -> WindowProjector:
     """
     global _windows
     address.check_options(("gamma",))
-    gamma = address.choice("gamma", ("keep", "linear"), "keep")
+    gamma = address.choice("gamma", ("keep", "linear"))
     glfw, moderngl = _load()
     _start(glfw)
     _windows += 1
@@ -203,7 +199,7 @@ def _load() -> tuple[Any, Any]:
         import glfw
         import moderngl
     except ImportError as error:
-        raise missing_extra(EXTRA, "a projector window") from error
+        raise missing_extra("window", "a projector window") from error
     # Otherwise GLFW only prints its errors.
     glfw.ERROR_REPORTING = "raise"
     return glfw, moderngl
@@ -284,7 +280,7 @@ def _gamma_ramp(glfw: Any, monitor: Any) -> dict[str, Any] | None:
     linear = np.linspace(0, 1, len(ramp.red))
     if all(np.abs(values - linear).max() < 1 / 255 for values in channels.values()):
         return {"linear": True}
-    steps = np.linspace(0, 1, _RAMP_STEPS)
+    steps = np.linspace(0, 1, 17)
     bent = {name: np.interp(steps, linear, values) for name, values in channels.items()}
     return {"linear": False, **{name: np.round(bent[name], 4).tolist() for name in bent}}
 
@@ -296,4 +292,4 @@ def _name(glfw: Any, monitor: Any) -> str:
 
 def _text(error: BaseException) -> str:
     """GLFW's message without its number and the quotes of bytes."""
-    return _GLFW_MESSAGE.sub(r"\1", " ".join(str(error).split()))
+    return re.sub(r"^\([0-9]+\) b?['\"]?(.*?) ?['\"]?$", r"\1", " ".join(str(error).split()))
