@@ -247,11 +247,6 @@ def test_stripes_in_both_directions_do_not() -> None:
     assert "along rows or along columns only" not in message(both)
 
 
-def test_uniform_patterns_and_single_lines_are_no_stripes() -> None:
-    assert "look like another" in message(np.ones((12, 10, 10)))
-    assert message(np.random.default_rng(0).random((12, 1, 30))) == ""
-
-
 def test_a_fifth_of_the_pixels_may_be_alike() -> None:
     for alike, fault in ((18, False), (24, True)):
         images = RANDOM.copy().reshape(12, -1)
@@ -350,33 +345,3 @@ def test_estimate_says_what_check_finds(
     shown = capsys.readouterr()
     assert "response: " in shown.err
     assert [each["kind"] for each in json.loads(shown.out)["findings"]] == ["response"]
-
-
-def test_options_say_all_that_a_description_does(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Two plain folders with options are the capture folder with its capture.json."""
-    exposures = "0.4:0.5,0.1:0.5"
-    simulated = lm.simulate(
-        "metal", lm.BernoulliPatterns((64, 64), 32), exposure=exposures, black_level=5, ambient=0.1
-    )
-    simulated.save(tmp_path / "several")
-    several = tmp_path / "several"
-    listed = tmp_path / "exposures.txt"
-    listed.write_text("\n".join(f"{e:.17g}" for e in simulated.exposures))
-    words = f"--patterns {several}/patterns --images {several}/images --black {several}/black.png "
-    words += f"--black-exposure 0.4 --black-level 5 --clip 255 --full-scale 255 --exposure {listed}"
-    assert run(words, capsys) == (0, [])
-    made: list[lm.LightTransport] = []
-    for where in (words, str(several)):
-        output = tmp_path / f"{len(made)}.zarr"
-        command = f"estimate {where} -o {output} --no-coherent --iterations 2 --no-check"
-        assert main(command.split()) == 0
-        made.append(lm.open(output))
-    np.testing.assert_array_equal(made[0].sparse.data, made[1].sparse.data)
-    capsys.readouterr()
-    given = ",".join(f"{e:g}" for e in simulated.exposures)
-    assert run(words.replace(str(listed), given), capsys) == (0, [])
-    for wrong in ("nonsense", "1,2,x", "1,2,3"):
-        assert main(["check", *words.replace(str(listed), wrong).split()]) in (2,)
-        assert wrong[:3] in capsys.readouterr().err or wrong == "1,2,3"

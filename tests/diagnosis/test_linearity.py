@@ -10,14 +10,10 @@ import pytest
 import lightmatrix as lm
 from benchmarks import frame_checks
 from benchmarks.synthetic_captures import draw
-from lightmatrix.camera.camera_curve import Response
-from lightmatrix.diagnosis.bends import Rows, solve_bends
-from lightmatrix.diagnosis.curves import GammaBend
 from lightmatrix.diagnosis.finding import Finding
 from lightmatrix.diagnosis.linearity import (
     WindowPower,
     check_linearity,
-    is_certain,
     power_from_windows,
 )
 from lightmatrix.diagnosis.survey import Survey
@@ -142,29 +138,6 @@ def test_rows_of_which_many_samples_clip_are_no_curve(seed: int | None) -> None:
         patterns = BernoulliPatterns((64, 64), K, seed=100 + seed)
         scene = replace(scene, patterns=patterns, seed=seed)
     assert scene.check(scene.frames()) == []
-
-
-def test_few_samples_that_are_left_ask_for_a_larger_margin() -> None:
-    power = WindowPower(1.3, 0.02, settled=True, missed=(0.05, 0.04), freedom=18.0)
-    assert is_certain(power, K, steady=True)
-    assert not is_certain(replace(power, freedom=8.0), K, steady=True)
-    # However few are left, a display's gamma can be told under as many patterns.
-    assert is_certain(replace(power, power=2.2, freedom=-1.0), K, steady=True)
-
-
-def test_rows_of_no_weight_do_not_count() -> None:
-    generator = np.random.default_rng(0)
-    light = generator.uniform(0.1, 0.9, (40, K))
-    columns = np.stack([np.ones_like(light), light**1.2], axis=2)
-    usable, part = np.ones(light.shape, bool), np.arange(40) % 8
-    rows = Rows(light, light, np.zeros_like(light), usable, columns, part)
-    some = np.arange(40) >= 10
-    weighted = solve_bends(replace(rows, weight=np.where(some, 3.0, 0.0)), Response(), GammaBend())
-    chosen = solve_bends(rows.select(some), Response(), GammaBend())
-    assert weighted is not None
-    assert chosen is not None
-    np.testing.assert_allclose(weighted.sizes, chosen.sizes)
-    np.testing.assert_allclose(weighted.errors, chosen.errors)
 
 
 GREY = np.rint(255 * np.random.default_rng(3).random((K, *PROJECTOR))) / 255

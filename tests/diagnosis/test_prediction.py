@@ -7,8 +7,7 @@ import pytest
 
 import lightmatrix as lm
 from lightmatrix.diagnosis import prediction
-from lightmatrix.diagnosis.prediction import FramePrediction, find_places, predict
-from lightmatrix.diagnosis.pursuit import column_scale
+from lightmatrix.diagnosis.prediction import find_places, predict
 from lightmatrix.patterns.bits import BernoulliPatterns
 
 K, SHAPE = 80, (12, 14)
@@ -113,37 +112,3 @@ def test_samples_near_the_clip_level_are_not_trusted() -> None:
     assert not made.trusted[seen.clipped].any()
     usual = np.sqrt(made.miss * seen.values.var(axis=1))[:, None]
     np.testing.assert_array_equal(made.trusted, ~seen.clipped & (made.expected < 1.2 - 3 * usual))
-
-
-def test_patterns_of_one_mean_are_no_problem() -> None:
-    images = PATTERNS.images()[:40]
-    equal = lm.ImagePatterns(np.concatenate([images, images[:, :, ::-1], images[:, ::-1]], axis=2))
-    means = equal.means[:, None, None]
-    equal = lm.ImagePatterns((0.4 * equal.stack / means).astype(np.float32))
-    light = equal.columns(np.array([50])).T
-    made = predict(equal, lm.Samples(light, light > 9, np.full(40, 9.0)))
-    assert np.isfinite(made.expected).all()
-
-
-def test_rows_that_can_be_predicted() -> None:
-    trusted = np.ones((4, 10), bool)
-    trusted[2, :2], trusted[3, :3] = False, False
-    none = np.zeros((4, 10))
-    made = FramePrediction(none, none, trusted, np.array([0.35, 0.45, 0.1, 0.1]), (), np.arange(4))
-    assert made.predicted.tolist() == [True, False, True, False]
-
-
-def test_noise_is_the_median_deviation_of_trusted_samples() -> None:
-    observed = np.random.default_rng(0).standard_normal((3, 2000)) * [[1], [2], [0]]
-    trusted = np.ones(observed.shape, bool)
-    observed[:, :500], trusted[:, :500] = 99, False
-    made = FramePrediction(observed, 0 * observed, trusted, np.zeros(3), (), np.arange(3))
-    np.testing.assert_allclose(made.noise[:, 0], [1, 2, 0], rtol=0.05, atol=1e-8)
-
-
-def test_the_scale_of_projector_pixels() -> None:
-    images = PATTERNS.images().copy()
-    images[:, 0, 0] = 1
-    scale = column_scale(lm.ImagePatterns(images))
-    assert scale[0] == 0
-    np.testing.assert_allclose(scale[1:], 1 / images.reshape(K, -1).std(axis=0)[1:], rtol=1e-5)

@@ -68,7 +68,7 @@ def test_noise_alone_is_no_relation_to_judge() -> None:
 def test_estimate_refuses_what_is_explained_and_warns_of_the_rest() -> None:
     with pytest.raises(InputError, match="order of their names") as refused:
         lm.estimate(draw("textured", "random", "by name", 16, 0).capture)
-    assert "--no-check" in (refused.value.hint or "")
+    assert "check=False" in (refused.value.hint or "")
     capture = draw("textured", "random", "other seed", 16, 0).capture
     with pytest.warns(LightMatrixWarning, match=re.escape("do not follow the patterns")):
         lm.estimate(capture, coherent=False, iterations=2)

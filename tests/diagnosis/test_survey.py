@@ -111,17 +111,6 @@ def test_masked_hot_and_dark_samples_do_not_count() -> None:
     assert tile.values[24].any()
 
 
-def test_neighbours_and_the_margin() -> None:
-    taken = survey(random_frames(12, 15, 3))
-    inner = taken.inner.reshape(12, 15, 3)
-    assert inner[4:8, 4:11].all()
-    assert inner.sum() == 4 * 7 * 3
-    row = np.ravel_multi_index((5, 6, 2), (12, 15, 3))
-    assert taken.neighbour(np.array([row]), (2, -3))[0] == np.ravel_multi_index(
-        (7, 3, 2), (12, 15, 3)
-    )
-
-
 def test_frames_can_be_selected_with_their_exposures() -> None:
     exposure = np.linspace(0.1, 1, K)
     frames = random_frames(10, 10)

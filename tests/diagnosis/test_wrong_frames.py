@@ -69,13 +69,6 @@ def test_too_few_rows_accuse_nobody() -> None:
     assert not wrong_frames(replace(example, trusted=trusted)).any()
 
 
-def test_brightness_is_corrected_between_half_and_twice() -> None:
-    gain = np.ones(K)
-    for size, wrong in ((0.52, False), (1.9, False), (0.25, True), (6.0, True)):
-        gain[5] = size
-        assert wrong_frames(prediction(rows=M, frames=K, gain=gain))[5] == wrong
-
-
 def test_dark_frames_are_wrong_only_where_light_is_expected() -> None:
     example = prediction(rows=M, frames=K)
     # Hardly any variation is missed: the pattern is flat, and dark by itself.
@@ -171,63 +164,14 @@ def test_rows_that_miss_the_same_light_are_one_witness() -> None:
     assert np.median(error) > 1.5 * np.median(alone)
 
 
-def test_dark_untrusted_and_odd_samples_do_not_count() -> None:
-    gain = np.ones(12)
-    gain[3] = 1.1
-    example = prediction(rows=60, frames=12, noise=0.01, gain=gain)
-    plain, _ = brightness_changes(example)
-    observed, trusted = example.observed.copy(), example.trusted.copy()
-    most = example.expected.max(axis=1, keepdims=True)
-    observed[example.expected < 0.29 * most] += 0.5
-    observed[0, 5], trusted[0, 5] = 9, False
-    observed[example.expected[:, 6].argmax(), 6] = 9
-    spoilt = FramePrediction(observed, example.expected, trusted, example.miss, (), example.part)
-    # The noise is the same: that of a few odd samples is passed over.
-    spoilt.__dict__["noise"] = example.noise
-    change, _ = brightness_changes(spoilt)
-    assert change[:6] == pytest.approx(plain[:6], abs=2e-3)
-    assert 0 < change[6] - plain[6] < 0.01
-
-
-def test_light_that_varies_in_all_frames() -> None:
+def test_light_that_varies_in_all_frames_or_in_one() -> None:
     beat = np.where(np.arange(12) % 2, 1.0, -1.0)
-    # The spread is 1.48 times the median deviation.
-    assert findings(0.0085 * beat) == [("flicker", ())]
-    assert findings(0.0075 * beat) == []
-    assert findings(0.0085 * beat, error=0.0018) == []
-    assert findings(0.0085 * beat, error=0.0016) == [("flicker", ())]
-    # Few of them certain.
-    some = 0.02 * beat
-    errors = np.where(np.arange(12) < 3, 0.001, 1)
-    assert check_flicker(some, errors, np.arange(12), NAMES) == []
-    errors[3] = 0.001
-    assert [f.kind for f in check_flicker(some, errors, np.arange(12), NAMES)] == ["flicker"]
-    assert findings(0.02 * beat[:3]) == []
-    assert findings(0.02 * beat[:4]) == [("flicker", ())]
-
-
-def test_the_words_of_light_that_varies() -> None:
-    change = 0.02 * np.where(np.arange(12) % 2, 1.0, -1.0)
-    change[4] = -1
-    found = check_flicker(change, np.full(12, 0.001), np.arange(12), NAMES)
-    usual = 1.4826 * 0.02
-    spread = 100 * np.sqrt((11 * 0.02**2 + (4 * usual) ** 2) / 12)
-    assert f"by {spread:.1f} %" in found[0].message
-    assert "most in frame 4, -100 %" in found[0].message
-
-
-def test_single_frames() -> None:
+    assert findings(0.03 * beat) == [("flicker", ())]
+    assert findings(0.003 * beat) == []
+    assert findings(0.03 * beat, error=0.03) == []
     change = np.zeros(12)
-    change[7] = 0.041
-    assert findings(change) == [("flicker", (7,))]
-    assert findings(-change) == [("flicker", (7,))]
-    assert findings(change, error=0.0085) == []
-    assert findings(change * 0.039 / 0.041) == []
-    # Against what frames usually deviate by: 6 x 1.48 x 0.005 is more than 4 %.
-    change += 0.005 * np.where(np.arange(12) % 2, 1.0, -1.0)
-    change[7] = 0.043
-    assert findings(change) == []
     change[7] = 0.05
-    assert findings(change) == [("flicker", (7,))]
+    assert findings(change) == findings(-change) == [("flicker", (7,))]
+    assert findings(change / 2) == findings(change, error=0.05) == []
     found = check_flicker(change, np.full(12, 0.001), np.arange(12), NAMES)
     assert "in frame 7 (+5 %)" in found[0].message
