@@ -27,7 +27,7 @@ from lightmatrix.diagnosis.frame_order import (
 )
 from lightmatrix.diagnosis.pursuit import column_scale
 from lightmatrix.diagnosis.refusals import refuse_unordered, refuse_unusable
-from lightmatrix.diagnosis.survey import Survey, high_variance_rows
+from lightmatrix.diagnosis.survey import Survey
 from lightmatrix.errors import InputError
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.blocks import one_pixel_patterns
@@ -55,7 +55,7 @@ def capture(
 def follow(taken: Capture) -> None:
     """Refuse a capture for the order of its frames alone."""
     survey = Survey.take(taken.patterns, taken.frames, taken.decoder)
-    for finding in check_order(survey, high_variance_rows(survey), taken.frames.name):
+    for finding in check_order(survey, taken.frames.name):
         raise InputError(finding.message)
 
 
@@ -122,6 +122,14 @@ def test_two_swapped_frames_are_named(count: int, exposure: float) -> None:
         with pytest.raises(InputError, match=f"frame {a} and frame {b} look swapped"):
             follow(mixed)
         refuse_unusable(mixed)
+
+
+def test_swapped_stripes_of_different_width_are_noticed() -> None:
+    patterns = gray_code()
+    with pytest.raises(
+        InputError, match=r"frame (10 shows .* frame 0|0 shows .* frame 10|0 and frame 10)"
+    ):
+        follow(capture(patterns, swapped(patterns.count, 0, 10)))
 
 
 @pytest.mark.parametrize("first", [5, 20, 40, 55])

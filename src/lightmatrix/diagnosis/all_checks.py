@@ -183,7 +183,7 @@ def _check(capture: Capture, order_only: bool) -> list[Finding]:
     pairs = Pairs.find(survey.patterns)
 
     def of_order() -> list[Finding]:
-        return [] if pairs is not None else check_order(survey, rows, names.__getitem__)
+        return [] if pairs is not None else check_order(survey, names.__getitem__)
 
     # The longest first; each of them keeps about one core busy.
     disorder, findings, unrelated = side_by_side(

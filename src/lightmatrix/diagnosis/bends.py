@@ -118,7 +118,9 @@ def solve_bends(rows: Rows, response: Response, bend: Bend | None) -> Bends | No
     Without `bend`, the response is right, and only the rows' `change` is solved for.
     """
     usable = rows.usable
-    basis = _orthonormal(rows.columns * usable[..., None])
+    basis, strength, _ = np.linalg.svd(rows.columns * usable[..., None], full_matrices=False)
+    # Weaker directions are rounding errors of columns that depend on each other.
+    basis = basis * (strength > 1e-6 * strength[:, :1])[:, None, :]
 
     def projected(values: Array) -> Array:
         masked = values * usable
@@ -153,14 +155,6 @@ def solve_bends(rows: Rows, response: Response, bend: Bend | None) -> Bends | No
     return Bends(sizes, inverse @ (each.T @ each) @ inverse.T)
 
 
-def _orthonormal(columns: Array) -> Array:
-    """Orthonormal columns that span the same, (m, K, d), with zeros for those that depend."""
-    basis, strength, _ = np.linalg.svd(columns, full_matrices=False)
-    # Weaker directions are rounding errors of columns that depend on each other.
-    kept = strength > 1e-6 * strength[:, :1]
-    return np.asarray(basis * kept[:, None, :])
-
-
 def bends_from_transport(capture: Capture, transport: LightTransport, bend: Bend) -> Bends | None:
     """The bends of a capture's response, by the T that was estimated under it.
 
@@ -172,7 +166,12 @@ def bends_from_transport(capture: Capture, transport: LightTransport, bend: Bend
     strongest, weights = strongest_pixels(transport, index, capture.count)
     patterns = capture.patterns
     lit = np.moveaxis(patterns.at(strongest), 0, 1).astype(np.float64)
-    shown = _predicted(capture, transport, index)
+    sparse, background = transport.sparse[index], transport.background[index]
+    # T p of each row under every pattern, (m, K).
+    shown = np.empty((len(index), capture.count))
+    for start, chunk in patterns.chunks():
+        seen = sparse @ chunk.T + background @ (transport.pooling @ chunk.T)
+        shown[:, start : start + len(chunk)] = seen
     rest = shown - np.einsum("mkd,md->mk", lit, weights)
     exposures = capture.exposures
     light, dark = light_of(samples.values, samples, capture.decoder, exposures)
@@ -206,18 +205,6 @@ def choose_rows(capture: Capture) -> tuple[NDArray[np.int64], Samples]:
         usable &= spread > VARIED * np.quantile(spread[usable], 0.9)
     chosen = np.sort(np.random.default_rng(0).permutation(np.flatnonzero(usable))[:2000])
     return index[chosen], samples.rows(chosen)
-
-
-def _predicted(
-    capture: Capture, transport: LightTransport, index: NDArray[np.int64]
-) -> NDArray[np.float64]:
-    """T p of some rows under every pattern, (m, K)."""
-    sparse, background = transport.sparse[index], transport.background[index]
-    shown = np.empty((len(index), capture.count))
-    for start, chunk in capture.patterns.chunks():
-        light = sparse @ chunk.T + background @ (transport.pooling @ chunk.T)
-        shown[:, start : start + len(chunk)] = light
-    return shown
 
 
 def strongest_pixels(

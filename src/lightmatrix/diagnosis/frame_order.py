@@ -90,16 +90,24 @@ class _Limits:
 _LIMITS = _Limits()
 
 
-def check_order(survey: Survey, rows: NDArray[np.int64], name: Name) -> list[Finding]:
-    """Frames that are swapped or displaced, by high-variance rows."""
+def check_order(survey: Survey, name: Name) -> list[Finding]:
+    """Frames that are swapped or displaced."""
     patterns = survey.patterns
     if patterns.count < _LIMITS.frames:
         return []
     cost = patterns.count * patterns.pixels * fold_count(patterns.count) * PROJECTOR_PIXELS
     wanted = int(np.clip(_LIMITS.work / cost, 24, 200))
-    samples = survey.samples(np.random.default_rng(0).permutation(rows)[:wanted])
+    spread = np.zeros(len(survey.raw))
+    for part, tile in survey.chunks():
+        lowest = np.broadcast_to(tile.clip_level, tile.values.shape).min(axis=1, keepdims=True)
+        spread[part] = np.minimum(tile.values, lowest).std(axis=1) * survey.valid[part]
+    # A random choice among the better third: the very best are often all in one place.
+    better = np.argsort(-spread)[: max(wanted, len(spread) // 3)]
+    rows = np.random.default_rng(0).permutation(better[spread[better] > 0])[:wanted]
+    samples = survey.samples(rows)
     levels = np.broadcast_to(samples.clip_level, samples.values.shape)
-    return _Judge(patterns, RawRows(samples.values / levels, levels)).findings(name)
+    light = RawRows(samples.values / levels, levels)
+    return _Judge(patterns, light).findings(name)
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,7 +181,7 @@ class _Judge:
         self.patterns, self.rows = patterns, rows
         self.scale = column_scale(patterns)
         self.frames = np.arange(patterns.count)
-        self.alike = _alike(patterns) | _alike_where_seen(patterns, rows, self.scale)
+        self.alike = _alike(patterns, rows, self.scale)
         in_order = self.misses(Hypothesis.in_order(patterns.count))
         # A pattern that is one grey says nothing of which pixels were lit, while its photograph may
         # well vary: with stripes finer than a bin, or where white clips.
@@ -288,33 +296,26 @@ def _describe_run(start: int, stop: int, step: int, count: int, name: Name) -> s
     )
 
 
-def _alike(patterns: PatternSet) -> NDArray[np.bool_]:
-    """Which pairs of different frames show (nearly) the same pattern and may change places.
+def _alike(patterns: PatternSet, rows: RawRows, scale: Floats) -> NDArray[np.bool_]:
+    """Which pairs of different frames show (nearly) the same pattern and may change places, (K, K).
 
-    They differ by less than 2 % of the usual variance of a pixel, over 4096 pixels at random.
+    Either they differ by less than 2 % of the usual variance of a pixel, over 4096 pixels at
+    random. Or they are grey patterns that are alike at the projector pixels that rows follow, as
+    fine stripes of nearly the same period are in a part of the projector. Bits are never said to
+    be: from swapped frames, rows choose pixels at which these bits agree.
     """
     sample = np.random.default_rng(0).permutation(patterns.pixels)[:4096]
     shown = patterns.columns(sample).astype(np.float64)
     power = (shown**2).sum(axis=1)
     distance = power[:, None] + power[None, :] - 2 * shown @ shown.T
     alike = distance < 0.02 * len(sample) * shown.var(axis=0).mean()
-    return np.asarray(alike & ~np.eye(len(alike), dtype=bool))
-
-
-def _alike_where_seen(patterns: PatternSet, rows: RawRows, scale: Floats) -> NDArray[np.bool_]:
-    """Which pairs of grey patterns are alike at the projector pixels that rows follow, (K, K).
-
-    Fine stripes of nearly the same period are, in a part of the projector. Bits are never said to
-    be: from swapped frames, rows choose pixels at which these bits agree.
-    """
-    if patterns.as_bits() is not None:
-        return np.zeros((patterns.count,) * 2, bool)
-    light = rows.light(np.arange(patterns.count))
-    places = best_pixels(patterns, scale, light - light.mean(axis=1, keepdims=True))
-    shown = patterns.columns(places).astype(np.float64)
-    shown -= shown.mean(axis=1, keepdims=True)
-    length = np.maximum(np.sqrt((shown**2).sum(axis=1)), 1e-9)
-    alike = shown @ shown.T > _LIMITS.like * np.outer(length, length)
+    if patterns.as_bits() is None:
+        light = rows.light(np.arange(patterns.count))
+        places = best_pixels(patterns, scale, light - light.mean(axis=1, keepdims=True))
+        seen = patterns.columns(places).astype(np.float64)
+        seen -= seen.mean(axis=1, keepdims=True)
+        length = np.maximum(np.sqrt((seen**2).sum(axis=1)), 1e-9)
+        alike |= seen @ seen.T > _LIMITS.like * np.outer(length, length)
     return np.asarray(alike & ~np.eye(len(alike), dtype=bool))
 
 

@@ -425,10 +425,10 @@ def gamma_from_windows(
             return None
         misses.append(float(np.median(prediction.miss)))
         size = float(found.sizes[-1])
-        if abs(size) < _LIMITS.small or len(misses) == _LIMITS.steps:
+        # Five to eight steps lead from 1 to 2.2.
+        if abs(size) < _LIMITS.small or len(misses) == 8:
             break
-        step = float(np.clip(size, -_LIMITS.largest_step, _LIMITS.largest_step))
-        gamma = float(np.clip(gamma * (1 + step), *GAMMAS))
+        gamma = float(np.clip(gamma * (1 + np.clip(size, -0.4, 0.4)), *GAMMAS))
     settled = abs(size) < 5 * _LIMITS.small
     return WindowPower(gamma, float(found.errors[-1]), settled, (misses[0], misses[-1]))
 
@@ -469,14 +469,9 @@ def _gamma_bend(
     mean = np.broadcast_to(patterns.means[None, :, None], even.shape)
     columns = np.concatenate([even, mean, lit], axis=2)
     weights = explaining_weights(columns, samples, usable)
-    change = weights[:, 1:2] * _mean_bend(patterns)
+    chunks = (bent_light(chunk.astype(np.float64)) for _, chunk in patterns.chunks())
+    change = weights[:, 1:2] * np.concatenate([bent.mean(axis=1) for bent in chunks])
     change += np.einsum("mkd,md->mk", bent_light(lit), weights[:, 2:])
     part = prediction.part
     whole = Rows(light, expected, dark, usable, columns * unit[..., None], part, change * unit)
     return solve_bends(whole.select(prediction.predicted), decoder.response, None)
-
-
-def _mean_bend(patterns: PatternSet) -> Array:
-    """The mean of `bent_light` over the pixels of each pattern, (K,)."""
-    means = [bent_light(chunk.astype(np.float64)).mean(axis=1) for _, chunk in patterns.chunks()]
-    return np.concatenate(means)
