@@ -22,8 +22,7 @@ from lightmatrix.evaluation.metrics import (
 from lightmatrix.files.colours import COLOURS
 from lightmatrix.ranges import check_number
 from lightmatrix.reprs import html_table, text_table
-from lightmatrix.transport.labels import labelled
-from lightmatrix.transport.matrix import LightTransport
+from lightmatrix.transport.matrix import LightTransport, labelled
 
 
 @dataclass(frozen=True)

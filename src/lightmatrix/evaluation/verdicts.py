@@ -20,8 +20,7 @@ from lightmatrix.evaluation.verdict import (
     stored_findings,
     verdict,
 )
-from lightmatrix.transport.held_out import prediction_error
-from lightmatrix.transport.matrix import LightTransport
+from lightmatrix.transport.matrix import LightTransport, prediction_error
 
 # A correspondence is good if at least the first share of the lit camera pixels is certain of its
 # strongest projector pixel, and fair from the second share on. Chosen by hand.

@@ -17,8 +17,7 @@ from lightmatrix.evaluation.doubts import OwnError
 from lightmatrix.evaluation.metrics import row_energies
 from lightmatrix.evaluation.verdict import percent
 from lightmatrix.live.session import Session
-from lightmatrix.transport.held_out import prediction_error
-from lightmatrix.transport.matrix import LightTransport
+from lightmatrix.transport.matrix import LightTransport, prediction_error
 
 # Patterns photographed between two estimates, and before the first one: fewer frames hold out too
 # few for a stated error.

@@ -27,7 +27,7 @@ from lightmatrix.estimators.work import OneStep
 from lightmatrix.solvers import Solver, solve
 from lightmatrix.solvers.loop import Progress
 from lightmatrix.solvers.problem import Problem, Result
-from lightmatrix.store.tiles import Span
+from lightmatrix.store.checkpoint import Span
 from lightmatrix.transport.sparse_rows import SparseRows
 
 
