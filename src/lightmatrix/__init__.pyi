@@ -183,8 +183,8 @@ from .transport.correspondence import (
     Correspondence as Correspondence,
     correspondence as correspondence,
 )
-from .evaluation.estimate_errors import ColourErrors as ColourErrors
-from .evaluation.estimate_errors import Errors as Errors
+from .evaluation.evaluate import ColourErrors as ColourErrors
+from .evaluation.evaluate import Errors as Errors
 from .transport.matrix import LightTransport as LightTransport
 from .transport.operator import singular_values as singular_values
 from .uses.compensated_video import (
@@ -223,19 +223,16 @@ from .uses.separation import (
     Separation as Separation,
     separate as separate,
 )
-from .evaluation.verdict import (
+from .evaluation.judgement import (
     Verdict as Verdict,
-    verdict as verdict,
-)
-from .evaluation.verdicts import (
     Verdicts as Verdicts,
+    verdict as verdict,
     verdicts as verdicts,
 )
 
-# Plans and experiments.
-from .experiments.run import (
+# Plans and the demo.
+from .demo import (
     demo as demo,
-    experiment as experiment,
 )
 from .planning.plan import (
     Advice as Advice,

@@ -146,7 +146,7 @@ def test_an_error_that_the_verdict_does_not_state_reaches_nothing() -> None:
     assert not result.reached
     assert result.errors[-1][0] == 64
     assert "no error can be stated" in result.sentence
-    assert "--black" in result.sentence
+    assert "black frame" in result.sentence
 
 
 @pytest.mark.parametrize("target", [0, 1.5, float("nan"), "relighting", "T:0.03", "relighting:2"])

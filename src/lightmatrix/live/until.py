@@ -13,9 +13,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from lightmatrix.errors import InputError
-from lightmatrix.evaluation.doubts import OwnError
+from lightmatrix.evaluation.judgement import OwnError, percent
 from lightmatrix.evaluation.metrics import row_energies
-from lightmatrix.evaluation.verdict import percent
 from lightmatrix.live.session import Session
 from lightmatrix.transport.matrix import LightTransport, prediction_error
 

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from experiments.harness import Experiment, Measured, Row, all_rows, means
 from lightmatrix.decoding.decode import decode
 from lightmatrix.errors import InputError
 from lightmatrix.estimators.estimate import estimate
-from lightmatrix.experiments.harness import Experiment, Measured, Row, all_rows
 from lightmatrix.geometry.rig_geometry import RigGeometry
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.graycode import GrayCodePatterns
@@ -195,17 +195,7 @@ def _on_projector(truth: Truth, geometry: RigGeometry) -> NDArray[np.bool_]:
 
 def _summary(rows: list[Row]) -> list[Row]:
     """The means over the seeds."""
-    groups: dict[tuple[Any, ...], list[Row]] = {}
-    for row in rows:
-        groups.setdefault(tuple(row[name] for name in _KEY), []).append(row)
-    return [
-        {
-            **dict(zip(_KEY, key, strict=True)),
-            "seeds": len(group),
-            **{name: float(np.mean([row[name] for row in group])) for name in _METRICS},
-        }
-        for key, group in groups.items()
-    ]
+    return means(rows, _KEY, tuple(_METRICS))
 
 
 def _draw(out: Path, results: list[tuple[Case, Measured]]) -> None:

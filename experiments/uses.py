@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from experiments.harness import Experiment, Measured, Row, all_rows, means
+from experiments.uses_compensation import compensation_rows, inverse_light_rows
+from experiments.uses_separation import separation_rows
 from lightmatrix.estimators.estimate import estimate
-from lightmatrix.experiments.harness import Experiment, Measured, Row, all_rows
-from lightmatrix.experiments.uses_compensation import compensation_rows, inverse_light_rows
-from lightmatrix.experiments.uses_separation import separation_rows
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.pictures.style import COLOURS, figure, save
 from lightmatrix.planning.plan import plan
@@ -90,18 +90,7 @@ def measure(case: Case) -> Measured:
 
 def _summary(rows: list[Row]) -> list[Row]:
     """The means over the seeds."""
-    groups: dict[tuple[Any, ...], list[float]] = {}
-    for row in rows:
-        key = tuple(row[name] for name in ("use", "scene", "size", "method", "metric"))
-        groups.setdefault(key, []).append(row["value"])
-    return [
-        {
-            **dict(zip(("use", "scene", "size", "method", "metric"), key, strict=True)),
-            "seeds": len(values),
-            "value": float(np.mean(values)),
-        }
-        for key, values in groups.items()
-    ]
+    return means(rows, ("use", "scene", "size", "method", "metric"), ("value",))
 
 
 def _draw(out: Path, results: list[tuple[Case, Measured]]) -> None:

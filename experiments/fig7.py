@@ -18,16 +18,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 
-from lightmatrix.capture.capture import Capture
-from lightmatrix.experiments.harness import Experiment, Measured
-from lightmatrix.experiments.measured_scene import (
+from experiments.harness import Experiment, Measured
+from experiments.measured_scene import (
     LETTERED,
     SCENES,
     THREE_EXPOSURES,
     bernoulli_capture,
     measured_scene,
 )
-from lightmatrix.experiments.methods import BY_NAME, REGULARIZATION
+from experiments.methods import BY_NAME, REGULARIZATION
+from lightmatrix.capture.capture import Capture
 from lightmatrix.patterns.mix import MixedPatterns, default_mix
 from lightmatrix.pictures.style import display, figure, panel, save
 

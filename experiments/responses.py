@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from experiments.harness import Experiment, Measured, Row, all_rows
 from lightmatrix.camera.camera_curve import Response
 from lightmatrix.capture.capture import Capture
 from lightmatrix.diagnosis.responses.bend import exponent
@@ -18,7 +19,6 @@ from lightmatrix.estimators.estimate import estimate
 from lightmatrix.estimators.unknown_projector import find_projector_response
 from lightmatrix.estimators.unknown_response import find_response
 from lightmatrix.evaluation.metrics import relative_error
-from lightmatrix.experiments.harness import Experiment, Measured, Row, all_rows
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
 from lightmatrix.patterns.projector_curve import ProjectorResponse

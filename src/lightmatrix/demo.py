@@ -22,6 +22,7 @@ from lightmatrix.capture.folder import write_capture
 from lightmatrix.estimators.choice import choose_estimator
 from lightmatrix.estimators.plain import PlainEstimator
 from lightmatrix.estimators.settings import EstimateSettings
+from lightmatrix.evaluation.judgement import percent
 from lightmatrix.evaluation.metrics import (
     relative_error,
     relighting_error,
@@ -29,7 +30,8 @@ from lightmatrix.evaluation.metrics import (
     row_maximum,
     unseen_patterns,
 )
-from lightmatrix.evaluation.verdict import percent
+from lightmatrix.outputs.kinds import DEMO
+from lightmatrix.outputs.writing import atomic_folder
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.pictures.maps import WHITE_TO_RED
 from lightmatrix.pictures.style import display, figure, mark_clipped, panel, save
@@ -58,8 +60,44 @@ ESTIMATORS: dict[str, Estimator | EstimateSettings] = {
 PICTURE = "methods"
 
 
-def run(out: Path, *, progress: Callable[[int, int], None] | None = None) -> dict[str, Any]:
-    """Write the report, a picture of all methods, demo.json and the capture into a folder."""
+def demo(
+    folder: str | Path,
+    *,
+    overwrite: bool = False,
+    progress: Callable[[int, int], None] | None = None,
+) -> dict[str, Any]:
+    """Simulate a capture, estimate T by four methods, and write a report of the default one.
+
+    Parameters
+    ----------
+    folder : str or Path
+        The folder to make: report.html, a picture of all methods, demo.json, and the capture.
+    overwrite : bool
+        Whether an existing report may be replaced.
+    progress : callable, optional
+        Called with (done, total) steps.
+
+    Returns
+    -------
+    dict
+        The content of demo.json: the settings, the errors of each method, and, as ``report``,
+        the result of `report`.
+
+    Raises
+    ------
+    OutputError
+        If the folder exists or cannot be written.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> result = lm.demo("report")  # doctest: +SKIP
+    """
+    with atomic_folder(folder, DEMO, overwrite=overwrite) as part:
+        return _run(part, progress)
+
+
+def _run(out: Path, progress: Callable[[int, int], None] | None) -> dict[str, Any]:
     report = progress or (lambda done, total: None)
     steps = len(ESTIMATORS) + 2
     truth = coarse(library.truth(SCENE), 2)

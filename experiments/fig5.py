@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from experiments.harness import Experiment, Measured
+from experiments.measured_scene import LETTERED, SCENES
 from lightmatrix.camera.sensor import Sensor
 from lightmatrix.errors import MissingExtraError
 from lightmatrix.evaluation.metrics import diffuse_rows
-from lightmatrix.experiments.harness import Experiment, Measured
-from lightmatrix.experiments.measured_scene import LETTERED, SCENES
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.pictures.style import display, figure, mark_clipped, panel, save
 from lightmatrix.simulation import library

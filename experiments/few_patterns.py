@@ -2,22 +2,16 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from scipy.sparse import csr_array
 
-from lightmatrix.capture.capture import Capture
-from lightmatrix.estimators.coherent.estimator import CoherentEstimator
-from lightmatrix.estimators.coherent.row_solver import DEFAULT_REGULARIZATION
-from lightmatrix.estimators.plain import PlainEstimator
-from lightmatrix.experiments.harness import Experiment, Measured, all_rows
-from lightmatrix.experiments.measured_scene import (
+from experiments.harness import Experiment, Measured, Row, all_rows, means
+from experiments.measured_scene import (
     ONE_EXPOSURE,
     SCENES,
     THREE_EXPOSURES,
@@ -25,6 +19,10 @@ from lightmatrix.experiments.measured_scene import (
     MeasuredScene,
     measured_scene,
 )
+from lightmatrix.capture.capture import Capture
+from lightmatrix.estimators.coherent.estimator import CoherentEstimator
+from lightmatrix.estimators.coherent.row_solver import DEFAULT_REGULARIZATION
+from lightmatrix.estimators.plain import PlainEstimator
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.mix import MixedPatterns, default_mix
 from lightmatrix.patterns.pattern_set import PatternSet
@@ -101,21 +99,11 @@ def cases(quick: bool) -> Iterator[Case]:
                 yield Case(scene, "coherent", count, seed)
 
 
-def means(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+def summary(rows: list[Row]) -> list[Row]:
     """The means over the seeds."""
-    groups: dict[str, list[dict[str, Any]]] = {}
-    for row in rows:
-        key = json.dumps([row[name] for name in asdict(Case("", "", 0, 0)) if name != "seed"])
-        groups.setdefault(key, []).append(row)
-    result = []
-    for group in groups.values():
-        first = dict(group[0])
-        del first["seed"]
-        for name, value in first.items():
-            if isinstance(value, float):
-                first[name] = float(np.mean([row[name] for row in group]))
-        result.append({**first, "seeds": len(group)})
-    return result
+    keys = [name for name in asdict(Case("", "", 0, 0)) if name != "seed"]
+    values = [name for name in rows[0] if name not in (*keys, "seed")]
+    return means(rows, keys, values)
 
 
 def measure(case: Case) -> Measured:
@@ -185,7 +173,7 @@ def _patterns(case: Case) -> PatternSet:
 
 def _draw(out: Path, results: list[tuple[Case, Measured]]) -> None:
     """Draw the curves of a full run; a quick one has none."""
-    rows = means(all_rows(results))
+    rows = summary(all_rows(results))
     if {row["scene"] for row in rows} != set(SCENES):
         return
     kinds = (
@@ -225,4 +213,4 @@ def _draw(out: Path, results: list[tuple[Case, Measured]]) -> None:
         save(drawing, out, "few-patterns", ("png", "svg"))
 
 
-FEW_PATTERNS = Experiment("few-patterns", cases, measure, _draw, summary=means)
+FEW_PATTERNS = Experiment("few-patterns", cases, measure, _draw, summary=summary)

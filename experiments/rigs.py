@@ -13,6 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import spearmanr
 
+from experiments.colour_rigs import COLOUR_RIGS, colour_capture
+from experiments.harness import Experiment, Measured, Row, all_rows, means
+from experiments.measured_scene import SCENES
+from experiments.responses import S_CURVE, camera_of, photographed
 from lightmatrix.camera.camera_curve import Response
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.frames import ArrayStack
@@ -20,13 +24,9 @@ from lightmatrix.diagnosis.responses.found import with_response
 from lightmatrix.errors import InputError
 from lightmatrix.estimators.colour.estimate import estimate_colour
 from lightmatrix.estimators.estimate import estimate
-from lightmatrix.evaluation.doubts import OwnError
-from lightmatrix.evaluation.estimate_errors import joint_relighting_error
+from lightmatrix.evaluation.evaluate import joint_relighting_error
+from lightmatrix.evaluation.judgement import OwnError
 from lightmatrix.evaluation.metrics import squared_errors
-from lightmatrix.experiments.colour_rigs import COLOUR_RIGS, colour_capture
-from lightmatrix.experiments.harness import Experiment, Measured, all_rows
-from lightmatrix.experiments.measured_scene import SCENES
-from lightmatrix.experiments.responses import S_CURVE, camera_of, photographed
 from lightmatrix.files.colours import COLOURS as PRIMARIES
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.colour import ColourPatterns
@@ -280,21 +280,9 @@ def _full_frame(case: Case) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     return squared_errors(estimate(rig_capture(case, truth)), truth.transport())
 
 
-def _summary(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+def _summary(rows: list[Row]) -> list[Row]:
     """The means over the seeds."""
-    groups: dict[tuple[str, str, int], list[dict[str, Any]]] = {}
-    for row in rows:
-        groups.setdefault((row["rig"], row["scene"], row["patterns"]), []).append(row)
-    return [
-        {
-            "rig": rig,
-            "scene": scene,
-            "patterns": count,
-            "seeds": len(group),
-            **{name: float(np.mean([row[name] for row in group])) for name in KEPT},
-        }
-        for (rig, scene, count), group in groups.items()
-    ]
+    return means(rows, ("rig", "scene", "patterns"), KEPT)
 
 
 def _draw(out: Path, results: list[tuple[Case, Measured]]) -> None:

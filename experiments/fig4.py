@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from experiments.harness import Experiment, Measured, all_rows
+from experiments.trials import TrialPatterns
 from lightmatrix.camera.samples import Samples
-from lightmatrix.experiments.harness import Experiment, Measured, all_rows
-from lightmatrix.experiments.trials import TrialPatterns
 from lightmatrix.patterns.pattern_set import ImagePatterns
 from lightmatrix.pictures.style import COLOURS, figure, save
 from lightmatrix.solvers import ADMM, ROMP, Fidelity, Problem, SaturationADMM, Solver, solve

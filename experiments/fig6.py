@@ -26,18 +26,15 @@ import numpy as np
 from matplotlib.ticker import LogLocator, NullLocator
 from numpy.typing import NDArray
 
-from lightmatrix.camera.noise import USUAL_NOISE
-from lightmatrix.capture.capture import Capture
-from lightmatrix.estimators.coherent.estimator import WORTH_IT_UP_TO
-from lightmatrix.experiments.harness import Experiment, Measured, all_rows
-from lightmatrix.experiments.measured_scene import (
+from experiments.harness import Experiment, Measured, all_rows
+from experiments.measured_scene import (
     BITS,
     LETTERED,
     SCENES,
     bernoulli_capture,
     measured_scene,
 )
-from lightmatrix.experiments.methods import (
+from experiments.methods import (
     BY_NAME,
     ITERATIONS,
     METHODS,
@@ -45,6 +42,9 @@ from lightmatrix.experiments.methods import (
     ROMP_SPARSITY,
     Reach,
 )
+from lightmatrix.camera.noise import USUAL_NOISE
+from lightmatrix.capture.capture import Capture
+from lightmatrix.estimators.coherent.estimator import WORTH_IT_UP_TO
 from lightmatrix.patterns.blocks import sampled_pixels
 from lightmatrix.pictures.style import figure, save
 
