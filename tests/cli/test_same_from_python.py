@@ -19,9 +19,9 @@ from lightmatrix.cli import patterns as patterns_command
 from lightmatrix.cli.app import STAGES
 from lightmatrix.estimators import settings as estimate_settings
 from lightmatrix.estimators.coherent.estimator import WORTH_IT_UP_TO
-from lightmatrix.live import capture_settings, capturing
-from lightmatrix.live.measurements.rig_measurements import PARTS
+from lightmatrix.live import capturing
 from lightmatrix.live.rig import USUAL_PATIENCE
+from lightmatrix.live.rig_measurements import PARTS
 from lightmatrix.patterns import making, mix
 from lightmatrix.planning.plan import USUAL_SIZE
 from lightmatrix.resources.memory import memory_bytes
@@ -478,7 +478,7 @@ def test_the_advised_patterns_are_those_of_the_advised_command(
 def test_capture(
     words: str, arguments: dict[str, Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    rig = "virtual:procedural,size=16,real=0,late=0.1"
+    rig = "virtual:procedural,size=16,real=0"
     printed = _run(
         f"capture --rig {rig} {words} --rig-file {tmp_path}/shown.json -o {tmp_path}/shown", capsys
     )
@@ -540,7 +540,7 @@ def test_defaults_in_help_texts_are_those_of_the_code() -> None:
     assert options.USUAL_NOISE == USUAL_NOISE
     assert options.USUAL_COUNT == making.USUAL_COUNT
     assert options.USUAL_FRAMES == capturing.USUAL_COUNT
-    assert options.USUAL_REFERENCE == capture_settings.USUAL_REFERENCE
+    assert options.USUAL_REFERENCE == capturing.USUAL_REFERENCE
     assert options.RIG_FILE == capturing.RIG_FILE
     assert memory_bytes(options.USUAL_PAGE_MEMORY) == PAGE_BYTES
     assert options.USUAL_PATIENCE == USUAL_PATIENCE

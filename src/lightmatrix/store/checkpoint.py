@@ -26,8 +26,7 @@ from numpy.typing import NDArray
 
 from lightmatrix.errors import ClusterError, InputError, LightMatrixError, OutputError
 from lightmatrix.files.numpy_files import read_npz
-from lightmatrix.outputs.kinds import PARTIAL, STORE
-from lightmatrix.outputs.markers import read_object
+from lightmatrix.outputs.kinds import PARTIAL, STORE, read_object
 from lightmatrix.outputs.running import RunningResults, write_whole
 from lightmatrix.outputs.writing import claimed
 from lightmatrix.resources.work_ahead import work_ahead

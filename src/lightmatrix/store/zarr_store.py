@@ -40,8 +40,8 @@ from lightmatrix.outputs.kinds import (
     PACKED_CAPTURE,
     PARTIAL,
     STORE,
+    holds_member,
 )
-from lightmatrix.outputs.markers import holds_member
 from lightmatrix.outputs.writing import atomic_folder
 from lightmatrix.resources.memory import check_memory
 from lightmatrix.store.npz import import_npz, read_correspondence
