@@ -33,7 +33,7 @@ from lightmatrix.files.zarr_arrays import (
 )
 from lightmatrix.outputs.kinds import STORE
 from lightmatrix.outputs.writing import as_output_error, claimed, final_target, locked
-from lightmatrix.patterns.grids import grid_cells
+from lightmatrix.patterns.pattern_set import grid_cells
 from lightmatrix.reprs import short_repr
 from lightmatrix.resources.disk import check_disk_space
 from lightmatrix.store.zarr_store import StoredTransport, seal, sealed_arrays

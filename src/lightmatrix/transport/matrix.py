@@ -13,7 +13,7 @@ from scipy.sparse import csr_array
 
 from lightmatrix.errors import InputError
 from lightmatrix.files.colours import COLOURS
-from lightmatrix.patterns.grids import check_grid, grid_cells
+from lightmatrix.patterns.pattern_set import check_grid, grid_cells
 from lightmatrix.regions import Region
 from lightmatrix.reprs import html_table
 from lightmatrix.transport.operator import TransportOperator
