@@ -20,16 +20,16 @@ from .patterns.folder import (
     read_patterns as read_patterns,
     write_patterns as write_patterns,
 )
-from .patterns.graycode import GrayCodePatterns as GrayCodePatterns
+from .patterns.stripes import GrayCodePatterns as GrayCodePatterns
 from .patterns.hadamard import HadamardPatterns as HadamardPatterns
 from .patterns.making import make_patterns as make_patterns
-from .patterns.microphase import MicroPhasePatterns as MicroPhasePatterns
+from .patterns.stripes import MicroPhasePatterns as MicroPhasePatterns
 from .patterns.mix import MixedPatterns as MixedPatterns
 from .patterns.pattern_set import (
     ImagePatterns as ImagePatterns,
     PatternSet as PatternSet,
 )
-from .patterns.phase import PhasePatterns as PhasePatterns
+from .patterns.stripes import PhasePatterns as PhasePatterns
 
 # Captures, photographed and simulated.
 from .camera.decoder import Decoder as Decoder
@@ -120,7 +120,7 @@ from .estimators.unknown_response import (
 )
 from .estimators.coherent.estimator import CoherentEstimator as CoherentEstimator
 from .estimators.workers.startup import open_workers as open_workers
-from .estimators.multiscale.estimator import MultiScaleEstimator as MultiScaleEstimator
+from .estimators.multiscale import MultiScaleEstimator as MultiScaleEstimator
 from .estimators.plain import PlainEstimator as PlainEstimator
 from .solvers import (
     ADMM as ADMM,
