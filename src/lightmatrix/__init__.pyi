@@ -60,15 +60,10 @@ from .simulation.thumbnails import write_thumbnails as write_thumbnails
 from .simulation.truth import Truth as Truth
 
 # Rigs that photograph, real and virtual.
-from .live.light_levels import measure_exposure as measure_exposure
-from .live.flicker import measure_flicker as measure_flicker
 from .live.rig_measurements import (
     RigMeasurements as RigMeasurements,
     measure_rig as measure_rig,
 )
-from .live.light_levels import measure_linearity as measure_linearity
-from .live.light_levels import measure_response as measure_response
-from .live.settle import measure_settle as measure_settle
 from .live.capturing import CaptureSettings as CaptureSettings
 from .live.capturing import take_capture as take_capture
 from .live.devices.registry import (
