@@ -24,7 +24,7 @@ from lightmatrix.simulation.irradiance import irradiance
 from lightmatrix.simulation.truth import Truth
 from lightmatrix.solvers import ActiveSet, Fidelity, Problem, Result, SaturationADMM, solve
 from lightmatrix.solvers.active_set import prepared
-from lightmatrix.solvers.objective import objective
+from lightmatrix.solvers.problem import objective
 
 # Number of rows of a timed correlation pass: full batches of every kernel.
 PASS_ROWS = 96
