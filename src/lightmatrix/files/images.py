@@ -267,7 +267,7 @@ def fill_image(path: Path, image: NDArray[Any], *, bits: int = 8, missing: bool 
         tifffile.imwrite(path, pixels, photometric="rgb" if pixels.ndim == 3 else "minisblack")
     else:
         # Encoded in memory first, so that a full disk is noticed once.
-        path.write_bytes(imagecodecs.png_encode(_to_levels(pixels, bits)))
+        path.write_bytes(imagecodecs.png_encode(np.ascontiguousarray(_to_levels(pixels, bits))))
 
 
 def _check_file(file: Path) -> None:
