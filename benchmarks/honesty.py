@@ -28,7 +28,6 @@ from rich.table import Table
 import lightmatrix as lm
 from benchmarks.synthetic_captures import DAMAGES, PATTERNS, SCENES, SyntheticCapture, draw
 from lightmatrix.diagnosis.finding import NOTES
-from lightmatrix.evaluation.doubts import OwnError
 from lightmatrix.evaluation.metrics import relative_error
 from lightmatrix.pictures.style import COLOURS, figure, fix_ticks, save
 from lightmatrix.simulation import library
@@ -139,10 +138,8 @@ def measure(case: Case) -> Outcome:
         except lm.InputError as error:
             return Outcome(case, "refused", error.message, seconds=seconds())
     verdict = lm.verdict(estimate).with_findings(kinds)
-    # A finding may make the stated error void.
-    stated = OwnError(estimate).stated if "Estimated error" in verdict.sentence else None
     true = relative_error(estimate, drawn.truth)
-    return Outcome(case, verdict.level, verdict.sentence, kinds, true, stated, seconds())
+    return Outcome(case, verdict.level, verdict.sentence, kinds, true, verdict.error, seconds())
 
 
 def outcomes(cases: Sequence[Case], file: Path, processes: int) -> list[Outcome]:
@@ -181,10 +178,10 @@ def summary(results: Sequence[Outcome]) -> dict[str, float]:
         "stated below half of true": share(stated, lambda each: each.ratio < 0.5),
         "where the model holds": len(plain),
         "there within 1.5": share(plain, lambda each: within(each, 1.5)),
-        "wrong (above .3)": len(wrong),
+        "wrong (above 0.3)": len(wrong),
         "wrong, yet good or fair without a finding": sum(map(misleading, wrong)),
-        "good, yet above .1": sum(_true(each) > GOOD_AT_MOST for each in tested if _good(each)),
-        "right (up to .05), yet doubtful": sum(
+        "good, yet above 0.1": sum(_true(each) > GOOD_AT_MOST for each in tested if _good(each)),
+        "right (up to 0.05), yet doubtful": sum(
             _true(each) <= RIGHT and each.level == "doubtful" for each in tested
         ),
         "intact": len(intact),

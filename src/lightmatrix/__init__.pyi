@@ -20,16 +20,16 @@ from .patterns.folder import (
     read_patterns as read_patterns,
     write_patterns as write_patterns,
 )
-from .patterns.graycode import GrayCodePatterns as GrayCodePatterns
+from .patterns.stripes import GrayCodePatterns as GrayCodePatterns
 from .patterns.hadamard import HadamardPatterns as HadamardPatterns
 from .patterns.making import make_patterns as make_patterns
-from .patterns.microphase import MicroPhasePatterns as MicroPhasePatterns
+from .patterns.stripes import MicroPhasePatterns as MicroPhasePatterns
 from .patterns.mix import MixedPatterns as MixedPatterns
 from .patterns.pattern_set import (
     ImagePatterns as ImagePatterns,
     PatternSet as PatternSet,
 )
-from .patterns.phase import PhasePatterns as PhasePatterns
+from .patterns.stripes import PhasePatterns as PhasePatterns
 
 # Captures, photographed and simulated.
 from .camera.decoder import Decoder as Decoder
@@ -60,16 +60,16 @@ from .simulation.thumbnails import write_thumbnails as write_thumbnails
 from .simulation.truth import Truth as Truth
 
 # Rigs that photograph, real and virtual.
-from .live.measurements.exposure import measure_exposure as measure_exposure
-from .live.measurements.flicker import measure_flicker as measure_flicker
-from .live.measurements.rig_measurements import (
+from .live.light_levels import measure_exposure as measure_exposure
+from .live.flicker import measure_flicker as measure_flicker
+from .live.rig_measurements import (
     RigMeasurements as RigMeasurements,
     measure_rig as measure_rig,
 )
-from .live.measurements.linearity import measure_linearity as measure_linearity
-from .live.measurements.grey_ramp import measure_response as measure_response
-from .live.measurements.settle import measure_settle as measure_settle
-from .live.capture_settings import CaptureSettings as CaptureSettings
+from .live.light_levels import measure_linearity as measure_linearity
+from .live.light_levels import measure_response as measure_response
+from .live.settle import measure_settle as measure_settle
+from .live.capturing import CaptureSettings as CaptureSettings
 from .live.capturing import take_capture as take_capture
 from .live.devices.registry import (
     list_devices as list_devices,
@@ -125,7 +125,7 @@ from .estimators.unknown_response import (
 )
 from .estimators.coherent.estimator import CoherentEstimator as CoherentEstimator
 from .estimators.workers.startup import open_workers as open_workers
-from .estimators.multiscale.estimator import MultiScaleEstimator as MultiScaleEstimator
+from .estimators.multiscale import MultiScaleEstimator as MultiScaleEstimator
 from .estimators.plain import PlainEstimator as PlainEstimator
 from .solvers import (
     ADMM as ADMM,
@@ -183,8 +183,8 @@ from .transport.correspondence import (
     Correspondence as Correspondence,
     correspondence as correspondence,
 )
-from .evaluation.estimate_errors import ColourErrors as ColourErrors
-from .evaluation.estimate_errors import Errors as Errors
+from .evaluation.evaluate import ColourErrors as ColourErrors
+from .evaluation.evaluate import Errors as Errors
 from .transport.matrix import LightTransport as LightTransport
 from .transport.singular_values import singular_values as singular_values
 from .uses.compensated_video import (
@@ -223,19 +223,16 @@ from .uses.separation import (
     Separation as Separation,
     separate as separate,
 )
-from .evaluation.verdict import (
+from .evaluation.judgement import (
     Verdict as Verdict,
-    verdict as verdict,
-)
-from .evaluation.verdicts import (
     Verdicts as Verdicts,
+    verdict as verdict,
     verdicts as verdicts,
 )
 
-# Plans and experiments.
-from .experiments.run import (
+# Plans and the demo.
+from .demo import (
     demo as demo,
-    experiment as experiment,
 )
 from .planning.plan import (
     Advice as Advice,

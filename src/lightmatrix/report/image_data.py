@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.files.images import encode_image, read_image
-from lightmatrix.patterns.grids import block_mean
+from lightmatrix.patterns.pattern_set import block_mean
 from lightmatrix.pictures.maps import Map
 from lightmatrix.pictures.style import display
 from lightmatrix.pictures.transport import FAINT

@@ -21,8 +21,7 @@ from typing import Any, Self
 import numpy as np
 
 from lightmatrix.errors import ClusterError, InputError, LightMatrixError, OutputError
-from lightmatrix.outputs.kinds import PARTIAL, STORE
-from lightmatrix.outputs.markers import read_object
+from lightmatrix.outputs.kinds import PARTIAL, STORE, read_object
 from lightmatrix.outputs.running import RunningResults
 from lightmatrix.outputs.writing import claimed
 from lightmatrix.resources.work_ahead import work_ahead

@@ -33,10 +33,8 @@ from lightmatrix.files.zarr_arrays import (
     read_attributes,
 )
 from lightmatrix.outputs.kinds import STORE
-from lightmatrix.outputs.locks import check_unlocked
-from lightmatrix.outputs.targets import as_output_error, final_target
-from lightmatrix.outputs.writing import claimed
-from lightmatrix.patterns.grids import grid_cells
+from lightmatrix.outputs.writing import as_output_error, claimed, final_target, locked
+from lightmatrix.patterns.pattern_set import grid_cells
 from lightmatrix.reprs import short_repr
 from lightmatrix.resources.disk import check_disk_space
 from lightmatrix.store.matrix_checks import check_indptr, checked_float32
@@ -101,7 +99,8 @@ def index_columns(
     (64, 64)
     """
     matrix = StoredTransport.open(path, memory=0)
-    _remove_leftovers(final_target(path))
+    with locked(target := final_target(path)):
+        _remove_leftovers(target)
     with claimed(path, STORE, overwrite=True) as target, as_output_error(path):
         if (target / COLUMNS).exists() and not overwrite:
             raise InputError(f"{path}: has an index already", hint="pass overwrite=True")
@@ -120,7 +119,6 @@ def index_columns(
 
 def _remove_leftovers(target: Path) -> None:
     """Remove what a killed run left, which would otherwise count as somebody else's file."""
-    check_unlocked(target)
     marker = read_attributes(target).get("output")
     listed = marker.get("files") if isinstance(marker, dict) else None
     finished = isinstance(listed, dict) and any(name.startswith(f"{COLUMNS}/") for name in listed)

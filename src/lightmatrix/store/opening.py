@@ -5,8 +5,7 @@ from __future__ import annotations
 import zipfile
 from pathlib import Path
 
-from lightmatrix.outputs.kinds import CORRESPONDENCE_MARK
-from lightmatrix.outputs.markers import holds_member
+from lightmatrix.outputs.kinds import CORRESPONDENCE_MARK, holds_member
 from lightmatrix.store import zarr_store
 from lightmatrix.store.correspondence_file import read_correspondence
 from lightmatrix.transport.correspondence import Correspondence

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from lightmatrix.errors import InputError
-from lightmatrix.patterns.grids import check_grid, grid_cells
+from lightmatrix.patterns.pattern_set import check_grid, grid_cells
 from lightmatrix.ranges import check_finite, check_unmasked, real_array
 from lightmatrix.regions import Region
 from lightmatrix.reprs import html_table

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csc_array, csr_array
 
-from lightmatrix.patterns.grids import grid_cells
+from lightmatrix.patterns.pattern_set import grid_cells
 from lightmatrix.store.column_index import COLUMNS, ColumnIndex, index_columns
 from lightmatrix.store.stored_transport import StoredTransport
 from lightmatrix.transport.matrix import LightTransport

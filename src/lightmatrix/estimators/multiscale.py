@@ -1,0 +1,278 @@
+"""Coarse to fine: finds on projector blocks where the light comes from, then refines them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import binary_dilation
+from scipy.sparse import csr_array
+
+from lightmatrix.camera.samples import Samples
+from lightmatrix.capture.capture import Capture
+from lightmatrix.errors import InputError
+from lightmatrix.estimators.automatic_regularization import automatic_regularization
+from lightmatrix.estimators.base import (
+    Estimator,
+    Plan,
+    capture_provenance,
+    rows_with_diagnostics,
+    solver_provenance,
+)
+from lightmatrix.estimators.certainty import with_certainty
+from lightmatrix.estimators.work import OneStep
+from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
+from lightmatrix.solvers import Solver, solve
+from lightmatrix.solvers.loop import Progress
+from lightmatrix.solvers.problem import Problem, Result
+from lightmatrix.solvers.regularization import column_length
+from lightmatrix.store.tiles import Span
+from lightmatrix.transport.sparse_rows import SparseRows
+
+# The number of blocks with the highest scores that are kept in any case, if they have light. Chosen
+# by hand: a spot may touch four blocks, and its halo more.
+_LEAST_KEPT = 8
+# The least factor by which the regularization falls at a coarser scale. Chosen by hand: where the
+# patterns hardly vary over a block, the regularization would vanish.
+_LEAST_SCALE = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Scale:
+    """The patterns, as means over projector blocks of `block` pixels a side."""
+
+    block: int
+    patterns: PatternSet
+    regularization: float
+
+    def restricted(self, candidates: NDArray[np.int64]) -> ImagePatterns:
+        """The patterns on the candidate blocks only."""
+        return ImagePatterns(self.patterns.columns(candidates)[:, None, :])
+
+
+def scales(patterns: PatternSet, coarsest: int, regularization: float) -> list[Scale]:
+    """The scales from blocks of `coarsest` pixels a side, a power of two, to single pixels.
+
+    `coarsest` is halved until the projector has 4 x 4 blocks. The `regularization` of single pixels
+    falls at coarser scales with the root mean square length of the patterns' centred columns, so
+    that it stays at the same height above noise.
+    """
+    length = column_length(patterns)
+    block = coarsest
+    while block > 1 and min(grid_of(patterns.shape, block)) < 4:
+        block //= 2
+    coarser = []
+    while block > 1:
+        coarse = patterns.coarse((block, block))
+        shorter = column_length(coarse) / length if length > 0 else 1.0
+        coarser.append(Scale(block, coarse, regularization * max(shorter, _LEAST_SCALE)))
+        block //= 2
+    return [*coarser, Scale(1, patterns, regularization)]
+
+
+def active_blocks(
+    coefficients: csr_array, candidates: NDArray[np.int64], grid: tuple[int, int], share: float
+) -> NDArray[np.bool_]:
+    """The projector blocks from which a camera block gets its light, and their neighbours.
+
+    `coefficients` are (m, n) on the n `candidates`, numbered in the `grid`. A block is active if
+    its score is at least `share` of the highest; all candidates are if no row has any light.
+    """
+    size = abs(coefficients)
+    total = np.asarray(size.sum(axis=1), np.float64).ravel()
+    # Each row counts by its shares, as bright rows know no more about the places than dark ones.
+    score = size.T @ np.divide(1, total, out=np.zeros_like(total), where=total > 0)
+    wanted = (score >= share * score.max()) & ((score > 0) | (share == 0))
+    count = max(int(wanted.sum()), min(_LEAST_KEPT, int((score > 0).sum())))
+    if not score.any():
+        count = len(candidates)
+    active = np.zeros(grid, bool)
+    active.ravel()[candidates[np.argsort(-score, kind="stable")[:count]]] = True
+    return np.asarray(binary_dilation(active, np.ones((3, 3), bool)))
+
+
+def split(active: NDArray[np.bool_], finer: tuple[int, int]) -> NDArray[np.int64]:
+    """Numbers of the quarters of the active blocks, in the grid `finer` of half as large blocks."""
+    children = active.repeat(2, axis=0).repeat(2, axis=1)[: finer[0], : finer[1]]
+    return np.flatnonzero(children)
+
+
+def grid_of(shape: tuple[int, int], block: int) -> tuple[int, int]:
+    """Rows and columns of blocks; those at the border may be smaller."""
+    return -(-shape[0] // block), -(-shape[1] // block)
+
+
+@dataclass(frozen=True)
+class MultiScaleEstimator(Estimator):
+    """Estimates T with one solver, first on projector blocks, then inside those that matter.
+
+    The pixels of a square camera block look at nearly the same part of the projector, so they share
+    candidates. At each scale, from `coarsest` down to single pixels, the solver estimates the rows
+    of the camera block on the candidate projector blocks. A projector block scores the sum of its
+    shares of each row's light. Those with a high score and their neighbours are split into four.
+    `docs/multi-scale.md` gives the reasons. A tile is a strip of camera blocks.
+
+    A further diagnostic, candidates, says on how many projector pixels each row was estimated. The
+    gap is that of the restricted problem: it says nothing about pixels that a coarser scale left
+    out.
+
+    Parameters
+    ----------
+    solver : Solver
+        ADMM, SaturationADMM, ROMP or ActiveSet, for the last scale; for all unless there is a
+        `coarse_solver`.
+    regularization : float or None
+        The paper's lambda at single pixels, as for `PlainEstimator`. At coarser scales it falls
+        with the length of the patterns' columns.
+    nonnegative, background : bool
+        As for `PlainEstimator`.
+    coarsest : int
+        Pixels per side of the first scale's projector blocks, a power of two; 1 is a plain
+        estimate in camera blocks. Halved as long as the projector has no 4 x 4 blocks.
+    camera_block : int
+        Pixels per side of the camera blocks, at least 1.
+    active : float
+        A projector block is active if it has at least this share of the highest score, in [0, 1);
+        0 keeps everything.
+    coarse_solver : Solver or None
+        Solver of all scales but the last, such as the same with fewer iterations.
+
+    Raises
+    ------
+    InputError
+        If a parameter is out of range.
+
+    Examples
+    --------
+    >>> import lightmatrix as lm
+    >>> capture = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 8))
+    >>> lm.MultiScaleEstimator(lm.ROMP(max_iterations=2)).estimate(capture).camera_shape
+    (64, 64)
+    """
+
+    solver: Solver
+    regularization: float | None = None
+    nonnegative: bool = True
+    background: bool = True
+    coarsest: int = 8
+    camera_block: int = 8
+    active: float = 0.1
+    coarse_solver: Solver | None = None
+
+    def __post_init__(self) -> None:
+        if self.coarsest < 1 or self.coarsest & (self.coarsest - 1):
+            raise InputError(
+                f"a coarsest scale of {self.coarsest} pixels", hint="use a power of two such as 8"
+            )
+        if self.camera_block < 1:
+            raise InputError(
+                f"camera blocks of {self.camera_block} pixels", hint="use at least 1, such as 8"
+            )
+        if not 0 <= self.active < 1:
+            raise InputError(
+                f"an active share of {self.active}",
+                hint="use a share from 0 to below 1, such as 0.1",
+            )
+
+    def plan(self, capture: Capture) -> Plan:
+        """The estimate before it is made."""
+        regularization = self.regularization
+        if regularization is None:
+            regularization = automatic_regularization(capture)
+        coarse = solver_provenance(self.coarse_solver or self.solver)
+        provenance = {
+            "estimator": "multi-scale",
+            **solver_provenance(self.solver),
+            "coarse_solver": coarse["solver"],
+            "coarse_solver_parameters": coarse["solver_parameters"],
+            "regularization": regularization,
+            "nonnegative": self.nonnegative,
+            "background": self.background,
+            "coarsest": self.coarsest,
+            "camera_block": self.camera_block,
+            "active": self.active,
+            **capture_provenance(capture),
+        }
+        return Plan(_Strips(capture, self, regularization), provenance)
+
+
+@dataclass(frozen=True, eq=False)
+class _Strips(OneStep):
+    """The rows of a capture, solved in strips of camera blocks."""
+
+    estimator: MultiScaleEstimator
+    regularization: float
+
+    def tiles(self, step: str, parts: int = 1, *, shrinking: bool = False) -> Iterator[Span]:
+        # The pixels of a block share their candidates, so that no strip cuts a block.
+        rows = self.capture.camera_shape[0]
+        width = self.capture.rows // rows
+        for start in range(0, rows, self.estimator.camera_block):
+            yield start * width, min(start + self.estimator.camera_block, rows) * width
+
+    def solve(self, start: int, stop: int, progress: Progress) -> SparseRows:
+        samples = self.capture.samples(start, stop)
+        patterns = self.capture.patterns
+        strip = Problem(
+            patterns,
+            samples,
+            self.regularization,
+            nonnegative=self.estimator.nonnegative,
+            background=self.estimator.background,
+        )
+        parts, order = [], []
+        for rows in self._camera_blocks(stop - start):
+            parts.append(self._solve_block(strip.take(rows), samples.rows(rows)))
+            order.append(rows)
+            progress(sum(map(len, order)), stop - start)
+        solved = SparseRows.joined(parts).rows(np.argsort(np.concatenate(order)))
+        return with_certainty(solved, samples, patterns, start, self.capture.rows)
+
+    def _camera_blocks(self, rows: int) -> Iterator[NDArray[np.int64]]:
+        """The rows of each camera block of a strip."""
+        _, width, *channels = self.capture.camera_shape
+        column = np.arange(rows) // (channels[0] if channels else 1) % width
+        block = column // self.estimator.camera_block
+        for number in range(int(block.max()) + 1):
+            yield np.flatnonzero(block == number)
+
+    def _solve_block(self, problem: Problem, samples: Samples) -> SparseRows:
+        """The rows of one camera block, from the coarsest scale to single pixels."""
+        patterns = self.capture.patterns
+        grid = grid_of(patterns.shape, self._scales[0].block)
+        candidates = np.arange(grid[0] * grid[1])
+        for scale in self._scales[:-1]:
+            result = self._solve_scale(problem, scale, candidates)
+            active = active_blocks(result.coefficients, candidates, grid, self.estimator.active)
+            finer = grid_of(patterns.shape, scale.block // 2)
+            candidates = split(active, finer)
+            grid = finer
+        result = self._solve_scale(problem, self._scales[-1], candidates)
+        entries = result.coefficients.tocoo()
+        coefficients = csr_array(
+            (entries.data.astype(np.float32), (entries.row, candidates[entries.col])),
+            shape=(problem.rows, patterns.pixels),
+        )
+        count = np.full(problem.rows, len(candidates), np.int32)
+        rows = rows_with_diagnostics(samples, result, candidates=count)
+        return replace(rows, coefficients=coefficients)
+
+    def _solve_scale(self, problem: Problem, scale: Scale, candidates: NDArray[np.int64]) -> Result:
+        restricted = replace(
+            problem,
+            patterns=scale.restricted(candidates),
+            # Diffuse light comes from the whole projector, whichever pixels are candidates.
+            background_column=problem.column,
+            regularization=scale.regularization,
+        )
+        last = scale.block == 1
+        solver = self.estimator.solver if last else self.estimator.coarse_solver
+        return solve(restricted, solver or self.estimator.solver)
+
+    @cached_property
+    def _scales(self) -> list[Scale]:
+        patterns = self.capture.patterns
+        return scales(patterns, self.estimator.coarsest, self.regularization)
