@@ -13,8 +13,7 @@ import numpy as np
 from lightmatrix.capture.capture import Capture
 from lightmatrix.estimators.camera_window import window_of_light
 from lightmatrix.estimators.coherent.estimator import CoherentEstimator
-from lightmatrix.estimators.coherent.held_out import HeldOut
-from lightmatrix.estimators.coherent.row_errors import squared_misfit
+from lightmatrix.estimators.coherent.row_errors import HeldOut, squared_misfit
 from lightmatrix.estimators.coherent.schedule import is_large
 from lightmatrix.estimators.plain import PlainEstimator
 
