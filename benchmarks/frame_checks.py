@@ -28,7 +28,7 @@ from lightmatrix.diagnosis.all_checks import check_capture
 from lightmatrix.diagnosis.counts import missing_places
 from lightmatrix.diagnosis.finding import Finding
 from lightmatrix.diagnosis.survey import Survey
-from lightmatrix.files.pillow_images import decode_image, encode_image
+from lightmatrix.files.images import decode_image, encode_image
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.pattern_set import PatternSet
 from lightmatrix.simulation import library

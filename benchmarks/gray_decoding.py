@@ -21,7 +21,7 @@ from scipy.sparse import csr_array
 import lightmatrix as lm
 from experiments.harness import options as options_of
 from lightmatrix.estimators.coherent.neighbourhood import strongest_entries
-from lightmatrix.files.image_stack import ImageStack
+from lightmatrix.files.stacks import ImageStack
 
 # Frames 0 to 19 are ten column bits, the most significant first, each followed by its inverse;
 # frames 20 to 39 are ten row bits.
