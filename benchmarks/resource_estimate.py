@@ -9,7 +9,6 @@ fails if an estimate takes more. Sizes are sides of square cameras and projector
 
 from __future__ import annotations
 
-import argparse
 import json
 import subprocess
 import sys
@@ -21,6 +20,7 @@ import numpy as np
 
 import lightmatrix as lm
 from benchmarks.growth import command_cost
+from experiments.harness import options
 from lightmatrix.simulation.procedural_scene import ProceduralScene
 
 # Whether neighbours help; camera, projector, patterns; grey patterns or bits. Those of `--quick`
@@ -80,7 +80,7 @@ def make(case: tuple[bool, int, int, int, bool], folder: Path) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = options("benchmarks.resource_estimate", __doc__)
     parser.add_argument("--quick", action="store_true", help="small cases only")
     parser.add_argument("--make", nargs=2, metavar=("CASE", "FOLDER"))
     parser.add_argument("-o", "--output", type=Path, default=Path("resources.json"))
