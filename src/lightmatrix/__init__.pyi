@@ -60,15 +60,10 @@ from .simulation.thumbnails import write_thumbnails as write_thumbnails
 from .simulation.truth import Truth as Truth
 
 # Rigs that photograph, real and virtual.
-from .live.light_levels import measure_exposure as measure_exposure
-from .live.flicker import measure_flicker as measure_flicker
 from .live.rig_measurements import (
     RigMeasurements as RigMeasurements,
     measure_rig as measure_rig,
 )
-from .live.light_levels import measure_linearity as measure_linearity
-from .live.light_levels import measure_response as measure_response
-from .live.settle import measure_settle as measure_settle
 from .live.capturing import CaptureSettings as CaptureSettings
 from .live.capturing import take_capture as take_capture
 from .live.devices.registry import (
@@ -140,7 +135,7 @@ from .solvers import (
 
 # Correspondence without T, from stripes.
 from .decoding.decode import decode as decode
-from .store.correspondence_file import (
+from .store.npz import (
     read_correspondence as read_correspondence,
     write_correspondence as write_correspondence,
 )
@@ -174,11 +169,11 @@ from .store import (
     open as open,
     save as save,
 )
-from .store.colour_stores import (
+from .store.zarr_store import (
     open_colour as open_colour,
     save_colour as save_colour,
 )
-from .transport.colour import ColourTransport as ColourTransport
+from .transport.matrix import ColourTransport as ColourTransport
 from .transport.correspondence import (
     Correspondence as Correspondence,
     correspondence as correspondence,
@@ -186,7 +181,7 @@ from .transport.correspondence import (
 from .evaluation.evaluate import ColourErrors as ColourErrors
 from .evaluation.evaluate import Errors as Errors
 from .transport.matrix import LightTransport as LightTransport
-from .transport.singular_values import singular_values as singular_values
+from .transport.operator import singular_values as singular_values
 from .uses.compensated_video import (
     CompensatedVideo as CompensatedVideo,
     compensate_video as compensate_video,

@@ -13,7 +13,7 @@ import lightmatrix as lm
 from lightmatrix.diagnosis import levels
 from lightmatrix.diagnosis.levels import check_light_level, check_plain_frames
 from lightmatrix.diagnosis.survey import Survey
-from lightmatrix.files.pillow_images import decode_image, encode_image
+from lightmatrix.files.images import decode_image, encode_image
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.pattern_set import ImagePatterns
 

@@ -6,11 +6,12 @@ moment. `main` imports the rest.
 
 from __future__ import annotations
 
+import ctypes
 import gc
+import importlib
 import os
+import signal
 import sys
-
-from lightmatrix.resources.allocator import keep_freed_memory
 
 # Bytes of address space below which NumPy and SciPy cannot be loaded: measured with `ulimit -v` on
 # two cores, where 300 MB are too little and 400 MB are enough.
@@ -34,12 +35,9 @@ def main(argv: list[str] | None = None) -> int:
     """
     try:
         # Imported here, because the import takes long enough for a Ctrl-C.
-        from lightmatrix.cli.stops import quiet_stops
+        from lightmatrix.cli.app import run
 
-        with quiet_stops():
-            from lightmatrix.cli.app import run
-
-            return run(sys.argv[1:] if argv is None else argv)
+        return run(sys.argv[1:] if argv is None else argv)
     except KeyboardInterrupt:
         sys.stderr.write("stopped\n")
         return 130
@@ -52,12 +50,51 @@ def console() -> None:
         keep_freed_memory()
         gc.set_threshold(NEW_OBJECTS)
         os.environ.setdefault("OPENBLAS_THREAD_TIMEOUT", IDLE_CYCLES)
-        code = 3 if _lacks_address_space() else main()
+        code = 3
+        if not _lacks_address_space():
+            _load()
+            code = main()
     except KeyboardInterrupt:
         code = 130
     # Python would look for garbage once more, for .15 s, in memory that the system frees anyway.
     gc.freeze()
     sys.exit(code)
+
+
+def keep_freed_memory() -> None:
+    """Let this process use the memory of freed arrays again; call it before NumPy is loaded.
+
+    Otherwise each large array of a tile is mapped anew, and the system fills its pages with zeros.
+    That took two thirds of the system's time of an estimate of 256 x 256 pixels of both. Threads
+    share a heap for each core, so that they keep no more memory than without this. Does nothing
+    where the C library is another one.
+    """
+    if sys.platform != "linux":
+        return
+    mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
+    if mallopt is None:
+        return
+    # The first arguments are M_MMAP_THRESHOLD, M_TRIM_THRESHOLD and M_ARENA_MAX of malloc.h. Blocks
+    # of up to 128 MiB come from the heap, which is more than most arrays of a tile; older libraries
+    # accept 32 MiB at most, and return 0 for more.
+    any(mallopt(-3, size) for size in (128 << 20, 32 << 20))
+    # A few arrays of a tile stay at the end of the heap.
+    mallopt(-1, 256 << 20)
+    mallopt(-8, max(2, os.cpu_count() or 1))
+
+
+def _load() -> None:
+    """Load the commands; a Ctrl-C meanwhile ends the process at once, for nothing is written yet.
+
+    Python's own handler raises KeyboardInterrupt, which callbacks of the import system lose one
+    time in a hundred. Ignored interrupts, as in background jobs of a shell, stay ignored.
+    """
+    usual = signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    if usual:
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+    importlib.import_module("lightmatrix.cli.app")
+    if usual:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def _lacks_address_space() -> bool:

@@ -34,12 +34,11 @@ from lightmatrix.diagnosis.wrong_frames import (
     wrong_frames,
 )
 from lightmatrix.errors import InputError
-from lightmatrix.files.image_stack import ImageStack
+from lightmatrix.files.stacks import ImageStack
 from lightmatrix.patterns.colour import ColourPatterns
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet
 from lightmatrix.patterns.stripes import is_separable
-from lightmatrix.resources.blas import one_blas_thread
-from lightmatrix.resources.work_ahead import side_by_side
+from lightmatrix.resources.threads import one_blas_thread, side_by_side
 
 # Nothing is inferred from fewer frames, or from fewer camera pixels that can be predicted.
 _FEWEST_FRAMES, _FEWEST_ROWS = 12, 20

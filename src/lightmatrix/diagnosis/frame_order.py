@@ -40,7 +40,7 @@ from lightmatrix.diagnosis.pursuit import (
 )
 from lightmatrix.diagnosis.survey import Survey, high_variance_rows
 from lightmatrix.patterns.pattern_set import PatternSet
-from lightmatrix.resources.work_ahead import work_ahead
+from lightmatrix.resources.threads import work_ahead
 
 Floats = NDArray[np.float32]
 Order = NDArray[np.int64]

@@ -27,8 +27,7 @@ from lightmatrix.camera.samples import Samples
 from lightmatrix.diagnosis.pursuit import best_pixels, column_scale
 from lightmatrix.diagnosis.survey import OF_MEDIAN
 from lightmatrix.patterns.pattern_set import PatternSet
-from lightmatrix.resources.blas import one_blas_thread
-from lightmatrix.resources.work_ahead import work_ahead
+from lightmatrix.resources.threads import one_blas_thread, work_ahead
 
 # Light is expected to fall off around the two places of a row like a Gaussian of standard deviation
 # 1 pixel, at half the scale around the second place. Each row takes the ridge that predicts it

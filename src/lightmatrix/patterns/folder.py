@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from lightmatrix.errors import InputError, warn
 from lightmatrix.files.colours import COLOURS
-from lightmatrix.files.image_stack import ImageStack, list_entries
 from lightmatrix.files.images import (
     HIGHEST_LEVELS,
     as_grey,
@@ -26,7 +25,7 @@ from lightmatrix.files.images import (
     read_image,
 )
 from lightmatrix.files.json_files import errors_naming, read_json
-from lightmatrix.files.pages import Page
+from lightmatrix.files.stacks import ImageStack, Page, list_entries
 from lightmatrix.outputs.kinds import PATTERNS
 from lightmatrix.outputs.writing import atomic_folder
 from lightmatrix.patterns.bits import BitPatterns
@@ -34,7 +33,7 @@ from lightmatrix.patterns.colour import ColourPatterns, colour_images
 from lightmatrix.patterns.making import remake_patterns
 from lightmatrix.patterns.pattern_set import ImagePatterns, PatternSet, to_grey
 from lightmatrix.resources.memory import check_memory
-from lightmatrix.resources.work_ahead import work_ahead
+from lightmatrix.resources.threads import work_ahead
 
 DESCRIPTION = "patterns.json"
 # Every patterns.json states its format and version; a later version is refused.
