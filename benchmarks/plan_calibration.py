@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from scipy.sparse import csr_array
 
-from lightmatrix.camera.exposure_sequence import exposure_sequence
+from lightmatrix.camera.exposures import exposure_sequence
 from lightmatrix.camera.sensor import Sensor
 from lightmatrix.capture.capture import Capture
 from lightmatrix.estimators.coherent.estimator import CoherentEstimator
