@@ -302,7 +302,7 @@ def test_words_for_memory() -> None:
     [
         (False, None, 1.3),
         (True, None, 1.3),
-        # Grey frames that are cropped: measured .99 and 1.00.
+        # Grey frames that are cropped: measured 0.99 and 1.00.
         (True, ((4, 4), (12, 12)), 1.1),
         (True, ((0, 0), (20, 22)), 1.1),
     ],
