@@ -16,7 +16,7 @@ from lightmatrix.estimators.neighbours_help import can_be_tried, neighbours_help
 from lightmatrix.estimators.plain import PlainEstimator
 from lightmatrix.estimators.resource_estimate import ResourceEstimate, estimate_resources
 from lightmatrix.estimators.settings import EstimateSettings
-from lightmatrix.resources.blas import one_blas_thread
+from lightmatrix.resources.threads import one_blas_thread
 from lightmatrix.solvers import ActiveSet
 
 # A capture of at most so many raw levels is checked within a second or two: 512 x 512 pixels in 64

@@ -27,7 +27,7 @@ from zarr.codecs import BloscCodec, Crc32cCodec
 from lightmatrix.errors import InputError
 from lightmatrix.files.json_files import parse_json
 from lightmatrix.files.reading import read_text, regular_file
-from lightmatrix.resources.work_ahead import side_by_side
+from lightmatrix.resources.threads import side_by_side
 
 HEADER = "zarr.json"
 # Values of a chunk unless the caller chooses another size.
@@ -60,14 +60,6 @@ def create_array(
         # Chunks of zeros are written too, so that a missing chunk is noticed.
         config={"write_empty_chunks": True},
     )
-
-
-def write_array(group: zarr.Group, name: str, values: NDArray[Any]) -> None:
-    """Write an array in chunks of whole rows, about a million values each."""
-    width = int(np.prod(values.shape[1:]))
-    rows = max(1, min(len(values), CHUNK // max(1, width)))
-    chunks = (rows, *values.shape[1:])
-    create_array(group, name, values.shape, values.dtype, chunks)[...] = values
 
 
 def write_parts(

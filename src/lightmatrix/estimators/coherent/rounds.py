@@ -43,8 +43,7 @@ from lightmatrix.estimators.cost_model import (
 )
 from lightmatrix.estimators.side_by_side import SolveTile
 from lightmatrix.estimators.work import TILE_BYTES, ReadStep, cut_rows
-from lightmatrix.resources.computed_once import computed_once
-from lightmatrix.resources.threads import core_threads
+from lightmatrix.resources.threads import computed_once, core_threads
 from lightmatrix.solvers.loop import Progress
 from lightmatrix.solvers.problem import Result
 from lightmatrix.store import ROWS

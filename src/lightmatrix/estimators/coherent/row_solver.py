@@ -24,7 +24,7 @@ from lightmatrix.estimators.coherent.neighbourhood import Neighbourhood, unseen_
 from lightmatrix.estimators.coherent.schedule import Round
 from lightmatrix.patterns.atoms import AtomPatterns
 from lightmatrix.patterns.pattern_set import PatternSet
-from lightmatrix.resources.computed_once import computed_once
+from lightmatrix.resources.threads import computed_once
 from lightmatrix.solvers.active_set import (
     ActiveSet,
     Candidates,
