@@ -20,8 +20,8 @@ from lightmatrix.diagnosis.survey import Survey
 _ANNOUNCED, _CERTAIN = 0.02, 4.0
 # Under 16 patterns, windows of 50 pixels explain anything: powers of linear captures were off by up
 # to 0.1 under sharp light and 0.5 under broad light. The logarithm of a power gets a margin of 0.4
-# at 16 patterns, which falls with the cube of their number. Less the 7 columns that are removed, a row
-# has 9 samples left under 16 patterns. Rows that have as few left, as where many samples clip,
+# at 16 patterns, which falls with the cube of their number. Less the 7 columns that are removed, a
+# row has 9 samples left under 16 patterns. Rows that have as few left, as where many samples clip,
 # get the same margin, which falls likewise: under 32 patterns with 7 samples left, powers of linear
 # captures were off by up to 0.24. Chosen by hand.
 _FEW_PATTERNS, _FEW_LEFT, _OFF_BY = 16, 9.0, 0.4
