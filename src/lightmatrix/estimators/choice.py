@@ -73,7 +73,7 @@ def choose_estimator(
         return MultiScaleEstimator(solver, regularization, nonnegative, settings.background)
     tile_rows = settings.tile_rows
     if settings.memory is not None:
-        tile_rows = (resources or estimate_resources(capture, settings)).size.tile_rows
+        tile_rows = (resources or estimate_resources(capture, settings)).tile_rows
     row_by_row = PlainEstimator(solver, regularization, nonnegative, settings.background, tile_rows)
     if not (settings.is_coherent(capture) and isinstance(solver, ActiveSet)):
         return row_by_row
