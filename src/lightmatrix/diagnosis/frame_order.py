@@ -51,7 +51,7 @@ Name = Callable[[int], str]
 class _Limits:
     """When a frame is out of place, and how much work may be spent on it.
 
-    Chosen on simulated captures: `python -m benchmarks.frame_order`.
+    Chosen on simulated captures: `python -m benchmarks.frame_checks`.
     """
 
     # No order is inferred from fewer frames.
