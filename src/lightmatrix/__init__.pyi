@@ -119,7 +119,7 @@ from .estimators.unknown_response import (
     find_response as find_response,
 )
 from .estimators.coherent.estimator import CoherentEstimator as CoherentEstimator
-from .estimators.workers.startup import open_workers as open_workers
+from .estimators.workers.pool import open_workers as open_workers
 from .estimators.multiscale import MultiScaleEstimator as MultiScaleEstimator
 from .estimators.plain import PlainEstimator as PlainEstimator
 from .solvers import (

@@ -37,7 +37,7 @@ from lightmatrix import store
 from lightmatrix.capture.capture import Capture
 from lightmatrix.estimators.coherent import schedule
 from lightmatrix.estimators.coherent.estimator import WINDOWS, CoherentEstimator
-from lightmatrix.estimators.workers.startup import dask_pool
+from lightmatrix.estimators.workers.pool import dask_pool
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.simulation.procedural_capture import simulate_procedural
 from lightmatrix.simulation.procedural_scene import ProceduralScene
