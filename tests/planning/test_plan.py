@@ -17,8 +17,7 @@ from lightmatrix.errors import InputError
 from lightmatrix.files.images import write_image
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.planning.exposure_advice import (
-    BRIGHT_SPOT_SHARE,
-    NOISE_LIMIT,
+    RULES,
     WhiteFrame,
     advise_density,
     advise_exposures,
@@ -50,9 +49,9 @@ def test_the_ladder_covers_the_scene_and_scales_with_it(
     assert sum(share for _, share in ladder) == pytest.approx(1)
     assert (np.diff(exposures) < 0).all()
     # The shortest clips no single response, the longest is quiet (or lights typical pixels fully).
-    assert (BRIGHT_SPOT_SHARE * levels * exposures[-1] > 1.01).mean() < 0.002
+    assert (RULES.bright_spot * levels * exposures[-1] > 1.01).mean() < 0.002
     assert single_clipped_share(white, ladder) < 0.002
-    quiet = noise <= 1.01 * NOISE_LIMIT * white.typical * exposures[0]
+    quiet = noise <= 1.01 * RULES.noise * white.typical * exposures[0]
     assert quiet or exposures[0] * white.typical >= 0.99
     other = [e for e, _ in advise_exposures(_white(3 * levels), noise)]
     np.testing.assert_allclose(3 * np.array(other), exposures, rtol=0.02)
@@ -193,7 +192,7 @@ def test_a_photograph_is_read_with_its_black_and_clip(
     arguments = ["plan", str(tmp_path / "white.png"), "--clip", "4095", "--black", "16"]
     assert main([*arguments, "--json"]) == 0
     advice = json.loads(capsys.readouterr().out)
-    assert advice["exposures"][-1]["exposure"] == pytest.approx(4 / BRIGHT_SPOT_SHARE, rel=0.03)
+    assert advice["exposures"][-1]["exposure"] == pytest.approx(4 / RULES.bright_spot, rel=0.03)
     assert advice["projector"] == [128, 128]
     assert len(advice["exposure_of_frames"]) == advice["frames"]
     assert main([*arguments, "--size", "48x64", "-k", "40"]) == 0
