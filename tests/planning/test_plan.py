@@ -11,7 +11,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmarks import plan_calibration
 from lightmatrix.cli import main
 from lightmatrix.errors import InputError
 from lightmatrix.files.images import write_image
@@ -27,8 +26,6 @@ from lightmatrix.planning.exposure_advice import (
 from lightmatrix.planning.plan import counts, expectations, frames_for, table
 from lightmatrix.simulation.irradiance import irradiance
 from lightmatrix.simulation.library import truth
-from lightmatrix.simulation.renderer import render
-from tests.helpers.renderer import needs_llvm
 
 
 def _white(levels: object, clipped: object = False) -> WhiteFrame:
@@ -137,21 +134,6 @@ def test_the_table_is_complete_and_improves_with_frames() -> None:
     assert frames_for(0.9) == counts()[0]
     few = frames_for(0.05)
     assert min(e.relative_error[1] for e in expectations(few)) <= 0.05
-
-
-@needs_llvm
-def test_the_table_is_what_the_calibration_measures(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Two of its rows, on a scene rendered with 512 paths a pixel instead of 16,384."""
-    known = render("gripper", plan_calibration.SIZE, samples=512)
-    monkeypatch.setattr(plan_calibration, "truth", lambda scene, size: known)
-    for patterns, exposures in (("fine", "advised"), ("mix", "long")):
-        case: dict[str, Any] = {"estimator": "plain", "scene": "gripper", "frames": 64}
-        case |= {"patterns": patterns, "exposures": exposures, "density": 0.5}
-        (row,) = [r for r in table() if case.items() <= r.items()]
-        result = plan_calibration.run(**case)
-        for name in ("relative_error", "relighting_error", "clipped_share"):
-            # The noise of the rendering: 1 to 4.4 %.
-            assert result[name] == pytest.approx(row[name], rel=0.055, abs=2e-4)
 
 
 def test_advice_comes_true(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -36,8 +36,8 @@ class _Rules:
     lit: float = 0.02
     # This share of the lit pixels, the brightest, may clip: glints must not darken all frames.
     glints: float = 0.001
-    # If the noise exceeds this share of a typical pixel's light, longer exposures are added, each by
-    # this factor.
+    # If the noise exceeds this share of a typical pixel's light, longer exposures are added, each
+    # by this factor.
     noise: float = 0.015
     step: float = 4.0
     # The shortest of several exposures serves few rows and gets this share of the frames, but at
