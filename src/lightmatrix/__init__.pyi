@@ -135,7 +135,7 @@ from .solvers import (
 
 # Correspondence without T, from stripes.
 from .decoding.decode import decode as decode
-from .store.correspondence_file import (
+from .store.npz import (
     read_correspondence as read_correspondence,
     write_correspondence as write_correspondence,
 )
@@ -169,11 +169,11 @@ from .store import (
     open as open,
     save as save,
 )
-from .store.colour_stores import (
+from .store.zarr_store import (
     open_colour as open_colour,
     save_colour as save_colour,
 )
-from .transport.colour import ColourTransport as ColourTransport
+from .transport.matrix import ColourTransport as ColourTransport
 from .transport.correspondence import (
     Correspondence as Correspondence,
     correspondence as correspondence,
@@ -181,7 +181,7 @@ from .transport.correspondence import (
 from .evaluation.evaluate import ColourErrors as ColourErrors
 from .evaluation.evaluate import Errors as Errors
 from .transport.matrix import LightTransport as LightTransport
-from .transport.singular_values import singular_values as singular_values
+from .transport.operator import singular_values as singular_values
 from .uses.compensated_video import (
     CompensatedVideo as CompensatedVideo,
     compensate_video as compensate_video,

@@ -20,7 +20,7 @@ from scipy.io import loadmat
 
 from lightmatrix import store
 from lightmatrix.errors import InputError, OutputError
-from lightmatrix.store.tiles import unfinished_spans
+from lightmatrix.store.checkpoint import unfinished_spans
 from tests.helpers.limits import largest_file
 from tests.helpers.stores import (
     FINGERPRINT,
@@ -31,9 +31,6 @@ from tests.helpers.stores import (
     write_tile,
 )
 from tests.helpers.systems import LIMITS, SIGNALS
-
-if sys.platform != "win32":
-    pass
 
 
 @pytest.mark.parametrize("camera", [(5, 4), (3, 2, 3), (1, 1)])
@@ -52,17 +49,10 @@ def test_a_matrix_comes_back_from_disk(
     assert [entry.name for entry in tmp_path.iterdir()] == ["scene.zarr"]
 
 
-def test_the_group_is_zarr_version_3_with_a_format_version(tmp_path: Path) -> None:
-    store.save(tmp_path / "scene.zarr", transport())
-    header = json.loads((tmp_path / "scene.zarr" / "zarr.json").read_text())
-    assert header["zarr_format"] == 3
-    assert header["attributes"]["version"] == 1
-
-
 def test_an_existing_matrix_needs_overwrite(tmp_path: Path) -> None:
     path = tmp_path / "scene.zarr"
     store.save(path, transport(seed=1))
-    with pytest.raises(OutputError, match="--overwrite"):
+    with pytest.raises(OutputError, match="overwrite=True"):
         store.save(path, transport(seed=2))
     assert_same(store.open(path), transport(seed=1))
     store.save(path, transport(seed=2), overwrite=True)
@@ -127,7 +117,7 @@ def test_damage_is_noticed(tmp_path: Path, array: str, damage: str) -> None:
         else:
             chunk.write_bytes(chunk.read_bytes()[:-5])
     name = array if damage == "no array" else chunk.relative_to(place.parent).as_posix()
-    with pytest.raises(InputError, match=rf"is damaged[\s\S]*{name}[\s\S]*estimate --overwrite"):
+    with pytest.raises(InputError, match=rf"is damaged[\s\S]*{name}[\s\S]*overwrite=True"):
         store.open(tmp_path / "scene.zarr")
 
 
@@ -218,9 +208,10 @@ import os, signal, sys
 import numpy as np
 sys.path.insert(0, {tests!r})
 from tests.helpers import stores
-save = np.savez
+save, tiles = np.savez, []
 def half(path, **arrays):
-    if "rows-16-20" in str(path):
+    tiles.append(path)
+    if len(tiles) == 3:
         save(path, **arrays)
         os.truncate(path, 100)
         os.kill(os.getpid(), signal.SIGKILL)
@@ -260,7 +251,7 @@ def test_tiles_of_other_settings_are_neither_used_nor_lost(tmp_path: Path) -> No
 def test_a_complete_output_needs_overwrite_and_stays_until_replaced(tmp_path: Path) -> None:
     path = tmp_path / "scene.zarr"
     store.save(path, transport(seed=5))
-    with pytest.raises(OutputError, match="--overwrite"):
+    with pytest.raises(OutputError, match="overwrite=True"):
         run(path)
     with pytest.raises(KeyboardInterrupt):
         run(path, fail_at=8, overwrite=True)

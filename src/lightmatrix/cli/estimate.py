@@ -26,7 +26,7 @@ from lightmatrix.cli.source import Source, refuse_unknown_projector, with_source
 from lightmatrix.cli.terminal import progress, say, show_json, show_table, warn
 from lightmatrix.errors import InputError
 from lightmatrix.outputs.kinds import REPORT, STORE
-from lightmatrix.transport.labels import labelled
+from lightmatrix.transport.matrix import labelled
 
 if TYPE_CHECKING:
     from lightmatrix import (

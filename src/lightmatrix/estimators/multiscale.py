@@ -29,7 +29,7 @@ from lightmatrix.solvers import Solver, solve
 from lightmatrix.solvers.loop import Progress
 from lightmatrix.solvers.problem import Problem, Result
 from lightmatrix.solvers.regularization import column_length
-from lightmatrix.store.tiles import Span
+from lightmatrix.store.checkpoint import Span
 from lightmatrix.transport.sparse_rows import SparseRows
 
 # The number of blocks with the highest scores that are kept in any case, if they have light. Chosen

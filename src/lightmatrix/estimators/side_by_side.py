@@ -12,7 +12,7 @@ from itertools import islice
 from threading import Event
 
 from lightmatrix.solvers.loop import Progress
-from lightmatrix.store.tiles import Span
+from lightmatrix.store.checkpoint import Span
 from lightmatrix.transport.sparse_rows import SparseRows
 
 # Solves the rows start..stop of a step, and reports how many of them are done.

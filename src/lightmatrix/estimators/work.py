@@ -11,7 +11,7 @@ from lightmatrix.capture.capture import Capture
 from lightmatrix.estimators.side_by_side import SolveTile, solve_tiles
 from lightmatrix.solvers.loop import Progress
 from lightmatrix.store import ROWS, Checkpoint
-from lightmatrix.store.tiles import Span, unfinished_spans
+from lightmatrix.store.checkpoint import Span, unfinished_spans
 from lightmatrix.transport.sparse_rows import SparseRows
 
 # Reads all rows of a finished step by its name.

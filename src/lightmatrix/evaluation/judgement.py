@@ -21,8 +21,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import rank_filter
 
 from lightmatrix.evaluation.metrics import row_energies, unclipped_rows
-from lightmatrix.transport.held_out import prediction_error
-from lightmatrix.transport.matrix import LightTransport
+from lightmatrix.transport.matrix import LightTransport, prediction_error
 
 Level = Literal["good", "fair", "doubtful", "not tested"]
 

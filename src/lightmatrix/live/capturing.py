@@ -38,8 +38,7 @@ from lightmatrix.outputs.writing import claimed
 from lightmatrix.patterns.folder import read_patterns
 from lightmatrix.patterns.making import make_patterns
 from lightmatrix.patterns.pattern_set import PatternSet
-from lightmatrix.transport.held_out import prediction_error
-from lightmatrix.transport.matrix import LightTransport
+from lightmatrix.transport.matrix import LightTransport, prediction_error
 
 USUAL_COUNT = 64
 USUAL_REFERENCE = 32

@@ -20,8 +20,7 @@ from lightmatrix.outputs.kinds import IMAGE
 from lightmatrix.outputs.writing import check_output
 from lightmatrix.patterns.pattern_set import block_mean
 from lightmatrix.ranges import check_number
-from lightmatrix.transport.colour import ColourTransport
-from lightmatrix.transport.matrix import LightTransport
+from lightmatrix.transport.matrix import ColourTransport, LightTransport
 
 Relit = LightTransport | store.StoredTransport
 

@@ -48,7 +48,7 @@ from lightmatrix.resources.threads import core_threads
 from lightmatrix.solvers.loop import Progress
 from lightmatrix.solvers.problem import Result
 from lightmatrix.store import ROWS
-from lightmatrix.store.tiles import Span
+from lightmatrix.store.checkpoint import Span
 from lightmatrix.transport.sparse_rows import SparseRows, footprint_sizes
 
 # The diagnostic that holds which share of its light changed in a row's last round.
