@@ -16,7 +16,7 @@ from lightmatrix.estimators.neighbours_help import can_be_tried, neighbours_help
 from lightmatrix.estimators.plain import PlainEstimator
 from lightmatrix.estimators.resource_estimate import ResourceEstimate, estimate_resources
 from lightmatrix.estimators.settings import EstimateSettings
-from lightmatrix.resources.blas import one_blas_thread
+from lightmatrix.resources.threads import one_blas_thread
 from lightmatrix.solvers import ActiveSet
 
 # A capture of at most so many raw levels is checked within a second or two: 512 x 512 pixels in 64
@@ -73,7 +73,7 @@ def choose_estimator(
         return MultiScaleEstimator(solver, regularization, nonnegative, settings.background)
     tile_rows = settings.tile_rows
     if settings.memory is not None:
-        tile_rows = (resources or estimate_resources(capture, settings)).size.tile_rows
+        tile_rows = (resources or estimate_resources(capture, settings)).tile_rows
     row_by_row = PlainEstimator(solver, regularization, nonnegative, settings.background, tile_rows)
     if not (settings.is_coherent(capture) and isinstance(solver, ActiveSet)):
         return row_by_row
