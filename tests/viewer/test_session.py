@@ -324,7 +324,7 @@ def test_a_store_that_changes_is_told(
     for levels in (np.full((2, 2), 9, np.uint8), np.full((16, 18), 9, np.uint8)):
         window.paint(0, 0, levels)
     errors = [part for part in window.parts if part["kind"] == "error"]
-    assert "was replaced" in errors[0]["message"]
+    assert "is not the one that was written" in errors[0]["message"]
     assert not window.session.unfinished
 
 

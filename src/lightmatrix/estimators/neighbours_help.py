@@ -25,8 +25,8 @@ _TRIED = 576
 # coherent estimate is not even tried, and stays, since it states its error.
 _LEFT = 0.1
 # Its misfit must be below half of the coherent one's. On nine synthetic scenes under six kinds of
-# patterns the shares were .01 to .47 on independent speckle, where it errs less, and at least .54
-# elsewhere.
+# patterns the shares were 0.01 to 0.47 on independent speckle, where it errs less, and at least
+# 0.54 elsewhere.
 _BETTER = 0.5
 
 

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.camera.camera_curve import Response, curve_file
-from lightmatrix.camera.exposure_sequence import exposure_sequence
+from lightmatrix.camera.exposures import exposure_sequence
 from lightmatrix.capture.capture import Capture
 from lightmatrix.errors import DeviceError, InputError, warn
 from lightmatrix.estimators.estimate import estimate
@@ -312,7 +312,8 @@ def take_capture(
 
                 outcome = photograph_until(session, parse_until(settings.until), estimated)
             facts = _facts(session, known, settings, outcome)
-            record.finish(patterns, facts, write_extras=write_extras, overwrite=overwrite)
+            record.write(target, patterns, facts, write_extras, overwrite=overwrite)
+            record.discard()
     _warn(record, known, settings.response)
     return Capture.open(output)
 
