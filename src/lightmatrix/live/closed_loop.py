@@ -29,9 +29,8 @@ from lightmatrix.patterns.pattern_set import ImagePatterns
 from lightmatrix.ranges import check_number
 from lightmatrix.reprs import short_repr
 from lightmatrix.uses.compensation import Compensation, Compensator, compensator
+from lightmatrix.uses.images import Picture, wanted_samples, write_shown
 from lightmatrix.uses.loading import Transport
-from lightmatrix.uses.pattern_images import write_shown
-from lightmatrix.uses.wanted_image import Picture, wanted_samples
 
 USUAL_STEPS = 3
 # Frames that are averaged for each photograph, and for white and black.
