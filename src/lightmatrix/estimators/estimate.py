@@ -35,7 +35,7 @@ from lightmatrix.estimators.choice import check_and_choose, choose_estimator
 from lightmatrix.estimators.resource_estimate import estimate_resources
 from lightmatrix.estimators.settings import EstimateSettings
 from lightmatrix.estimators.unknown_projector import find_responses
-from lightmatrix.estimators.workers.startup import open_workers
+from lightmatrix.estimators.workers.pool import open_workers
 from lightmatrix.outputs.kinds import STORE
 from lightmatrix.outputs.writing import check_output
 from lightmatrix.patterns.colour import ColourPatterns
