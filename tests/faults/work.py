@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from scipy.sparse import csr_array
 
-from .zygote import run_command
+from .run import run
 
 SHAPE = (8, 8)
 COUNT = 32
@@ -53,7 +53,7 @@ def make_work(folder: Path) -> None:
     folder.mkdir(parents=True)
     write_truth(folder / "T.npz", matrix())
     for command in _COMMANDS:
-        ran = run_command(command, folder, seconds=120)
+        ran = run(command, folder)
         if ran.code != 0:
             raise RuntimeError(f"{command}: exit {ran.code}\n{ran.err}")
     shutil.copytree(folder / "capture" / "images", folder / "photos")
