@@ -132,13 +132,11 @@ def measure(case: Case) -> Outcome:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
-            findings = lm.check(drawn.capture)
-            kinds = tuple(sorted({each.kind for each in findings}))
-            lm.refuse_disorder(findings)
-            estimate = lm.estimate(drawn.capture, check=False)
+            estimate = lm.estimate(drawn.capture)
         except lm.InputError as error:
             return Outcome(case, "refused", error.message, seconds=seconds())
-    verdict = lm.verdict(estimate).with_findings(kinds)
+    kinds = tuple(sorted({each["kind"] for each in estimate.provenance["findings"]}))
+    verdict = lm.verdict(estimate)
     # A finding may make the stated error void.
     stated = OwnError(estimate).stated if "Estimated error" in verdict.sentence else None
     true = relative_error(estimate, drawn.truth)

@@ -92,10 +92,6 @@ from .geometry.rig_geometry import RigGeometry as RigGeometry
 
 # What is wrong with a capture.
 from .diagnosis.finding import Finding as Finding
-from .diagnosis.refusals import (
-    refuse_disorder as refuse_disorder,
-    refuse_unusable as refuse_unusable,
-)
 from .diagnosis.folders import check as check
 from .diagnosis.responses.found import FoundResponse as FoundResponse
 
@@ -108,8 +104,6 @@ from .calibration.responses.camera import (
 from .calibration.responses.projector import projector_response as projector_response
 
 # Estimates.
-from .estimators.choice import check_and_choose as check_and_choose
-from .estimators.choice import choose_estimator as choose_estimator
 from .estimators.estimate import estimate as estimate
 from .estimators.colour.estimate import estimate_colour as estimate_colour
 from .estimators.resource_estimate import (
@@ -124,7 +118,6 @@ from .estimators.unknown_response import (
     find_response as find_response,
 )
 from .estimators.coherent.estimator import CoherentEstimator as CoherentEstimator
-from .estimators.workers.startup import open_workers as open_workers
 from .estimators.multiscale.estimator import MultiScaleEstimator as MultiScaleEstimator
 from .estimators.plain import PlainEstimator as PlainEstimator
 from .solvers import (

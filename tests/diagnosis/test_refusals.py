@@ -10,8 +10,9 @@ import pytest
 from numpy.typing import NDArray
 
 import lightmatrix as lm
+from lightmatrix.diagnosis import refusals
 from lightmatrix.diagnosis.finding import Finding
-from lightmatrix.diagnosis.refusals import refuse_disorder, refuse_unusable
+from lightmatrix.diagnosis.refusals import refuse_unordered, refuse_unusable
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.patterns.pattern_set import ImagePatterns
 
@@ -101,13 +102,15 @@ def test_a_camera_that_may_clip_below_the_clip_level_is_warned_about() -> None:
     assert not warned(4095, 9, 4095)
 
 
-def test_only_disorder_is_refused() -> None:
+def test_only_disorder_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     other = Finding("flicker", (), "the light varies", "a steady lamp")
-    refuse_disorder([other])
+    monkeypatch.setattr(refusals, "check_capture", lambda capture: [other])
+    assert refuse_unordered(capture()) == [other]
     wrong = Finding("order", (1, 2), "frame 1 and frame 2 look swapped", "swap them")
+    monkeypatch.setattr(refusals, "check_capture", lambda capture: [other, wrong])
     with pytest.raises(lm.InputError, match="look swapped") as caught:
-        refuse_disorder([other, wrong])
-    assert caught.value.hint == "swap them; --no-check takes them as they are"
+        refuse_unordered(capture())
+    assert caught.value.hint == "swap them; check=False takes them as they are"
 
 
 def test_bits_are_patterns_too() -> None:

@@ -27,7 +27,7 @@ from lightmatrix.cli.estimate import estimate
 from lightmatrix.cli.evaluate import evaluate
 from lightmatrix.cli.experiment import experiment
 from lightmatrix.cli.export import export
-from lightmatrix.cli.failures import report
+from lightmatrix.cli.failures import as_options, report
 from lightmatrix.cli.info import info
 from lightmatrix.cli.pack import pack
 from lightmatrix.cli.patterns import patterns
@@ -183,4 +183,4 @@ def _show_warning(
     message: Warning | str, category: type[Warning], *_: object, **__: object
 ) -> None:
     if issubclass(category, LightMatrixWarning):
-        warn(f"warning: {message}", style="yellow")
+        warn(as_options(f"warning: {message}"), style="yellow")

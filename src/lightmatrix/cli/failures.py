@@ -37,13 +37,24 @@ def report(error: BaseException) -> int:
         return 0
     code, lines = _explain(error)
     try:
-        for number, line in enumerate(lines):
+        for number, line in enumerate(map(as_options, lines)):
             warn(line if number == 0 else f"  {line}", "red" if number == 0 and code else None)
     except (OSError, ValueError):
         # Without standard error only the exit code is left. Python must not try to write the rest
         # of its buffer when it exits.
         _give_up(sys.stderr)
     return code
+
+
+def as_options(text: str) -> str:
+    """The text with each parameter of a function, such as overwrite=True, as the option it is."""
+
+    def option(match: re.Match[str]) -> str:
+        name, value = match[1].replace("_", "-"), match[2].strip("\"'")
+        return {"True": f"--{name}", "False": f"--no-{name}"}.get(value, f"--{name} {value}")
+
+    # What is no parameter has blanks around =, or other characters.
+    return re.sub(r"""(?<![\w/.-])([a-z]+(?:_[a-z]+)*)=("[^"]*"|\w[\w.,:/]*\w|\w)""", option, text)
 
 
 def lacks_memory(error: BaseException) -> bool:

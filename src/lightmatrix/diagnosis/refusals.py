@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,6 @@ from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.decoding import check_depth
 from lightmatrix.diagnosis.all_checks import check_capture
 from lightmatrix.diagnosis.finding import Finding
-from lightmatrix.diagnosis.pattern_faults import is_separable
 from lightmatrix.errors import InputError, warn
 from lightmatrix.patterns.pattern_set import PatternSet
 
@@ -30,25 +29,8 @@ _SAME = 1e-6
 def refuse_unusable(capture: Capture) -> None:
     """Refuse a capture that no estimate can come from, whatever the order of its frames.
 
-    `estimate` does this by itself; call it before you use an estimator directly.
-
-    Parameters
-    ----------
-    capture : Capture
-        The capture, binned as the estimate uses it.
-
-    Raises
-    ------
-    InputError
-        With one frame only, a projector of one pixel, no pattern that varies, nothing but dark or
-        clipped samples, all pixels masked, or 16-bit files of fewer bits without a stated clip
-        level.
-
-    Examples
-    --------
-    >>> import lightmatrix as lm
-    >>> capture = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 32))
-    >>> lm.refuse_unusable(capture)
+    It has one frame only, a projector of one pixel, no pattern that varies, nothing but dark or
+    clipped samples, all pixels masked, or 16-bit files of fewer bits without a stated clip level.
     """
     _refuse_useless_patterns(capture.patterns)
     check_depth(capture.frames, capture.decoder)
@@ -58,53 +40,23 @@ def refuse_unusable(capture: Capture) -> None:
 
 
 def refuse_unordered(capture: Capture) -> list[Finding]:
-    """Refuse a capture whose frames do not follow its patterns; returns what `check` finds."""
+    """Refuse a capture whose frames are out of order, which spoils all of an estimate.
+
+    Returns what else `check` finds.
+    """
     findings = check_capture(capture)
-    refuse_disorder(findings)
+    for finding in findings:
+        if finding.kind == "order":
+            raise InputError(
+                finding.message, hint=f"{finding.advice}; check=False takes them as they are"
+            )
     return findings
 
 
-def warn_of_unrelated(findings: Iterable[Finding]) -> None:
-    """Warn if `check` found that the frames follow nothing."""
+def warn_of(findings: Iterable[Finding]) -> None:
+    """Warn of each finding by itself."""
     for finding in findings:
-        if finding.kind == "unrelated":
-            message = f"{finding.message}; {finding.advice}"
-            warn(message)
-
-
-def warn_of_stripes(patterns: PatternSet) -> None:
-    """Point from an estimate of T under stripes only to `decode`, which is fast and made for it."""
-    if is_separable(patterns):
-        warn(
-            "all patterns are stripes (Gray code, fringes): T has wrong entries where a camera "
-            "pixel sees several places; for correspondence and shape use `lightmatrix decode`, "
-            "which takes seconds",
-        )
-
-
-def refuse_disorder(findings: Sequence[Finding]) -> None:
-    """Refuse a capture whose frames are out of order, which spoils all of an estimate.
-
-    Parameters
-    ----------
-    findings : sequence of Finding
-        The result of `check`.
-
-    Raises
-    ------
-    InputError
-        With the first finding about the order of the frames.
-
-    Examples
-    --------
-    >>> import lightmatrix as lm
-    >>> capture = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 32))
-    >>> lm.refuse_disorder(lm.check(capture))
-    """
-    for finding in findings:
-        if finding.kind == "order":
-            hint = f"{finding.advice}; --no-check takes them as they are"
-            raise InputError(finding.message, hint=hint)
+        warn(f"{finding.kind}: {finding.message}\n  {finding.advice}")
 
 
 def _refuse_useless_patterns(patterns: PatternSet) -> None:

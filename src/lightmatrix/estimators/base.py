@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import platform
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from lightmatrix._version import __version__
 from lightmatrix.camera.samples import Samples
 from lightmatrix.capture.capture import Capture
-from lightmatrix.diagnosis.finding import FINDINGS, Finding
+from lightmatrix.diagnosis.finding import FINDINGS
 from lightmatrix.estimators.work import TilesInMemory, Work, WorkerPool, complete
 from lightmatrix.outputs.targets import final_target
 from lightmatrix.resources.blas import one_blas_thread
@@ -79,7 +79,7 @@ class Estimator(ABC):
         *,
         output: Path | None = None,
         overwrite: bool = False,
-        findings: Sequence[Finding] = (),
+        remarks: Mapping[str, Any] | None = None,
         progress: Progress | None = None,
         pool: WorkerPool | None = None,
     ) -> LightTransport:
@@ -94,8 +94,9 @@ class Estimator(ABC):
             interrupted run continues where it stopped.
         overwrite : bool
             Whether a complete store at `output` may be replaced.
-        findings : sequence of Finding
-            What `check` found. The provenance keeps it, so that later verdicts know it.
+        remarks : mapping, optional
+            What the provenance shall hold besides the parameters, JSON-ready, such as what `check`
+            found, so that later verdicts know it.
         progress : callable, optional
             Called with (done, total) rows.
         pool : WorkerPool, optional
@@ -118,7 +119,7 @@ class Estimator(ABC):
         """
         plan = self.plan(capture)
         shapes = plan.shapes
-        shapes["provenance"] |= {FINDINGS: [finding.as_dict() for finding in findings]}
+        shapes["provenance"] |= {FINDINGS: []} | dict(remarks or {})
         check_regularization(plan.provenance["regularization"])
         with ExitStack() as stack:
             if plan.work.together > 1:

@@ -84,6 +84,11 @@ class ResourceEstimate:
         """Whether there is enough memory."""
         return self.memory <= self.available
 
+    @property
+    def coherent(self) -> bool:
+        """Whether camera pixels learn from their neighbours, unless photographs speak against."""
+        return self.size.method == "coherent"
+
     def __str__(self) -> str:
         disk = f" and {_gigabytes(self.temporary)} of temporary files" if self.temporary else ""
         shared = f" ({self.workers} workers)" if self.workers > 1 else ""

@@ -10,6 +10,7 @@ from typing import Any
 from lightmatrix._version import __version__
 from lightmatrix.capture.capture import Capture
 from lightmatrix.diagnosis.finding import Finding
+from lightmatrix.diagnosis.responses.found import as_estimated
 from lightmatrix.errors import InputError
 from lightmatrix.estimators.settings import EstimateSettings
 from lightmatrix.evaluation.verdict import percent, stored_findings
@@ -112,6 +113,7 @@ def report(
     (['verdict', 'verdicts'], True)
     """
     known = truth.transport() if isinstance(truth, Truth) else truth
+    capture = as_estimated(capture, transport.provenance)
     _check(transport, capture, known)
     rig = None if geometry is None else geometry_of(transport, geometry)
     with atomic_folder(folder, REPORT, overwrite=overwrite) as part:

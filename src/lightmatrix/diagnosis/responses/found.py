@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from lightmatrix.camera.camera_curve import Response
+from lightmatrix.camera.camera_curve import AUTOMATIC, Response
 from lightmatrix.capture.capture import Capture
 from lightmatrix.diagnosis.responses.bend import points
 from lightmatrix.files.curve_file import CurveFile
@@ -16,6 +17,9 @@ from lightmatrix.outputs.kinds import RESPONSE
 from lightmatrix.outputs.writing import check_output
 from lightmatrix.patterns.projector_curve import ProjectorResponse
 from lightmatrix.reprs import short_repr
+
+# The entry of an estimate's provenance that holds the response that was found.
+FOUND_RESPONSE = "found_response"
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,12 +75,6 @@ class FoundResponse:
         """Whether the curve is a gamma, 1 included."""
         return self.response.levels is None or self.response.name.startswith("gamma:")
 
-    @property
-    def remedies(self) -> tuple[str, ...]:
-        """The kinds of findings that it remedies: "response", "projector" or both."""
-        camera = ("response",) if self.uncertainty else ()
-        return camera if self.projector is None else (*camera, "projector")
-
     def applied_to(self, capture: Capture) -> Capture:
         """The capture, read by this response, with the light of its grey values if it was found."""
         read = with_response(capture, self.response)
@@ -95,6 +93,15 @@ class FoundResponse:
             facts["projector_gamma"] = round(self.projector.gamma, 4)
             facts["projector_uncertainty"] = round(self.projector_uncertainty, 4)
         return facts
+
+    def provenance(self) -> dict[str, Any]:
+        """What the provenance of an estimate keeps of it: `as_dict`, and a curve's light."""
+        kept = self.as_dict()
+        if not self.is_gamma:
+            kept["light"] = points(self.response)[1].tolist()
+        if self.projector is not None:
+            kept["projector_gamma"] = self.projector.gamma
+        return kept
 
     def save(self, path: str | Path, *, overwrite: bool = False) -> None:
         """Write the curve as JSON, which `Response.parse` and capture.json read.
@@ -120,6 +127,24 @@ def with_projector(capture: Capture, projector: ProjectorResponse) -> Capture:
     """The capture, with the grey values of its patterns read as light."""
     patterns = projector.light_of_patterns(capture.patterns)
     return replace(capture, patterns=patterns, projector_unknown=False)
+
+
+def as_estimated(capture: Capture, provenance: Mapping[str, Any]) -> Capture:
+    """The capture of an estimate, read by the responses that were found if it leaves them open."""
+    found = provenance.get(FOUND_RESPONSE)
+    if found is None:
+        return capture
+    if capture.decoder.response.name == AUTOMATIC:
+        if "light" in found:
+            light = np.array(found["light"])
+            response = Response(np.linspace(0, 1, len(light)), light, found["response"])
+        else:
+            response = Response.parse(found["response"])
+        capture = with_response(capture, response)
+    if capture.projector_unknown:
+        projector = ProjectorResponse.of_gamma(found["projector_gamma"])
+        capture = with_projector(capture, projector)
+    return capture
 
 
 def largest_difference(one: Response, other: Response) -> float:

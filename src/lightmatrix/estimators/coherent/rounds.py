@@ -46,8 +46,7 @@ from lightmatrix.estimators.cost_model import (
     coherent_row_bytes,
     first_round_cost,
 )
-from lightmatrix.estimators.side_by_side import SolveTile
-from lightmatrix.estimators.work import TILE_BYTES, ReadStep, cut_rows
+from lightmatrix.estimators.work import TILE_BYTES, ReadStep, SolveTile, cut_rows
 from lightmatrix.resources.computed_once import computed_once
 from lightmatrix.resources.threads import core_threads
 from lightmatrix.solvers.loop import Progress

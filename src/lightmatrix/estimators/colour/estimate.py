@@ -14,7 +14,7 @@ from lightmatrix.camera.camera_curve import AUTOMATIC
 from lightmatrix.capture.capture import Capture, open_capture
 from lightmatrix.capture.known_samples import KnownSamples
 from lightmatrix.diagnosis.finding import FINDINGS
-from lightmatrix.diagnosis.refusals import refuse_unordered, refuse_unusable, warn_of_unrelated
+from lightmatrix.diagnosis.refusals import refuse_unordered, refuse_unusable, warn_of
 from lightmatrix.errors import InputError
 from lightmatrix.estimators.base import capture_provenance
 from lightmatrix.estimators.coherent.estimator import CoherentEstimator
@@ -103,8 +103,8 @@ def estimate_colour(
     overwrite : bool
         Whether a folder of stores at `output` may be replaced.
     check : bool
-        Whether to refuse photographs that do not follow their patterns, and to keep in the
-        provenance what else `lm.check` finds.
+        Whether to refuse photographs that do not follow their patterns, and to warn of what else
+        `lm.check` finds. The provenance keeps it.
     progress : bool or callable
         Whether to show a bar on a terminal and in notebooks; or what to call with (done, total).
 
@@ -140,7 +140,7 @@ def estimate_colour(
         check_output(output, COLOUR_STORES, overwrite=overwrite)
     refuse_unusable(capture)
     findings = refuse_unordered(capture) if check else []
-    warn_of_unrelated(findings)
+    warn_of(findings)
     samples = ColourSamples.of(capture.samples(), patterns)
     with progress_bar("estimating", "rows") if progress is True else nullcontext(None) as bar:
         known = _Known(

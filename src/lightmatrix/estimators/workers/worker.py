@@ -20,8 +20,7 @@ from lightmatrix._version import __version__
 from lightmatrix.capture.capture import Capture
 from lightmatrix.capture.frames import PixelFrames
 from lightmatrix.errors import ClusterError, InputError, LightMatrixError
-from lightmatrix.estimators.side_by_side import SolveTile
-from lightmatrix.estimators.work import Work
+from lightmatrix.estimators.work import SolveTile, Work
 from lightmatrix.estimators.workers.pickling import unpack_work
 from lightmatrix.resources.memory import available_bytes
 from lightmatrix.resources.threads import core_threads
