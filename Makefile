@@ -6,7 +6,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 CORE := $(shell find crates -name '*.rs' -o -name Cargo.toml) Cargo.toml pyproject.toml
 
-.PHONY: help install demo test test-install lint types rust-test py-test faults fuzz live-faults kills mutants format \
+.PHONY: help install demo test test-install lint types rust-test py-test test-slow faults fuzz live-faults kills mutants format \
 	bench experiments docs gallery screenshots wheel wheel-test wheel-demo wheel-arm64 wheel-windows \
 	resources system-deps clean
 
@@ -68,13 +68,19 @@ py-test:
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 \
 	  $(BIN)/python -m pytest --numprocesses 2 --dist loadfile --no-loadscope-reorder
 
+test-slow: test-install ## run the tests that are left out of `make test`: experiments, and long ones
+	$(BIN)/python -m pytest -m slow
+
 faults: test-install ## run the table of faults and count the outcomes
 	$(BIN)/python -m tests.faults.table -v
 
 fuzz: test-install ## try 20,000 damaged inputs, or make fuzz N=500
 	$(BIN)/python -m tests.faults.fuzz --count $(or $(N),20000)
 
-live-faults: test-install ## capture 200 times with a rig that fails, or make live-faults N=20
+live-test-slow: test-install ## run the tests that are left out of `make test`: experiments, and long ones
+	$(BIN)/python -m pytest -m slow
+
+faults: test-install ## capture 200 times with a rig that fails, or make live-faults N=20
 	$(BIN)/python -m tests.live.rig_faults --count $(or $(N),200)
 
 kills: test-install ## kill 50 estimates and their workers at random moments, or make kills N=10
@@ -94,9 +100,9 @@ bench: install ## measure the solver against its peers: table, JSON and plot in 
 	$(BIN)/python -m benchmarks
 
 experiments: test-install ## make the paper's figures and ours in experiments-out/; continues if interrupted
-	for name in fig4 fig5 fig6 fig7 few-patterns rigs responses; do \
+	for name in fig4 fig5 fig6 fig7 few-patterns rigs responses uses shape; do \
 	  test -e experiments-out/$$name/$$name.json || \
-	  $(BIN)/lightmatrix experiment $$name -o experiments-out/$$name || exit; done
+	  $(BIN)/python -m experiments $$name -o experiments-out/$$name || exit; done
 
 docs: $(VENV)/.docs-installed ## build the documentation in site/; warnings are errors
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build

@@ -20,12 +20,12 @@ from rich.console import Console
 from rich.table import Table
 from scipy.sparse import csr_array
 
+from experiments.measured_scene import SCENES
+from experiments.rigs import RIGS, Case, rig_capture, rig_truth
 from lightmatrix.estimators.coherent import neighbourhood, schedule
 from lightmatrix.estimators.coherent.backgrounds import Backgrounds
 from lightmatrix.estimators.coherent.estimator import CoherentEstimator
 from lightmatrix.evaluation.metrics import relative_error
-from lightmatrix.experiments.measured_scene import SCENES
-from lightmatrix.experiments.rigs import RIGS, Case, rig_capture, rig_truth
 
 # In each of these rigs another part of the estimate matters.
 USUAL_RIGS = ("sharp", "blur 1", "camera 4x coarser")

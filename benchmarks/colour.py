@@ -3,7 +3,7 @@
 python -m benchmarks.colour                    four scenes, about 15 minutes
 python -m benchmarks.colour --scenes l_objects
 
-The rigs are those of `lightmatrix experiment rigs` (`experiments/colour_rigs.py`), at 64 x 64: with
+The rigs are those of `python -m experiments rigs` (`experiments/colour_rigs.py`), at 64 x 64: with
 "other surfaces" the global light is tinted.
 """
 
@@ -17,9 +17,9 @@ from rich.console import Console
 from rich.table import Table
 
 import lightmatrix as lm
+from experiments.colour_rigs import colour_capture, tinted
 from lightmatrix.estimators.coherent.estimator import CoherentEstimator
 from lightmatrix.evaluation.metrics import relative_error
-from lightmatrix.experiments.colour_rigs import colour_capture, tinted
 from lightmatrix.simulation.colour import in_all_primaries
 
 SCENES = ("l_objects", "gripper", "metal", "corner")

@@ -28,7 +28,6 @@ from rich.table import Table
 import lightmatrix as lm
 from benchmarks.synthetic_captures import DAMAGES, PATTERNS, SCENES, SyntheticCapture, draw
 from lightmatrix.diagnosis.finding import NOTES
-from lightmatrix.evaluation.doubts import OwnError
 from lightmatrix.evaluation.metrics import relative_error
 from lightmatrix.pictures.style import COLOURS, figure, fix_ticks, save
 from lightmatrix.simulation import library
@@ -137,10 +136,8 @@ def measure(case: Case) -> Outcome:
             return Outcome(case, "refused", error.message, seconds=seconds())
     kinds = tuple(sorted({each["kind"] for each in estimate.provenance["findings"]}))
     verdict = lm.verdict(estimate)
-    # A finding may make the stated error void.
-    stated = OwnError(estimate).stated if "Estimated error" in verdict.sentence else None
     true = relative_error(estimate, drawn.truth)
-    return Outcome(case, verdict.level, verdict.sentence, kinds, true, stated, seconds())
+    return Outcome(case, verdict.level, verdict.sentence, kinds, true, verdict.error, seconds())
 
 
 def outcomes(cases: Sequence[Case], file: Path, processes: int) -> list[Outcome]:

@@ -13,7 +13,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from lightmatrix.experiments.fig5 import EXPOSURES, statistics
+from experiments.fig5 import EXPOSURES, statistics
 from lightmatrix.patterns.bits import BernoulliPatterns
 from lightmatrix.pictures.style import display, figure, panel, save
 from lightmatrix.simulation import library

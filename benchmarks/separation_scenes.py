@@ -1,4 +1,4 @@
-"""Direct and global light on rendered scenes that `experiment uses` does not hold.
+"""Direct and global light on rendered scenes that the experiment `uses` does not hold.
 
 The thresholds of `lightmatrix.uses.direct_light` and `stray_spots` were chosen on them. Needs the
 extra `render`, and half a minute a scene:
@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 import lightmatrix as lm
-from lightmatrix.experiments.uses_separation import separation_rows
+from experiments.uses_separation import separation_rows
 from lightmatrix.simulation.geometry import Mesh, turn
 from lightmatrix.simulation.scenes import BUILDERS
 from lightmatrix.simulation.scenes import scene as bundled

@@ -33,7 +33,7 @@ def main(out: Path) -> dict[str, object]:
     capture = lm.Capture.from_folders(out / "patterns", out / "photos")
     estimate = lm.estimate(capture, output=out / "scene.zarr")
     report = lm.report(out / "report", estimate, capture)
-    print(lm.Verdict(report["verdict"], report["sentence"]))
+    print(lm.Verdicts.from_dict(report["verdicts"]).transport)
 
     lm.show_clipping(estimate).savefig(out / "clipping.png")
     white = np.ones(estimate.projector_shape)

@@ -60,16 +60,16 @@ from .simulation.thumbnails import write_thumbnails as write_thumbnails
 from .simulation.truth import Truth as Truth
 
 # Rigs that photograph, real and virtual.
-from .live.measurements.exposure import measure_exposure as measure_exposure
-from .live.measurements.flicker import measure_flicker as measure_flicker
-from .live.measurements.rig_measurements import (
+from .live.light_levels import measure_exposure as measure_exposure
+from .live.flicker import measure_flicker as measure_flicker
+from .live.rig_measurements import (
     RigMeasurements as RigMeasurements,
     measure_rig as measure_rig,
 )
-from .live.measurements.linearity import measure_linearity as measure_linearity
-from .live.measurements.grey_ramp import measure_response as measure_response
-from .live.measurements.settle import measure_settle as measure_settle
-from .live.capture_settings import CaptureSettings as CaptureSettings
+from .live.light_levels import measure_linearity as measure_linearity
+from .live.light_levels import measure_response as measure_response
+from .live.settle import measure_settle as measure_settle
+from .live.capturing import CaptureSettings as CaptureSettings
 from .live.capturing import take_capture as take_capture
 from .live.devices.registry import (
     list_devices as list_devices,
@@ -176,8 +176,8 @@ from .transport.correspondence import (
     Correspondence as Correspondence,
     correspondence as correspondence,
 )
-from .evaluation.estimate_errors import ColourErrors as ColourErrors
-from .evaluation.estimate_errors import Errors as Errors
+from .evaluation.evaluate import ColourErrors as ColourErrors
+from .evaluation.evaluate import Errors as Errors
 from .transport.matrix import LightTransport as LightTransport
 from .transport.singular_values import singular_values as singular_values
 from .uses.compensated_video import (
@@ -216,19 +216,16 @@ from .uses.separation import (
     Separation as Separation,
     separate as separate,
 )
-from .evaluation.verdict import (
+from .evaluation.judgement import (
     Verdict as Verdict,
-    verdict as verdict,
-)
-from .evaluation.verdicts import (
     Verdicts as Verdicts,
+    verdict as verdict,
     verdicts as verdicts,
 )
 
-# Plans and experiments.
-from .experiments.run import (
+# Plans and the demo.
+from .demo import (
     demo as demo,
-    experiment as experiment,
 )
 from .planning.plan import (
     Advice as Advice,

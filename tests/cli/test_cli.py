@@ -239,7 +239,7 @@ def test_every_command_has_help(capsys: pytest.CaptureFixture[str]) -> None:
     assert main([]) == 0
     overview = capsys.readouterr().out
     assert "..." not in overview.replace("[ARGS]...", "")
-    assert {"patterns", "simulate", "estimate", "plan", "experiment"} <= set(COMMANDS)
+    assert {"patterns", "simulate", "estimate", "plan", "demo"} <= set(COMMANDS)
     for command in COMMANDS:
         assert re.search(rf"^ *{command} ", overview, re.MULTILINE)
         assert main([command, "--help"]) == 0

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any, get_args
 
 import numpy as np
@@ -15,16 +14,14 @@ import lightmatrix as lm
 from lightmatrix.camera.exposure_sequence import EXAMPLE as EXPOSURES_EXAMPLE
 from lightmatrix.camera.noise import USUAL_NOISE
 from lightmatrix.cli import estimate as estimate_command
-from lightmatrix.cli import experiment as experiment_command
 from lightmatrix.cli import main, options
 from lightmatrix.cli import patterns as patterns_command
 from lightmatrix.cli.app import STAGES
 from lightmatrix.estimators import settings as estimate_settings
 from lightmatrix.estimators.coherent.estimator import WORTH_IT_UP_TO
-from lightmatrix.experiments import run
-from lightmatrix.live import capture_settings, capturing
-from lightmatrix.live.measurements.rig_measurements import PARTS
+from lightmatrix.live import capturing
 from lightmatrix.live.rig import USUAL_PATIENCE
+from lightmatrix.live.rig_measurements import PARTS
 from lightmatrix.patterns import making, mix
 from lightmatrix.planning.plan import USUAL_SIZE
 from lightmatrix.resources.memory import memory_bytes
@@ -461,36 +458,6 @@ def test_the_advised_patterns_are_those_of_the_advised_command(
     )
 
 
-@pytest.mark.parametrize("command", ["demo", "experiment"])
-def test_long_commands_pass_their_options_on(
-    command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:  # fmt: skip
-    """The demo and the experiments take long; other tests run them, and this one replaces them."""
-    asked: list[dict[str, Any]] = []
-
-    def stand_in(folder: Path, **options: Any) -> dict[str, Any]:
-        (folder / "demo.json").write_text("{}")
-        options.pop("kept", None)
-        asked.append(options)
-        return {"rows": [1, float("nan")]}
-
-    monkeypatch.setattr("lightmatrix.experiments.demo.run", stand_in)
-    drawn = SimpleNamespace(run=stand_in)
-    monkeypatch.setitem(run.EXPERIMENTS, "fig4", drawn)
-    words = "demo" if command == "demo" else "experiment fig4 --quick"
-    printed = _run(f"{words} -o {tmp_path}/shown", capsys)
-    if command == "demo":
-        lm.demo(tmp_path / "made")
-    else:
-        lm.experiment("fig4", tmp_path / "made", quick=True)
-    for options_given in asked:
-        del options_given["progress"]
-    assert asked[0] == asked[1]
-    assert printed["rows"] == [1, None]
-    _same_files(tmp_path / "shown", tmp_path / "made")
-
-
 @pytest.mark.parametrize(
     ("words", "arguments"),
     [
@@ -511,7 +478,7 @@ def test_long_commands_pass_their_options_on(
 def test_capture(
     words: str, arguments: dict[str, Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    rig = "virtual:procedural,size=16,real=0,late=0.1"
+    rig = "virtual:procedural,size=16,real=0"
     printed = _run(
         f"capture --rig {rig} {words} --rig-file {tmp_path}/shown.json -o {tmp_path}/shown", capsys
     )
@@ -573,7 +540,7 @@ def test_defaults_in_help_texts_are_those_of_the_code() -> None:
     assert options.USUAL_NOISE == USUAL_NOISE
     assert options.USUAL_COUNT == making.USUAL_COUNT
     assert options.USUAL_FRAMES == capturing.USUAL_COUNT
-    assert options.USUAL_REFERENCE == capture_settings.USUAL_REFERENCE
+    assert options.USUAL_REFERENCE == capturing.USUAL_REFERENCE
     assert options.RIG_FILE == capturing.RIG_FILE
     assert memory_bytes(options.USUAL_PAGE_MEMORY) == PAGE_BYTES
     assert options.USUAL_PATIENCE == USUAL_PATIENCE
@@ -589,7 +556,6 @@ def test_defaults_in_help_texts_are_those_of_the_code() -> None:
     assert set(get_args(estimate_command.SolverName)) == set(estimate_settings.SOLVERS)
     assert set(get_args(estimate_command.FidelityName)) == set(lm.Fidelity)
     assert set(get_args(patterns_command.Kind)) == set(making.KINDS)
-    assert set(get_args(experiment_command.Figure)) == set(run.EXPERIMENTS)
 
 
 def test_separate(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -47,7 +47,12 @@ def test_the_same_faults_are_named(
     fault: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     made: list[lm.Capture] = []
-    monkeypatch.setattr(frame_checks, "check_capture", lambda capture: made.append(capture) or [])
+
+    def keep(capture: lm.Capture) -> list[lm.Finding]:
+        made.append(capture)
+        return []
+
+    monkeypatch.setattr(frame_checks, "check_capture", keep)
     frame_checks.FAULTS[fault](DRAW, np.random.default_rng(0))
     frames = [made[0].frame(k) for k in range(made[0].count)]
     folder, sensor = tmp_path / "capture", lm.Sensor(black_level=float(made[0].decoder.black_level))

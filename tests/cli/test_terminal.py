@@ -15,7 +15,7 @@ import lightmatrix as lm
 from lightmatrix import cli
 from lightmatrix.cli import main
 from lightmatrix.errors import InputError
-from lightmatrix.evaluation.estimate_errors import Errors
+from lightmatrix.evaluation.evaluate import Errors
 from lightmatrix.solvers import solve
 from lightmatrix.transport.labels import labelled
 from tests.helpers.systems import SHELL, SIGNALS

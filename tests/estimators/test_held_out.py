@@ -11,7 +11,7 @@ from benchmarks.synthetic_captures import draw
 from lightmatrix.estimators.coherent import held_out
 from lightmatrix.estimators.coherent.held_out import HeldOut
 from lightmatrix.estimators.coherent.row_errors import held_out_frames
-from lightmatrix.evaluation.doubts import OwnError
+from lightmatrix.evaluation.judgement import OwnError
 from lightmatrix.evaluation.metrics import relative_error
 
 BASE = lm.BernoulliPatterns((16, 16), 16, seed=1).rows(0, 16).reshape(16, 16, 16)

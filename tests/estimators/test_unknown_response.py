@@ -11,6 +11,7 @@ import pytest
 from PIL import Image
 
 import lightmatrix as lm
+from experiments.responses import photographed
 from lightmatrix.diagnosis.responses.bend import (
     GammaBend,
     SmoothBends,
@@ -23,7 +24,6 @@ from lightmatrix.diagnosis.responses.from_windows import WindowPower
 from lightmatrix.estimators import unknown_response
 from lightmatrix.estimators.camera_window import window_of_levels
 from lightmatrix.estimators.unknown_response import refined_response
-from lightmatrix.experiments.responses import photographed
 from lightmatrix.patterns.folder import write_patterns
 from lightmatrix.simulation.realism import defocus
 from tests.helpers.surface import PROJECTOR, photographs

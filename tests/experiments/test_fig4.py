@@ -2,14 +2,9 @@
 
 from __future__ import annotations
 
-import csv
-import json
-from pathlib import Path
-
 import numpy as np
-import pytest
 
-from lightmatrix.experiments import fig4
+from experiments import fig4
 
 
 def _mean(method: str, observations: int, level: float, trials: int = 20) -> float:
@@ -48,28 +43,3 @@ def test_unclipped_the_other_fidelities_are_saturation_admm() -> None:
     expected = fig4.errors("saturation-admm", matrices, x, np.inf)
     for name in fig4.SAME_WHERE_UNCLIPPED:
         np.testing.assert_array_equal(fig4.errors(name, matrices, x, np.inf), expected)
-
-
-def test_the_order_of_methods_does_not_matter(monkeypatch: pytest.MonkeyPatch) -> None:
-    case = fig4.Case(30, trials=3)
-    expected = {(row["method"], row["condition"]): row for row in fig4.measure(case).rows}
-    monkeypatch.setattr(fig4, "METHODS", dict(reversed(fig4.METHODS.items())))
-    results = {(row["method"], row["condition"]): row for row in fig4.measure(case).rows}
-    assert results == expected
-
-
-def test_files_hold_the_promised_keys(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(fig4, "OBSERVATIONS", (10, 20))
-    monkeypatch.setattr(fig4, "QUICK_TRIALS", 2)
-    seen: list[tuple[int, int]] = []
-    fig4.FIG4.run(tmp_path, quick=True, progress=lambda done, total: seen.append((done, total)))
-    assert seen == [(1, 2), (2, 2)]
-    result = json.loads((tmp_path / "fig4.json").read_text())
-    assert {"lambda", "mu", "nu", "trials"} <= result["parameters"].keys()
-    assert len(result["rows"]) == 2 * 2 * 5
-    keys = ["method", "condition", "observations", "rmse_mean", "rmse_std"]
-    assert all(list(row) == keys for row in result["rows"])
-    with open(tmp_path / "fig4.csv") as file:
-        assert len(list(csv.DictReader(file))) == 20
-    for name in ("fig4.png", "fig4.svg"):
-        assert (tmp_path / name).stat().st_size > 1000

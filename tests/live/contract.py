@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from lightmatrix.errors import DeviceError, FrameTimeoutError, InputError
-from lightmatrix.live.devices.protocols import Camera, Projector
+from lightmatrix.live.devices.base import Camera, Projector
 
 
 class ProjectorContract:

@@ -2,7 +2,7 @@
 
 `python -m tests.live.rig_faults --count 200` runs many; `make live-faults N=200` does it.
 
-Each run draws a scene, a camera, and times for its faults, at the rates of `RATES`. It is killed
+Each run draws a scene, a camera, and times for its faults, at fixed rates. It is killed
 (SIGKILL) at random moments, meets a disk that takes no more (a small one of its own where root may
 mount it, else a limit on the size of files), and goes on each time. In the end each frame is held
 against what its pattern alone gives, pixel by pixel.
@@ -25,19 +25,17 @@ import numpy as np
 from lightmatrix.capture.capture import Capture
 from lightmatrix.errors import LightMatrixError, OutputError
 from lightmatrix.live.capturing import take_capture
-from lightmatrix.live.devices.virtual.settings import VirtualSettings
-from lightmatrix.live.rig import open_rig
+from lightmatrix.live.devices.virtual import VirtualSettings
+from lightmatrix.live.rig import Rig
 from lightmatrix.patterns.making import make_patterns
 from lightmatrix.patterns.pattern_set import to_grey
 
+from .faulty_rig import Faults, faulty, levels_of
 from .small_disk import SmallDisk, small_disk
 
 if sys.platform != "win32":
     import resource
 
-RATES = {"late": 0.05, "dropped": 0.03, "duplicate": 0.02, "torn": 0.01}
-# No sample of a frame may be off by more than this many standard deviations of its noise.
-_FARTHEST = 6.5
 _FULL, _DONE, _BROKEN = 3, 0, 4
 _PATIENCE = 120.0
 
@@ -70,37 +68,38 @@ class Outcome:
     wrong: list[str] = field(default_factory=list)
 
 
-def settings_of(seed: int) -> VirtualSettings:
+def rig_of(seed: int) -> Rig:
     """The rig of a run."""
     draw = np.random.default_rng([seed, 14])
-    return VirtualSettings(
+    settings = VirtualSettings(
         scene="procedural",
         size=int(draw.choice([16, 24])),
         delay=float(draw.integers(0, 6)),
         fps=float(draw.choice([0, 30, 29.97, 55])),
+        seed=seed,
+        real=0,
+    )
+    faults = Faults(
         unplugged=5.0,
         # Frames begin after 3 s, or 17 s where the rig is not known yet.
         unplugged_at=float(draw.uniform(2, 25)),
         meddled=float(draw.choice([0.5, 2.0])),
         meddled_at=float(draw.uniform(2, 25)),
-        seed=seed,
-        real=0,
-        late=RATES["late"],
-        dropped=RATES["dropped"],
-        duplicate=RATES["duplicate"],
-        torn=RATES["torn"],
+        late=0.05,
+        dropped=0.03,
+        duplicate=0.02,
+        torn=0.01,
     )
+    return faulty(settings, faults)
 
 
 def _photograph(folder: Path, seed: int, count: int, largest_file: int | None) -> None:
     """One attempt at the capture, in a process of its own."""
     warnings.simplefilter("ignore")
-    settings = settings_of(seed)
-    shape = (settings.size, settings.size)
-    patterns = make_patterns("mix", shape, count, seed=seed)
     code = _DONE
     try:
-        with open_rig(settings) as rig:
+        with rig_of(seed) as rig:
+            patterns = make_patterns("mix", rig.projector.shape, count, seed=seed)
             if largest_file is not None:
                 # As a full disk does, it lets a part of a file be written.
                 resource.setrlimit(resource.RLIMIT_FSIZE, (largest_file, largest_file))
@@ -124,7 +123,7 @@ def _run(folder: Path, disk: SmallDisk | None, seed: int, count: int, kills: int
     outcome = Outcome(seed, real_disk=disk is not None)
     draw = np.random.default_rng([seed, 15])
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["lightmatrix.live.capturing", "lightmatrix.live.rig"])
+    context.set_forkserver_preload(["lightmatrix.live.capturing", "tests.live.faulty_rig"])
     robbed = False
     deadline = time.monotonic() + _PATIENCE
     while time.monotonic() < deadline:
@@ -164,23 +163,28 @@ def _run(folder: Path, disk: SmallDisk | None, seed: int, count: int, kills: int
 
 def _judge(folder: Path, outcome: Outcome) -> None:
     """Hold each frame against what its pattern gives."""
-    settings = settings_of(outcome.seed)
     capture = Capture.open(folder / "capture")
     provenance = capture.provenance
     outcome.again.update(provenance["photographed_again"])
     outcome.left_out = len(provenance["left_out"])
-    rig = open_rig(settings)
-    light = rig.camera._light  # type: ignore[attr-defined]
-    top = 2.0**settings.bits - 1
-    seconds = capture.exposures * provenance["exposure_1_in_seconds"]
+    outcome.wrong += wrong_frames(capture, rig_of(outcome.seed))
+
+
+def wrong_frames(capture: Capture, rig: Rig) -> list[str]:
+    """Frames of a virtual rig that are not what their pattern alone gives, pixel by pixel.
+
+    No sample may be off by more than 6.5 standard deviations of its noise, 0.3 % of 12 bits.
+    """
+    seconds = capture.exposures * capture.provenance["exposure_1_in_seconds"]
+    wrong = []
     for k in range(capture.count):
         image = to_grey(capture.patterns.images(k, k + 1)[0])
-        sample = (light.irradiance(image) + light.room) * seconds[k] / settings.unit
-        level = settings.black + np.minimum(sample, 1) * (top - settings.black)
-        far = np.abs(capture.frame(k).ravel() - level) / (settings.noise * top)
-        if far.max() > _FARTHEST:
-            rows = (far.reshape(capture.camera_shape) > _FARTHEST).any(axis=1).sum()
-            outcome.wrong.append(f"frame {k}: {far.max():.0f} deviations off, in {rows} rows")
+        level = levels_of(rig, image, seconds[k])
+        far = np.abs(capture.frame(k).ravel() - level) / (0.003 * 4095)
+        if far.max() > 6.5:
+            rows = (far.reshape(capture.camera_shape) > 6.5).any(axis=1).sum()
+            wrong.append(f"frame {k}: {far.max():.0f} deviations off, in {rows} rows")
+    return wrong
 
 
 def main() -> int:

@@ -20,16 +20,14 @@ from unittest import mock
 import numpy as np
 from numpy.typing import NDArray
 
-from lightmatrix.live.capture_settings import CaptureSettings
-from lightmatrix.live.capturing import take_capture
-from lightmatrix.live.devices.virtual.camera import VirtualCamera
-from lightmatrix.live.devices.virtual.projector import VirtualProjector
+from lightmatrix.live.capturing import CaptureSettings, take_capture
+from lightmatrix.live.devices.virtual import VirtualCamera, VirtualProjector
 from lightmatrix.live.rig import open_rig
 from lightmatrix.patterns.making import make_patterns
 
 SETTLE, EXPOSURE = 0.05, 0.02
 NOISE = 0.003 * 4095
-_RIG = "virtual:procedural,real=0,late=0,dropped=0,duplicate=0,torn=0,fps=0"
+_RIG = "virtual:procedural,real=0,fps=0"
 # Pictures before the first pattern, which are black or white.
 _FIRST = 40
 # The first share of the pictures comes late. The picture before it then has a share of the exposure
@@ -67,9 +65,13 @@ def come_within(seed: int) -> Iterator[dict[bytes, Mixed]]:
     show, expose = VirtualProjector.show, VirtualCamera._expose
     mixed: dict[bytes, Mixed] = {}
 
+    shown = 0
+
     def late(self: VirtualProjector, image: NDArray[np.uint8]) -> float:
+        nonlocal shown
         when = show(self, image)
-        if self._count > _FIRST and draw.random() < _RATE:
+        shown += 1
+        if shown > _FIRST and draw.random() < _RATE:
             share = np.exp(draw.uniform(np.log(_LEAST), np.log(_MOST)))
             _, light = self._light._shown.pop()
             # The exposure begins a moment after the trigger.

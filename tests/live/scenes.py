@@ -11,13 +11,12 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from lightmatrix.files.images import read_image
-from lightmatrix.live.devices.projectors.folder import SHOWN
-from lightmatrix.live.measurements.exposure import ExposureAdvice
-from lightmatrix.live.measurements.flicker import Flicker
-from lightmatrix.live.measurements.linearity import CameraLinearity
-from lightmatrix.live.measurements.rig_measurements import RigMeasurements
-from lightmatrix.live.measurements.settle import SettleTime
+from lightmatrix.live.devices.folders import SHOWN
+from lightmatrix.live.flicker import Flicker
+from lightmatrix.live.light_levels import CameraLinearity, ExposureAdvice
 from lightmatrix.live.rig import Rig
+from lightmatrix.live.rig_measurements import RigMeasurements
+from lightmatrix.live.settle import SettleTime
 from lightmatrix.patterns.projector_curve import ProjectorResponse
 
 _BLACK, _NOISE = 8.0, 1.2

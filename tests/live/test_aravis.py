@@ -12,10 +12,9 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array, random_array
 
 from lightmatrix.errors import DeviceError, FrameTimeoutError, MissingExtraError
-from lightmatrix.live.devices.addresses import Address
-from lightmatrix.live.devices.cameras.aravis import AravisCamera, find_aravis, open_aravis
-from lightmatrix.live.devices.projectors.window import open_window
-from lightmatrix.live.devices.protocols import Frame
+from lightmatrix.live.devices.aravis import AravisCamera, find_aravis, open_aravis
+from lightmatrix.live.devices.base import Address, Frame
+from lightmatrix.live.devices.window import open_window
 
 from .conftest import SCREEN
 from .contract import CameraContract

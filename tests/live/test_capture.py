@@ -18,15 +18,16 @@ import pytest
 
 import lightmatrix as lm
 from lightmatrix.cli import main
-from lightmatrix.live.devices.virtual.camera import VirtualCamera
-from lightmatrix.live.frames.drift import Drift
-from lightmatrix.live.projected_patterns import ProjectedPatterns
+from lightmatrix.live.devices.virtual import VirtualCamera
+from lightmatrix.live.references import Drift
+from lightmatrix.live.rig import ProjectedPatterns
 from lightmatrix.live.session import Step
 from tests.helpers.systems import SIGNALS
 
-from .rig_faults import run
+from .faulty_rig import USUAL, faulty_rig
+from .rig_faults import run, wrong_frames
 
-QUIET = "virtual:procedural,size=24,real=0,late=0,dropped=0,duplicate=0,torn=0"
+QUIET = "virtual:procedural,size=24,real=0"
 
 
 @pytest.fixture(scope="module")
@@ -46,7 +47,7 @@ def _capture(words: str = "", **arguments: Any) -> lm.Capture:
     """A capture by the quiet rig with other words; settings stand among the arguments."""
     names = [field.name for field in fields(lm.CaptureSettings) if field.name in arguments]
     settings = lm.CaptureSettings(**{name: arguments.pop(name) for name in names})
-    with lm.open_rig(QUIET + words) as rig:
+    with faulty_rig(QUIET + words) as rig:
         return lm.take_capture("capture", rig, **{"count": 32, "settings": settings, **arguments})
 
 
@@ -90,7 +91,7 @@ def test_a_measured_curve_goes_with_the_capture(tmp_path: Path) -> None:
 
 
 def test_a_capture_is_as_good_as_a_simulated_one() -> None:
-    with lm.open_rig("virtual:procedural,size=24,real=0") as rig:
+    with faulty_rig(QUIET + USUAL) as rig:
         capture = lm.take_capture("capture", rig)
     errors = lm.evaluate(lm.estimate(capture), "capture/truth.npz")
     truth = lm.truth("capture/truth.npz")
@@ -184,16 +185,7 @@ def test_faults_are_noticed_and_frames_repeated(fault: str, least: int) -> None:
 
 def _right_frames(words: str) -> None:
     """Each frame is what its pattern alone gives, pixel by pixel."""
-    capture = lm.Capture.open("capture")
-    rig = lm.open_rig(QUIET + words)
-    scale = capture.provenance["exposure_1_in_seconds"] / 0.02
-    light: Any = rig.camera._light  # type: ignore[attr-defined]
-    for k in range(capture.count):
-        image = np.rint(255 * capture.patterns.images(k, k + 1)[0]).astype(np.uint8)
-        sample = (light.irradiance(image) + light.room) * scale * capture.exposures[k]
-        level = 64 + np.minimum(sample, 1) * (4095 - 64)
-        far = np.abs(capture.frame(k).ravel() - level)
-        assert far.max() < 6.5 * 0.003 * 4095, f"frame {k}"
+    assert wrong_frames(lm.Capture.open("capture"), faulty_rig(QUIET + words)) == []
 
 
 @pytest.mark.parametrize("count", [8, 14])
@@ -233,9 +225,7 @@ def test_several_failures_in_a_row_end_the_session(monkeypatch: pytest.MonkeyPat
     with pytest.raises(_StopError):
         _capture(progress=_stop_after(10))
     with monkeypatch.context() as patched:
-        patched.setattr(
-            "lightmatrix.live.frames.photograph.copied_rows", lambda data, *_: len(data)
-        )
+        patched.setattr("lightmatrix.live.photograph.copied_rows", lambda data, *_: len(data))
         with pytest.raises(lm.DeviceError, match=r"4 patterns in a row.*is a copy of") as caught:
             _capture()
     assert "the frames so far are kept" in str(caught.value.hint)
@@ -246,7 +236,7 @@ def test_several_failures_in_a_row_end_the_session(monkeypatch: pytest.MonkeyPat
     ("what", "words"), [("room", "the room's light changed"), ("lamp", "the light is 90 % of")]
 )
 def test_changing_light_is_named(what: str, words: str) -> None:
-    with lm.open_rig(QUIET + ",fps=0,dropped=0.2") as rig:
+    with faulty_rig(QUIET + ",fps=0,dropped=0.2") as rig:
         light: Any = rig.camera._light  # type: ignore[attr-defined]
 
         def change(step: Step) -> None:
@@ -363,7 +353,7 @@ def test_a_moved_rig_is_refused() -> None:
         _capture(progress=_stop_after(20))
     with pytest.raises(lm.DeviceError, match="since the first 20 frames") as caught:
         _capture(",seed=8", settle=0.05)
-    assert "--overwrite" in str(caught.value.hint)
+    assert "overwrite=True" in str(caught.value.hint)
     assert _capture().count == 32
 
 

@@ -16,9 +16,9 @@ import pytest
 
 import lightmatrix as lm
 from lightmatrix.cli import main
-from lightmatrix.live.devices.cameras.dslr import DSLRCamera
-from lightmatrix.live.devices.cameras.gentl import GenTLCamera
-from lightmatrix.live.devices.protocols import Frame
+from lightmatrix.live.devices.base import Frame
+from lightmatrix.live.devices.dslr import DSLRCamera
+from lightmatrix.live.devices.gentl import GenTLCamera
 
 from .scenes import ShownScene
 

@@ -10,7 +10,7 @@ import pytest
 
 from lightmatrix.cli import main
 from lightmatrix.errors import DeviceError, InputError
-from lightmatrix.live.devices.addresses import Address
+from lightmatrix.live.devices.base import Address
 from lightmatrix.live.devices.registry import (
     CAMERAS,
     PROJECTORS,

@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from lightmatrix.errors import DeviceError, MissingExtraError
-from lightmatrix.live.devices.addresses import Address
-from lightmatrix.live.devices.cameras.dslr import _seconds, find_dslr, open_dslr
-from lightmatrix.live.devices.protocols import Camera
+from lightmatrix.live.devices.base import Address, Camera
+from lightmatrix.live.devices.dslr import _seconds, find_dslr, open_dslr
 from lightmatrix.live.devices.registry import open_camera
 
 from .contract import CameraContract

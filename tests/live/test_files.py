@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 
 from lightmatrix.errors import DeviceError, FrameTimeoutError, InputError, OutputError
 from lightmatrix.files.images import read_image, write_image
-from lightmatrix.live.devices.cameras.watched import WatchedFolder
-from lightmatrix.live.devices.projectors.folder import SHOWN
-from lightmatrix.live.devices.protocols import Camera, Projector
+from lightmatrix.live.devices.base import Camera, Projector
+from lightmatrix.live.devices.folders import SHOWN, WatchedFolder
 from lightmatrix.live.devices.registry import open_camera, open_projector
 
 from .contract import CameraContract, ProjectorContract

@@ -8,13 +8,11 @@ import numpy as np
 import pytest
 
 import lightmatrix as lm
-from lightmatrix.live.devices.protocols import Frame
-from lightmatrix.live.frames.drift import measure_drift
-from lightmatrix.live.frames.pattern_match import choose_samples
-from lightmatrix.live.frames.photograph import Shot, copied_rows
-from lightmatrix.live.frames.repeats import AveragedFrame
-from lightmatrix.live.frames.same_light import References
-from lightmatrix.live.measurements.exposure import _possible
+from lightmatrix.live.devices.base import Frame
+from lightmatrix.live.light_levels import _possible
+from lightmatrix.live.pattern_match import choose_samples
+from lightmatrix.live.photograph import AveragedFrame, Shot, copied_rows
+from lightmatrix.live.references import References, measure_drift
 
 SHAPE, TOP, NOISE = (20, 30), 4095.0, 12.0
 

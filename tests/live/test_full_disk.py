@@ -11,7 +11,7 @@ from lightmatrix.cli import main
 
 from .small_disk import small_disk
 
-RIG = "virtual:procedural,size=16,real=0,late=0,dropped=0,duplicate=0,torn=0,fps=0"
+RIG = "virtual:procedural,size=16,real=0,fps=0"
 COUNT = 24
 
 

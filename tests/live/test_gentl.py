@@ -10,9 +10,8 @@ from pathlib import Path
 import pytest
 
 from lightmatrix.errors import DeviceError, InputError, MissingExtraError
-from lightmatrix.live.devices.addresses import Address
-from lightmatrix.live.devices.cameras.gentl import find_gentl, open_gentl
-from lightmatrix.live.devices.protocols import Camera
+from lightmatrix.live.devices.base import Address, Camera
+from lightmatrix.live.devices.gentl import find_gentl, open_gentl
 from lightmatrix.live.devices.registry import open_camera
 
 from .contract import CameraContract

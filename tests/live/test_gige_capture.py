@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 import lightmatrix as lm
-from lightmatrix.live.devices.addresses import Address
-from lightmatrix.live.devices.cameras.aravis import open_aravis
-from lightmatrix.live.devices.projectors.window import open_window
+from lightmatrix.live.devices.aravis import open_aravis
+from lightmatrix.live.devices.base import Address
+from lightmatrix.live.devices.window import open_window
 from lightmatrix.live.rig import Rig
 from lightmatrix.simulation.procedural_scene import ProceduralScene
 

@@ -10,16 +10,17 @@ import numpy as np
 import pytest
 
 import lightmatrix as lm
-from lightmatrix.live.measurements.outdated import outdated_parts
-from lightmatrix.live.measurements.rig_measurements import PARTS
 from lightmatrix.live.rig import Rig
+from lightmatrix.live.rig_measurements import PARTS, outdated_parts
 from lightmatrix.patterns.projector_curve import ProjectorResponse
 
-_RIG = "virtual:procedural,size=12,real=0"
+from .faulty_rig import USUAL, faulty_rig
+
+_RIG = "virtual:procedural,size=12,real=0" + USUAL
 
 
 def _rig(words: str = "") -> Rig:
-    return lm.open_rig(_RIG + words)
+    return faulty_rig(_RIG + words)
 
 
 @pytest.mark.parametrize("fps", [0, 30, 29.97])

@@ -7,11 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lightmatrix.live.devices.protocols import Frame
-from lightmatrix.live.frames.photograph import Shot
-from lightmatrix.live.frames.previous_pattern import fit_mixture
-from lightmatrix.live.frames.repeats import AveragedFrame
-from lightmatrix.live.frames.same_light import References
+from lightmatrix.live.devices.base import Frame
+from lightmatrix.live.pattern_match import fit_mixture
+from lightmatrix.live.photograph import AveragedFrame, Shot
+from lightmatrix.live.references import References
 
 from .rig_mixtures import run
 

@@ -12,11 +12,10 @@ import numpy as np
 import pytest
 
 from lightmatrix.errors import DeviceError, InputError, MissingExtraError
-from lightmatrix.live.devices.addresses import Address
-from lightmatrix.live.devices.cameras.video import open_video
-from lightmatrix.live.devices.projectors.window import open_window
-from lightmatrix.live.devices.protocols import Camera
+from lightmatrix.live.devices.base import Address, Camera
 from lightmatrix.live.devices.registry import open_camera
+from lightmatrix.live.devices.video import open_video
+from lightmatrix.live.devices.window import open_window
 
 from .contract import CameraContract
 

@@ -10,9 +10,8 @@ import pytest
 from numpy.typing import NDArray
 
 from lightmatrix.errors import DeviceError, InputError, MissingExtraError
-from lightmatrix.live.devices.addresses import Address
-from lightmatrix.live.devices.projectors.window import WindowProjector, find_windows, open_window
-from lightmatrix.live.devices.protocols import Projector
+from lightmatrix.live.devices.base import Address, Projector
+from lightmatrix.live.devices.window import WindowProjector, find_windows, open_window
 
 from .conftest import SCREEN, SECOND
 from .contract import ProjectorContract

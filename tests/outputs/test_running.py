@@ -7,16 +7,12 @@ import json
 import os
 import shutil
 import sys
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from lightmatrix.cli import main
 from lightmatrix.errors import LightMatrixWarning, OutputError
-from lightmatrix.experiments import run
-from lightmatrix.experiments.harness import Experiment, Measured
 from lightmatrix.outputs.markers import FolderKind
 from lightmatrix.outputs.running import RunningResults, setting_differences
 from lightmatrix.outputs.writing import check_output
@@ -63,35 +59,6 @@ def test_running_folders_of_others_are_refused_at_once(tmp_path: Path) -> None:
     (tmp_path / "out.cases").symlink_to("elsewhere")
     with pytest.raises(OutputError, match=r"out\.cases"):
         check_output(tmp_path / "out", kind)
-
-
-@dataclass(frozen=True)
-class Case:
-    name: str = "one"
-
-
-DRAWN = Experiment(
-    "figure",
-    lambda quick: [Case()],
-    lambda case: Measured([{"name": case.name}]),
-    lambda out, measured: None,
-)
-
-
-def test_experiments_touch_nothing_but_their_own(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(run, "EXPERIMENTS", dict.fromkeys(run.EXPERIMENTS, DRAWN))
-    Path("out.cases").mkdir()
-    Path("out.cases/mine").touch()
-    assert main(["experiment", "fig4", "-o", "out"]) == 2
-    assert Path("out.cases/mine").exists()
-    assert not Path("out").exists()
-    assert main(["experiment", "few-patterns", "-o", "few"]) == 0
-    assert main(["experiment", "few-patterns", "-o", "few"]) == 2
-    assert main(["experiment", "few-patterns", "-o", "few", "--overwrite"]) == 0
-    assert sorted(os.listdir()) == ["few", "out.cases"]
 
 
 SETTINGS = {"regularization": 0.3, "capture": "0123456789abcdef", "solver": {"rows": 4}}

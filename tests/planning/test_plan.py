@@ -16,7 +16,6 @@ from lightmatrix.cli import main
 from lightmatrix.errors import InputError
 from lightmatrix.files.images import write_image
 from lightmatrix.patterns.bits import BernoulliPatterns
-from lightmatrix.planning.error_table import counts, expectations, frames_for, table
 from lightmatrix.planning.exposure_advice import (
     BRIGHT_SPOT_SHARE,
     NOISE_LIMIT,
@@ -26,6 +25,7 @@ from lightmatrix.planning.exposure_advice import (
     clipped_share,
     single_clipped_share,
 )
+from lightmatrix.planning.plan import counts, expectations, frames_for, table
 from lightmatrix.simulation.irradiance import irradiance
 from lightmatrix.simulation.library import truth
 from lightmatrix.simulation.renderer import render

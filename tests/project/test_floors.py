@@ -28,7 +28,7 @@ FLOORS = [
     {"calibration", "planning", "uses"},
     {"viewer"},
     {"report"},
-    {"experiments", "live"},
+    {"demo", "live"},
     {"cli"},
     {"__main__"},
 ]

@@ -25,7 +25,6 @@ from lightmatrix.cli.decode import decode
 from lightmatrix.cli.demo import demo
 from lightmatrix.cli.estimate import estimate
 from lightmatrix.cli.evaluate import evaluate
-from lightmatrix.cli.experiment import experiment
 from lightmatrix.cli.export import export
 from lightmatrix.cli.failures import as_options, report
 from lightmatrix.cli.info import info
@@ -67,7 +66,7 @@ STAGES: dict[str, tuple[Callable[..., None], ...]] = {
         export,
     ),
     "Simulate": (scenes, render, simulate),
-    "Show": (demo, experiment),
+    "Show": (demo,),
 }
 # Commands with commands of their own, by stage of the work.
 GROUPS: dict[str, dict[str, typer.Typer]] = {"Photograph": {"rig": rig}}

@@ -44,6 +44,6 @@ def demo(
             for method in result["methods"]
         ],
     )
-    verdict = lm.Verdict(result["report"]["verdict"], result["report"]["sentence"])
-    say(f"default estimate: {verdict}")
+    judged = lm.Verdicts.from_dict(result["report"]["verdicts"])
+    say(f"default estimate: {judged.transport}")
     say(f"report: {(output / 'report.html').absolute()}")

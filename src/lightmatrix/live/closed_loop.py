@@ -12,17 +12,17 @@ from numpy.typing import NDArray
 
 from lightmatrix.camera.camera_curve import Response
 from lightmatrix.errors import InputError
-from lightmatrix.live.devices.exposures import set_exposure
-from lightmatrix.live.frames.photograph import Photographer
-from lightmatrix.live.frames.repeats import AveragedFrame, take_average
-from lightmatrix.live.measurements.rig_measurements import RigMeasurements, measure_rig
-from lightmatrix.live.measurements.white_and_black import (
+from lightmatrix.live.devices.base import set_exposure
+from lightmatrix.live.photograph import (
+    AveragedFrame,
+    Photographer,
     WhiteAndBlack,
     find_white_and_black,
+    take_average,
     take_white_and_black,
 )
-from lightmatrix.live.projected_patterns import ProjectedPatterns
-from lightmatrix.live.rig import Rig, UnfitRigError
+from lightmatrix.live.rig import ProjectedPatterns, Rig, UnfitRigError
+from lightmatrix.live.rig_measurements import RigMeasurements, measure_rig
 from lightmatrix.outputs.kinds import IMAGE
 from lightmatrix.outputs.writing import check_output
 from lightmatrix.patterns.pattern_set import ImagePatterns

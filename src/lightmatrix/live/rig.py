@@ -5,18 +5,27 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, Self, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lightmatrix.errors import DeviceError, FrameTimeoutError, InputError
-from lightmatrix.live.devices.clock import Clock, SimulatedClock, SystemClock
-from lightmatrix.live.devices.protocols import Camera, Projector
+from lightmatrix.live.devices.base import Camera, Clock, Projector
 from lightmatrix.live.devices.registry import open_camera, open_projector
-from lightmatrix.live.devices.virtual.camera import VirtualCamera
-from lightmatrix.live.devices.virtual.light import Light
-from lightmatrix.live.devices.virtual.projector import VirtualProjector
-from lightmatrix.live.devices.virtual.settings import PROCEDURAL, VirtualSettings, parse_settings
+from lightmatrix.live.devices.virtual import (
+    HARDWARE,
+    PROCEDURAL,
+    SimulatedClock,
+    VirtualCamera,
+    VirtualLight,
+    VirtualProjector,
+    VirtualSettings,
+    parse_settings,
+)
+from lightmatrix.patterns.pattern_set import PatternSet, to_grey
+from lightmatrix.patterns.projector_curve import ProjectorResponse
 from lightmatrix.ranges import check_number
 from lightmatrix.simulation import library, realism
 from lightmatrix.simulation.procedural_scene import ProceduralScene
@@ -24,10 +33,6 @@ from lightmatrix.simulation.truth import Truth
 
 # Seconds to wait for a frame beyond its exposure.
 USUAL_PATIENCE = 2.0
-# A lost camera is looked for every second, for a minute: long enough to plug it in again.
-_SEARCH, _SEARCH_EVERY = 60.0, 1.0
-# Work that is begun anew after a loss of the camera is given up at the third loss.
-_MOST_LOSSES = 2
 Result = TypeVar("Result")
 
 
@@ -66,7 +71,7 @@ class Rig:
     projector: Projector
     camera: Camera
     reopen: Callable[[], Camera]
-    clock: Clock = field(default_factory=SystemClock)
+    clock: Clock = field(default_factory=Clock)
     truth: Truth | None = None
     unit: float = 1.0
     patience: float = USUAL_PATIENCE
@@ -99,7 +104,7 @@ class Rig:
         DeviceError
             If the camera is lost three times, or not back within a minute.
         """
-        for _ in range(_MOST_LOSSES):
+        for _ in range(2):
             try:
                 return work()
             except (UnfitRigError, FrameTimeoutError):
@@ -109,14 +114,14 @@ class Rig:
         return work()
 
     def recover(self) -> None:
-        """Open a lost camera again, once it is back.
+        """Open a lost camera again, once it is back; it is looked for every second.
 
         Raises
         ------
         DeviceError
             If it is not back within a minute.
         """
-        deadline = self.clock.now() + _SEARCH
+        deadline = self.clock.now() + 60
         with suppress(DeviceError):
             self.camera.close()
         while True:
@@ -126,7 +131,7 @@ class Rig:
             except DeviceError:
                 if self.clock.now() > deadline:
                     raise
-            self.clock.sleep(_SEARCH_EVERY)
+            self.clock.sleep(1)
 
 
 def open_rig(
@@ -165,7 +170,7 @@ def open_rig(
     Examples
     --------
     >>> import lightmatrix as lm
-    >>> lm.open_rig("virtual:metal,delay=3,late=0.05,real=0")
+    >>> lm.open_rig("virtual:metal,delay=3,real=0")
     Rig(virtual:metal, virtual:metal)
     """
     check_number("a patience", patience, most=3600, above=True, hint="give seconds, such as 10")
@@ -173,7 +178,7 @@ def open_rig(
         if projector is None or camera is None:
             raise InputError(
                 "there is no rig to photograph with",
-                hint="give --rig virtual:l_objects, or --projector and --camera; "
+                hint="give a rig, virtual:l_objects, or a projector and a camera; "
                 "`lightmatrix rig list` names those that are there",
             )
         opened = _real(projector, camera)
@@ -199,24 +204,65 @@ def _real(projector: str, camera: str) -> Rig:
 
 
 def _virtual(settings: VirtualSettings) -> Rig:
-    truth = realism.defocus(_scene(settings), settings.blur)
-    room = realism.ambient(truth, settings.room)
-    clock = SystemClock() if settings.real else SimulatedClock()
-    light = Light(truth, room, settings, clock.now())
-    camera = VirtualCamera(light, settings, clock)
+    size = (settings.size, settings.size)
+    if settings.scene == PROCEDURAL:
+        truth = ProceduralScene(size, size, settings.seed).truth()
+    else:
+        truth = library.truth(settings.scene, size)
+    clock = SimulatedClock() if not settings.real else Clock()
+    light = VirtualLight(truth, realism.ambient(truth, settings.room), settings)
+    camera = VirtualCamera(light, clock)
     # The light of a black pixel is in the black frame, so the T that can be measured is smaller.
-    contrast = np.float32(1 - settings.leak)
+    contrast = np.float32(1 - HARDWARE.leak)
     measurable = replace(
         truth,
         matrix=truth.with_data(contrast * truth.matrix.data),
         direct_data=contrast * truth.direct_data,
     )
-    projector = VirtualProjector(light, settings, clock)
+    projector = VirtualProjector(light, clock)
     return Rig(projector, camera, camera.reopen, clock, measurable, settings.unit)
 
 
-def _scene(settings: VirtualSettings) -> Truth:
-    size = (settings.size, settings.size)
-    if settings.scene == PROCEDURAL:
-        return ProceduralScene(size, size, settings.seed).truth()
-    return library.truth(settings.scene, size)
+@dataclass(frozen=True, eq=False)
+class ProjectedPatterns:
+    """A pattern set on a projector's screen; an InputError if it does not fit."""
+
+    # K patterns.
+    patterns: PatternSet
+    # (rows, cols): the projector's pixels.
+    screen: tuple[int, int]
+    # Projector pixels along a side of each pattern pixel.
+    cell: int = 1
+    # Chooses grey values that give the patterns' light; black-and-white patterns need none.
+    response: ProjectorResponse | None = None
+
+    def __post_init__(self) -> None:
+        rows, cols = self.patterns.shape
+        if rows * self.cell > self.screen[0] or cols * self.cell > self.screen[1]:
+            cells = f", each pixel {self.cell} x {self.cell}" if self.cell > 1 else ""
+            raise InputError(
+                f"patterns of {rows} x {cols} pixels{cells}, for a projector of "
+                f"{self.screen[0]} x {self.screen[1]}",
+                hint=f"make patterns of {self.screen[0] // self.cell}x"
+                f"{self.screen[1] // self.cell} at most",
+            )
+
+    @cached_property
+    def _grey(self) -> bool:
+        """Whether the patterns have other values than black and white."""
+        return self.patterns.as_bits() is None
+
+    def image(self, index: int) -> NDArray[np.uint8]:
+        """The image of a pattern, (rows, cols) uint8, in the middle of a black screen."""
+        light = self.patterns.images(index, index + 1)[0]
+        if self._grey and self.response is not None:
+            grey = self.response.grey_for(light)
+        else:
+            grey = to_grey(light)
+        grey = grey.repeat(self.cell, axis=0).repeat(self.cell, axis=1)
+        if grey.shape == self.screen:
+            return grey
+        whole = np.zeros(self.screen, np.uint8)
+        top, left = ((a - b) // 2 for a, b in zip(self.screen, grey.shape, strict=True))
+        whole[top : top + grey.shape[0], left : left + grey.shape[1]] = grey
+        return whole

@@ -19,13 +19,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.errors import DeviceError
-from lightmatrix.live.frames.drift import Drift, measure_drift
-from lightmatrix.live.frames.pattern_match import PatternMatcher, choose_samples
-from lightmatrix.live.frames.photograph import Photographer, Shot, UntrustedFrameError
-from lightmatrix.live.frames.repeats import take_average
-from lightmatrix.live.frames.same_light import References
-from lightmatrix.live.measurements.white_and_black import plain_images
+from lightmatrix.live.pattern_match import PatternMatcher, choose_samples
+from lightmatrix.live.photograph import (
+    Photographer,
+    Shot,
+    UntrustedFrameError,
+    plain_images,
+    take_average,
+)
 from lightmatrix.live.record import CaptureRecord, FrameRecord
+from lightmatrix.live.references import Drift, References, measure_drift
 from lightmatrix.patterns.pattern_set import PatternSet
 
 # Photographs of a pattern before it is given up: one, and three repeats. Chosen by hand.

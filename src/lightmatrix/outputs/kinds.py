@@ -11,8 +11,8 @@ from pathlib import Path
 from lightmatrix.errors import OutputError
 from lightmatrix.outputs.markers import FileKind, FolderKind, holds_member, read_object
 
-# Endings of the folders beside an output that hold its running results.
-PARTIAL, CASES = ".partial", ".cases"
+# Ending of the folder beside an output that holds its running results.
+PARTIAL = ".partial"
 # Names of the arrays by which our npz files are recognized.
 TRANSPORT_MARK, TRUTH_MARK, PACKED_MARK, NUMBERS_MARK, CORRESPONDENCE_MARK = (
     "lightmatrix_transport",
@@ -64,7 +64,6 @@ SEPARATION = FolderKind("separation")
 THUMBNAILS = FolderKind("folder of scene pictures")
 DEMO = FolderKind("demo report")
 REPORT = FolderKind("report")
-FIGURE = FolderKind("figure", running=CASES)
 TRUTH = FileKind("rendered matrix", (".npz",), lambda file: holds_member(file, TRUTH_MARK))
 PACKED = FileKind("packed scene", (".npz",), lambda file: holds_member(file, PACKED_MARK))
 NUMBERS = FileKind("numbers of a picture", (".npz",), lambda file: holds_member(file, NUMBERS_MARK))

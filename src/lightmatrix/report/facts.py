@@ -9,20 +9,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.capture.capture import Capture
-from lightmatrix.evaluation.doubts import OwnError
-from lightmatrix.evaluation.estimate_errors import Errors, errors_by_rows
-from lightmatrix.evaluation.metrics import relative_error, squared_errors
-from lightmatrix.evaluation.verdict import (
+from lightmatrix.evaluation.evaluate import Errors, errors_by_rows
+from lightmatrix.evaluation.judgement import (
     FAIR,
+    OwnError,
     Verdict,
     level_of,
     limited,
     percent,
+    relighting_verdict,
     singly_clipped,
     stored_findings,
     verdict_by_rows,
 )
-from lightmatrix.evaluation.verdicts import relighting_verdict
+from lightmatrix.evaluation.metrics import relative_error, squared_errors
 from lightmatrix.geometry.rig_geometry import RigGeometry
 from lightmatrix.report.validation import Validation
 from lightmatrix.transport.correspondence import Correspondence, correspondence
@@ -120,31 +120,30 @@ class Facts:
         if not isinstance(self.validation, Validation):
             return relighting_verdict(self.transport, stored_findings(self.transport))
         error = _validation_error(self.validation)
-        return Verdict(level_of(error), _validation_sentence(self.validation))
+        return Verdict(level_of(error), None, (_validation_sentence(self.validation),))
 
     @cached_property
     def verdict(self) -> Verdict:
         """The verdict by the worst of the prediction error, the true and the estimated error."""
-        sentences, errors = [], []
+        own = OwnError(self.transport)
+        errors = [] if own.stated is None else [own.stated]
+        reasons = list[str]()
         if isinstance(self.validation, Validation):
             errors.append(_validation_error(self.validation))
-            sentences.append(_validation_sentence(self.validation))
+            reasons.append(_validation_sentence(self.validation))
         if self.relative_error is not None:
             errors.append(self.relative_error)
-            sentences.append(f"Error of T against the truth: {percent(self.relative_error)}.")
-        own = OwnError(self.transport)
-        if own.stated is not None:
-            errors.append(own.stated)
-            sentences.append(f"Estimated error of T: {percent(own.stated)}.")
+            reasons.append(f"Error of T against the truth: {percent(self.relative_error)}.")
         if not errors:
             why = f"It was not tested on unseen photographs: {self.validation}."
             return verdict_by_rows(self.transport, why)
-        level, warnings = level_of(max(errors)), list[str]()
+        level = level_of(max(errors))
         if self.relative_error is None:
             level, warnings = limited(level, self.singly_clipped)
             if own.doubts:
-                level, warnings = "doubtful", [*own.doubts, *warnings]
-        return Verdict(level, " ".join([*sentences, *warnings]))
+                level = "doubtful"
+            reasons += [*own.doubts, *warnings]
+        return Verdict(level, own.stated, tuple(reasons))
 
 
 def _validation_error(validation: Validation) -> float:

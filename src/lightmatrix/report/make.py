@@ -13,8 +13,12 @@ from lightmatrix.diagnosis.finding import Finding
 from lightmatrix.diagnosis.responses.found import as_estimated
 from lightmatrix.errors import InputError
 from lightmatrix.estimators.settings import EstimateSettings
-from lightmatrix.evaluation.verdict import percent, stored_findings
-from lightmatrix.evaluation.verdicts import Verdicts, correspondence_verdict
+from lightmatrix.evaluation.judgement import (
+    Verdicts,
+    correspondence_verdict,
+    percent,
+    stored_findings,
+)
 from lightmatrix.geometry.rig_geometry import RigGeometry
 from lightmatrix.outputs.kinds import REPORT
 from lightmatrix.outputs.writing import atomic_folder

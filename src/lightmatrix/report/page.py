@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
-from lightmatrix.evaluation.verdicts import Verdicts
+from lightmatrix.evaluation.judgement import Verdicts
 from lightmatrix.report.elements import Section, Strip
 
 

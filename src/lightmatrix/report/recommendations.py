@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lightmatrix.evaluation.verdict import FAIR, GOOD, SINGLY_CLIPPED, percent
+from lightmatrix.evaluation.judgement import FAIR, GOOD, SINGLY_CLIPPED, percent
 from lightmatrix.pictures.maps import has_diagnostic
 from lightmatrix.report.facts import Facts
 from lightmatrix.report.validation import Validation

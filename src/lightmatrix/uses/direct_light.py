@@ -23,7 +23,7 @@ from lightmatrix.uses.spots import ENTRIES, Spots, entries_of
 from lightmatrix.uses.stray_spots import crossing_spots, outshone_spots
 
 # All thresholds of this file were chosen on the scenes of benchmarks/separation_scenes.py, which
-# `lightmatrix experiment uses` does not hold. Distances are in projector pixels: a constant, and a
+# `python -m experiments uses` does not hold. Distances are in projector pixels: a constant, and a
 # part that grows with the standard deviation of a spot.
 #
 # A row fainter than this share of a bright row's light (the 0.9 quantile) is left without direct

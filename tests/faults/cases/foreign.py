@@ -104,21 +104,6 @@ def _foreign() -> list[Case]:
 def _siblings() -> list[Case]:
     return [
         Case(
-            "a folder out.cases beside an experiment",
-            "experiment fig4 --quick -o out",
-            (),
-            text("out.cases/photo.jpg"),
-            code=(0, 2),
-            seconds=60,
-        ),
-        Case(
-            "a folder out.cases beside a resumable experiment",
-            "experiment few-patterns --quick -o out",
-            "out.cases",
-            text("out.cases/photo.jpg"),
-            seconds=5,
-        ),
-        Case(
             "a folder o.zarr.partial that is not an estimate's",
             f"{ESTIMATE} -o o.zarr",
             "o.zarr.partial",

@@ -28,7 +28,6 @@ WRITERS = {
     "render": ("render wall --size 8x8 --spp 1 -o", ".npz"),
     "demo": ("demo -o", ""),
     "scenes": ("scenes --thumbnails", ""),
-    "experiment": ("experiment fig4 --quick -o", ""),
 }
 
 

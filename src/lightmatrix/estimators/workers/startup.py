@@ -63,15 +63,6 @@ def open_workers(
     ClusterError
         If workers cannot be started, the scheduler does not answer or has none, or one of them has
         other versions or too little memory.
-
-    Examples
-    --------
-    >>> import lightmatrix as lm
-    >>> capture = lm.simulate("metal", lm.BernoulliPatterns((64, 64), 8))
-    >>> settings = lm.EstimateSettings(coherent=False)
-    >>> with lm.open_workers(settings, lm.estimate_resources(capture, settings)) as pool:
-    ...     lm.choose_estimator(capture, settings).estimate(capture, pool=pool).camera_shape
-    (64, 64)
     """
     if settings.workers is None and settings.cluster is None:
         yield None

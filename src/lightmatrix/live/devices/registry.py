@@ -7,15 +7,13 @@ from dataclasses import dataclass, replace
 from typing import Generic, TypeVar
 
 from lightmatrix.errors import DeviceError, InputError, MissingExtraError
-from lightmatrix.live.devices.addresses import Address, AvailableDevice
-from lightmatrix.live.devices.cameras.aravis import find_aravis, open_aravis
-from lightmatrix.live.devices.cameras.dslr import find_dslr, open_dslr
-from lightmatrix.live.devices.cameras.gentl import find_gentl, open_gentl
-from lightmatrix.live.devices.cameras.video import find_video, open_video
-from lightmatrix.live.devices.cameras.watched import open_watched
-from lightmatrix.live.devices.projectors.folder import open_folder
-from lightmatrix.live.devices.projectors.window import find_windows, open_window
-from lightmatrix.live.devices.protocols import Camera, Projector
+from lightmatrix.live.devices.aravis import find_aravis, open_aravis
+from lightmatrix.live.devices.base import Address, AvailableDevice, Camera, Projector
+from lightmatrix.live.devices.dslr import find_dslr, open_dslr
+from lightmatrix.live.devices.folders import open_folder, open_watched
+from lightmatrix.live.devices.gentl import find_gentl, open_gentl
+from lightmatrix.live.devices.video import find_video, open_video
+from lightmatrix.live.devices.window import find_windows, open_window
 
 Device = TypeVar("Device")
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from lightmatrix.evaluation.verdict import percent
+from lightmatrix.evaluation.judgement import percent
 from lightmatrix.pictures.maps import Map, estimated_error_map, gap_map, has_diagnostic
 from lightmatrix.report.elements import Columns, Element, Gallery, Image, Section, Table, Text
 from lightmatrix.report.facts import Facts

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.capture.summary import summarize
-from lightmatrix.evaluation.verdict import percent
+from lightmatrix.evaluation.judgement import percent
 from lightmatrix.pictures.maps import clipping_map
 from lightmatrix.report.elements import Bars, Columns, Element, Gallery, Pair, Section, Strip, Table
 from lightmatrix.report.facts import Facts

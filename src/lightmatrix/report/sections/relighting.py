@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from lightmatrix.evaluation.judgement import percent
 from lightmatrix.evaluation.metrics import relighting_error, unseen_patterns
-from lightmatrix.evaluation.verdict import percent
 from lightmatrix.pictures.maps import error_map
 from lightmatrix.report.elements import Columns, Element, Gallery, Section, Table, Text
 from lightmatrix.report.facts import Facts

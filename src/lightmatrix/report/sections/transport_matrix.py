@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lightmatrix.evaluation.verdict import percent
+from lightmatrix.evaluation.judgement import percent
 from lightmatrix.pictures.maps import correspondence_maps, footprint_map, has_diagnostic
 from lightmatrix.report.elements import Element, Gallery, Image, Section, Text
 from lightmatrix.report.facts import Facts

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightmatrix.errors import InputError
-from lightmatrix.evaluation.verdict import percent
+from lightmatrix.evaluation.judgement import percent
 from lightmatrix.geometry.rig_geometry import RigGeometry
 from lightmatrix.report.elements import Element, Gallery, Section, Text
 from lightmatrix.report.facts import Facts

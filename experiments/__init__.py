@@ -1,0 +1,1 @@
+"""The paper's figures, and claims of our own: `python -m experiments fig4 -o out/fig4`."""

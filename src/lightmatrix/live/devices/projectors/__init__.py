@@ -1,1 +1,0 @@
-"""Projectors: one file for each back end."""

@@ -1,1 +1,0 @@
-"""A virtual rig: a projector and a camera before a scene whose light transport is known."""
